@@ -1,0 +1,1 @@
+"""What a row is. One file per stage; imports nothing of ours outside this folder."""

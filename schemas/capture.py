@@ -1,0 +1,92 @@
+"""Rows of the capture stage: what one scan says about its scene."""
+
+from __future__ import annotations
+
+from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
+
+
+@record("scenes", key=("scene_id",), stage="capture")
+class Scene:
+    """A scene: what the lake holds of one scan."""
+
+    scene_id: str = column("Scene, <dataset>/<scan>", pattern=SCENE_PATTERN)
+    room_id: str = column("Physical room, the unit of train/test splits", pattern=SCENE_PATTERN)
+    dataset: str = column("Dataset that the scan belongs to")
+    scan: str = column("Name of the scan in its dataset")
+    scan_format: str = column("Format that the scan was read from", values=("scannet", "posed_rgbd", "glb"))
+    scan_path: str = column("Folder or file of the scan when it was read", volatile=True)
+    alignment: tuple[float, ...] = column("Scan frame to world frame, 4x4 row by row", unit="m", length=16)
+    alignment_source: str = column("Where the alignment came from", values=("file", "estimated", "identity"))
+    floor_tilt_radians: float = column("Angle between the scan's floor and the horizontal before alignment", unit="rad", minimum=0)
+    mesh_blob: str = column("Scan mesh in the world frame, GLB with vertex colors or textures", blob=True)
+    vertex_count: int = column("Vertices of the scan mesh", minimum=3)
+    face_count: int = column("Faces of the scan mesh", minimum=1)
+    frame_count: int = column("Frames of the scan, with or without a usable pose", minimum=0)
+    instance_count: int = column("Instances in the scene", minimum=0)
+    segmentation: str = column("Where the instances came from: the scan's files or its geometry", values=("file", "geometry"))
+    license: str | None = column("Licence of the scan, when its folder states one")
+
+
+@record("rooms", key=("scene_id",), stage="capture")
+class Room:
+    """The room of a scene, estimated from its scan: floor polygon, walls, height."""
+
+    scene_id: str = column("Scene", pattern=SCENE_PATTERN)
+    room_type: str = column("Kind of room (bedroom, office, ...), 'unknown' when neither stated nor inferred")
+    floor_polygon: tuple[tuple[float, ...], ...] = column("Corners of the floor in the world frame, counter-clockwise, open ring of (x, y)", unit="m")
+    floor_area_m2: float = column("Area of the floor polygon", unit="m2", minimum=0)
+    floor_source: str = column("What the floor polygon was estimated from", values=("surface", "walls", "extent"))
+    walls: tuple[tuple[float, ...], ...] = column("Walls as segments (x0, y0, x1, y1) in the world frame; the room lies to their left", unit="m")
+    height_m: float = column("Height of the room from floor to ceiling", unit="m", minimum=0.1)
+    height_source: str = column("What the height was estimated from", values=("ceiling", "walls", "extent"))
+
+
+@record("frames", key=("scene_id", "frame_id"), stage="capture")
+class Frame:
+    """A posed frame of a scan. Pixels stay where the scan is; this refers to them."""
+
+    scene_id: str = column("Scene", pattern=SCENE_PATTERN)
+    frame_id: str = column("Frame, zero-padded", pattern=r"[0-9]{6}")
+    color_file: str = column("Color image relative to the scan; '<file>.sens#<index>' inside a container")
+    depth_file: str | None = column("Depth image relative to the scan; '<file>.sens#<index>' inside a container")
+    width: int = column("Width of the color image", unit="px", minimum=1)
+    height: int = column("Height of the color image", unit="px", minimum=1)
+    intrinsics: tuple[float, ...] = column("fx, fy, cx, cy of the color camera", unit="px", length=4)
+    depth_scale: float = column("Depth units per metre", unit="1/m", minimum=1)
+    pose: tuple[float, ...] | None = column("Camera (x right, y down, z forward) to world frame, 4x4 row by row; missing when unreadable", unit="m", length=16)
+
+
+@record("instances", key=("scene_id", "instance_id"), stage="capture")
+class Instance:
+    """One object, or a wall, floor or ceiling, of a scene."""
+
+    scene_id: str = column("Scene", pattern=SCENE_PATTERN)
+    instance_id: str = column("Instance, zero-padded, unique in the scene", pattern=INSTANCE_PATTERN)
+    source_id: str = column("What the scan calls the instance (object id, node name)")
+    raw_label: str = column("Label as the scan has it")
+    category: str = column("Label, lower case, single spaces, no plural where the label map says so")
+    nyu40_id: int = column("NYU40 class, 0 when the label map has none", minimum=0, maximum=40)
+    nyu40_label: str = column("NYU40 class name, 'unlabeled' for 0")
+    is_structure: bool = column("Wall, floor or ceiling: part of the room, never replaced by an asset")
+    box_pose: tuple[float, ...] = column("Oriented box to world frame, rotation about +Z, origin at the box center, 4x4 row by row", unit="m", length=16)
+    box_size: tuple[float, ...] = column("Extents of the oriented box along its own axes", unit="m", length=3, minimum=0)
+    box_volume_m3: float = column("Volume of the oriented box", unit="m3", minimum=0)
+    point_count: int = column("Points of the instance", minimum=1)
+    points_blob: str = column("Points in the world frame, binary PLY: x y z float32 [m], red green blue uint8", blob=True)
+    mesh_blob: str | None = column("The instance's faces cut from the scan mesh, world frame, GLB", blob=True)
+    view_blob: str | None = column("Best view of the instance, JPEG crop", blob=True)
+    best_frames: tuple[str, ...] = column("Frames that see the instance best, best first")
+
+
+@record("masks", key=("scene_id", "frame_id", "instance_id"), stage="capture")
+class Mask:
+    """Where an instance is seen in one of its best frames."""
+
+    scene_id: str = column("Scene", pattern=SCENE_PATTERN)
+    frame_id: str = column("Frame, zero-padded", pattern=r"[0-9]{6}")
+    instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
+    pixel_box: tuple[int, ...] = column("x0, y0, x1, y1 in the color image, x1 and y1 exclusive", unit="px", length=4, minimum=0)
+    pixel_count: int = column("Pixels of the mask in the color image", unit="px", minimum=1)
+    visible_fraction: float = column("Share of the instance's points inside the image that the depth test sees", minimum=0, maximum=1)
+    score: float = column("View quality: visible fraction x square root of mask area x (1 - border contact)", minimum=0)
+    run_lengths: tuple[int, ...] = column("Mask inside pixel_box, row by row: lengths of alternating runs, the first outside the mask", unit="px", minimum=0)

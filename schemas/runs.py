@@ -1,0 +1,40 @@
+"""Rows that the lake keeps about itself: executions of stages, and snapshots."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from schemas.record import column, record
+
+
+@record("stage_runs", key=("scene_id", "stage", "fingerprint", "attempt"), stage="", rule="append", grain="lake")
+class StageRun:
+    """One execution of a stage on a scene (on an annotation batch: scene_id holds the batch)."""
+
+    scene_id: str = column("Scene, or annotation batch for stages of that grain")
+    stage: str = column("Stage")
+    fingerprint: str = column("Hash of inputs, config, code and model versions", pattern=r"[0-9a-f]{64}")
+    attempt: int = column("Attempt at this fingerprint, from 1", minimum=1, volatile=True)
+    outcome: str = column("What came of it", values=("done", "failed", "lost", "withdrawn"))
+    upstream: tuple[str, ...] = column("Stages whose rows were read, as <stage>=<fingerprint>")
+    reasons: tuple[str, ...] = column("Parts of the fingerprint as <part>=<hash>: inputs, config, code, seed")
+    config: str = column("Config as canonical JSON")
+    row_counts: tuple[str, ...] = column("Rows written, as <table>=<count>")
+    degradations: tuple[str, ...] = column("What had to be left out or done by a fallback")
+    error: str | None = column("One line: file, field, problem, remedy")
+    error_kind: str | None = column("Kind of failure", values=("input", "defect", "lost", "timeout"))
+    started_at: datetime = column("Start", volatile=True)
+    seconds: float = column("Wall time", unit="s", minimum=0, volatile=True)
+    host: str = column("Host and process that ran it", volatile=True)
+    peak_memory_mb: float = column("Peak resident memory of the worker", unit="MB", minimum=0, volatile=True)
+    snapshot_id: int = column("Snapshot that it was committed in", minimum=0, volatile=True)
+
+
+@record("snapshots", key=("snapshot_id",), stage="", rule="append", grain="lake")
+class Snapshot:
+    """A consistent state of all tables."""
+
+    snapshot_id: int = column("Snapshot, from 1", minimum=1, volatile=True)
+    created_at: datetime = column("When it was committed", volatile=True)
+    tables: tuple[str, ...] = column("Version of every table, as <table>=<version>", volatile=True)
+    note: str = column("What it was committed for", volatile=True)

@@ -1,0 +1,33 @@
+"""All tables of the lake, in the order of the data path."""
+
+from __future__ import annotations
+
+from schemas import annotation, candidates, capture, captions, exports, navigation, optimization, runs, selection
+from schemas.record import Table, table_of
+
+RECORDS: tuple[type, ...] = (
+    capture.Scene,
+    capture.Room,
+    capture.Frame,
+    capture.Instance,
+    capture.Mask,
+    captions.Caption,
+    candidates.Candidate,
+    candidates.Asset,
+    selection.Selection,
+    annotation.Annotation,
+    optimization.Placement,
+    optimization.Support,
+    optimization.Contact,
+    optimization.OptimizationStep,
+    navigation.Navmesh,
+    navigation.Episode,
+    navigation.UnreachableTarget,
+    navigation.Split,
+    exports.ExportFile,
+    exports.ExportCheck,
+    runs.StageRun,
+    runs.Snapshot,
+)
+
+TABLES: dict[str, Table] = {table_of(record).name: table_of(record) for record in RECORDS}

@@ -1,0 +1,218 @@
+"""Meshes in and out of GLB, and as plain arrays. Here, and only here, +Z up meets glTF's +Y up."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from schemas.errors import InputError
+from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
+
+if TYPE_CHECKING:
+    import trimesh
+
+MAX_FACES = 20_000_000
+"""More faces than any scan that a worker with 8 GB can hold; a file with more is refused before it is unpacked."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Surface:
+    """Triangles as plain arrays, in the frame that the holder states.
+
+    vertices: Positions [m], shape (n, 3) float64. faces: Vertex indices, shape (m, 3) int64.
+    colors: RGB per vertex, shape (n, 3) uint8.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    colors: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        n = len(self.vertices)
+        if self.vertices.shape != (n, 3) or self.faces.ndim != 2 or self.faces.shape[1] != 3 or self.colors.shape != (n, 3):
+            raise ValueError(f"surface: shapes {self.vertices.shape}, {self.faces.shape}, {self.colors.shape} do not fit together")
+        if len(self.faces) and (self.faces.min() < 0 or self.faces.max() >= n):
+            raise ValueError("surface: a face names a vertex that does not exist")
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lowest and highest corner [m], shape (2, 3)."""
+        return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    def transformed(self, pose: ArrayLike, scale: ArrayLike = (1.0, 1.0, 1.0)) -> Surface:
+        """The surface scaled along its own axes, shape (3,), then moved by a 4x4 pose."""
+        m = np.asarray(pose, dtype=np.float64)
+        return dataclasses.replace(self, vertices=(self.vertices * np.asarray(scale)) @ m[:3, :3].T + m[:3, 3])
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The same triangles and vertex colors as a trimesh, untouched by its processing."""
+        import trimesh
+
+        mesh = trimesh.Trimesh(self.vertices, self.faces, process=False)
+        mesh.visual.vertex_colors = np.column_stack([self.colors, np.full(len(self.colors), 255, dtype=np.uint8)])
+        return mesh
+
+
+def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
+    """Parts of a GLB in a +Z-up frame [m], node transforms applied, in the order of the file's node names.
+
+    Every part's `metadata["name"]` is its node's name. Textures and vertex colors stay.
+
+    Raises:
+        InputError: the file is no GLB, holds no triangles, or holds coordinates that are not finite.
+    """
+    import trimesh
+
+    try:
+        scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
+    except Exception as error:  # the loader raises whatever the bytes lead it to
+        raise InputError(file, "content", f"is not a readable GLB ({type(error).__name__}: {error})", "export it again as glTF binary") from error
+    if sum(len(getattr(g, "faces", ())) for g in scene.geometry.values()) > MAX_FACES:
+        raise InputError(file, "faces", f"more than {MAX_FACES} triangles", "decimate the mesh")
+    parts = []
+    for node in sorted(scene.graph.nodes_geometry):
+        pose, name = scene.graph[node]
+        geometry = scene.geometry[name]
+        if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
+            continue
+        part = geometry.copy()
+        part.apply_transform(Y_UP_TO_Z_UP @ pose)
+        part.metadata["name"] = node
+        if not np.isfinite(part.vertices).all():
+            raise InputError(file, f"node {node}", "has coordinates that are not finite", "export it again")
+        parts.append(part)
+    if not parts:
+        raise InputError(file, "meshes", "holds no triangles", "export it with its geometry")
+    return parts
+
+
+def dump_glb(parts: Sequence[trimesh.Trimesh], names: Sequence[str] | None = None) -> bytes:
+    """A GLB (+Y up) of parts in a +Z-up frame [m], one node each. The same parts give the same bytes."""
+    import trimesh
+
+    scene = trimesh.Scene()
+    for index, part in enumerate(parts):
+        name = names[index] if names else f"part_{index:03d}"
+        turned = part.copy()
+        turned.apply_transform(Z_UP_TO_Y_UP)
+        turned.metadata.clear()
+        scene.add_geometry(turned, node_name=name, geom_name=name)
+    data = scene.export(file_type="glb", include_normals=False)
+    return bytes(data)
+
+
+def surface_of(parts: Sequence[trimesh.Trimesh]) -> Surface:
+    """Parts merged into one surface, in their frame; textures are sampled at the vertices."""
+    vertices, faces, colors, offset = [], [], [], 0
+    for part in parts:
+        vertices.append(np.asarray(part.vertices, dtype=np.float64))
+        faces.append(np.asarray(part.faces, dtype=np.int64) + offset)
+        colors.append(vertex_colors(part))
+        offset += len(part.vertices)
+    return Surface(np.concatenate(vertices), np.concatenate(faces), np.concatenate(colors))
+
+
+def vertex_colors(part: trimesh.Trimesh) -> NDArray[np.uint8]:
+    """RGB per vertex, shape (n, 3): vertex colors, else the texture at the vertex, else the material's color."""
+    visual = part.visual
+    if visual.kind == "texture":
+        uv, (image, factor) = visual.uv, material_of(part)
+        if image is not None and uv is not None and len(uv) == len(part.vertices):
+            return sample_texture(image, np.asarray(uv), factor)
+        return np.tile(np.round(factor * 255).astype(np.uint8), (len(part.vertices), 1))
+    if visual.kind is None:
+        return np.full((len(part.vertices), 3), 180, dtype=np.uint8)
+    return np.asarray(visual.vertex_colors, dtype=np.uint8)[:, :3]
+
+
+def material_of(part: trimesh.Trimesh) -> tuple[NDArray[np.uint8] | None, NDArray[np.float64]]:
+    """Base color texture, shape (h, w, 3), or None, and base color factor in 0..1, shape (3,), of a textured part."""
+    material = part.visual.material
+    image = getattr(material, "baseColorTexture", None)
+    factor = getattr(material, "baseColorFactor", None)
+    if image is None and factor is None:
+        image = getattr(material, "image", None)
+        factor = getattr(material, "diffuse", None)
+    color = np.ones(3) if factor is None else np.asarray(factor, dtype=np.float64)[:3]
+    if color.max(initial=0.0) > 1.0:
+        color = color / 255.0
+    return (None if image is None else np.asarray(image.convert("RGB"))), color
+
+
+def sample_texture(image: NDArray[np.uint8], uv: NDArray[np.float64], factor: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Texture color at `uv`, shape (n, 2), wrapped, origin at the lower left, nearest pixel; times `factor`. Shape (n, 3)."""
+    height, width = image.shape[:2]
+    wrapped = np.nan_to_num(uv) % 1.0
+    column = np.minimum((wrapped[:, 0] * width).astype(np.int64), width - 1)
+    row = np.minimum(((1.0 - wrapped[:, 1]) * height).astype(np.int64), height - 1)
+    return np.clip(np.round(image[row, column] * factor), 0, 255).astype(np.uint8)
+
+
+def sample_surface(surface: Surface, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]:
+    """Points spread evenly over a surface: positions (count, 3) [m], colors (count, 3), unit normals (count, 3)."""
+    a, b, c = (surface.vertices[surface.faces[:, i]] for i in range(3))
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1)
+    total = area.sum()
+    if total <= 0:
+        raise ValueError("surface: has no area")
+    steps = (np.arange(count) + rng.random(count)) / count * total
+    face = np.minimum(np.searchsorted(np.cumsum(area), steps), len(area) - 1)
+    u, v = rng.random((2, count))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    weights = np.stack([1 - u - v, u, v], axis=1)
+    corners = surface.faces[face]
+    points = np.einsum("nk,nkd->nd", weights, surface.vertices[corners])
+    colors = np.einsum("nk,nkd->nd", weights, surface.colors[corners].astype(np.float64))
+    normals = cross[face] / np.maximum(area[face], 1e-300)[:, None]
+    return points, np.round(colors).astype(np.uint8), normals
+
+
+def read_points(data: bytes, file: str = "points.ply") -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Points [m], shape (n, 3), and colors, shape (n, 3), of a binary PLY as `dump_points` writes it.
+
+    Raises:
+        InputError: the bytes are no such PLY.
+    """
+    head, mark, body = data.partition(b"end_header\n")
+    rows = np.frombuffer(body, dtype=_POINT)
+    if not mark or f"element vertex {len(rows)}\n".encode() not in head:
+        raise InputError(file, "header", "is not a point cloud of this lake", "run the stage that made it again")
+    return np.stack([rows["x"], rows["y"], rows["z"]], axis=1).astype(np.float64), np.stack([rows["red"], rows["green"], rows["blue"]], axis=1)
+
+
+def dump_points(points: ArrayLike, colors: ArrayLike) -> bytes:
+    """A binary PLY of points [m], shape (n, 3), stored as float32, and colors, shape (n, 3) uint8."""
+    p, c = np.asarray(points), np.asarray(colors)
+    rows = np.empty(len(p), dtype=_POINT)
+    for index, (axis, channel) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
+        rows[axis], rows[channel] = p[:, index], c[:, index]
+    properties = "".join(f"property float {a}\n" for a in "xyz") + "".join(f"property uchar {a}\n" for a in ("red", "green", "blue"))
+    return f"ply\nformat binary_little_endian 1.0\nelement vertex {len(p)}\n{properties}end_header\n".encode() + rows.tobytes()
+
+
+_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
+
+
+def canonical(parts: Sequence[trimesh.Trimesh]) -> list[trimesh.Trimesh]:
+    """Parts moved so that the bottom center of their common box is the origin; +Z up and front +X are the caller's."""
+    bounds = surface_of(parts).bounds
+    offset = -np.array([bounds[:, 0].mean(), bounds[:, 1].mean(), bounds[0, 2]])
+    moved = []
+    for part in parts:
+        copy = part.copy()
+        copy.apply_translation(offset)
+        moved.append(copy)
+    return moved
+
+
+def parse_node_name(name: str) -> Mapping[str, str]:
+    """Name of a scene node, `model|category|part` where it has bars, as a mapping with `model`, `category`, `part`."""
+    model, category, part = [*name.split("|"), "", ""][:3]
+    return {"model": model, "category": category or model, "part": part}

@@ -1,0 +1,97 @@
+"""What a stage is: a declaration, a frozen config and a pure `run`."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from schemas.tables import TABLES
+
+
+class Blobs(Mapping[str, bytes]):
+    """Files made by a stage, by name. A name is the hash of the content: `<sha256>.<extension>`."""
+
+    def __init__(self) -> None:
+        self._data: dict[str, bytes] = {}
+
+    def add(self, data: bytes, extension: str) -> str:
+        """Keep `data` and return its name, which rows use to refer to it."""
+        name = f"{hashlib.sha256(data).hexdigest()}.{extension}"
+        self._data[name] = data
+        return name
+
+    def update(self, other: Mapping[str, bytes]) -> None:
+        """Keep the files of `other` too."""
+        self._data.update(other)
+
+    def __getitem__(self, name: str) -> bytes:
+        return self._data[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+
+@dataclasses.dataclass(frozen=True)
+class Context:
+    """What a run may know besides its inputs: whose it is, the seed, and the blobs that its input rows name.
+
+    `scene_id` is the annotation batch for stages of that grain.
+    """
+
+    scene_id: str
+    stage: str
+    seed: int
+    blobs: Mapping[str, bytes]
+
+    def rng(self, *words: object) -> np.random.Generator:
+        """A generator seeded by (run seed, scene, stage, words): the same on every worker."""
+        text = "\x1f".join([str(self.seed), self.scene_id, self.stage, *map(str, words)])
+        return np.random.default_rng(list(hashlib.sha256(text.encode()).digest()))
+
+
+class Outcome:
+    """What a run gives back: rows per table, the blobs they name, and what had to be left out.
+
+    ``Outcome(captions=rows, blobs=blobs, degradations=["0007: too few points for a color"])``
+    """
+
+    def __init__(self, *, blobs: Mapping[str, bytes] | None = None, degradations: Sequence[str] = (), **rows: Sequence[Any]) -> None:
+        self.rows: dict[str, list[Any]] = {table: list(values) for table, values in rows.items()}
+        self.blobs: Mapping[str, bytes] = blobs if blobs is not None else {}
+        self.degradations = tuple(degradations)
+
+
+OutsideInput = Literal["scan", "library", "annotation_batch"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """A stage's declaration. `run` takes a keyword per table in `reads`, per name in `outside`, `context` and `config`.
+
+    `history` names tables that are read as they stand in the lake, whoever wrote them (annotations), instead of
+    from an upstream stage of the same scene.
+    """
+
+    name: str
+    reads: tuple[str, ...]
+    writes: tuple[str, ...]
+    config: type
+    run: Callable[..., Outcome]
+    grain: Literal["scene", "annotation_batch", "dataset"] = "scene"
+    outside: tuple[OutsideInput, ...] = ()
+    history: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for table in (*self.reads, *self.writes):
+            if table not in TABLES:
+                raise ValueError(f"stage {self.name}: {table} is no table of schemas.tables")
+        wrong = [table for table in self.writes if TABLES[table].stage != self.name]
+        if wrong:
+            raise ValueError(f"stage {self.name}: {', '.join(wrong)} belong to another stage")
