@@ -1,0 +1,101 @@
+"""What a run is told: where the lake is, which scans, the seed, and every stage's config."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import InputError
+from tasks.pipeline import STAGES
+
+
+@dataclasses.dataclass(frozen=True)
+class Configuration:
+    """Settings of a run besides its scans."""
+
+    stages: Mapping[str, Any]
+    library: Path | None = None
+    seed: int = 0
+
+
+def configure(
+    file: Path | None = None, settings: Sequence[str] = (), library: Path | None = None, seed: int | None = None
+) -> Configuration:
+    """Configs of all stages: their defaults, then a TOML file's tables, then `stage.field=value` settings.
+
+    Raises:
+        InputError: names a stage or field that does not exist, or a value of the wrong type.
+    """
+    told: dict[str, Any] = {}
+    origin = "defaults"
+    if file is not None:
+        origin = file.name
+        try:
+            told = tomllib.loads(file.read_text())
+        except (OSError, tomllib.TOMLDecodeError) as error:
+            raise InputError(file.name, "content", str(error), "give a TOML file with one table per stage") from error
+    seed = seed if seed is not None else told.pop("seed", 0)
+    named_library = told.pop("library", None)
+    library = library or (Path(named_library) if named_library else None)
+    if library is not None and not library.is_dir():
+        raise InputError(str(library), "library", "is not a folder", "name a folder of GLB files")
+    configs = {stage.name: stage.config() for stage in STAGES}
+    for name, table in told.items():
+        if name not in configs or not isinstance(table, dict):
+            raise InputError(origin, name, "is no stage", f"stages are {', '.join(configs)}")
+        for field, value in table.items():
+            configs[name] = _with(configs[name], [field], value, origin, f"{name}.{field}")
+    for setting in settings:
+        path, sign, text = setting.partition("=")
+        stage, *fields = path.strip().split(".")
+        if not sign or stage not in configs or not fields:
+            raise InputError("--set", setting, "is not stage.field=value", f"stages are {', '.join(configs)}")
+        configs[stage] = _with(configs[stage], fields, _value(text), "--set", path)
+    return Configuration(configs, library, seed)
+
+
+def _value(text: str) -> Any:
+    """A value in TOML's notation; anything that is none is taken as text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+
+
+def _with(config: Any, fields: Sequence[str], value: Any, origin: str, path: str) -> Any:
+    """`config` with one field, named by its path, set to `value`, checked against the type of the present one."""
+    field, *rest = fields
+    known = [f.name for f in dataclasses.fields(config)]
+    if field not in known:
+        raise InputError(origin, path, f"{type(config).__name__} has no field {field}", f"it has {', '.join(known)}")
+    present = getattr(config, field)
+    if rest:
+        if not dataclasses.is_dataclass(present):
+            raise InputError(origin, path, f"{field} has no fields of its own", "shorten the path")
+        return dataclasses.replace(config, **{field: _with(present, rest, value, origin, path)})
+    if isinstance(value, dict) and dataclasses.is_dataclass(present):
+        for name, inner in value.items():
+            present = _with(present, [name], inner, origin, f"{path}.{name}")
+        return dataclasses.replace(config, **{field: present})
+    try:
+        return dataclasses.replace(config, **{field: _coerce(present, value)})
+    except (TypeError, ValueError) as error:
+        raise InputError(origin, path, str(error), f"the default is {present!r}") from error
+
+
+def _coerce(present: Any, value: Any) -> Any:
+    """`value` in the type of `present`; tuples are given as lists."""
+    if isinstance(present, bool) or isinstance(value, bool):
+        if isinstance(present, bool) and isinstance(value, bool):
+            return value
+        raise TypeError(f"{value!r} does not fit")
+    if isinstance(present, float) and isinstance(value, int | float):
+        return float(value)
+    if isinstance(present, tuple) and isinstance(value, list) and not any(dataclasses.is_dataclass(p) for p in present):
+        return tuple(_coerce(present[0], v) if present else v for v in value)
+    if present is None or (type(value) is type(present) and not isinstance(present, tuple)):
+        return value
+    raise TypeError(f"{value!r} is not a {type(present).__name__}")

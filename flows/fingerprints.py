@@ -1,0 +1,200 @@
+"""Fingerprints: what a stage's result depends on, as hashes. Reuse is keyed on them, not on time stamps.
+
+A fingerprint covers the inputs (outside files by content, upstream stages by their own fingerprints), the config,
+the code that the stage imports and the seed. A file's hash is remembered with its size, inode and change time, so
+that a second look at an unchanged scan costs one `stat` per file; the hash alone decides.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import hashlib
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = ("schemas", "tasks")
+MECHANISM = ("tasks.stage", "schemas.tables", "schemas.record", "schemas.errors")
+"""Modules that carry rows around and compute none: a change there redoes nothing."""
+
+RACY_SECONDS = 2.0
+"""A file changed this recently may change again within its time stamp's resolution: its hash is not remembered."""
+
+
+def digest(*parts: str) -> str:
+    """SHA-256 of texts, each with its length, so that no two lists of texts look alike."""
+    hasher = hashlib.sha256()
+    for part in parts:
+        raw = part.encode()
+        hasher.update(f"{len(raw)}:".encode() + raw)
+    return hasher.hexdigest()
+
+
+def canonical(config: Any) -> Any:
+    """A config as plain JSON values: dataclasses by type name and fields, so that union members differ."""
+    if dataclasses.is_dataclass(config) and not isinstance(config, type):
+        fields = {f.name: canonical(getattr(config, f.name)) for f in dataclasses.fields(config)}
+        return {"type": type(config).__name__, **fields}
+    if isinstance(config, dict):
+        return {str(key): canonical(value) for key, value in sorted(config.items())}
+    if isinstance(config, list | tuple):
+        return [canonical(value) for value in config]
+    if isinstance(config, Path):
+        return str(config)
+    return config
+
+
+def canonical_json(config: Any) -> str:
+    """A config as JSON text: sorted keys, no spaces; the same config gives the same text."""
+    return json.dumps(canonical(config), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+@cache
+def code_fingerprint(module: str) -> str:
+    """Hash of a module and all modules of ours that it imports, anywhere in them; comments and docstrings do not count.
+
+    Data files (CSV, JSON) in the folders of those modules count as code.
+    """
+    seen: dict[str, Path] = {}
+    queue = [module]
+    while queue:
+        name = queue.pop()
+        path = _module_file(name)
+        if path is None or name in seen or name in MECHANISM:
+            continue
+        seen[name] = path
+        queue.extend(_imports(path, name))
+    folders = sorted({path.parent for path in seen.values() if path.parent.parent != ROOT})
+    data = [p for folder in folders for p in sorted(folder.iterdir()) if p.suffix in (".csv", ".json")]
+    parts = [f"{name}={_code_hash(path)}" for name, path in sorted(seen.items())]
+    parts += [f"{p.relative_to(ROOT)}={hashlib.sha256(p.read_bytes()).hexdigest()}" for p in data]
+    return digest(*parts)
+
+
+def _module_file(name: str) -> Path | None:
+    """The file of a module of ours, or None when it is somebody else's."""
+    if name.split(".")[0] not in ROOMS:
+        return None
+    base = ROOT.joinpath(*name.split("."))
+    for path in (base.with_suffix(".py"), base / "__init__.py"):
+        if path.is_file():
+            return path
+    return None
+
+
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+def _imports(path: Path, module: str) -> list[str]:
+    """Modules named by the import statements of a file, with the packages that they lie in."""
+    found = []
+    for node in ast.walk(_tree(path)):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return [*found, *(name.rpartition(".")[0] for name in found)]
+
+
+@cache
+def _code_hash(path: Path) -> str:
+    """Hash of a file's code: parsed and printed again, docstrings left out."""
+    tree = _tree(path)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            body = node.body
+            if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant) and isinstance(body[0].value.value, str):
+                node.body = body[1:] or [ast.Pass()]
+    return hashlib.sha256(ast.unparse(tree).encode()).hexdigest()
+
+
+class FileHashes:
+    """Hashes of files by content, remembered between runs in one small file of the user's cache folder.
+
+    Losing that file costs time, never correctness: an entry counts only when size, inode and change time agree.
+    """
+
+    def __init__(self, store: Path | None = None) -> None:
+        self._store = store or cache_folder() / "file_hashes.json"
+        self._known: dict[str, list[Any]] = {}
+        self._changed = False
+        try:
+            self._known = json.loads(self._store.read_text())
+        except (OSError, ValueError):
+            self._known = {}
+
+    def hash(self, path: Path) -> str:
+        """SHA-256 of a file's content."""
+        stat = path.stat()
+        mark = [stat.st_size, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns]
+        key = str(path.resolve())
+        known = self._known.get(key)
+        if known and known[:4] == mark:
+            return str(known[4])
+        with path.open("rb") as file:
+            value = hashlib.file_digest(file, "sha256").hexdigest()
+        if time.time() - max(stat.st_mtime, stat.st_ctime) > RACY_SECONDS:
+            self._known[key] = [*mark, value]
+            self._changed = True
+        return value
+
+    def tree(self, root: Path, files: Iterable[Path]) -> str:
+        """Hash of a set of files: their paths relative to `root` and their contents."""
+        return digest(*(f"{path.relative_to(root).as_posix()}={self.hash(path)}" for path in sorted(files)))
+
+    def save(self) -> None:
+        """Write what was learned. Two runs may write at once: the last one wins, whole."""
+        if not self._changed:
+            return
+        try:
+            self._store.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(dir=self._store.parent, prefix=".file_hashes")
+            with os.fdopen(handle, "w") as file:
+                json.dump(self._known, file)
+            os.replace(name, self._store)
+        except OSError:  # a read-only home only costs the next run some time
+            return
+        self._changed = False
+
+
+def cache_folder() -> Path:
+    """Where caches of this machine lie: METASCENES_CACHE, else `metascenes` in the user's cache folder."""
+    named = os.environ.get("METASCENES_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "metascenes"
+
+
+@dataclasses.dataclass(frozen=True)
+class Fingerprint:
+    """A stage's fingerprint on one scene, with its parts, so that a difference can be explained."""
+
+    inputs: tuple[str, ...]
+    config: str
+    code: str
+    seed: int
+
+    @property
+    def value(self) -> str:
+        """The fingerprint itself, 64 hex digits."""
+        return digest("fingerprint-1", *self.inputs, "|", self.config, self.code, str(self.seed))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Parts as `<part>=<value>`, as `stage_runs.reasons` keeps them."""
+        return (*self.inputs, f"config={digest(self.config)}", f"code={self.code}", f"seed={self.seed}")
+
+    def changes(self, before: Sequence[str]) -> list[str]:
+        """Names of the parts that differ from an earlier run's `reasons`."""
+        old = dict(part.split("=", 1) for part in before)
+        new = dict(part.split("=", 1) for part in self.parts)
+        return [name for name in {**new, **old} if old.get(name) != new.get(name)]

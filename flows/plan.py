@@ -1,0 +1,181 @@
+"""What a run would do, and why: every (scene, stage) held against what the lake already has. Does not import Prefect."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+from flows.configuration import Configuration
+from flows.fingerprints import FileHashes, Fingerprint, canonical_json, code_fingerprint, digest
+from schemas.errors import InputError
+from schemas.runs import StageRun
+from tasks.capture.formats import Scan, scan_files
+from tasks.pipeline import MODULES, SCENE_STAGES, upstream
+from tasks.stage import Stage
+from warehouse.lake import Lake
+
+Action = Literal["reuse", "run", "report", "wait"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """One stage of one scene: what is to be done with it and why.
+
+    `reuse`: the lake has it. `run`: it will be computed. `report`: it failed on exactly this input before, and that is
+    said again. `wait`: a stage that it reads from did not succeed.
+    """
+
+    stage: str
+    action: Action
+    why: str
+    fingerprint: Fingerprint
+    upstream: tuple[str, ...]
+    attempt: int
+    before: StageRun | None
+
+
+@dataclasses.dataclass(frozen=True)
+class ScenePlan:
+    """The steps of one scene, in the order of the stages."""
+
+    scan: Scan
+    steps: tuple[Step, ...]
+
+    @property
+    def todo(self) -> tuple[Step, ...]:
+        """Steps that will be computed."""
+        return tuple(step for step in self.steps if step.action == "run")
+
+    @property
+    def failure(self) -> Step | None:
+        """The step that failed before and is not computed again."""
+        return next((step for step in self.steps if step.action == "report"), None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What a run would do: scenes with their steps, and scans that cannot be used at all."""
+
+    scenes: tuple[ScenePlan, ...]
+    unusable: tuple[InputError, ...]
+
+    @property
+    def todo(self) -> tuple[ScenePlan, ...]:
+        """Scenes with something to compute."""
+        return tuple(scene for scene in self.scenes if scene.todo)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What failed before on unchanged input, or cannot be used: a line each."""
+        known = [f"{s.scan.scene_id}: {s.failure.stage}: {s.failure.before.error}" for s in self.scenes if s.failure and s.failure.before]
+        return (*(str(error) for error in self.unusable), *known)
+
+    def counts(self) -> Counter[Action]:
+        """How many steps there are of each action."""
+        return Counter(step.action for scene in self.scenes for step in scene.steps)
+
+
+def make_plan(
+    lake: Lake,
+    scans: Sequence[Scan],
+    unusable: Iterable[InputError],
+    configuration: Configuration,
+    retry_failed: bool = False,
+    hashes: FileHashes | None = None,
+) -> Plan:
+    """Hold scans against the lake. Nothing is computed or written but the cache of file hashes."""
+    hashes = hashes or FileHashes()
+    library = _library_hash(configuration.library, hashes)
+    history = lake.history()
+    annotations = _history_digests(lake, scans)
+    scenes, errors = [], list(unusable)
+    for scan in scans:
+        try:
+            root = scan.path if scan.path.is_dir() else scan.path.parent
+            content = hashes.tree(root, scan_files(scan))
+        except OSError as error:
+            errors.append(InputError(scan.path.name, "files", str(error), "check that they can be read"))
+            continue
+        outside = {"scan": content, "library": library}
+        past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
+        scenes.append(ScenePlan(scan, _steps(outside, annotations.get(scan.scene_id, ""), past, configuration, retry_failed)))
+    hashes.save()
+    return Plan(tuple(scenes), tuple(errors))
+
+
+def stage_fingerprint(stage: Stage, inputs: tuple[str, ...], configuration: Configuration) -> Fingerprint:
+    """The fingerprint of a stage on given inputs."""
+    config = canonical_json(configuration.stages[stage.name])
+    return Fingerprint(inputs, config, code_fingerprint(MODULES[stage.name]), configuration.seed)
+
+
+def _steps(
+    outside: Mapping[str, str], annotations: str, past: Mapping[str, object], configuration: Configuration, retry_failed: bool
+) -> tuple[Step, ...]:
+    """The steps of one scene."""
+    steps: list[Step] = []
+    by_stage: dict[str, Step] = {}
+    for stage in SCENE_STAGES:
+        above = upstream(stage)
+        above = tuple(other for other in above if other.grain == "scene")
+        read = tuple(f"{other.name}={by_stage[other.name].fingerprint.value}" for other in above)
+        inputs = tuple(f"{name}={outside[name]}" for name in stage.outside if name in outside)
+        if stage.history:
+            inputs += (f"annotations={annotations}",)
+        fingerprint = stage_fingerprint(stage, (*inputs, *read), configuration)
+        action, why, attempt, before = _action(stage, fingerprint, past[stage.name], [by_stage[o.name] for o in above], retry_failed)
+        step = Step(stage.name, action, why, fingerprint, read, attempt, before)
+        steps.append(step)
+        by_stage[stage.name] = step
+    return tuple(steps)
+
+
+def _action(
+    stage: Stage, fingerprint: Fingerprint, past: object, above: Sequence[Step], retry_failed: bool
+) -> tuple[Action, str, int, StageRun | None]:
+    """What to do with a step, why, as which attempt, and the run that says so."""
+    done: StageRun | None = getattr(past, "done", None)
+    last: StageRun | None = getattr(past, "last", None)
+    value = fingerprint.value
+    stuck = [step.stage for step in above if step.action in ("report", "wait")]
+    if stuck:
+        return "wait", f"{', '.join(stuck)} did not succeed", 1, None
+    if done is not None and done.fingerprint == value:
+        return "reuse", "unchanged", done.attempt, done
+    attempt = last.attempt + 1 if last is not None and last.fingerprint == value else 1
+    if last is not None and last.fingerprint == value and last.outcome == "failed" and not retry_failed:
+        return "report", "failed before on the same input (--retry-failed computes it again)", last.attempt, last
+    if last is not None and last.fingerprint == value and last.outcome in ("failed", "lost"):
+        return "run", f"{last.outcome} before", attempt, last
+    redone = [step.stage for step in above if step.action == "run"]
+    if redone:
+        return "run", f"{', '.join(redone)} will be redone", attempt, last
+    before = done or last
+    if before is None:
+        return "run", "never done", attempt, None
+    changed = [name for name in fingerprint.changes(before.reasons) if name]
+    return "run", f"{', '.join(changed) or 'result'} changed", attempt, before
+
+
+def _library_hash(library: Path | None, hashes: FileHashes) -> str:
+    """Hash of the library's files, or 'none'."""
+    if library is None:
+        return "none"
+    from tasks.candidates.library import library_files
+
+    return hashes.tree(library, library_files(library))
+
+
+def _history_digests(lake: Lake, scans: Sequence[Scan]) -> dict[str, str]:
+    """Hash of each scene's annotations as they stand in the lake; no entry where there are none."""
+    wanted = {scan.scene_id for scan in scans}
+    per_scene: dict[str, list[str]] = {}
+    for row in lake.snapshot().arrow("annotations").to_pylist():
+        if row["scene_id"] in wanted:
+            text = "|".join(f"{name}={row[name]!r}" for name in sorted(row))
+            per_scene.setdefault(row["scene_id"], []).append(hashlib.sha256(text.encode()).hexdigest())
+    return {scene: digest(*sorted(rows)) for scene, rows in per_scene.items()}

@@ -1,0 +1,91 @@
+"""A warm pool of spawned worker processes: survives a native crash, times out one task, dies with its parent."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+ONE_THREAD = {
+    name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS", "RAYON_NUM_THREADS")
+}
+"""Native libraries keep to one thread per worker: the workers are the parallelism."""
+
+WATCH_SECONDS = 0.2
+"""How often a worker looks whether its parent lives. Short against any stage, free against any core."""
+
+
+class WorkerLost(Exception):
+    """The worker died while it computed: a crash in native code, the out-of-memory killer, a kill."""
+
+
+class WorkerTimeout(Exception):
+    """The task took longer than its time limit; its worker was stopped."""
+
+
+class WorkerPool:
+    """Worker processes that stay warm between tasks. Threads of the caller share it.
+
+    ``with WorkerPool(2) as pool: result = pool.call(function, argument, timeout=600)``
+    """
+
+    def __init__(self, workers: int) -> None:
+        import multiprocessing
+
+        from pebble import ProcessPool
+
+        self._environment = {name: os.environ.get(name) for name in ONE_THREAD}
+        os.environ.update(ONE_THREAD)  # a spawned worker reads these before it imports anything
+        self._pool = ProcessPool(
+            max_workers=workers, context=multiprocessing.get_context("spawn"), initializer=follow_parent, initargs=(os.getpid(),)
+        )
+
+    def call(self, function: Callable[..., T], *arguments: Any, timeout: float | None = None) -> T:
+        """`function(*arguments)` in a worker; waits for the result.
+
+        Raises:
+            WorkerLost: the worker died.
+            WorkerTimeout: it took longer than `timeout` seconds.
+        """
+        from concurrent.futures import TimeoutError as FutureTimeout
+
+        from pebble import ProcessExpired
+
+        future = self._pool.schedule(function, args=arguments, timeout=timeout)
+        try:
+            return future.result()  # type: ignore[no-any-return]
+        except ProcessExpired as error:
+            raise WorkerLost(f"the worker died (exit code {error.exitcode})") from error
+        except FutureTimeout as error:
+            raise WorkerTimeout(f"took longer than {timeout:g} s") from error
+
+    def __enter__(self) -> WorkerPool:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is None:
+            self._pool.close()
+        else:
+            self._pool.stop()
+        self._pool.join()
+        for name, value in self._environment.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def follow_parent(parent: int) -> None:
+    """Make this process end soon after `parent` does, however that ended."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="follow-parent", daemon=True).start()

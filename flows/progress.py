@@ -1,0 +1,61 @@
+"""What a run tells while it works: one listener at a time, a bar for people or nothing."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from types import TracebackType
+from typing import Any
+
+
+class Progress:
+    """A bar over (scene, stage) steps on standard error when that is a terminal; silent otherwise."""
+
+    def __init__(self, title: str, total: int, shown: bool | None = None) -> None:
+        self._lock = threading.Lock()
+        self._bar: Any = None
+        self._title, self._total = title, total
+        self._shown = sys.stderr.isatty() if shown is None else shown
+
+    def advance(self, text: str = "") -> None:
+        """One step is over; `text` says which."""
+        if self._bar is not None:
+            with self._lock:
+                self._bar.update(self._task, advance=1, what=text)
+
+    def say(self, text: str) -> None:
+        """A line above the bar; plain on standard error when there is none."""
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False, markup=False)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+    def __enter__(self) -> Progress:
+        if self._shown and self._total:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeElapsedColumn
+
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[what]}"))
+            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task(self._title, total=self._total, what="")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+
+_current = Progress("", 0, shown=False)
+
+
+def listen(progress: Progress | None) -> None:
+    """Make `progress` the one that `current` gives; None for silence."""
+    global _current
+    _current = progress or Progress("", 0, shown=False)
+
+
+def current() -> Progress:
+    """The listener of the run in this process."""
+    return _current

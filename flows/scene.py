@@ -1,0 +1,89 @@
+"""One scene through its stages: each handed to the pool, in order, until one fails. Does not import Prefect."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import Any
+
+from flows.configuration import Configuration
+from flows.fingerprints import canonical_json
+from flows.plan import ScenePlan, Step
+from flows.pool import WorkerLost, WorkerPool, WorkerTimeout
+from flows.progress import current
+from flows.worker import Job, execute, lost_run
+from schemas.runs import StageRun
+from tasks.pipeline import STAGES
+from warehouse.lake import Lake
+
+LOST_ATTEMPTS = 3
+"""A worker may be lost to something else on the machine twice; a third time the scene itself is the likely reason."""
+
+STAGE_SECONDS = 3600.0
+"""No stage of one scene takes an hour on one core; one that does hangs."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneResult:
+    """What came of a scene in this run."""
+
+    scene_id: str
+    ran: tuple[str, ...]
+    failed: str | None
+    error: str | None
+    degradations: int
+
+
+def run_scene(lake: Lake, plan: ScenePlan, configuration: Configuration, pool: WorkerPool) -> SceneResult:
+    """Compute what the plan says for one scene. A failure ends the scene, never the run."""
+    progress = current()
+    ran: list[str] = []
+    degradations = 0
+    for step in plan.todo:
+        run = _run_step(lake, job_of(lake, plan, step, configuration), pool)
+        progress.advance(f"{plan.scan.scene_id} {step.stage}")
+        degradations += len(run.degradations)
+        if run.outcome != "done":
+            for _ in range(len(plan.todo) - len(ran) - 1):
+                progress.advance()
+            return SceneResult(plan.scan.scene_id, tuple(ran), step.stage, run.error, degradations)
+        ran.append(step.stage)
+    return SceneResult(plan.scan.scene_id, tuple(ran), None, None, degradations)
+
+
+def job_of(lake: Lake, plan: ScenePlan, step: Step, configuration: Configuration) -> Job:
+    """The job for one step of a scene's plan."""
+    stage = next(s for s in STAGES if s.name == step.stage)
+    outside: dict[str, Any] = {"scan": plan.scan, "library": configuration.library}
+    config = configuration.stages[stage.name]
+    return Job(
+        lake=lake.address,
+        scene_id=plan.scan.scene_id,
+        stage=stage.name,
+        config=config,
+        config_json=canonical_json(config),
+        seed=configuration.seed,
+        fingerprint=step.fingerprint.value,
+        reasons=step.fingerprint.parts,
+        upstream=step.upstream,
+        attempt=step.attempt,
+        outside=tuple((name, outside[name]) for name in stage.outside),
+    )
+
+
+def _run_step(lake: Lake, job: Job, pool: WorkerPool) -> StageRun:
+    """Run a job in the pool; a lost worker is replaced and the job tried again."""
+    for lost in range(LOST_ATTEMPTS):
+        attempt = dataclasses.replace(job, attempt=job.attempt + lost)
+        clock = time.perf_counter()
+        try:
+            return pool.call(execute, attempt, timeout=STAGE_SECONDS)
+        except WorkerLost as error:
+            run = lost_run(attempt, "lost", f"{job.scene_id}: {job.stage}: {error}; it is retried by the next run", time.perf_counter() - clock)
+        except WorkerTimeout as error:
+            run = lost_run(attempt, "timeout", f"{job.scene_id}: {job.stage}: {error}; simplify the scan", time.perf_counter() - clock)
+        lake.stage_rows(run, {})
+        if run.outcome == "failed":
+            return run
+        current().say(f"{job.scene_id}: {job.stage}: worker lost, attempt {attempt.attempt}")
+    return run

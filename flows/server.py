@@ -1,0 +1,107 @@
+"""The Prefect server that a run on one machine uses, when nobody named one: on loopback, without telemetry, and dead as
+soon as the run is, however that ended (Prefect's own ephemeral server outlives a killed parent).
+
+``python -m flows.server <descriptor of a listening socket> <process to follow>`` is that server.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+
+from schemas.errors import LakeError
+
+START_SECONDS = 120
+"""First start on a machine migrates an empty database: 10 s on two idle cores, much more on busy ones."""
+
+QUIET = {
+    "DO_NOT_TRACK": "1",
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "PREFECT_LOGGING_LEVEL": "CRITICAL",
+    "PREFECT_LOGGING_ROOT_LEVEL": "CRITICAL",
+    "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
+    "PREFECT_LOGGING_TO_API_ENABLED": "false",
+    "PREFECT_CLI_PROMPT": "false",
+}
+"""No telemetry; and on the command line the lake's own words instead of Prefect's log. What a user set stays as it is."""
+
+
+@contextlib.contextmanager
+def prefect_server() -> Iterator[str]:
+    """A Prefect API to talk to: the one that PREFECT_API_URL names, else one of our own for as long as this lasts.
+
+    Must be entered before Prefect is imported. Gives the address.
+
+    Raises:
+        LakeError: the server did not start.
+    """
+    named = os.environ.get("PREFECT_API_URL")
+    for name, value in QUIET.items():
+        if not (named and "LOGGING" in name):
+            os.environ.setdefault(name, value)
+    if named:
+        yield named
+        return
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(128)
+        port = listener.getsockname()[1]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "flows.server", str(listener.fileno()), str(os.getpid())],
+            pass_fds=[listener.fileno()],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+    address = f"http://127.0.0.1:{port}/api"
+    try:
+        _wait_until_healthy(process, address)
+        os.environ["PREFECT_API_URL"] = address
+        yield address
+    finally:
+        os.environ.pop("PREFECT_API_URL", None)
+        process.terminate()
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stderr is not None:
+            process.stderr.close()
+
+
+def _wait_until_healthy(process: subprocess.Popen[bytes], address: str) -> None:
+    """Return once the server answers."""
+    give_up = time.monotonic() + START_SECONDS
+    while time.monotonic() < give_up:
+        if process.poll() is not None:
+            said = process.stderr.read().decode(errors="replace").strip().splitlines() if process.stderr else []
+            raise LakeError(f"the Prefect server did not start: {said[-1] if said else f'exit code {process.returncode}'}")
+        try:
+            with urllib.request.urlopen(f"{address}/health", timeout=2) as reply:
+                if reply.status == 200:
+                    return
+        except OSError:
+            time.sleep(0.1)
+    process.kill()
+    raise LakeError(f"the Prefect server did not answer within {START_SECONDS} s; set PREFECT_API_URL to one that runs")
+
+
+def main(descriptor: int, parent: int) -> None:
+    """Serve Prefect's API on a listening socket until `parent` is gone."""
+    from flows.pool import follow_parent
+
+    follow_parent(parent)
+    import uvicorn
+
+    uvicorn.run("prefect.server.api.server:create_app", factory=True, fd=descriptor, log_level="critical", timeout_keep_alive=5)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

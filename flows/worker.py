@@ -1,0 +1,169 @@
+"""The one wrapper around every stage: fetch inputs, call `run`, check and stage the result, record it.
+
+Pool workers import this module; it does not import Prefect.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import resource
+import socket
+import sys
+import time
+import traceback
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import InputError, LakeError, RecordError
+from schemas.record import check
+from schemas.runs import StageRun
+from schemas.tables import TABLES
+from tasks.stage import Context, Outcome, Stage
+from warehouse.lake import Lake
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """One stage to run on one scene (or annotation batch). Travels to a worker process."""
+
+    lake: str
+    scene_id: str
+    stage: str
+    config: Any
+    config_json: str
+    seed: int
+    fingerprint: str
+    reasons: tuple[str, ...]
+    upstream: tuple[str, ...]
+    attempt: int
+    outside: tuple[tuple[str, Any], ...] = ()
+
+
+def execute(job: Job) -> StageRun:
+    """Run a stage and stage its rows; a failure is staged as a row too. Returns the row of `stage_runs`."""
+    from tasks.pipeline import STAGES
+
+    stage = next(s for s in STAGES if s.name == job.stage)
+    lake = Lake.open(job.lake)
+    started, clock = datetime.now(UTC), time.perf_counter()
+    rows: dict[str, list[Any]] = {}
+    error: str | None = None
+    kind: str | None = None
+    degradations: tuple[str, ...] = ()
+    try:
+        outcome = _run(stage, job, lake)
+        rows, degradations = outcome.rows, outcome.degradations
+    except InputError as problem:
+        error, kind = str(problem), "input"
+    except Exception as problem:
+        error, kind = _one_line(problem), "defect"
+        if os.environ.get("METASCENES_TRACEBACK"):
+            traceback.print_exc(file=sys.stderr)
+    run = StageRun(
+        scene_id=job.scene_id,
+        stage=job.stage,
+        fingerprint=job.fingerprint,
+        attempt=job.attempt,
+        outcome="failed" if error else "done",
+        upstream=job.upstream,
+        reasons=job.reasons,
+        config=job.config_json,
+        row_counts=tuple(f"{table}={len(values)}" for table, values in sorted(rows.items())),
+        degradations=tuple(degradations),
+        error=error,
+        error_kind=kind,
+        started_at=started,
+        seconds=time.perf_counter() - clock,
+        host=f"{socket.gethostname()}:{os.getpid()}",
+        peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        snapshot_id=0,
+    )
+    lake.stage_rows(run, rows)
+    return run
+
+
+def lost_run(job: Job, kind: str, message: str, seconds: float) -> StageRun:
+    """The row of `stage_runs` for a job whose worker did not come back; staged by the coordinator."""
+    return StageRun(
+        scene_id=job.scene_id,
+        stage=job.stage,
+        fingerprint=job.fingerprint,
+        attempt=job.attempt,
+        outcome="lost" if kind == "lost" else "failed",
+        upstream=job.upstream,
+        reasons=job.reasons,
+        config=job.config_json,
+        row_counts=(),
+        degradations=(),
+        error=message,
+        error_kind=kind,
+        started_at=datetime.now(UTC),
+        seconds=seconds,
+        host=socket.gethostname(),
+        peak_memory_mb=0.0,
+        snapshot_id=0,
+    )
+
+
+def _run(stage: Stage, job: Job, lake: Lake) -> Outcome:
+    """Inputs in, `run`, and the result held against the declaration and the schemas."""
+    fingerprints = dict(part.split("=", 1) for part in job.upstream)
+    inputs: dict[str, Any] = dict(job.outside)
+    for table in stage.reads:
+        inputs[table] = _rows(lake, table, job.scene_id, None if table in stage.history else fingerprints.get(TABLES[table].stage))
+    for table in stage.history:
+        inputs[table] = _rows(lake, table, job.scene_id, None)
+    context = Context(scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs)
+    outcome = stage.run(**inputs, context=context, config=job.config)
+    if set(outcome.rows) != set(stage.writes):
+        raise LakeError(f"stage {stage.name} declares {', '.join(stage.writes)} and returned {', '.join(outcome.rows)}")
+    named: set[str] = set()
+    for table, values in outcome.rows.items():
+        check(values, TABLES[table].record)
+        _check_owner(table, values, job)
+        named.update(getattr(row, c) for row in values for c in TABLES[table].blob_columns if getattr(row, c))
+    for name in sorted(named & set(outcome.blobs)):
+        stem, _, extension = name.partition(".")
+        kept = lake.blobs.put(outcome.blobs[name], extension)
+        if kept != name:
+            raise LakeError(f"stage {stage.name}: blob {stem[:12]} does not have the content that its name says")
+    missing = [name for name in sorted(named - set(outcome.blobs)) if name not in lake.blobs]
+    if missing:
+        raise LakeError(f"stage {stage.name}: rows name {len(missing)} blobs that nobody made, {missing[0]} first")
+    return outcome
+
+
+def _check_owner(table: str, rows: list[Any], job: Job) -> None:
+    """A stage may write rows of its own scene only; a batch writes rows that name it."""
+    column = {"scene": "scene_id", "annotation_batch": "batch_id"}.get(TABLES[table].grain)
+    for index, row in enumerate(rows):
+        if column and getattr(row, column) != job.scene_id:
+            raise RecordError(table, str(index), column, f"must be {job.scene_id}, got {getattr(row, column)!r}")
+
+
+def _rows(lake: Lake, table: str, scene_id: str, fingerprint: str | None) -> list[Any]:
+    """A table's rows of a scene: staged ones of this run where there are any, else the lake's.
+
+    Rows of a shared table (assets) are those that the scene's staged run wrote, or those that its rows name.
+    """
+    if fingerprint is not None:
+        staged = lake.staged_rows(table, scene_id, fingerprint)
+        if staged is not None:
+            return list(staged)
+    spec = TABLES[table]
+    reader = lake.snapshot()
+    if spec.rule != "share":
+        return list(reader.rows(spec.record, scene_id))
+    key = spec.key[0]
+    names = sorted({getattr(row, key) for row in reader.rows(TABLES[spec.shared_by].record, scene_id)} - {None})
+    return list(reader.rows_by_key(spec.record, names))
+
+
+def _one_line(error: BaseException) -> str:
+    """An unexpected error as one line with the place in our code that it came from."""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent.name]
+    ours = [f for f in frames if "/tasks/" in f.filename or "/warehouse/" in f.filename or "/flows/" in f.filename]
+    place = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:500]}{place}"

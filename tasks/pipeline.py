@@ -1,0 +1,28 @@
+"""The stages, in order. The one place that says so; the graph follows from their declarations."""
+
+from __future__ import annotations
+
+from tasks import annotation, candidates, captions, capture, exports, navigation, optimization, selection
+from tasks.stage import Stage
+
+STAGES: tuple[Stage, ...] = (
+    capture.STAGE,
+    captions.STAGE,
+    candidates.STAGE,
+    selection.STAGE,
+    annotation.STAGE,
+    optimization.STAGE,
+    navigation.STAGE,
+    exports.STAGE,
+)
+
+SCENE_STAGES: tuple[Stage, ...] = tuple(stage for stage in STAGES if stage.grain == "scene")
+
+MODULES: dict[str, str] = {stage.name: f"tasks.{stage.name}" for stage in STAGES}
+"""Package of each stage: one stem per stage, the same in every room."""
+
+
+def upstream(stage: Stage) -> tuple[Stage, ...]:
+    """The stages whose rows `stage` reads as part of the same scene's run, in order."""
+    tables = set(stage.reads) - set(stage.history)
+    return tuple(other for other in STAGES if tables & set(other.writes))
