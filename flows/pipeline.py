@@ -19,6 +19,7 @@ from flows.configuration import Configuration, configure
 from flows.plan import Plan, ScenePlan, make_plan
 from flows.pool import WorkerPool
 from flows.progress import current
+from flows.report import RunReport, report_of
 from flows.scene import SceneResult, run_scene
 from tasks.capture.formats import find_scans
 from warehouse.lake import Lake
@@ -29,18 +30,6 @@ COMMIT_SCENES = 25
 
 THREADS = 16
 """Scenes in flight at most; each thread only waits for the pool, which has as many processes as were asked for."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RunReport:
-    """What a run did: scenes computed, failed and left as they were, and one line per failure."""
-
-    done: tuple[str, ...]
-    failed: tuple[str, ...]
-    unchanged: tuple[str, ...]
-    failures: tuple[str, ...]
-    steps: int
-    degradations: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,7 +98,7 @@ def carry_out(plan: Plan, lake: Lake, configuration: Configuration, workers: int
             results = _fan_out(plan, _Work({s.scan.scene_id: s for s in plan.scenes}, lake, configuration, pool))
     lake.commit()
     lake.sweep(set())
-    return _report(plan, results)
+    return report_of(plan, results)
 
 
 def _fan_out(plan: Plan, work: _Work) -> list[SceneResult]:
@@ -132,19 +121,3 @@ def _fan_out(plan: Plan, work: _Work) -> list[SceneResult]:
     finally:
         del _WORK[run]
     return results
-
-
-def _report(plan: Plan, results: Sequence[SceneResult]) -> RunReport:
-    by_scene = {result.scene_id: result for result in results}
-    failed = sorted(r.scene_id for r in results if r.failed) + sorted(s.scan.scene_id for s in plan.scenes if s.failure)
-    failures = [f"{r.scene_id}: {r.failed}: {r.error}" for r in sorted(results, key=lambda r: r.scene_id) if r.failed]
-    return RunReport(
-        done=tuple(sorted(r.scene_id for r in results if not r.failed)),
-        failed=tuple(failed),
-        unchanged=tuple(s.scan.scene_id for s in plan.scenes if s.scan.scene_id not in by_scene and not s.failure),
-        failures=(*plan.failures, *failures),
-        steps=sum(len(r.ran) for r in results),
-        degradations=sum(r.degradations for r in results),
-    )
-
-

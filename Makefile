@@ -1,0 +1,52 @@
+# The two commands are `make demo` and `make test`. Each does all of its own set-up in .venv.
+PYTHON ?= $(firstword $(foreach v,python3.11 python3.12 python3,$(shell command -v $(v) 2>/dev/null)))
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+OUT ?= demo
+
+.PHONY: help demo test test-all check format docs lock clean
+
+help:  ## Say what there is to make.
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+demo: $(VENV)/.run-ready  ## Raw scans in, replica scenes out, in ./demo.
+	$(BIN)/metascenes demo --out $(OUT)
+
+test: $(VENV)/.test-ready check  ## Lint, types and the tests that run in minutes.
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+
+test-all: $(VENV)/.test-ready check  ## The same and the slow ones.
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+check: $(VENV)/.test-ready  ## Lint and types.
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/.test-ready  ## Format the code.
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+docs: $(VENV)/.run-ready  ## Write the table pages of the documentation from the schemas.
+	$(BIN)/python -m warehouse.documentation
+
+# The lock files name versions, no host; --no-deps: nothing that they do not name is installed.
+$(VENV)/bin/python:
+	$(PYTHON) -c 'import sys; assert (3, 11) <= sys.version_info < (3, 13), "Python 3.11 or 3.12 is needed, this is " + sys.version.split()[0]'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.run-ready: requirements/run.lock pyproject.toml | $(VENV)/bin/python
+	$(PIP) install -q --no-deps -r requirements/run.lock
+	$(PIP) install -q --no-deps --no-build-isolation -e .
+	touch $@
+
+$(VENV)/.test-ready: requirements/test.lock $(VENV)/.run-ready
+	$(PIP) install -q --no-deps -r requirements/test.lock
+	touch $@
+
+lock:  ## Resolve the dependencies anew and pin them.
+	$(PYTHON) requirements/lock.py
+
+clean:  ## Remove the environment and what the demo made.
+	rm -rf $(VENV) $(OUT)

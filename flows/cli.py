@@ -1,0 +1,76 @@
+"""The command line. Commands load when they are called, so that `metascenes --help` answers at once."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+COMMANDS = {
+    "demo": "Make raw scans of furnished rooms and turn them into replica scenes.",
+    "run": "Turn a folder of scans into replica scenes in a lake.",
+    "scan": "Scan a furnished GLB scene with the virtual scanner.",
+    "sql": "Ask the lake a question in SQL; reads only.",
+    "stats": "Draw the statistics and write the report.",
+    "export": "Write scenes as USD and as a Habitat dataset into a folder.",
+    "annotate": "Import what annotators chose.",
+    "status": "Say what is done, failed and stale, from the lake alone.",
+    "doctor": "Check a USD file, a Habitat dataset or the lake.",
+}
+"""Commands with their first line of help, in the order of `--help`. Each lives in `flows.commands.<name>`."""
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported when they are used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the commands, in order."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name, imported now."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = importlib.import_module(f"flows.commands.{cmd_name}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of commands in `--help`, without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="metascenes")
+def cli() -> None:
+    """The scene lake: scans of real rooms in, replica scenes that simulators load out.
+
+    Example: metascenes run --scans ./scans --lake ./lake
+    """
+
+
+def main() -> None:
+    """Entry point. Exit codes: 0 done, 1 some scenes failed, 2 misuse or input that cannot be used."""
+    from schemas.errors import LakeError
+
+    try:
+        cli(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except click.exceptions.Exit as leaving:
+        sys.exit(leaving.exit_code)
+    except click.Abort:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+    except LakeError as error:
+        print(f"metascenes: {error}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(0)
+
+
+if __name__ == "__main__":
+    main()

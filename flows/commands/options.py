@@ -1,0 +1,44 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def lake_option(function: F) -> F:
+    """`--lake ADDRESS`: a folder or s3://bucket/prefix; METASCENES_LAKE, else ./lake."""
+    return click.option(
+        "--lake", "address", envvar="METASCENES_LAKE", default="lake", show_default=True, metavar="ADDRESS",
+        help="Folder of the lake, or s3://bucket/prefix.",
+    )(function)  # fmt: skip
+
+
+def json_option(function: F) -> F:
+    """`--json`: one JSON object on standard output instead of text."""
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object, for scripts.")(function)
+
+
+def workers_option(function: F) -> F:
+    """`--workers N`: worker processes."""
+    return click.option(
+        "--workers", type=click.IntRange(1, 256), default=os.cpu_count() or 1, show_default="one per core", help="Worker processes."
+    )(function)
+
+
+def configuration_options(function: F) -> F:
+    """`--config`, `--set`, `--library`, `--seed`: what the stages are told."""
+    for option in (
+        click.option("--seed", type=int, default=0, show_default=True, help="Run seed; the same input and seed give the same result."),
+        click.option("--library", type=click.Path(path_type=Path), help="Folder of GLB assets to retrieve candidates from."),
+        click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="One value of a stage's config; may be repeated."),
+        click.option("--config", "config_file", type=click.Path(path_type=Path, dir_okay=False), help="TOML file with a table per stage."),
+    ):
+        function = option(function)
+    return function

@@ -1,0 +1,40 @@
+"""`metascenes sql`: questions to the lake."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from flows.commands.options import lake_option
+
+
+@click.command("sql", short_help="Ask the lake a question in SQL; reads only.")
+@click.argument("statement", required=False)
+@click.option("--output", type=click.Choice(["table", "csv", "json", "parquet"]), default="table", show_default=True, help="Form of the answer.")
+@click.option("--list", "listing", is_flag=True, help="List tables and views with what they answer.")
+@click.option("--snapshot", "snapshot_id", type=int, help="Snapshot to ask; the newest by default.")
+@lake_option
+def command(statement: str | None, output: str, listing: bool, snapshot_id: int | None, address: str) -> None:
+    """Ask the lake a question in SQL. Only statements that read are let through.
+
+    Example: metascenes sql "SELECT category, count(*) FROM instances GROUP BY ALL ORDER BY 2 DESC LIMIT 5"
+    """
+    from schemas.tables import TABLES
+    from warehouse.lake import Lake
+    from warehouse.sql import format_table, query
+    from warehouse.views import listing as views
+
+    if listing:
+        for name, table in TABLES.items():
+            print(f"table  {name:<22} {table.description}")
+        for name, question in views():
+            print(f"view   {name:<22} {question}")
+        return
+    if statement is None:
+        raise click.UsageError('give a statement, or --list. Example: metascenes sql "SELECT * FROM scenes"')
+    answer = format_table(query(Lake.open(address).snapshot(snapshot_id), statement), output)
+    if isinstance(answer, bytes):
+        sys.stdout.buffer.write(answer)
+    else:
+        print(answer)
