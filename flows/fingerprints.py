@@ -53,7 +53,7 @@ def canonical(config: Any) -> Any:
 
 def canonical_json(config: Any) -> str:
     """A config as JSON text: sorted keys, no spaces; the same config gives the same text."""
-    return json.dumps(canonical(config), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return json.dumps(canonical(config), default=str, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 @cache

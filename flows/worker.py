@@ -112,6 +112,8 @@ def _run(stage: Stage, job: Job, lake: Lake) -> Outcome:
     fingerprints = dict(part.split("=", 1) for part in job.upstream)
     inputs: dict[str, Any] = dict(job.outside)
     for table in stage.reads:
+        if table in inputs:  # a batch brings the rows of the scenes that it names
+            continue
         inputs[table] = _rows(lake, table, job.scene_id, None if table in stage.history else fingerprints.get(TABLES[table].stage))
     for table in stage.history:
         inputs[table] = _rows(lake, table, job.scene_id, None)

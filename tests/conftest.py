@@ -30,3 +30,24 @@ def realdata() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+_skipped: list[str] = []
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if report.skipped and not hasattr(report, "wasxfail"):
+        _skipped.append(f"{report.nodeid}: {report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr}")
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Where everything that tests need is installed (METASCENES_SKIPS_FAIL), a skipped test is a failed run."""
+    if os.environ.get("METASCENES_SKIPS_FAIL") and _skipped and not hasattr(session.config, "workerinput") and exitstatus == 0:
+        session.exitstatus = 1
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if os.environ.get("METASCENES_SKIPS_FAIL") and _skipped:
+        terminalreporter.section("skipped where nothing may be skipped", red=True)
+        for line in _skipped:
+            terminalreporter.line(line)

@@ -1,0 +1,42 @@
+"""`metascenes annotate`: what people chose, into the lake."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from flows.commands.options import json_option, lake_option
+
+
+@click.group("annotate", short_help="Import what annotators chose.")
+def command() -> None:
+    """Import what annotators chose.
+
+    Example: metascenes annotate import batch.json --lake ./lake
+    """
+
+
+@command.command("import")
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--dry-run", is_flag=True, help="Check the batch against the lake; write nothing.")
+@lake_option
+@json_option
+def import_batch(file: Path, dry_run: bool, address: str, as_json: bool) -> None:
+    """Import a batch of annotations; all of it or nothing. The next run redoes what depends on it.
+
+    Example: metascenes annotate import batch.json --lake ./lake
+    """
+    from flows.annotation import import_annotations
+    from warehouse.lake import Lake
+
+    result = import_annotations(Lake.open(address), file, dry_run)
+    if as_json:
+        print(json.dumps(result))
+        return
+    if result["already"]:
+        print(f"batch {result['batch_id']} is in the lake already, with the same answers; nothing to do")
+        return
+    verb = "would be imported" if dry_run else "imported"
+    print(f"batch {result['batch_id']}: {result['annotations']} answers of {result['annotators']} annotators on {result['scenes']} scenes {verb}")
