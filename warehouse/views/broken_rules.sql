@@ -1,0 +1,5 @@
+-- Which rules do exports break, and where?
+SELECT format, rule, scene_id, message
+FROM export_checks
+WHERE NOT passed
+ORDER BY format, rule, scene_id

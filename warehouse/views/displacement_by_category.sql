@@ -1,0 +1,12 @@
+-- How far did the optimization move the objects of each category?
+SELECT
+    instances.category,
+    count(*) AS objects,
+    count(*) FILTER (placements.displacement_m > 0) AS moved,
+    quantile_cont(placements.displacement_m, 0.5) AS median_displacement_m,
+    max(placements.displacement_m) AS largest_displacement_m,
+    max(abs(placements.lift_m)) AS largest_lift_m
+FROM placements
+JOIN instances USING (scene_id, instance_id)
+GROUP BY instances.category
+ORDER BY objects DESC, instances.category

@@ -1,0 +1,15 @@
+-- Which stages of which scenes failed at their last attempt, and what is to be done about it?
+SELECT
+    scene_id,
+    stage,
+    outcome,
+    error_kind,
+    error,
+    count(*) OVER (PARTITION BY scene_id, stage, fingerprint) AS attempts
+FROM stage_runs
+WHERE outcome <> 'withdrawn'
+QUALIFY row_number() OVER (
+    PARTITION BY scene_id, stage
+    ORDER BY snapshot_id DESC, started_at DESC, attempt DESC, fingerprint
+) = 1 AND outcome <> 'done'
+ORDER BY scene_id, stage

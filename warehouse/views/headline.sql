@@ -1,0 +1,14 @@
+-- What does the lake hold, in one row?
+SELECT
+    (SELECT count(*) FROM scenes) AS scenes,
+    (SELECT count(DISTINCT room_id) FROM scenes) AS rooms,
+    (SELECT coalesce(sum(floor_area_m2), 0) FROM rooms) AS floor_area_m2,
+    (SELECT count(*) FROM instances WHERE NOT is_structure) AS objects,
+    (SELECT count(DISTINCT category) FROM instances WHERE NOT is_structure) AS categories,
+    (SELECT count(*) FROM placements) AS placed_objects,
+    (SELECT count(*) FROM assets) AS assets,
+    (SELECT count(*) FROM episodes) AS episodes,
+    (SELECT count(*) FROM export_verdicts) AS exports,
+    (SELECT count(*) FROM export_verdicts WHERE passed) AS exports_passed,
+    (SELECT count(*) FROM failures) AS failures,
+    (SELECT coalesce(sum(seconds), 0) FROM current_runs) AS total_seconds

@@ -1,0 +1,36 @@
+-- What is each object of a scene, what stands for it, and how far was that moved?
+SELECT
+    instances.scene_id,
+    instances.instance_id,
+    instances.category,
+    instances.box_size AS box_size_m,
+    instances.box_volume_m3,
+    captions.materials[1] AS material,
+    captions.mass_kg,
+    assets.provider,
+    assets.name AS asset_name,
+    assets.license,
+    placements.origin,
+    selections.score,
+    selections.chamfer_m,
+    placements.displacement_m,
+    placements.lift_m,
+    supports.relation AS support,
+    supports.parent_id
+FROM instances
+LEFT JOIN captions USING (scene_id, instance_id)
+LEFT JOIN placements USING (scene_id, instance_id)
+LEFT JOIN assets ON assets.asset_id = placements.asset_id
+LEFT JOIN (
+    SELECT scene_id, instance_id, asset_id, score, chamfer_m
+    FROM selections
+    QUALIFY row_number() OVER (PARTITION BY scene_id, instance_id, asset_id ORDER BY rank) = 1
+) AS selections
+    ON selections.scene_id = instances.scene_id
+    AND selections.instance_id = instances.instance_id
+    AND selections.asset_id = placements.asset_id
+LEFT JOIN supports
+    ON supports.scene_id = instances.scene_id
+    AND supports.instance_id = instances.instance_id
+WHERE NOT instances.is_structure
+ORDER BY instances.scene_id, instances.instance_id

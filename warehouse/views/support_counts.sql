@@ -1,0 +1,12 @@
+-- What carries the objects of each scene?
+SELECT
+    scene_id,
+    count(*) FILTER (relation = 'floor') AS on_floor,
+    count(*) FILTER (relation = 'on') AS on_objects,
+    count(*) FILTER (relation = 'wall') AS on_walls,
+    count(*) FILTER (relation = 'ceiling') AS on_ceiling,
+    count(*) FILTER (relation = 'none') AS unsupported,
+    max(abs(gap_m)) AS largest_gap_m
+FROM supports
+GROUP BY scene_id
+ORDER BY scene_id
