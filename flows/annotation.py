@@ -47,7 +47,9 @@ def import_annotations(lake: Lake, file: Path, dry_run: bool = False) -> dict[st
         "already": _same(present, rows),
     }
     if present and not summary["already"]:
-        raise InputError(file.name, "batch_id", f"{batch.batch_id} is in the lake with other answers", "give the new answers a batch_id of their own")
+        raise InputError(
+            file.name, "batch_id", f"{batch.batch_id} is in the lake with other answers", "give the new answers a batch_id of their own"
+        )
     if dry_run or present:
         return summary
     content = digest(*(canonical_json(row) for row in rows))

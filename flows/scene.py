@@ -79,7 +79,9 @@ def _run_step(lake: Lake, job: Job, pool: WorkerPool) -> StageRun:
         try:
             return pool.call(execute, attempt, timeout=STAGE_SECONDS)
         except WorkerLost as error:
-            run = lost_run(attempt, "lost", f"{job.scene_id}: {job.stage}: {error}; it is retried by the next run", time.perf_counter() - clock)
+            run = lost_run(
+                attempt, "lost", f"{job.scene_id}: {job.stage}: {error}; it is retried by the next run", time.perf_counter() - clock
+            )
         except WorkerTimeout as error:
             run = lost_run(attempt, "timeout", f"{job.scene_id}: {job.stage}: {error}; simplify the scan", time.perf_counter() - clock)
         lake.stage_rows(run, {})

@@ -33,10 +33,14 @@ class Room:
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     room_type: str = column("Kind of room (bedroom, office, ...), 'unknown' when neither stated nor inferred")
-    floor_polygon: tuple[tuple[float, ...], ...] = column("Corners of the floor in the world frame, counter-clockwise, open ring of (x, y)", unit="m")
+    floor_polygon: tuple[tuple[float, ...], ...] = column(
+        "Corners of the floor in the world frame, counter-clockwise, open ring of (x, y)", unit="m"
+    )
     floor_area_m2: float = column("Area of the floor polygon", unit="m2", minimum=0)
     floor_source: str = column("What the floor polygon was estimated from", values=("surface", "walls", "extent"))
-    walls: tuple[tuple[float, ...], ...] = column("Walls as segments (x0, y0, x1, y1) in the world frame; the room lies to their left", unit="m")
+    walls: tuple[tuple[float, ...], ...] = column(
+        "Walls as segments (x0, y0, x1, y1) in the world frame; the room lies to their left", unit="m"
+    )
     height_m: float = column("Height of the room from floor to ceiling", unit="m", minimum=0.1)
     height_source: str = column("What the height was estimated from", values=("ceiling", "walls", "extent"))
 
@@ -53,7 +57,9 @@ class Frame:
     height: int = column("Height of the color image", unit="px", minimum=1)
     intrinsics: tuple[float, ...] = column("fx, fy, cx, cy of the color camera", unit="px", length=4)
     depth_scale: float = column("Depth units per metre", unit="1/m", minimum=1)
-    pose: tuple[float, ...] | None = column("Camera (x right, y down, z forward) to world frame, 4x4 row by row; missing when unreadable", unit="m", length=16)
+    pose: tuple[float, ...] | None = column(
+        "Camera (x right, y down, z forward) to world frame, 4x4 row by row; missing when unreadable", unit="m", length=16
+    )
 
 
 @record("instances", key=("scene_id", "instance_id"), stage="capture")
@@ -68,7 +74,9 @@ class Instance:
     nyu40_id: int = column("NYU40 class, 0 when the label map has none", minimum=0, maximum=40)
     nyu40_label: str = column("NYU40 class name, 'unlabeled' for 0")
     is_structure: bool = column("Wall, floor or ceiling: part of the room, never replaced by an asset")
-    box_pose: tuple[float, ...] = column("Oriented box to world frame, rotation about +Z, origin at the box center, 4x4 row by row", unit="m", length=16)
+    box_pose: tuple[float, ...] = column(
+        "Oriented box to world frame, rotation about +Z, origin at the box center, 4x4 row by row", unit="m", length=16
+    )
     box_size: tuple[float, ...] = column("Extents of the oriented box along its own axes", unit="m", length=3, minimum=0)
     box_volume_m3: float = column("Volume of the oriented box", unit="m3", minimum=0)
     point_count: int = column("Points of the instance", minimum=1)
@@ -89,4 +97,6 @@ class Mask:
     pixel_count: int = column("Pixels of the mask in the color image", unit="px", minimum=1)
     visible_fraction: float = column("Share of the instance's points inside the image that the depth test sees", minimum=0, maximum=1)
     score: float = column("View quality: visible fraction x square root of mask area x (1 - border contact)", minimum=0)
-    run_lengths: tuple[int, ...] = column("Mask inside pixel_box, row by row: lengths of alternating runs, the first outside the mask", unit="px", minimum=0)
+    run_lengths: tuple[int, ...] = column(
+        "Mask inside pixel_box, row by row: lengths of alternating runs, the first outside the mask", unit="px", minimum=0
+    )

@@ -16,7 +16,9 @@ class ExportFile:
     path: str = column("Path relative to the export's root, forward slashes")
     file_blob: str = column("Contents", blob=True)
     size_bytes: int = column("Size", unit="B", minimum=0)
-    role: str = column("What it is", values=("root", "scene", "stage", "object", "asset", "collision", "navmesh", "semantic", "episodes", "texture"))
+    role: str = column(
+        "What it is", values=("root", "scene", "stage", "object", "asset", "collision", "navmesh", "semantic", "episodes", "texture")
+    )
 
 
 @record("export_checks", key=("scene_id", "format", "rule"), stage="exports")

@@ -179,9 +179,7 @@ def table_of(record_type: type) -> Table:
     for field in dataclasses.fields(record_type):
         arrow, nullable = _arrow_type(hints[field.name])
         columns.append(
-            Column(
-                name=field.name, type=arrow, nullable=nullable, key=field.name in declared["key"], **field.metadata
-            )  # fmt: skip
+            Column(name=field.name, type=arrow, nullable=nullable, key=field.name in declared["key"], **field.metadata)
         )
     description = " ".join((record_type.__doc__ or "").split())
     return Table(record=record_type, description=description, columns=tuple(columns), **declared)
@@ -203,13 +201,8 @@ def rows_to_arrow(rows: Sequence[Any], record_type: type) -> pa.Table:
 def arrow_to_rows(data: pa.Table, record_type: type[R]) -> list[R]:
     """Records of an Arrow table. Columns that an older version did not have are None."""
     table = table_of(record_type)
-    columns = {
-        c.name: data.column(c.name).to_pylist() if c.name in data.schema.names else [None] * data.num_rows
-        for c in table.columns
-    }
-    return [
-        record_type(**{c.name: _frozen(columns[c.name][i]) for c in table.columns}) for i in range(data.num_rows)
-    ]
+    columns = {c.name: data.column(c.name).to_pylist() if c.name in data.schema.names else [None] * data.num_rows for c in table.columns}
+    return [record_type(**{c.name: _frozen(columns[c.name][i]) for c in table.columns}) for i in range(data.num_rows)]
 
 
 def check(rows: Iterable[Any], record_type: type) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas import annotation, candidates, capture, captions, exports, navigation, optimization, runs, selection
+from schemas import annotation, candidates, captions, capture, exports, navigation, optimization, runs, selection
 from schemas.record import Table, table_of
 
 RECORDS: tuple[type, ...] = (

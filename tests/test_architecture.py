@@ -14,8 +14,30 @@ from schemas.tables import TABLES
 from tasks.pipeline import MODULES, SCENE_STAGES, STAGES, upstream
 from tests.conftest import REPOSITORY
 
-ROOMS = {"schemas": {"schemas"}, "tasks": {"schemas", "tasks"}, "warehouse": {"schemas", "warehouse"}, "flows": {"schemas", "tasks", "warehouse", "flows"}}
-HEAVY = {"torch", "open3d", "pxr", "transformers", "numba", "trimesh", "shapely", "scipy", "matplotlib", "PIL", "coacd", "mujoco", "duckdb", "deltalake", "pandas", "prefect"}
+ROOMS = {
+    "schemas": {"schemas"},
+    "tasks": {"schemas", "tasks"},
+    "warehouse": {"schemas", "warehouse"},
+    "flows": {"schemas", "tasks", "warehouse", "flows"},
+}
+HEAVY = {
+    "torch",
+    "open3d",
+    "pxr",
+    "transformers",
+    "numba",
+    "trimesh",
+    "shapely",
+    "scipy",
+    "matplotlib",
+    "PIL",
+    "coacd",
+    "mujoco",
+    "duckdb",
+    "deltalake",
+    "pandas",
+    "prefect",
+}
 ONLY_IN = {"prefect": {"flows"}, "duckdb": {"warehouse", "flows"}, "deltalake": {"warehouse"}}
 
 

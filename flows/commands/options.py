@@ -37,7 +37,9 @@ def configuration_options(function: F) -> F:
     for option in (
         click.option("--seed", type=int, default=0, show_default=True, help="Run seed; the same input and seed give the same result."),
         click.option("--library", type=click.Path(path_type=Path), help="Folder of GLB assets to retrieve candidates from."),
-        click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="One value of a stage's config; may be repeated."),
+        click.option(
+            "--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="One value of a stage's config; may be repeated."
+        ),
         click.option("--config", "config_file", type=click.Path(path_type=Path, dir_okay=False), help="TOML file with a table per stage."),
     ):
         function = option(function)

@@ -20,7 +20,14 @@ if TYPE_CHECKING:
 
 @click.command("run", short_help="Turn a folder of scans into replica scenes in a lake.")
 @click.option("--scans", required=True, type=click.Path(path_type=Path), help="Folder of scans, or one scan.")
-@click.option("--format", "scan_format", type=click.Choice(["auto", "scannet", "posed_rgbd", "glb"]), default="auto", show_default=True, help="Scan format.")
+@click.option(
+    "--format",
+    "scan_format",
+    type=click.Choice(["auto", "scannet", "posed_rgbd", "glb"]),
+    default="auto",
+    show_default=True,
+    help="Scan format.",
+)
 @click.option("--dataset", help="Name of the dataset; by default what the format says.")
 @lake_option
 @configuration_options
@@ -112,7 +119,13 @@ def _plan_text(plan: Plan) -> str:
 
 def _plan_json(plan: Plan) -> dict[str, Any]:
     steps = [
-        {"scene_id": scene.scan.scene_id, "stage": step.stage, "action": step.action, "why": step.why, "fingerprint": step.fingerprint.value}
+        {
+            "scene_id": scene.scan.scene_id,
+            "stage": step.stage,
+            "action": step.action,
+            "why": step.why,
+            "fingerprint": step.fingerprint.value,
+        }
         for scene in plan.scenes
         for step in scene.steps
     ]

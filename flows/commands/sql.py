@@ -11,7 +11,9 @@ from flows.commands.options import lake_option
 
 @click.command("sql", short_help="Ask the lake a question in SQL; reads only.")
 @click.argument("statement", required=False)
-@click.option("--output", type=click.Choice(["table", "csv", "json", "parquet"]), default="table", show_default=True, help="Form of the answer.")
+@click.option(
+    "--output", type=click.Choice(["table", "csv", "json", "parquet"]), default="table", show_default=True, help="Form of the answer."
+)
 @click.option("--list", "listing", is_flag=True, help="List tables and views with what they answer.")
 @click.option("--snapshot", "snapshot_id", type=int, help="Snapshot to ask; the newest by default.")
 @lake_option

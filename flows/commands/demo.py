@@ -1,0 +1,71 @@
+"""`metascenes demo`: raw scans made here, through the whole data path, to files that a simulator loads."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import click
+
+from flows.commands.options import json_option, workers_option
+
+
+@click.command("demo", short_help="Make raw scans of furnished rooms and turn them into replica scenes.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default="demo", show_default=True, help="Folder for everything.")
+@click.option("--scenes", type=click.IntRange(1, 100), default=3, show_default=True, help="Rooms to scan.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Run seed.")
+@workers_option
+@json_option
+def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> None:
+    """Make raw scans of furnished rooms with the virtual scanner and turn them into replica scenes.
+
+    Needs no download, no server and no GPU. A second demo redoes only what has changed.
+
+    Example: metascenes demo --out demo
+    """
+    from flows.commands.run import carry_out, summary
+    from flows.configuration import configure
+    from flows.demo import make_scans
+    from flows.export import write_exports
+    from flows.plan import make_plan
+    from flows.stats import stage_table, write_report
+    from tasks.capture.formats import find_scans
+    from warehouse.lake import Lake
+
+    clock = time.perf_counter()
+    made = make_scans(out / "scans", scenes, seed, workers)
+    scanned = time.perf_counter() - clock
+    lake = Lake.open(str(out / "lake"))
+    found, unusable = find_scans(out / "scans", "auto", "demo")
+    plan = make_plan(lake, found, unusable, configure(seed=seed))
+    report = carry_out(
+        plan, lake, threads=workers, scans=str(out / "scans"), lake=str(out / "lake"), dataset="demo", workers=workers, seed=seed
+    )
+    replicated = time.perf_counter() - clock - scanned
+    written = write_exports(lake, out)
+    page = write_report(lake, out / "report.html")
+    places = {
+        "raw scans": out / "scans",
+        "USD scenes": out / "usd",
+        "Habitat dataset": out / "habitat",
+        "report": page,
+        "lake": out / "lake",
+    }
+    if as_json:
+        print(json.dumps({"failures": report.failures, "seconds": time.perf_counter() - clock, **{k: str(v) for k, v in places.items()}}))
+    else:
+        print(stage_table(lake.snapshot()))
+        print()
+        print(f"{f'{made} scans made in {scanned:.1f} s' if made else 'scans are up to date'}; {summary(report)} in {replicated:.1f} s; "
+              f"{written.files} files exported, {written.failed_checks} checks failed; {time.perf_counter() - clock:.1f} s in all")  # fmt: skip
+        print()
+        for name, place in places.items():
+            print(f"{name:<16} {place}")
+        for scene in written.usd_scenes:
+            print(f"{'open in usdview':<16} {scene}")
+        print(f"{'ask the lake':<16} metascenes sql --lake {out / 'lake'} \"SELECT * FROM objects_per_scene\"")
+    for line in report.failures:
+        click.echo(f"failed: {line}", err=True)
+    if report.failures or written.failed_checks:
+        raise click.exceptions.Exit(1)
