@@ -1,0 +1,240 @@
+"""The commit: what is staged goes into all tables, one transaction per table, then into one snapshot.
+
+The order of the steps is what makes a crash harmless. Until the snapshot's row is written, readers stay on the old
+snapshot and the staged files are all still there; the next commit restores tables that ran ahead and does it again.
+Once it is written, the staged files are only left over, and the next commit or sweep removes them first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Sequence
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from schemas.record import Table, arrow_to_rows, rows_to_arrow
+from schemas.runs import Snapshot, StageRun
+from schemas.tables import TABLES
+from warehouse.adoption import Plan, committed_rows, now_utc, plan, without_faults
+from warehouse.delta import DeltaTables, TableWriter
+from warehouse.history import Key, StageState, states
+from warehouse.lease import Lease
+from warehouse.staging import StagedRun, Staging
+
+_ADOPTED = "adopted"
+
+
+@dataclasses.dataclass(frozen=True)
+class Base:
+    """What a commit starts from: the last snapshot's id, the version of every table, and the stages' states."""
+
+    snapshot_id: int
+    versions: dict[str, int]
+    states: dict[Key, StageState]
+
+
+class Commit:
+    """One commit, made while `lease` is held."""
+
+    def __init__(self, tables: DeltaTables, staging: Staging, lease: Lease) -> None:
+        self._tables, self._staging, self._lease = tables, staging, lease
+        self._snapshots = TABLES["snapshots"]
+        self._base = self._read_base()
+
+    def run(self, note: str, removed: Collection[str] = ()) -> Snapshot | None:
+        """Adopt, replace, withdraw, and append the snapshot; None when there is nothing to do."""
+        staged = self.remove_adopted()
+        if not staged and not removed:
+            return None
+        faults = {one.token: fault for one in staged if one.run.outcome == "done" and (fault := self._staging.fault(one))}
+        made = plan(self._base.states, without_faults(staged, faults), removed)
+        if made.is_empty:
+            return None
+        versions = dict(self._base.versions)
+        for table in TABLES.values():
+            version = self._write_table(table, made)
+            if version is not None:
+                versions[table.name] = version
+        versions["stage_runs"] = self._write_runs(made)
+        snapshot = Snapshot(
+            snapshot_id=self._base.snapshot_id + 1,
+            created_at=now_utc(),
+            tables=tuple(f"{name}={versions[name]}" for name in sorted(versions)),
+            note=note,
+        )
+        self._write_snapshot(snapshot, [*made.adopted, *made.recorded])
+        self._staging.remove([*made.adopted, *made.recorded])
+        return snapshot
+
+    def sweep(self, keep: Collection[tuple[str, str, str]]) -> None:
+        """Remove staged runs that cannot be adopted and are not among `keep` (scene, stage, fingerprint)."""
+        staged = self.remove_adopted()
+        left = plan(self._base.states, staged).left
+        self._lease.check()
+        self._staging.remove([one for one in left if (one.run.scene_id, one.run.stage, one.run.fingerprint) not in keep])
+        self._staging.remove_incomplete()
+
+    def remove_adopted(self) -> list[StagedRun]:
+        """Remove staged runs that the last snapshot holds already (its commit died before it could); the others."""
+        opened = self._tables.open("snapshots")
+        facts = opened.history(1)[0] if opened is not None else {}
+        tokens = set(str(facts.get(_ADOPTED, "")).split())
+        staged = self._staging.runs()
+        gone = [one for one in staged if one.token in tokens]
+        if gone:
+            self._lease.check()
+            self._staging.remove(gone)
+        return [one for one in staged if one.token not in tokens]
+
+    def _read_base(self) -> Base:
+        opened = self._tables.open("snapshots")
+        # The version is remembered: the snapshot's row is only written if nobody wrote one since.
+        self._snapshot_version = int(opened.version()) if opened is not None else None
+        rows = arrow_to_rows(self._tables.read(self._snapshots, self._tables.files("snapshots", opened)), Snapshot) if opened else []
+        self._snapshot_rows: list[Snapshot] = rows
+        last = max(rows, key=lambda row: row.snapshot_id, default=None)
+        versions = versions_of(last) if last else {}
+        found: dict[Key, StageState] = {}
+        if "stage_runs" in versions:
+            at = self._tables.open("stage_runs", versions["stage_runs"])
+            found = states(self._tables.read(TABLES["stage_runs"], self._tables.files("stage_runs", at))) if at else {}
+        return Base(last.snapshot_id if last else 0, versions, found)
+
+    def _writer(self, table: Table) -> TableWriter:
+        return self._tables.writer(table, self._base.versions.get(table.name), self._lease.check)
+
+    def _write_table(self, table: Table, made: Plan) -> int | None:
+        """Bring one table up to date; its version, None when it was not touched."""
+        new = [one for one in made.adopted if one.run.stage == table.stage]
+        if table.rule == "replace":
+            return self._replace(table, new, made)
+        if table.rule == "append":
+            return self._append(table, new)
+        return self._share(table, new, made)
+
+    def _replace(self, table: Table, new: Sequence[StagedRun], made: Plan) -> int | None:
+        """The scenes' new rows take the place of their old ones; withdrawn scenes' rows go."""
+        old = {scene for (scene, stage), state in self._base.states.items() if stage == table.stage and state.done is not None}
+        changed = {one.run.scene_id for one in new} | {run.scene_id for run in made.withdrawn if run.stage == table.stage}
+        rows = self._staged_rows(table, new)
+        replaced = changed & old
+        if not rows.num_rows and not (replaced and table.name in self._base.versions):
+            return None
+        writer = self._writer(table)
+        if replaced:
+            writer.replace(rows, "scene_id", replaced)
+        else:
+            writer.append(rows)
+        writer.compact()
+        return writer.version
+
+    def _append(self, table: Table, new: Sequence[StagedRun]) -> int | None:
+        """Rows are added; a row whose key is there already (a batch read again) takes its place."""
+        rows = self._staged_rows(table, new)
+        if not rows.num_rows:
+            return None
+        writer = self._writer(table)
+        column = table.key[0]
+        batches = set(rows.column(column).to_pylist())
+        known = self._tables.read(table, writer.files, only={column: batches})
+        merged = _newest(pa.concat_tables([known, rows]), table)
+        if known.num_rows:
+            writer.replace(merged, column, batches)
+        else:
+            writer.append(merged)
+        writer.compact()
+        return writer.version
+
+    def _share(self, table: Table, new: Sequence[StagedRun], made: Plan) -> int | None:
+        """Rows about a key are kept as long as a row of `shared_by` of a scene with this stage names the key.
+
+        Absent keys are inserted. A row that says something else than the one that is there takes its place: it was
+        made by newer code or from a newer source, since the same input gives the same row.
+        """
+        sharing = TABLES[table.shared_by]
+        is_touched = any(one.run.stage in (table.stage, sharing.stage) for one in made.adopted) or any(
+            run.stage in (table.stage, sharing.stage) for run in made.withdrawn
+        )
+        rows = self._staged_rows(table, new)
+        if not is_touched or (not rows.num_rows and table.name not in self._base.versions):
+            return None
+        column = table.key[0]
+        named = self._named_keys(table, sharing, made)
+        writer = self._writer(table)
+        known = self._tables.read(table, writer.files)
+        merged = _newest(pa.concat_tables([known, rows]), table)
+        merged = merged.filter(pc.is_in(merged.column(column), pa.array(sorted(named), pa.string())))
+        before = {row[column]: row for row in known.to_pylist()}
+        after = {row[column]: row for row in merged.to_pylist()}
+        changed = {key for key in before.keys() | after.keys() if before.get(key) != after.get(key)}
+        if changed:
+            fresh = merged.filter(pc.is_in(merged.column(column), pa.array(sorted(changed), pa.string())))
+            if changed & before.keys():
+                writer.replace(fresh, column, changed)
+            else:
+                writer.append(fresh)
+            writer.compact()
+        return writer.version
+
+    def _named_keys(self, table: Table, sharing: Table, made: Plan) -> set[str]:
+        """Keys that rows of `sharing` name, of scenes that have rows of the stage of `table` once this is committed."""
+        column = table.key[0]
+        new = [one for one in made.adopted if one.run.stage == sharing.stage]
+        replaced = {one.run.scene_id for one in new} | {run.scene_id for run in made.withdrawn if run.stage == sharing.stage}
+        # Read from the version that the commit starts from, so that the order in which tables are written does not matter.
+        version = self._base.versions.get(sharing.name)
+        opened = self._tables.open(sharing.name, version) if version is not None else None
+        files = self._tables.files(sharing.name, opened) if opened is not None else []
+        old = self._tables.read(sharing, files, ["scene_id", column])
+        with_stage = {scene for (scene, stage), state in self._base.states.items() if stage == table.stage and state.done is not None}
+        with_stage |= {one.run.scene_id for one in made.adopted if one.run.stage == table.stage}
+        with_stage -= {run.scene_id for run in made.withdrawn if run.stage == table.stage}
+        fresh = self._staged_rows(sharing, new).select(["scene_id", column])
+        pairs = zip(old.column("scene_id").to_pylist(), old.column(column).to_pylist(), strict=True)
+        keys = {key for scene, key in pairs if scene in with_stage and scene not in replaced}
+        pairs = zip(fresh.column("scene_id").to_pylist(), fresh.column(column).to_pylist(), strict=True)
+        keys |= {key for scene, key in pairs if scene in with_stage}
+        return keys - {None}
+
+    def _write_runs(self, made: Plan) -> int:
+        table = TABLES["stage_runs"]
+        writer = self._writer(table)
+        scenes = {one.run.scene_id for one in (*made.adopted, *made.recorded)} | {run.scene_id for run in made.withdrawn}
+        known = self._tables.read(table, writer.files, ["scene_id", "stage", "fingerprint", "attempt"], {"scene_id": scenes})
+        attempts: dict[tuple[str, str, str], int] = {}
+        for row in known.to_pylist():
+            key = (row["scene_id"], row["stage"], row["fingerprint"])
+            attempts[key] = max(attempts.get(key, 0), row["attempt"])
+        rows = committed_rows(made, attempts, self._base.snapshot_id + 1, now_utc())
+        writer.append(rows_to_arrow(rows, StageRun))
+        writer.compact()
+        if writer.version is None:
+            raise AssertionError("stage_runs has a version once it is written")
+        return writer.version
+
+    def _write_snapshot(self, snapshot: Snapshot, adopted: Sequence[StagedRun]) -> None:
+        # The table is small and read by everybody first, so it is kept in one file.
+        writer = self._tables.writer(self._snapshots, self._snapshot_version, self._lease.check)
+        tokens = " ".join(sorted(one.token for one in adopted))
+        writer.rewrite(rows_to_arrow([*self._snapshot_rows, snapshot], Snapshot), {_ADOPTED: tokens})
+
+    def _staged_rows(self, table: Table, new: Sequence[StagedRun]) -> pa.Table:
+        """Rows that the adopted runs left in a table, sorted by key, under the table's schema."""
+        found = [self._staging.read(one.files[table.name]) for one in new if table.name in one.files]
+        if not found:
+            return table.arrow_schema.empty_table()
+        data = pa.concat_tables(one.cast(table.arrow_schema) for one in found)
+        return data.sort_by([(name, "ascending") for name in table.key])
+
+
+def versions_of(snapshot: Snapshot) -> dict[str, int]:
+    """Version of every table in a snapshot."""
+    return {name: int(version) for name, _, version in (entry.partition("=") for entry in snapshot.tables)}
+
+
+def _newest(rows: pa.Table, table: Table) -> pa.Table:
+    """Rows with one per key, the last, in the order of the key."""
+    keys = list(zip(*(rows.column(name).to_pylist() for name in table.key), strict=True))
+    last = {key: index for index, key in enumerate(keys)}
+    return rows.take(pa.array([last[key] for key in sorted(last)], pa.int64()))

@@ -1,0 +1,190 @@
+"""The lake's tables as Delta tables under `tables/<table>/`, flat, written by one committer at a time.
+
+Every write starts from the version that the last snapshot names. A head that ran ahead of it (a commit that died
+half-way) is restored first. Nothing is retried on a conflict: a conflict means that the lease was lost.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from schemas.errors import InputError
+from schemas.record import Table
+from warehouse.storage import Storage
+
+if TYPE_CHECKING:
+    from deltalake import DeltaTable
+
+FOLDER = "tables"
+
+# One file is rewritten when one of its scenes is replaced: 32 MB keeps that well under a second.
+_FILE_BYTES = 32 * 2**20
+
+# Every file costs a reader about half a millisecond; beyond this many, small ones are put together.
+_FILES_BEFORE_COMPACTION = 48
+
+# Time travel must outlive delta-rs' thirty days of log, and files go only when no retained snapshot names them.
+_CONFIGURATION = {"delta.enableExpiredLogCleanup": "false", "delta.deletedFileRetentionDuration": "interval 0 hours"}
+
+
+class DeltaTables:
+    """The Delta tables of a lake, by name of the table."""
+
+    def __init__(self, storage: Storage) -> None:
+        self._storage = storage
+
+    def open(self, table: str, version: int | None = None) -> DeltaTable | None:
+        """A table at a version (default: its head); None when it was never written."""
+        from deltalake import DeltaTable
+        from deltalake.exceptions import TableNotFoundError
+
+        folder = f"{FOLDER}/{table}"
+        # Asking the storage is ten times cheaper than letting delta-rs fail.
+        if version is None and not self._storage.entries(f"{folder}/_delta_log"):
+            return None
+        try:
+            return DeltaTable(self._storage.delta_address(folder), version=version, storage_options=self._storage.delta_options())
+        except TableNotFoundError:
+            return None
+
+    def files(self, table: str, opened: DeltaTable) -> list[str]:
+        """Paths of a version's Parquet files, relative to the lake, sorted.
+
+        Only the last part of delta-rs' addresses is used: the rest comes percent-encoded.
+        """
+        return sorted(f"{FOLDER}/{table}/{uri.rpartition('/')[2]}" for uri in opened.file_uris())
+
+    def read(
+        self, table: Table, files: Sequence[str], columns: Sequence[str] | None = None, only: Mapping[str, Collection[str]] | None = None
+    ) -> pa.Table:
+        """Rows of Parquet files under the schema of `table`; columns that a file lacks are null.
+
+        ``only={"scene_id": ["a/b"]}`` keeps the rows whose scene is one of these.
+        """
+        schema = nullable(table.arrow_schema)
+        names = list(columns) if columns is not None else schema.names
+        if not files:
+            return pa.schema([schema.field(name) for name in names]).empty_table()
+        import pyarrow.dataset as ds
+
+        paths = [self._storage.arrow_path(file) for file in files]
+        data = ds.dataset(paths, schema=schema, format="parquet", filesystem=self._storage.arrow_filesystem())
+        wanted: Any = None
+        for name, values in (only or {}).items():
+            one = ds.field(name).isin(pa.array(sorted(values), pa.string()))
+            wanted = one if wanted is None else wanted & one
+        return data.to_table(columns=names, filter=wanted)
+
+    def sweep(self) -> None:
+        """Remove the temporary files of writes that were killed. Only while the lease is held: nobody else writes here."""
+        for name in self._storage.folders(FOLDER):
+            for folder in (f"{FOLDER}/{name}", f"{FOLDER}/{name}/_delta_log"):
+                for file in self._storage.names(folder):
+                    # delta-rs writes `<file>#<number>` and `_commit_<id>.json.tmp`, and renames them.
+                    if re.search(r"#[0-9]+$|\.tmp$", file):
+                        self._storage.remove(f"{folder}/{file}")
+
+    def writer(self, table: Table, version: int | None, check: Callable[[], None]) -> TableWriter:
+        """A writer that starts from `version`, None for a table that no snapshot names.
+
+        `check` is called before everything that changes the table.
+        """
+        return TableWriter(self, self._storage, table, version, check)
+
+
+class TableWriter:
+    """Writes one table, from one version on."""
+
+    def __init__(self, tables: DeltaTables, storage: Storage, table: Table, version: int | None, check: Callable[[], None]) -> None:
+        self._tables, self._storage, self._table, self._check = tables, storage, table, check
+        self._opened = tables.open(table.name)
+        # A table that no snapshot names but that exists was left by a commit that died: all of it goes.
+        self._is_leftover = version is None and self._opened is not None
+        if version is not None:
+            if self._opened is None or self._opened.version() < version:
+                problem = f"version {version} is missing, which the snapshot names"
+                raise InputError(f"{storage.address}/{FOLDER}/{table.name}", "", problem, "restore the folder")
+            if self._opened.version() > version:
+                check()
+                self._opened.restore(version, commit_properties=self._unretried())
+                self._opened.update_incremental()
+
+    @property
+    def version(self) -> int | None:
+        """The version after the last write; None when nothing was written yet."""
+        return None if self._opened is None or self._is_leftover else int(self._opened.version())
+
+    @property
+    def files(self) -> list[str]:
+        """Paths of the current Parquet files, relative to the lake."""
+        return [] if self._opened is None or self._is_leftover else self._tables.files(self._table.name, self._opened)
+
+    def append(self, data: pa.Table) -> None:
+        """Add rows."""
+        self._write(data, mode="append", schema_mode="merge")
+
+    def replace(self, data: pa.Table, column: str, values: Iterable[str]) -> None:
+        """Put `data` in the place of all rows whose `column` is one of `values`."""
+        listed = ", ".join("'" + value.replace("'", "''") + "'" for value in sorted(values))
+        if self.files and listed:
+            self._write(data, mode="overwrite", schema_mode="merge", predicate=f"{column} IN ({listed})")
+        elif data.num_rows:
+            self.append(data)
+
+    def rewrite(self, data: pa.Table, facts: dict[str, str] | None = None) -> None:
+        """Put `data` in the place of all rows, with `facts` kept beside the commit."""
+        self._write(data, mode="overwrite", schema_mode="overwrite", facts=facts)
+
+    def compact(self) -> None:
+        """Put small files together when there are many."""
+        if self._opened is not None and len(self.files) > _FILES_BEFORE_COMPACTION:
+            self._check()
+            self._opened.optimize.compact(target_size=_FILE_BYTES, commit_properties=self._unretried())
+
+    def _write(
+        self, data: pa.Table, *, mode: Any, schema_mode: Any, predicate: str | None = None, facts: dict[str, str] | None = None
+    ) -> None:
+        from deltalake import DeltaTable, write_deltalake
+
+        self._check()
+        if self._is_leftover:
+            mode, schema_mode, predicate, self._is_leftover = "overwrite", "overwrite", None, False
+        is_new = self._opened is None
+        if is_new:
+            mode, schema_mode, predicate = "error", None, None
+        options = self._storage.delta_options()
+        address = self._storage.delta_address(f"{FOLDER}/{self._table.name}")
+        write_deltalake(
+            address if self._opened is None else self._opened,
+            data.cast(nullable(data.schema)),
+            mode=mode,
+            schema_mode=schema_mode,
+            predicate=predicate,
+            configuration=_CONFIGURATION if is_new else None,
+            name=self._table.name if is_new else None,
+            description=self._table.description if is_new else None,
+            storage_options=options,
+            target_file_size=_FILE_BYTES,
+            commit_properties=self._unretried(facts),
+        )
+        if self._opened is None:
+            self._opened = DeltaTable(address, version=0, storage_options=options)
+
+    @staticmethod
+    def _unretried(facts: dict[str, str] | None = None) -> Any:
+        from deltalake import CommitProperties
+
+        return CommitProperties(custom_metadata=dict(facts or {}), max_commit_retries=0)
+
+
+def nullable(schema: pa.Schema) -> pa.Schema:
+    """The schema with every column nullable.
+
+    Rows are checked before they are staged. In a stored table a column may be younger than a row, whatever the
+    schema says of new rows, and a Delta table could not take such a column in otherwise.
+    """
+    return pa.schema([field.with_nullable(True) for field in schema], metadata=schema.metadata)

@@ -1,0 +1,181 @@
+"""The lake: tables, blobs, snapshots and the history of what was run.
+
+Workers stage, one committer commits, readers read snapshots:
+
+    lake = Lake.open("lake")
+    lake.stage_rows(run, {"captions": rows})
+    lake.commit("captions of one scene")
+    lake.snapshot().rows(Caption, scene_id="scannet/scene0001_00")
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import InputError, RecordError
+from schemas.runs import Snapshot, StageRun
+from schemas.tables import TABLES
+from warehouse.adoption import overlaid, plan
+from warehouse.blobs import BlobStore
+from warehouse.commit import Commit
+from warehouse.delta import DeltaTables
+from warehouse.history import Key, StageState, states
+from warehouse.lease import Lease
+from warehouse.snapshot import Reader
+from warehouse.staging import Staging, is_left_over
+from warehouse.storage import TEMPORARY, Storage, storage_at
+from warehouse.writer import writer_of
+
+MARKER = "lake.json"
+FORMAT = 1
+
+
+class Lake:
+    """A lake at a local folder or an S3 prefix. Can be pickled: it is its address."""
+
+    def __init__(self, storage: Storage) -> None:
+        self._storage = storage
+        self._tables = DeltaTables(storage)
+        self._staging = Staging(storage)
+        self._is_marked = False
+        self.blobs = BlobStore(storage, self._prepare)
+
+    @classmethod
+    def open(cls, address: str | Path) -> Lake:
+        """The lake at an address. Nothing is created before the first write.
+
+        Raises:
+            InputError: the address cannot hold a lake, or a newer version of the project made it.
+        """
+        lake = cls(storage_at(address))
+        lake._read_marker()
+        return lake
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Lake.open, (self.address,))
+
+    @property
+    def address(self) -> str:
+        """Folder (absolute) or `s3://` address."""
+        return self._storage.address
+
+    @property
+    def exists(self) -> bool:
+        """Whether anything was ever written."""
+        return self._is_marked or self._read_marker()
+
+    def stage_rows(self, run: StageRun, rows: Mapping[str, Sequence[Any]] | None = None) -> None:
+        """Leave a run and its rows for the committer: each table whole or not at all, the run's own row last.
+
+        Raises:
+            RecordError: a row breaks its schema, belongs to another scene, or names a blob that is not in the lake.
+            LakeError: a table belongs to another stage, or a run that is not done has rows.
+        """
+        self._prepare()
+        self._check_blobs(rows or {})
+        self._staging.stage(run, rows or {})
+
+    def staged_rows(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
+        """Rows of the newest complete staged run with a fingerprint; None when none is staged (it may be committed)."""
+        return self._staging.rows(table, scene_id, fingerprint)
+
+    def rows_of(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
+        """Rows that a run with a fingerprint gave, staged or in the last snapshot; None when they are in neither."""
+        staged = self.staged_rows(table, scene_id, fingerprint)
+        if staged is not None:
+            return staged
+        reader = self.snapshot()
+        found = self._committed(reader).get((scene_id, TABLES[table].stage))
+        if found is None or found.done is None or found.done.fingerprint != fingerprint:
+            return None
+        return reader.rows(TABLES[table].record, scene_id)
+
+    def commit(self, note: str = "", *, timeout: float = 300.0) -> Snapshot | None:
+        """Take everything that is staged, by anyone, into a new snapshot; None when there is nothing to take.
+
+        Raises:
+            LeaseError: another committer holds the lease for more than `timeout` seconds.
+        """
+        return self._commit(note, (), timeout)
+
+    def remove_scene(self, scene_id: str, *, timeout: float = 300.0) -> Snapshot | None:
+        """Withdraw everything that was computed of a scene; None when there is nothing. Annotations stay: people made them."""
+        return self._commit(f"remove {scene_id}", (scene_id,), timeout)
+
+    def sweep(self, keep: Collection[tuple[str, str, str]] = (), *, timeout: float = 300.0) -> None:
+        """Remove what can be of no use to anybody: temporary and staged files of dead writers, runs that cannot be adopted.
+
+        `keep` names (scene, stage, fingerprint) that may still be adopted.
+        """
+        if not self.exists:
+            return
+        with Lease(self._storage, timeout=timeout) as lease:
+            Commit(self._tables, self._staging, lease).sweep(keep)
+            for entry in self._storage.entries(TEMPORARY):
+                if is_left_over(writer_of(entry.path.rpartition("/")[2]), entry.modified):
+                    self._storage.remove(entry.path)
+            self._tables.sweep()
+
+    def history(self) -> dict[Key, StageState]:
+        """The state of every (scene, stage), staged runs that a commit would take included."""
+        current = self._committed(self.snapshot())
+        staged = self._staging.runs()
+        return overlaid(current, plan(current, staged)) if staged else current
+
+    def snapshot(self, snapshot_id: int | None = None) -> Reader:
+        """A snapshot, the last one by default. A lake without snapshots reads as empty tables.
+
+        Raises:
+            InputError: there is no such snapshot.
+        """
+        return Reader(self._storage, self._tables, snapshot_id)
+
+    def _commit(self, note: str, removed: Collection[str], timeout: float) -> Snapshot | None:
+        if not self.exists:
+            return None
+        with Lease(self._storage, timeout=timeout) as lease:
+            return Commit(self._tables, self._staging, lease).run(note, removed)
+
+    def _committed(self, reader: Reader) -> dict[Key, StageState]:
+        return states(self._tables.read(TABLES["stage_runs"], reader.files("stage_runs")))
+
+    def _check_blobs(self, rows: Mapping[str, Sequence[Any]]) -> None:
+        for name, records in rows.items():
+            for column in TABLES[name].blob_columns if name in TABLES else ():
+                for index, row in enumerate(records):
+                    value = getattr(row, column, None)
+                    if value is not None and value not in self.blobs:
+                        raise RecordError(name, str(index), column, f"must name a blob of the lake, got {value!r}")
+
+    def _prepare(self) -> None:
+        """Mark the address as a lake before the first write.
+
+        Raises:
+            InputError: the folder holds other things.
+        """
+        if self.exists:
+            return
+        ours = {TEMPORARY, MARKER}
+        others = [name for name in [*self._storage.folders(""), *self._storage.names("")] if name not in ours]
+        if others and not self._read_marker():
+            raise InputError(self.address, "", f"this is no lake but holds other things ({others[0]}, ...)", "give a new or empty folder")
+        self._storage.create(MARKER, json.dumps({"format": FORMAT}).encode())
+        self._is_marked = True
+
+    def _read_marker(self) -> bool:
+        """Whether the address is marked as a lake."""
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            try:
+                version = int(json.loads(self._storage.read(MARKER))["format"])
+            except (ValueError, KeyError, TypeError):
+                raise InputError(f"{self.address}/{MARKER}", "format", "cannot be read", "restore the file") from None
+            if version > FORMAT:
+                problem = f"the lake has format {version}, this version reads {FORMAT}"
+                raise InputError(f"{self.address}/{MARKER}", "format", problem, "update the project")
+            self._is_marked = True
+        return self._is_marked
+

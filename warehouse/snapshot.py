@@ -1,0 +1,123 @@
+"""Reading a snapshot: all tables of one moment, as records, as Arrow tables, and in SQL."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeVar
+
+import pyarrow as pa
+
+from schemas.errors import InputError
+from schemas.record import arrow_to_rows, rows_to_arrow, table_of
+from schemas.runs import Snapshot
+from schemas.tables import TABLES
+from warehouse.commit import versions_of
+from warehouse.delta import DeltaTables
+from warehouse.documentation import comment_statements, quoted, sql_type
+from warehouse.storage import Storage
+
+if TYPE_CHECKING:
+    import duckdb
+
+R = TypeVar("R")
+
+
+class Reader:
+    """One snapshot of a lake. A lake without a snapshot reads as empty tables.
+
+    `snapshot_id` is 0 and `snapshot` None where there is none.
+    """
+
+    def __init__(self, storage: Storage, tables: DeltaTables, snapshot_id: int | None = None) -> None:
+        self._storage, self._tables = storage, tables
+        self._files: dict[str, list[str]] = {}
+        opened = tables.open("snapshots")
+        self._files["snapshots"] = tables.files("snapshots", opened) if opened is not None else []
+        rows = arrow_to_rows(tables.read(TABLES["snapshots"], self._files["snapshots"]), Snapshot)
+        self.snapshots: tuple[Snapshot, ...] = tuple(sorted(rows, key=lambda row: row.snapshot_id))
+        if snapshot_id is not None:
+            self.snapshots = tuple(row for row in self.snapshots if row.snapshot_id <= snapshot_id)
+            if snapshot_id != (self.snapshots[-1].snapshot_id if self.snapshots else 0):
+                last = max((row.snapshot_id for row in rows), default=0)
+                remedy = f"the lake has snapshots 1 to {last}" if rows else "the lake has no snapshot yet"
+                raise InputError(storage.address, "snapshot", f"there is no snapshot {snapshot_id}", remedy)
+        self.snapshot: Snapshot | None = self.snapshots[-1] if self.snapshots else None
+
+    @property
+    def snapshot_id(self) -> int:
+        """The snapshot that is read, 0 for a lake that has none."""
+        return self.snapshot.snapshot_id if self.snapshot else 0
+
+    @cached_property
+    def versions(self) -> Mapping[str, int]:
+        """Version of every table that the snapshot holds."""
+        return versions_of(self.snapshot) if self.snapshot else {}
+
+    def files(self, table: str) -> list[str]:
+        """Paths of a table's Parquet files, relative to the lake."""
+        if table not in TABLES:
+            raise InputError(self._storage.address, table, "there is no such table", f"the tables are {', '.join(TABLES)}")
+        if table not in self._files:
+            version = self.versions.get(table)
+            opened = self._tables.open(table, version) if version is not None else None
+            if version is not None and opened is None:
+                problem = f"version {version} is missing, which the snapshot names"
+                raise InputError(self._storage.address, table, problem, "restore the folder")
+            self._files[table] = self._tables.files(table, opened) if opened is not None else []
+        return self._files[table]
+
+    def arrow(self, table: str, scene_id: str | None = None) -> pa.Table:
+        """Rows of a table under its schema, sorted by key; of one scene when `scene_id` is given."""
+        files = self.files(table)  # refuses a table that is not declared
+        declared = TABLES[table]
+        if table == "snapshots":
+            return rows_to_arrow(self.snapshots, Snapshot)
+        only = None if scene_id is None else {"scene_id": [scene_id]}
+        rows = self._tables.read(declared, files, only=only)
+        return rows.sort_by([(name, "ascending") for name in declared.key])
+
+    def rows(self, record_type: type[R], scene_id: str | None = None) -> list[R]:
+        """Rows of a record type, sorted by key; of one scene when `scene_id` is given."""
+        name = table_of(record_type).name  # type: ignore[arg-type]
+        return arrow_to_rows(self.arrow(name, scene_id), record_type)
+
+    def connect(self) -> duckdb.DuckDBPyConnection:
+        """A DuckDB connection with one view per table, comments included, that can read this snapshot's files and nothing else.
+
+        It can still write over those very files when asked to: run other people's SQL through `warehouse.sql.query`.
+        """
+        import duckdb
+
+        connection = duckdb.connect(":memory:")
+        self._storage.register(connection)
+        paths = {table: [self._storage.duckdb_path(file) for file in self.files(table)] for table in TABLES}
+        allowed = ", ".join(_text(path) for found in paths.values() for path in found)
+        connection.execute(f"SET allowed_paths = [{allowed}]")
+        connection.execute("SET enable_external_access = false")
+        connection.execute("SET TimeZone = 'UTC'")
+        for table in TABLES:
+            for statement in self._view(table, paths[table]):
+                connection.execute(statement)
+        connection.execute("SET lock_configuration = true")
+        return connection
+
+    def _view(self, name: str, paths: list[str]) -> list[str]:
+        """Statements that make the view of a table."""
+        table = TABLES[name]
+        empty = ", ".join(f"NULL::{sql_type(column.type)} AS {quoted(column.name)}" for column in table.columns)
+        body = f"SELECT {empty} WHERE false"
+        if paths:
+            columns = ", ".join(quoted(column.name) for column in table.columns)
+            listed = ", ".join(_text(path) for path in paths)
+            # The empty relation gives columns that no file has yet, and the schema's types.
+            body = f"{body} UNION ALL BY NAME SELECT * FROM read_parquet([{listed}], union_by_name = true)"
+            body = f"SELECT {columns} FROM ({body})"
+            if name == "snapshots":
+                body += f" WHERE snapshot_id <= {self.snapshot_id}"
+        return [f"CREATE VIEW {quoted(name)} AS {body}", *comment_statements(table)]
+
+
+def _text(value: str) -> str:
+    return "'" + value.replace("'", "''") + "'"
+

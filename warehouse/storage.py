@@ -1,0 +1,268 @@
+"""Files of a lake: a local folder or an S3 prefix behind one small protocol.
+
+Paths are relative to the lake, with forward slashes. Every write is whole or not at all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import errno
+import hashlib
+import os
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from schemas.errors import InputError
+from warehouse.writer import new_token
+
+if TYPE_CHECKING:
+    import pyarrow.fs
+
+TEMPORARY = "tmp"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Entry:
+    """A file: its path, size [B] and time of last change [s since the epoch]."""
+
+    path: str
+    size: int
+    modified: float
+
+
+class Storage(Protocol):
+    """What a lake needs of the place that it lies in."""
+
+    address: str
+
+    def read(self, path: str) -> bytes:
+        """Contents of a file. Raises FileNotFoundError."""
+
+    def write(self, path: str, data: bytes) -> None:
+        """Write a file, replacing what was there; readers see the old contents or the new, never a part."""
+
+    def create(self, path: str, data: bytes) -> bool:
+        """Write a file unless it exists. Of several at once, exactly one gets True."""
+
+    def exists(self, path: str) -> bool:
+        """Whether there is such a file."""
+
+    def remove(self, path: str) -> None:
+        """Remove a file; one that is not there is no error."""
+
+    def entries(self, folder: str) -> list[Entry]:
+        """Files directly inside a folder, sorted by path; empty when there is no such folder."""
+
+    def names(self, folder: str, head: str = "") -> list[str]:
+        """Names of the files directly inside a folder that begin with `head`, sorted; cheaper than `entries`."""
+
+    def folders(self, folder: str) -> list[str]:
+        """Names of the folders directly inside a folder, sorted."""
+
+    def read_tagged(self, path: str) -> tuple[bytes, str] | None:
+        """Contents of a file and a tag for `swap`; None when there is no such file."""
+
+    def swap(self, path: str, data: bytes | None, tag: str) -> bool:
+        """Replace (None: remove) a file if it still is what `tag` was given for. Returns whether it was."""
+
+    def delta_address(self, path: str) -> str:
+        """Address of a folder for delta-rs."""
+
+    def delta_options(self) -> dict[str, str] | None:
+        """Storage options for delta-rs."""
+
+    def arrow_filesystem(self) -> pyarrow.fs.FileSystem:
+        """File system in which Arrow finds `arrow_path`."""
+
+    def arrow_path(self, path: str) -> str:
+        """A file's path in `arrow_filesystem`."""
+
+    def duckdb_path(self, path: str) -> str:
+        """A file's path for DuckDB."""
+
+    def register(self, connection: Any) -> None:
+        """Teach a DuckDB connection to read `duckdb_path`."""
+
+    def local_path(self, path: str) -> Path | None:
+        """A file's path in the local file system; None when it is not there."""
+
+
+def storage_at(address: str | Path) -> Storage:
+    """The storage at an address: a folder, or `s3://bucket/prefix`."""
+    if isinstance(address, str) and address.startswith("s3://"):
+        from warehouse.s3 import S3Storage
+
+        return S3Storage(address)
+    if isinstance(address, str) and re.match(r"[a-z][a-z0-9+]*://", address):
+        raise InputError(address, "", "this kind of address is not supported", "give a folder or s3://bucket/prefix")
+    return LocalStorage(Path(address))
+
+
+class LocalStorage:
+    """A lake in a local folder. Nothing is created before the first write."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(os.path.abspath(folder.expanduser()))
+        self.address = str(self.folder)
+        # delta-rs decodes such addresses a second time and DuckDB reads them as patterns: both would look elsewhere.
+        if re.search(r"[\[\]*?\\\x00-\x1f]|%[0-9A-Fa-f]{2}", self.address):
+            raise InputError(self.address, "", "the lake's address holds one of [ ] * ? \\ or %xx", "choose a folder without them")
+
+    def read(self, path: str) -> bytes:
+        """See Storage."""
+        return (self.folder / path).read_bytes()
+
+    def write(self, path: str, data: bytes) -> None:
+        """See Storage. Temporary file, fsync, rename, fsync of the folder."""
+        with self._temporary(data) as temporary:
+            self._placed(path, lambda target: os.replace(temporary, target))
+
+    def create(self, path: str, data: bytes) -> bool:
+        """See Storage. A hard link to the finished temporary file, which fails when the name is taken."""
+        if self.exists(path):
+            return False
+        with self._temporary(data) as temporary:
+            try:
+                self._placed(path, lambda target: os.link(temporary, target))
+            except FileExistsError:
+                return False
+            except OSError as error:
+                if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EMLINK):
+                    raise
+                with self._exclusive():  # no hard links on this file system: take turns instead
+                    if self.exists(path):
+                        return False
+                    self._placed(path, lambda target: os.replace(temporary, target))
+        return True
+
+    def exists(self, path: str) -> bool:
+        """See Storage."""
+        return (self.folder / path).is_file()
+
+    def remove(self, path: str) -> None:
+        """See Storage."""
+        (self.folder / path).unlink(missing_ok=True)
+
+    def entries(self, folder: str) -> list[Entry]:
+        """See Storage."""
+        found = []
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(self.folder / folder) as scanned:
+            for entry in scanned:
+                with contextlib.suppress(FileNotFoundError):  # removed by another process meanwhile
+                    if entry.is_file():
+                        status = entry.stat()
+                        found.append(Entry(f"{folder}/{entry.name}" if folder else entry.name, status.st_size, status.st_mtime))
+        return sorted(found, key=lambda entry: entry.path)
+
+    def names(self, folder: str, head: str = "") -> list[str]:
+        """See Storage."""
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(self.folder / folder) as entries:
+            return sorted(entry.name for entry in entries if entry.name.startswith(head) and entry.is_file())
+        return []
+
+    def folders(self, folder: str) -> list[str]:
+        """See Storage."""
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(self.folder / folder) as entries:
+            return sorted(entry.name for entry in entries if entry.is_dir())
+        return []
+
+    def read_tagged(self, path: str) -> tuple[bytes, str] | None:
+        """See Storage. The tag is a hash of the contents, which must therefore differ from writer to writer."""
+        try:
+            data = self.read(path)
+        except FileNotFoundError:
+            return None
+        return data, hashlib.sha256(data).hexdigest()
+
+    def swap(self, path: str, data: bytes | None, tag: str) -> bool:
+        """See Storage. Compared and replaced under a lock of the kernel, which dies with its holder."""
+        with self._exclusive():
+            found = self.read_tagged(path)
+            if found is None or found[1] != tag:
+                return False
+            if data is None:
+                self.remove(path)
+            else:
+                self.write(path, data)
+            return True
+
+    def delta_address(self, path: str) -> str:
+        """See Storage."""
+        return str(self.folder / path)
+
+    def delta_options(self) -> dict[str, str] | None:
+        """See Storage."""
+        return None
+
+    def arrow_filesystem(self) -> pyarrow.fs.FileSystem:
+        """See Storage."""
+        import pyarrow.fs
+
+        return pyarrow.fs.LocalFileSystem()
+
+    def arrow_path(self, path: str) -> str:
+        """See Storage."""
+        return str(self.folder / path)
+
+    def duckdb_path(self, path: str) -> str:
+        """See Storage."""
+        return str(self.folder / path)
+
+    def register(self, connection: Any) -> None:
+        """See Storage. DuckDB reads local files by itself."""
+
+    def local_path(self, path: str) -> Path | None:
+        """See Storage."""
+        return self.folder / path
+
+    @contextlib.contextmanager
+    def _temporary(self, data: bytes) -> Iterator[Path]:
+        """A finished temporary file with `data`, removed at the end unless it was renamed."""
+        path = self.folder / TEMPORARY / new_token()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open(path, "xb") as handle:
+                handle.write(data)
+                handle.flush()
+                os.fsync(handle.fileno())
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
+
+    def _placed(self, path: str, place: Any) -> None:
+        """Call `place` with the target of `path`, and make the new name last."""
+        target = self.folder / path
+        try:
+            place(target)
+        except FileNotFoundError:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            place(target)
+        _sync_folder(target.parent)
+
+    @contextlib.contextmanager
+    def _exclusive(self) -> Iterator[None]:
+        """Hold a lock on the lake's folder; the kernel frees it when the process ends, however it ends."""
+        import fcntl
+
+        with _thread_lock:
+            descriptor = os.open(self.folder, os.O_RDONLY)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+                yield
+            finally:
+                os.close(descriptor)
+
+
+_thread_lock = threading.Lock()
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

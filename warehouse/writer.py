@@ -1,0 +1,88 @@
+"""Who writes: a process, named so that anybody can tell whether it still lives.
+
+A name is `<machine>-<pid>-<start>`: the machine (host name, boot and process namespace, hashed), the process id
+and when the process started. A process id alone is reused by the system; together with the start it is not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import itertools
+import os
+import socket
+import subprocess
+import threading
+from pathlib import Path
+
+_counter = itertools.count(1)
+_counter_lock = threading.Lock()
+
+
+@dataclasses.dataclass(frozen=True)
+class Writer:
+    """A process that writes to a lake."""
+
+    machine: str
+    pid: int
+    start: str
+
+    def __str__(self) -> str:
+        return f"{self.machine}-{self.pid}-{self.start}"
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the process is of this machine, so that `is_alive` can tell."""
+        return self.machine == _machine()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process lives. Only known for writers of this machine; others are taken to live."""
+        return not self.is_here or _process_start(self.pid) == self.start
+
+
+def this_writer() -> Writer:
+    """The process that runs this code."""
+    pid = os.getpid()
+    return Writer(_machine(), pid, _process_start(pid) or "0")
+
+
+def new_token() -> str:
+    """A name that nobody else uses, carrying who made it: `<machine>-<pid>-<start>-<number>`."""
+    with _counter_lock:
+        number = next(_counter)
+    return f"{this_writer()}-{number}"
+
+
+def writer_of(token: str) -> Writer | None:
+    """The writer that made `token`, or None when it is no token."""
+    parts = token.split("-")
+    if len(parts) < 3 or not parts[1].isdigit():
+        return None
+    return Writer(parts[0], int(parts[1]), parts[2])
+
+
+@functools.cache
+def _machine() -> str:
+    """Hash of host name, boot and process namespace: process ids can be compared only within these."""
+    facts = [socket.gethostname()]
+    for read in (lambda: Path("/proc/sys/kernel/random/boot_id").read_text().strip(), lambda: os.readlink("/proc/self/ns/pid")):
+        try:
+            facts.append(read())
+        except OSError:  # not Linux: the host name has to do
+            facts.append("")
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:8]
+
+
+def _process_start(pid: int) -> str | None:
+    """When process `pid` started, as the system counts it; None when there is no such process (a zombie is none)."""
+    try:
+        # The second field is the program's name in brackets and may hold anything, so count from the last bracket.
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return None if fields[0] in ("Z", "X") else fields[19]
+    except (FileNotFoundError, ProcessLookupError):
+        if Path("/proc/self/stat").exists():
+            return None
+    shown = subprocess.run(["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return hashlib.sha256(shown.strip().encode()).hexdigest()[:10] if shown.strip() else None
