@@ -11,7 +11,15 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS", "RAYON_NUM_THREADS"), "1")
+THREAD_LIMITS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "RAYON_NUM_THREADS",
+)
+ONE_THREAD = dict.fromkeys(THREAD_LIMITS, "1")
 """Native libraries keep to one thread per worker: the workers are the parallelism."""
 
 WATCH_SECONDS = 0.2

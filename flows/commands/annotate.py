@@ -39,6 +39,5 @@ def import_batch(file: Path, dry_run: bool, address: str, as_json: bool) -> None
         print(f"batch {result['batch_id']} is in the lake already, with the same answers; nothing to do")
         return
     verb = "would be imported" if dry_run else "imported"
-    print(
-        f"batch {result['batch_id']}: {result['annotations']} answers of {result['annotators']} annotators on {result['scenes']} scenes {verb}"
-    )
+    whose = f"{result['annotations']} answers of {result['annotators']} annotators on {result['scenes']} scenes"
+    print(f"batch {result['batch_id']}: {whose} {verb}")

@@ -57,14 +57,15 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     else:
         print(stage_table(lake.snapshot()))
         print()
-        print(f"{f'{made} scans made in {scanned:.1f} s' if made else 'scans are up to date'}; {summary(report)} in {replicated:.1f} s; "
-              f"{written.files} files exported, {written.failed_checks} checks failed; {time.perf_counter() - clock:.1f} s in all")  # fmt: skip
+        scans = f"{made} scans made in {scanned:.1f} s" if made else "scans are up to date"
+        exported = f"{written.files} files exported, {written.failed_checks} checks failed"
+        print(f"{scans}; {summary(report)} in {replicated:.1f} s; {exported}; {time.perf_counter() - clock:.1f} s in all")
         print()
         for name, place in places.items():
             print(f"{name:<16} {place}")
         for scene in written.usd_scenes:
             print(f"{'open in usdview':<16} {scene}")
-        print(f"{'ask the lake':<16} metascenes sql --lake {out / 'lake'} \"SELECT * FROM objects_per_scene\"")
+        print(f'{"ask the lake":<16} metascenes sql --lake {out / "lake"} "SELECT * FROM objects_per_scene"')
     for line in report.failures:
         click.echo(f"failed: {line}", err=True)
     if report.failures or written.failed_checks:
