@@ -1,0 +1,139 @@
+"""One look for every picture: colors that a dark page can turn over, one font, the same bytes every time."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import io
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class Tone:
+    """A color by role: as drawn, on light ground, and what takes its place on dark ground."""
+
+    role: str
+    light: str
+    dark: str
+
+
+INK = Tone("ink", "#1c2430", "#e8ebf0")
+MUTED = Tone("muted", "#566170", "#a9b3c0")
+GRID = Tone("grid", "#dbe0e7", "#353e4a")
+PAPER = Tone("paper", "#fdfdfc", "#12161c")
+
+SERIES: tuple[Tone, ...] = (
+    Tone("blue", "#2b6cb0", "#6fb1f5"),
+    Tone("orange", "#c05621", "#f6a15b"),
+    Tone("green", "#2f7d55", "#5fc992"),
+    Tone("purple", "#6b46c1", "#b69cf3"),
+    Tone("red", "#c53030", "#fc8181"),
+    Tone("teal", "#0e7490", "#4fd1dd"),
+    Tone("ochre", "#8a6d0b", "#e0bf4e"),
+    Tone("pink", "#b83280", "#f38bc0"),
+    Tone("gray", "#64707f", "#98a4b3"),
+)
+"""Distinct hues, each at least 4.5:1 against the paper of its ground."""
+
+_TONES = (INK, MUTED, GRID, PAPER, *SERIES)
+
+WIDTH_INCHES = 5.2
+"""Narrow, so that a phone shows the labels at nearly the size they were drawn in."""
+
+PNG_DPI = 160
+"""A picture of 5.2 inches becomes 832 pixels: sharp on a slide, small in a mail."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture:
+    """A finished picture. `svg` suits light and dark pages, `png` is for light ones; `alt` says what is to be seen."""
+
+    name: str
+    title: str
+    alt: str
+    svg: str
+    png: bytes
+
+
+def in_style(draw: Callable[P, T]) -> Callable[P, T]:
+    """Decorator of a function that draws: all that it draws is in the common look."""
+
+    @functools.wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> T:
+        import matplotlib
+
+        with matplotlib.rc_context(_SETTINGS):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def canvas(height_inches: float, width_inches: float = WIDTH_INCHES) -> tuple[Figure, Axes]:
+    """A figure with one pair of axes; call it inside a function that is `in_style`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_inches, height_inches), layout="constrained")
+    axes = figure.add_subplot()
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.set_axisbelow(True)
+    return figure, axes
+
+
+def picture(figure: Figure, name: str, title: str, alt: str) -> Picture:
+    """The figure as SVG and PNG, without dates: the same figure gives the same bytes."""
+    import matplotlib
+
+    with matplotlib.rc_context({**_SETTINGS, "svg.hashsalt": name}):
+        vector, raster = io.StringIO(), io.BytesIO()
+        figure.savefig(vector, format="svg", transparent=True, metadata={"Date": None, "Creator": None, "Title": title})
+        figure.savefig(raster, format="png", facecolor=PAPER.light, dpi=PNG_DPI, metadata={"Software": None})
+    return Picture(name, title, alt, themed(vector.getvalue()), raster.getvalue())
+
+
+def themed(svg: str) -> str:
+    """The SVG with every color of the palette as a variable that turns over where the reader prefers dark."""
+    for tone in _TONES:
+        svg = re.sub(re.escape(tone.light), f"var(--{tone.role})", svg, flags=re.IGNORECASE)
+    light = "".join(f"--{tone.role}:{tone.light};" for tone in _TONES)
+    dark = "".join(f"--{tone.role}:{tone.dark};" for tone in _TONES)
+    sheet = f"<style>svg{{{light}}}@media (prefers-color-scheme: dark){{svg{{{dark}}}}}</style>"
+    head, tag, rest = svg[svg.index("<svg") :].partition(">")
+    return f"{head}{tag}{sheet}{rest}"
+
+
+_SETTINGS: dict[str, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same letters on every machine
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.edgecolor": MUTED.light,
+    "axes.labelcolor": INK.light,
+    "axes.titlecolor": INK.light,
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.grid.axis": "x",
+    "grid.color": GRID.light,
+    "grid.linewidth": 0.7,
+    "text.color": INK.light,
+    "xtick.color": MUTED.light,
+    "ytick.color": MUTED.light,
+    "xtick.labelcolor": INK.light,
+    "ytick.labelcolor": INK.light,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "svg.fonttype": "none",  # text stays text: small, searchable, and set in the reader's own font
+    "svg.hashsalt": "metascenes",
+}

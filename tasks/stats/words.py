@@ -1,0 +1,51 @@
+"""The word cloud of categories (supplementary, Fig. A4)."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from tasks.stats.style import PAPER, SERIES, Picture, themed
+
+SEED = 7
+"""Any number; fixed, so that the same counts give the same cloud."""
+
+WORD_LIMIT = 200
+"""More words than that are too small to be read."""
+
+
+def word_cloud(counts: Mapping[str, int]) -> Picture | None:
+    """Categories, each as large as it is frequent. None when there is none."""
+    words = {word: count for word, count in sorted(counts.items()) if count > 0 and word.strip()}
+    if not words:
+        return None
+    from wordcloud import WordCloud
+
+    cloud = WordCloud(
+        width=900,
+        height=560,
+        margin=10,
+        random_state=SEED,
+        prefer_horizontal=0.9,
+        max_words=WORD_LIMIT,
+        max_font_size=150,
+        relative_scaling=0.5,  # between rank and count: one huge category must not crowd out all others
+        background_color=PAPER.light,
+        color_func=_color,
+    ).generate_from_frequencies(words)
+    raster = io.BytesIO()
+    cloud.to_image().save(raster, "PNG")
+    svg = re.sub(r"<rect[^>]*/>|<rect[^>]*></rect>", "", cloud.to_svg(embed_font=False), count=1)
+    svg = re.sub(r"rgb\((\d+), ?(\d+), ?(\d+)\)", lambda m: "#{:02x}{:02x}{:02x}".format(*map(int, m.groups())), svg)
+    svg = svg.replace("'Droid Sans Mono'", "'Droid Sans Mono',monospace")  # monospaced fonts are equally wide: any fits
+    svg = svg.replace("<svg ", '<svg viewBox="0 0 900 560" ', 1)
+    frequent = sorted(words, key=lambda word: (-words[word], word))[:5]
+    alt = f"Word cloud of {len(words)} categories. Most frequent: " + ", ".join(f"{word} ({words[word]})" for word in frequent) + "."
+    return Picture("category_counts", "Categories", alt, themed(svg), raster.getvalue())
+
+
+def _color(word: str, random_state: Any = None, **_: Any) -> str:
+    """A color of the palette, chosen by the cloud's own seeded generator."""
+    return SERIES[random_state.randrange(len(SERIES) - 1)].light
