@@ -1,0 +1,145 @@
+"""Annotation: what people chose, imported from files that they filled in. All of a batch or nothing of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from schemas.annotation import Annotation
+from schemas.candidates import Candidate
+from schemas.capture import Instance
+from schemas.errors import InputError
+from tasks.annotation.agreement import borda, current, winning
+from tasks.annotation.batch import SCHEMA_FILE, AnnotationBatch, Answer, parse_batch, read_batch
+from tasks.stage import Context, Outcome, Stage
+from tasks.transforms import matrix
+
+__all__ = [
+    "SCHEMA_FILE", "STAGE", "AnnotationBatch", "AnnotationConfig", "Answer", "borda", "current", "parse_batch",
+    "read_batch", "run", "winning",
+]  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class AnnotationConfig:
+    """What an answer may say before it is taken for a mistake."""
+
+    reach_m: float = 5.0  # an asset put farther than a room's width from its instance is a wrong unit or a wrong scene
+    smallest_scale: float = 0.02  # assets are in metres: one in centimetres by mistake needs 0.01, and is a wrong asset
+    largest_scale: float = 50.0  # the same the other way round
+
+
+def run(
+    *,
+    annotation_batch: AnnotationBatch,
+    instances: Sequence[Instance],
+    candidates: Sequence[Candidate],
+    context: Context,
+    config: AnnotationConfig,
+) -> Outcome:
+    """Annotations of a batch. `instances` and `candidates` are those of all scenes that the batch names.
+
+    Slot numbers become asset ids, and every row keeps the instance's box, so that the answer is found again after a
+    recapture.
+
+    Raises:
+        InputError: an answer names a scene, instance or asset that is not there, or puts an asset where it cannot be
+            meant. Nothing of the batch is imported then.
+    """
+    known = {(row.scene_id, row.instance_id): row for row in instances}
+    slots: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
+    for row in candidates:
+        if row.asset_id is not None and row.outcome == "filled":
+            slots[row.scene_id, row.instance_id][row.slot] = row.asset_id
+    scenes = {row.scene_id for row in instances}
+    rows = []
+    for answer in annotation_batch.annotations:
+        instance = _instance(answer, known, scenes)
+        rows.append(_annotation(annotation_batch.batch_id, answer, instance, slots[answer.scene_id, answer.instance_id], config))
+    return Outcome(annotations=sorted(rows, key=lambda r: (r.scene_id, r.instance_id, r.annotator)))
+
+
+STAGE = Stage(
+    name="annotation",
+    reads=("instances", "candidates"),
+    writes=("annotations",),
+    config=AnnotationConfig,
+    run=run,
+    grain="annotation_batch",
+    outside=("annotation_batch",),
+)
+
+
+def _instance(answer: Answer, known: Mapping[tuple[str, str], Instance], scenes: set[str]) -> Instance:
+    """The instance that an answer is for."""
+    if answer.scene_id not in scenes:
+        raise InputError(
+            answer.source_file, f"{answer.where}.scene_id", f"scene {answer.scene_id} is not in the lake", "replicate its scan first"
+        )
+    instance = known.get((answer.scene_id, answer.instance_id))
+    if instance is None:
+        problem = f"scene {answer.scene_id} has no instance {answer.instance_id}"
+        raise InputError(answer.source_file, f"{answer.where}.instance_id", problem, "annotate the scene as it is in the lake")
+    if instance.is_structure:
+        problem = f"instance {answer.instance_id} is part of the room ({instance.category}), which no asset replaces"
+        raise InputError(answer.source_file, f"{answer.where}.instance_id", problem, "leave it out")
+    return instance
+
+
+def _asset(value: str | int, slots: Mapping[int, str], answer: Answer, field: str) -> str:
+    """The asset that a slot number or an asset id means."""
+    if isinstance(value, int):
+        if value in slots:
+            return slots[value]
+        problem = f"slot {value} of instance {answer.instance_id} is not filled"
+    else:
+        if value in slots.values():
+            return value
+        problem = f"asset {value[:12]}... is no candidate of instance {answer.instance_id}"
+    filled = f"filled slots are {', '.join(map(str, sorted(slots)))}" if slots else "the instance has no candidates; compute them first"
+    raise InputError(answer.source_file, f"{answer.where}.{field}", problem, filled)
+
+
+def _annotation(batch_id: str, answer: Answer, instance: Instance, slots: Mapping[int, str], config: AnnotationConfig) -> Annotation:
+    """The row of an answer, checked against its instance."""
+    choice = None if answer.choice is None else _asset(answer.choice, slots, answer, "choice")
+    ranking: list[str] = []
+    for index, value in enumerate(answer.ranking):
+        asset = _asset(value, slots, answer, f"ranking[{index}]")
+        if asset not in ranking:  # two slots may hold one asset
+            ranking.append(asset)
+    if choice is not None and choice in ranking[1:]:
+        raise InputError(
+            answer.source_file, f"{answer.where}.ranking", "puts another candidate before the choice", "begin it with the choice"
+        )
+    _check_transform(answer, instance, config)
+    return Annotation(
+        batch_id=batch_id,
+        scene_id=answer.scene_id,
+        instance_id=answer.instance_id,
+        annotator=answer.annotator,
+        answered_at=answer.answered_at,
+        choice=choice,
+        pose=answer.pose,
+        scale=answer.scale,
+        ranking=tuple(ranking),
+        box_pose=instance.box_pose,
+        box_size=instance.box_size,
+        source_file=answer.source_file,
+    )
+
+
+def _check_transform(answer: Answer, instance: Instance, config: AnnotationConfig) -> None:
+    """Refuse a transform that cannot be meant: its place and its scale against the instance."""
+    if answer.pose is None or answer.scale is None:
+        return
+    distance = float(np.linalg.norm(matrix(answer.pose)[:3, 3] - matrix(instance.box_pose)[:3, 3]))
+    if distance > config.reach_m + 0.5 * max(instance.box_size):
+        problem = f"is {distance:.3g} m from the instance"
+        raise InputError(answer.source_file, f"{answer.where}.transform.position", problem, "give metres in the world frame")
+    if min(answer.scale) < config.smallest_scale or max(answer.scale) > config.largest_scale:
+        problem = f"is not within {config.smallest_scale:g} to {config.largest_scale:g}"
+        raise InputError(answer.source_file, f"{answer.where}.transform.scale", problem, "choose another candidate")

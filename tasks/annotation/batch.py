@@ -1,0 +1,296 @@
+"""Annotation batches as JSON files: read, checked against `batch.schema.json`, refused with one line that says where."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path, PurePosixPath
+from typing import Any, NoReturn
+
+from schemas.errors import InputError
+from tasks.transforms import flat, pose_from_quaternion_wxyz, yaw_pose
+
+SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
+"""The published JSON Schema of a batch file."""
+
+MAX_FILE_BYTES = 64 * 2**20
+"""A hundred thousand answers take about 40 MB; a larger file is no batch that people filled in."""
+
+MAX_FILES = 1000
+"""Files of one batch: one per scene and annotator of a large study."""
+
+MAX_NUMBER = 1e6
+"""No coordinate of a room, no angle and no factor comes near; larger ones would lose the digits that matter."""
+
+QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 the length of a quaternion may be: tools print four to six digits."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """One annotator's answer as the file has it. `where` is its JSON path in `source_file`.
+
+    `choice` and `ranking` hold asset ids and slot numbers. `pose`: asset to world frame [m], 4x4 row by row; `scale`:
+    along the asset's own axes; both None where the answer has no transform.
+    """
+
+    scene_id: str
+    instance_id: str
+    annotator: str
+    answered_at: datetime
+    choice: str | int | None
+    pose: tuple[float, ...] | None
+    scale: tuple[float, ...] | None
+    ranking: tuple[str | int, ...]
+    source_file: str
+    where: str
+
+
+@dataclasses.dataclass(frozen=True)
+class AnnotationBatch:
+    """A batch of answers, the outside input of the annotation stage."""
+
+    batch_id: str
+    annotations: tuple[Answer, ...]
+
+    @property
+    def scene_ids(self) -> tuple[str, ...]:
+        """The scenes that the batch names, sorted."""
+        return tuple(sorted({answer.scene_id for answer in self.annotations}))
+
+
+def read_batch(path: Path) -> AnnotationBatch:
+    """The batch in a JSON file and in the files that it names, in the order of the files.
+
+    Raises:
+        InputError: a file cannot be read, breaks the schema or names a file outside its own folder; an answer
+            contradicts itself or is given twice. Names file and JSON path.
+    """
+    root = path.parent.resolve()
+    if not path.is_file():
+        raise InputError(path.name, "", "is no file", "name a JSON file with an annotation batch")
+    answers: list[Answer] = []
+    batch_id = ""
+    seen: set[Path] = set()
+    queue = [path.resolve()]
+    while queue:
+        file = queue.pop(0)
+        name = file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
+        seen.add(file)
+        document = _document(file, name)
+        if batch_id and document["batch_id"] != batch_id:
+            raise InputError(
+                name, "batch_id", f"is {document['batch_id']!r}, the batch is {batch_id!r}", "give all files of a batch one batch_id"
+            )
+        batch_id = document["batch_id"]
+        answers += [_answer(item, name, f"annotations[{i}]") for i, item in enumerate(document.get("annotations", ()))]
+        for index, relative in enumerate(document.get("files", ())):
+            target = _inside(file.parent, relative, name, f"files[{index}]")
+            if target in seen or target in queue:
+                raise InputError(name, f"files[{index}]", f"{relative!r} is named twice", "name every file once")
+            if len(seen) + len(queue) >= MAX_FILES:
+                raise InputError(name, "files", f"the batch has more than {MAX_FILES} files", "split the batch")
+            queue.append(target)
+    _refuse_repeats(answers)
+    return AnnotationBatch(batch_id, tuple(answers))
+
+
+def parse_batch(document: Any, name: str = "batch.json") -> AnnotationBatch:
+    """The batch in one JSON document that is already in memory; it may name no further files.
+
+    Raises:
+        InputError: as `read_batch`.
+    """
+    _check(document, name)
+    if document.get("files"):
+        raise InputError(name, "files", "names further files", "send their annotations in the same document")
+    answers = [_answer(item, name, f"annotations[{i}]") for i, item in enumerate(document.get("annotations", ()))]
+    _refuse_repeats(answers)
+    return AnnotationBatch(document["batch_id"], tuple(answers))
+
+
+def _document(file: Path, name: str) -> Any:
+    """The JSON document in a file, checked against the schema."""
+    try:
+        if file.stat().st_size > MAX_FILE_BYTES:
+            raise InputError(name, "", f"is larger than {MAX_FILE_BYTES >> 20} MB", "split the batch into files")
+        text = file.read_bytes().decode("utf-8-sig")
+        document = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_repeated_key)
+    except OSError as error:
+        raise InputError(name, "", f"cannot be read ({error.strerror})", "check the path and its permissions") from error
+    except UnicodeDecodeError as error:
+        raise InputError(name, f"byte {error.start}", "is not UTF-8", "save the file as UTF-8") from error
+    except json.JSONDecodeError as error:
+        raise InputError(name, f"line {error.lineno} column {error.colno}", f"is not JSON ({error.msg})", "correct the file") from error
+    except RecursionError as error:
+        raise InputError(name, "", "is nested too deeply", "correct the file") from error
+    except ValueError as error:
+        raise InputError(name, "", str(error), "correct the file") from error
+    _check(document, name)
+    return document
+
+
+def _no_constant(text: str) -> NoReturn:
+    raise ValueError(f"holds the number {text}, which JSON does not have")
+
+
+def _no_repeated_key(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"gives {next(k for k in keys if keys.count(k) > 1)!r} twice in one object")
+    return result
+
+
+@cache
+def _validator() -> Any:
+    import jsonschema
+
+    return jsonschema.Draft202012Validator(json.loads(SCHEMA_FILE.read_text(encoding="utf-8")))
+
+
+def _check(document: Any, name: str) -> None:
+    """Hold a document against the schema; the first problem in the order of the file is the one that is told."""
+    problems = sorted(
+        _validator().iter_errors(document), key=lambda e: ([(isinstance(p, int), str(p).zfill(9)) for p in e.absolute_path], e.validator)
+    )
+    if problems:
+        first = problems[0]
+        raise InputError(name, _json_path(first.absolute_path) or "document", _problem(first), _remedy(first))
+
+
+def _json_path(parts: Iterable[str | int]) -> str:
+    """Path in the notation `annotations[3].transform.scale`."""
+    text = ""
+    for part in parts:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _problem(error: Any) -> str:
+    """What a person did wrong, in place of the validator's words."""
+    value, rule = error.instance, error.validator_value
+    shown = json.dumps(value, ensure_ascii=False)
+    shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
+    match error.validator:
+        case "required":
+            return f"lacks {next(field for field in rule if field not in value)!r}"
+        case "additionalProperties":
+            known = error.schema.get("properties", {})
+            return f"has an unknown field {next(field for field in value if field not in known)!r}"
+        case "type":
+            return f"must be {' or '.join(_TYPES[t] for t in ([rule] if isinstance(rule, str) else rule))}, is {shown}"
+        case "minItems" | "maxItems":
+            return f"must have {rule} values, has {len(value)}"
+        case "minimum":
+            return f"must be at least {rule}, is {shown}"
+        case "maximum":
+            return f"must be at most {rule}, is {shown}"
+        case "minLength":
+            return "must not be empty"
+        case "maxLength":
+            return f"must have at most {rule} characters, has {len(value)}"
+        case _:
+            return f"is not allowed: {shown}"
+
+
+_TYPES = {"object": "an object", "array": "a list", "string": "text", "number": "a number", "integer": "a whole number", "null": "null"}
+
+
+def _remedy(error: Any) -> str:
+    description = error.schema.get("description", "")
+    if error.validator in ("required", "additionalProperties"):
+        return f"allowed are {', '.join(error.schema.get('properties', {}))}"
+    return f"give {description}" if description else ""
+
+
+def _inside(folder: Path, relative: str, name: str, where: str) -> Path:
+    """The file that `relative` names, which must lie in `folder`, links followed."""
+    parts = PurePosixPath(relative)
+    if parts.is_absolute() or ".." in parts.parts or "\\" in relative or "\0" in relative or ":" in parts.parts[0]:
+        raise InputError(name, where, f"{relative!r} leaves the folder of the batch", "give a path below it, with forward slashes")
+    target = (folder / parts).resolve()
+    if not target.is_relative_to(folder.resolve()):
+        raise InputError(name, where, f"{relative!r} is a link out of the folder of the batch", "put the file itself there")
+    if not target.is_file():
+        raise InputError(name, where, f"{relative!r} is no file", "correct the path")
+    return target
+
+
+def _answer(item: Any, name: str, where: str) -> Answer:
+    """One answer, after what a schema cannot say: times with a zone, rotations, and a choice that tops its ranking."""
+    transform = item.get("transform")
+    pose, scale = _placed(transform, name, f"{where}.transform") if transform is not None else (None, None)
+    choice, ranking = _whole(item["choice"]), tuple(_whole(v) for v in item.get("ranking", ()))
+    if len(set(ranking)) != len(ranking):
+        raise InputError(name, f"{where}.ranking", "names a candidate twice", "rank every candidate once")
+    if choice is None and transform is not None:
+        raise InputError(name, f"{where}.transform", "is given although nothing was chosen", "give a choice, or null for the transform")
+    return Answer(
+        scene_id=item["scene_id"],
+        instance_id=item["instance_id"],
+        annotator=item["annotator"].strip(),
+        answered_at=_time(item["answered_at"], name, f"{where}.answered_at"),
+        choice=choice,
+        pose=pose,
+        scale=scale,
+        ranking=ranking,
+        source_file=name,
+        where=where,
+    )
+
+
+def _whole(value: Any) -> Any:
+    """JSON has one kind of number: 3.0 is slot 3."""
+    return int(value) if isinstance(value, float) else value
+
+
+def _time(text: str, name: str, where: str) -> datetime:
+    try:
+        moment = datetime.fromisoformat(text)
+        if moment.tzinfo is not None:
+            return moment.astimezone(UTC)
+    except (ValueError, OverflowError):
+        pass
+    raise InputError(name, where, f"{text!r:.60} is no time with a zone", "write ISO 8601, such as 2026-03-01T14:05:00Z")
+
+
+def _placed(transform: Any, name: str, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Pose and scale of a transform."""
+    turned = [key for key in ("yaw_degrees", "rotation_wxyz") if key in transform]
+    if len(turned) != 1:
+        problem = "has both yaw_degrees and rotation_wxyz" if turned else "has no rotation"
+        raise InputError(name, where, problem, "give one of yaw_degrees and rotation_wxyz")
+    for key in ("position", "scale", *turned):
+        values = transform[key] if isinstance(transform[key], list) else [transform[key]]
+        if max(abs(value) for value in values) > MAX_NUMBER:
+            raise InputError(name, f"{where}.{key}", "holds too large a number", "give metres, degrees or factors")
+    scale = tuple(float(v) for v in transform["scale"])
+    if min(scale) <= 0:
+        raise InputError(name, f"{where}.scale", f"holds {min(scale):g}", "give three factors above 0; nothing is mirrored")
+    if turned == ["yaw_degrees"]:
+        return flat(yaw_pose(math.radians(transform["yaw_degrees"]), transform["position"])), scale
+    quaternion = [float(v) for v in transform["rotation_wxyz"]]
+    length = math.hypot(*quaternion)
+    if abs(length - 1.0) > QUATERNION_TOLERANCE:
+        raise InputError(name, f"{where}.rotation_wxyz", f"has length {length:.4g}", "give a unit quaternion w, x, y, z")
+    return flat(pose_from_quaternion_wxyz(quaternion, transform["position"])), scale
+
+
+def _refuse_repeats(answers: Sequence[Answer]) -> None:
+    first: dict[tuple[str, str, str], Answer] = {}
+    for answer in answers:
+        key = (answer.scene_id, answer.instance_id, answer.annotator)
+        if key in first:
+            other = first[key]
+            problem = (
+                f"{answer.annotator} answers for {answer.scene_id} {answer.instance_id} again, as in {other.source_file} {other.where}"
+            )
+            raise InputError(
+                answer.source_file, answer.where, problem, "keep one answer per annotator and instance; correct an old one in a new batch"
+            )
+        first[key] = answer
