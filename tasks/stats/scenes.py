@@ -1,0 +1,298 @@
+"""A scan and its replica from the same camera: the room like a doll's house, and from above.
+
+What hides the room is cut away in both pictures alike: the ceiling, and in the doll's house the walls between the
+camera and the room. The cut is geometric, so it does not depend on how a scan's faces are wound.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.rendering import Camera, RayScene, View
+from tasks.transforms import look_at
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from schemas.capture import Room
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class PictureConfig:
+    """How scenes are pictured."""
+
+    width: int = 880  # two of them side by side fill a laptop's screen; a phone shows one
+    height: int = 620
+    oversampling: int = 2  # rays per pixel along each side: smooth edges at four times the rays
+    horizontal_fov_radians: float = 0.7  # 40 degrees: a portrait lens, so that far walls do not shrink
+    elevation_radians: float = 0.75  # 43 degrees: sees the floor behind a table and still the fronts of shelves
+    ceiling_cut_m: float = 0.2  # fused ceilings are wavy by some centimetres; lamps below that stay
+    wall_cut_m: float = 0.12  # as far inside the room as noise and skirting boards of a scanned wall reach
+    background: tuple[int, int, int] = (240, 242, 245)  # neither page color; both scan and replica stand out on it
+    jpeg_quality: int = 84  # below that, edges of thin legs show blocks
+
+
+@dataclasses.dataclass(frozen=True)
+class ScenePictures:
+    """JPEG files of a scene: its scan and its replica, from a corner and from above."""
+
+    corner_scan: bytes
+    corner_replica: bytes
+    top_scan: bytes
+    top_replica: bytes
+
+
+@dataclasses.dataclass(frozen=True)
+class Outline:
+    """What the cameras need to know of a room: floor ring (n, 2) [m], counter-clockwise, and height [m]."""
+
+    ring: Array
+    height: float
+
+    @staticmethod
+    def of_room(room: Room) -> Outline:
+        """The outline of a row of `rooms`."""
+        ring = np.asarray(room.floor_polygon, dtype=np.float64).reshape(-1, 2)
+        area = np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
+        return Outline(ring if area >= 0 else ring[::-1].copy(), room.height_m)
+
+    @staticmethod
+    def of_parts(parts: Sequence[trimesh.Trimesh]) -> Outline:
+        """The box around parts in the world frame, for a scene without a room."""
+        low = np.min([part.bounds[0] for part in parts], axis=0)
+        high = np.max([part.bounds[1] for part in parts], axis=0)
+        ring = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+        return Outline(ring, float(max(high[2], 0.1)))
+
+    @property
+    def corners(self) -> Array:
+        """Corners of the room's box with its walls [m], shape (8, 3)."""
+        (x0, y0), (x1, y1) = self.ring.min(axis=0) - 0.12, self.ring.max(axis=0) + 0.12
+        return np.array([[x, y, z] for x in (x0, x1) for y in (y0, y1) for z in (0.0, self.height)])
+
+
+def picture_scene(
+    scan: Sequence[trimesh.Trimesh],
+    shell: Sequence[trimesh.Trimesh],
+    objects: Sequence[trimesh.Trimesh],
+    outline: Outline,
+    config: PictureConfig | None = None,
+) -> ScenePictures:
+    """Pictures of a scan and of its replica (`shell` and `objects`), all in the world frame [m].
+
+    The corner is the one from which most of the objects is seen; without objects, most of the scan.
+    """
+    config = config or PictureConfig()
+    corner = _best_corner(objects or scan, [*shell], outline, config)
+    top = top_camera(outline, config)
+    files = []
+    for camera in (corner, top):
+        for parts in (scan, [*shell, *objects]):
+            files.append(render(opened(parts, outline, camera, config), camera, config))
+    return ScenePictures(*files)
+
+
+def corner_camera(outline: Outline, corner: int, config: PictureConfig) -> Camera:
+    """A camera above corner 0 to 3 of the room's box, counter-clockwise from (+x, +y), that sees the whole box."""
+    corners = outline.corners
+    center = corners.mean(axis=0) - [0.0, 0.0, 0.12 * outline.height]
+    size = np.ptp(corners, axis=0)
+    # towards the corner, but at least 30 degrees off each wall, so that long rooms are not seen end on
+    azimuth = np.clip(np.arctan2(size[1], size[0]), np.radians(30), np.radians(60))
+    turns = (azimuth, np.pi - azimuth, np.pi + azimuth, -azimuth)
+    flat, rise = np.cos(config.elevation_radians), np.sin(config.elevation_radians)
+    direction = np.array([np.cos(turns[corner]) * flat, np.sin(turns[corner]) * flat, rise])
+    return _fitting_camera(corners, center, direction, config)
+
+
+def top_camera(outline: Outline, config: PictureConfig) -> Camera:
+    """A camera straight above the room, its long side across the picture."""
+    corners = outline.corners
+    size = np.ptp(corners, axis=0)
+    camera = _fitting_camera(corners, corners.mean(axis=0), np.array([0.0, 0.0, 1.0]), config)
+    if size[1] <= size[0]:
+        return camera
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    pose = camera.pose.copy()
+    pose[:3, :3] = turn @ pose[:3, :3]
+    turned = dataclasses.replace(camera, pose=pose)
+    return _fitting_camera(corners, corners.mean(axis=0), np.array([0.0, 0.0, 1.0]), config, turned.pose[:3, :3])
+
+
+def opened(
+    parts: Sequence[trimesh.Trimesh], outline: Outline, camera: Camera, config: PictureConfig
+) -> list[trimesh.Trimesh]:
+    """Parts without the ceiling and without the walls that stand between the camera and the room."""
+    kept = []
+    hiding = _hiding_walls(outline, camera.pose[:3, 3])
+    for part in parts:
+        faces = ~_is_cut(part, outline, hiding, config)
+        if faces.all():
+            kept.append(part)
+        elif faces.any():
+            kept.append(_with_faces(part, faces))
+    return kept
+
+
+def render(parts: Sequence[trimesh.Trimesh], camera: Camera, config: PictureConfig) -> bytes:
+    """JPEG of parts in the world frame from `camera`, softly lit from above and behind the camera."""
+    from PIL import Image
+
+    factor = config.oversampling
+    fine = Camera(
+        camera.pose,
+        camera.fx * factor,
+        camera.fy * factor,
+        (camera.cx + 0.5) * factor - 0.5,
+        (camera.cy + 0.5) * factor - 0.5,
+        camera.width * factor,
+        camera.height * factor,
+    )
+    if not parts:
+        image = Image.new("RGB", (camera.width, camera.height), config.background)
+    else:
+        view = RayScene(parts).render(fine, background=config.background, shade=False)
+        lit = _lit(view, fine)
+        small = lit.reshape(camera.height, factor, camera.width, factor, 3).mean(axis=(1, 3))
+        image = Image.fromarray(np.clip(np.round(small), 0, 255).astype(np.uint8))
+    file = io.BytesIO()
+    image.save(file, "JPEG", quality=config.jpeg_quality, optimize=True)
+    return file.getvalue()
+
+
+def _fitting_camera(
+    points: Array, target: Array, direction: Array, config: PictureConfig, rotation: Array | None = None
+) -> Camera:
+    """The camera nearest to `target` along `direction` that has all points (n, 3) in its picture, with a small margin."""
+    pose = look_at(target + direction, target)
+    if rotation is not None:
+        pose[:3, :3] = rotation
+    tangent_x = np.tan(0.5 * config.horizontal_fov_radians) * 0.96
+    tangent_y = tangent_x * config.height / config.width
+    local = (points - target) @ pose[:3, :3]
+    shift, distance = np.zeros(2), 1.0
+    for _ in range(8):  # the middle of the picture depends on the distance, and the distance on the middle
+        x, y, z = local[:, 0] - shift[0], local[:, 1] - shift[1], local[:, 2]
+        # a point at depth distance + z is inside when |x| <= (distance + z) tan
+        distance = float(max(0.5, np.max(np.maximum(np.abs(x) / tangent_x, np.abs(y) / tangent_y) - z)))
+        for axis, values in enumerate((x, y)):
+            seen = values / (distance + z)
+            shift[axis] += 0.5 * (seen.max() + seen.min()) * distance
+    pose[:3, 3] = target + direction * distance + pose[:3, :2] @ shift
+    return Camera.with_fov(pose, config.width, config.height, config.horizontal_fov_radians)
+
+
+def _best_corner(
+    objects: Sequence[trimesh.Trimesh], shell: Sequence[trimesh.Trimesh], outline: Outline, config: PictureConfig
+) -> Camera:
+    """Of the four corner cameras the one that sees most of the objects, not all on one spot: pixels weigh by square root."""
+    small = dataclasses.replace(config, width=132, height=93, oversampling=1)
+    best, most = corner_camera(outline, 0, config), -1.0
+    for corner in range(4):
+        camera = corner_camera(outline, corner, small)
+        visible = opened([*objects], outline, camera, small)
+        if not visible:
+            continue
+        part = RayScene([*visible, *opened(shell, outline, camera, small)]).render(camera, shade=False).part
+        pixels = np.bincount(part[(part >= 0) & (part < len(visible))], minlength=1)
+        seen = float(np.sqrt(pixels).sum())
+        if seen > most:
+            best, most = corner_camera(outline, corner, config), seen
+    return best
+
+
+def _hiding_walls(outline: Outline, eye: Array) -> list[tuple[Array, Array, float]]:
+    """Walls that `eye` sees from outside: start (2,), unit direction (2,) with the room on its left, length [m].
+
+    A camera that stands over the room sees no wall from outside.
+    """
+    hiding = []
+    for start, end in zip(outline.ring, np.roll(outline.ring, -1, axis=0), strict=True):
+        length = float(np.linalg.norm(end - start))
+        if length < 1e-6:
+            continue
+        along = (end - start) / length
+        inward = np.array([-along[1], along[0]])
+        if float((eye[:2] - start) @ inward) < 0:
+            hiding.append((start, along, length))
+    return hiding
+
+
+def _is_cut(
+    part: trimesh.Trimesh, outline: Outline, hiding: Sequence[tuple[Array, Array, float]], config: PictureConfig
+) -> NDArray[np.bool_]:
+    """Which faces of a part are ceiling or belong to a wall that hides the room, shape (faces,)."""
+    vertices, faces = np.asarray(part.vertices, dtype=np.float64), np.asarray(part.faces)
+    cut = (vertices[:, 2] > outline.height - config.ceiling_cut_m)[faces].all(axis=1)
+    standing = (vertices[:, 2] > 0.04)[faces].any(axis=1)
+    for start, along, length in hiding:
+        offset = vertices[:, :2] - start
+        inside = offset @ np.array([-along[1], along[0]])
+        beside = offset @ along
+        # the wall itself and whatever a scan has caught behind it, but no other wing of the room
+        near = (inside < config.wall_cut_m) & (inside > -0.5) & (beside > -0.3) & (beside < length + 0.3)
+        # the floor's own faces stay; the undersides of walls, which lie outside the room, do not
+        cut |= near[faces].all(axis=1) & (standing | (inside < 1e-3)[faces].all(axis=1))
+    return cut
+
+
+def _with_faces(part: trimesh.Trimesh, keep: NDArray[np.bool_]) -> trimesh.Trimesh:
+    """The part with some of its faces; vertices, colors and texture coordinates stay as they are."""
+    kept = part.copy()
+    kept.faces = np.asarray(part.faces)[keep]
+    return kept
+
+
+def _lit(view: View, camera: Camera) -> NDArray[np.float32]:
+    """Colors of a view under a soft light from above the camera, with darkened creases. Shape (height, width, 3), 0 to 255."""
+    seen = view.part >= 0
+    to_eye = -camera.rays()[..., 3:]
+    to_eye /= np.linalg.norm(to_eye, axis=2, keepdims=True)
+    normal = _smooth_normals(view.normal, to_eye)
+    key = camera.pose[:3, :3] @ np.array([-0.45, -0.75, -0.5])  # over the camera's left shoulder
+    key /= np.linalg.norm(key)
+    facing = np.clip(np.einsum("hwk,hwk->hw", normal, to_eye), 0, 1)
+    direct = np.clip(normal @ key.astype(np.float32), 0, 1)
+    sky = 0.5 + 0.5 * normal[..., 2]
+    light = (0.5 + 0.16 * facing + 0.26 * direct + 0.16 * sky) * _openness(view.depth, seen)
+    light[~seen] = 1.0
+    return view.color.astype(np.float32) * light[..., None]
+
+
+def _smooth_normals(normals: NDArray[np.float32], to_eye: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit normals towards the camera, evened out over neighbor pixels where the surface is nearly flat."""
+    from scipy.ndimage import gaussian_filter
+
+    normal = np.nan_to_num(normals.astype(np.float32))
+    normal *= np.sign(np.einsum("hwk,hwk->hw", normal, to_eye))[..., None]
+    blurred = np.empty_like(normal)
+    for axis in range(3):
+        gaussian_filter(normal[..., axis], 3.0, output=blurred[..., axis], truncate=2.5)
+    blurred /= np.maximum(np.linalg.norm(blurred, axis=2, keepdims=True), 1e-6)
+    # an edge between two faces turns by more than noise does, and stays sharp
+    noise = np.einsum("hwk,hwk->hw", blurred, normal) > 0.82
+    return np.where(noise[..., None], blurred, normal)
+
+
+def _openness(depth: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """How little the surroundings of a pixel stand before it, 0.65 to 1, from depth alone; creases and contacts are darker."""
+    from scipy.ndimage import uniform_filter
+
+    if not seen.any():
+        return np.ones_like(depth)
+    filled = np.where(seen, depth, depth[seen].max()).astype(np.float32)
+    shade = np.zeros_like(filled)
+    for size in (13, 41):  # pixels: the foot of a leg, the foot of a wall
+        around = uniform_filter(uniform_filter(filled, size), size)
+        before = np.clip(filled - around, 0.0, None)
+        # a few centimetres behind its surroundings: a crease; metres behind them: a background, which stays light
+        shade += before * np.exp(-before / 0.2)
+    return np.clip(1.0 - 1.6 * shade, 0.65, 1.0).astype(np.float32)
