@@ -1,0 +1,69 @@
+"""What the navigation stage can be told."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TypeAlias
+
+from tasks.navigation.follower import Motion
+
+
+@dataclasses.dataclass(frozen=True)
+class Agent:
+    """Shape of the robot: an upright cylinder."""
+
+    name: str = "cylinder_r18_h88"  # radius and height in centimetres
+    radius_m: float = 0.18  # Habitat's object navigation on HSSD: a small mobile base
+    height_m: float = 0.88  # the same; lower than a door handle, higher than a table, so tables block
+    max_climb_m: float = 0.2  # Habitat's default: rugs and slippers are driven over; another value makes Habitat bake anew
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanarConfig:
+    """Exact shortest paths in the free polygon of the floor. Needs nothing but Python packages."""
+
+    smallest_island_m2: float = 0.0625  # the square of one step: on less floor no step can be made
+
+
+PathFinderConfig: TypeAlias = PlanarConfig
+"""The path finders there are, one config each; a run picks one by the type of its config."""
+
+
+@dataclasses.dataclass(frozen=True)
+class NavigationConfig:
+    """Agent, path finder and episodes."""
+
+    agent: Agent = dataclasses.field(default_factory=Agent)
+    path_finder: PathFinderConfig = dataclasses.field(default_factory=PlanarConfig)
+    forward_m: float = 0.25  # the paper's action space, and Habitat's default
+    turn_degrees: float = 30.0  # the same
+    train_episodes: int = 100  # supplementary B.3: 100 trajectories in each training scene
+    test_episodes: int = 50  # supplementary B.3: and 50 in each test scene
+    test_share: float = 0.2  # supplementary B.3: training and test rooms 4:1
+    success_m: float = 0.2  # Habitat's point navigation; steps of 0.25 m cannot always end within its 0.1 m for objects
+    stop_m: float = 0.1875  # three quarters of a step, as Habitat's follower: a margin under success_m that every approach can meet
+    max_steps: int = 500  # Habitat's limit for both navigation tasks
+    min_geodesic_m: float = 1.0  # shorter ones need no navigation; Habitat's sampler has the same limit
+    shortest_geodesic_m: float = 0.25  # in small rooms the limit is halved down to this, one step, and the halving is recorded
+    max_path_ratio: float = 1.5  # travelled over shortest; an expert that wanders teaches wandering
+    start_tries: int = 20  # starts drawn per target before its limit is halved; each costs a third of a millisecond
+    view_reach_m: float = 1.0  # Habitat's object navigation: view points lie within a metre of the object
+    view_spacing_m: float = 0.25  # one step: closer view points would not be told apart
+    view_directions: int = 12  # at least one per heading, around objects however small
+    search_expansions: int = 3000  # states that the search behind the greedy follower may look at: a room has about as many
+
+    def __post_init__(self) -> None:
+        if not (self.agent.radius_m > 0 and self.agent.height_m > self.agent.max_climb_m >= 0):
+            raise ValueError("agent: radius must be positive, and height above max_climb_m")
+        if abs(round(360 / self.turn_degrees) * self.turn_degrees - 360) > 1e-9:
+            raise ValueError(f"turn_degrees: {self.turn_degrees:g} does not divide a full turn")
+        if not 0 < self.stop_m <= self.success_m:
+            raise ValueError("stop_m: must be positive and at most success_m")
+        if not 0 < self.shortest_geodesic_m <= self.min_geodesic_m:
+            raise ValueError("shortest_geodesic_m: must be positive and at most min_geodesic_m")
+
+    @property
+    def motion(self) -> Motion:
+        """What one action does."""
+        return Motion(self.forward_m, math.radians(self.turn_degrees))

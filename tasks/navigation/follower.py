@@ -1,0 +1,149 @@
+"""Shortest paths as actions of a robot that goes straight or turns on the spot, and the replay that checks them."""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tasks.navigation.protocol import DistanceField, PathFinder
+
+Array = NDArray[np.float64]
+
+FORWARD, LEFT, RIGHT, STOP = "forward", "left", "right", "stop"
+
+_BLOCKED_M = 1e-9
+"""A step that ends farther than this from where it should has met an obstacle [m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """What one action does."""
+
+    forward_m: float = 0.25  # step of the paper's agent and of Habitat's default
+    turn_radians: float = math.pi / 6  # 30 degrees: twelve turns are a full circle, so headings stay on twelve rays
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectory:
+    """Poses along a sequence of actions.
+
+    poses: x, y [m] and yaw about +Z [rad] before the first action and after each, world frame, shape (n + 1, 3).
+    collisions: Forward steps that met an obstacle.
+    """
+
+    poses: Array
+    collisions: int
+
+    @property
+    def length(self) -> float:
+        """Distance travelled [m]."""
+        return float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+
+
+def replay(actions: Sequence[str], start: ArrayLike, yaw: float, finder: PathFinder, motion: Motion) -> Trajectory:
+    """Carry out actions from a navigable start, world frame [m], shape (2,), heading `yaw` [rad].
+
+    Raises:
+        ValueError: an action has an unknown name, or follows a stop.
+    """
+    position, turns, collisions = np.asarray(start, dtype=np.float64)[:2], 0, 0
+    poses = [(position[0], position[1], yaw)]
+    for index, action in enumerate(actions):
+        if action == FORWARD:
+            moved = finder.try_step(position, _offset(yaw, turns, motion))
+            collisions += int(_is_short(moved - position, motion))
+            position = moved
+        elif action in (LEFT, RIGHT):
+            turns += 1 if action == LEFT else -1
+        elif action != STOP or index != len(actions) - 1:
+            raise ValueError(f"actions: {action!r} at {index} is no action of this robot, or follows a stop")
+        poses.append((position[0], position[1], _heading(yaw, turns, motion)))
+    return Trajectory(np.array(poses), collisions)
+
+
+def follow(
+    start: ArrayLike, yaw: float, field: DistanceField, finder: PathFinder, motion: Motion, reach: float, max_steps: int, search_limit: int
+) -> list[str] | None:
+    """Actions from a start to within `reach` [m] of the goal of `field`, stop included; None when none were found.
+
+    Greedy: turn to the next corner of the shortest path from here until the heading is off by half a turn step at most,
+    then go forward. Where a step is blocked or brings the robot no closer, a best-first search over the twelve headings
+    takes over for the rest of the way. The result never meets an obstacle.
+    """
+    position, turns = np.asarray(start, dtype=np.float64)[:2], 0
+    actions: list[str] = []
+    path = field.path(position)
+    while path.exists and path.length > reach:
+        if len(actions) >= max_steps:
+            return None
+        ahead = path.corners[1] - position
+        wanted = round(_wrapped(math.atan2(ahead[1], ahead[0]) - yaw - turns * motion.turn_radians) / motion.turn_radians)
+        moved = finder.try_step(position, _offset(yaw, turns + wanted, motion))
+        onward = field.path(moved)
+        if _is_short(moved - position, motion) or not onward.length < path.length:
+            rest = _search(position, turns, yaw, field, finder, motion, reach, search_limit)
+            return None if rest is None or len(actions) + len(rest) >= max_steps else [*actions, *rest, STOP]
+        actions += [LEFT if wanted > 0 else RIGHT] * abs(wanted) + [FORWARD]
+        position, turns, path = moved, turns + wanted, onward
+    return [*actions, STOP] if path.exists and len(actions) < max_steps else None
+
+
+def _search(
+    position: Array, turns: int, yaw: float, field: DistanceField, finder: PathFinder, motion: Motion, reach: float, limit: int
+) -> list[str] | None:
+    """Fewest actions, nearly, to within `reach` of the goal: weighted A* over positions and headings, `limit` expansions at most."""
+    around = round(2 * math.pi / motion.turn_radians)
+
+    def key(p: Array, k: int) -> tuple[int, int, int]:
+        # A fifth of a step apart counts as the same place.
+        return round(p[0] / motion.forward_m * 5), round(p[1] / motion.forward_m * 5), k % around
+
+    # The heuristic weighs twice: a third fewer expansions cost at most a few actions.
+    first = float(field.distances(position)[0])
+    queue: list[tuple[float, int, int, float, Array, int]] = [(2 * first / motion.forward_m, 0, 0, first, position, turns)]
+    parents: list[tuple[int, str]] = [(-1, "")]
+    seen: set[tuple[int, int, int]] = set()
+    while queue and len(seen) < limit:
+        _, node, cost, distance, p, k = heapq.heappop(queue)
+        if distance <= reach:
+            actions = []
+            while node > 0:
+                node, action = parents[node]
+                actions.append(action)
+            return actions[::-1]
+        if key(p, k) in seen:
+            continue
+        seen.add(key(p, k))
+        options = [(LEFT, p, k + 1, distance), (RIGHT, p, k - 1, distance)]
+        moved = finder.try_step(p, _offset(yaw, k, motion))
+        if not _is_short(moved - p, motion):
+            options.append((FORWARD, moved, k, float(field.distances(moved)[0])))
+        for action, q, heading, left in options:
+            if key(q, heading) not in seen and math.isfinite(left):
+                parents.append((node, action))
+                heapq.heappush(queue, (cost + 1 + 2 * left / motion.forward_m, len(parents) - 1, cost + 1, left, q, heading))
+    return None
+
+
+def _heading(yaw: float, turns: int, motion: Motion) -> float:
+    """Heading after a number of turns to the left [rad], in (-pi, pi]; counted, so that errors do not add up."""
+    return _wrapped(yaw + turns * motion.turn_radians)
+
+
+def _offset(yaw: float, turns: int, motion: Motion) -> Array:
+    heading = _heading(yaw, turns, motion)
+    return motion.forward_m * np.array([math.cos(heading), math.sin(heading)])
+
+
+def _is_short(moved: Array, motion: Motion) -> bool:
+    return math.hypot(moved[0], moved[1]) < motion.forward_m - _BLOCKED_M
+
+
+def _wrapped(angle: float) -> float:
+    wrapped = math.remainder(angle, 2 * math.pi)
+    return math.pi if wrapped == -math.pi else wrapped

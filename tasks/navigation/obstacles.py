@@ -1,0 +1,148 @@
+"""What stands in an agent's way: footprints of placed geometry, and the floor that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import shapely
+
+    from tasks.meshes import Surface
+
+Array = NDArray[np.float64]
+
+SEAM_M = 0.002
+"""Footprints grow by this [m]: it closes the outline of faces that stand upright and meet at rounded coordinates."""
+
+OUTLINE_M = 0.004
+"""Detail of the free polygon [m]. It is simplified by at most this, after obstacles grew by as much: never in the agent's favor."""
+
+QUARTER_SEGMENTS = 8
+"""Segments per quarter turn around an obstacle's corner: chords of 11 degrees, 1 mm off the circle of a radius of 0.2 m."""
+
+_WELD_M = 1e-6
+"""Vertices nearer than this are one [m]: exporters split them at seams of color and texture."""
+
+_CONVEX_AREA = 1e-3
+"""Relative difference of surface and hull area up to which a closed component counts as convex."""
+
+
+def footprint(surface: Surface, low: float = -np.inf, high: float = np.inf) -> shapely.Geometry:
+    """Projection to the floor of what a surface has between two heights [m]; holes are filled, nothing gives an empty polygon.
+
+    Solids count as filled: a convex component is clipped as a solid, and what an upright wall of faces encloses is closed off.
+    The result covers the true projection and exceeds it by at most `SEAM_M`, except for filled holes.
+    """
+    import shapely
+
+    vertices, faces, label = _components(surface)
+    pieces: list[shapely.Geometry] = []
+    loose: list[NDArray[np.int64]] = []
+    tops, bottoms = np.full(label.max(initial=-1) + 1, -np.inf), np.full(label.max(initial=-1) + 1, np.inf)
+    heights = vertices[faces, 2]
+    np.maximum.at(tops, label, heights.max(axis=1))
+    np.minimum.at(bottoms, label, heights.min(axis=1))
+    order = np.argsort(label, kind="stable")
+    for member in np.split(faces[order], np.flatnonzero(np.diff(label[order])) + 1) if len(faces) else []:
+        z = vertices[member, 2]
+        if z.max() <= low or z.min() >= high:
+            continue
+        if _is_convex(vertices, member):
+            pieces.append(shapely.MultiPoint(_band_points(vertices[member], low, high).reshape(-1, 2)).convex_hull)
+        else:
+            loose.append(member)
+    if loose:
+        corners = vertices[np.concatenate(loose)]
+        corners = corners[(corners[:, :, 2].max(axis=1) > low) & (corners[:, :, 2].min(axis=1) < high)]
+        pieces.extend(shapely.convex_hull(shapely.linestrings(_band_points(corners, low, high))))
+    if not pieces:
+        return shapely.Polygon()
+    grown = shapely.buffer(shapely.union_all(pieces), SEAM_M, quad_segs=2, join_style="mitre", mitre_limit=2.0)
+    filled = [shapely.Polygon(part.exterior) for part in shapely.get_parts(grown) if not part.is_empty]
+    return shapely.union_all(filled)
+
+
+def free_space(floor: ArrayLike, footprints: Sequence[shapely.Geometry], radius: float, smallest_m2: float = 0.0) -> shapely.MultiPolygon:
+    """Where the center of a disc can be: the floor less whatever is nearer to its edge or to a footprint than the radius.
+
+    The boundary of the result keeps at least `radius` and at most some 12 mm more from every obstacle: circles are drawn
+    around their chords, and the outline is simplified on the safe side.
+
+    Args:
+        floor: Corners of the floor polygon, world frame [m], shape (n, 2).
+        footprints: Obstacles as polygons, world frame [m].
+        radius: Radius of the disc [m].
+        smallest_m2: Parts smaller than this are dropped [m2].
+    """
+    import shapely
+
+    room = shapely.make_valid(shapely.Polygon(np.asarray(floor, dtype=np.float64)))
+    # A chord of GEOS's circle spans at most one and a half steps: grown by this, its middle still touches the circle.
+    around = 1.0 / np.cos(0.75 * np.pi / 2 / QUARTER_SEGMENTS)
+    reach = radius * around + OUTLINE_M
+    solid = [f for f in footprints if not f.is_empty]
+    free = shapely.buffer(room, -reach, quad_segs=QUARTER_SEGMENTS)
+    if solid:
+        free = shapely.difference(free, shapely.buffer(shapely.union_all(solid), reach, quad_segs=QUARTER_SEGMENTS))
+    free = shapely.simplify(free, OUTLINE_M, preserve_topology=True)
+    parts = [p for p in shapely.get_parts(free) if p.geom_type == "Polygon" and p.area > max(smallest_m2, 1e-9)]
+    return shapely.MultiPolygon(sorted(parts, key=lambda p: (-p.area, p.bounds)))
+
+
+def _components(surface: Surface) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Welded vertices, faces without the degenerate, and the connected component of each face."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    _, first, welded = np.unique(np.round(surface.vertices / _WELD_M).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    vertices, faces = surface.vertices[first], welded.reshape(-1)[surface.faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    links = coo_matrix(
+        (np.ones(2 * len(faces), dtype=np.int8), (np.r_[faces[:, 0], faces[:, 1]], np.r_[faces[:, 1], faces[:, 2]])),
+        shape=(len(vertices), len(vertices)),
+    )
+    _, component = connected_components(links, directed=False)
+    return vertices, faces, component[faces[:, 0]] if len(faces) else np.zeros(0, dtype=np.int64)
+
+
+def _is_convex(vertices: Array, faces: NDArray[np.int64]) -> bool:
+    """Whether a connected component is the closed surface of a convex solid: its area is that of its hull."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(faces) < 4:
+        return False
+    corners = vertices[faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    try:
+        hull = ConvexHull(vertices[np.unique(faces)])
+    except QhullError:  # flat
+        return False
+    # Every edge of a closed surface has two faces.
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    return bool((count == 2).all()) and abs(area - hull.area) <= _CONVEX_AREA * hull.area
+
+
+def _band_points(corners: Array, low: float, high: float) -> Array:
+    """For each triangle, shape (n, 3, 3), nine points (n, 9, 2) whose hull is the projection of its part between two heights.
+
+    Its corners in the band and its edges' crossings with both limits; a point that does not exist repeats one that does.
+    """
+    following = np.roll(corners, -1, axis=1)
+    z, dz = corners[:, :, 2], following[:, :, 2] - corners[:, :, 2]
+    points, there = [corners[:, :, :2]], [(z >= low) & (z <= high)]
+    for limit in (low, high):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = np.where(dz != 0, (limit - z) / dz, np.nan)
+        crosses = np.isfinite(t) & (t >= 0) & (t <= 1)
+        t = np.where(crosses, t, 0.0)[:, :, None]
+        points.append(corners[:, :, :2] + t * (following[:, :, :2] - corners[:, :, :2]))
+        there.append(crosses)
+    every, exists = np.concatenate(points, axis=1), np.concatenate(there, axis=1)
+    every, exists = every[exists.any(axis=1)], exists[exists.any(axis=1)]
+    stand_in = np.take_along_axis(every, exists.argmax(axis=1)[:, None, None], axis=1)
+    return np.where(exists[:, :, None], every, stand_in)

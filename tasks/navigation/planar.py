@@ -1,0 +1,291 @@
+"""Exact shortest paths for a disc: a visibility graph over the corners of its free polygon.
+
+In a polygon with holes a shortest path is a polyline whose inner corners are reflex corners of the polygon,
+met tangentially (de Berg et al., Computational Geometry, chapter 15). The graph holds those corners only.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tasks.navigation.protocol import NO_PATH, Path
+from tasks.navigation.visibility import ON_BOUNDARY, Boundary, boundary_of, clear, first_clear
+
+if TYPE_CHECKING:
+    import shapely
+    from scipy.sparse import csr_matrix
+
+    from tasks.navigation.navmesh import NavmeshFile, Settings
+
+Array = NDArray[np.float64]
+
+_TANGENT = 1e-9
+"""How far a neighbor corner may reach over a tangent [m]: the same tolerance as for lying on an edge."""
+
+_SAFETY = 1e-6
+"""A blocked step ends this far before the obstacle [m], so that the next one starts inside."""
+
+
+class PlanarPathFinder:
+    """Shortest paths for a point in a closed polygon with holes, world frame [m]. Exact up to rounding.
+
+    Erode the floor by the agent's radius before (`obstacles.free_space`) and the point is the center of its disc.
+    """
+
+    name = "planar"
+
+    def __init__(self, free: shapely.Geometry) -> None:
+        import shapely
+
+        parts = [part for part in shapely.get_parts(free) if part.geom_type == "Polygon" and part.area > 0]
+        order = sorted(parts, key=lambda part: (-part.area, part.bounds))
+        self.free: shapely.Geometry = shapely.MultiPolygon(order)
+        self._parts = order
+        shapely.prepare(self.free)
+        self.boundary: Boundary = boundary_of(order)
+
+    @cached_property
+    def islands(self) -> tuple[float, ...]:
+        """Area of every connected part [m2], largest first."""
+        return tuple(float(part.area) for part in self._parts)
+
+    def island_of(self, points: ArrayLike) -> NDArray[np.int64]:
+        """Island of each point, shape (n, 2) to (n,); -1 where the agent cannot be."""
+        import shapely
+
+        p = _rows(points)
+        result = np.full(len(p), -1, dtype=np.int64)
+        for number in reversed(range(len(self._parts))):
+            part = self._parts[number]
+            inside = shapely.intersects_xy(part, p[:, 0], p[:, 1])
+            if not inside.all():
+                rest = np.flatnonzero(~inside)
+                inside[rest] = shapely.distance(part, shapely.points(p[rest])) <= ON_BOUNDARY
+            result[inside] = number
+        return result
+
+    def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each point, shape (n, 2), lies in the closed free polygon, shape (n,)."""
+        return self.island_of(points) >= 0
+
+    def snap(self, points: ArrayLike) -> Array:
+        """The navigable point nearest to each point, shape (n, 2).
+
+        Raises:
+            ValueError: the free polygon is empty.
+        """
+        import shapely
+
+        if not self._parts:
+            raise ValueError("free: is empty, there is no point to snap to")
+        p = _rows(points).copy()
+        outside = np.flatnonzero(~self.is_navigable(p))
+        if len(outside):
+            lines = shapely.shortest_line(self.free, shapely.points(p[outside]))
+            p[outside] = shapely.get_coordinates(lines).reshape(-1, 2, 2)[:, 0]
+        return p
+
+    @cached_property
+    def _triangles(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Triangles of the free polygon (n, 3, 2), cumulative area (n,), island (n,)."""
+        import shapely
+
+        pieces = [shapely.get_parts(shapely.constrained_delaunay_triangles(part)) for part in self._parts]
+        corners = np.concatenate([shapely.get_coordinates(p).reshape(-1, 4, 2)[:, :3] for p in pieces])
+        areas = np.concatenate([shapely.area(p) for p in pieces])
+        return corners, np.cumsum(areas), np.repeat(np.arange(len(pieces)), [len(p) for p in pieces])
+
+    def random_point(self, rng: np.random.Generator, island: int | None = None) -> Array:
+        """A navigable point, uniform over the area of one island or of all, shape (2,)."""
+        corners, cumulative, islands = self._triangles
+        low, high = 0.0, float(cumulative[-1])
+        if island is not None:
+            first, last = np.searchsorted(islands, [island, island + 1])
+            low, high = (float(cumulative[first - 1]) if first else 0.0), float(cumulative[last - 1])
+        pick, u, v = rng.random(3)
+        triangle = corners[min(int(np.searchsorted(cumulative, low + pick * (high - low), side="right")), len(corners) - 1)]
+        if u + v > 1:
+            u, v = 1 - u, 1 - v
+        return np.asarray(triangle[0] + u * (triangle[1] - triangle[0]) + v * (triangle[2] - triangle[0]))
+
+    @cached_property
+    def _nodes(self) -> NDArray[np.int64]:
+        """Edges of the boundary whose start is a corner that paths bend around."""
+        return np.flatnonzero(self.boundary.reflex)
+
+    @cached_property
+    def _graph(self) -> csr_matrix:
+        """Symmetric graph of corners that see each other along a common tangent; weights are distances [m]."""
+        from scipy.sparse import coo_matrix
+
+        at = self.boundary.starts[self._nodes]
+        island = self.boundary.island[self._nodes]
+        count = len(at)
+        if count == 0:
+            return coo_matrix((0, 0)).tocsr()
+        rows, columns = [], []
+        for i in range(count):  # one row at a time keeps memory linear in the corners
+            others = np.arange(i + 1, count)
+            others = others[island[others] == island[i]]
+            others = others[self._is_tangent(others, at[i])]
+            others = others[self._is_tangent(np.full(len(others), i), at[others])]
+            rows.append(np.full(len(others), i))
+            columns.append(others)
+        a, b = np.concatenate(rows), np.concatenate(columns)
+        seen = clear(self.boundary, at[a], at[b])
+        a, b = a[seen], b[seen]
+        # Corners that coincide keep an edge: a weight of zero would read as no edge.
+        weights = np.maximum(np.hypot(*(at[a] - at[b]).T), 1e-12)
+        return coo_matrix((np.r_[weights, weights], (np.r_[a, b], np.r_[b, a])), shape=(count, count)).tocsr()
+
+    def _is_tangent(self, nodes: NDArray[np.int64], points: Array) -> NDArray[np.bool_]:
+        """Whether the line from each node to a point leaves both edges of the node's corner on one side, shape (n,)."""
+        edges = self._nodes[nodes]
+        offset = points - self.boundary.starts[edges]
+        unit = offset / np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-300)[:, None]
+        back, ahead = -self.boundary.arriving[edges], self.boundary.leaving[edges]
+        left = unit[:, 0] * back[:, 1] - unit[:, 1] * back[:, 0]
+        right = unit[:, 0] * ahead[:, 1] - unit[:, 1] * ahead[:, 0]
+        return (np.minimum(left, right) >= -_TANGENT) | (np.maximum(left, right) <= _TANGENT)
+
+    def _candidates(self, point: Array, island: int) -> NDArray[np.int64]:
+        """Nodes that a shortest path from `point` could bend around first."""
+        nodes = np.flatnonzero(self.boundary.island[self._nodes] == island)
+        return nodes[self._is_tangent(nodes, np.broadcast_to(point, (len(nodes), 2)))]
+
+    def field(self, goals: ArrayLike) -> PlanarField:
+        """Distances and paths to the nearest of `goals`, shape (n, 2). Goals that are not navigable are never reached."""
+        return PlanarField(self, _rows(goals))
+
+    def geodesic(self, start: ArrayLike, goal: ArrayLike) -> Path:
+        """Shortest path between two points, shape (2,) each."""
+        return self.field(_rows(goal)).path(start)
+
+    def geodesics(self, start: ArrayLike, goals: ArrayLike) -> Array:
+        """Geodesic distances from one point, shape (2,), to many, shape (n, 2): [m], shape (n,)."""
+        return self.field(_rows(start)).distances(goals)
+
+    def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
+        """Whether the straight move between two navigable points, shape (2,) each, stays in the free polygon."""
+        return bool(clear(self.boundary, _rows(start), _rows(end))[0])
+
+    def try_step(self, position: ArrayLike, offset: ArrayLike) -> Array:
+        """Where a straight move of `offset` from a navigable point ends, shape (2,): short of the first obstacle; no sliding."""
+        import shapely
+
+        start = np.asarray(position, dtype=np.float64)
+        end = start + np.asarray(offset, dtype=np.float64)
+        if self.is_clear(start, end):
+            return np.asarray(end)
+        length, reach = float(np.hypot(*(end - start))), 0.0
+        inside = shapely.intersection(self.free, shapely.LineString([start, end]))
+        for part in shapely.get_parts(shapely.line_merge(inside) if inside.geom_type == "MultiLineString" else inside):
+            along = np.hypot(*(shapely.get_coordinates(part) - start).T)
+            if along.min() <= _SAFETY:
+                reach = max(reach, float(along.max()))
+        reach = max(0.0, min(reach, length) - _SAFETY)
+        stop = start + (end - start) * (reach / length)
+        return stop if self.is_navigable(stop)[0] and self.is_clear(start, stop) else start
+
+
+    def navmesh(self, settings: Settings) -> NavmeshFile:
+        """The free polygon tiled by convex polygons, as habitat-sim stores it, glTF frame.
+
+        Raises:
+            ValueError: the free polygon is empty, or has more corners than the format can number.
+        """
+        from tasks.navigation.convex import convex_cover
+        from tasks.navigation.navmesh import CORNERS, navmesh_from_polygons
+
+        return navmesh_from_polygons(convex_cover(self.free, CORNERS), settings)
+
+
+class PlanarField:
+    """Geodesic distance to the nearest of a set of goals in the free polygon of a `PlanarPathFinder`."""
+
+    def __init__(self, finder: PlanarPathFinder, goals: Array) -> None:
+        from scipy.sparse import csr_matrix
+        from scipy.sparse.csgraph import dijkstra
+
+        self._finder, self._goals = finder, goals
+        self._goal_islands = finder.island_of(goals)
+        graph = finder._graph
+        self._at = finder.boundary.starts[finder._nodes]
+        count = len(self._at)
+        nearest = np.full(count, np.inf)
+        self._node_goal = np.full(count, -1, dtype=np.int64)
+        for number, (goal, island) in enumerate(zip(goals, self._goal_islands, strict=True)):
+            if island < 0:
+                continue
+            nodes = finder._candidates(goal, int(island))
+            nodes = nodes[clear(finder.boundary, np.broadcast_to(goal, (len(nodes), 2)), self._at[nodes])]
+            distance = np.maximum(np.hypot(*(self._at[nodes] - goal).T), 1e-12)
+            closer = distance < nearest[nodes]
+            nearest[nodes[closer]] = distance[closer]
+            self._node_goal[nodes[closer]] = number
+        first = np.flatnonzero(np.isfinite(nearest))
+        # One more row, whose edges lead from all goals at once to the corners that see one of them.
+        joined = csr_matrix(
+            (
+                np.r_[graph.data, nearest[first]],
+                np.r_[graph.indices, first],
+                np.r_[graph.indptr, graph.nnz + len(first)],
+            ),
+            shape=(count + 1, count + 1),
+        )
+        distance, previous = dijkstra(joined, indices=count, return_predecessors=True)
+        self._distance, self._previous = distance[:count], previous[:count]
+
+    def distances(self, points: ArrayLike) -> Array:
+        """Geodesic distances from points, shape (n, 2), to the nearest goal [m], shape (n,); infinite without a path."""
+        p = _rows(points)
+        islands = self._finder.island_of(p)
+        return np.array([self._search(point, int(island))[0] for point, island in zip(p, islands, strict=True)], dtype=np.float64)
+
+    def path(self, start: ArrayLike) -> Path:
+        """Shortest path from `start`, shape (2,), to the nearest goal."""
+        point = _rows(start)[0]
+        length, node, goal = self._search(point, int(self._finder.island_of(point)[0]))
+        if not np.isfinite(length):
+            return NO_PATH
+        corners = [point]
+        while node >= 0 and node < len(self._at):
+            corners.append(self._at[node])
+            goal, node = int(self._node_goal[node]), int(self._previous[node])
+        corners.append(self._goals[goal])
+        line = np.array(corners)
+        # A start or goal on a corner would appear twice.
+        moved = np.r_[True, np.hypot(*np.diff(line, axis=0).T) > ON_BOUNDARY]
+        return Path(length, line[moved], goal)
+
+    def _search(self, point: Array, island: int) -> tuple[float, int, int]:
+        """Distance of a point, the corner it goes to first or -1, and the goal when it goes there straight."""
+        finder = self._finder
+        best, straight = np.inf, -1
+        if island < 0:
+            return best, -1, -1
+        goals = np.flatnonzero(self._goal_islands == island)
+        if not len(goals):
+            return best, -1, -1
+        direct = np.hypot(*(self._goals[goals] - point).T)
+        order = np.argsort(direct, kind="stable")
+        seen = first_clear(finder.boundary, point, self._goals[goals[order]])
+        if seen >= 0:
+            best, straight = float(direct[order[seen]]), int(goals[order[seen]])
+        nodes = finder._candidates(point, island)
+        total = np.hypot(*(self._at[nodes] - point).T) + self._distance[nodes]
+        hopeful = np.flatnonzero(total < best)
+        hopeful = hopeful[np.argsort(total[hopeful], kind="stable")]
+        seen = first_clear(finder.boundary, point, self._at[nodes[hopeful]])
+        if seen < 0:
+            return best, -1, straight
+        return float(total[hopeful[seen]]), int(nodes[hopeful[seen]]), -1
+
+
+def _rows(points: ArrayLike) -> Array:
+    """Points as float64, shape (n, 2)."""
+    return np.asarray(points, dtype=np.float64).reshape(-1, 2)
