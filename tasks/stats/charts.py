@@ -160,7 +160,7 @@ def scene_bars(runs: pa.Table, stages: Sequence[str]) -> Picture | None:
     axes.set_xlabel("seconds")
     title = "Time per scene" if len(order) == len(totals) else f"Time of the {len(order)} slowest scenes"
     axes.set_title(title)
-    axes.figure.legend(loc="outside lower center", ncols=4, handlelength=1.0, columnspacing=1.2)  # type: ignore[call-arg]
+    axes.figure.legend(loc="outside lower center", ncols=4, handlelength=1.0, columnspacing=1.2)
     alt = f"{title}, split by stage. Slowest: {order[0]}, {totals[order[0]]:.1f} s."
     return picture(figure, "scene_timing", title, alt)
 
@@ -184,7 +184,7 @@ def candidate_bars(wins: pa.Table) -> Picture | None:
     axes.set_xlabel("candidates, by slot and provider")
     title = "Which candidates win"
     axes.set_title(title)
-    axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.0)  # type: ignore[call-arg]
+    axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.0)
     best = max(rows, key=lambda row: (row["wins"], row["provider"]))
     alt = f"Candidates filled and ranked first, per slot and provider. Most wins: {best['provider']}, {best['wins']} of {best['filled']}."
     return picture(figure, "candidate_wins", title, alt)
@@ -209,7 +209,7 @@ def loss_pairs(losses: pa.Table) -> Picture | None:
     axes.set_xlabel("collision loss [liters of overlap]")
     title = "Collision loss before and after"
     axes.set_title(title)
-    axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.0)  # type: ignore[call-arg]
+    axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.0)
     alt = f"Collision loss of {len(order)} scenes: {before.sum():.3g} liters in all as proposed, {after.sum():.3g} after the optimization."
     return picture(figure, "collision_loss", title, alt)
 

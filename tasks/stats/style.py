@@ -111,7 +111,7 @@ def themed(svg: str) -> str:
     return f"{head}{tag}{sheet}{rest}"
 
 
-_SETTINGS: dict[str, Any] = {
+_SETTINGS: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same letters on every machine
     "font.size": 9.0,

@@ -1,4 +1,4 @@
--- Whom do the placed assets come from, and under which licence?
+-- Whom do the placed assets come from, and under which license?
 SELECT
     assets.license,
     coalesce(assets.author, 'unknown') AS author,

@@ -10,6 +10,6 @@ FROM stage_runs
 WHERE outcome <> 'withdrawn'
 QUALIFY row_number() OVER (
     PARTITION BY scene_id, stage
-    ORDER BY snapshot_id DESC, started_at DESC, attempt DESC, fingerprint
+    ORDER BY snapshot_id DESC, started_at DESC, fingerprint DESC, attempt DESC
 ) = 1 AND outcome <> 'done'
 ORDER BY scene_id, stage

@@ -1,4 +1,4 @@
--- Under which licences are the scans and the placed assets?
+-- Under which licenses are the scans and the placed assets?
 SELECT
     'scan' AS material,
     coalesce(license, 'not stated') AS license,

@@ -1,0 +1,183 @@
+"""The statistics: gathers what the views say and what scenes look like, draws it, writes the report."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pyarrow as pa
+
+from schemas.candidates import Asset
+from schemas.capture import Room, Scene
+from schemas.errors import InputError, LakeError
+from schemas.optimization import Placement
+from schemas.tables import TABLES
+from warehouse.views import views
+
+if TYPE_CHECKING:
+    from tasks.stats.scenes import ScenePictures
+    from tasks.stats.style import Picture
+    from warehouse.lake import Lake
+    from warehouse.snapshot import Reader
+
+STAGES: tuple[str, ...] = tuple(dict.fromkeys(table.stage for table in TABLES.values() if table.stage))
+"""Stages in the order of the data path."""
+
+PICTURED_SCENES = 10
+"""Scenes with pictures: about 0.3 MB each, so that the report can still be mailed."""
+
+
+def write_report(
+    lake: Lake,
+    out: Path,
+    snapshot_id: int | None = None,
+    *,
+    pictures: Path | None = None,
+    workers: int | None = None,
+    advance: Callable[[str], None] | None = None,
+) -> Path:
+    """Write the report on a snapshot, the newest by default, and return its path.
+
+    `out` is the HTML file; in a folder, it is `report.html`. `pictures` is a folder that gets every chart as SVG and PNG.
+    `advance` is told each scene that was pictured. The same snapshot gives the same bytes.
+
+    Raises:
+        InputError: there is no such snapshot.
+    """
+    from tasks.stats.report import Query, ReportContent, render_report
+
+    reader = lake.snapshot(snapshot_id)
+    answers = answers_of(reader)
+    charts = draw_charts(answers)
+    scenes = [row.scene_id for row in reader.rows(Scene)][:PICTURED_SCENES]
+    content = ReportContent(
+        answers=answers,
+        queries=[Query(view.name, view.question, view.note, view.query) for view in views()],
+        pictures=charts,
+        scenes=_picture_scenes(lake, reader.snapshot_id, scenes, workers, advance),
+        stages=STAGES,
+        snapshot_id=reader.snapshot_id,
+        snapshot_time=f"{reader.snapshot.created_at:%Y-%m-%d %H:%M} UTC" if reader.snapshot else "",
+        code_version=_code_version(),
+    )
+    path = out / "report.html" if out.is_dir() or not out.suffix else out
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(render_report(content), encoding="utf-8")
+    if pictures is not None:
+        pictures.mkdir(parents=True, exist_ok=True)
+        for chart in charts:
+            (pictures / f"{chart.name}.svg").write_text(chart.svg, encoding="utf-8")
+            (pictures / f"{chart.name}.png").write_bytes(chart.png)
+    return path
+
+
+def stage_table(reader: Reader) -> str:
+    """Times per stage as plain text for a terminal."""
+    from tasks.stats import grids
+
+    with reader.connect() as connection:
+        return grids.stage_table(connection.sql("SELECT * FROM stage_timing").to_arrow_table(), STAGES)
+
+
+def answers_of(reader: Reader) -> dict[str, pa.Table]:
+    """Rows of every view, by name."""
+    with reader.connect() as connection:
+        return {view.name: connection.sql(f'SELECT * FROM "{view.name}"').to_arrow_table() for view in views()}
+
+
+def draw_charts(answers: Mapping[str, pa.Table]) -> list[Picture]:
+    """All charts that have something to show, in the order of the report."""
+    from tasks.stats import charts, words
+
+    counts = answers["category_counts"]
+    drawn = [
+        charts.per_scene(answers["objects_per_scene"], "objects", "objects"),
+        charts.per_scene(answers["categories_per_scene"], "categories", "categories"),
+        words.word_cloud(dict(zip(counts["category"].to_pylist(), counts["objects"].to_pylist(), strict=True))),
+        charts.volume_boxes(answers["volume_by_category"], answers["volume_outliers"]),
+        charts.candidate_bars(answers["candidate_wins"]),
+        charts.loss_pairs(answers["collision_loss"]),
+        charts.navigable_bars(answers["navigability"]),
+        charts.stage_bars(answers["stage_timing"], STAGES),
+        charts.scene_bars(_of_scenes(answers), STAGES),
+    ]
+    return [chart for chart in drawn if chart is not None]
+
+
+def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str) -> ScenePictures:
+    """Pictures of a scene in a snapshot. Runs in a worker process.
+
+    Raises:
+        LakeError: the scene is not there, or one of its meshes cannot be read.
+    """
+    from tasks.meshes import load_glb
+    from tasks.replica import placed_parts, room_shell
+    from tasks.stats.scenes import Outline, picture_scene
+
+    reader = lake.snapshot(snapshot_id)
+    found = reader.rows(Scene, scene_id)
+    if not found:
+        raise InputError("scenes", scene_id, "is not in the snapshot", "run its capture stage")
+    scan = load_glb(lake.blobs[found[0].mesh_blob], f"{scene_id} scan")
+    rooms = reader.rows(Room, scene_id)
+    placements = reader.rows(Placement, scene_id)
+    assets = {asset.asset_id: asset for asset in reader.rows_by_key(Asset, sorted({p.asset_id for p in placements}))}
+    objects = [
+        part for placement in placements for part in placed_parts(placement, lake.blobs[assets[placement.asset_id].mesh_blob])
+    ]
+    shell = [part for _, part in room_shell(rooms[0])] if rooms else []
+    return picture_scene(scan, shell, objects, Outline.of_room(rooms[0]) if rooms else Outline.of_parts(scan))
+
+
+def _picture_scenes(
+    lake: Lake, snapshot_id: int, scenes: Sequence[str], workers: int | None, advance: Callable[[str], None] | None
+) -> dict[str, ScenePictures | str]:
+    """Pictures per scene, or why there are none. One worker means this process."""
+    count = workers or min(os.cpu_count() or 1, len(scenes), 4)
+    call: Callable[..., ScenePictures] = _call_here
+    if count <= 1 or len(scenes) <= 1:
+        return {scene: _picture_or_reason(call, lake, snapshot_id, scene, advance) for scene in scenes}
+    from flows.pool import WorkerPool
+
+    with WorkerPool(count) as pool, ThreadPoolExecutor(count) as threads:
+        made = threads.map(lambda scene: _picture_or_reason(pool.call, lake, snapshot_id, scene, advance), scenes)
+        return dict(zip(scenes, made, strict=True))
+
+
+def _call_here(function: Callable[..., ScenePictures], *arguments: object) -> ScenePictures:
+    return function(*arguments)
+
+
+def _picture_or_reason(
+    call: Callable[..., ScenePictures], lake: Lake, snapshot_id: int, scene: str, advance: Callable[[str], None] | None
+) -> ScenePictures | str:
+    """A scene that cannot be pictured costs its pictures, not the report."""
+    from flows.pool import WorkerLost
+
+    try:
+        return call(picture_scene_of, lake, snapshot_id, scene)
+    except (LakeError, WorkerLost, KeyError, ValueError) as error:
+        return f"{type(error).__name__}: {error}" if not isinstance(error, LakeError) else str(error)
+    finally:
+        if advance is not None:
+            advance(scene)
+
+
+def _of_scenes(answers: Mapping[str, pa.Table]) -> pa.Table:
+    """Runs of scenes, without those of annotation batches."""
+    import pyarrow.compute as pc
+
+    runs = answers["current_runs"]
+    return runs.filter(pc.is_in(runs["scene_id"], value_set=answers["objects_per_scene"]["scene_id"].combine_chunks()))
+
+
+def _code_version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("metascenes")
+    except PackageNotFoundError:
+        return "(not installed)"
