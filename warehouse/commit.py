@@ -42,9 +42,9 @@ class Commit:
         self._snapshots = TABLES["snapshots"]
         self._base = self._read_base()
 
-    def run(self, note: str, removed: Collection[str] = ()) -> Snapshot | None:
+    def run(self, note: str, removed: Collection[str] = (), scenes: Collection[str] | None = None) -> Snapshot | None:
         """Adopt, replace, withdraw, and append the snapshot; None when there is nothing to do."""
-        staged = self.remove_adopted()
+        staged = [one for one in self.remove_adopted() if scenes is None or one.run.scene_id in scenes]
         if not staged and not removed:
             return None
         faults = {one.token: fault for one in staged if one.run.outcome == "done" and (fault := self._staging.fault(one))}
@@ -64,7 +64,7 @@ class Commit:
             note=note,
         )
         self._write_snapshot(snapshot, [*made.adopted, *made.recorded])
-        self._staging.remove([*made.adopted, *made.recorded])
+        self._staging.remove([*made.adopted, *made.recorded, *(one for one in made.left if one.run.scene_id in removed)])
         return snapshot
 
     def sweep(self, keep: Collection[tuple[str, str, str]]) -> None:

@@ -94,17 +94,20 @@ class Lake:
             return None
         return reader.rows(TABLES[table].record, scene_id)
 
-    def commit(self, note: str = "", *, timeout: float = 300.0) -> Snapshot | None:
+    def commit(self, note: str = "", *, scenes: Collection[str] | None = None, timeout: float = 300.0) -> Snapshot | None:
         """Take everything that is staged, by anyone, into a new snapshot; None when there is nothing to take.
+
+        With `scenes`, only what is staged for these: a scene that is still being computed would be taken in part,
+        and what its next stages gave before would be withdrawn for the time being.
 
         Raises:
             LeaseError: another committer holds the lease for more than `timeout` seconds.
         """
-        return self._commit(note, (), timeout)
+        return self._commit(note, (), scenes, timeout)
 
     def remove_scene(self, scene_id: str, *, timeout: float = 300.0) -> Snapshot | None:
         """Withdraw everything that was computed of a scene; None when there is nothing. Annotations stay: people made them."""
-        return self._commit(f"remove {scene_id}", (scene_id,), timeout)
+        return self._commit(f"remove {scene_id}", (scene_id,), (scene_id,), timeout)
 
     def sweep(self, keep: Collection[tuple[str, str, str]] = (), *, timeout: float = 300.0) -> None:
         """Remove what can be of no use to anybody: temporary and staged files of dead writers, runs that cannot be adopted.
@@ -134,11 +137,11 @@ class Lake:
         """
         return Reader(self._storage, self._tables, snapshot_id)
 
-    def _commit(self, note: str, removed: Collection[str], timeout: float) -> Snapshot | None:
+    def _commit(self, note: str, removed: Collection[str], scenes: Collection[str] | None, timeout: float) -> Snapshot | None:
         if not self.exists:
             return None
         with Lease(self._storage, timeout=timeout) as lease:
-            return Commit(self._tables, self._staging, lease).run(note, removed)
+            return Commit(self._tables, self._staging, lease).run(note, removed, scenes)
 
     def _committed(self, reader: Reader) -> dict[Key, StageState]:
         return states(self._tables.read(TABLES["stage_runs"], reader.files("stage_runs")))

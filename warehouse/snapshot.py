@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
@@ -12,6 +12,7 @@ from schemas.errors import InputError
 from schemas.record import arrow_to_rows, rows_to_arrow, table_of
 from schemas.runs import Snapshot
 from schemas.tables import TABLES
+from warehouse import views
 from warehouse.commit import versions_of
 from warehouse.delta import DeltaTables
 from warehouse.documentation import comment_statements, quoted, sql_type
@@ -82,8 +83,16 @@ class Reader:
         name = table_of(record_type).name  # type: ignore[arg-type]
         return arrow_to_rows(self.arrow(name, scene_id), record_type)
 
+    def rows_by_key(self, record_type: type[R], keys: Collection[str]) -> list[R]:
+        """Rows of a record type whose key (the first column of it) is one of `keys`, sorted by key."""
+        declared = table_of(record_type)  # type: ignore[arg-type]
+        rows = self._tables.read(declared, self.files(declared.name) if keys else [], only={declared.key[0]: set(keys)})
+        return arrow_to_rows(rows.sort_by([(name, "ascending") for name in declared.key]), record_type)
+
     def connect(self) -> duckdb.DuckDBPyConnection:
-        """A DuckDB connection with one view per table, comments included, that can read this snapshot's files and nothing else.
+        """A DuckDB connection with one view per table and per question, comments included.
+
+        It can read this snapshot's files and nothing else, and its settings are locked.
 
         It can still write over those very files when asked to: run other people's SQL through `warehouse.sql.query`.
         """
@@ -99,6 +108,7 @@ class Reader:
         for table in TABLES:
             for statement in self._view(table, paths[table]):
                 connection.execute(statement)
+        views.install(connection)
         connection.execute("SET lock_configuration = true")
         return connection
 
