@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.navigation.protocol import DistanceField, PathFinder
+from tasks.navigation.protocol import NO_PATH, DistanceField, PathFinder
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def follow(
 
     Greedy: turn to the next corner of the shortest path from here until the heading is off by half a turn step at most,
     then go forward. Where a step is blocked or brings the robot no closer, a best-first search over the twelve headings
-    takes over for the rest of the way. The result never meets an obstacle.
+    takes over until the robot is one step closer. The result never meets an obstacle.
     """
     position, turns = np.asarray(start, dtype=np.float64)[:2], 0
     actions: list[str] = []
@@ -83,20 +83,28 @@ def follow(
             return None
         ahead = path.corners[1] - position
         wanted = round(_wrapped(math.atan2(ahead[1], ahead[0]) - yaw - turns * motion.turn_radians) / motion.turn_radians)
-        moved = finder.try_step(position, _offset(yaw, turns + wanted, motion))
-        onward = field.path(moved)
-        if _is_short(moved - position, motion) or not onward.length < path.length:
-            rest = _search(position, turns, yaw, field, finder, motion, reach, search_limit)
-            return None if rest is None or len(actions) + len(rest) >= max_steps else [*actions, *rest, STOP]
-        actions += [LEFT if wanted > 0 else RIGHT] * abs(wanted) + [FORWARD]
-        position, turns, path = moved, turns + wanted, onward
+        moved = position + _offset(yaw, turns + wanted, motion)
+        onward = field.path(moved) if finder.is_clear(position, moved) else NO_PATH
+        if onward.length < path.length:
+            actions += [LEFT if wanted > 0 else RIGHT] * abs(wanted) + [FORWARD]
+            position, turns, path = moved, turns + wanted, onward
+            continue
+        found = _search(position, turns, yaw, field, finder, motion, max(reach, path.length - 2 * motion.forward_m), search_limit)
+        if found is None:
+            return None
+        more, position, turns = found
+        actions += more
+        path = field.path(position)
     return [*actions, STOP] if path.exists and len(actions) < max_steps else None
 
 
 def _search(
     position: Array, turns: int, yaw: float, field: DistanceField, finder: PathFinder, motion: Motion, reach: float, limit: int
-) -> list[str] | None:
-    """Fewest actions, nearly, to within `reach` of the goal: weighted A* over positions and headings, `limit` expansions at most."""
+) -> tuple[list[str], Array, int] | None:
+    """Fewest actions, nearly, until the goal is `reach` away, where they end and the turns by then; None after `limit` expansions.
+
+    Weighted A* over positions and headings.
+    """
     around = round(2 * math.pi / motion.turn_radians)
 
     def key(p: Array, k: int) -> tuple[int, int, int]:
@@ -115,13 +123,13 @@ def _search(
             while node > 0:
                 node, action = parents[node]
                 actions.append(action)
-            return actions[::-1]
+            return actions[::-1], p, k
         if key(p, k) in seen:
             continue
         seen.add(key(p, k))
         options = [(LEFT, p, k + 1, distance), (RIGHT, p, k - 1, distance)]
-        moved = finder.try_step(p, _offset(yaw, k, motion))
-        if not _is_short(moved - p, motion):
+        moved = p + _offset(yaw, k, motion)
+        if finder.is_clear(p, moved):
             options.append((FORWARD, moved, k, float(field.distances(moved)[0])))
         for action, q, heading, left in options:
             if key(q, heading) not in seen and math.isfinite(left):

@@ -170,7 +170,7 @@ class PlanarPathFinder:
         return self.field(_rows(start)).distances(goals)
 
     def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
-        """Whether the straight move between two navigable points, shape (2,) each, stays in the free polygon."""
+        """Whether a straight move from a navigable point to anywhere, shape (2,) each, stays in the free polygon."""
         return bool(clear(self.boundary, _rows(start), _rows(end))[0])
 
     def try_step(self, position: ArrayLike, offset: ArrayLike) -> Array:

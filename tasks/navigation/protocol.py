@@ -86,6 +86,10 @@ class PathFinder(Protocol):
         """Geodesic distances from one point, shape (2,), to many, shape (n, 2): [m], shape (n,)."""
         ...
 
+    def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
+        """Whether a straight move from a navigable point to anywhere, shape (2,) each, meets no obstacle."""
+        ...
+
     def try_step(self, position: ArrayLike, offset: ArrayLike) -> NDArray[np.float64]:
         """Where a straight move of `offset` ends, shape (2,): at the first obstacle when it meets one. There is no sliding."""
         ...
