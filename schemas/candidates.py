@@ -16,7 +16,7 @@ class Candidate:
     provider_version: str = column("Version of the provider or model")
     is_fallback: bool = column("True when the slot's provider had nothing and another filled it")
     outcome: str = column("What came of it", values=("filled", "empty", "failed"))
-    reason: str | None = column("Why the slot is empty or failed")
+    reason: str | None = column("Why the slot is empty, failed or filled by a fallback")
     asset_id: str | None = column("Asset in the slot", pattern=r"[0-9a-f]{64}")
 
 

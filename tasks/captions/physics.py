@@ -37,7 +37,10 @@ _ALIASES: dict[str, str] = {
     "quilt": "blanket", "comforter": "blanket", "duvet": "blanket", "drape": "curtain", "drapes": "curtain", "cooker": "stove",
     "stuffed toy": "stuffed animal", "plush": "stuffed animal", "teddy bear": "stuffed animal", "handbag": "hand bag", "purse": "hand bag",
     "wall clock": "clock", "alarm clock": "clock", "pendant lamp": "ceiling lamp", "standing lamp": "floor lamp", "cardboard box": "box",
-    "notebook": "book", "pc": "computer tower", "dining chair": "chair", "pouf": "ottoman", "heating": "radiator", "shelf unit": "shelf",
+    "notebook": "book", "pc": "computer tower", "dining chair": "chair", "pouf": "ottoman",
+    "luggage": "suitcase", "hamper": "laundry hamper", "coat": "jacket", "binder": "folder", "shirt": "clothes", "bathrobe": "clothes",
+    "recliner": "armchair", "loveseat": "sofa", "trolley": "cart", "ceiling fan": "fan", "column": "pillar", "handrail": "rail",
+    "heating": "radiator", "shelf unit": "shelf",
 }  # fmt: skip
 
 FILL: Mapping[str, float] = MappingProxyType({"furniture": 0.1, "soft": 0.3, "small": 0.5})

@@ -1,0 +1,183 @@
+"""A folder of GLBs as a library: what is in it, and its assets.
+
+Beside the files an `index.json` may lie, a list of `{"file", "category", "licence" or "license", "author", "source",
+"repo"}`; what it leaves out comes from the file's name and from a `LICENSE` file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from schemas.errors import InputError
+from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, make_asset
+from tasks.candidates.descriptors import Descriptor, describe
+from tasks.captions.physics import known_name
+from tasks.meshes import load_glb, sample_surface, surface_of
+
+SAMPLES = 1500
+"""Surface points per file for its descriptor."""
+
+MAX_FILE_BYTES = 256 * 1024**2
+"""Larger files are whole scenes, not objects."""
+
+CACHED_FILES, CACHED_ASSETS = 20_000, 64
+"""How many descriptors (6 kB each) and finished assets (megabytes each) a process keeps."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LibraryEntry:
+    """A file of the library. file: Path relative to the library, forward slashes."""
+
+    path: Path
+    file: str
+    category: str
+    license: str
+    author: str | None
+    source: str
+    descriptor: Descriptor
+
+
+@dataclasses.dataclass(frozen=True)
+class LibraryIndex:
+    """Every usable file of a library in the order of their names, and one line per file that is not usable."""
+
+    entries: tuple[LibraryEntry, ...]
+    problems: tuple[str, ...]
+
+
+def library_files(folder: Path) -> list[Path]:
+    """Files whose content decides what a library holds, sorted: GLBs below `folder`, its index and licence.
+
+    Links that lead out of the folder are left out.
+
+    Raises:
+        InputError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise InputError(folder, "library", "is no folder", "name the folder that holds the library's GLB files")
+    root = folder.resolve()
+    found = [path for path in folder.rglob("*") if path.suffix.lower() == ".glb" and path.is_file()]
+    found += [folder / name for name in ("index.json", *_LICENSES) if (folder / name).is_file()]
+    return sorted(path for path in found if path.resolve().is_relative_to(root))
+
+
+_LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
+
+
+def index_library(folder: Path) -> LibraryIndex:
+    """The library in `folder`. Descriptors are kept for as long as the process lives and the file is unchanged.
+
+    Raises:
+        InputError: there is no such folder.
+    """
+    files = [path for path in library_files(folder) if path.suffix.lower() == ".glb"]
+    listed, problems = _listed(folder)
+    license_text = _license(folder)
+    entries = []
+    for path in files:
+        file = path.relative_to(folder).as_posix()
+        facts = listed.get(file, {})
+        try:
+            stat = path.stat()
+            descriptor = _descriptor(path, stat.st_size, stat.st_mtime_ns)
+        except (InputError, ValueError, OSError) as error:
+            problems.append(f"library: {file} left out: {_reason(error)}")
+            continue
+        entries.append(
+            LibraryEntry(
+                path=path,
+                file=file,
+                category=_text(facts, "category") or category_of(path.stem),
+                license=_text(facts, "license") or _text(facts, "licence") or license_text,
+                author=_text(facts, "author") or None,
+                source=" ".join(part for part in (_text(facts, "repo"), _text(facts, "source")) if part) or file,
+                descriptor=descriptor,
+            )
+        )
+    return LibraryIndex(tuple(entries), tuple(problems))
+
+
+def library_asset(entry: LibraryEntry) -> MadeAsset:
+    """The asset of an entry: the file's parts with their textures, moved to the canonical origin. Depends on nothing else.
+
+    Raises:
+        InputError, ValueError: the file changed since it was indexed and cannot be used any more.
+    """
+    stat = entry.path.stat()
+    facts = (entry.file, entry.category, entry.license, entry.author, entry.source)
+    return _asset(entry.path, stat.st_size, stat.st_mtime_ns, facts)
+
+
+@lru_cache(maxsize=CACHED_ASSETS)
+def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str]) -> MadeAsset:
+    file, category, license_text, author, source = facts
+    parts = load_glb(path.read_bytes(), file)
+    return make_asset(
+        parts, provider="library", name=path.stem, category=category, source=source, license=license_text, author=author
+    )
+
+
+@lru_cache(maxsize=CACHED_FILES)
+def _descriptor(path: Path, size: int, modified_ns: int) -> Descriptor:
+    """Descriptor of a GLB; size and time of change are there for the cache."""
+    if size > MAX_FILE_BYTES:
+        raise ValueError(f"has {size} bytes, more than {MAX_FILE_BYTES}")
+    surface = surface_of(load_glb(path.read_bytes(), path.name))
+    extents = np.ptp(surface.bounds, axis=0)
+    ordered = np.sort(extents)
+    if ordered[1] < MIN_EXTENT_M or ordered[2] > MAX_EXTENT_M:
+        raise ValueError(f"has extents {' x '.join(f'{v:.3g}' for v in extents)} m, which is no object of a room")
+    rng = np.random.default_rng(size)  # a constant of the file: the same descriptor in every run
+    points, colors, _ = sample_surface(surface, SAMPLES, rng)
+    return describe(points, colors, extents, rng)
+
+
+def category_of(stem: str) -> str:
+    """Category that a file's name tells: `aws_ChairA_01` is a chair. Words are split at case, digits and signs."""
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", stem)
+    kept = [word.lower() for word in words if len(word) > 1] or [stem.lower()]
+    for end in range(len(kept), 0, -1):
+        name = known_name(" ".join(kept[:end]))
+        if name:
+            return name
+    return " ".join(kept)
+
+
+def _listed(folder: Path) -> tuple[dict[str, Mapping[str, Any]], list[str]]:
+    """Entries of index.json by file, and what is wrong with it."""
+    path = folder / "index.json"
+    if not path.is_file():
+        return {}, []
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        return {}, [f"library: index.json not used, categories come from file names: {_reason(error)}"]
+    if not isinstance(content, list):
+        return {}, ["library: index.json not used, categories come from file names: it is no list"]
+    return {str(entry["file"]): entry for entry in content if isinstance(entry, dict) and "file" in entry}, []
+
+
+def _license(folder: Path) -> str:
+    """First line of the library's licence file, "unknown" without one."""
+    for name in _LICENSES:
+        if (folder / name).is_file():
+            lines = (folder / name).read_text(encoding="utf-8", errors="replace").split("\n")
+            return next((line.strip()[:120] for line in lines if line.strip()), "unknown")
+    return "unknown"
+
+
+def _text(facts: Mapping[str, Any], name: str) -> str:
+    value = facts.get(name)
+    return value.strip() if isinstance(value, str) else ""
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

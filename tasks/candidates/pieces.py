@@ -1,0 +1,133 @@
+"""A few convex pieces that stand for a scanned object: the solid is cut into slabs where its cross-section changes, each
+slab into its separate or convex parts, and every part is replaced by its hull."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.candidates.closing import SolidField
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SLAB_PRICE = 0.02
+"""What one more slab costs, as a share of the solid's cells: a board of a shelf is 5 to 15 percent of its cells, a layer
+of noise below one."""
+
+MAX_LAYERS = 80
+"""Taller grids are cut at every second, third, ... layer only: the search is quadratic."""
+
+CONVEXITY = 0.8
+"""A part that fills this share of its hull's area is one piece; an L fills 0.6 to 0.75."""
+
+MAX_CUTS = 3
+"""Cuts in a row of one part of a slab: eight pieces hold any L, U or cross."""
+
+CUT_POSITIONS = 9
+"""Places along a part where a cut is tried: an arm rest is about an eighth of its sofa."""
+
+WORTHWHILE = 0.92
+"""A cut that leaves more than this share of the hull's area gains nothing that anybody sees."""
+
+MIN_PIECE_CELLS = 10
+"""Parts of a slab of fewer cells (over its whole height) are specks; a leg one cell wide has twenty."""
+
+
+def convex_pieces(field: SolidField) -> list[Array]:
+    """Corner points of every convex piece [m], shape (n, 3), in the frame of `field`; at least one piece.
+
+    Raises:
+        ValueError: nothing is inside.
+    """
+    solid = field.values < 0
+    if not solid.any():
+        raise ValueError("the crop encloses nothing")
+    pieces: list[Array] = []
+    for low, high in _slabs(solid):
+        # A cell belongs to the slab's plan when it is solid in at least half of its layers: else one noisy layer rules.
+        plan = solid[:, :, low:high].sum(axis=2) * 2 >= high - low
+        for body in _bodies(plan):
+            for part in _convex_parts(body, MAX_CUTS):
+                if part.sum() * (high - low) >= MIN_PIECE_CELLS:
+                    pieces.append(_corners(part, low, high, field))
+    if not pieces:
+        raise ValueError("the crop encloses nothing")
+    return pieces
+
+
+def _bodies(plan: Mask) -> list[Mask]:
+    """Connected parts of cells in plan."""
+    from scipy.ndimage import label
+
+    parts, count = label(plan)
+    return [parts == index for index in range(1, count + 1)]
+
+
+def _slabs(solid: Mask) -> list[tuple[int, int]]:
+    """Ranges of layers [low, high), bottom to top, that one plan each describes best.
+
+    The best cut has the least sum of misfit (cells that differ from the plan of their slab) and price per slab; found
+    by dynamic programming over the last cut.
+    """
+    filled = np.flatnonzero(solid.any(axis=(0, 1)))
+    first, last = int(filled[0]), int(filled[-1]) + 1
+    edges = np.unique(np.append(np.arange(first, last, (last - first) // MAX_LAYERS + 1), last))
+    counts = np.zeros((len(edges), solid.shape[0] * solid.shape[1]), dtype=np.int32)
+    layers = solid.transpose(2, 0, 1).reshape(solid.shape[2], -1)
+    counts[1:] = np.cumsum(np.add.reduceat(layers.astype(np.int32), edges[:-1], axis=0), axis=0)
+    price = SLAB_PRICE * float(solid.sum())
+    best, cut_before = np.zeros(len(edges)), np.zeros(len(edges), dtype=np.int64)
+    for end in range(1, len(edges)):
+        heights = (edges[end] - edges[:end])[:, None]
+        inside = counts[end] - counts[:end]
+        totals = best[:end] + np.minimum(inside, heights - inside).sum(axis=1) + price
+        cut_before[end] = int(totals.argmin())
+        best[end] = totals[cut_before[end]]
+    slabs, end = [], len(edges) - 1
+    while end > 0:
+        slabs.append((int(edges[cut_before[end]]), int(edges[end])))
+        end = int(cut_before[end])
+    return slabs[::-1]
+
+
+def _convex_parts(plan: Mask, cuts: int) -> list[Mask]:
+    """A connected part of a slab in plan, cut along x or y where the hulls of what remains become smallest, until all
+    are nearly convex."""
+    area = _hull_area(plan)
+    if cuts == 0 or plan.sum() >= CONVEXITY * area or plan.sum() < 4:
+        return [plan]
+    best: tuple[float, list[Mask]] | None = None
+    for axis in (0, 1):
+        spread = np.flatnonzero(plan.any(axis=1 - axis))
+        for position in np.unique(np.linspace(spread[0] + 1, spread[-1], CUT_POSITIONS).astype(int)):
+            side = np.zeros(plan.shape, dtype=bool)
+            side[tuple(slice(0, position) if i == axis else slice(None) for i in range(2))] = True
+            bodies = _bodies(plan & side) + _bodies(plan & ~side)
+            total = sum(_hull_area(body) for body in bodies)
+            if best is None or total < best[0]:
+                best = (total, bodies)
+    if best is None or best[0] > WORTHWHILE * area:
+        return [plan]
+    return [part for body in best[1] for part in _convex_parts(body, cuts - 1)]
+
+
+def _hull_area(plan: Mask) -> float:
+    """Area of the convex hull of cells in plan, in cells."""
+    from scipy.spatial import ConvexHull
+
+    cells = np.argwhere(plan)
+    corners = np.unique((cells[:, None, :] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])).reshape(-1, 2), axis=0)
+    return float(ConvexHull(corners).volume)
+
+
+def _corners(plan: Mask, low: int, high: int, field: SolidField) -> Array:
+    """Corners of the prism of cells over `plan` from layer `low` to `high` [m], only those on its outline's hull."""
+    from scipy.spatial import ConvexHull
+
+    cells = np.argwhere(plan)
+    corners = (cells[:, None, :] + np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])).reshape(-1, 2)
+    outline = corners[ConvexHull(corners).vertices]
+    levels = [low - 0.5, high - 0.5]
+    nodes = np.concatenate([np.column_stack([outline, np.full(len(outline), level)]) for level in levels])
+    return field.origin + field.step * nodes

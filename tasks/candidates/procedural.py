@@ -1,0 +1,54 @@
+"""Candidates of the furniture generator: a model of the category in the instance's size and color."""
+
+from __future__ import annotations
+
+from tasks.candidates.assets import MadeAsset, make_asset
+from tasks.candidates.request import CandidateRequest
+from tasks.candidates.slots import Procedural
+from tasks.captions.physics import known_name
+
+SQUARE = 1.15
+"""A box whose horizontal sides differ by less than this ratio has no long side that could tell front from side."""
+
+
+def procedural_asset(request: CandidateRequest, provider: Procedural) -> MadeAsset:
+    """The generator's model for an instance."""
+    from tasks.furniture import generate
+
+    category = generator_category(request.category)
+    extents = fronted_extents(category, request.extents)
+    rng = request.context.rng("procedural", request.instance.instance_id, provider.variant)
+    model = generate(category, extents, rng, color=request.color)
+    return make_asset(
+        model.parts,
+        provider="procedural",
+        name=model.name,
+        category=model.category,
+        source="furniture generator",
+        license="CC0-1.0",
+        pieces=model.pieces,
+    )
+
+
+def generator_category(category: str) -> str:
+    """The generator's word for a category: itself, else the table's name for it, else itself for the generic shapes."""
+    from tasks.furniture import is_known
+
+    if is_known(category):
+        return category
+    name = known_name(category)
+    return name if name is not None and is_known(name) else category
+
+
+def fronted_extents(category: str, extents: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Extents (x, y, z) [m] of a box with x and y swapped where that lays the long side as the category has it.
+
+    The box of an instance does not know its front; models have theirs at +X. A sofa is wider (y) than deep (x): a box
+    that is longer along x is a sofa that looks along y. Selection finds the yaw that goes with it.
+    """
+    from tasks.furniture import typical_extents
+
+    x, y, z = extents
+    typical_x, typical_y, _ = typical_extents(category)
+    long = max(x, y) > SQUARE * min(x, y) and max(typical_x, typical_y) > SQUARE * min(typical_x, typical_y)
+    return (y, x, z) if long and (x > y) != (typical_x > typical_y) else extents

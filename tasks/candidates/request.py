@@ -1,0 +1,88 @@
+"""What providers are asked with: an instance, its caption, its points, and what several slots share."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.captions import Caption
+from schemas.capture import Instance
+from tasks.candidates.closing import SolidField, solid_field
+from tasks.candidates.descriptors import Descriptor, describe
+from tasks.candidates.scan_crop import crop_of
+from tasks.captions.colors import name_colors, word_rgb
+from tasks.meshes import Surface, read_points
+from tasks.stage import Context
+from tasks.transforms import inverse, matrix, transform_points
+
+MIN_SIDE_M = 0.005
+"""A model gets no side thinner than 5 mm, however flat the scanned box is: posters and rugs come out without thickness."""
+
+
+class NothingToOffer(Exception):
+    """A provider has nothing for an instance: no failure, an empty slot. The text says why."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CandidateRequest:
+    """An instance to be stood in for. What is computed once for several slots is a property."""
+
+    instance: Instance
+    caption: Caption | None
+    context: Context
+
+    @property
+    def category(self) -> str:
+        """Category, or the NYU40 class where the label is empty."""
+        return self.instance.category or self.instance.nyu40_label
+
+    @property
+    def extents(self) -> tuple[float, float, float]:
+        """Extents of the box [m], no side thinner than `MIN_SIDE_M`."""
+        x, y, z = (max(float(v), MIN_SIDE_M) for v in self.instance.box_size)
+        return x, y, z
+
+    @cached_property
+    def points(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """Points in the frame of the box (+Z up) [m], shape (n, 3), and their colors, shape (n, 3).
+
+        Raises:
+            NothingToOffer: the points are not among the blobs.
+            InputError: they are no point cloud of this lake.
+        """
+        name = self.instance.points_blob
+        if name not in self.context.blobs:
+            raise NothingToOffer("the points of the instance are not among the blobs")
+        points, colors = read_points(self.context.blobs[name], name)
+        return transform_points(points, inverse(matrix(self.instance.box_pose))), colors
+
+    @cached_property
+    def color(self) -> tuple[int, int, int] | None:
+        """The color that the caption names first, as the instance's points have it; None without a color."""
+        if self.caption is None or not self.caption.colors:
+            return None
+        word = self.caption.colors[0]
+        names = name_colors(self.points[1])
+        if word in names.words:
+            r, g, b = (int(v) for v in names.rgb[names.words.index(word)])
+            return r, g, b
+        return word_rgb(word)
+
+    @cached_property
+    def descriptor(self) -> Descriptor:
+        """Descriptor of the instance's points."""
+        points, colors = self.points
+        return describe(points, colors, self.extents, self.context.rng("descriptor", self.instance.instance_id))
+
+    @cached_property
+    def crop(self) -> Surface:
+        """The instance's faces in the frame of its box, bottom at z = 0; raises as `crop_of` does."""
+        return crop_of(self.instance, self.context)
+
+    @cached_property
+    def field(self) -> SolidField:
+        """The solid field of the crop."""
+        return solid_field(self.crop)

@@ -1,0 +1,103 @@
+"""Candidates made of the scan itself: an instance's faces, cropped, turned into the box's frame and closed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.capture import Instance
+from tasks.candidates.closing import SolidField, closed_mesh, fitted, manifold_arrays, nearest_colors, solid_field
+from tasks.candidates.pieces import convex_pieces
+from tasks.meshes import Surface, load_glb, surface_of
+from tasks.transforms import inverse, matrix, translation
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from tasks.stage import Context
+
+Array = NDArray[np.float64]
+
+MIN_CROP_FACES = 12
+"""Fewer faces than a box has enclose nothing."""
+
+SPILL = 0.15
+"""Share of the box's size by which a crop may stick out of it; what lies farther is a stray piece of a neighbor."""
+
+EDGE_SHARE, MIN_EDGE_M = 0.06, 0.02
+"""Longest edge of the colored surface over convex pieces, as a share of its diagonal, and its floor: finer than the
+patches of color on furniture, a few thousand vertices at most."""
+
+
+def crop_of(instance: Instance, context: Context) -> Surface:
+    """The instance's faces in the frame of its box, bottom at z = 0.
+
+    Raises:
+        ValueError: the scan has no mesh of the instance, or too few faces.
+        InputError: its blob is no GLB.
+    """
+    if instance.mesh_blob is None:
+        raise ValueError("the scan has no faces of the instance")
+    if instance.mesh_blob not in context.blobs:
+        raise ValueError("the faces of the instance are not among the blobs")
+    world = surface_of(load_glb(context.blobs[instance.mesh_blob], instance.mesh_blob))
+    size = np.asarray(instance.box_size)
+    to_box = translation((0, 0, size[2] / 2)) @ inverse(matrix(instance.box_pose))
+    local = world.transformed(to_box)
+    reach = np.maximum(SPILL * size, 0.03)
+    low, high = np.array([-size[0] / 2, -size[1] / 2, 0.0]) - reach, np.array([size[0] / 2, size[1] / 2, size[2]]) + reach
+    inside = np.all((local.vertices >= low) & (local.vertices <= high), axis=1)
+    faces = local.faces[inside[local.faces].all(axis=1)]
+    if len(faces) < MIN_CROP_FACES:
+        raise ValueError(f"{len(faces)} faces in the scan are too few to close")
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return Surface(local.vertices[used], renumbered.reshape(-1, 3).astype(np.int64), local.colors[used])
+
+
+def closed_crop(crop: Surface, field: SolidField) -> trimesh.Trimesh:
+    """The crop closed, colored by the scan; frame and bounds of the crop.
+
+    Raises:
+        ValueError: it encloses nothing.
+    """
+    vertices, faces = closed_mesh(field)
+    vertices = fitted(vertices, *_bounds(crop))
+    return Surface(vertices, faces, nearest_colors(vertices, crop.vertices, crop.colors)).to_trimesh()
+
+
+def pieces_of_crop(crop: Surface, field: SolidField) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:
+    """Convex pieces that stand for the crop, and the surface of their union, colored by the scan; bounds of the crop.
+
+    Raises:
+        ValueError: it encloses nothing.
+    """
+    import manifold3d
+    import trimesh
+
+    groups = convex_pieces(field)
+    everything = np.concatenate(groups)
+    moved = fitted(everything, *_bounds(crop))
+    groups = np.split(moved, np.cumsum([len(group) for group in groups])[:-1])
+    hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(group)) for group in groups]
+    hulls = [hull for hull in hulls if hull.volume() > 0]
+    if not hulls:
+        raise ValueError("the crop encloses nothing")
+    union = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
+    edge = max(EDGE_SHARE * float(np.linalg.norm(np.ptp(moved, axis=0))), MIN_EDGE_M)
+    vertices, faces = manifold_arrays(union.refine_to_length(edge))
+    surface = Surface(vertices, faces, nearest_colors(vertices, crop.vertices, crop.colors, neighbors=12)).to_trimesh()
+    pieces = [trimesh.Trimesh(*manifold_arrays(hull), process=False) for hull in hulls]
+    return surface, pieces
+
+
+def _bounds(crop: Surface) -> tuple[Array, Array]:
+    """Bounds of the crop, standing on z = 0 where it reaches near to it; no side thinner than 5 mm."""
+    low, high = crop.bounds
+    low[2] = min(low[2], 0.0)
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.0025)
+    return middle - half, middle + half
+
+
+__all__ = ["closed_crop", "crop_of", "pieces_of_crop", "solid_field"]

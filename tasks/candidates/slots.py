@@ -1,0 +1,71 @@
+"""The ten slots of an instance and who fills each."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+
+@dataclasses.dataclass(frozen=True)
+class Procedural:
+    """The furniture generator, fitted to the instance's box and colored as its caption says."""
+
+    variant: int = 1
+    """Other variants draw other styles (slats or panel, legs or pedestal)."""
+
+    version: str = "1"
+    """Goes up when the same instance would get another model."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ScanCrop:
+    """Geometry of the scan itself, cropped and closed."""
+
+    mode: Literal["closed", "pieces"] = "closed"
+    """`closed`: the scanned surface closed to a solid; `pieces`: a few convex pieces that stand for it."""
+
+    version: str = "1"
+    """Goes up when the same scan would give another solid."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LibraryRetrieval:
+    """The k-th best asset of a library folder by category, extents, shape and color."""
+
+    k: int = 1
+    """Place in the order of scores, 1 is best."""
+
+    version: str = "1"
+    """Goes up when the same library would answer otherwise."""
+
+
+Provider = Procedural | ScanCrop | LibraryRetrieval
+"""Whoever can fill a slot: a union of frozen configs, matched by type."""
+
+
+def provider_name(provider: Provider) -> str:
+    """Name of a provider as rows have it."""
+    match provider:
+        case Procedural():
+            return "procedural"
+        case ScanCrop(mode=mode):
+            return f"scan_crop_{mode}"
+        case LibraryRetrieval():
+            return "library"
+
+
+@dataclasses.dataclass(frozen=True)
+class SlotConfig:
+    """A slot's provider, and who fills it when that provider is not there at all (no library given)."""
+
+    provider: Provider
+    fallback: Procedural | None = None
+
+
+DEFAULT_SLOTS: tuple[SlotConfig, ...] = (
+    *(SlotConfig(Procedural(variant)) for variant in (1, 2, 3, 4)),
+    SlotConfig(ScanCrop("closed")),
+    SlotConfig(ScanCrop("pieces")),
+    *(SlotConfig(LibraryRetrieval(k), fallback=Procedural(4 + k)) for k in (1, 2, 3, 4)),
+)
+"""Four styles of the generator, two solids of the scan, four assets of the library; without a library four more styles."""
