@@ -17,7 +17,7 @@ from schemas.record import Table, arrow_to_rows, rows_to_arrow
 from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
 from warehouse.adoption import Plan, committed_rows, now_utc, plan, without_faults
-from warehouse.delta import DeltaTables, TableWriter
+from warehouse.delta import DeltaTables, TableWriter, nullable
 from warehouse.history import Key, StageState, states
 from warehouse.lease import Lease
 from warehouse.staging import StagedRun, Staging
@@ -49,7 +49,9 @@ class Commit:
             return None
         faults = {one.token: fault for one in staged if one.run.outcome == "done" and (fault := self._staging.fault(one))}
         made = plan(self._base.states, without_faults(staged, faults), removed)
+        unwanted = [one for one in made.left if one.run.scene_id in removed]
         if made.is_empty:
+            self._staging.remove(unwanted)
             return None
         versions = dict(self._base.versions)
         for table in TABLES.values():
@@ -64,7 +66,7 @@ class Commit:
             note=note,
         )
         self._write_snapshot(snapshot, [*made.adopted, *made.recorded])
-        self._staging.remove([*made.adopted, *made.recorded, *(one for one in made.left if one.run.scene_id in removed)])
+        self._staging.remove([*made.adopted, *made.recorded, *unwanted])
         return snapshot
 
     def sweep(self, keep: Collection[tuple[str, str, str]]) -> None:
@@ -221,10 +223,9 @@ class Commit:
 
     def _staged_rows(self, table: Table, new: Sequence[StagedRun]) -> pa.Table:
         """Rows that the adopted runs left in a table, sorted by key, under the table's schema."""
-        found = [self._staging.read(one.files[table.name]) for one in new if table.name in one.files]
-        if not found:
-            return table.arrow_schema.empty_table()
-        data = pa.concat_tables(one.cast(table.arrow_schema) for one in found)
+        schema = nullable(table.arrow_schema)
+        found = [self._staging.read(one.files[table.name]).cast(schema) for one in new if table.name in one.files]
+        data = pa.concat_tables(found) if found else schema.empty_table()
         return data.sort_by([(name, "ascending") for name in table.key])
 
 

@@ -105,7 +105,7 @@ def format_table(data: pa.Table, output: Output = "table") -> str | bytes:
 
 def _check_tree(parser: Any, text: str) -> None:
     """Refuse a statement whose parse tree holds anything that does not read."""
-    tree = json.loads(parser.execute("SELECT json_serialize_sql(?)", [text]).fetchone()[0])
+    tree = json.loads(parser.execute("SELECT json_serialize_sql(?)", [text]).fetchall()[0][0])
     if tree.get("error"):
         raise InputError("SQL", "", str(tree.get("error_message", "cannot be parsed")), _REMEDY)
     for node in _nodes(tree):

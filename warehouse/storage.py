@@ -109,8 +109,8 @@ class LocalStorage:
         self.folder = Path(os.path.abspath(folder.expanduser()))
         self.address = str(self.folder)
         # delta-rs decodes such addresses a second time and DuckDB reads them as patterns: both would look elsewhere.
-        if re.search(r"[\[\]*?\\\x00-\x1f]|%[0-9A-Fa-f]{2}", self.address):
-            raise InputError(self.address, "", "the lake's address holds one of [ ] * ? \\ or %xx", "choose a folder without them")
+        if re.search(r"[\[\]*?#\\\x00-\x1f]|%[0-9A-Fa-f]{2}", self.address):
+            raise InputError(self.address, "", "the lake's address holds one of [ ] * ? # \\ or %xx", "choose a folder without them")
 
     def read(self, path: str) -> bytes:
         """See Storage."""
