@@ -1,0 +1,265 @@
+"""Where an asset stands on an instance: yaw, place and scale that bring its surface onto the scanned points.
+
+Everything here is in the instance's frame: its oriented box turned straight, x and y zero at the box center, z zero
+at the height on which the asset is to stand.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.candidates import Asset
+from tasks.meshes import load_glb, sample_surface, surface_of
+from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices, spacing
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class AlignmentConfig:
+    """How the pose of an asset on an instance is searched."""
+
+    yaw_count: int = 24  # every 15 degrees: half a step is within reach of the refinement; a multiple of 4 holds the box's own yaws
+    hopeless: float = 1.5  # a yaw that costs this many times the best one's stays behind after refinement too
+    starts: int = 3  # a chair fits nearly as well turned by 90 or 180 degrees: the best three are refined, then compared
+    refine_steps: int = 12  # nearest-point refinement of one yaw and two shifts settles within ten
+    refine_share: float = 0.8  # the farthest fifth of the points is noise or bleeding from neighbors
+    refine_yaw_radians: float = 0.2  # a little more than half a yaw step
+    rebox_yaw_radians: float = 0.03  # turned by more, the box was askew and its sides were not the object's: a 2 m desk gains 6 cm
+    refine_shift: float = 0.1  # of the box's side: the box is known to a tenth even where the scan is thin
+    smallest_scale: float = 0.5  # beyond half or twice its size an asset depicts another thing (a coffee table is no desk)
+    largest_scale: float = 2.0
+    anisotropy: float = 1.6  # the largest over the smallest scale: beyond it round things turn visibly oval
+    thin_m: float = 0.03  # scan noise across a thin side: such a side says little about scale
+    points: int = 512  # scanned points: 3 cm apart on a chair, 8 cm on a bed
+    samples: int = 1024  # of the asset's whole surface, of which the scan saw half or less
+    coarse: int = 224  # of both, for the yaw search: the cost separates yaws long before it is exact
+    refine_points: int = 256  # for refining and comparing poses of one asset: errors of single nearest points average out
+    refine_samples: int = 512
+    settle: float = 0.01  # a refined pose must be better by this share than the pose squared up with the box
+    hidden_weight: float = 0.1  # undersides are never seen; a little weight keeps a solid block from posing as a table
+    hidden_normal: float = -0.5  # z of a normal that counts as an underside: steeper than 30 degrees below the horizon
+    seen_share: float = 0.75  # one side against a wall is up to a quarter of the surface: the worst quarter does not count
+    truncation: float = 0.2  # of the diagonal: farther is wrong, however far
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
+    `spacing`: distance between neighboring points [m]."""
+
+    points: Array
+    colors: NDArray[np.uint8]
+    size: Array
+    spacing: float
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the box [m]."""
+        return float(np.linalg.norm(self.size))
+
+
+@dataclasses.dataclass(frozen=True)
+class Sample:
+    """Evenly spread samples of a canonical asset's surface, in random order. `points`, `normals`, `colors`: shape
+    (m, 3); `extents`: of the asset's box [m]; `area`: of its surface [m2]."""
+
+    points: Array
+    normals: Array
+    colors: NDArray[np.uint8]
+    extents: Array
+    area: float
+
+    def placed(self, fit: Fit) -> tuple[Array, Array, float]:
+        """Points, unit normals and disc radius of the samples in the instance's frame [m]."""
+        turn = _turn(fit.yaw)
+        points = (self.points * fit.scale) @ turn.T + fit.offset
+        normals = (self.normals / fit.scale) @ turn.T
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        stretch = float(np.prod(fit.scale)) ** (2 / 3)  # area grows with the square of the mean scale
+        return points, normals, float(np.sqrt(self.area * stretch / (np.pi * len(self.points))))
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """A pose of an asset in the instance's frame: turn about +Z [rad], shift [m], shape (3,), scale, shape (3,)."""
+
+    yaw: float
+    offset: Array
+    scale: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Distances:
+    """How a placed asset fits [m]. `scan`: mean distance of the points to the surface. `asset`: mean distance of the
+    surface that could have been seen to the points. `chamfer`: mean of both plain means. `coverage`: share of the
+    points within the threshold."""
+
+    scan: float
+    asset: float
+    chamfer: float
+    coverage: float
+
+    @property
+    def cost(self) -> float:
+        """What alignment minimizes. Surface without points counts half: the scan is partial, the asset is not."""
+        return self.scan + 0.5 * self.asset
+
+
+def sample_asset(asset: Asset, glb: bytes, config: AlignmentConfig, rng: np.random.Generator) -> Sample:
+    """Samples of a canonical asset.
+
+    Raises:
+        InputError: the GLB cannot be read.
+        ValueError: its surface has no area.
+    """
+    surface = surface_of(load_glb(glb, asset.mesh_blob))
+    corners = surface.vertices[surface.faces]
+    area = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
+    points, colors, normals = sample_surface(surface, config.samples, rng)
+    order = rng.permutation(config.samples)
+    extents = np.maximum(surface.bounds[1] - surface.bounds[0], 1e-4)
+    return Sample(points[order], normals[order], colors[order], extents, area)
+
+
+def make_target(points: Array, colors: NDArray[np.uint8], size: Array, config: AlignmentConfig, rng: np.random.Generator) -> Target:
+    """An instance from its points in its own frame, shape (n, 3) [m]: thinned evenly, in random order."""
+    order = rng.permutation(len(points))
+    cell = max(float(np.linalg.norm(size)) / 40, 1e-3)
+    cells = np.floor(points[order] / cell).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    thinned = points[order[np.sort(first)]][: config.points]
+    return Target(thinned, colors, np.maximum(size, 5e-3), spacing(thinned))
+
+
+def measure(target: Target, sample: Sample, fit: Fit, threshold: float, config: AlignmentConfig) -> Distances:
+    """How a placed asset fits. `threshold`: distance within which a point counts as covered [m]."""
+    placed, normals, radius = sample.placed(fit)
+    scan = disc_distances(target.points, placed, normals, radius)
+    _, back = nearest_indices(placed, target.points)
+    back = np.maximum(back - target.spacing, 0.0)
+    limit = config.truncation * target.diagonal
+    weights = np.where(normals[:, 2] < config.hidden_normal, config.hidden_weight, 1.0)
+    return Distances(
+        scan=float(np.minimum(scan, limit).mean()),
+        asset=_seen_mean(np.minimum(back, limit), weights, config.seen_share),
+        chamfer=0.5 * float(scan.mean() + back.mean()),
+        coverage=float((scan <= threshold).mean()),
+    )
+
+
+def align(target: Target, sample: Sample, threshold: float, config: AlignmentConfig) -> tuple[Fit, Distances]:
+    """The best pose of an asset on an instance, and how it fits.
+
+    Every yaw of a full turn is tried with the scale that its box asks for; the best few are refined by nearest points.
+    Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn.
+    """
+    yaws = 2 * np.pi * np.arange(config.yaw_count) / config.yaw_count
+    fits = [_boxed(target, sample, float(yaw), config) for yaw in yaws]
+    costs = _coarse_costs(target, sample, fits, config)
+    square = np.arange(config.yaw_count) % max(config.yaw_count // 4, 1) == 0
+    order = np.argsort(np.round(costs / target.diagonal, 6), kind="stable")
+    near = [i for i in order[: config.starts].tolist() if costs[i] <= config.hopeless * costs[order[0]]]
+    starts = sorted({*near, next(i for i in order.tolist() if square[i])})
+    points = target.points[: config.refine_points]
+    rough = dataclasses.replace(target, points=points, spacing=spacing(points))
+    few = dataclasses.replace(sample, points=sample.points[: config.refine_samples], normals=sample.normals[: config.refine_samples])
+    tried = [fits[i] for i in starts if square[i]]
+    for i in starts:
+        tried.append(refine(rough, few, fits[i], config))
+        if abs(tried[-1].yaw - fits[i].yaw) > config.rebox_yaw_radians:
+            tried.append(refine(rough, few, _boxed(target, sample, tried[-1].yaw, config), config))
+    measured = [measure(rough, few, fit, threshold, config).cost for fit in tried]
+    slack = min(measured) * (1 + config.settle) + 1e-9
+    fit = next(fit for fit, cost in zip(tried, measured, strict=True) if cost <= slack)
+    return fit, measure(target, sample, fit, threshold, config)
+
+
+def refine(target: Target, sample: Sample, fit: Fit, config: AlignmentConfig) -> Fit:
+    """A pose with yaw and shift by least squares over nearest points (Besl and McKay, 1992, in the plane, trimmed).
+
+    Height and scale stay; yaw and shift stay near where they started.
+    """
+    start, reach = fit, config.refine_shift * target.size[:2]
+    points = target.points
+    keep = max(int(config.refine_share * len(points)), 3)
+    for _ in range(config.refine_steps):
+        placed = (sample.points * fit.scale) @ _turn(fit.yaw).T + fit.offset
+        index, distance = nearest_indices(points, placed)
+        used = np.argsort(distance, kind="stable")[:keep]
+        to, source = points[used, :2], placed[index[used], :2]
+        a, b = source - source.mean(axis=0), to - to.mean(axis=0)
+        turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+        yaw = float(np.clip(fit.yaw + turn, start.yaw - config.refine_yaw_radians, start.yaw + config.refine_yaw_radians))
+        around = _turn(yaw - fit.yaw)[:2, :2]
+        moved = around @ (fit.offset[:2] - source.mean(axis=0)) + to.mean(axis=0)
+        moved = np.clip(moved, start.offset[:2] - reach, start.offset[:2] + reach)
+        change = abs(yaw - fit.yaw) * target.diagonal + float(np.abs(moved - fit.offset[:2]).max())
+        fit = dataclasses.replace(fit, yaw=yaw, offset=np.array([*moved, fit.offset[2]]))
+        if change < 5e-4:  # half a millimetre
+            break
+    return fit
+
+
+def clamp_scale(ratio: Sequence[float] | Array, weight: Sequence[float] | Array, config: AlignmentConfig) -> Array:
+    """Scales nearest to the asked ones, shape (3,), in weighted least squares of their logarithms, that keep the limits
+    on each axis and on the largest over the smallest."""
+    logs = [math.log(r) for r in ratio]
+    weights = [float(w) for w in weight]
+    half = 0.5 * math.log(config.anisotropy)
+    # all logarithms are brought into a window of this half width; the squared change is convex in the window's middle
+    low, high = min(logs) - half, max(logs) + half
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        slope = sum(w * (min(max(v, middle - half), middle + half) - v) for v, w in zip(logs, weights, strict=True))
+        low, high = (middle, high) if slope < 0 else (low, middle)
+    # clipping to the limits moves no two logarithms farther apart
+    least, most = math.log(config.smallest_scale), math.log(config.largest_scale)
+    return np.array([math.exp(min(max(min(max(v, middle - half), middle + half), least), most)) for v in logs])
+
+
+def _boxed(target: Target, sample: Sample, yaw: float, config: AlignmentConfig) -> Fit:
+    """The pose for a yaw whose box is the instance's box along the asset's axes, as far as the limits allow."""
+    turn = _turn(yaw)[:2, :2]
+    quarter = yaw / (np.pi / 2)
+    if abs(quarter - round(quarter)) < 1e-9:
+        size, center = np.abs(turn.T @ target.size[:2]), np.zeros(2)
+    else:
+        local = target.points[:, :2] @ turn
+        low, high = local.min(axis=0), local.max(axis=0)
+        size, center = high - low, turn @ (0.5 * (low + high))
+    wanted = np.maximum(np.array([*size, target.size[2]]), 5e-3)
+    scale = clamp_scale(wanted / sample.extents, wanted / (wanted + config.thin_m), config)
+    return Fit(yaw, np.array([*center, 0.0]), scale)
+
+
+def _coarse_costs(target: Target, sample: Sample, fits: Sequence[Fit], config: AlignmentConfig) -> Array:
+    """Cost of every pose by a part of the points and samples [m], shape (p,)."""
+    part = dataclasses.replace(sample, points=sample.points[: config.coarse], normals=sample.normals[: config.coarse])
+    placed, normals, radii = zip(*(part.placed(fit) for fit in fits), strict=True)
+    out, back = coarse_distances(target.points[: config.coarse], np.stack(placed))
+    limit = config.truncation * target.diagonal
+    costs = []
+    for p in range(len(fits)):
+        weights = np.where(normals[p][:, 2] < config.hidden_normal, config.hidden_weight, 1.0)
+        seen = _seen_mean(np.minimum(back[p], limit), weights, config.seen_share)
+        costs.append(float(np.minimum(np.maximum(out[p] - 0.5 * radii[p], 0.0), limit).mean()) + 0.5 * seen)
+    return np.array(costs)
+
+
+def _seen_mean(distances: Array, weights: Array, share: float) -> float:
+    """Weighted mean of the smallest distances that hold `share` of the weight."""
+    order = np.argsort(distances, kind="stable")
+    reached = np.cumsum(weights[order])
+    kept = order[: int(np.searchsorted(reached, share * reached[-1])) + 1]
+    return float((distances[kept] * weights[kept]).sum() / weights[kept].sum())
+
+
+def _turn(yaw: float) -> Array:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
