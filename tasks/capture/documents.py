@@ -1,0 +1,111 @@
+"""Text and JSON of a scan, read with a limit on size and with errors that name file and field."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import InputError
+
+MAX_TEXT_BYTES = 16 * 2**20
+"""Metadata, poses and trajectories are small: 16 MiB holds a trajectory of 100,000 frames."""
+
+MAX_JSON_BYTES = 512 * 2**20
+"""Segment lists hold one number per vertex: 512 MiB holds those of 60 million vertices."""
+
+_AGAIN = "copy the scan again"
+
+
+def name_of(path: Path, root: Path) -> str:
+    """A file as errors and rows name it: the scan's own folder and the path below it, whatever lies above."""
+    try:
+        return (Path(root.name) / path.relative_to(root)).as_posix()
+    except ValueError:
+        return path.name
+
+
+def read_bytes(path: Path, name: str, limit: int) -> bytes:
+    """The content of a file.
+
+    Raises:
+        InputError: it is missing, unreadable, or larger than `limit` bytes.
+    """
+    try:
+        size = path.stat().st_size
+        if size > limit:
+            raise InputError(name, "size", f"is {size} bytes, more than {limit}", "is it the right file?")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(name, "file", f"cannot be read ({error.strerror})", _AGAIN) from error
+
+
+def read_text(path: Path, name: str) -> str:
+    """The content of a small text file; raises InputError when it is no text."""
+    try:
+        return read_bytes(path, name, MAX_TEXT_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(name, "content", f"is no text (byte {error.start})", _AGAIN) from error
+
+
+def read_json(path: Path, name: str) -> dict[str, Any]:
+    """The object that a JSON file holds; raises InputError when it holds no object."""
+    data = read_bytes(path, name, MAX_JSON_BYTES)
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(name, "content", f"is no JSON ({error})", _AGAIN) from error
+    if not isinstance(document, dict):
+        raise InputError(name, "content", f"holds a {type(document).__name__}, not an object", "is it the right file?")
+    return document
+
+
+def integers(value: Any, name: str, field: str, minimum: int = 0) -> NDArray[np.int64]:
+    """A JSON list of integers as an array, shape (n,)."""
+    if not isinstance(value, list):
+        raise InputError(name, field, f"must be a list of integers, is {_kind(value)}", "is it the right file?")
+    if not value:
+        return np.zeros(0, dtype=np.int64)
+    try:
+        array = np.array(value)
+    except (ValueError, OverflowError) as error:
+        raise InputError(name, field, "must be a list of integers", "is it the right file?") from error
+    if array.ndim != 1 or array.dtype.kind != "i":
+        raise InputError(name, field, "must be a list of integers", "is it the right file?")
+    if array.min() < minimum:
+        raise InputError(name, field, f"has {array.min()}, below {minimum}", "is it the right file?")
+    return array.astype(np.int64)
+
+
+def floats(text: str, name: str, field: str, count: int) -> NDArray[np.float64]:
+    """Numbers of a text, separated by blanks or commas, shape (count,); they need not be finite."""
+    words = re.split(r"[\s,]+", text.strip())
+    if len(words) != count or not words[0]:
+        raise InputError(name, field, f"must have {count} numbers, has {len(words) if words[0] else 0}", _AGAIN)
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError as error:
+        raise InputError(name, field, f"is not a list of numbers: {text.strip()[:40]!r}", _AGAIN) from error
+
+
+def settings(text: str) -> dict[str, str]:
+    """`key = value` lines of a scan's metadata file."""
+    pairs = (line.partition("=") for line in text.splitlines())
+    return {key.strip(): value.strip() for key, mark, value in pairs if mark and key.strip()}
+
+
+def license_of(folder: Path) -> str | None:
+    """First line of a scan's LICENSE.txt, None without one."""
+    path = folder / "LICENSE.txt"
+    if not path.is_file():
+        return None
+    lines = read_text(path, name_of(path, folder)).strip().splitlines()
+    return lines[0].strip()[:200] if lines else None
+
+
+def _kind(value: Any) -> str:
+    return "missing" if value is None else f"a {type(value).__name__}"

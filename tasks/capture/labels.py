@@ -1,0 +1,131 @@
+"""What a raw label of a scan means: its category and its NYU40 class."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import hashlib
+import io
+import re
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+from schemas.errors import InputError
+from tasks.capture.documents import read_text
+
+NYU40 = (
+    "unlabeled", "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf", "picture", "counter", "blinds",
+    "desk", "shelves", "curtain", "dresser", "pillow", "mirror", "floor mat", "clothes", "ceiling", "books", "refridgerator", "television",
+    "paper", "towel", "shower curtain", "box", "whiteboard", "person", "night stand", "toilet", "sink", "lamp", "bathtub", "bag",
+    "otherstructure", "otherfurniture", "otherprop",
+)  # fmt: skip
+"""Names of the NYU40 classes by id, in that data set's own spelling; 0 is none of them."""
+
+WALL, FLOOR, CEILING = 1, 2, 22
+STRUCTURE = frozenset({WALL, FLOOR, CEILING})
+"""Classes that are part of the room and never replaced by an asset."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Label:
+    """Meaning of a raw label. `is_known` is False when the map does not have it: the NYU40 id is 0 then."""
+
+    category: str
+    nyu40_id: int
+    is_known: bool
+
+    @property
+    def nyu40_label(self) -> str:
+        """Name of the NYU40 class, 'unlabeled' for 0."""
+        return NYU40[self.nyu40_id]
+
+    @property
+    def is_structure(self) -> bool:
+        """Wall, floor or ceiling."""
+        return self.nyu40_id in STRUCTURE
+
+
+@dataclasses.dataclass(frozen=True)
+class LabelMap:
+    """Meanings by normalised raw label, and the hash of the file that they came from."""
+
+    entries: Mapping[str, tuple[str, int]]
+    sha256: str
+
+    def __getitem__(self, raw_label: str) -> Label:
+        """Meaning of a label; letter case, blanks, underscores and dashes do not matter."""
+        text = normalized(raw_label)
+        if text in self.entries:
+            return Label(*self.entries[text], is_known=True)
+        return Label(text or "unlabeled", 0, is_known=False)
+
+    def of_node(self, category: str, model: str) -> Label:
+        """Meaning of a named node of a scene, whose names come from no vocabulary.
+
+        Tried in turn: the category as it is; its last words; the words of the model's name (`HouseWallB_01` is
+        `house wall b`), longest ending first. Single letters and numbers in names do not count.
+        """
+        for text in (normalized(category), _words(category), _words(model)):
+            words = text.split()
+            for start in range(len(words)):
+                ending = " ".join(words[start:])
+                if ending in self.entries:
+                    return Label(*self.entries[ending], is_known=True)
+        return Label(_words(category) or normalized(category) or "unlabeled", 0, is_known=False)
+
+
+def normalized(raw_label: str) -> str:
+    """Lower case, single spaces, no underscores or dashes."""
+    return " ".join(re.sub(r"[_\-\s]+", " ", raw_label.lower()).split())
+
+
+def label_map(path: str | None = None) -> LabelMap:
+    """The project's own label map, or a user's: ScanNet's `scannetv2-labels.combined.tsv`, or a CSV like `labels.csv`.
+
+    Raises:
+        InputError: the user's file is no label map.
+    """
+    if path is None:
+        return _own()
+    file = Path(path)
+    return _parsed(read_text(file, file.name), file.name)
+
+
+def label_map_hash(path: str) -> str:
+    """SHA-256 of a label map's content, which scenes depend on; raises InputError when it cannot be read."""
+    file = Path(path)
+    return hashlib.sha256(read_text(file, file.name).encode()).hexdigest()
+
+
+@cache
+def _own() -> LabelMap:
+    file = Path(__file__).with_name("labels.csv")
+    return _parsed(file.read_text(encoding="utf-8"), file.name)
+
+
+def _parsed(text: str, name: str) -> LabelMap:
+    first = text.partition("\n")[0]
+    rows = csv.DictReader(io.StringIO(text), delimiter="\t" if "\t" in first else ",")
+    fields = rows.fieldnames or []
+    raw_field = "raw_category" if "raw_category" in fields else "raw_label"
+    id_field = "nyu40id" if "nyu40id" in fields else "nyu40_id"
+    for field in (raw_field, "category", id_field):
+        if field not in fields:
+            raise InputError(name, field, "the column is missing", "use scannetv2-labels.combined.tsv or a CSV of raw_label, category, nyu40_id")
+    entries: dict[str, tuple[str, int]] = {}
+    try:
+        for number, row in enumerate(rows, start=2):
+            raw, category, nyu40 = (normalized(row[field] or "") for field in (raw_field, "category", id_field))
+            if not re.fullmatch(r"\d{1,2}", nyu40) or int(nyu40) >= len(NYU40):
+                raise InputError(name, f"line {number}, {id_field}", f"must be 0 to 40, is {nyu40[:20]!r}", "correct the line")
+            entries.setdefault(raw, (category or raw, int(nyu40)))
+    except csv.Error as error:
+        raise InputError(name, "content", f"is no table ({error})", "save it as UTF-8 text") from error
+    return LabelMap(entries, hashlib.sha256(text.encode()).hexdigest())
+
+
+def _words(name: str) -> str:
+    """Words of a name in camel case, without numbers and single letters: `HouseWallB_01_001` to `house wall`."""
+    parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)
+    return " ".join(part.lower() for part in parts if len(part) > 1)

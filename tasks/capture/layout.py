@@ -1,0 +1,175 @@
+"""Where the files of a scan lie: only names are looked at here, nothing is opened."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from tasks.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+
+_COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
+_DEPTH_FOLDERS = ("depth", "depths", "depth_image")
+_POSE_FOLDERS = ("pose", "poses")
+_FLAT = re.compile(r"(?P<key>.*?\d+)[._-](?P<what>color|colour|rgb|depth|pose)\.(?P<suffix>[A-Za-z]+)")
+"""Frames side by side in one folder: `frame-000000.color.jpg`, `frame-000000.depth.pgm`, `frame-000000.pose.txt`."""
+
+_TRAJECTORIES = (
+    "trajectory.log", "trajectory.txt", "traj.txt", "poses.txt", "pose.txt", "groundtruth.txt", "poses.log",
+    "livingroom.freiburg", "CameraTrajectory.txt",
+)  # fmt: skip
+_COLOR_INTRINSICS = (
+    "intrinsic/intrinsic_color.txt", "intrinsics_color.txt", "intrinsic_color.txt", "intrinsics.json", "camera_intrinsic.json",
+    "intrinsic.json", "intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "camera.txt", "K.txt",
+)  # fmt: skip
+_DEPTH_INTRINSICS = ("intrinsic/intrinsic_depth.txt", "intrinsics_depth.txt", "intrinsic_depth.txt")
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameFiles:
+    """Files of one frame. `key` is what its files share: `12` of `color/12.jpg` and `depth/12.png`."""
+
+    key: str
+    color: Path
+    depth: Path | None
+    pose: Path | None
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameLayout:
+    """Exported frames of a scan: sorted by number where names are numbers, else by name."""
+
+    folder: Path
+    frames: tuple[FrameFiles, ...]
+    trajectory: Path | None
+    color_intrinsics: Path | None
+    depth_intrinsics: Path | None
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file that the frames are read from."""
+        found = [path for frame in self.frames for path in (frame.color, frame.depth, frame.pose)]
+        return [path for path in (*found, self.trajectory, self.color_intrinsics, self.depth_intrinsics) if path is not None]
+
+
+@dataclasses.dataclass(frozen=True)
+class ScanNetLayout:
+    """Files of a ScanNet scan that are read; None where there is none."""
+
+    scan: str
+    metadata: Path | None
+    mesh: Path | None
+    aggregation: Path | None
+    segments: tuple[Path, ...]
+    meshes: tuple[Path, ...]
+    sens: Path | None
+    frames: FrameLayout | None
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file that the scan may be read from."""
+        single = [path for path in (self.metadata, self.mesh, self.aggregation, self.sens) if path is not None]
+        return single + list(self.segments) + (self.frames.files if self.frames else [])
+
+
+def frame_layout(folder: Path) -> FrameLayout | None:
+    """Exported frames in `folder` or in one folder inside it (`<scan>_2d`, `frames`, ...); None without any."""
+    for place in (folder, *_folders(folder)):
+        frames = _paired(place) or _flat(place)
+        if frames:
+            places = (place, folder)
+            return FrameLayout(
+                folder=place,
+                frames=tuple(frames),
+                trajectory=None if any(frame.pose for frame in frames) else _first(places, _TRAJECTORIES),
+                color_intrinsics=_first(places, _COLOR_INTRINSICS),
+                depth_intrinsics=_first(places, _DEPTH_INTRINSICS),
+            )
+    return None
+
+
+def scannet_layout(folder: Path) -> ScanNetLayout | None:
+    """Files of a ScanNet scan in `folder`, whatever of them there is; None when nothing in it looks like one.
+
+    The scan's name is the folder's where files begin with it, else what the files themselves begin with.
+    """
+    names = sorted(path.name for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    scans = sorted({match[1] for name in names if (match := _SCANNET.fullmatch(name))})
+    if not scans:
+        return None
+    scan = folder.name if folder.name in scans else scans[0]
+    mine = [name for name in names if name.startswith(f"{scan}.") or name.startswith(f"{scan}_vh_clean")]
+    meshes = tuple(folder / name for name in (f"{scan}_vh_clean_2.ply", f"{scan}_vh_clean.ply") if name in mine)
+    segments = tuple(folder / name for name in mine if name.endswith(".segs.json"))
+    aggregation = [name for name in (f"{scan}.aggregation.json", f"{scan}_vh_clean.aggregation.json") if name in mine]
+    frames = frame_layout(folder)
+    return ScanNetLayout(
+        scan=scan,
+        metadata=_present(folder / f"{scan}.txt"),
+        mesh=meshes[0] if meshes else None,
+        aggregation=folder / aggregation[0] if aggregation else None,
+        segments=segments,
+        meshes=meshes,
+        sens=None if frames else _present(folder / f"{scan}.sens"),
+        frames=frames,
+    )
+
+
+_SCANNET = re.compile(r"(.+?)(?:_vh_clean(?:_2)?\.ply|_vh_clean(?:_2)?(?:\.\d+\.\d+)?\.segs\.json|(?:_vh_clean)?\.aggregation\.json|\.sens)")
+
+
+def frame_ids(keys: Iterable[str]) -> list[str]:
+    """Six-digit ids of frames: the number that a name is or ends with, else the position, when a number repeats or is too long."""
+    names = list(keys)
+    numbers = [match[1] if (match := re.search(r"(\d+)$", name)) else "" for name in names]
+    usable = all(number and len(number.lstrip("0")) <= 6 for number in numbers)
+    ids = [f"{int(number or 0):06d}" for number in numbers] if usable else []
+    return ids if usable and len(set(ids)) == len(ids) else [f"{index:06d}" for index in range(len(names))]
+
+
+def _paired(place: Path) -> list[FrameFiles]:
+    """Frames of folders `color`, `depth`, `pose` (or their usual other names)."""
+    color, depth, pose = (_first((place,), names) for names in (_COLOR_FOLDERS, _DEPTH_FOLDERS, _POSE_FOLDERS))
+    if color is None or not color.is_dir() or depth is None or not depth.is_dir():
+        return []
+    colors, depths = _by_stem(color, COLOR_SUFFIXES), _by_stem(depth, DEPTH_SUFFIXES)
+    poses = _by_stem(pose, (".txt",)) if pose is not None and pose.is_dir() else {}
+    return [FrameFiles(key, colors[key], depths.get(key), poses.get(key)) for key in sorted(colors, key=_order)]
+
+
+def _flat(place: Path) -> list[FrameFiles]:
+    """Frames whose files lie side by side in one folder."""
+    found: dict[str, dict[str, Path]] = {}
+    for path in sorted(place.iterdir()):
+        match = _FLAT.fullmatch(path.name)
+        if match is None or not path.is_file():
+            continue
+        what, suffix = match["what"].replace("colour", "color").replace("rgb", "color"), f".{match['suffix'].lower()}"
+        if suffix in {"color": COLOR_SUFFIXES, "depth": DEPTH_SUFFIXES, "pose": (".txt",)}[what]:
+            found.setdefault(match["key"], {})[what] = path
+    whole = {key: files for key, files in found.items() if "color" in files}
+    if not any("depth" in files for files in whole.values()):
+        return []
+    return [FrameFiles(key, whole[key]["color"], whole[key].get("depth"), whole[key].get("pose")) for key in sorted(whole, key=_order)]
+
+
+def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes and not path.name.startswith(".")}
+
+
+def _order(key: str) -> tuple[int, str]:
+    match = re.search(r"(\d{1,18})$", key)
+    return (int(match[1]) if match else -1, key)
+
+
+def _folders(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir() and not path.is_symlink() and not path.name.startswith("."))
+
+
+def _first(places: Iterable[Path], names: Iterable[str]) -> Path | None:
+    return next((place / name for place in places for name in names if (place / name).exists()), None)
+
+
+def _present(path: Path) -> Path | None:
+    return path if path.is_file() else None

@@ -1,0 +1,286 @@
+"""The capture stage: reads a scan in its format, aligns it, and makes its rows."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.capture import Frame, Instance, Mask, Room, Scene
+from schemas.errors import InputError
+from tasks.capture.alignment import Alignment, align
+from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
+from tasks.capture.formats import Scan
+from tasks.capture.fusion import FusionConfig, fused_surface
+from tasks.capture.glb_scene import read_glb_scene
+from tasks.capture.images import encode_jpeg
+from tasks.capture.instances import Solid, instance_row, modelled_solid, scanned_solid
+from tasks.capture.labels import CEILING, FLOOR, WALL, Label, LabelMap, label_map, label_map_hash
+from tasks.capture.posed_rgbd import read_posed_rgbd
+from tasks.capture.reading import FrameSource, Group, Reading
+from tasks.capture.rooms import estimate_room, inferred_room_type
+from tasks.capture.scannet import read_scannet
+from tasks.capture.segmentation import geometry_groups
+from tasks.capture.views import Sight, best_sights, camera_up, run_lengths, view_of
+from tasks.meshes import Surface, dump_glb
+from tasks.stage import Blobs, Context, Outcome
+from tasks.transforms import flat
+
+
+@dataclasses.dataclass(frozen=True)
+class CaptureConfig:
+    """How scans are captured.
+
+    `label_map_sha256` is filled in from the file when a label map is given, so that its content, not its place, decides
+    whether a scene is captured again.
+    """
+
+    label_map: str | None = None  # The project's own map; ScanNet's is research-only, so users bring it themselves.
+    label_map_sha256: str = ""  # From the file.
+    max_view_frames: int = 60  # A walk through a room repeats itself: more frames find no better views, but cost 20 ms each.
+    views_per_instance: int = 3  # Enough for a caption model to see two sides and one occlusion.
+    view_size_px: int = 256  # What caption and selection models take in; larger crops only fill the lake.
+    max_points: int = 20_000  # A sofa at 2 cm has fewer; walls are thinned.
+    max_faces: int = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
+    fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
+
+    def __post_init__(self) -> None:
+        if self.label_map is not None and not self.label_map_sha256:
+            object.__setattr__(self, "label_map_sha256", label_map_hash(self.label_map))
+
+
+def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
+    """Rows of `scenes`, `rooms`, `frames`, `instances` and `masks` of one scan.
+
+    Raises:
+        InputError: a file of the scan cannot be used; names the file and the field.
+    """
+    reading = _read(scan)
+    labels = label_map(config.label_map)
+    if config.label_map is not None and labels.sha256 != config.label_map_sha256:
+        raise InputError(config.label_map, "content", "has changed since the run was planned", "start the run again")
+    notes = list(reading.degradations)
+    surface = reading.surface
+    if surface is None:
+        surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
+        notes += fusion_notes
+    meanings = [_meaning(group, labels, scan.format) for group in reading.groups or ()]
+    alignment = _aligned(reading, surface, meanings, is_authored=scan.format == "glb")
+    notes += alignment.notes
+    world = surface.transformed(alignment.pose)
+    groups = reading.groups
+    if groups is None:
+        groups, more = geometry_groups(world)
+        notes += more
+        meanings = [labels[group.raw_label.partition(":")[2]] for group in groups]
+    notes += _unknown_labels(groups, meanings)
+    blobs = Blobs()
+    solids = _solids(reading, world, groups, context, config)
+    rows = [
+        instance_row(context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points)
+        for index, (group, label, solid) in enumerate(zip(groups, meanings, solids, strict=True))
+    ]
+    sights = _sights(reading, world, groups, meanings, solids, alignment, context, config)
+    rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config)
+    room = _room(context, reading, world, groups, meanings, notes)
+    mesh, mesh_notes = _mesh(reading, world, alignment, config)
+    scene = Scene(
+        scene_id=context.scene_id,
+        room_id=scan.room_id,
+        dataset=scan.scene_id.partition("/")[0],
+        scan=scan.scene_id.partition("/")[2],
+        scan_format=scan.format,
+        scan_path=str(scan.path),
+        alignment=flat(alignment.pose),
+        alignment_source=alignment.source,
+        floor_tilt_radians=alignment.floor_tilt,
+        mesh_blob=blobs.add(mesh, "glb"),
+        vertex_count=len(world.vertices),
+        face_count=len(world.faces),
+        frame_count=len(reading.frames),
+        instance_count=len(rows),
+        segmentation="geometry" if reading.groups is None else "file",
+        license=reading.license,
+    )
+    frames = [_frame_row(frame, context.scene_id, alignment) for frame in reading.frames]
+    return Outcome(
+        scenes=[scene], rooms=[room], frames=frames, instances=rows, masks=masks, blobs=blobs, degradations=[*notes, *mesh_notes]
+    )
+
+
+def _read(scan: Scan) -> Reading:
+    match scan.format:
+        case "scannet":
+            return read_scannet(scan)
+        case "posed_rgbd":
+            return read_posed_rgbd(scan)
+        case "glb":
+            return read_glb_scene(scan)
+    raise InputError(scan.path.name, "format", f"{scan.format!r} is not known", "use scannet, posed_rgbd or glb")
+
+
+def _meaning(group: Group, labels: LabelMap, scan_format: str) -> Label:
+    return labels.of_node(group.raw_label, group.source_id) if scan_format == "glb" else labels[group.raw_label]
+
+
+def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label]) -> list[str]:
+    unknown: dict[str, int] = {}
+    for group, label in zip(groups, meanings, strict=True):
+        if not label.is_known:
+            unknown[group.raw_label] = unknown.get(group.raw_label, 0) + 1
+    return [f"label {name!r} is not in the label map ({count} instances): NYU40 class 0" for name, count in sorted(unknown.items())]
+
+
+def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_authored: bool) -> Alignment:
+    masks = {}
+    for nyu40 in (FLOOR, WALL):
+        mask = np.zeros(len(surface.faces), dtype=bool)
+        for group, label in zip(reading.groups or (), meanings, strict=True):
+            if label.nyu40_id == nyu40:
+                mask[group.faces] = True
+        masks[nyu40] = mask if mask.any() else None
+    # A scan with a mesh of its own has its z axis up already; fused frames have only their cameras to tell.
+    up = camera_up(reading.frames) if reading.surface is None else None
+    return align(
+        surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, camera_up=up, is_authored=is_authored
+    )
+
+
+def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: Context, config: CaptureConfig) -> list[Solid]:
+    if reading.is_dense:
+        return [scanned_solid(world, group) for group in groups]
+    starts = np.concatenate([[0], np.cumsum([len(part.faces) for part in reading.parts])]).astype(np.int64)
+    return [
+        modelled_solid(world, group, reading.parts, starts, context.rng("surface", index), config.max_points) for index, group in enumerate(groups)
+    ]
+
+
+_PROBES = 400
+"""Points of an instance that are tested for visibility: their share is then known to 2 or 3 percent."""
+
+
+def _sights(
+    reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[Solid], alignment: Alignment,
+    context: Context, config: CaptureConfig,
+) -> list[Sight]:  # fmt: skip
+    """Best views of everything that is not part of the room itself."""
+    face_instance = np.full(len(world.faces), -1, dtype=np.int64)
+    probes = []
+    for index, (group, label, solid) in enumerate(zip(groups, meanings, solids, strict=True)):
+        face_instance[group.faces] = index
+        count = 0 if label.is_structure else min(_PROBES, len(solid.points))
+        probes.append(solid.points[context.rng("probes", index).choice(len(solid.points), count, replace=False)])
+    return best_sights(
+        world, face_instance, probes, reading.frames, alignment.pose,
+        most_frames=config.max_view_frames, per_instance=config.views_per_instance,
+    )  # fmt: skip
+
+
+def _with_views(
+    rows: Sequence[Instance], sights: Sequence[Sight], frames: Sequence[FrameSource], scene_id: str, blobs: Blobs, config: CaptureConfig
+) -> tuple[list[Instance], list[Mask]]:
+    """Instances with the crop of their best view, and the masks of all views that were kept."""
+    masks = [
+        Mask(
+            scene_id=scene_id,
+            frame_id=frames[sight.frame].frame_id,
+            instance_id=rows[sight.instance].instance_id,
+            pixel_box=sight.pixel_box,
+            pixel_count=int(sight.mask.sum()),
+            visible_fraction=sight.visible_fraction,
+            score=sight.score,
+            run_lengths=run_lengths(sight.mask),
+        )
+        for sight in sights
+    ]
+    of_instance: dict[int, list[Sight]] = {}
+    for sight in sights:
+        of_instance.setdefault(sight.instance, []).append(sight)
+    crops: dict[int, str] = {}
+    best_by_frame: dict[int, list[Sight]] = {}
+    for own in of_instance.values():
+        best_by_frame.setdefault(own[0].frame, []).append(own[0])
+    for frame, best in sorted(best_by_frame.items()):
+        image = frames[frame].color()
+        for sight in best:
+            crops[sight.instance] = blobs.add(encode_jpeg(view_of(image, sight.pixel_box), config.view_size_px), "jpg")
+    seen = [
+        dataclasses.replace(row, view_blob=crops.get(index), best_frames=tuple(frames[s.frame].frame_id for s in of_instance.get(index, ())))
+        for index, row in enumerate(rows)
+    ]
+    return seen, masks
+
+
+def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: Context) -> Cloud:
+    if reading.is_dense:
+        vertex_instance = np.full(len(world.vertices), -1, dtype=np.int64)
+        for index, group in enumerate(groups):
+            vertex_instance[group.vertices] = index
+        return dense_cloud(world, vertex_instance)
+    face_instance = np.full(len(world.faces), -1, dtype=np.int64)
+    for index, group in enumerate(groups):
+        face_instance[group.faces] = index
+    return sampled_cloud(world, face_instance, context.rng("room"))
+
+
+def _room(context: Context, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], notes: list[str]) -> Room:
+    cloud = _cloud(reading, world, groups, context)
+    classes: NDArray[np.int64] = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)
+    shape = estimate_room(cloud, classes[cloud.instance + 1])
+    notes += shape.notes
+    stated = reading.room_type
+    if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
+        notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
+    return Room(
+        scene_id=context.scene_id,
+        room_type=stated or inferred_room_type(label.category for label in meanings),
+        floor_polygon=tuple((float(x), float(y)) for x, y in shape.polygon),
+        floor_area_m2=shape.area,
+        floor_source=shape.floor_source,
+        walls=tuple(tuple(float(v) for v in wall) for wall in shape.walls),
+        height_m=shape.height,
+        height_source=shape.height_source,
+    )
+
+
+def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:
+    """GLB of the whole scan in the world frame, thinned when it has more faces than the config allows; and a note on that."""
+    if reading.parts:
+        parts = []
+        for part in reading.parts:
+            moved = part.copy()
+            moved.apply_transform(alignment.pose)
+            parts.append(moved)
+        return dump_glb(parts, [str(part.metadata["name"]) for part in reading.parts]), []
+    if len(world.faces) <= config.max_faces:
+        return dump_glb([world.to_trimesh()], ["scan"]), []
+    thin = _thinned(world, config.max_faces)
+    return dump_glb([thin.to_trimesh()], ["scan"]), [f"scan mesh thinned from {len(world.faces)} to {len(thin.faces)} faces"]
+
+
+def _thinned(surface: Surface, faces: int) -> Surface:
+    """A surface of about so many faces; colors are those of the nearest vertices."""
+    import fast_simplification
+    from scipy.spatial import cKDTree
+
+    points, triangles = fast_simplification.simplify(
+        surface.vertices.astype(np.float32), surface.faces.astype(np.int32), target_count=faces
+    )
+    nearest = cKDTree(surface.vertices).query(points)[1]
+    return Surface(points.astype(np.float64), triangles.astype(np.int64), surface.colors[nearest])
+
+
+def _frame_row(frame: FrameSource, scene_id: str, alignment: Alignment) -> Frame:
+    return Frame(
+        scene_id=scene_id,
+        frame_id=frame.frame_id,
+        color_file=frame.color_file,
+        depth_file=frame.depth_file,
+        width=frame.width,
+        height=frame.height,
+        intrinsics=frame.intrinsics,
+        depth_scale=float(frame.depth_scale),
+        pose=None if frame.pose is None else flat(alignment.pose @ frame.pose),
+    )
