@@ -29,10 +29,16 @@ OBJECTS = (
 )
 """Label, center [m], extents [m] and yaw [rad] of each object, in the world frame."""
 
-SCAN_FROM_WORLD = inverse(
-    yaw_pose(0.4, [1.0, -2.0, 0.3]) @ np.block([[np.array([[1, 0, 0], [0, np.cos(0.03), -np.sin(0.03)], [0, np.sin(0.03), np.cos(0.03)]]), np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
-)
-"""The scan lies turned, tilted by 0.03 rad and moved against the world."""
+TILT = 0.03
+"""Angle between the floor and the scan's horizontal [rad]."""
+
+_TILTED = np.eye(4)
+_TILTED[1:3, 1:3] = [[np.cos(TILT), -np.sin(TILT)], [np.sin(TILT), np.cos(TILT)]]
+SCAN_FROM_WORLD = inverse(yaw_pose(0.4, [1.0, -2.0, 0.3]) @ _TILTED)
+"""The scan lies turned, tilted and moved against the world."""
+
+Shot = tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.float64]]
+Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +51,7 @@ class BoxRoom:
     cameras: tuple[Camera, ...]
 
 
-def plate(corner: Sequence[float], u: Sequence[float], v: Sequence[float], step: float = 0.05) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def plate(corner: Sequence[float], u: Sequence[float], v: Sequence[float], step: float = 0.05) -> Mesh:
     """Vertices and triangles of a rectangle from `corner` along `u` and `v`, with a vertex every `step` [m]."""
     nu, nv = (max(2, round(float(np.linalg.norm(w)) / step) + 1) for w in (u, v))
     a, b = np.meshgrid(np.linspace(0, 1, nu), np.linspace(0, 1, nv), indexing="ij")
@@ -54,14 +60,14 @@ def plate(corner: Sequence[float], u: Sequence[float], v: Sequence[float], step:
     return vertices, np.concatenate([np.stack([i, i + nv, i + nv + 1], axis=1), np.stack([i, i + nv + 1, i + 1], axis=1)])
 
 
-def box_plates(size: Sequence[float], pose: NDArray[np.float64], is_inside_out: bool = False) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def box_plates(size: Sequence[float], pose: NDArray[np.float64]) -> Mesh:
     """Vertices and triangles of a box, facing outward."""
     h = np.asarray(size, float) / 2
     vertices, faces, count = [], [], 0
     for axis in range(3):
         for sign in (-1, 1):
             u, v = np.roll(np.eye(3), axis, axis=0)[[1, 2]]
-            if (sign < 0) != is_inside_out:
+            if sign < 0:
                 u, v = v, u
             u, v = u * 2 * h, v * 2 * h
             corner = sign * h * np.roll(np.eye(3), axis, axis=0)[0] - (u + v) / 2
@@ -73,7 +79,9 @@ def box_plates(size: Sequence[float], pose: NDArray[np.float64], is_inside_out: 
     return points @ pose[:3, :3].T + pose[:3, 3], np.concatenate(faces)
 
 
-def box_room(objects: Sequence[tuple[str, tuple[float, ...], tuple[float, ...], float]] = OBJECTS, ceiling: bool = True, cameras: int = 12) -> BoxRoom:
+def box_room(
+    objects: Sequence[tuple[str, tuple[float, ...], tuple[float, ...], float]] = OBJECTS, ceiling: bool = True, cameras: int = 12
+) -> BoxRoom:
     """Floor, walls, ceiling and boxes, as a scanner would see them."""
     x, y, z = ROOM
     pieces = [("floor", plate([-x / 2, -y / 2, 0], [x, 0, 0], [0, y, 0]))]
@@ -89,7 +97,8 @@ def box_room(objects: Sequence[tuple[str, tuple[float, ...], tuple[float, ...], 
         vertices.append(points)
         faces.append(triangles + count)
         instance.append(np.full(len(points), index))
-        colors.append(np.tile(np.array([[40 + 23 * index % 200, 60 + 57 * index % 190, 80 + 91 * index % 170]], dtype=np.uint8), (len(points), 1)))
+        color = np.array([40 + 23 * index % 200, 60 + 57 * index % 190, 80 + 91 * index % 170], dtype=np.uint8)
+        colors.append(np.tile(color, (len(points), 1)))
         count += len(points)
     surface = Surface(np.concatenate(vertices), np.concatenate(faces), np.concatenate(colors))
     views = []
@@ -109,12 +118,13 @@ def ply_bytes(surface: Surface, order: str = "<") -> bytes:
     face = np.zeros(len(surface.faces), dtype=[("n", "u1"), ("i", order + "i4", 3)])
     face["n"], face["i"] = 3, surface.faces
     header = f"ply\nformat {word} 1.0\ncomment a scan\nelement vertex {len(vertex)}\n"
-    header += "".join(f"property float {axis}\n" for axis in "xyz") + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue", "alpha"))
+    header += "".join(f"property float {axis}\n" for axis in "xyz")
+    header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue", "alpha"))
     header += f"element face {len(face)}\nproperty list uchar int vertex_indices\nend_header\n"
     return header.encode() + vertex.tobytes() + face.tobytes()
 
 
-def rendered(room: BoxRoom) -> list[tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.float64]]]:
+def rendered(room: BoxRoom) -> list[Shot]:
     """Color, depth [mm] and pose (camera to scan frame) of each camera."""
     scene = RayScene([room.surface.to_trimesh()])
     shots = []
@@ -136,7 +146,7 @@ def matrix_text(matrix: NDArray[np.float64]) -> str:
     return "\n".join(" ".join(f"{v:.8f}" for v in row) for row in matrix) + "\n"
 
 
-def write_frames(folder: Path, shots: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.float64]]], camera: Camera) -> None:
+def write_frames(folder: Path, shots: Sequence[Shot], camera: Camera) -> None:
     """Exported frames: color, depth, pose, intrinsic."""
     for name in ("color", "depth", "pose", "intrinsic"):
         (folder / name).mkdir(parents=True, exist_ok=True)
@@ -150,7 +160,7 @@ def write_frames(folder: Path, shots: Sequence[tuple[NDArray[np.uint8], NDArray[
         (folder / "intrinsic" / f"{name}.txt").write_text(matrix_text(full))
 
 
-def sens_bytes(shots: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.float64]]], camera: Camera) -> bytes:
+def sens_bytes(shots: Sequence[Shot], camera: Camera) -> bytes:
     """A `.sens` container of version 4, jpeg and zlib_ushort."""
     full = np.eye(4, dtype=np.float32)
     full[:3, :3] = camera.intrinsic
@@ -192,7 +202,8 @@ def write_scannet(
     (folder / f"{scan}_vh_clean_2.0.010000.segs.json").write_text(json.dumps(segs))
     names = labels or room.labels
     groups = [
-        {"id": i, "objectId": i, "segments": np.unique(segments[room.instance == i]).tolist(), "label": label} for i, label in enumerate(names)
+        {"id": i, "objectId": i, "segments": np.unique(segments[room.instance == i]).tolist(), "label": label}
+        for i, label in enumerate(names)
     ]
     document = {"sceneId": prefix + scan, "appId": "Aggregator.v2", "segGroups": groups, "segmentsFile": name}
     (folder / f"{scan}{aggregation}").write_text(json.dumps(document))

@@ -88,12 +88,13 @@ def align(
     solid = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) > 1e-12
     faces = facets(surface)
     if not len(faces.areas):
-        return Alignment(np.eye(4) if stated is None else stated, "identity" if stated is None else "file", 0.0, ("mesh without area: not aligned",))
+        notes = ["mesh without area: not aligned"]
+        return Alignment(np.eye(4) if stated is None else stated, "identity" if stated is None else "file", 0.0, tuple(notes))
     floor = faces.chosen(floor_faces[solid]) if floor_faces is not None and floor_faces[solid].any() else None
     walls = faces.chosen(wall_faces[solid]) if wall_faces is not None and wall_faces[solid].any() else faces
     if stated is not None:
         return _as_stated(faces, floor, stated)
-    notes: list[str] = []
+    notes = []
     rotation = np.eye(3)
     if not is_authored:
         up, notes = _up(faces, floor, camera_up)

@@ -70,4 +70,4 @@ def vertex_normals(surface: Surface) -> tuple[Array, Array]:
     normals = np.stack([np.bincount(flat_faces, weights=np.repeat(cross[:, axis], 3), minlength=count) for axis in range(3)], axis=1)
     areas = np.bincount(flat_faces, weights=np.repeat(np.linalg.norm(cross, axis=1) / 6, 3), minlength=count)
     length = np.linalg.norm(normals, axis=1)
-    return normals / np.maximum(length, 1e-12)[:, None], areas
+    return (normals / np.maximum(length, 1e-12)[:, None]).astype(np.float64), areas.astype(np.float64)

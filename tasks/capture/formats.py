@@ -120,7 +120,8 @@ def _search(folder: Path, wanted: tuple[str, ...], dataset: str | None, depth: i
         errors.append(InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}"))
     elif not scans and depth:
         # A folder without a scan anywhere below it is one mistake, not one for each of its folders.
-        errors = [InputError(folder.name, "folder", f"holds no scan of a known format ({', '.join(wanted)})", f"expected {_expected(wanted)}")]
+        problem = f"holds no scan of a known format ({', '.join(wanted)})"
+        errors = [InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}")]
     return scans, errors
 
 

@@ -169,7 +169,8 @@ def _color_intrinsics(layout: FrameLayout, folder: Path, stated: dict[str, str],
         return _scaled_to_fit(matrix_intrinsics(read_text(path, name), name), _stated_size(stated, "color"), size), DEPTH_SCALE
     values = _stated_intrinsics(stated, "color", folder)
     if values is None:
-        raise InputError(folder.name, "intrinsics", "the scan states none", "write intrinsics.json with fx, fy, cx, cy, width, height, depth_scale")
+        remedy = "write intrinsics.json with fx, fy, cx, cy, width, height, depth_scale"
+        raise InputError(folder.name, "intrinsics", "the scan states none", remedy)
     return _scaled_to_fit(values, _stated_size(stated, "color"), size), DEPTH_SCALE
 
 

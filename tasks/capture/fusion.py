@@ -84,7 +84,7 @@ def _extracted(volume: object, config: FusionConfig) -> Surface:
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
         return Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3), dtype=np.uint8))
     vertices, faces = mesh.vertex.positions.numpy().astype(np.float64), mesh.triangle.indices.numpy().astype(np.int64)
-    colors = np.clip(np.round(mesh.vertex.colors.numpy() * 255), 0, 255).astype(np.uint8)
+    colors = np.clip(np.round(mesh.vertex.colors.numpy()), 0, 255).astype(np.uint8)
     # The volume hands out its blocks in the order of a hash table: sorted, the mesh is the same everywhere.
     order = np.lexsort(vertices.T[::-1])
     place = np.empty_like(order)

@@ -40,7 +40,9 @@ def scanned_solid(surface: Surface, group: Group) -> Solid:
     return Solid(surface.vertices[group.vertices], surface.colors[group.vertices], group.faces, is_exact=False)
 
 
-def modelled_solid(surface: Surface, group: Group, parts: Sequence[object], starts: NDArray[np.int64], rng: np.random.Generator, most: int) -> Solid:
+def modelled_solid(
+    surface: Surface, group: Group, parts: Sequence[object], starts: NDArray[np.int64], rng: np.random.Generator, most: int
+) -> Solid:
     """An instance whose points are spread over its faces, colored by its textures.
 
     parts: Textured parts that make up the surface, in its order. starts: First face of each part, shape (len(parts) + 1,).
@@ -67,8 +69,9 @@ def modelled_solid(surface: Surface, group: Group, parts: Sequence[object], star
 
 
 def instance_row(
-    scene_id: str, instance_id: str, group: Group, label: Label, solid: Solid, surface: Surface, blobs: Blobs, rng: np.random.Generator, most: int
-) -> Instance:
+    scene_id: str, instance_id: str, group: Group, label: Label, solid: Solid, surface: Surface, blobs: Blobs,
+    rng: np.random.Generator, most: int,
+) -> Instance:  # fmt: skip
     """The row of an instance, without its views; keeps at most `most` points in its blob."""
     exact = surface.vertices[np.unique(surface.faces[solid.faces])] if solid.is_exact else solid.points
     pose, size = oriented_box(exact, is_noisy=not solid.is_exact)

@@ -112,7 +112,8 @@ def _parsed(text: str, name: str) -> LabelMap:
     id_field = "nyu40id" if "nyu40id" in fields else "nyu40_id"
     for field in (raw_field, "category", id_field):
         if field not in fields:
-            raise InputError(name, field, "the column is missing", "use scannetv2-labels.combined.tsv or a CSV of raw_label, category, nyu40_id")
+            remedy = "use scannetv2-labels.combined.tsv or a CSV of raw_label, category, nyu40_id"
+            raise InputError(name, field, "the column is missing", remedy)
     entries: dict[str, tuple[str, int]] = {}
     try:
         for number, row in enumerate(rows, start=2):

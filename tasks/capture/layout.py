@@ -99,7 +99,7 @@ def scannet_layout(folder: Path) -> ScanNetLayout | None:
     if not scans:
         return None
     scan = folder.name if folder.name in scans else scans[0]
-    mine = [name for name in names if name.startswith(f"{scan}.") or name.startswith(f"{scan}_vh_clean")]
+    mine = [name for name in names if name.startswith((f"{scan}.", f"{scan}_vh_clean"))]
     meshes = tuple(folder / name for name in (f"{scan}_vh_clean_2.ply", f"{scan}_vh_clean.ply") if name in mine)
     segments = tuple(folder / name for name in mine if name.endswith(".segs.json"))
     aggregation = [name for name in (f"{scan}.aggregation.json", f"{scan}_vh_clean.aggregation.json") if name in mine]
@@ -116,7 +116,9 @@ def scannet_layout(folder: Path) -> ScanNetLayout | None:
     )
 
 
-_SCANNET = re.compile(r"(.+?)(?:_vh_clean(?:_2)?\.ply|_vh_clean(?:_2)?(?:\.\d+\.\d+)?\.segs\.json|(?:_vh_clean)?\.aggregation\.json|\.sens)")
+_SCANNET = re.compile(
+    r"(.+?)(?:_vh_clean(?:_2)?\.ply|_vh_clean(?:_2)?(?:\.\d+\.\d+)?\.segs\.json|(?:_vh_clean)?\.aggregation\.json|\.sens)"
+)
 
 
 def frame_ids(keys: Iterable[str]) -> list[str]:

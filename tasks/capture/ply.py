@@ -80,7 +80,8 @@ def check_vertices(vertices: NDArray[np.float64], name: str) -> None:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent = float((high - low).max())
     if extent > MAX_EXTENT_M or max(-low.min(), high.max()) > MAX_OFFSET_M:
-        raise InputError(name, "vertex", f"spans {extent:.4g} m, more than {MAX_EXTENT_M:g}", "scale the mesh to metres, or remove stray vertices")
+        remedy = "scale the mesh to metres, or remove stray vertices"
+        raise InputError(name, "vertex", f"spans {extent:.4g} m, more than {MAX_EXTENT_M:g}", remedy)
     if extent < 0.1:
         raise InputError(name, "vertex", f"spans {extent:.4g} m, less than any room", "scale the mesh to metres")
 
@@ -147,7 +148,8 @@ def _binary(
         if size > available:
             if lists and not _all_triangles(data[start : start + available // max(dtype.itemsize, 1) * dtype.itemsize], dtype, lists):
                 return None
-            raise InputError(name, f"element {element.name}", f"declares {element.count}, but the file ends after {available // dtype.itemsize}", _AGAIN)
+            held = available // dtype.itemsize
+            raise InputError(name, f"element {element.name}", f"declares {element.count}, but the file ends after {held}", _AGAIN)
         rows = np.frombuffer(data, dtype=dtype, count=element.count, offset=start)
         if is_face:
             wanted = [i for i in lists if element.fields[i][0] in ("vertex_indices", "vertex_index")]
@@ -194,10 +196,9 @@ def _by_library(data: bytes, name: str) -> tuple[NDArray[np.float64], NDArray[np
 
     try:
         mesh = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
-        vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
-        if faces.size == 0 or faces.shape[1] != 3 or vertices.shape[1] != 3:
+        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
             raise InputError(name, "element face", "the mesh has no triangles", "export the scan as a triangle mesh")
+        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
         colors = vertex_colors(mesh)
     except InputError:
         raise

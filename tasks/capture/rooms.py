@@ -154,8 +154,7 @@ class _Plan:
         closed = ndimage.binary_closing(np.pad(raw, 6), ball, iterations=5)[6:-6, 6:-6]
         filled = ndimage.binary_fill_holes(closed)
         opened = ndimage.binary_opening(filled, ball, iterations=2)
-        labels, count = ndimage.label(opened)
-        if not count:
+        if not opened.any():
             return _Plan(origin, np.zeros_like(raw), floor >= 1)
         # Rooms beside one another are told apart by a wall of some ten centimetres: pieces that near are one plan.
         joined, _ = ndimage.label(ndimage.binary_dilation(opened, ball, iterations=3))
@@ -175,7 +174,8 @@ class _Plan:
             line = np.concatenate([[0], self.inside[column].astype(np.int8), [0]])
             starts, stops = np.flatnonzero(np.diff(line) == 1), np.flatnonzero(np.diff(line) == -1)
             x = self.origin[0] + column * _CELL_M
-            boxes += [shapely.box(x, self.origin[1] + a * _CELL_M, x + _CELL_M, self.origin[1] + b * _CELL_M) for a, b in zip(starts, stops, strict=True)]
+            ys = self.origin[1] + np.stack([starts, stops], axis=1) * _CELL_M
+            boxes += [shapely.box(x, low, x + _CELL_M, high) for low, high in ys]
         return _largest(_closed(shapely.union_all(boxes), 0.15))
 
     def share_of_floor(self, shape: Polygon) -> float:

@@ -153,7 +153,8 @@ def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: 
         return [scanned_solid(world, group) for group in groups]
     starts = np.concatenate([[0], np.cumsum([len(part.faces) for part in reading.parts])]).astype(np.int64)
     return [
-        modelled_solid(world, group, reading.parts, starts, context.rng("surface", index), config.max_points) for index, group in enumerate(groups)
+        modelled_solid(world, group, reading.parts, starts, context.rng("surface", index), config.max_points)
+        for index, group in enumerate(groups)
     ]
 
 
@@ -206,9 +207,9 @@ def _with_views(
         image = frames[frame].color()
         for sight in best:
             crops[sight.instance] = blobs.add(encode_jpeg(view_of(image, sight.pixel_box), config.view_size_px), "jpg")
+    best_frames = {index: tuple(frames[s.frame].frame_id for s in own) for index, own in of_instance.items()}
     seen = [
-        dataclasses.replace(row, view_blob=crops.get(index), best_frames=tuple(frames[s.frame].frame_id for s in of_instance.get(index, ())))
-        for index, row in enumerate(rows)
+        dataclasses.replace(row, view_blob=crops.get(index), best_frames=best_frames.get(index, ())) for index, row in enumerate(rows)
     ]
     return seen, masks
 

@@ -46,6 +46,9 @@ _ITEM_HEIGHT_M = 0.6
 _BACK_SHARE = 0.35
 """What stands on a seat and is at least this share of its length wide is its back or arm, not an item."""
 
+_SEAT_SHARE = 0.5
+"""What covers more of a seat than this is its cushion."""
+
 _MIN_POINTS = 40
 _MIN_AREA_M2 = 0.008
 """Half the visible surface of a mug; smaller pieces are noise."""
@@ -116,6 +119,11 @@ def geometry_groups(world: Surface) -> tuple[tuple[Group, ...], list[str]]:
     # What lies below the floor was seen in a mirror, or is noise.
     rest = np.flatnonzero((owner < 0) & (z > -_FLOOR_BAND_M))
     for members in _clusters(world.vertices, areas, rest, _OBJECT_GAP_M):
+        if _lies_flat(world.vertices[members], normals[members], areas[members]) and len(floor):
+            # Floor that the alignment leaves a little askew at its far end, or that drift has doubled.
+            owner[members] = 0
+            found[0] = ("floor", np.concatenate([found[0][1], members]))
+            continue
         support, items = _items(world.vertices, normals, areas, members)
         for part in (support, *items):
             if len(part) >= _MIN_POINTS:
@@ -124,6 +132,12 @@ def geometry_groups(world: Surface) -> tuple[tuple[Group, ...], list[str]]:
     rows = [(str(index), f"{PROVIDER}:{category}", np.sort(members)) for index, (category, members) in enumerate(found)]
     note = f"instances found in the geometry: {objects} objects, categories guessed from their sizes"
     return groups_of(rows, owner, world), [note]
+
+
+def _lies_flat(points: Array, normals: Array, areas: Array) -> bool:
+    """Whether a cluster is a piece of floor: level, and hardly higher than the floor."""
+    level = np.abs(normals[:, 2]) > 0.7
+    return bool(np.percentile(np.abs(points[:, 2]), 90) < 2 * _FLOOR_BAND_M and areas[level].sum() > 0.4 * areas.sum())
 
 
 def _walls(points: Array, normals: Array, areas: Array, free: NDArray[np.bool_]) -> list[Indices]:
@@ -203,12 +217,15 @@ def _items(points: Array, normals: Array, areas: Array, members: Indices) -> tup
             continue
         above = rest[(z > height + _ITEM_CLEARANCE_M) & (z < height + _ITEM_HEIGHT_M + 0.3)]
         above = above[_over(points[above], points[top])]
-        length = float(np.ptp(points[top, :2], axis=0).max())
+        extent = np.ptp(points[top, :2], axis=0)
+        length, plan = float(extent.max()), float(np.prod(extent))
         taken = []
         for item in _clusters(points, areas, above, _ITEM_GAP_M):
             reach = np.ptp(points[item], axis=0)
             is_back = reach[:2].max() > _BACK_SHARE * length and reach[2] > 0.2 and height < 0.65
-            if reach[2] <= _ITEM_HEIGHT_M and points[item, 2].min() < height + 0.08 and not is_back:
+            is_seat = np.prod(reach[:2]) > _SEAT_SHARE * plan and height < 0.65
+            is_rim = reach[2] < 0.05 and reach[:2].min() < 0.08
+            if reach[2] <= _ITEM_HEIGHT_M and points[item, 2].min() < height + 0.08 and not (is_back or is_seat or is_rim):
                 taken.append(item)
         if taken:
             items += taken

@@ -171,5 +171,6 @@ def focal_and_center(matrix: NDArray[np.float64], name: str, field: str) -> tupl
     """
     fx, fy, cx, cy = (float(v) for v in (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]))
     if not np.isfinite([fx, fy, cx, cy]).all() or not (1 <= fx <= 1e5 and 1 <= fy <= 1e5) or max(abs(cx), abs(cy)) > 1e5:
-        raise InputError(name, field, f"fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} are no intrinsics", "write a 3x3 or 4x4 matrix in pixels")
+        problem = f"fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} are no intrinsics"
+        raise InputError(name, field, problem, "write a 3x3 or 4x4 matrix in pixels")
     return fx, fy, cx, cy

@@ -103,10 +103,15 @@ def _matched(stamps: list[float], count: int, keys: Sequence[str], kind: str) ->
         return list(range(count))
     if stamps:
         times = np.array(stamps)
-        wanted = [float(key) if re.fullmatch(r"\d+(\.\d+)?", key) else None for key in keys]
-        nearest = [None if t is None or not np.isfinite(times).any() else int(np.nanargmin(np.abs(times - t))) for t in wanted]
-        return [i if i is not None and t is not None and abs(times[i] - t) <= _STAMP_SECONDS else None for i, t in zip(nearest, wanted, strict=True)]
+        return [_nearest(times, float(key)) if re.fullmatch(r"\d+(\.\d+)?", key) else None for key in keys]
     indices = [int(match[1]) if (match := re.search(r"(\d{1,9})$", key)) else None for key in keys]
     if count == len(keys) and any(i is None or i >= count for i in indices):
         return list(range(count))
     return [i if i is not None and i < count else None for i in indices]
+
+
+def _nearest(times: NDArray[np.float64], time: float) -> int | None:
+    """Index of the stamp that belongs to `time`, None when none is near enough."""
+    gap = np.abs(np.where(np.isfinite(times), times, np.inf) - time)
+    best = int(np.argmin(gap))
+    return best if gap[best] <= _STAMP_SECONDS else None
