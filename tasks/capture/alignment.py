@@ -99,7 +99,8 @@ def align(
     if not is_authored:
         up, notes = _up(faces, floor, camera_up)
         rotation = rotation_to_z(up)
-    yaw = dominant_yaw(walls.turned(rotation))
+    # Furniture says nothing about how a modeller meant the axes: only walls may turn a modelled scene.
+    yaw = 0.0 if is_authored and wall_faces is None else dominant_yaw(walls.turned(rotation))
     if yaw is None:
         notes.append("no walls or other vertical faces seen: yaw left as scanned")
         yaw = 0.0
@@ -189,7 +190,9 @@ def floor_height(faces: Facets, floor: Facets | None) -> float | None:
     if not len(heights) or areas.sum() < _MIN_FLOOR_M2:
         return _weighted_median(source.centers[:, 2], source.areas) if floor is not None else None
     if floor is not None:
-        return _weighted_median(heights, areas)
+        # Of a slab, the upper side; of a scan whose faces are turned the wrong way round, whatever there is.
+        upward = source.normals[level, 2] > 0
+        return _weighted_median(heights[upward], areas[upward]) if upward.mean() > 0.1 else _weighted_median(heights, areas)
     below = np.argsort(faces.centers[:, 2])
     share = np.cumsum(faces.areas[below]) / faces.areas.sum()
     ceiling_of_noise = float(faces.centers[below, 2][np.searchsorted(share, _BELOW_SHARE)])
