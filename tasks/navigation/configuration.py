@@ -51,7 +51,7 @@ class NavigationConfig:
     view_reach_m: float = 1.0  # Habitat's object navigation: view points lie within a metre of the object
     view_spacing_m: float = 0.25  # one step: closer view points would not be told apart
     view_directions: int = 12  # at least one per heading, around objects however small
-    search_expansions: int = 400  # nineteen in twenty searches that succeed look at fewer states; the rest draw another start
+    search_expansions: int = 400  # of the searches that can succeed 49 in 50 do so within this many states (six crowded rooms)
 
     def __post_init__(self) -> None:
         if not (self.agent.radius_m > 0 and self.agent.height_m > self.agent.max_climb_m >= 0):

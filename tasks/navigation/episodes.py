@@ -94,7 +94,7 @@ def sample_routes(
     Returns:
         The routes; why a target has none, by instance; and limits that had to be halved, one line each.
     """
-    samplers = [RouteSampler(target, finder, config) for target in targets]
+    every = samplers = [RouteSampler(target, finder, config) for target in targets]
     routes: list[Route] = []
     failed: dict[str, str] = {}
     while samplers and len(routes) < count:
@@ -110,7 +110,7 @@ def sample_routes(
     served = {route.target.instance_id for route in routes}
     relaxed = [
         f"{s.target.instance_id}: few starts are {config.min_geodesic_m:g} m away, so episodes from {s.least_m:g} m were taken"
-        for s in samplers
+        for s in every
         if s.least_m < config.min_geodesic_m and s.target.instance_id in served
     ]
     return routes, {instance: reason for instance, reason in failed.items() if instance not in served}, relaxed
