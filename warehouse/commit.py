@@ -81,18 +81,14 @@ class Commit:
         """Remove staged runs that the last snapshot holds already (its commit died before it could); the others."""
         opened = self._tables.open("snapshots")
         facts = opened.history(1)[0] if opened is not None else {}
-        tokens = set(str(facts.get(_ADOPTED, "")).split())
-        staged = self._staging.runs()
-        gone = [one for one in staged if one.token in tokens]
-        if gone:
-            self._lease.check()
-            self._staging.remove(gone)
-        return [one for one in staged if one.token not in tokens]
+        self._lease.check()
+        self._staging.remove_tokens(set(str(facts.get(_ADOPTED, "")).split()))
+        return self._staging.runs()
 
     def _read_base(self) -> Base:
         opened = self._tables.open("snapshots")
-        # The version is remembered: the snapshot's row is only written if nobody wrote one since.
-        self._snapshot_version = int(opened.version()) if opened is not None else None
+        # Kept as opened: the snapshot's row is only written if nobody wrote one since.
+        self._opened_snapshots = opened
         rows = arrow_to_rows(self._tables.read(self._snapshots, self._tables.files("snapshots", opened)), Snapshot) if opened else []
         self._snapshot_rows: list[Snapshot] = rows
         last = max(rows, key=lambda row: row.snapshot_id, default=None)
@@ -125,7 +121,7 @@ class Commit:
             return None
         writer = self._writer(table)
         if replaced:
-            writer.replace(rows, "scene_id", replaced)
+            writer.replace(rows, "scene_id", changed)
         else:
             writer.append(rows)
         writer.compact()
@@ -217,7 +213,7 @@ class Commit:
 
     def _write_snapshot(self, snapshot: Snapshot, adopted: Sequence[StagedRun]) -> None:
         # The table is small and read by everybody first, so it is kept in one file.
-        writer = self._tables.writer(self._snapshots, self._snapshot_version, self._lease.check)
+        writer = self._tables.writer_from(self._snapshots, self._opened_snapshots, self._lease.check)
         tokens = " ".join(sorted(one.token for one in adopted))
         writer.rewrite(rows_to_arrow([*self._snapshot_rows, snapshot], Snapshot), {_ADOPTED: tokens})
 

@@ -91,27 +91,40 @@ class DeltaTables:
     def writer(self, table: Table, version: int | None, check: Callable[[], None]) -> TableWriter:
         """A writer that starts from `version`, None for a table that no snapshot names.
 
-        `check` is called before everything that changes the table.
+        A head that is ahead of it is restored first. `check` is called before everything that changes the table.
         """
-        return TableWriter(self, self._storage, table, version, check)
+        opened = self.open(table.name)
+        writer = TableWriter(self, self._storage, table, opened, check)
+        writer.start_from(version)
+        return writer
+
+    def writer_from(self, table: Table, opened: DeltaTable | None, check: Callable[[], None]) -> TableWriter:
+        """A writer that starts from a table as it was opened, and fails when anybody wrote to it since."""
+        return TableWriter(self, self._storage, table, opened, check)
 
 
 class TableWriter:
     """Writes one table, from one version on."""
 
-    def __init__(self, tables: DeltaTables, storage: Storage, table: Table, version: int | None, check: Callable[[], None]) -> None:
-        self._tables, self._storage, self._table, self._check = tables, storage, table, check
-        self._opened = tables.open(table.name)
+    def __init__(
+        self, tables: DeltaTables, storage: Storage, table: Table, opened: DeltaTable | None, check: Callable[[], None]
+    ) -> None:
+        self._tables, self._storage, self._table, self._opened, self._check = tables, storage, table, opened, check
+        self._is_leftover = False
+
+    def start_from(self, version: int | None) -> None:
+        """Bring the table to what it was at a version, None for a table that no snapshot names."""
         # A table that no snapshot names but that exists was left by a commit that died: all of it goes.
         self._is_leftover = version is None and self._opened is not None
-        if version is not None:
-            if self._opened is None or self._opened.version() < version:
-                problem = f"version {version} is missing, which the snapshot names"
-                raise InputError(f"{storage.address}/{FOLDER}/{table.name}", "", problem, "restore the folder")
-            if self._opened.version() > version:
-                check()
-                self._opened.restore(version, commit_properties=self._unretried())
-                self._opened.update_incremental()
+        if version is None:
+            return
+        if self._opened is None or self._opened.version() < version:
+            problem = f"version {version} is missing, which the snapshot names"
+            raise InputError(f"{self._storage.address}/{FOLDER}/{self._table.name}", "", problem, "restore the folder")
+        if self._opened.version() > version:
+            self._check()
+            self._opened.restore(version, commit_properties=self._unretried())
+            self._opened.update_incremental()
 
     @property
     def version(self) -> int | None:

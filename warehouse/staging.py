@@ -11,7 +11,7 @@ import hashlib
 import io
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import pyarrow as pa
@@ -147,6 +147,13 @@ class Staging:
             self._storage.remove(staged.run_file)
             for path in staged.files.values():
                 self._storage.remove(path)
+
+    def remove_tokens(self, tokens: Collection[str]) -> None:
+        """Remove every file of the staged runs with these tokens, complete or not."""
+        for stem, files in self._by_stem().items():
+            if stem.split("@")[3] in tokens:
+                for table in sorted(files, key=lambda table: table != _RUNS):
+                    self._storage.remove(files[table])
 
     def remove_incomplete(self) -> None:
         """Remove what dead writers left without the run's own row."""
