@@ -57,4 +57,4 @@ class OptimizationStep:
     dy_m: float = column("Move along y", unit="m")
     loss: float = column("Collision loss after the move (equation A1)", unit="m3", minimum=0)
     smallest_loss: float = column("Smallest loss so far, this step included", unit="m3", minimum=0)
-    outcome: str = column("What became of the move", values=("start", "kept", "reverted", "left_room"))
+    outcome: str = column("What became of the move", values=("start", "kept", "reverted", "left_room", "left_support"))

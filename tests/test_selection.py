@@ -221,8 +221,8 @@ def test_a_crop_of_the_scan_wins_only_when_clearly_better() -> None:
     for model, winner in ((chair, "chair"), (cabinet, "crop")):
         room = Room()
         instance = room.instance(points, colors, 0.4)
-        ids = {model.__name__: room.asset(model(), model.__name__), "crop": room.asset([crop], "crop", "scan_crop", watertight=True)}
-        room.candidate(instance, 1, ids["crop"], "scan_crop")
+        ids = {model.__name__: room.asset(model(), model.__name__), "crop": room.asset([crop], "crop", "scan_crop_closed", watertight=True)}
+        room.candidate(instance, 1, ids["crop"], "scan_crop_closed")
         room.candidate(instance, 2, ids[model.__name__])
         rows, _ = room.select()
         assert rows[0].asset_id == ids[winner], [(r.slot, r.score) for r in rows]

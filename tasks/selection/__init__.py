@@ -19,7 +19,7 @@ from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.stage import Context, Outcome, Stage
 from tasks.transforms import flat, inverse, matrix, transform_points, translation, yaw_of, yaw_pose
 
-__all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "completeness", "run", "score_of"]
+__all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "completeness", "is_own_geometry", "run", "score_of"]
 
 PROVIDER = "geometric"
 PROVIDER_VERSION = "1"
@@ -39,7 +39,7 @@ class ScoreConfig:
     threshold_share: float = 0.05  # ... or a twentieth of the diagonal, where that is less: a mug is not covered by a point 3 cm off
     threshold_least_m: float = 0.01  # but no scan is finer than this
     falloff: float = 0.04  # of the diagonal: the mean distance at which closeness falls to 1/e
-    own_geometry: tuple[str, ...] = ("scan_crop",)  # providers whose assets are made of the instance's own points
+    own_geometry: tuple[str, ...] = ("scan_crop",)  # providers, by how their names begin, whose assets are the scan itself
     own_fit_ceiling: float = 0.8  # such an asset fits itself; its fit counts like that of a good model, never as a perfect one
     own_completeness: float = 0.4  # it shows what the scan saw: its back and inside are a guess
     open_completeness: float = 0.1  # and when it is not even closed, physics has to guess too
@@ -113,9 +113,14 @@ def score_of(distances: Distances, box_iou: float, color: float, complete: float
     return float(np.clip(total, 0.0, 1.0))
 
 
-def completeness(asset: Asset, provider: str, config: ScoreConfig) -> float:
-    """How much of the whole object an asset shows, in 0..1, by who made it: models all of it, scan geometry what was seen."""
-    if provider not in config.own_geometry and asset.provider not in config.own_geometry:
+def is_own_geometry(asset: Asset, provider: str, config: ScoreConfig) -> bool:
+    """Whether an asset is made of scanned points, so that a good fit says nothing about it."""
+    return provider.startswith(config.own_geometry) or asset.provider.startswith(config.own_geometry)
+
+
+def completeness(asset: Asset, own: bool, config: ScoreConfig) -> float:
+    """How much of the whole object an asset shows, in 0..1: a model shows all of it, scan geometry what was seen."""
+    if not own:
         return 1.0
     return config.own_completeness if asset.is_watertight else config.open_completeness
 
@@ -157,8 +162,8 @@ def _rank(
             done[asset_id] = (fit, distances, color, _placed_iou(frame, fit, sample, instance))
         fit, distances, color, iou = done[asset_id]
         asset = assets[asset_id]
-        complete = completeness(asset, candidate.provider, score)
-        own = candidate.provider in score.own_geometry or asset.provider in score.own_geometry
+        own = is_own_geometry(asset, candidate.provider, score)
+        complete = completeness(asset, own, score)
         rows.append(
             Selection(
                 scene_id=instance.scene_id,

@@ -1,0 +1,144 @@
+"""Collision loss, and Algorithm 1 of the MetaScenes supplementary (CVPR 2025), which lowers it move by move."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.boxes import aabb_overlaps
+from tasks.optimization.descent import TOUCH_M, compiled_descent
+
+Array = NDArray[np.float64]
+
+OUTCOMES = ("start", "kept", "reverted", "left_room", "left_support")
+"""What became of a move, by code, as `optimization_steps` names it."""
+
+MOVES: NDArray[np.int64] = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+"""The four moves, in steps along x and y."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Crowd:
+    """Boxes that may stand in each other's way, and what limits their moves. n things, in a fixed order.
+
+    low, high: corners of the axis-aligned boxes in the world frame [m], shape (n, 3). counted: pairs that count in the
+    loss, shape (n, n), symmetric. movable: shape (n,). carries: thing j moves along with thing i, shape (n, n), with
+    i itself. outlines: convex counter-clockwise rings in plan [m], shape (n, k, 2), and how many corners each has.
+    room: triangles that make up the floor, counter-clockwise [m], shape (t, 3, 2); none: no room is known. carrier:
+    index of the thing that each stands on, -1 for none, shape (n,). shifts: where each may stand on it, in steps from
+    its place, shape (n, 2 reach + 1, 2 reach + 1).
+    """
+
+    low: Array
+    high: Array
+    counted: NDArray[np.bool_]
+    movable: NDArray[np.bool_]
+    carries: NDArray[np.bool_]
+    outlines: Array
+    corners: NDArray[np.int64]
+    room: Array
+    carrier: NDArray[np.int64]
+    shifts: NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """Every step of the algorithm, from 1: the thing that was moved, the move in steps (m, 2), the loss after it [m3],
+    the smallest loss so far [m3], and the outcome's code, shape (m,) each. moved: steps that every thing was moved in
+    the end, shape (n, 2). start: loss before the first step [m3]. exhausted: no single move lowers the loss."""
+
+    things: NDArray[np.int64]
+    moves: NDArray[np.int64]
+    loss: Array
+    smallest: Array
+    outcome: NDArray[np.int64]
+    moved: NDArray[np.int64]
+    start: float
+    exhausted: bool
+
+    @property
+    def final(self) -> float:
+        """Loss in the end [m3]."""
+        return float(self.smallest[-1]) if len(self.smallest) else self.start
+
+
+def collision_loss(low: Array, high: Array, counted: NDArray[np.bool_]) -> float:
+    """Volume of the overlaps of all counted pairs of axis-aligned boxes [m3] (equation A1). Corners: shape (n, 3)."""
+    sides = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])
+    volumes = np.where((sides > TOUCH_M).all(axis=2) & counted, aabb_overlaps(low, high), 0.0)
+    return float(volumes[np.triu_indices(len(low), 1)].sum())
+
+
+def descend(crowd: Crowd, step: float, max_steps: int, rng: np.random.Generator) -> Trace:
+    """Algorithm 1: random moves of single things by `step` [m], each kept when it lowers the loss.
+
+    A thing and one of four directions are drawn. The thing, with all it carries, is moved. The move is undone when it
+    takes more of an outline out of the room than was out before, or a carried thing off its carrier; else the loss is
+    taken, and the move undone unless the loss falls below the smallest so far. It ends at a loss of zero, after
+    `max_steps`, or once every move of every movable thing was tried since the last one kept: then none can lower it,
+    and the steps that are left would change nothing.
+    """
+    movable = np.flatnonzero(crowd.movable)
+    if not len(movable) or max_steps <= 0:
+        movable, max_steps = np.zeros(1, dtype=np.int64), 0
+    things = movable[rng.integers(0, len(movable), max_steps)].astype(np.int64)
+    directions = rng.integers(0, 4, max_steps).astype(np.int64)
+    loss, smallest = np.empty(max_steps), np.empty(max_steps)
+    outcome, moved = np.empty(max_steps, dtype=np.int64), np.zeros((len(crowd.low), 2), dtype=np.int64)
+    done, start, exhausted = compiled_descent()(
+        crowd.low, crowd.high, crowd.counted, int(crowd.movable.sum()), crowd.carries, crowd.outlines, crowd.corners, crowd.room,
+        crowd.carrier, crowd.shifts, MOVES, float(step), things, directions, loss, smallest, outcome, moved,
+    )  # fmt: skip
+    count = int(done)
+    return Trace(
+        things=things[:count],
+        moves=MOVES[directions[:count]],
+        loss=loss[:count],
+        smallest=smallest[:count],
+        outcome=outcome[:count],
+        moved=moved,
+        start=float(start),
+        exhausted=bool(exhausted),
+    )
+
+
+def outline(points: Array, most: int = 32) -> Array:
+    """Convex hull in plan of points, shape (n, 2), as a counter-clockwise ring, shape (k, 2), 3 <= k <= `most`.
+
+    More corners than `most` are thinned to the extreme ones in that many directions, which cuts a circle by half a
+    percent. Points on a line give their box.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        ring = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+        return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    if len(ring) > most:
+        angles = 2 * np.pi * np.arange(most) / most
+        extreme = np.unique(np.argmax(ring @ np.array([np.cos(angles), np.sin(angles)]), axis=0))
+        ring = ring[extreme]
+    return np.asarray(ring)
+
+
+def stacked(rings: Sequence[Array]) -> tuple[Array, NDArray[np.int64]]:
+    """Rings as one array, shape (n, k, 2), padded with their first corner, and how many corners each has, shape (n,)."""
+    most = max((len(r) for r in rings), default=3)
+    padded = [np.vstack([r, np.repeat(r[:1], most - len(r), axis=0)]) for r in rings]
+    return np.array(padded).reshape(len(rings), most, 2), np.array([len(r) for r in rings], dtype=np.int64)
+
+
+def room_triangles(ring: Array) -> Array:
+    """A simple polygon, shape (n, 2), as counter-clockwise triangles, shape (t, 3, 2)."""
+    import shapely
+
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(shapely.Polygon(ring)))
+    triangles = np.array([shapely.get_coordinates(p)[:3] for p in parts]).reshape(-1, 3, 2)
+    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    clockwise = first[:, 0] * second[:, 1] < first[:, 1] * second[:, 0]
+    triangles[clockwise] = triangles[clockwise, ::-1]
+    return triangles

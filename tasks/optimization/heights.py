@@ -1,0 +1,98 @@
+"""Plan views: the height of a placed surface over a grid of cells, which says what can stand on it and where."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tasks.meshes import Surface
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanView:
+    """Heights at the centers of square cells [m], shape (nx, ny); minus infinity where nothing is.
+
+    Cell (i, j) has its center at ((first[0] + i + 0.5) * cell, (first[1] + j + 0.5) * cell) in the world frame, so
+    views with one cell size share one grid.
+    """
+
+    heights: Array
+    first: tuple[int, int]
+    cell: float
+
+    def at(self, cells: NDArray[np.int64]) -> Array:
+        """Heights at grid cells, shape (n, 2) to (n,); minus infinity outside the view."""
+        local = cells - np.array(self.first)
+        inside = ((local >= 0) & (local < np.array(self.heights.shape))).all(axis=1)
+        result = np.full(len(cells), -np.inf)
+        result[inside] = self.heights[local[inside, 0], local[inside, 1]]
+        return result
+
+
+def plan_view(surface: Surface, low: ArrayLike, high: ArrayLike, ceiling: float, cell: float) -> PlanView:
+    """The highest point of a surface at or below `ceiling` in every cell of a window [m]; `low`, `high`: shape (2,)."""
+    a, b = np.asarray(low, dtype=np.float64)[:2], np.asarray(high, dtype=np.float64)[:2]
+    first = np.floor(a / cell).astype(np.int64)
+    shape = np.maximum(np.floor(b / cell).astype(np.int64) - first + 1, 1)
+    corners = surface.vertices[surface.faces]
+    near = (corners[:, :, :2].min(axis=1) <= b + cell).all(axis=1) & (corners[:, :, :2].max(axis=1) >= a - cell).all(axis=1)
+    near &= corners[:, :, 2].min(axis=1) <= ceiling
+    heights = np.full((int(shape[0]), int(shape[1])), -np.inf)
+    _compiled()(np.ascontiguousarray(corners[near]), first.astype(np.float64), float(cell), float(ceiling), heights)
+    return PlanView(heights, (int(first[0]), int(first[1])), cell)
+
+
+def underside(surface: Surface, cell: float) -> tuple[NDArray[np.int64], Array]:
+    """Cells that a surface covers in plan, shape (n, 2), and its lowest height in each [m], shape (n,).
+
+    A thing smaller than a cell covers the cell of its center.
+    """
+    low, high = surface.bounds
+    mirrored = dataclasses.replace(surface, vertices=surface.vertices * np.array([1.0, 1.0, -1.0]))
+    view = plan_view(mirrored, low, high, np.inf, cell)
+    cells = np.argwhere(np.isfinite(view.heights))
+    if not len(cells):
+        return np.floor(0.5 * (low + high)[None, :2] / cell).astype(np.int64), np.array([low[2]])
+    return cells + np.array(view.first), -view.heights[cells[:, 0], cells[:, 1]]
+
+
+@cache
+def _compiled() -> Callable[..., Any]:
+    import numba
+
+    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_raster)
+    return compiled
+
+
+def _raster(corners: Array, first: Array, cell: float, ceiling: float, heights: Array) -> None:
+    """Raise `heights` to every triangle, shape (n, 3, 3), at the centers of the cells that it covers."""
+    nx, ny = heights.shape
+    for t in range(corners.shape[0]):
+        ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
+        bx, by, bz = corners[t, 1, 0], corners[t, 1, 1], corners[t, 1, 2]
+        cx, cy, cz = corners[t, 2, 0], corners[t, 2, 1], corners[t, 2, 2]
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if abs(area) < 1e-14:  # upright: seen edge-on from above
+            continue
+        i0 = max(int(np.ceil(min(ax, bx, cx) / cell - 0.5 - first[0] - 1e-9)), 0)
+        i1 = min(int(np.floor(max(ax, bx, cx) / cell - 0.5 - first[0] + 1e-9)), nx - 1)
+        j0 = max(int(np.ceil(min(ay, by, cy) / cell - 0.5 - first[1] - 1e-9)), 0)
+        j1 = min(int(np.floor(max(ay, by, cy) / cell - 0.5 - first[1] + 1e-9)), ny - 1)
+        for i in range(i0, i1 + 1):
+            x = (first[0] + i + 0.5) * cell
+            for j in range(j0, j1 + 1):
+                y = (first[1] + j + 0.5) * cell
+                v = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
+                w = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
+                if v < -1e-9 or w < -1e-9 or v + w > 1 + 1e-9:
+                    continue
+                z = az + v * (bz - az) + w * (cz - az)
+                if z <= ceiling and z > heights[i, j]:
+                    heights[i, j] = z
