@@ -1,0 +1,179 @@
+"""What both exports are made of: shapes scaled to size, and the bodies that have them."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.candidates import Asset
+from schemas.captions import Caption
+from schemas.capture import Instance, Room, Scene
+from schemas.errors import InputError
+from schemas.optimization import Placement, Support
+from tasks.exports.config import ExportsConfig
+from tasks.exports.pieces import Hull, MassProperties, Method, asset_pieces, mass_properties
+from tasks.meshes import load_glb
+from tasks.transforms import is_rigid, matrix
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """An asset at one scale, in its own frame [m]: +Z up, origin at the bottom center.
+
+    `glb` is unscaled, `parts` and `hulls` are scaled. `properties` are those of the hulls' union.
+    """
+
+    name: str
+    asset: Asset
+    scale: tuple[float, ...]
+    glb: bytes
+    parts: list[trimesh.Trimesh]
+    hulls: tuple[Hull, ...]
+    method: Method
+    properties: MassProperties
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lowest and highest corner of what is seen [m], shape (2, 3)."""
+        boxes = np.array([part.bounds for part in self.parts])
+        return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+
+@dataclasses.dataclass(frozen=True)
+class Body:
+    """An object of the replica. `pose`: shape's frame to world, rigid 4x4 [m]. `is_fixed`: hangs on a wall or a ceiling."""
+
+    instance_id: str
+    name: str
+    category: str
+    nyu40_id: int
+    nyu40_label: str
+    shape: Shape
+    pose: NDArray[np.float64]
+    mass_kg: float
+    friction: float
+    restitution: float
+    is_fixed: bool
+    provenance: Mapping[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Replica:
+    """A scene ready to be written: its room and its bodies, sorted by instance."""
+
+    scene_id: str
+    stem: str
+    room: Room
+    bodies: tuple[Body, ...]
+    license: str
+
+
+def stem(scene_id: str) -> str:
+    """File name of a scene: `<dataset>_<scan>`, a different one for every scene.
+
+    Where the dataset's name has an underscore or a name has a dot, a short hash keeps it so.
+    """
+    dataset, scan = scene_id.split("/", 1)
+    plain = f"{dataset}_{scan}".replace(".", "-")
+    return plain if not re.search(r"[._]", dataset) and "." not in scan else f"{plain}_{digest(scene_id)}"
+
+
+def digest(text: str, length: int = 6) -> str:
+    """Short hash of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:length]
+
+
+def identifier(text: str) -> str:
+    """A text as a name that USD and file systems accept: letters, digits, underscores; begins with a letter."""
+    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "thing"
+    return name if name[0].isalpha() else f"n_{name}"
+
+
+def gather(
+    scenes: Sequence[Scene], rooms: Sequence[Room], instances: Sequence[Instance], captions: Sequence[Caption], assets: Sequence[Asset],
+    placements: Sequence[Placement], supports: Sequence[Support], blobs: Mapping[str, bytes], config: ExportsConfig,
+) -> tuple[Replica, list[str]]:  # fmt: skip
+    """The replica of one scene, and what had to be left out of it.
+
+    Raises:
+        InputError: the scene has no room.
+    """
+    if len(rooms) != 1:
+        raise InputError("rooms", "scene_id", f"{len(rooms)} rooms for one scene", "run capture on the scene again")
+    room = rooms[0]
+    by_asset = {asset.asset_id: asset for asset in assets}
+    by_instance = {instance.instance_id: instance for instance in instances}
+    by_caption = {caption.instance_id: caption for caption in captions}
+    relation = {support.instance_id: support.relation for support in supports}
+    shapes: dict[tuple[str, tuple[float, ...]], Shape] = {}
+    bodies, missed = [], []
+    for placement in sorted(placements, key=lambda row: row.instance_id):
+        key = (placement.asset_id, placement.scale)
+        try:
+            if key not in shapes:
+                shapes[key] = _shape(placement, by_asset, blobs, config)
+            if not is_rigid(matrix(placement.optimized_pose)):
+                raise InputError("placements", f"{placement.instance_id} optimized_pose", "is no rigid pose")
+        except InputError as error:
+            missed.append(f"{placement.instance_id}: left out: {error}")
+            continue
+        caption = by_caption.get(placement.instance_id)
+        if caption is None:
+            missed.append(f"{placement.instance_id}: no caption; mass from a density of {config.default_density_kg_m3:g} kg/m3")
+        fixed = relation.get(placement.instance_id) in ("wall", "ceiling")
+        bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, fixed, config))
+    license_ = next((scene.license for scene in scenes if scene.license), None) or "unknown"
+    return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), license_), missed
+
+
+def _shape(placement: Placement, assets: Mapping[str, Asset], blobs: Mapping[str, bytes], config: ExportsConfig) -> Shape:
+    """The shape of a placement's asset at its scale."""
+    asset = assets.get(placement.asset_id)
+    if asset is None:
+        raise InputError("assets", f"asset_id {placement.asset_id}", "is not among the scene's assets", "run candidates again")
+    glb = blobs[asset.mesh_blob]
+    parts = load_glb(glb, f"{asset.name}.glb")
+    known = load_glb(blobs[asset.pieces_blob], f"{asset.name} pieces.glb") if asset.pieces_blob else None
+    made = asset_pieces(asset.asset_id, parts, known, config.pieces)
+    for part in parts:
+        part.apply_transform(np.diag([*placement.scale, 1.0]))
+    hulls = tuple(hull.transformed(np.eye(4), placement.scale) for hull in made.hulls)
+    size = ",".join(f"{value:.9g}" for value in placement.scale)
+    name = f"{identifier(asset.category)}_{digest(f'{asset.asset_id} {size}', 8)}"
+    return Shape(name, asset, placement.scale, glb, parts, hulls, made.method, mass_properties(hulls))
+
+
+def _body(
+    placement: Placement, shape: Shape, instance: Instance | None, caption: Caption | None, fixed: bool, config: ExportsConfig
+) -> Body:
+    """The body of one placement."""
+    category = instance.category if instance is not None else shape.asset.category
+    provenance = {
+        "scene_id": placement.scene_id, "instance_id": placement.instance_id, "asset_id": placement.asset_id,
+        "provider": shape.asset.provider, "source": shape.asset.source, "license": shape.asset.license,
+        "author": shape.asset.author or "unknown", "origin": placement.origin, "colliders": shape.method,
+        "body_type": caption.body_type if caption is not None else "rigid",
+    }  # fmt: skip
+    return Body(
+        instance_id=placement.instance_id,
+        name=f"{identifier(category)}_{placement.instance_id}",
+        category=category,
+        nyu40_id=instance.nyu40_id if instance is not None else 0,
+        nyu40_label=instance.nyu40_label if instance is not None else "unlabeled",
+        shape=shape,
+        pose=matrix(placement.optimized_pose),
+        mass_kg=caption.mass_kg if caption is not None else max(config.default_density_kg_m3 * shape.properties.volume, 0.001),
+        friction=caption.friction if caption is not None else config.default_friction,
+        restitution=caption.restitution if caption is not None else config.default_restitution,
+        is_fixed=fixed,
+        provenance=provenance,
+    )

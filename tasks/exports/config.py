@@ -1,0 +1,49 @@
+"""What an export can be told."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from schemas.exports import FORMATS
+from tasks.exports.pieces import PieceConfig
+from tasks.replica import ShellConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class UsdConfig:
+    """USD with physics."""
+
+    instanceable: bool = False  # instances share memory, but Isaac tools cannot edit a collider or material under them
+    crease_radians: float = 0.6  # about 35 degrees: edges sharper than this stay sharp when shaded
+    gravity_m_s2: float = 9.81  # standard gravity, rounded as engines do
+
+
+@dataclasses.dataclass(frozen=True)
+class HabitatConfig:
+    """Habitat dataset with episodes."""
+
+    dataset: str = "metascenes"  # name of the dataset's config file and of its semantic lexicon
+    dataset_folder: str = "data/scene_datasets/metascenes"  # where habitat-lab finds the dataset, from where it is started
+    motion_type: str = "STATIC"  # habitat-sim bakes only static objects into a navmesh; dynamic ones would be walked through
+    agent: str | None = None  # whose navmesh and episodes are exported; None: the agent with the most episodes
+    gravity_m_s2: float = 9.8  # habitat-sim's own default
+    forward_m: float = 0.25  # what `forward` means in episodes (supplementary B.3), for the states along a path
+    turn_degrees: float = 30.0  # the same for `left` and `right`
+    view_fov_degrees: float = 79.0  # camera of the ObjectNav challenge's agent, for the overlap of a view point
+    view_aspect: float = 4.0 / 3.0  # 640 x 480
+
+
+@dataclasses.dataclass(frozen=True)
+class ExportsConfig:
+    """The exports stage."""
+
+    formats: tuple[str, ...] = FORMATS  # all of them: a file nobody asked for costs less than a scene exported again
+    pieces: PieceConfig = PieceConfig()
+    shell: ShellConfig = ShellConfig()
+    usd: UsdConfig = UsdConfig()
+    habitat: HabitatConfig = HabitatConfig()
+    room_friction: float = 0.8  # painted plaster and varnished wood against furniture; between the tables' 0.5 and rubber's 1
+    room_restitution: float = 0.05  # a room does not bounce
+    default_density_kg_m3: float = 300.0  # of an object without a caption: light wood with hollows
+    default_friction: float = 0.5  # the same, wood on wood
+    default_restitution: float = 0.1  # the same

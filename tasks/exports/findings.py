@@ -1,0 +1,32 @@
+"""What a check found."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+from schemas.exports import ExportCheck
+
+
+@dataclasses.dataclass(frozen=True, order=True)
+class Finding:
+    """A rule that is broken: which, where (file, prim, episode) and how. A warning does not fail an export."""
+
+    rule: str
+    where: str
+    message: str
+    is_error: bool = True
+
+    def __str__(self) -> str:
+        return f"{self.rule}: {self.where}: {self.message}"
+
+
+def verdicts(scene_id: str, format_: str, rules: Iterable[str], findings: Sequence[Finding]) -> list[ExportCheck]:
+    """One row per rule: passed, or the first few things that are wrong."""
+    rows = []
+    for rule in sorted(set(rules) | {finding.rule for finding in findings if finding.is_error}):
+        broken = [f"{finding.where}: {finding.message}" for finding in findings if finding.rule == rule and finding.is_error]
+        more = f" (and {len(broken) - 3} more)" if len(broken) > 3 else ""
+        message = "; ".join(broken[:3]) + more if broken else None
+        rows.append(ExportCheck(scene_id=scene_id, format=format_, rule=rule, passed=not broken, message=message))
+    return rows

@@ -1,0 +1,302 @@
+"""A replica as the files of one scene in a Habitat dataset (habitat-sim 0.3, habitat-lab 0.3).
+
+Habitat's frame is glTF's: +Y up, -Z forward. Scene instances have quaternions (w, x, y, z), episodes (x, y, z, w).
+Templates and scenes are looked up by name and, failing that, by any name that contains the one asked for; therefore
+handles end in a hash of the scene or in a padded number, so that none contains another.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from schemas.errors import InputError
+from schemas.navigation import Episode, Navmesh
+from tasks.exports.bodies import Body, Replica, digest, stem
+from tasks.exports.config import ExportsConfig, HabitatConfig
+from tasks.exports.glb import scaled_glb
+from tasks.exports.pieces import Hull
+from tasks.meshes import dump_glb
+from tasks.replica import room_shell
+from tasks.transforms import Z_UP_TO_Y_UP, quaternion_wxyz, quaternion_xyzw, to_y_up, transform_points, yaw_pose
+
+ACTIONS: Mapping[str, int] = {"stop": 0, "forward": 1, "left": 2, "right": 3}
+"""habitat-sim's numbers of the actions that episodes are made of."""
+
+UPRIGHT = {"up": [0, 1, 0], "front": [0, 0, -1]}
+"""Every file is in Habitat's own frame; a stage that does not say so is taken to be +Z up."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HabitatFile:
+    """A file of the dataset: its path from the dataset's root, its contents and its role."""
+
+    path: str
+    data: bytes
+    role: str
+
+
+def scene_handle(scene_id: str) -> str:
+    """Name of a scene in the dataset; no scene's name contains another's."""
+    name, mark = stem(scene_id), digest(scene_id)
+    return name if name.endswith(f"_{mark}") else f"{name}_{mark}"
+
+
+def object_handles(replica: Replica) -> dict[str, str]:
+    """Name of every object's template, by instance; numbers are padded to one width."""
+    width = max((len(body.instance_id) for body in replica.bodies), default=4)
+    handle = scene_handle(replica.scene_id)
+    return {body.instance_id: f"{handle}_{body.instance_id.zfill(width)}" for body in replica.bodies}
+
+
+def habitat_files(
+    replica: Replica, navmesh: tuple[Navmesh, bytes] | None, episodes: Sequence[Episode], config: ExportsConfig
+) -> tuple[list[HabitatFile], list[str]]:
+    """Files of one scene, sorted by path, and what had to be left out."""
+    handle = scene_handle(replica.scene_id)
+    files = _stage_files(handle, replica, config)
+    files += _object_files(replica, config)
+    files.append(HabitatFile(f"scenes/{handle}.scene_instance.json", dump_json(_scene_instance(replica, navmesh, config)), "scene"))
+    missed: list[str] = []
+    if navmesh is not None:
+        files.append(HabitatFile(f"navmeshes/{handle}.navmesh", navmesh[1], "navmesh"))
+        written, missed = _episode_files(handle, replica, navmesh[0], episodes, config.habitat)
+        files += written
+    return sorted(files, key=lambda file: file.path), missed
+
+
+def dump_json(value: Any) -> bytes:
+    """A value as JSON: indented, ending in a line feed, never NaN."""
+    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
+
+
+def dump_json_gz(value: Any) -> bytes:
+    """A value as compressed JSON without a time stamp."""
+    return gzip.compress(json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode(), 9, mtime=0)
+
+
+def numbers(values: ArrayLike) -> list[float]:
+    """Numbers as JSON has them, rounded to a nanometre; no negative zeros."""
+    return [round(float(value), 9) + 0.0 for value in np.asarray(values).reshape(-1)]
+
+
+def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[HabitatFile]:
+    """Floor and walls."""
+    shell = room_shell(replica.room, config.shell)
+    settings = {
+        "render_asset": f"{handle}.glb", "collision_asset": f"{handle}.glb", **UPRIGHT, "origin": [0, 0, 0], "scale": [1, 1, 1],
+        "units_to_meters": 1, "gravity": [0, -config.habitat.gravity_m_s2, 0], "is_collidable": True,
+        "friction_coefficient": config.room_friction, "restitution_coefficient": config.room_restitution,
+    }  # fmt: skip
+    return [
+        HabitatFile(f"stages/{handle}.glb", dump_glb([mesh for _, mesh in shell], [name for name, _ in shell]), "stage"),
+        HabitatFile(f"stages/{handle}.stage_config.json", dump_json(settings), "stage"),
+    ]
+
+
+def _object_files(replica: Replica, config: ExportsConfig) -> list[HabitatFile]:
+    """A template per object. Objects of one shape share the geometry of the first of them."""
+    handles = object_handles(replica)
+    first: dict[str, str] = {}
+    files = []
+    for body in replica.bodies:
+        handle = handles[body.instance_id]
+        geometry = first.setdefault(body.shape.name, handle)
+        if geometry == handle:
+            files.append(HabitatFile(f"objects/{handle}.glb", scaled_glb(body.shape.glb, body.shape.scale, f"{body.shape.name}.glb"), "object"))
+            files.append(HabitatFile(f"objects/{handle}.collider.glb", _collider(body.shape.hulls), "collision"))
+        settings = {
+            "render_asset": f"{geometry}.glb", "collision_asset": f"{geometry}.collider.glb", **UPRIGHT, "scale": [1, 1, 1],
+            "units_to_meters": 1, "mass": round(body.mass_kg, 6), "friction_coefficient": body.friction,
+            "restitution_coefficient": body.restitution, "is_collidable": True, "use_bounding_box_for_collision": False,
+            "join_collision_meshes": False, "semantic_id": body.nyu40_id,
+        }  # fmt: skip
+        files.append(HabitatFile(f"objects/{handle}.object_config.json", dump_json(settings), "object"))
+    return files
+
+
+def _collider(hulls: Sequence[Hull]) -> bytes:
+    """Convex pieces as a GLB with one node each."""
+    import trimesh
+
+    meshes = [trimesh.Trimesh(hull.vertices, hull.faces, process=False) for hull in hulls]
+    return dump_glb(meshes, [f"hull_{index:02d}" for index in range(len(meshes))])
+
+
+def _scene_instance(replica: Replica, navmesh: tuple[Navmesh, bytes] | None, config: ExportsConfig) -> dict[str, Any]:
+    """The scene: its stage, its objects with poses, its navmesh and its semantic lexicon."""
+    handle, handles = scene_handle(replica.scene_id), object_handles(replica)
+    origin = {"translation_origin": "asset_local"}
+    scene: dict[str, Any] = {
+        **origin,
+        "stage_instance": {"template_name": handle, **origin, "translation": [0, 0, 0], "rotation": [1, 0, 0, 0]},
+        "object_instances": [],
+        "default_lighting": "no_lights",
+        "semantic_scene_instance": f"{config.habitat.dataset}_lexicon",
+        "user_defined": {
+            "scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type,
+            "object_count": len(replica.bodies),
+        },  # fmt: skip
+    }
+    if navmesh is not None:
+        scene["navmesh_instance"] = f"{handle}_navmesh"
+    for body in replica.bodies:
+        pose = to_y_up(body.pose)
+        known = {"category": body.category, "nyu40_id": body.nyu40_id, "nyu40_label": body.nyu40_label, "is_fixed": body.is_fixed}
+        scene["object_instances"].append(
+            {
+                "template_name": handles[body.instance_id], **origin, "translation": numbers(pose[:3, 3]),
+                "rotation": numbers(_unit(quaternion_wxyz(pose))), "motion_type": config.habitat.motion_type,
+                "user_defined": {**known, **body.provenance},
+            }
+        )  # fmt: skip
+    return scene
+
+
+def _unit(quaternion: Sequence[float]) -> NDArray[np.float64]:
+    """A quaternion of length 1: habitat-sim does not check it."""
+    values = np.asarray(quaternion, dtype=np.float64)
+    return np.asarray(values / np.linalg.norm(values))
+
+
+def position(point: ArrayLike) -> list[float]:
+    """A position of the world frame, shape (3,), in Habitat's frame."""
+    return numbers(transform_points(np.asarray(point, dtype=np.float64)[None], Z_UP_TO_Y_UP)[0])
+
+
+def rotation(yaw: float) -> list[float]:
+    """Heading about +Z from +X [rad] as an episode's quaternion (x, y, z, w): a turn about +Y from -Z."""
+    return numbers(_unit(quaternion_xyzw(to_y_up(yaw_pose(yaw - 0.5 * math.pi)))))
+
+
+def _episode_files(
+    handle: str, replica: Replica, navmesh: Navmesh, episodes: Sequence[Episode], config: HabitatConfig
+) -> tuple[list[HabitatFile], list[str]]:
+    """ObjectNav and PointNav episodes, one file per split."""
+    handles = object_handles(replica)
+    bodies = {body.instance_id: body for body in replica.bodies}
+    chosen = sorted((e for e in episodes if e.agent == navmesh.agent), key=lambda row: row.episode_id)
+    lost = sorted({e.instance_id for e in chosen if e.instance_id not in bodies})
+    missed = [f"{instance}: its episodes are left out of the Habitat dataset, as it is itself" for instance in lost]
+    chosen = [e for e in chosen if e.instance_id in bodies]
+    files = []
+    for split in sorted({e.split for e in chosen}):
+        rows = [e for e in chosen if e.split == split]
+        where = f"{split}/content/{handle}.json.gz"
+        source = {"scene_id": replica.scene_id, "license": replica.license, "agent": navmesh.agent}
+        points = [_point_episode(str(i), handle, row, config) for i, row in enumerate(rows)]
+        files.append(HabitatFile(f"pointnav/{where}", dump_json_gz({"episodes": points, "provenance": source}), "episodes"))
+        goals = _goals(handle, rows, bodies, handles, navmesh, config)
+        objects = [_object_episode(str(i), handle, row, handles, config) for i, row in enumerate(rows)]
+        content = {"goals_by_category": goals, "episodes": objects, "provenance": source}
+        files.append(HabitatFile(f"objectnav/{where}", dump_json_gz(content), "episodes"))
+    return files, missed
+
+
+def _episode(episode_id: str, handle: str, row: Episode, config: HabitatConfig) -> dict[str, Any]:
+    """What both tasks have in common."""
+    return {
+        "episode_id": episode_id,
+        "scene_id": handle,
+        "scene_dataset_config": f"{config.dataset_folder}/{config.dataset}.scene_dataset_config.json",
+        "additional_obj_config_paths": [],
+        "start_position": position(row.start_position),
+        "start_rotation": rotation(row.start_yaw_radians),
+        "info": {
+            "geodesic_distance": row.geodesic_m, "euclidean_distance": row.euclidean_m, "episode": row.episode_id,
+            "instruction": row.instruction, "path_finder": row.path_finder,
+        },
+        "start_room": None,
+    }  # fmt: skip
+
+
+def _point_episode(episode_id: str, handle: str, row: Episode, config: HabitatConfig) -> dict[str, Any]:
+    """A PointNav episode; its shortest path is a list of dictionaries, as habitat-lab wants it there."""
+    path = _replay(row, config)
+    return {
+        **_episode(episode_id, handle, row, config),
+        "goals": [{"position": position(row.goal_position), "radius": None}],
+        "shortest_paths": None if path is None else [path],
+    }
+
+
+def _object_episode(episode_id: str, handle: str, row: Episode, handles: Mapping[str, str], config: HabitatConfig) -> dict[str, Any]:
+    """An ObjectNav episode; its goals are those of its category."""
+    episode = _episode(episode_id, handle, row, config)
+    episode["info"]["target_object_id"] = handles[row.instance_id]
+    path = _replay(row, config)
+    return {**episode, "goals": [], "shortest_paths": None if path is None else [path], "object_category": row.category}
+
+
+def _replay(row: Episode, config: HabitatConfig) -> list[dict[str, Any]] | None:
+    """States along the actions, each with the action taken there; None when the actions do not end where the row says.
+
+    Raises:
+        InputError: an action has no number in Habitat.
+    """
+    place, yaw = np.array(row.start_position), row.start_yaw_radians
+    steps = []
+    for action in row.actions:
+        if action not in ACTIONS:
+            raise InputError("episodes", f"{row.episode_id} actions", f"{action!r} is none of {', '.join(ACTIONS)}")
+        steps.append({"position": position(place), "rotation": rotation(yaw), "action": ACTIONS[action]})
+        if action == "forward":
+            place = place + config.forward_m * np.array([math.cos(yaw), math.sin(yaw), 0.0])
+        elif action in ("left", "right"):
+            yaw += math.radians(config.turn_degrees) * (1 if action == "left" else -1)
+    return steps if np.linalg.norm(place - np.array(row.final_position)) < 0.01 else None
+
+
+def _goals(
+    handle: str, rows: Sequence[Episode], bodies: Mapping[str, Body], handles: Mapping[str, str], navmesh: Navmesh, config: HabitatConfig
+) -> dict[str, list[dict[str, Any]]]:  # fmt: skip
+    """Goals by `<scene>_<category>`: every object of the category that some episode knows view points of."""
+    views: dict[str, set[tuple[float, ...]]] = {}
+    category = {}
+    for row in rows:
+        views.setdefault(row.instance_id, set()).update(row.view_points or ((*row.goal_position, 0.0),))
+        category[row.instance_id] = row.category
+    goals: dict[str, list[dict[str, Any]]] = {}
+    for number, instance in enumerate(sorted(views)):
+        body = bodies[instance]
+        box = body.shape.bounds
+        corners = transform_points(np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]]), body.pose)
+        goal = {
+            "position": position(corners.mean(axis=0)), "radius": None, "object_id": handles[instance],
+            "object_name": body.name, "object_name_id": number, "object_category": category[instance], "room_id": None, "room_name": None,
+            "view_points": [
+                {
+                    "agent_state": {"position": position(view[:3]), "rotation": rotation(view[3])},
+                    "iou": round(view_overlap(corners, view, navmesh.agent_height_m, config), 5),
+                }
+                for view in sorted(views[instance])
+            ],
+        }  # fmt: skip
+        goals.setdefault(f"{handle}_{category[instance]}", []).append(goal)
+    return dict(sorted(goals.items()))
+
+
+def view_overlap(corners: NDArray[np.float64], view: Sequence[float], eye_height: float, config: HabitatConfig) -> float:
+    """Intersection over union of the image and the object's box as seen from a view point.
+
+    corners: Of the box in the world frame [m], shape (8, 3). view: x, y, z [m], yaw [rad]. The image is that of a level
+    camera at `eye_height` above the view point. What lies behind the camera counts as not seen.
+    """
+    from shapely.geometry import MultiPoint, box
+
+    local = (corners - np.array([view[0], view[1], view[2] + eye_height])) @ yaw_pose(view[3])[:3, :3]
+    depth = local[:, 0]
+    ahead = local[depth > 0.05]
+    if len(ahead) < 3:
+        return 0.0
+    half = math.tan(math.radians(config.view_fov_degrees) / 2)
+    image = box(-half, -half / config.view_aspect, half, half / config.view_aspect)
+    outline = MultiPoint(np.column_stack([-ahead[:, 1], ahead[:, 2]]) / ahead[:, :1]).convex_hull
+    return float(outline.intersection(image).area / image.area)

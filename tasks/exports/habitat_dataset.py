@@ -1,0 +1,167 @@
+"""The files of a Habitat dataset that belong to all its scenes: configs, lexicon, split files, agent, README."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import PurePosixPath
+from typing import Any
+
+from schemas.exports import ExportFile
+from tasks.capture.labels import NYU40
+from tasks.exports.config import HabitatConfig
+from tasks.exports.habitat import dump_json, dump_json_gz
+from tasks.exports.navmesh_file import read_navmesh
+
+TASKS = ("objectnav", "pointnav")
+
+
+@dataclasses.dataclass(frozen=True)
+class HabitatScene:
+    """What the dataset's own files need to know of a scene.
+
+    paths: Of all its files. categories: NYU40 class of every category that is a goal. splits: That it has episodes in.
+    navmesh: Settings in the navmesh's header, empty without one.
+    """
+
+    scene_id: str
+    handle: str
+    license: str
+    paths: tuple[str, ...]
+    splits: tuple[str, ...]
+    categories: Mapping[str, int]
+    navmesh: Mapping[str, float]
+
+
+def describe(rows: Sequence[ExportFile], blobs: Mapping[str, bytes]) -> HabitatScene:
+    """What the dataset needs to know of a scene, from its exported files (format `habitat`, one scene)."""
+    files = {row.path: row.file_blob for row in rows}
+    scene_path = next(row.path for row in rows if row.role == "scene")
+    scene = json.loads(blobs[files[scene_path]])
+    classes = {item["user_defined"]["category"]: item["user_defined"]["nyu40_id"] for item in scene["object_instances"]}
+    goals: set[str] = set()
+    splits: set[str] = set()
+    navmesh: dict[str, float] = {}
+    for path, blob in files.items():
+        parts = PurePosixPath(path).parts
+        if parts[0] == "objectnav":
+            splits.add(parts[1])
+            goals |= {episode["object_category"] for episode in json.loads(gzip.decompress(blobs[blob]))["episodes"]}
+        elif parts[0] == "navmeshes":
+            navmesh = read_navmesh(blobs[blob]).settings or {}
+    return HabitatScene(
+        scene_id=scene["user_defined"]["scene_id"],
+        handle=PurePosixPath(scene_path).name.removesuffix(".scene_instance.json"),
+        license=scene["user_defined"]["license"],
+        paths=tuple(sorted(files)),
+        splits=tuple(sorted(splits)),
+        categories={category: classes.get(category, 0) for category in sorted(goals)},
+        navmesh=navmesh,
+    )
+
+
+def dataset_files(scenes: Sequence[HabitatScene], config: HabitatConfig | None = None) -> dict[str, bytes]:
+    """Files of a dataset beside those of its scenes, by path from its root.
+
+    Semantic ids are NYU40 classes, so they never change when scenes are added. Numbers of ObjectNav's categories are
+    positions in the sorted list of the dataset's categories, which is what habitat-lab wants, and do change.
+    """
+    options = config or HabitatConfig()
+    ordered = sorted(scenes, key=lambda scene: scene.handle)
+    files = {
+        f"{options.dataset}.scene_dataset_config.json": dump_json(_dataset_config(ordered, options)),
+        f"semantics/{options.dataset}_lexicon.json": dump_json({"classes": [{"id": i, "name": name} for i, name in enumerate(NYU40)]}),
+        "README.md": _readme(ordered, options).encode(),
+    }
+    agent = next((scene.navmesh for scene in ordered if scene.navmesh), None)
+    if agent is not None:
+        files["metadata/agent.json"] = dump_json(agent_settings(agent))
+    categories: dict[str, int] = {}
+    for scene in ordered:
+        for category, number in scene.categories.items():
+            categories[category] = max(number, categories.get(category, 0))
+    tasks = {category: index for index, category in enumerate(sorted(categories))}
+    annotations = {category: categories[category] for category in sorted(categories)}
+    for split in sorted({split for scene in ordered for split in scene.splits}):
+        maps = {"category_to_task_category_id": tasks, "category_to_scene_annotation_category_id": annotations}
+        files[f"objectnav/{split}/{split}.json.gz"] = dump_json_gz({"episodes": [], **maps})
+        files[f"pointnav/{split}/{split}.json.gz"] = dump_json_gz({"episodes": []})
+    return dict(sorted(files.items()))
+
+
+def agent_settings(navmesh: Mapping[str, float]) -> dict[str, Any]:
+    """The agent that a navmesh was made for, in the words of habitat-lab's config."""
+    return {
+        "radius": round(navmesh["agentRadius"], 6),
+        "height": round(navmesh["agentHeight"], 6),
+        "max_climb": round(navmesh["agentMaxClimb"], 6),
+        "max_slope": round(navmesh["agentMaxSlope"], 6),
+        "navmesh_include_static_objects": bool(navmesh["includeStaticObjects"]),
+    }
+
+
+def _dataset_config(scenes: Sequence[HabitatScene], config: HabitatConfig) -> dict[str, Any]:
+    """The scene dataset config: every file by its own path, none by a pattern."""
+
+    def listed(folder: str, ending: str) -> dict[str, Any]:
+        found = [path for scene in scenes for path in scene.paths if path.startswith(f"{folder}/") and path.endswith(ending)]
+        return {"paths": {".json": sorted(found)}}
+
+    navmeshes = {f"{scene.handle}_navmesh": f"navmeshes/{scene.handle}.navmesh" for scene in scenes if scene.navmesh}
+    return {
+        "stages": listed("stages", ".stage_config.json"),
+        "objects": listed("objects", ".object_config.json"),
+        "scene_instances": listed("scenes", ".scene_instance.json"),
+        "navmesh_instances": navmeshes,
+        "semantic_scene_descriptor_instances": {f"{config.dataset}_lexicon": f"semantics/{config.dataset}_lexicon.json"},
+    }
+
+
+def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
+    """How to use the dataset."""
+    lines = [
+        f"# {config.dataset}: a Habitat dataset",
+        "",
+        f"{len(scenes)} scenes. Put this folder at `{config.dataset_folder}`, seen from where habitat-lab is started; episodes name it so.",
+        "",
+        "Scenes are opened by their name in the dataset (the table below), not by a file path, so habitat-lab needs an empty `scenes_dir`:",
+        "",
+        "```",
+    ]
+    splits = sorted({split for scene in scenes for split in scene.splits})
+    split = splits[0] if splits else "train"
+    lines += [
+        f"habitat.dataset.data_path={config.dataset_folder}/objectnav/{{split}}/{{split}}.json.gz",
+        f"habitat.dataset.split={split}",
+        'habitat.dataset.scenes_dir=""',
+        f"habitat.simulator.scene_dataset={config.dataset_folder}/{config.dataset}.scene_dataset_config.json",
+    ]
+    agent = next((scene.navmesh for scene in scenes if scene.navmesh), None)
+    if agent is not None:
+        settings = agent_settings(agent)
+        lines += [f"habitat.simulator.agents.main_agent.{name}={settings[name]:g}" for name in ("radius", "height", "max_climb", "max_slope")]
+        lines += [f"habitat.simulator.navmesh_include_static_objects={settings['navmesh_include_static_objects']}"]
+    lines += [
+        f"habitat.simulator.forward_step_size={config.forward_m:g}",
+        f"habitat.simulator.turn_angle={config.turn_degrees:g}",
+        "habitat.task.measurements.success.success_distance=0.2",
+        "```",
+        "",
+        "The agent's settings matter: habitat-sim compares them with the header of every navmesh and, where one differs, bakes",
+        "a navmesh of its own without a word; without `navmesh_include_static_objects` that one runs through the furniture.",
+        "They are in `metadata/agent.json` too. Steps of 0.25 m cannot always end within 0.1 m of a point; hence 0.2 m.",
+        "",
+        "- PointNav episodes go to the view point that the trajectory was made for, ObjectNav episodes to any object of the category.",
+        "  `info.geodesic_distance` is the way to that one view point; habitat-lab measures the nearest goal itself.",
+        "- `iou` of a view point is the share of a level camera's image that the object's box covers, occlusion aside.",
+        "- Semantic ids are NYU40 classes (`semantics/`). Pixels of floor and walls are 0.",
+        "- Objects are static, as the navmesh needs. Masses and convex colliders are there for those who set `motion_type` to DYNAMIC.",
+        "- Where an object or a scene comes from is under `user_defined` in `scenes/`.",
+        "",
+        "| scene | name here | splits | license of the scan |",
+        "|---|---|---|---|",
+    ]
+    lines += [f"| {scene.scene_id} | `{scene.handle}` | {', '.join(scene.splits) or 'none'} | {scene.license} |" for scene in scenes]
+    return "\n".join([*lines, ""])

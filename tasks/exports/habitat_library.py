@@ -1,0 +1,122 @@
+"""A Habitat dataset on disk as habitat-sim would look things up in it: templates, scenes, navmeshes, lexicons, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from tasks.exports.findings import Finding
+
+ENDINGS = {"stages": ".stage_config.json", "objects": ".object_config.json", "scene_instances": ".scene_instance.json"}
+"""Sections of a scene dataset config whose files this knows, and how those files' names end."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Template:
+    """A stage, an object or a scene: the file that says what it is, what is said (defaults included), where paths start."""
+
+    handle: str
+    file: str
+    values: Mapping[str, Any]
+    folder: Path
+
+
+@dataclasses.dataclass(frozen=True)
+class Library:
+    """Everything that can be looked up by name, and what was wrong with the files on the way."""
+
+    root: Path
+    config: str
+    sections: Mapping[str, Mapping[str, Template]]
+    navmeshes: Mapping[str, str]
+    semantics: Mapping[str, str]
+    findings: tuple[Finding, ...]
+
+
+def read_library(root: Path) -> Library:
+    """Read the one scene dataset config of a folder and all that it lists."""
+    findings: list[Finding] = []
+    configs = sorted(root.glob("*.scene_dataset_config.json"))
+    if len(configs) != 1:
+        findings.append(Finding("dataset_config", ".", f"{len(configs)} scene dataset configs, not one"))
+    if not configs:
+        return Library(root, "", {name: {} for name in ENDINGS}, {}, {}, tuple(findings))
+    document = read_json(configs[0], root, findings)
+    document = document if isinstance(document, dict) else {}
+    known = {*ENDINGS, "articulated_objects", "light_setups", "pbr_ibl_configs", "navmesh_instances", "semantic_scene_descriptor_instances"}
+    for name in sorted(set(document) - known):
+        findings.append(Finding("dataset_config", configs[0].name, f"section {name!r} is not read by habitat-sim"))
+    sections = {name: _section(root, document.get(name, {}), name, configs[0].name, findings) for name in ENDINGS}
+    semantics = dict(document.get("semantic_scene_descriptor_instances", {}))
+    patterns = semantics.pop("paths", {})
+    for pattern in (p for paths in patterns.values() for p in paths):
+        for file in sorted(root.glob(str(pattern))):
+            semantics[file.name] = file.relative_to(root).as_posix()
+    semantics.pop("default_attributes", None)
+    return Library(root, configs[0].name, sections, dict(document.get("navmesh_instances", {})), semantics, tuple(findings))
+
+
+def read_json(path: Path, root: Path, findings: list[Finding]) -> Any:
+    """A JSON file (compressed when its name ends in .gz), or None and a finding."""
+    where = path.relative_to(root).as_posix()
+    try:
+        data = path.read_bytes()
+        text = gzip.decompress(data) if path.suffix == ".gz" else data
+        return json.loads(text, parse_constant=_refuse)
+    except FileNotFoundError:
+        findings.append(Finding("files_exist", where, "does not exist"))
+    except (OSError, EOFError, ValueError, RecursionError) as error:
+        findings.append(Finding("json", where, f"cannot be read ({type(error).__name__}: {error})"[:200]))
+    return None
+
+
+def _refuse(name: str) -> float:
+    raise ValueError(f"{name} is no JSON")
+
+
+def _section(root: Path, section: Any, kind: str, file: str, findings: list[Finding]) -> dict[str, Template]:
+    """Templates of one section, in habitat-sim's order: defaults, files, then entries written in the config itself."""
+    if not isinstance(section, dict):
+        findings.append(Finding("dataset_config", file, f"section {kind!r} is no object"))
+        return {}
+    defaults = section.get("default_attributes", {})
+    ending = ENDINGS[kind]
+    found: dict[str, Template] = {}
+    for path in _listed(root, section.get("paths", {}), ending, kind, file, findings):
+        values = read_json(path, root, findings) if path.name.endswith(ending) else {"render_asset": path.name}
+        if isinstance(values, dict):
+            handle = path.name.removesuffix(ending).removesuffix(".glb")
+            if handle in found:
+                findings.append(Finding("handle_exact", path.relative_to(root).as_posix(), f"{handle!r} is the name of two files"))
+            found[handle] = Template(handle, path.relative_to(root).as_posix(), {**defaults, **values}, path.parent)
+        elif values is not None:
+            findings.append(Finding("json", path.relative_to(root).as_posix(), "is no JSON object"))
+    for entry in section.get("configs", []):
+        origin = entry.get("original_file")
+        handle = entry.get("template_handle") or Path(str(origin)).name.removesuffix(ending)
+        base = next((t for t in found.values() if t.file == origin), None)
+        if origin and base is None:
+            findings.append(Finding("files_exist", file, f"{origin} is changed by the config, but not loaded"))
+        values = {**(base.values if base else defaults), **entry.get("attributes", {})}
+        found[handle] = Template(handle, file, values, base.folder if base else root)
+    return found
+
+
+def _listed(root: Path, paths: Any, ending: str, kind: str, file: str, findings: list[Finding]) -> Iterator[Path]:
+    """Files that a section's `paths` name: by themselves, by pattern, or all of a folder."""
+    for extension, patterns in sorted(paths.items()):
+        for pattern in patterns:
+            if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
+                findings.append(Finding("dataset_config", file, f"{kind}: {pattern} leaves the dataset's folder"))
+                continue
+            matches = sorted(root.glob(pattern))
+            if not matches:
+                findings.append(Finding("files_exist", file, f"{kind}: {pattern} matches no file"))
+            for match in matches:
+                below = sorted(match.iterdir()) if match.is_dir() else [match]
+                wanted = ending if extension == ".json" else extension
+                yield from (path for path in below if path.name.endswith(wanted))

@@ -1,0 +1,263 @@
+"""Whether a Habitat dataset loads, and loads as what it is meant to be.
+
+habitat-sim and habitat-lab let most mistakes pass without a word: a missing object becomes another one with a similar
+name, a missing navmesh becomes none, one whose header differs from the agent's settings is baked anew without the
+furniture, a stage without an up axis is tipped over. Every such trap is a rule here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import InputError
+from tasks.exports.findings import Finding
+from tasks.exports.habitat_episode_rules import EPISODE_RULES, check_episodes
+from tasks.exports.habitat_library import Library, Template, read_json, read_library
+from tasks.exports.navmesh_file import DEFAULTS, NavmeshFile, read_navmesh
+
+RULES: dict[str, str] = {
+    "dataset_config": "there is one scene dataset config, with sections that habitat-sim reads and paths inside the folder",
+    "json": "every JSON file can be read",
+    "files_exist": "every file that is named exists",
+    "handle_exact": "every template, navmesh and lexicon is named exactly as it is, and by one name only",
+    "handle_contained": "no name contains another name of its kind, nor is part of the folder's own path",
+    "stage_instance": "every scene has a stage",
+    "upright": "up and front are stated for every stage and object, have length 1 and are not parallel",
+    "gravity": "gravity points down (-Y) and nothing is in other units than metres",
+    "geometry": "every GLB can be read and has triangles with finite positions",
+    "rotation": "rotations in scenes are four numbers (w, x, y, z) of length 1",
+    "rotation_order": "no object stands on its head as (x, y, z, w) read as (w, x, y, z) would have it",
+    "translation": "translations in scenes are three finite numbers",
+    "translation_origin": "positions are those of the object's own origin, not of its box's center",
+    "motion_type": "motion types are known, and static where the navmesh goes around objects",
+    "object_count": "a scene has as many objects as it says",
+    "physics": "masses are above zero, friction and restitution not below",
+    "collider": "colliders of several convex pieces are not joined into one",
+    "navmesh": "every navmesh can be read, is of version 2 and has polygons",
+    "navmesh_settings": "the header of every navmesh equals the documented agent, so that nobody bakes another one",
+    "semantics": "lexicons have unique ids from 0 to 10000, and every object's id is in its scene's lexicon",
+    **EPISODE_RULES,
+}
+"""Every rule, and what holds when it passes."""
+
+_SHORTEST = 1e-5  # habitat-sim's own tolerance when it compares settings of navmeshes
+_MOTIONS = ("static", "kinematic", "dynamic")
+
+
+def check_habitat(root: Path) -> list[Finding]:
+    """Everything that is wrong with a Habitat dataset in a folder, sorted; empty when it can be used as it is."""
+    library = read_library(root)
+    findings = list(library.findings)
+    if not library.config:
+        return sorted(set(findings))
+    findings += _names(library)
+    for kind in ("stages", "objects"):
+        for template in library.sections[kind].values():
+            findings += _asset(root, template, kind)
+    agent = _agent(root, findings)
+    navmeshes = _navmeshes(library, agent, findings)
+    lexicons = _lexicons(library, findings)
+    for scene in library.sections["scene_instances"].values():
+        findings += _scene(library, scene, navmeshes, lexicons)
+    if not library.sections["scene_instances"]:
+        findings.append(Finding("dataset_config", library.config, "has no scenes"))
+    by_scene = {handle: navmeshes.get(str(scene.values.get("navmesh_instance", ""))) for handle, scene in library.sections["scene_instances"].items()}
+    findings += check_episodes(library, by_scene)
+    return sorted(set(findings))
+
+
+def _names(library: Library) -> Iterator[Finding]:
+    """Names that habitat-sim could take for another one: it looks for the name anywhere in the path, ignoring case."""
+    kinds: dict[str, Sequence[str]] = {kind: sorted(names) for kind, names in library.sections.items()}
+    kinds |= {"navmesh_instances": sorted(library.navmeshes), "semantic_scene_descriptor_instances": sorted(library.semantics)}
+    above = library.root.resolve().as_posix().lower()
+    for kind, names in kinds.items():
+        text = "\n".join(names).lower()
+        for name in names:
+            if text.count(name.lower()) > 1:
+                other = next((n for n in names if n != name and name.lower() in n.lower()), name)
+                yield Finding("handle_contained", kind, f"{name!r} is part of {other!r}")
+            if kind in library.sections and len(names) > 1 and name.lower() in above:
+                yield Finding("handle_contained", kind, f"{name!r} is part of the path of the dataset's folder")
+
+
+def _asset(root: Path, template: Template, kind: str) -> Iterator[Finding]:
+    """A stage's or an object's own settings and files."""
+    values, where = template.values, template.file
+    if not values.get("render_asset"):
+        yield Finding("files_exist", where, "render_asset is not named")
+    for key in ("render_asset", "collision_asset", "semantic_asset", "nav_asset"):
+        if values.get(key):
+            yield from _glb(root, template.folder / str(values[key]), where, key)
+    up, front = (_vector(values.get(key), 3) for key in ("up", "front"))
+    if up is None or front is None:
+        yield Finding("upright", where, "up or front is not stated; a stage without them is taken to be +Z up")
+    elif abs(np.linalg.norm(up) - 1) > 1e-6 or abs(np.linalg.norm(front) - 1) > 1e-6:
+        yield Finding("upright", where, "up or front is not of length 1")
+    elif np.linalg.norm(np.cross(up, front)) < 1e-3:
+        yield Finding("upright", where, "up and front are parallel")
+    gravity = _vector(values.get("gravity", [0, -9.8, 0]), 3)
+    if kind == "stages" and (gravity is None or gravity[1] >= 0 or abs(gravity[0]) + abs(gravity[2]) > 1e-6):
+        yield Finding("gravity", where, f"gravity is {values.get('gravity')}")
+    if values.get("units_to_meters", 1) != 1:
+        yield Finding("gravity", where, f"units_to_meters is {values['units_to_meters']}")
+    for key, least in (("mass", 1e-9), ("friction_coefficient", 0.0), ("restitution_coefficient", 0.0)):
+        value = values.get(key, 1.0)
+        if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value) or value < least:
+            yield Finding("physics", where, f"{key} is {value}")
+    if kind == "objects" and values.get("collision_asset") not in (None, values.get("render_asset")) and values.get("join_collision_meshes", True):
+        yield Finding("collider", where, "join_collision_meshes makes one hull of all pieces")
+
+
+def _glb(root: Path, path: Path, where: str, key: str) -> Iterator[Finding]:
+    """A GLB that a config names."""
+    from tasks.meshes import load_glb
+
+    try:
+        name = path.resolve().relative_to(root.resolve()).as_posix()
+    except ValueError:
+        yield Finding("files_exist", where, f"{key} leaves the dataset's folder")
+        return
+    if not path.is_file():
+        yield Finding("files_exist", where, f"{key} {name} does not exist; another object with a similar name would be shown")
+        return
+    try:
+        load_glb(path.read_bytes(), name)
+    except InputError as error:
+        yield Finding("geometry", name, str(error).removeprefix(f"{name}: "))
+
+
+def _vector(value: Any, count: int) -> NDArray[np.float64] | None:
+    """A list of `count` finite numbers as an array, else None."""
+    if not isinstance(value, list) or len(value) != count or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
+        return None
+    array = np.asarray(value, dtype=np.float64)
+    return array if np.isfinite(array).all() else None
+
+
+def _agent(root: Path, findings: list[Finding]) -> Mapping[str, Any] | None:
+    """The documented agent of a dataset of this project; other datasets have none."""
+    path = root / "metadata" / "agent.json"
+    agent = read_json(path, root, findings) if path.is_file() else None
+    return agent if isinstance(agent, dict) else None
+
+
+def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list[Finding]) -> dict[str, NavmeshFile]:
+    """Navmeshes that can be read, by name."""
+    found = {}
+    for name, path in sorted(library.navmeshes.items()):
+        file = library.root / str(path)
+        if not file.is_file():
+            findings.append(Finding("files_exist", library.config, f"navmesh {path} does not exist; the scene would have none"))
+            continue
+        try:
+            navmesh = read_navmesh(file.read_bytes())
+        except ValueError as error:
+            findings.append(Finding("navmesh", str(path), str(error)))
+            continue
+        found[name] = navmesh
+        if not navmesh.polygons:
+            findings.append(Finding("navmesh", str(path), "has no walkable polygon"))
+        if navmesh.settings is None:
+            findings.append(Finding("navmesh", str(path), "is of version 1, without settings: habitat-lab would bake another one"))
+        else:
+            findings += _settings(str(path), navmesh.settings, agent)
+    if library.navmeshes and agent is None:
+        findings.append(Finding("navmesh_settings", library.config, "metadata/agent.json does not say which agent the navmeshes are for"))
+    return found
+
+
+def _settings(path: str, settings: Mapping[str, float], agent: Mapping[str, Any] | None) -> Iterator[Finding]:
+    """Settings of a navmesh against those that habitat-lab would ask for with the documented agent."""
+    expected = dict(DEFAULTS)
+    for name, key in (("radius", "agentRadius"), ("height", "agentHeight"), ("max_climb", "agentMaxClimb"), ("max_slope", "agentMaxSlope")):
+        expected[key] = float((agent or {}).get(name, settings[key]))
+    expected["includeStaticObjects"] = float((agent or {}).get("navmesh_include_static_objects", True))
+    for key, value in expected.items():
+        if abs(settings[key] - value) > _SHORTEST:
+            yield Finding("navmesh_settings", path, f"{key} is {settings[key]:g} in the file, {value:g} for the agent: it would be baked anew")
+    if not settings["includeStaticObjects"]:
+        yield Finding("navmesh_settings", path, "includeStaticObjects is off: the navmesh would be baked without furniture")
+
+
+def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
+    """Ids of every lexicon, by name."""
+    found = {}
+    for name, path in sorted(library.semantics.items()):
+        document = read_json(library.root / str(path), library.root, findings)
+        if not isinstance(document, dict) or "classes" not in document:
+            if document is not None and not str(path).endswith(".semantic_config.json"):
+                findings.append(Finding("semantics", str(path), "has no list of classes"))
+            continue
+        ids = [item.get("id") for item in document["classes"]]
+        wrong = [i for i in ids if not isinstance(i, int) or isinstance(i, bool) or not 0 <= i <= 10000]
+        if wrong or len(set(ids)) != len(ids) or not all(isinstance(item.get("name"), str) for item in document["classes"]):
+            findings.append(Finding("semantics", str(path), f"ids must be unique numbers from 0 to 10000 with a name each (wrong: {wrong[:3]})"))
+        found[name] = {i for i in ids if isinstance(i, int)}
+    return found
+
+
+def _scene(library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFile], lexicons: Mapping[str, set[int]]) -> Iterator[Finding]:
+    """One scene: its stage, its objects, its navmesh and its lexicon."""
+    values, where = scene.values, scene.file
+    stage = values.get("stage_instance")
+    if not isinstance(stage, dict):
+        yield Finding("stage_instance", where, "has none: habitat-sim stops")
+    else:
+        if stage.get("template_name") not in library.sections["stages"]:
+            yield Finding("handle_exact", where, f"stage {stage.get('template_name')!r} is no stage's name: habitat-sim crashes")
+        yield from _placed(stage, where, "stage_instance")
+    navmesh = values.get("navmesh_instance")
+    if navmesh is not None and navmesh not in library.navmeshes:
+        yield Finding("handle_exact", where, f"navmesh {navmesh!r} is not in the dataset config: the scene would have none")
+    semantic = values.get("semantic_scene_instance")
+    if semantic is not None and "%%" not in str(semantic) and semantic not in library.semantics:
+        yield Finding("handle_exact", where, f"lexicon {semantic!r} is not in the dataset config: habitat-sim stops")
+    objects = values.get("object_instances", [])
+    if not isinstance(objects, list):
+        yield Finding("json", where, "object_instances is no list")
+        return
+    count = (values.get("user_defined") or {}).get("object_count")
+    if count is not None and count != len(objects):
+        yield Finding("object_count", where, f"has {len(objects)} objects, not {count}")
+    baked = navmesh in navmeshes and bool((navmeshes[navmesh].settings or {}).get("includeStaticObjects"))
+    for index, item in enumerate(objects):
+        yield from _object(library, values, item, f"object_instances[{index}]", where, baked, lexicons.get(str(semantic)))
+
+
+def _object(
+    library: Library, scene: Mapping[str, Any], item: Mapping[str, Any], place: str, where: str, baked: bool, lexicon: set[int] | None
+) -> Iterator[Finding]:
+    """One object of a scene."""
+    template = library.sections["objects"].get(str(item.get("template_name")))
+    if template is None:
+        yield Finding("handle_exact", where, f"{place}: {item.get('template_name')!r} is no object's name: a similar one would be shown")
+    elif lexicon is not None and template.values.get("semantic_id", 0) not in lexicon:
+        yield Finding("semantics", template.file, f"semantic_id {template.values.get('semantic_id')} is not in the lexicon")
+    yield from _placed(item, where, place)
+    rotation = _vector(item.get("rotation", [1, 0, 0, 0]), 4)
+    if rotation is not None and abs(rotation[0]) < 1e-9 and abs(rotation[2]) < 1e-9:
+        yield Finding("rotation_order", where, f"{place}: rotation {item['rotation']} turns the object upside down; is it (x, y, z, w)?")
+    if str(item.get("translation_origin", scene.get("translation_origin", ""))).lower() != "asset_local":
+        yield Finding("translation_origin", where, f"{place}: the position would be taken as that of the center of the object's box")
+    motion = str(item.get("motion_type", "dynamic")).lower()
+    if motion not in _MOTIONS:
+        yield Finding("motion_type", where, f"{place}: {item.get('motion_type')!r} is ignored")
+    elif baked and motion != "static":
+        yield Finding("motion_type", where, f"{place}: is {motion}, but the navmesh goes around it; only static objects are baked")
+
+
+def _placed(item: Mapping[str, Any], where: str, place: str) -> Iterator[Finding]:
+    """Position and rotation of a stage or an object."""
+    if _vector(item.get("translation", [0, 0, 0]), 3) is None:
+        yield Finding("translation", where, f"{place}: translation {item.get('translation')} is not three finite numbers")
+    rotation = _vector(item.get("rotation", [1, 0, 0, 0]), 4)
+    if rotation is None:
+        yield Finding("rotation", where, f"{place}: rotation {item.get('rotation')} is not four finite numbers and would be ignored")
+    elif abs(np.linalg.norm(rotation) - 1.0) > 1e-5:
+        yield Finding("rotation", where, f"{place}: rotation has length {np.linalg.norm(rotation):.6g}")

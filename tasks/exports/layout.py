@@ -1,0 +1,38 @@
+"""How exported files of many scenes become one folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import PurePosixPath
+
+from schemas.errors import InputError
+from schemas.exports import ExportFile
+from tasks.exports.config import HabitatConfig
+from tasks.exports.habitat_dataset import dataset_files, describe
+
+
+def layout(rows: Sequence[ExportFile]) -> dict[str, str]:
+    """Name of the blob of every file, by path `<format>/<path>` from the export's root, forward slashes, sorted.
+
+    Raises:
+        InputError: a path leaves the folder, or two scenes have different files at one path.
+    """
+    found: dict[str, str] = {}
+    for row in rows:
+        path = PurePosixPath(row.path)
+        if path.is_absolute() or ".." in path.parts or "\\" in row.path or not row.path:
+            raise InputError("export_files", f"{row.scene_id} path", f"{row.path!r} leaves the folder", "run exports again")
+        name = f"{row.format}/{path}"
+        if found.setdefault(name, row.file_blob) != row.file_blob:
+            raise InputError("export_files", f"{row.scene_id} path", f"{row.path!r} is another scene's file too", "export the scenes apart")
+    return dict(sorted(found.items()))
+
+
+def shared_files(rows: Sequence[ExportFile], blobs: Mapping[str, bytes], config: HabitatConfig | None = None) -> dict[str, bytes]:
+    """Files that belong to no scene alone, by path from the export's root: those of the Habitat dataset."""
+    scenes: dict[str, list[ExportFile]] = {}
+    for row in rows:
+        if row.format == "habitat":
+            scenes.setdefault(row.scene_id, []).append(row)
+    described = [describe(scenes[scene_id], blobs) for scene_id in sorted(scenes)]
+    return {f"habitat/{path}": data for path, data in dataset_files(described, config).items()} if described else {}

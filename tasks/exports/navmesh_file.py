@@ -1,0 +1,109 @@
+"""What a .navmesh file says, read for checking only and on purpose independent of what writes it (`tasks/navigation`).
+
+habitat-sim's container (version 1 or 2) around Detour tiles (version 7), little-endian, glTF frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+SETTINGS = (
+    "cellSize", "cellHeight", "agentHeight", "agentRadius", "agentMaxClimb", "agentMaxSlope", "regionMinSize", "regionMergeSize",
+    "edgeMaxLen", "edgeMaxError", "vertsPerPoly", "detailSampleDist", "detailSampleMaxError",
+    "filterLowHangingObstacles", "filterLedgeSpans", "filterWalkableLowHeightSpans", "includeStaticObjects",
+)  # fmt: skip
+"""Settings in the order of the file's header."""
+
+DEFAULTS: dict[str, float] = dict(
+    zip(SETTINGS, (0.05, 0.2, 1.5, 0.1, 0.2, 45.0, 20.0, 20.0, 12.0, 1.3, 6.0, 6.0, 1.0, 1.0, 1.0, 1.0, 0.0), strict=True)
+)
+"""habitat-sim's defaults. habitat-lab changes those of the agent and includeStaticObjects, and bakes anew unless all are equal."""
+
+
+@dataclasses.dataclass(frozen=True)
+class NavmeshFile:
+    """Settings (None in version 1) and walkable polygons, corners in the glTF frame [m], shape (k, 3) each."""
+
+    version: int
+    settings: dict[str, float] | None
+    polygons: list[NDArray[np.float64]]
+
+    def distance(self, point: NDArray[np.float64]) -> tuple[float, float]:
+        """Horizontal distance [m] from a point (3,) to the walkable area, and how far [m] it lies above or below there."""
+        best = (np.inf, np.inf)
+        for corners in self.polygons:
+            plan = corners[:, [0, 2]]
+            gap = _polygon_distance(plan, point[[0, 2]])
+            if gap < best[0]:
+                best = (gap, float(abs(corners[:, 1].mean() - point[1])))
+        return best
+
+
+def read_navmesh(data: bytes) -> NavmeshFile:
+    """Read a .navmesh.
+
+    Raises:
+        ValueError: what is wrong with the file, in one line.
+    """
+    try:
+        magic, version, tiles = struct.unpack_from("<4sii", data, 0)
+        if magic != b"TESM":
+            raise ValueError(f"magic is {magic!r}, not b'TESM'")
+        if version not in (1, 2):
+            raise ValueError(f"version is {version}, not 1 or 2")
+        offset, settings = 40, None
+        if version == 2:
+            values = struct.unpack_from("<13f4B", data, offset)
+            settings = {name: float(value) for name, value in zip(SETTINGS, values, strict=True)}
+            offset += 56
+        polygons: list[NDArray[np.float64]] = []
+        for _ in range(tiles):
+            _, size = struct.unpack_from("<Ii", data, offset)
+            offset += 8
+            if size < 100 or offset + size > len(data):
+                raise ValueError(f"a tile of {size} bytes does not fit into the {len(data)} bytes of the file")
+            polygons += _tile(data[offset : offset + size])
+            offset += size
+    except struct.error as error:
+        raise ValueError(f"is cut off ({error})") from error
+    if offset != len(data):
+        raise ValueError(f"has {len(data) - offset} bytes too many")
+    return NavmeshFile(version, settings, polygons)
+
+
+def _tile(data: bytes) -> list[NDArray[np.float64]]:
+    """Corners of the walkable polygons of a Detour tile."""
+    magic, version = struct.unpack_from("<ii", data, 0)
+    if magic != 0x444E4156 or version != 7:
+        raise ValueError(f"a tile has magic {magic:#x} and version {version}, not Detour's 0x444e4156 and 7")
+    polygon_count, vertex_count = struct.unpack_from("<ii", data, 24)
+    if min(polygon_count, vertex_count) < 0 or 100 + 12 * vertex_count + 32 * polygon_count > len(data):
+        raise ValueError(f"a tile of {len(data)} bytes cannot hold {vertex_count} vertices and {polygon_count} polygons")
+    vertices = np.frombuffer(data, "<f4", 3 * vertex_count, 100).reshape(-1, 3).astype(np.float64)
+    if not np.isfinite(vertices).all():
+        raise ValueError("a vertex is not finite")
+    found = []
+    for index in range(polygon_count):
+        start = 100 + 12 * vertex_count + 32 * index
+        corners = struct.unpack_from("<6H", data, start + 4)
+        flags, count, area_and_type = struct.unpack_from("<HBB", data, start + 28)
+        if not 3 <= count <= 6 or max(corners[:count]) >= vertex_count:
+            raise ValueError(f"polygon {index} names vertices that do not exist")
+        if flags & 1 and area_and_type >> 6 == 0:
+            found.append(vertices[list(corners[:count])])
+    return found
+
+
+def _polygon_distance(ring: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+    """Distance from a point (2,) to a convex ring (k, 2), 0 inside."""
+    a, b = ring, np.roll(ring, -1, axis=0)
+    edge, to = b - a, point - a
+    side = edge[:, 0] * to[:, 1] - edge[:, 1] * to[:, 0]
+    if (side >= 0).all() or (side <= 0).all():
+        return 0.0
+    along = np.clip(np.einsum("ij,ij->i", to, edge) / np.maximum(np.einsum("ij,ij->i", edge, edge), 1e-18), 0.0, 1.0)
+    return float(np.linalg.norm(to - along[:, None] * edge, axis=1).min())

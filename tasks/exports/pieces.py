@@ -1,0 +1,350 @@
+"""Convex pieces of an asset: the collision shape that every simulator reads the same way.
+
+A decomposition left to the engine is not portable (engines inflate, merge or ignore it), so hulls are always explicit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import OrderedDict
+from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import trimesh
+
+Method = Literal["generator", "hulls", "coacd"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PieceConfig:
+    """How a mesh becomes convex pieces."""
+
+    convex_ratio: float = 0.9  # volume of mesh / hull; above it the dents are too small to hold anything
+    convex_gap: float = 0.03  # the same for open meshes: farthest a hull's surface may lie from the mesh, in diagonals
+    max_components: int = 32  # more hulls than this slow every engine down; then parts are decomposed together
+    max_vertices: int = 64  # what PhysX accepts for a hull on the GPU
+    faces: int = 3000  # decimated to this first: a chair in 3 s instead of 13 s, at 2 mm more protrusion
+    threshold: float = 0.08  # concavity at which a piece counts as convex: 18 hulls for a chair, 23 mm p99 protrusion
+    mcts_iterations: int = 60  # with 15 nodes: a third of the default's time, the same overlap within 1 %
+    mcts_nodes: int = 15
+    thickness_m: float = 0.004  # flat parts (a picture, a curtain) get this much body
+
+
+@dataclasses.dataclass(frozen=True)
+class Hull:
+    """A convex piece. vertices: [m], shape (n, 3). faces: outward triangles, shape (m, 3). The holder states the frame."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+    def transformed(self, pose: ArrayLike, scale: ArrayLike = (1.0, 1.0, 1.0)) -> Hull:
+        """The hull scaled along its own axes by positive factors, shape (3,), then moved by a rigid 4x4 pose."""
+        m = np.asarray(pose, dtype=np.float64)
+        return Hull((self.vertices * np.asarray(scale)) @ m[:3, :3].T + m[:3, 3], self.faces)
+
+    @property
+    def volume(self) -> float:
+        """Volume [m3]."""
+        a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Pieces:
+    """Convex pieces of one asset in its own frame, and how they were made."""
+
+    hulls: tuple[Hull, ...]
+    method: Method
+
+
+@dataclasses.dataclass(frozen=True)
+class MassProperties:
+    """Of a uniform solid: volume [m3], center of mass [m] (3,), inertia about it for unit density [kg m2], shape (3, 3)."""
+
+    volume: float
+    center: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+
+
+_memo: OrderedDict[tuple[str, PieceConfig], Pieces] = OrderedDict()
+_MEMO_SIZE = 512  # assets; a few hundred kB each at most
+
+
+def asset_pieces(
+    asset_id: str, parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] | None, config: PieceConfig
+) -> Pieces:
+    """Convex pieces of an unscaled asset, computed once per process for each asset.
+
+    parts: what is seen. known: pieces from construction, or None. Both in the asset's frame [m]. Pieces never reach
+    outside the box of the parts, so an object that rests on what is seen of it rests on its pieces.
+    """
+    key = (asset_id, config)
+    if key not in _memo:
+        _memo[key] = pieces(parts, known, config)
+        while len(_memo) > _MEMO_SIZE:
+            _memo.popitem(last=False)
+    _memo.move_to_end(key)
+    return _memo[key]
+
+
+def pieces(parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] | None, config: PieceConfig) -> Pieces:
+    """`asset_pieces` without its memory."""
+    points = np.concatenate([np.asarray(part.vertices, dtype=np.float64) for part in parts])
+    bounds = np.array([points.min(axis=0), points.max(axis=0)])
+    if known:
+        clouds = [np.asarray(piece.vertices, dtype=np.float64) for piece in known]
+        return Pieces(_boxed(clouds, bounds, config), "generator")
+    surface = _merged(parts)
+    components = _components(surface)
+    dented = [c for c in components if not _is_convex(c, config)]
+    if len(components) - len(dented) > config.max_components:
+        return Pieces(_boxed(_coacd(surface, config), bounds, config), "coacd")
+    whole = {id(c) for c in dented}
+    clouds = [np.asarray(c.vertices) for c in components if id(c) not in whole]
+    if dented:  # together, so that the threshold is measured against the object, not against each of its parts
+        clouds += _coacd(_merged(dented), config)
+    return Pieces(_boxed(clouds, bounds, config), "coacd" if dented else "hulls")
+
+
+def mass_properties(hulls: Sequence[Hull]) -> MassProperties:
+    """Mass properties of the union of hulls, as a uniform solid of density 1 kg/m3, in the hulls' frame."""
+    solids = [_manifold(hull) for hull in hulls]
+    if len(solids) > 1:
+        import manifold3d
+
+        union = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+        mesh = union.to_mesh64()
+        vertices, faces = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64)
+    else:
+        vertices, faces = hulls[0].vertices, hulls[0].faces
+    return solid_properties(vertices, faces)
+
+
+def solid_properties(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> MassProperties:
+    """Mass properties of a closed surface with outward triangles, density 1 kg/m3: integrals over signed tetrahedra.
+
+    Shapes (n, 3) and (m, 3).
+    """
+    origin = vertices.mean(axis=0)  # near the solid: less cancellation than with the frame's origin
+    a, b, c = (vertices[faces[:, i]] - origin for i in range(3))
+    volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
+    volume = float(volumes.sum())
+    center = (volumes[:, None] * (a + b + c)).sum(axis=0) / (4.0 * volume)
+    total = a + b + c
+    second = np.einsum("n,ni,nj->ij", volumes, total, total)
+    for corner in (a, b, c):
+        second += np.einsum("n,ni,nj->ij", volumes, corner, corner)
+    second = second / 20.0 - volume * np.outer(center, center)
+    inertia = np.trace(second) * np.eye(3) - second
+    return MassProperties(volume, center + origin, inertia)
+
+
+def principal_axes(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Principal moments, shape (3,), and rotation from principal axes to the frame, shape (3, 3), nearest to identity."""
+    moments, axes = np.linalg.eigh(0.5 * (inertia + inertia.T))
+    best: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
+    for order in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
+        turned = axes[:, order] * np.where(np.diag(axes[:, order]) < 0, -1.0, 1.0)
+        if np.linalg.det(turned) < 0:  # mirror the axis that says least about its own direction
+            weakest = int(np.argmin(np.abs(np.diag(turned))))
+            turned[:, weakest] *= -1.0
+        score = float(np.trace(turned))
+        if best is None or score > best[0] + 1e-9:
+            best = (score, moments[list(order)], turned)
+    assert best is not None
+    return best[1], best[2]
+
+
+def convex_hull(points: NDArray[np.float64], config: PieceConfig) -> Hull:
+    """Convex hull of points, shape (n, 3) [m], with at most `config.max_vertices` vertices; flat points get a body."""
+    hull = _hull(_with_body(points, config))
+    if len(hull.vertices) > config.max_vertices:
+        reach = hull.vertices @ _directions(config.max_vertices).T
+        hull = _hull(hull.vertices[np.unique(reach.argmax(axis=0))])
+    return hull
+
+
+def _boxed(clouds: Sequence[NDArray[np.float64]], bounds: NDArray[np.float64], config: PieceConfig) -> tuple[Hull, ...]:
+    """Hulls of point clouds, kept inside a box where the box has room for a body; hulls inside others are dropped."""
+    low, high = bounds.copy()
+    for axis in range(2):
+        if high[axis] - low[axis] < config.thickness_m:
+            middle = 0.5 * (low[axis] + high[axis])
+            low[axis], high[axis] = middle - 0.5 * config.thickness_m, middle + 0.5 * config.thickness_m
+    high[2] = max(high[2], low[2] + config.thickness_m)  # upwards only: nothing may reach below what carries it
+    hulls = []
+    for cloud in clouds:
+        hull = convex_hull(cloud, config)
+        clipped = np.clip(hull.vertices, low, high)
+        if not np.array_equal(clipped, hull.vertices):
+            hull = _hull(_inside_body(clipped, low, high, config))
+        hulls.append(hull)
+    return tuple(_without_contained(hulls))
+
+
+def _inside_body(points: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], config: PieceConfig) -> NDArray[np.float64]:
+    """Points that span a body inside a box: those that clipping pressed flat are drawn inwards from the box's face."""
+    flat = np.flatnonzero(np.ptp(points, axis=0) < config.thickness_m * 0.5)
+    for axis in flat:
+        center = float(np.clip(points[:, axis].mean(), low[axis] + 0.5 * config.thickness_m, high[axis] - 0.5 * config.thickness_m))
+        first, second = points.copy(), points.copy()
+        first[:, axis], second[:, axis] = center - 0.5 * config.thickness_m, center + 0.5 * config.thickness_m
+        points = np.clip(np.concatenate([first, second]), low, high)
+    return _with_body(points, config)
+
+
+def _with_body(points: NDArray[np.float64], config: PieceConfig) -> NDArray[np.float64]:
+    """The points, doubled along directions in which they are flatter than a tenth of the thickness."""
+    unique = np.unique(points, axis=0)
+    for _ in range(3):
+        centered = unique - unique.mean(axis=0)
+        _, axes = np.linalg.eigh(centered.T @ centered)
+        extents = np.ptp(centered @ axes, axis=0)
+        thin = int(np.argmin(extents))
+        if extents[thin] >= 0.1 * config.thickness_m:
+            break
+        offset = 0.5 * config.thickness_m * axes[:, thin]
+        unique = np.concatenate([unique - offset, unique + offset])
+    return unique
+
+
+def _hull(points: NDArray[np.float64]) -> Hull:
+    """Convex hull with outward triangles; the same points give the same hull."""
+    from scipy.spatial import ConvexHull
+
+    found = ConvexHull(points, qhull_options="QJ Pp" if len(points) < 5 else "Qt Pp")
+    used = np.sort(found.vertices)
+    index = np.full(len(points), -1, dtype=np.int64)
+    index[used] = np.arange(len(used))
+    faces = index[found.simplices.astype(np.int64)]
+    vertices = np.ascontiguousarray(points[used])
+    corners = vertices[faces]
+    inward = np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), found.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Hull(vertices, faces)
+
+
+def _without_contained(hulls: list[Hull]) -> list[Hull]:
+    """Hulls without those whose every vertex lies inside another one; the order stays."""
+    planes = []
+    for hull in hulls:
+        corners = hull.vertices[hull.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        lengths = np.linalg.norm(normals, axis=1)
+        normals = normals[lengths > 1e-14] / lengths[lengths > 1e-14][:, None]
+        planes.append((normals, np.einsum("ij,ij->i", normals, corners[lengths > 1e-14][:, 0])))
+    volumes = [hull.volume for hull in hulls]
+    kept = []
+    for i, hull in enumerate(hulls):
+        inside = any(
+            j != i and (volumes[j], -j) > (volumes[i], -i) and bool((hull.vertices @ normals.T <= offsets + 1e-6).all())
+            for j, (normals, offsets) in enumerate(planes)
+        )
+        if not inside:
+            kept.append(hull)
+    return kept
+
+
+def _merged(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """All parts as one mesh whose equal positions are one vertex."""
+    import trimesh
+
+    vertices = np.concatenate([np.asarray(p.vertices, dtype=np.float64) for p in parts])
+    offsets = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
+    faces = np.concatenate([np.asarray(p.faces, dtype=np.int64) + o for p, o in zip(parts, offsets, strict=True)])
+    _, first, inverse = np.unique(np.round(vertices, 6), axis=0, return_index=True, return_inverse=True)
+    faces = inverse.reshape(-1)[faces]
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return trimesh.Trimesh(vertices[first], faces[whole], process=False)
+
+
+def _components(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
+    """Connected parts of a mesh, by their lowest face index."""
+    import trimesh
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    faces = np.asarray(mesh.faces)
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(mesh.vertices),) * 2)
+    _, label = connected_components(graph, directed=False)
+    label = label[faces[:, 0]]
+    order, first = np.unique(label, return_index=True)
+    parts = []
+    for which in order[np.argsort(first)]:
+        chosen = faces[label == which]
+        used, inverse = np.unique(chosen, return_inverse=True)
+        parts.append(trimesh.Trimesh(np.asarray(mesh.vertices)[used], inverse.reshape(-1, 3), process=False))
+    return parts
+
+
+def _is_convex(part: trimesh.Trimesh, config: PieceConfig) -> bool:
+    """Whether a connected part is as good as its convex hull."""
+    hull = _hull(_with_body(np.asarray(part.vertices), config))
+    if part.is_watertight and part.is_winding_consistent:
+        return abs(float(part.volume)) >= config.convex_ratio * hull.volume
+    return _gap(part, hull) <= config.convex_gap
+
+
+def _gap(part: trimesh.Trimesh, hull: Hull) -> float:
+    """Farthest distance of a hull's surface from the mesh that it wraps, in diagonals of the mesh."""
+    from tasks.rendering import open3d
+
+    o3d = open3d()
+    corners = hull.vertices[hull.faces]
+    weights = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [1, 2, 2], [2, 1, 2], [2, 2, 1]], dtype=np.float64)
+    samples = np.einsum("kc,ncd->nkd", weights / weights.sum(axis=1, keepdims=True), corners).reshape(-1, 3)
+    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(
+        o3d.core.Tensor(np.ascontiguousarray(part.vertices, dtype=np.float32)),
+        o3d.core.Tensor(np.ascontiguousarray(part.faces, dtype=np.uint32)),
+    )
+    distance = scene.compute_distance(o3d.core.Tensor(samples.astype(np.float32)), nthreads=1).numpy()
+    return float(distance.max() / max(float(np.linalg.norm(np.ptp(part.vertices, axis=0))), 1e-9))
+
+
+def _coacd(mesh: trimesh.Trimesh, config: PieceConfig) -> list[NDArray[np.float64]]:
+    """Vertices of the convex parts of a mesh by CoACD (Wei et al., SIGGRAPH 2022), in the order that it gives them."""
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int32)
+    if len(faces) > config.faces:
+        import fast_simplification
+
+        vertices, faces = fast_simplification.simplify(vertices, faces, target_count=config.faces)
+    coacd = _coacd_module()
+    found = coacd.run_coacd(
+        coacd.Mesh(np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.int32)),
+        threshold=config.threshold, mcts_iterations=config.mcts_iterations, mcts_nodes=config.mcts_nodes,
+        decimate=True, max_ch_vertex=config.max_vertices, seed=0,
+    )  # fmt: skip
+    return [np.asarray(points, dtype=np.float64) for points, _ in found]
+
+
+@cache
+def _coacd_module() -> Any:
+    """CoACD, silent."""
+    import coacd
+
+    coacd.set_log_level("error")
+    return coacd
+
+
+@cache
+def _directions(count: int) -> NDArray[np.float64]:
+    """The six axis directions and others spread over the sphere (Fibonacci lattice), shape (count, 3), unit length."""
+    index = np.arange(count - 6) + 0.5
+    height = 1.0 - 2.0 * index / (count - 6)
+    turn = np.pi * (1.0 + 5.0**0.5) * index
+    radius = np.sqrt(1.0 - height**2)
+    return np.concatenate([np.eye(3), -np.eye(3), np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])])
+
+
+def _manifold(hull: Hull) -> Any:
+    """A hull as a solid of manifold3d."""
+    import manifold3d
+
+    return manifold3d.Manifold(manifold3d.Mesh64(vert_properties=hull.vertices, tri_verts=hull.faces.astype(np.uint64)))

@@ -1,0 +1,135 @@
+"""A replica as a USD scene with physics.
+
+`<stem>/scene.usda` refers to `room/room.usda` and to one folder per asset under `assets/`; see `usd_assets`. Every
+object is one rigid body with explicit convex colliders, its scale baked into the geometry. What hangs on a wall or
+a ceiling is a static collider without a rigid body, like the room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tasks.exports.bodies import Body, Replica
+from tasks.exports.config import ExportsConfig
+from tasks.exports.pieces import Hull, convex_hull
+from tasks.exports.shading import corner_normals
+from tasks.exports.usd_assets import (
+    add_collider,
+    add_color_material,
+    add_display_color,
+    add_mesh,
+    add_physics_material,
+    asset_name,
+    bind_physics,
+    make_collider,
+    new_stage,
+    quaternion,
+    set_mass,
+    write_asset,
+)
+from tasks.meshes import vertex_colors
+from tasks.replica import room_shell
+
+
+def write_usd(root: Path, replica: Replica, config: ExportsConfig) -> Path:
+    """Write a replica under `root/<stem>/` and return the path of its `scene.usda`."""
+    folder = root / replica.stem
+    folder.mkdir(parents=True)
+    _write_room(folder / "room", replica, config)
+    first: dict[str, Body] = {}
+    for body in replica.bodies:
+        if asset_name(body) not in first:
+            first[asset_name(body)] = body
+            write_asset(folder / "assets", body, config.usd)
+    _write_scene(folder / "scene.usda", replica, first, config)
+    return folder / "scene.usda"
+
+
+def _write_room(folder: Path, replica: Replica, config: ExportsConfig) -> None:
+    """Floor and walls: static colliders without a rigid body."""
+    from pxr import Kind, Usd, UsdGeom, UsdShade
+
+    folder.mkdir()
+    geometry = new_stage(folder / "room_geometry.usdc", "Room")
+    stage = new_stage(folder / "room.usda", "Room")
+    stage.GetRootLayer().subLayerPaths.append("./room_geometry.usdc")
+    Usd.ModelAPI(stage.GetDefaultPrim()).SetKind(Kind.Tokens.group)
+    for name, mesh in room_shell(replica.room, config.shell):
+        path = f"/Room/{name.capitalize()}"
+        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+        UsdGeom.Xform.Define(geometry, path)
+        visual = add_mesh(geometry, f"{path}/Visual", vertices, faces, corner_normals(vertices, faces, 0.1))
+        add_display_color(visual, vertex_colors(mesh))
+        # a floor with inner corners gets the hull of its slab: what that adds lies outside the room, below z = 0
+        hull: Hull = convex_hull(vertices, config.pieces)
+        add_collider(geometry, f"{path}/Collider", hull)
+        part = stage.OverridePrim(path)
+        Usd.ModelAPI(part).SetKind(Kind.Tokens.component)
+        label(part, {"class": [name.split("_")[0]], "category": [name.split("_")[0]]})
+        UsdGeom.Scope.Define(stage, f"{path}/Looks")
+        UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(f"{path}/Visual")).Bind(add_color_material(stage, f"{path}/Looks/Paint"))
+        collider = stage.OverridePrim(f"{path}/Collider")
+        make_collider(collider)
+        bind_physics(collider, add_physics_material(stage, f"{path}/PhysicsMaterial", config.room_friction, config.room_restitution))
+    geometry.GetRootLayer().Save()
+    stage.GetRootLayer().Save()
+
+
+def _write_scene(path: Path, replica: Replica, first: dict[str, Body], config: ExportsConfig) -> None:
+    """The scene file: gravity, light, the room, and every body as a reference with a pose."""
+    from pxr import Gf, Kind, Usd, UsdGeom, UsdLux, UsdPhysics
+
+    stage = new_stage(path, "World")
+    world = stage.GetDefaultPrim()
+    Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
+    stage.GetRootLayer().customLayerData = {
+        "metascenes": {"scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type}
+    }
+    physics = UsdPhysics.Scene.Define(stage, "/World/PhysicsScene")
+    physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
+    physics.CreateGravityMagnitudeAttr(config.usd.gravity_m_s2)
+    UsdLux.DomeLight.Define(stage, "/World/Light").CreateIntensityAttr(1000.0)
+    room = stage.DefinePrim("/World/Room")
+    room.GetReferences().AddReference("./room/room.usda")
+    objects = UsdGeom.Xform.Define(stage, "/World/Objects")
+    Usd.ModelAPI(objects.GetPrim()).SetKind(Kind.Tokens.group)
+    materials: dict[tuple[float, float], Any] = {}
+    for body in replica.bodies:
+        _add_body(stage, body, first[asset_name(body)], materials, config)
+    stage.GetRootLayer().Save()
+
+
+def _add_body(stage: Any, body: Body, first: Body, materials: dict[tuple[float, float], Any], config: ExportsConfig) -> None:
+    """One body: a reference, a pose, labels, where it comes from, and what its asset's file says otherwise."""
+    from pxr import Gf, UsdGeom
+
+    name = asset_name(body)
+    prim = stage.DefinePrim(f"/World/Objects/{body.name}")
+    prim.GetReferences().AddReference(f"./assets/{name}/{name}.usda")
+    if config.usd.instanceable:
+        prim.SetInstanceable(True)
+    place = UsdGeom.Xformable(prim)
+    place.AddTranslateOp().Set(Gf.Vec3d(*map(float, body.pose[:3, 3])))
+    place.AddOrientOp().Set(quaternion(body.pose[:3, :3]))
+    label(prim, {"class": [body.category], "category": [body.category], "nyu40": [body.nyu40_label]})
+    prim.SetCustomDataByKey("metascenes", dict(body.provenance))
+    if not body.is_fixed and body.mass_kg != first.mass_kg:
+        set_mass(prim, body)
+    surface = (body.friction, body.restitution)
+    if surface != (first.friction, first.restitution):
+        if surface not in materials:
+            UsdGeom.Scope.Define(stage, "/World/PhysicsMaterials")
+            materials[surface] = add_physics_material(stage, f"/World/PhysicsMaterials/Surface_{len(materials):02d}", *surface)
+        bind_physics(prim, materials[surface], stronger=True)
+
+
+def label(prim: Any, labels: dict[str, Sequence[str]]) -> None:
+    """Semantic labels on a prim, by taxonomy."""
+    from pxr import UsdSemantics
+
+    for taxonomy, values in labels.items():
+        UsdSemantics.LabelsAPI.Apply(prim, taxonomy).CreateLabelsAttr(list(values))
