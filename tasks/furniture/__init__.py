@@ -1,0 +1,82 @@
+"""Furniture and household things drawn from parameters: every model comes with its own convex pieces.
+
+>>> model = generate("chair", (0.5, 0.45, 0.9), numpy.random.default_rng(0))
+
+The same generator state, category, extents and color give the same model.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tasks.furniture import (
+    appliances,
+    bath,
+    beds,
+    decor,
+    electronics,
+    fallback,
+    lighting,
+    seating,
+    storage,
+    tables,
+    tableware,
+)
+from tasks.furniture.drafting import ALIASES, REGISTRY, Draft, Extents, Model
+from tasks.furniture.palette import Color
+
+FAMILIES = (seating, tables, storage, beds, lighting, tableware, electronics, appliances, bath, decor)
+"""Modules that draw, each a family."""
+
+CATEGORIES: tuple[str, ...] = tuple(sorted(REGISTRY))
+"""Categories that are drawn under their own name."""
+
+MINIMUM_M = 1e-3
+"""Thinnest extent that is drawn: thinner parts would not survive float32."""
+
+MAXIMUM_M = 20.0
+"""Longest extent that is drawn: more is no furniture."""
+
+__all__ = ["CATEGORIES", "FAMILIES", "Model", "canonical_category", "generate", "is_known", "typical_extents"]
+
+
+def canonical_category(category: str) -> str | None:
+    """The category that is drawn for a word: itself, what it is another word for, its singular; None for an unknown one."""
+    word = " ".join(category.lower().replace("_", " ").replace("-", " ").split())
+    for form in (word, word.removesuffix("s"), word.removesuffix("es")):
+        if form in REGISTRY:
+            return form
+        if form in ALIASES:
+            return ALIASES[form]
+    return None
+
+
+def is_known(category: str) -> bool:
+    """Whether a category has a drawing of its own; others are drawn as a plain body of their silhouette."""
+    return canonical_category(category) is not None
+
+
+def typical_extents(category: str) -> Extents:
+    """Usual extents of a category along its own axes [m], shape (3,): depth (x), width (y), height (z)."""
+    known = canonical_category(category)
+    return REGISTRY[known].extents if known else (0.4, 0.4, 0.4)
+
+
+def generate(category: str, extents: Extents | None, rng: np.random.Generator, color: Color | None = None) -> Model:
+    """A model of a category whose bounds equal `extents` [m], shape (3,); usual ones, a little varied, when None.
+
+    `color`: RGB 0..255 of its main surface; by chance when None.
+
+    Raises:
+        ValueError: an extent is not finite, or below a millimetre, or above 20 m.
+    """
+    if extents is None:
+        x, y, z = (float(v) for v in np.array(typical_extents(category)) * rng.uniform(0.93, 1.07, 3))
+    else:
+        x, y, z = (float(v) for v in extents)
+    if not (np.isfinite([x, y, z]).all() and min(x, y, z) >= MINIMUM_M and max(x, y, z) <= MAXIMUM_M):
+        raise ValueError(f"extents of a {category!r} must be {MINIMUM_M} to {MAXIMUM_M} m, are {(x, y, z)}")
+    draft = Draft(category, (x, y, z), rng, color)
+    known = canonical_category(category)
+    (REGISTRY[known].draw if known else fallback.draw)(draft)
+    return draft.model()

@@ -1,0 +1,156 @@
+"""The drawing board of the furniture families: a draft collects solids, the registry knows who draws what."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.furniture.palette import Color, pick, shade
+from tasks.furniture.solids import Hull, Solid, Span, box, cushion, cylinder, wedge
+
+if TYPE_CHECKING:
+    import trimesh
+
+Extents = tuple[float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """A generated thing in the canonical frame: +Z up, front +X, origin at the bottom center of its box [m].
+
+    parts: What is seen, closed volumes with vertex colors. pieces: Convex closed meshes that together cover the parts.
+    """
+
+    name: str
+    category: str
+    parts: list[trimesh.Trimesh]
+    pieces: list[trimesh.Trimesh]
+
+
+class Draft:
+    """One model while it is drawn, in x from -X/2 to X/2 (front +x), y from -Y/2 to Y/2, z from 0 to Z [m].
+
+    The drawn thing should nearly fill these extents; `model` fits it exactly.
+    """
+
+    def __init__(self, category: str, extents: Extents, rng: np.random.Generator, color: Color | None) -> None:
+        self.category = category
+        self.X, self.Y, self.Z = extents
+        self.hx, self.hy = 0.5 * self.X, 0.5 * self.Y
+        self.rng = rng
+        self.variant = ""
+        self._color = color
+        self._solids: list[tuple[str, Color, Solid]] = []
+
+    def main(self, colors: tuple[Color, ...]) -> Color:
+        """The color of the whole thing: the one asked for, else one of these."""
+        chosen = pick(colors, self.rng)
+        return self._color or chosen
+
+    def pick(self, colors: tuple[Color, ...]) -> Color:
+        """A color of a lesser part."""
+        return pick(colors, self.rng)
+
+    def one_of(self, *variants: str) -> str:
+        """A variant by chance; it becomes part of the model's name."""
+        chosen = variants[int(self.rng.integers(len(variants)))]
+        self.variant = chosen if not self.variant else f"{self.variant} {chosen}"
+        return chosen
+
+    def chance(self, probability: float) -> bool:
+        """True with that probability."""
+        return bool(self.rng.random() < probability)
+
+    def between(self, low: float, high: float) -> float:
+        """A number between two."""
+        return float(self.rng.uniform(low, high))
+
+    def add(self, part: str, color: Color, solid: Solid) -> None:
+        """Put a solid under a part; its color varies by a hair, as pieces of one thing do."""
+        self._solids.append((part, shade(color, 1 + 0.03 * float(self.rng.uniform(-1, 1))), solid))
+
+    def box(self, part: str, color: Color, x: Span, y: Span, z: Span) -> None:
+        """A box from spans [m]."""
+        self.add(part, color, box(x, y, z))
+
+    def cushion(self, part: str, color: Color, x: Span, y: Span, z: Span, radius: float) -> None:
+        """A box with rounded edges [m]."""
+        self.add(part, color, cushion(x, y, z, radius))
+
+    def leg(
+        self, part: str, color: Color, foot: tuple[float, float], top: tuple[float, float], z: Span, side: float, tip: float = 1.0
+    ) -> None:
+        """A square leg from a foot to a top in plan [m], `side` wide at the top and `tip` times that at the foot."""
+        a, b = 0.5 * side * tip, 0.5 * side
+        bottom = ((foot[0] - a, foot[0] + a), (foot[1] - a, foot[1] + a))
+        above = ((top[0] - b, top[0] + b), (top[1] - b, top[1] + b))
+        self.add(part, color, wedge(bottom, above, z))
+
+    def round_leg(self, part: str, color: Color, x: float, y: float, z: Span, radius: float) -> None:
+        """A round upright leg about (x, y) [m]."""
+        self.add(part, color, cylinder(radius, z, 10).at(x, y, 0.0))
+
+    def corners(self, inset: float) -> list[tuple[float, float]]:
+        """The four corners in plan, moved in by `inset` [m]: front left, back left, back right, front right."""
+        x, y = self.hx - min(inset, 0.45 * self.X), self.hy - min(inset, 0.45 * self.Y)
+        return [(x, y), (-x, y), (-x, -y), (x, -y)]
+
+    def model(self) -> Model:
+        """The drawn thing, fitted exactly into its extents."""
+        import trimesh
+
+        everything = np.concatenate([solid.vertices for _, _, solid in self._solids])
+        low, high = everything.min(axis=0), everything.max(axis=0)
+        scale = np.array([self.X, self.Y, self.Z]) / np.maximum(high - low, 1e-9)
+        center = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+
+        def mesh(hull: Hull | Solid) -> trimesh.Trimesh:
+            return trimesh.Trimesh((hull.vertices - center) * scale, hull.faces, process=False)
+
+        parts, order = [], list(dict.fromkeys(part for part, _, _ in self._solids))
+        for name in order:
+            solids = [(color, solid) for part, color, solid in self._solids if part == name]
+            offsets = np.cumsum([0] + [len(solid.vertices) for _, solid in solids])
+            vertices = np.concatenate([solid.vertices for _, solid in solids])
+            faces = np.concatenate([solid.faces + offset for (_, solid), offset in zip(solids, offsets, strict=False)])
+            colors: NDArray[np.uint8] = np.concatenate(
+                [np.tile(np.array([*c, 255], dtype=np.uint8), (len(s.vertices), 1)) for c, s in solids]
+            )
+            part = mesh(Solid(vertices, faces, ()))
+            part.visual = trimesh.visual.ColorVisuals(part, vertex_colors=colors)
+            part.metadata["name"] = name
+            parts.append(part)
+        pieces = [mesh(piece) for _, _, solid in self._solids for piece in solid.pieces]
+        name = f"{self.variant} {self.category}" if self.variant else self.category
+        return Model(name, self.category, parts, pieces)
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A category: its usual extents [m], shape (3,), depth x width x height, and who draws it."""
+
+    name: str
+    extents: Extents
+    draw: Callable[[Draft], None]
+
+
+REGISTRY: dict[str, Entry] = {}
+ALIASES: dict[str, str] = {}
+
+
+def category(name: str, extents: Extents, *aliases: str) -> Callable[[Callable[[Draft], None]], Callable[[Draft], None]]:
+    """Registers a drawing under a category with its usual extents (depth, width, height) [m], and under other words for it."""
+
+    def register(draw: Callable[[Draft], None]) -> Callable[[Draft], None]:
+        for word in (name, *aliases):
+            if word in REGISTRY or word in ALIASES:
+                raise ValueError(f"category {word!r} is drawn twice")
+        REGISTRY[name] = Entry(name, extents, draw)
+        ALIASES.update(dict.fromkeys(aliases, name))
+        return draw
+
+    return register
