@@ -87,14 +87,14 @@ class View:
 
 
 class RayScene:
-    """Parts (trimeshes in one frame) that rays can be cast at."""
+    """Parts (trimeshes in one frame) that rays can be cast at. `raycaster` is open3d's scene, for distances."""
 
     def __init__(self, parts: Sequence[trimesh.Trimesh]) -> None:
         o3d = open3d()
         self.parts = list(parts)
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self.raycaster = o3d.t.geometry.RaycastingScene(nthreads=1)
         for part in self.parts:
-            self._scene.add_triangles(
+            self.raycaster.add_triangles(
                 o3d.core.Tensor(np.ascontiguousarray(part.vertices, dtype=np.float32)),
                 o3d.core.Tensor(np.ascontiguousarray(part.faces, dtype=np.uint32)),
             )
@@ -103,7 +103,10 @@ class RayScene:
     def cast(self, rays: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
         """Hits of rays, shape (..., 6): `t_hit` (inf: none), `geometry_ids`, `primitive_ids`, `primitive_uvs`, `primitive_normals`."""
         o3d = open3d()
-        return {name: value.numpy() for name, value in self._scene.cast_rays(o3d.core.Tensor(np.ascontiguousarray(rays, dtype=np.float32))).items()}
+        return {
+            name: value.numpy()
+            for name, value in self.raycaster.cast_rays(o3d.core.Tensor(np.ascontiguousarray(rays, dtype=np.float32))).items()
+        }
 
     def render(self, camera: Camera, background: tuple[int, int, int] = (255, 255, 255), shade: bool = True) -> View:
         """Depth, part and color from a camera. `shade` darkens faces that turn away from the camera and from above."""
@@ -114,7 +117,7 @@ class RayScene:
         color = np.empty((*depth.shape, 3), dtype=np.uint8)
         color[:] = background
         face, bary = hits["primitive_ids"].astype(np.int64), hits["primitive_uvs"]
-        for index in np.unique(part[seen]):
+        for index in np.flatnonzero(np.bincount(part[seen], minlength=1)):
             where = part == index
             color[where] = self._hit_colors(int(index), face[where], bary[where])
         normal = hits["primitive_normals"].astype(np.float32)
