@@ -18,7 +18,7 @@ from schemas.tables import TABLES
 from warehouse.views import views
 
 if TYPE_CHECKING:
-    from tasks.stats.scenes import ScenePictures
+    from tasks.stats.scenes import PictureConfig, ScenePictures
     from tasks.stats.style import Picture
     from warehouse.lake import Lake
     from warehouse.snapshot import Reader
@@ -36,19 +36,23 @@ def write_report(
     snapshot_id: int | None = None,
     *,
     pictures: Path | None = None,
+    look: PictureConfig | None = None,
     workers: int | None = None,
     advance: Callable[[str], None] | None = None,
 ) -> Path:
     """Write the report on a snapshot, the newest by default, and return its path.
 
     `out` is the HTML file; in a folder, it is `report.html`. `pictures` is a folder that gets every chart as SVG and PNG.
+    `look` says how scenes are pictured, `workers` how many processes do it (one per core by default);
     `advance` is told each scene that was pictured. The same snapshot gives the same bytes.
 
     Raises:
         InputError: there is no such snapshot.
     """
     from tasks.stats.report import Query, ReportContent, render_report
+    from tasks.stats.scenes import PictureConfig
 
+    look = look or PictureConfig()
     reader = lake.snapshot(snapshot_id)
     answers = answers_of(reader)
     charts = draw_charts(answers)
@@ -57,7 +61,8 @@ def write_report(
         answers=answers,
         queries=[Query(view.name, view.question, view.note, view.query) for view in views()],
         pictures=charts,
-        scenes=_picture_scenes(lake, reader.snapshot_id, scenes, workers, advance),
+        scenes=_picture_scenes(lake, reader.snapshot_id, scenes, look, workers, advance),
+        picture_size=(look.width, look.height),
         stages=STAGES,
         snapshot_id=reader.snapshot_id,
         snapshot_time=f"{reader.snapshot.created_at:%Y-%m-%d %H:%M} UTC" if reader.snapshot else "",
@@ -107,7 +112,7 @@ def draw_charts(answers: Mapping[str, pa.Table]) -> list[Picture]:
     return [chart for chart in drawn if chart is not None]
 
 
-def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str) -> ScenePictures:
+def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureConfig) -> ScenePictures:
     """Pictures of a scene in a snapshot. Runs in a worker process.
 
     Raises:
@@ -125,25 +130,28 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str) -> ScenePictur
     rooms = reader.rows(Room, scene_id)
     placements = reader.rows(Placement, scene_id)
     assets = {asset.asset_id: asset for asset in reader.rows_by_key(Asset, sorted({p.asset_id for p in placements}))}
-    objects = [
-        part for placement in placements for part in placed_parts(placement, lake.blobs[assets[placement.asset_id].mesh_blob])
-    ]
+    objects = [part for placement in placements for part in placed_parts(placement, lake.blobs[assets[placement.asset_id].mesh_blob])]
     shell = [part for _, part in room_shell(rooms[0])] if rooms else []
-    return picture_scene(scan, shell, objects, Outline.of_room(rooms[0]) if rooms else Outline.of_parts(scan))
+    return picture_scene(scan, shell, objects, Outline.of_room(rooms[0]) if rooms else Outline.of_parts(scan), look)
 
 
 def _picture_scenes(
-    lake: Lake, snapshot_id: int, scenes: Sequence[str], workers: int | None, advance: Callable[[str], None] | None
+    lake: Lake,
+    snapshot_id: int,
+    scenes: Sequence[str],
+    look: PictureConfig,
+    workers: int | None,
+    advance: Callable[[str], None] | None,
 ) -> dict[str, ScenePictures | str]:
     """Pictures per scene, or why there are none. One worker means this process."""
     count = workers or min(os.cpu_count() or 1, len(scenes), 4)
     call: Callable[..., ScenePictures] = _call_here
     if count <= 1 or len(scenes) <= 1:
-        return {scene: _picture_or_reason(call, lake, snapshot_id, scene, advance) for scene in scenes}
+        return {scene: _picture_or_reason(call, lake, snapshot_id, scene, look, advance) for scene in scenes}
     from flows.pool import WorkerPool
 
     with WorkerPool(count) as pool, ThreadPoolExecutor(count) as threads:
-        made = threads.map(lambda scene: _picture_or_reason(pool.call, lake, snapshot_id, scene, advance), scenes)
+        made = threads.map(lambda scene: _picture_or_reason(pool.call, lake, snapshot_id, scene, look, advance), scenes)
         return dict(zip(scenes, made, strict=True))
 
 
@@ -152,14 +160,19 @@ def _call_here(function: Callable[..., ScenePictures], *arguments: object) -> Sc
 
 
 def _picture_or_reason(
-    call: Callable[..., ScenePictures], lake: Lake, snapshot_id: int, scene: str, advance: Callable[[str], None] | None
+    call: Callable[..., ScenePictures],
+    lake: Lake,
+    snapshot_id: int,
+    scene: str,
+    look: PictureConfig,
+    advance: Callable[[str], None] | None,
 ) -> ScenePictures | str:
     """A scene that cannot be pictured costs its pictures, not the report."""
     from flows.pool import WorkerLost
 
     try:
-        return call(picture_scene_of, lake, snapshot_id, scene)
-    except (LakeError, WorkerLost, KeyError, ValueError) as error:
+        return call(picture_scene_of, lake, snapshot_id, scene, look)
+    except (LakeError, WorkerLost, OSError, KeyError, ValueError) as error:
         return f"{type(error).__name__}: {error}" if not isinstance(error, LakeError) else str(error)
     finally:
         if advance is not None:

@@ -97,11 +97,11 @@ def volume_boxes(boxes: pa.Table, outliers: pa.Table) -> Picture | None:
         capprops={"color": MUTED.light, "linewidth": 0.9},
         flierprops={"marker": "o", "markersize": 2.2, "markerfacecolor": _ORANGE, "markeredgecolor": _ORANGE},
     )
-    axes.set_xscale("log")
+    _volume_axis(axes, [value for entry in stats for value in (entry["whislo"], entry["whishi"], *entry["fliers"])])
     axes.invert_yaxis()
     axes.tick_params(axis="y", labelsize=8, length=0)
     axes.set_xlabel("volume of the oriented box [m³], logarithmic")
-    title = f"Volume of the {len(stats)} most frequent categories" if len(stats) >= CATEGORY_LIMIT else "Volume by category"
+    title = f"Volume by category, top {CATEGORY_LIMIT}" if len(stats) >= CATEGORY_LIMIT else "Volume by category"
     axes.set_title(title)
     medians = {row["category"]: row["median_m3"] for row in shown}
     small, large = min(medians, key=lambda c: (medians[c], c)), max(medians, key=lambda c: (medians[c], c))
@@ -231,6 +231,19 @@ def navigable_bars(floors: pa.Table) -> Picture | None:
     axes.set_title(title)
     alt = f"Navigable share of the floor in {len(order)} scenes: {share.min():.0f}% to {share.max():.0f}%."
     return picture(figure, "navigability", title, alt)
+
+
+def _volume_axis(axes: Axes, values: Sequence[float]) -> None:
+    """A logarithmic axis in plain numbers, over all values [m3]; a narrow one has ticks between the powers of ten too."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = min(values) / 1.3, max(values) * 1.3
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    decades = np.log10(high / low)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2.5 else (1.0, 2.0, 5.0), numticks=12))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6f}".rstrip("0").rstrip(".")))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _bars(axes: Axes, labels: Sequence[str], values: Any, color: str, number: str) -> None:

@@ -35,7 +35,8 @@ class Grid:
 
 def portable(text: str) -> str:
     """Text without the folders of absolute paths: a report travels, and other machines have no such folders."""
-    text = re.sub(r"(?:file://)?(?<![\w.:/])/(?:[^\s/:;,'\"()<>]+/)+", "", text)
+    # folders after the first may have spaces in their names
+    text = re.sub(r"(?:file://|(?<![\w.:/]))/[^\s/:;,'\"()<>]+/(?:[^/:;,'\"()<>\n]+/)*", "", text)
     return re.sub(r"\b[A-Za-z]:\\(?:[^\s\\:;,'\"]+\\)+", "", text)
 
 
@@ -111,7 +112,7 @@ def as_box(value: Any) -> str:
 
 def grid(caption: str, view: str, rows: pa.Table, columns: Sequence[tuple[str, str, Format]]) -> Grid:
     """Columns of an Arrow table as text: (column, header, format) each. A missing value is a dash."""
-    numeric = [form in (as_count, as_number, as_percent, as_size) for _, _, form in columns]
+    numeric = [form in (as_count, as_number, as_percent, as_size, as_box) for _, _, form in columns]
     shown = rows.slice(0, ROW_LIMIT).select([name for name, _, _ in columns]).to_pylist()
     cells = tuple(
         tuple(
@@ -134,8 +135,6 @@ def report_grids(answers: Mapping[str, pa.Table], stages: Sequence[str]) -> dict
 def place(stage: str, stages: Sequence[str]) -> tuple[int, str]:
     """Place of a stage in the order of the data path; unknown ones come last."""
     return (list(stages).index(stage) if stage in stages else len(stages), stage)
-
-
 
 
 _REPORT_COLUMNS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] = {

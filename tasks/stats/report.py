@@ -20,7 +20,7 @@ from tasks.stats.grids import (
     grid,
     report_grids,
 )
-from tasks.stats.scenes import PictureConfig, ScenePictures
+from tasks.stats.scenes import ScenePictures
 from tasks.stats.style import INK, MUTED, PAPER, SERIES, Picture
 
 
@@ -39,12 +39,14 @@ class ReportContent:
     """All that a report says.
 
     answers: Rows of every view, by name. scenes: Pictures by scene; a reason in their place where there are none.
+    picture_size: Width and height of these pictures [px]. stages: Stages in the order of the data path.
     """
 
     answers: Mapping[str, pa.Table]
     queries: Sequence[Query]
     pictures: Sequence[Picture]
     scenes: Mapping[str, ScenePictures | str]
+    picture_size: tuple[int, int]
     stages: Sequence[str]
     snapshot_id: int
     snapshot_time: str
@@ -71,7 +73,6 @@ def render_report(content: ReportContent) -> str:
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string((resources.files("tasks.stats") / "report.html.jinja").read_text(encoding="utf-8"))
-    size = PictureConfig()
     return template.render(
         tones={"ink": INK, "muted": MUTED, "paper": PAPER, **{tone.role: tone for tone in SERIES}},
         headline=_headline(content.answers["headline"]),
@@ -83,8 +84,8 @@ def render_report(content: ReportContent) -> str:
         snapshot_id=content.snapshot_id,
         snapshot_time=content.snapshot_time,
         code_version=content.code_version,
-        picture_width=size.width,
-        picture_height=size.height,
+        picture_width=content.picture_size[0],
+        picture_height=content.picture_size[1],
     )
 
 
@@ -199,7 +200,7 @@ def _all_scenes(answers: Mapping[str, pa.Table]) -> Grid:
             ("objects", "Objects", as_count),
             ("categories", "Categories", as_count),
             ("loss_before_l", "Overlap before [l]", as_number),
-            ("loss_after_l", "after [l]", as_number),
+            ("loss_after_l", "Overlap after [l]", as_number),
             ("navigable_share", "Navigable", as_percent),
             ("episodes", "Episodes", as_count),
             ("total_seconds", "Computed [s]", as_number),

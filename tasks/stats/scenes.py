@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 class PictureConfig:
     """How scenes are pictured."""
 
-    width: int = 880  # two of them side by side fill a laptop's screen; a phone shows one
-    height: int = 620
+    width: int = 800  # two of them side by side fill a laptop's screen; a phone shows one
+    height: int = 560
     oversampling: int = 2  # rays per pixel along each side: smooth edges at four times the rays
     horizontal_fov_radians: float = 0.7  # 40 degrees: a portrait lens, so that far walls do not shrink
     elevation_radians: float = 0.75  # 43 degrees: sees the floor behind a table and still the fronts of shelves
@@ -127,9 +127,7 @@ def top_camera(outline: Outline, config: PictureConfig) -> Camera:
     return _fitting_camera(corners, corners.mean(axis=0), np.array([0.0, 0.0, 1.0]), config, turned.pose[:3, :3])
 
 
-def opened(
-    parts: Sequence[trimesh.Trimesh], outline: Outline, camera: Camera, config: PictureConfig
-) -> list[trimesh.Trimesh]:
+def opened(parts: Sequence[trimesh.Trimesh], outline: Outline, camera: Camera, config: PictureConfig) -> list[trimesh.Trimesh]:
     """Parts without the ceiling and without the walls that stand between the camera and the room."""
     kept = []
     hiding = _hiding_walls(outline, camera.pose[:3, 3])
@@ -168,9 +166,7 @@ def render(parts: Sequence[trimesh.Trimesh], camera: Camera, config: PictureConf
     return file.getvalue()
 
 
-def _fitting_camera(
-    points: Array, target: Array, direction: Array, config: PictureConfig, rotation: Array | None = None
-) -> Camera:
+def _fitting_camera(points: Array, target: Array, direction: Array, config: PictureConfig, rotation: Array | None = None) -> Camera:
     """The camera nearest to `target` along `direction` that has all points (n, 3) in its picture, with a small margin."""
     pose = look_at(target + direction, target)
     if rotation is not None:
@@ -190,11 +186,9 @@ def _fitting_camera(
     return Camera.with_fov(pose, config.width, config.height, config.horizontal_fov_radians)
 
 
-def _best_corner(
-    objects: Sequence[trimesh.Trimesh], shell: Sequence[trimesh.Trimesh], outline: Outline, config: PictureConfig
-) -> Camera:
+def _best_corner(objects: Sequence[trimesh.Trimesh], shell: Sequence[trimesh.Trimesh], outline: Outline, config: PictureConfig) -> Camera:
     """Of the four corner cameras the one that sees most of the objects, not all on one spot: pixels weigh by square root."""
-    small = dataclasses.replace(config, width=132, height=93, oversampling=1)
+    small = dataclasses.replace(config, width=120, height=84, oversampling=1)
     best, most = corner_camera(outline, 0, config), -1.0
     for corner in range(4):
         camera = corner_camera(outline, corner, small)
@@ -262,7 +256,7 @@ def _lit(view: View, camera: Camera) -> NDArray[np.float32]:
     facing = np.clip(np.einsum("hwk,hwk->hw", normal, to_eye), 0, 1)
     direct = np.clip(normal @ key.astype(np.float32), 0, 1)
     sky = 0.5 + 0.5 * normal[..., 2]
-    light = (0.5 + 0.16 * facing + 0.26 * direct + 0.16 * sky) * _openness(view.depth, seen)
+    light = (0.6 + 0.14 * facing + 0.22 * direct + 0.14 * sky) * _openness(view.depth, seen)
     light[~seen] = 1.0
     return view.color.astype(np.float32) * light[..., None]
 

@@ -33,7 +33,7 @@ PAPER = Tone("paper", "#fdfdfc", "#12161c")
 
 SERIES: tuple[Tone, ...] = (
     Tone("blue", "#2b6cb0", "#6fb1f5"),
-    Tone("orange", "#c05621", "#f6a15b"),
+    Tone("orange", "#b0500f", "#f6a15b"),
     Tone("green", "#2f7d55", "#5fc992"),
     Tone("purple", "#6b46c1", "#b69cf3"),
     Tone("red", "#c53030", "#fc8181"),
@@ -46,11 +46,11 @@ SERIES: tuple[Tone, ...] = (
 
 _TONES = (INK, MUTED, GRID, PAPER, *SERIES)
 
-WIDTH_INCHES = 5.2
+WIDTH_INCHES = 4.5
 """Narrow, so that a phone shows the labels at nearly the size they were drawn in."""
 
-PNG_DPI = 160
-"""A picture of 5.2 inches becomes 832 pixels: sharp on a slide, small in a mail."""
+PNG_DPI = 200
+"""A picture of 4.5 inches becomes 900 pixels: sharp on a slide, small in a mail."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 from collections.abc import Mapping
@@ -39,11 +40,19 @@ def word_cloud(counts: Mapping[str, int]) -> Picture | None:
     cloud.to_image().save(raster, "PNG")
     svg = re.sub(r"<rect[^>]*/>|<rect[^>]*></rect>", "", cloud.to_svg(embed_font=False), count=1)
     svg = re.sub(r"rgb\((\d+), ?(\d+), ?(\d+)\)", lambda m: "#{:02x}{:02x}{:02x}".format(*map(int, m.groups())), svg)
-    svg = svg.replace("'Droid Sans Mono'", "'Droid Sans Mono',monospace")  # monospaced fonts are equally wide: any fits
+    # without the font in the file, another monospaced one steps in and is made as wide
+    svg = svg.replace("'Droid Sans Mono'", "'Droid Sans Mono',monospace")
+    svg = re.sub(r'font-size="(\d+)"([^>]*)>([^<]*)<', _fitted, svg)
     svg = svg.replace("<svg ", '<svg viewBox="0 0 900 560" ', 1)
     frequent = sorted(words, key=lambda word: (-words[word], word))[:5]
     alt = f"Word cloud of {len(words)} categories. Most frequent: " + ", ".join(f"{word} ({words[word]})" for word in frequent) + "."
     return Picture("category_counts", "Categories", alt, themed(svg), raster.getvalue())
+
+
+def _fitted(found: re.Match[str]) -> str:
+    """A word of the SVG with its width fixed: Droid Sans Mono's letters are 0.6 em wide."""
+    size, rest, word = int(found[1]), found[2], found[3]
+    return f'font-size="{size}" textLength="{0.6 * size * len(html.unescape(word)):.1f}" lengthAdjust="spacingAndGlyphs"{rest}>{word}<'
 
 
 def _color(word: str, random_state: Any = None, **_: Any) -> str:

@@ -1,0 +1,148 @@
+"""A small lake with meshes for tests: rooms with a few solids in them, their scans, and rows of every table."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from schemas.candidates import Asset, Candidate
+from schemas.captions import Caption
+from schemas.capture import Instance, Room, Scene
+from schemas.exports import ExportCheck, ExportFile
+from schemas.navigation import Episode, Navmesh, UnreachableTarget
+from schemas.optimization import Contact, OptimizationStep, Placement, Support
+from schemas.selection import Selection
+from tasks.meshes import dump_glb
+from tasks.replica import placed_parts, room_shell
+from tasks.transforms import flat, yaw_pose
+from tests.samples import fingerprint, sample, stage_run
+from warehouse.lake import Lake
+
+STAGES = ("capture", "captions", "candidates", "selection", "optimization", "navigation", "exports")
+HEIGHT = 2.6
+CATEGORIES = ("chair", "table", "lamp", "book", "box", "plant", "mug & <saucer>")
+
+
+def solid(index: int) -> trimesh.Trimesh:
+    """A colored solid, bottom center at the origin: a box, a cylinder or a cone."""
+    kinds = (
+        lambda: trimesh.creation.box((0.6, 0.5, 0.8)),
+        lambda: trimesh.creation.cylinder(0.3, 0.7, sections=24),
+        lambda: trimesh.creation.cone(0.35, 0.9, sections=24),
+    )
+    mesh = kinds[index % 3]()
+    mesh.apply_translation([0, 0, -mesh.bounds[0, 2]])
+    color = np.random.default_rng(index).integers(60, 220, 3)
+    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile([*color, 255], (len(mesh.vertices), 1)).astype(np.uint8))
+    return mesh
+
+
+def furnished_lake(folder: Path, scenes: int = 2, objects: int = 6) -> Lake:
+    """A lake with `scenes` furnished rooms, committed, one failed scene among its runs."""
+    lake = Lake.open(folder)
+    for number in range(scenes):
+        _stage_scene(lake, f"demo/room_{number}", number, objects)
+    lake.stage_rows(
+        stage_run(
+            "demo/broken", "capture", fingerprint("broken"), outcome="failed", error_kind="input",
+            error="/srv/scans/secret folder/broken/broken.txt: axisAlignment: determinant is 0; remove the line to have it estimated",
+        ), {},
+    )  # fmt: skip
+    lake.commit("furnished rooms")
+    return lake
+
+
+def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
+    """Stage rows of every stage of one scene."""
+    rng = np.random.default_rng(number)
+    room = sample(
+        Room, scene_id=scene_id, room_type="office", floor_polygon=((0.0, 0.0), (4.0 + number, 0.0), (4.0 + number, 3.2), (0.0, 3.2)),
+        floor_area_m2=12.8 + 3.2 * number, walls=((0.0, 0.0, 4.0, 0.0),), height_m=HEIGHT,
+    )  # fmt: skip
+    tables = ("instances", "captions", "candidates", "assets", "selections", "placements", "supports")
+    rows: dict[str, list[Any]] = {table: [] for table in tables}
+    scan = [mesh for _, mesh in room_shell(room)]
+    for index in range(objects):
+        scan.extend(_stage_object(lake, rows, scene_id, index, rng))
+    ceiling = trimesh.creation.box(bounds=[[0, 0, HEIGHT], [4.0 + number, 3.2, HEIGHT + 0.05]])
+    blob = lake.blobs.put(dump_glb([*scan, ceiling]), "glb")
+    points = lake.blobs.put(b"points", "ply")
+    floor = sample(Instance, scene_id=scene_id, instance_id="0900", category="floor", is_structure=True, points_blob=points)
+    outputs: dict[str, dict[str, list[Any]]] = {
+        "capture": {
+            "scenes": [sample(Scene, scene_id=scene_id, room_id=scene_id, mesh_blob=blob, instance_count=objects + 1)],
+            "rooms": [room], "frames": [], "instances": [*rows["instances"], floor], "masks": [],
+        },
+        "captions": {"captions": rows["captions"]},
+        "candidates": {"candidates": rows["candidates"], "assets": rows["assets"]},
+        "selection": {"selections": rows["selections"]},
+        "optimization": {
+            "placements": rows["placements"], "supports": rows["supports"],
+            "contacts": [sample(Contact, scene_id=scene_id, phase="proposed", instance_a="0000", instance_b="0001", penetration_m=0.05)],
+            "optimization_steps": [
+                sample(OptimizationStep, scene_id=scene_id, step=step, loss=loss, smallest_loss=loss, outcome=outcome)
+                for step, loss, outcome in ((0, 0.25, "start"), (1, 0.125, "kept"), (2, 0.0, "kept"))
+            ],
+        },
+        "navigation": {
+            "navmeshes": [
+                sample(
+                    Navmesh, scene_id=scene_id, agent="stretch", navmesh_blob=lake.blobs.put(b"n", "navmesh"), area_m2=6.0,
+                    largest_island_m2=6.0,
+                )
+            ],
+            "episodes": [sample(Episode, scene_id=scene_id, agent="stretch", instance_id="0001")],
+            "unreachable_targets": [sample(UnreachableTarget, scene_id=scene_id, instance_id="0002", reason="too high")], "splits": [],
+        },
+        "exports": {
+            "export_files": [
+                sample(ExportFile, scene_id=scene_id, format=kind, path="a", file_blob=lake.blobs.put(b"f", "usd"), size_bytes=150_000)
+                for kind in ("usd", "habitat")
+            ],
+            "export_checks": [
+                sample(ExportCheck, scene_id=scene_id, format="usd", rule="units", passed=True),
+                sample(ExportCheck, scene_id=scene_id, format="habitat", rule="up_axis", passed=number > 0, message="up is <missing>"),
+            ],
+        },
+    }  # fmt: skip
+    for place, stage in enumerate(STAGES):
+        run = stage_run(
+            scene_id, stage, fingerprint(scene_id, stage), *(f"{s}={fingerprint(scene_id, s)}" for s in STAGES[:place][-1:]),
+            seconds=0.5 + place + number, degradations=("0001: no view; shape by category",) if stage == "captions" else (),
+            started_at=datetime(2026, 1, 1, tzinfo=UTC) + timedelta(minutes=place), host="secret-host:1",
+        )  # fmt: skip
+        lake.stage_rows(run, outputs[stage])
+
+
+def _stage_object(lake: Lake, rows: dict[str, list[Any]], scene_id: str, index: int, rng: np.random.Generator) -> list[trimesh.Trimesh]:
+    """Rows of one object; the parts of it that the scan has seen."""
+    instance = f"{index:04d}"
+    of = {"scene_id": scene_id, "instance_id": instance}
+    glb = dump_glb([solid(index)])
+    blob = lake.blobs.put(glb, "glb")
+    asset = blob.split(".")[0]
+    pose = yaw_pose(float(rng.uniform(0, 6)), (0.7 + 1.1 * (index % 3), 0.7 + 1.3 * (index // 3 % 2), 0.0))
+    placement = sample(
+        Placement, **of, asset_id=asset, scale=(1.0, 1.0, 1.0), proposed_pose=flat(pose), optimized_pose=flat(pose),
+        displacement_m=0.02 * index, lift_m=-0.01 * index,
+    )  # fmt: skip
+    category = CATEGORIES[index % len(CATEGORIES)]
+    rows["instances"].append(
+        sample(
+            Instance, **of, category=category, is_structure=False, box_size=(0.6, 0.5, 0.8), box_volume_m3=0.24 * (1 + index % 4),
+            points_blob=lake.blobs.put(b"points", "ply"),
+        )
+    )  # fmt: skip
+    rows["captions"].append(sample(Caption, **of, materials=("wood", "metal"), mass_kg=1.5 + index, is_fallback=index == 1))
+    if all(row.asset_id != asset for row in rows["assets"]):
+        rows["assets"].append(sample(Asset, asset_id=asset, provider="library", mesh_blob=blob, license="CC-BY-4.0", author="A. Maker"))
+    rows["candidates"].append(sample(Candidate, **of, slot=1, provider="library", outcome="filled", asset_id=asset, is_fallback=False))
+    rows["candidates"].append(sample(Candidate, **of, slot=2, provider="text_to_3d", outcome="empty", asset_id=None, is_fallback=True))
+    rows["selections"].append(sample(Selection, **of, rank=1, slot=1, asset_id=asset, score=0.75))
+    rows["placements"].append(placement)
+    rows["supports"].append(sample(Support, **of, relation="floor", gap_m=0.0))
+    return placed_parts(placement, glb)

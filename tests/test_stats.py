@@ -1,0 +1,436 @@
+"""Charts, scene pictures and the report."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import itertools
+import math
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flows.stats import STAGES, answers_of, draw_charts, picture_scene_of, stage_table, write_report
+from schemas.capture import Room
+from schemas.errors import InputError
+from tasks.meshes import load_glb
+from tasks.rendering import RayScene
+from tasks.replica import room_shell
+from tasks.stats import charts, grids, scenes, words
+from tasks.stats.scenes import Outline, PictureConfig
+from tasks.stats.style import GRID, INK, MUTED, PAPER, SERIES, Tone
+from tests.furnished import HEIGHT, furnished_lake, solid
+from tests.samples import sample
+from warehouse.lake import Lake
+from warehouse.views import listing
+
+SMALL = PictureConfig(width=120, height=84, oversampling=1)
+
+
+@pytest.fixture(scope="module")
+def lake(tmp_path_factory: pytest.TempPathFactory) -> Lake:
+    return furnished_lake(tmp_path_factory.mktemp("furnished") / "lake")
+
+
+@pytest.fixture(scope="module")
+def report(lake: Lake, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    return write_report(lake, folder / "report.html", pictures=folder / "pictures", look=SMALL, workers=1)
+
+
+def luminance(color: str) -> float:
+    """Relative luminance of a color `#rrggbb` (WCAG 2.2)."""
+    channels = [int(color[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(first: str, second: str) -> float:
+    high, low = sorted((luminance(first), luminance(second)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("tone", [INK, MUTED, *SERIES], ids=lambda tone: tone.role)
+def test_colors_can_be_read_on_light_and_on_dark_paper(tone: Tone) -> None:
+    assert contrast(tone.light, PAPER.light) >= 4.5
+    assert contrast(tone.dark, PAPER.dark) >= 4.5
+
+
+def test_roles_and_colors_are_distinct() -> None:
+    tones = (INK, MUTED, GRID, PAPER, *SERIES)
+    for field in ("role", "light", "dark"):
+        assert len({getattr(tone, field) for tone in tones}) == len(tones)
+
+
+def many_boxes(count: int) -> tuple[pa.Table, pa.Table]:
+    """Rows of `volume_by_category` and `volume_outliers`, most frequent first, the smallest of volume zero."""
+    boxes = [
+        {
+            "frequency_rank": rank, "category": f"category {rank}", "objects": 100 - rank,
+            "whisker_low_m3": 0.0 if rank == 1 else 0.001 * rank, "q1_m3": 0.002 * rank, "median_m3": 0.003 * rank,
+            "q3_m3": 0.004 * rank, "whisker_high_m3": 0.006 * rank,
+        }
+        for rank in range(1, count + 1)
+    ]  # fmt: skip
+    outliers = [{"category": f"category {rank}", "box_volume_m3": 2.0 * rank} for rank in range(1, count + 1)]
+    return pa.Table.from_pylist(boxes), pa.Table.from_pylist(outliers)
+
+
+def texts(svg: str) -> list[str]:
+    """Text elements of an SVG that is well-formed."""
+    root = ET.fromstring(svg)
+    return ["".join(node.itertext()) for node in root.iter("{http://www.w3.org/2000/svg}text")]
+
+
+def test_the_box_plot_shows_the_fifty_most_frequent_categories_on_a_logarithmic_axis() -> None:
+    drawn = charts.volume_boxes(*many_boxes(53))
+    assert drawn is not None
+    labels = texts(drawn.svg)
+    assert [label for label in labels if label.startswith("category")] == [f"category {n} ({100 - n})" for n in range(1, 51)]
+    ticks = [float(label) for label in labels if re.fullmatch(r"[0-9.]+", label)]
+    steps = {round(math.log10(b / a), 6) for a, b in itertools.pairwise(ticks)}
+    assert len(ticks) >= 3
+    assert steps == {1.0}
+
+
+def test_a_narrow_volume_axis_still_has_ticks() -> None:
+    boxes = pa.Table.from_pylist(
+        [
+            {
+                "frequency_rank": 1, "category": "mug", "objects": 3, "whisker_low_m3": 0.24, "q1_m3": 0.3, "median_m3": 0.4,
+                "q3_m3": 0.5, "whisker_high_m3": 0.9,
+            }
+        ]
+    )  # fmt: skip
+    drawn = charts.volume_boxes(boxes, pa.table({"category": pa.array([], pa.string()), "box_volume_m3": pa.array([], pa.float64())}))
+    assert drawn is not None
+    assert sum(bool(re.fullmatch(r"[0-9.]+", label)) for label in texts(drawn.svg)) >= 2
+
+
+@given(counts=st.lists(st.integers(0, 500), min_size=charts.SCENE_LIMIT + 1, max_size=60))
+@settings(max_examples=15, deadline=None)
+def test_the_histogram_counts_every_scene_once(counts: list[int]) -> None:
+    edges = charts._integer_bins(np.array(counts))
+    histogram, _ = np.histogram(counts, edges)
+    assert histogram.sum() == len(counts)
+    assert len(edges) <= 22
+    assert np.allclose(edges % 1, 0.5)  # no whole number lies on an edge
+
+
+def test_few_scenes_get_a_bar_each_and_many_a_histogram() -> None:
+    def labels(count: int) -> list[str]:
+        rows = pa.table({"scene_id": [f"demo/{n:03d}" for n in range(count)], "objects": list(range(count))})
+        drawn = charts.per_scene(rows, "objects", "objects")
+        assert drawn is not None
+        return [label for label in texts(drawn.svg) if label.startswith("demo/")]
+
+    assert len(labels(charts.SCENE_LIMIT)) == charts.SCENE_LIMIT
+    assert labels(charts.SCENE_LIMIT + 1) == []
+
+
+def test_charts_of_a_lake_are_named_after_views_and_the_same_twice(lake: Lake) -> None:
+    answers = answers_of(lake.snapshot())
+    drawn, again = draw_charts(answers), draw_charts(answers)
+    assert drawn == again
+    assert len(drawn) == 9
+    assert {chart.name for chart in drawn} <= {name for name, _ in listing()}
+    for chart in drawn:
+        assert chart.png.startswith(b"\x89PNG")
+        assert texts(chart.svg)
+        assert "prefers-color-scheme: dark" in chart.svg
+        assert INK.light not in chart.svg.partition("</style>")[2]  # all colors are variables
+        assert chart.alt.endswith(".")
+        assert not re.search(rb"tIME|date:|Software", chart.png)
+
+
+def test_an_empty_lake_has_nothing_to_draw(tmp_path: Path) -> None:
+    reader = Lake.open(tmp_path / "none").snapshot()
+    assert draw_charts(answers_of(reader)) == []
+    assert stage_table(reader) == "no stage has run"
+
+
+def test_the_word_cloud_holds_every_category_larger_when_more_frequent() -> None:
+    counts = {"chair": 50, "mug & <saucer>": 20, "lamp": 5, " ": 3, "gone": 0}
+    cloud = words.word_cloud(counts)
+    assert cloud is not None
+    root = ET.fromstring(cloud.svg)
+    sizes = {"".join(node.itertext()): int(node.attrib["font-size"]) for node in root.iter("{http://www.w3.org/2000/svg}text")}
+    assert sizes.keys() == {"chair", "mug & <saucer>", "lamp"}
+    assert sizes["chair"] > sizes["mug & <saucer>"] > sizes["lamp"]
+    assert cloud == words.word_cloud(dict(reversed(counts.items())))
+    assert words.word_cloud({}) is None
+
+
+def outline(width: float, depth: float, height: float = HEIGHT) -> Outline:
+    return Outline(np.array([[0.0, 0.0], [width, 0.0], [width, depth], [0.0, depth]]), height)
+
+
+@given(
+    width=st.floats(1.0, 25.0), depth=st.floats(1.0, 25.0), height=st.floats(2.0, 5.0), corner=st.integers(-1, 3), x=st.floats(-50, 50)
+)  # fmt: skip
+@settings(max_examples=60, deadline=None)
+def test_cameras_see_the_whole_room_and_little_else(width: float, depth: float, height: float, corner: int, x: float) -> None:
+    room = Outline(outline(width, depth).ring + np.array([x, -x]), height)
+    config = PictureConfig()
+    camera = scenes.top_camera(room, config) if corner < 0 else scenes.corner_camera(room, corner, config)
+    pixels, depths = camera.project(room.corners)
+    assert (depths > 0).all()
+    size = np.array([config.width, config.height])
+    assert (pixels >= -0.5).all()
+    assert (pixels <= size - 0.5).all()
+    used = np.ptp(pixels, axis=0) / size
+    assert used.max() > 0.9  # the room fills the picture along one of its sides
+    assert np.allclose(pixels.max(axis=0) + pixels.min(axis=0), size - 1, atol=0.03 * size.max())  # and is in its middle
+    assert np.allclose(camera.pose[:3, :3] @ camera.pose[:3, :3].T, np.eye(3))
+    if corner >= 0:
+        assert camera.pose[2, 3] > height / 2
+
+
+def test_the_long_side_of_a_room_lies_across_the_top_view() -> None:
+    for width, depth in ((8.0, 3.0), (3.0, 8.0)):
+        room = outline(width, depth)
+        pixels, _ = scenes.top_camera(room, PictureConfig()).project(room.corners)
+        spread = np.ptp(pixels, axis=0)
+        assert spread[0] > 1.5 * spread[1]
+
+
+@given(width=st.floats(2.0, 12.0), depth=st.floats(2.0, 12.0), corner=st.integers(0, 3), turn=st.integers(0, 3))
+@settings(max_examples=25, deadline=None)
+def test_the_cut_opens_the_view_on_the_whole_floor(width: float, depth: float, corner: int, turn: int) -> None:
+    ring = np.roll(outline(width, depth).ring, turn, axis=0)
+    room = sample(Room, scene_id="demo/a", floor_polygon=tuple(map(tuple, ring.tolist())), height_m=HEIGHT)
+    ceiling = trimesh.creation.box(bounds=[[0, 0, HEIGHT], [width, depth, HEIGHT + 0.05]])
+    parts = [mesh for _, mesh in room_shell(room)] + [ceiling]
+    shape = Outline.of_room(room)
+    camera = scenes.corner_camera(shape, corner, SMALL)
+    grid = np.stack(np.meshgrid(np.linspace(0.2, width - 0.2, 7), np.linspace(0.2, depth - 0.2, 7)), axis=-1).reshape(-1, 2)
+    floor = np.column_stack([grid, np.zeros(len(grid))])
+    eye = camera.pose[:3, 3]
+    rays = np.concatenate([np.broadcast_to(eye, floor.shape), floor - eye], axis=1).astype(np.float32)
+    hidden = RayScene(parts).cast(rays)["t_hit"] < 0.99
+    assert hidden.all()  # by ceiling or walls
+    kept = scenes.opened(parts, shape, camera, SMALL)
+    seen = RayScene(kept).cast(rays)["t_hit"]
+    assert np.allclose(seen, 1.0, atol=1e-3)
+    heights = np.concatenate([mesh.vertices[np.unique(mesh.faces)] for mesh in kept])[:, 2]
+    assert heights.max() == pytest.approx(HEIGHT)  # the walls behind stand
+
+
+def test_the_cut_leaves_furniture_alone() -> None:
+    mesh = solid(1)
+    mesh.apply_translation([2.0, 1.5, 0.0])
+    room = outline(4.0, 3.0)
+    kept = scenes.opened([mesh], room, scenes.corner_camera(room, 2, SMALL), SMALL)
+    assert kept == [mesh]
+
+
+def test_scan_and_replica_of_the_same_parts_are_the_same_picture_and_differ_when_something_is_missing() -> None:
+    mesh = solid(0)
+    mesh.apply_translation([2.0, 1.5, 0.0])
+    room = sample(Room, scene_id="demo/a", floor_polygon=((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)), height_m=HEIGHT)
+    shell = [part for _, part in room_shell(room)]
+    same = scenes.picture_scene([*shell, mesh], shell, [mesh], Outline.of_room(room), SMALL)
+    assert same.corner_scan == same.corner_replica
+    assert same.top_scan == same.top_replica
+    other = scenes.picture_scene([*shell, mesh], shell, [], Outline.of_room(room), SMALL)
+    assert other.corner_scan != other.corner_replica
+    assert dataclasses.astuple(same) == dataclasses.astuple(
+        scenes.picture_scene([*shell, mesh], shell, [mesh], Outline.of_room(room), SMALL)
+    )
+
+
+def test_the_corner_is_the_one_from_which_the_furniture_is_seen() -> None:
+    # a high screen before the far corner hides what stands behind it from the two corners on this side
+    room = outline(5.0, 5.0)
+    lamp = solid(2)
+    lamp.apply_translation([4.3, 4.3, 0.0])
+    screens = [
+        trimesh.creation.box(bounds=[[3.6, 3.5, 0], [5.0, 3.6, 2.2]]),
+        trimesh.creation.box(bounds=[[3.5, 3.5, 0], [3.6, 5.0, 2.2]]),
+    ]
+    camera = scenes._best_corner([lamp], screens, room, PictureConfig())
+    assert camera.pose[0, 3] > 5.0
+    assert camera.pose[1, 3] > 5.0
+
+
+def test_a_real_house_is_pictured_from_above_and_opened(realdata: Callable[[str], Path]) -> None:
+    from PIL import Image
+
+    parts = load_glb(realdata("scene_aws_small_house/house.glb").read_bytes())
+    shape = Outline.of_parts(parts)
+    (x0, y0), (x1, y1) = shape.ring.min(axis=0), shape.ring.max(axis=0)
+    parts.append(trimesh.creation.box(bounds=[[x0, y0, shape.height - 0.05], [x1, y1, shape.height]]))  # the model has no ceiling
+    camera = scenes.top_camera(shape, SMALL)
+    closed, view = RayScene(parts).render(camera), RayScene(scenes.opened(parts, shape, camera, SMALL)).render(camera)
+    floor = (view.depth > camera.pose[2, 3] - 0.05) & np.isfinite(view.depth)
+    covered = (closed.depth > camera.pose[2, 3] - 0.05) & np.isfinite(closed.depth)
+    assert floor.sum() > 1.5 * covered.sum()
+    image = np.asarray(Image.open(io.BytesIO(scenes.render(scenes.opened(parts, shape, camera, SMALL), camera, SMALL))))
+    assert image.shape == (SMALL.height, SMALL.width, 3)
+    assert image[np.isfinite(view.depth)].std() > 20  # furniture, not one flat color
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("/home/me/scans/scene0001_00/scene0001_00.txt: axisAlignment: bad", "scene0001_00.txt: axisAlignment: bad"),
+        ("cannot read '/tmp/x y/lake/a.glb'", "cannot read 'a.glb'"),
+        ("file:///srv/data/a.ply", "a.ply"),
+        (r"C:\Users\me\scan\a.txt: gone", "a.txt: gone"),
+        ("scannet/scene0001_00: 3/4 frames, 0.5 kg/m3, and/or", "scannet/scene0001_00: 3/4 frames, 0.5 kg/m3, and/or"),
+        ("https://example.org/a/b.glb", "https://example.org/a/b.glb"),
+    ],
+)
+def test_reports_name_files_without_their_folders(text: str, expected: str) -> None:
+    assert grids.portable(text) == expected
+
+
+@given(value=st.floats(1e-5, 1e7))
+@settings(deadline=None)
+def test_numbers_keep_three_digits(value: float) -> None:
+    text = grids.as_number(value).replace("\u202f", "")
+    assert "e" not in text
+    assert float(text) == pytest.approx(value, rel=0.006 if value >= 1e-4 else 0.06)
+
+
+class Page(HTMLParser):
+    """Ids, links, images and text of a page."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.images: list[dict[str, str | None]] = []
+        self.tags: list[str] = []
+        self.text = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.tags.append(tag)
+        if given.get("id"):
+            self.ids.append(str(given["id"]))
+        if tag == "a":
+            self.links.append(str(given["href"]))
+        if tag == "img":
+            self.images.append(given)
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_the_report_is_one_file_that_refers_to_nothing_outside(report: Path) -> None:
+    html = report.read_text()
+    page = Page(html)
+    assert len(page.ids) == len(set(page.ids))
+    assert all(link.startswith("#") and link[1:] in page.ids for link in page.links)
+    assert len(page.images) == 9 + 2 * 4
+    assert all(str(image["src"]).startswith("data:image/") and image["alt"] for image in page.images)
+    assert not {"link", "iframe", "object", "embed"} & set(page.tags)
+    assert not re.search(r"(?:src|href)=\"(?!data:|#)|@import|url\((?!data:)", re.sub(r"data:[^\"]*", "data:", html))
+    assert len(html) < 10e6
+    assert page.tags.count("h1") == 1
+
+
+def test_the_report_says_what_the_views_say(report: Path, lake: Lake) -> None:
+    page = Page(report.read_text())
+    answers = answers_of(lake.snapshot())
+    for name, question in listing():
+        assert f"sql-{name}" in page.ids
+        assert question in page.text
+    for row in answers["scene_objects"].to_pylist():
+        assert row["instance_id"] in page.text
+    assert "28.8 m²" in page.text  # 12.8 + 16
+    assert "250 → 0" in page.text  # liters of overlap before and after
+    assert "3 of 4" in page.text  # exports
+    assert "determinant is 0; remove the line to have it estimated" in page.text
+    assert "no view; shape by category" in page.text
+    assert "up is <missing>" in page.text
+    assert "CC-BY-4.0" in page.text
+    assert f"Snapshot {lake.snapshot().snapshot_id} of " in page.text
+
+
+def test_the_report_tells_nothing_of_the_machine(report: Path, lake: Lake) -> None:
+    html = report.read_text()
+    for secret in ("secret-host", "secret folder", "/srv", lake.address, str(Path.home()) + "/"):
+        assert secret not in html
+
+
+def test_the_same_snapshot_gives_the_same_report_and_pictures(report: Path, lake: Lake, tmp_path: Path) -> None:
+    again = write_report(lake, tmp_path, pictures=tmp_path / "pictures", look=SMALL, workers=1)
+    assert again == tmp_path / "report.html"
+    assert again.read_bytes() == report.read_bytes()
+    made = sorted(path.name for path in (tmp_path / "pictures").iterdir())
+    assert len(made) == 18
+    for name in made:
+        assert (tmp_path / "pictures" / name).read_bytes() == (report.parent / "pictures" / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_any_number_of_workers_gives_the_same_report(report: Path, lake: Lake, tmp_path: Path) -> None:
+    told: list[str] = []
+    again = write_report(lake, tmp_path / "a.html", look=SMALL, workers=2, advance=told.append)
+    assert again.read_bytes() == report.read_bytes()
+    assert sorted(told) == ["demo/room_0", "demo/room_1"]
+
+
+def test_an_empty_lake_has_a_report(tmp_path: Path) -> None:
+    page = Page(write_report(Lake.open(tmp_path / "none"), tmp_path / "report.html").read_text())
+    assert "A lake without a snapshot" in page.text
+    assert page.images == []
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_snapshot_that_is_not_there_is_refused(lake: Lake, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no snapshot 99"):
+        write_report(lake, tmp_path / "report.html", 99)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_a_scene_that_cannot_be_pictured_costs_its_pictures_only(tmp_path: Path) -> None:
+    lake = furnished_lake(tmp_path / "lake", scenes=2, objects=2)
+    blob = lake.snapshot().arrow("scenes", "demo/room_0")["mesh_blob"][0].as_py()
+    found = next((tmp_path / "lake").rglob(blob))
+    found.chmod(0o644)
+    found.write_bytes(b"no GLB")
+    page = Page(write_report(lake, tmp_path / "report.html", look=SMALL, workers=1).read_text())
+    assert "No pictures:" in page.text
+    assert sum("demo/room_0" in str(image["alt"]) and str(image["src"]).startswith("data:image/jpeg") for image in page.images) == 0
+    assert sum("demo/room_1" in str(image["alt"]) and str(image["src"]).startswith("data:image/jpeg") for image in page.images) == 4
+
+
+def test_a_scene_that_is_not_in_the_snapshot_is_refused(lake: Lake) -> None:
+    with pytest.raises(InputError, match="is not in the snapshot"):
+        picture_scene_of(lake, 1, "demo/nowhere", SMALL)
+
+
+def test_the_table_of_stage_times_is_in_the_order_of_the_data_path(lake: Lake) -> None:
+    lines = stage_table(lake.snapshot()).splitlines()
+    assert lines[0].split() == ["stage", "scenes", "total", "s", "median", "s", "p95", "s", "s", "per", "object"]
+    assert [line.split()[0] for line in lines[1:]] == [stage for stage in STAGES if stage != "annotation"] + ["all"]
+    # two scenes of 6 objects: 0.5 and 1.5 s of capture
+    assert lines[1].split() == ["capture", "2", "2.00", "1.00", "1.45", "0.167"]
+    assert float(lines[-1].split()[1]) == pytest.approx(sum(float(line.split()[2]) for line in lines[1:-1]))
+
+
+def test_loading_the_flow_loads_no_heavy_package() -> None:
+    code = (
+        "import sys, flows.stats; "
+        "print(sorted({'prefect', 'matplotlib', 'open3d', 'trimesh', 'duckdb', 'deltalake', 'wordcloud', 'jinja2'} & sys.modules.keys()))"
+    )
+    root = Path(__file__).resolve().parent.parent
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=root, env=environment, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,514 @@
+"""The SQL views, each against a computation of its own in Python and NumPy."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from schemas.annotation import Annotation
+from schemas.candidates import Asset, Candidate
+from schemas.captions import Caption
+from schemas.capture import Frame, Instance, Room, Scene
+from schemas.exports import ExportCheck, ExportFile
+from schemas.navigation import Episode, Navmesh, UnreachableTarget
+from schemas.optimization import Contact, OptimizationStep, Placement, Support
+from schemas.record import rows_to_arrow, table_of
+from schemas.runs import StageRun
+from schemas.selection import Selection
+from schemas.tables import TABLES
+from tests.samples import START, fingerprint, sample, stage_run
+from warehouse import views
+from warehouse.history import states
+
+SCENES = ("demo/a", "demo/b", "scannet/scene0001_00")
+CATEGORIES = ("chair", "mug", "table")
+INSTANCES = ("0000", "0001", "0002", "0003")
+ASSETS = tuple(fingerprint("asset", name) for name in "xyz")
+EXACT = st.integers(0, 640).map(lambda n: n / 64)
+"""Multiples of 1/64: quartiles and sums of them are exact, so that nothing depends on rounding."""
+
+quick = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+class Database:
+    """An in-memory DuckDB with all tables, empty until filled, and all views."""
+
+    def __init__(self) -> None:
+        import duckdb
+
+        self.connection = duckdb.connect()
+        self.connection.execute("SET TimeZone = 'UTC'")
+        for name, table in TABLES.items():
+            self.connection.register("given", table.arrow_schema.empty_table())
+            self.connection.execute(f'CREATE TABLE "{name}" AS SELECT * FROM given')
+        views.install(self.connection)
+
+    def fill(self, *rows: Any) -> None:
+        """Make these rows, of any tables, all that there is."""
+        by_type: dict[type, list[Any]] = defaultdict(list)
+        for row in rows:
+            by_type[type(row)].append(row)
+        for name in TABLES:
+            self.connection.execute(f'DELETE FROM "{name}"')
+        for record, of_type in by_type.items():
+            self.connection.register("given", rows_to_arrow(of_type, record))
+            self.connection.execute(f'INSERT INTO "{table_of(record).name}" SELECT * FROM given')
+
+    def ask(self, view: str) -> list[dict[str, Any]]:
+        """Rows of a view."""
+        return self.connection.sql(f'SELECT * FROM "{view}"').to_arrow_table().to_pylist()
+
+
+@pytest.fixture(scope="module")
+def database() -> Iterator[Database]:
+    made = Database()
+    yield made
+    made.connection.close()
+
+
+def by_key(rows: Sequence[Any], *names: str) -> dict[Any, Any]:
+    """Rows by the values of some fields, which must be unique."""
+    keyed = {tuple(row[name] for name in names) if len(names) > 1 else row[names[0]]: row for row in rows}
+    assert len(keyed) == len(rows)
+    return keyed
+
+
+def same(left: Mapping[str, Any], **right: Any) -> None:
+    """Assert fields equal, numbers up to rounding."""
+    for name, value in right.items():
+        if isinstance(value, float) and left[name] is not None:
+            assert math.isclose(left[name], value, rel_tol=1e-12, abs_tol=1e-12), (name, left[name], value)
+        else:
+            assert left[name] == value, (name, left[name], value)
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> list[Any]:
+    """Scenes, some with a room, some with instances."""
+    rows: list[Any] = []
+    for scene in draw(st.lists(st.sampled_from(SCENES), unique=True)):
+        rows.append(sample(Scene, scene_id=scene, room_id=scene.rsplit("_", 1)[0], license=draw(st.sampled_from([None, "CC-BY-4.0"]))))
+        if draw(st.booleans()):
+            rows.append(sample(Room, scene_id=scene, room_type=draw(st.sampled_from(["office", "kitchen"])), floor_area_m2=draw(EXACT)))
+        count = draw(st.integers(0, 12))
+        for number in range(count):
+            rows.append(
+                sample(
+                    Instance, scene_id=scene, instance_id=f"{number:04d}", category=draw(st.sampled_from(CATEGORIES)),
+                    is_structure=draw(st.sampled_from([False, False, True])), box_volume_m3=draw(EXACT),
+                )
+            )  # fmt: skip
+    return rows
+
+
+@st.composite
+def runs(draw: st.DrawFn) -> list[StageRun]:
+    """A history of runs, as commits write it: growing snapshots, times and attempts."""
+    rows = []
+    attempts: Counter[tuple[str, str, str]] = Counter()
+    for place in range(draw(st.integers(0, 14))):
+        scene = draw(st.sampled_from(SCENES[:2]))
+        stage = draw(st.sampled_from(["capture", "captions"]))
+        key = (scene, stage, draw(st.sampled_from([fingerprint(1), fingerprint(2)])))
+        attempts[key] += 1
+        outcome = draw(st.sampled_from(["done", "done", "failed", "lost", "withdrawn"]))
+        rows.append(
+            stage_run(
+                *key, attempt=attempts[key], outcome=outcome, snapshot_id=1 + place // 3, started_at=START + timedelta(seconds=place),
+                seconds=draw(EXACT), peak_memory_mb=draw(EXACT), error="it broke" if outcome == "failed" else None,
+                degradations=tuple(draw(st.lists(st.sampled_from(["0001: no view", "0002: no view", "one worker"]), max_size=3))),
+            )
+        )  # fmt: skip
+    return rows
+
+
+def of(rows: Sequence[Any], record: type) -> list[Any]:
+    return [row for row in rows if type(row) is record]
+
+
+def objects_of(rows: Sequence[Any]) -> dict[str, list[Instance]]:
+    """Instances that are no structure, by scene; every scene is there."""
+    found: dict[str, list[Instance]] = {row.scene_id: [] for row in of(rows, Scene)}
+    for row in of(rows, Instance):
+        if not row.is_structure:
+            found[row.scene_id].append(row)
+    return found
+
+
+def test_every_view_asks_a_question_and_answers_an_empty_lake(database: Database) -> None:
+    database.fill()
+    comments = dict(database.connection.execute("SELECT view_name, comment FROM duckdb_views() WHERE NOT internal").fetchall())
+    assert len(views.listing()) >= 20
+    for name, question in views.listing():
+        assert question.endswith("?")
+        assert comments[name] == question
+        assert len(database.ask(name)) == (1 if name == "headline" else 0), name
+    assert {name: value for name, value in database.ask("headline")[0].items() if value} == {}
+
+
+def test_views_name_no_table_and_each_is_a_single_reading_statement(database: Database) -> None:
+    import duckdb
+
+    for view in views.views():
+        assert view.name not in TABLES
+        statements = database.connection.extract_statements(view.query)
+        assert [s.type for s in statements] == [duckdb.StatementType.SELECT]
+
+
+def test_a_view_without_a_question_is_refused() -> None:
+    with pytest.raises(ValueError, match="asks a question"):
+        views._parse("odd", "SELECT 1")
+    with pytest.raises(ValueError, match="is a table"):
+        views._parse("scenes", "-- What?\nSELECT 1")
+
+
+@quick
+@given(rows=scenes())
+def test_objects_and_categories_per_scene(database: Database, rows: list[Any]) -> None:
+    database.fill(*rows)
+    objects, rooms = objects_of(rows), {row.scene_id: row for row in of(rows, Room)}
+    counted, categories = by_key(database.ask("objects_per_scene"), "scene_id"), by_key(database.ask("categories_per_scene"), "scene_id")
+    assert counted.keys() == categories.keys() == objects.keys()
+    for scene, held in objects.items():
+        area = rooms[scene].floor_area_m2 if scene in rooms else None
+        structures = sum(row.is_structure for row in of(rows, Instance) if row.scene_id == scene)
+        density = len(held) / area if area else None
+        room_type = rooms[scene].room_type if scene in rooms else "unknown"
+        same(counted[scene], objects=len(held), structures=structures, floor_area_m2=area, objects_per_m2=density, room_type=room_type)
+        frequency = Counter(row.category for row in held)
+        first = min(frequency, key=lambda c: (-frequency[c], c)) if frequency else None
+        same(categories[scene], categories=len(frequency), most_frequent_category=first, most_frequent_objects=frequency[first] or None)
+    everywhere = [row for held in objects.values() for row in held]
+    answer = database.ask("category_counts")
+    assert [row["category"] for row in answer] == sorted(
+        {row.category for row in everywhere}, key=lambda c: (-sum(r.category == c for r in everywhere), c)
+    )
+    for row in answer:
+        having = [one for one in everywhere if one.category == row["category"]]
+        same(row, objects=len(having), scenes=len({one.scene_id for one in having}), share=len(having) / len(everywhere))
+    same(
+        database.ask("headline")[0],
+        scenes=len(objects), objects=len(everywhere), categories=len({row.category for row in everywhere}),
+        floor_area_m2=float(sum(row.floor_area_m2 for row in rooms.values())), rooms=len({row.room_id for row in of(rows, Scene)}),
+    )  # fmt: skip
+
+
+@quick
+@given(rows=scenes())
+def test_volume_quartiles_whiskers_and_outliers_are_those_of_matplotlib(database: Database, rows: list[Any]) -> None:
+    from matplotlib.cbook import boxplot_stats
+
+    database.fill(*rows)
+    volumes: dict[str, list[float]] = defaultdict(list)
+    for held in objects_of(rows).values():
+        for row in held:
+            volumes[row.category].append(row.box_volume_m3)
+    answer = database.ask("volume_by_category")
+    order = sorted(volumes, key=lambda c: (-len(volumes[c]), c))
+    assert [(row["frequency_rank"], row["category"]) for row in answer] == list(enumerate(order, start=1))
+    strays = database.ask("volume_outliers")
+    for row in answer:
+        values = volumes[row["category"]]
+        box = boxplot_stats(values)[0]
+        fliers = sorted(float(value) for value in box["fliers"])
+        same(
+            row, objects=len(values), smallest_m3=min(values), largest_m3=max(values), q1_m3=float(box["q1"]), median_m3=float(box["med"]),
+            q3_m3=float(box["q3"]), whisker_low_m3=float(box["whislo"]), whisker_high_m3=float(box["whishi"]), outliers=len(fliers),
+        )  # fmt: skip
+        assert sorted(stray["box_volume_m3"] for stray in strays if stray["category"] == row["category"]) == fliers
+
+
+@quick
+@given(history=runs(), rows=scenes())
+def test_runs_and_times_agree_with_the_history_of_the_lake(database: Database, history: list[StageRun], rows: list[Any]) -> None:
+    database.fill(*rows, *history)
+    state = states(rows_to_arrow(history, StageRun))
+    current = {key: found.done for key, found in state.items() if found.done is not None}
+    answer = by_key(database.ask("current_runs"), "scene_id", "stage")
+    assert {key: (row["fingerprint"], row["attempt"]) for key, row in answer.items()} == {
+        key: (run.fingerprint, run.attempt) for key, run in current.items()
+    }
+    failed = {key: found.last for key, found in state.items() if found.last.outcome != "done"}
+    failures = by_key(database.ask("failures"), "scene_id", "stage")
+    assert {key: (row["outcome"], row["error"]) for key, row in failures.items()} == {k: (r.outcome, r.error) for k, r in failed.items()}
+    for key, row in failures.items():
+        tried = [r for r in history if (r.scene_id, r.stage, r.fingerprint) == (*key, failed[key].fingerprint)]
+        assert row["attempts"] == sum(r.outcome != "withdrawn" for r in tried)
+    objects = {scene: len(held) for scene, held in objects_of(rows).items()}
+    timing = by_key(database.ask("stage_timing"), "stage")
+    assert timing.keys() == {stage for _, stage in current}
+    for stage, row in timing.items():
+        seconds = {scene: run.seconds for (scene, name), run in current.items() if name == stage}
+        counted = {scene: objects.get(scene, 0) for scene in seconds}
+        total = sum(counted.values())
+        each = sum(s for scene, s in seconds.items() if counted[scene]) / total if total else None
+        values = list(seconds.values())
+        same(
+            row, scenes=len(values), total_seconds=float(sum(values)), median_seconds=float(np.median(values)), objects=total,
+            p95_seconds=float(np.percentile(values, 95)), slowest_seconds=max(values), seconds_per_object=each,
+        )  # fmt: skip
+    per_scene = by_key(database.ask("scene_timing"), "scene_id")
+    assert per_scene.keys() == {scene for scene, _ in current} & objects.keys()
+    for scene, row in per_scene.items():
+        spent = {stage: run.seconds for (one, stage), run in current.items() if one == scene}
+        slowest = min(spent, key=lambda stage: (-spent[stage], stage))
+        same(row, stages=len(spent), total_seconds=float(sum(spent.values())), slowest_stage=slowest, slowest_seconds=spent[slowest])
+        same(row, seconds_per_object=sum(spent.values()) / objects[scene] if objects[scene] else None)
+    for row in database.ask("stage_outcomes"):
+        of_stage = [run for run in history if run.stage == row["stage"]]
+        for outcome in ("done", "failed", "lost", "withdrawn"):
+            assert row[outcome] == sum(run.outcome == outcome for run in of_stage)
+        assert row["runs"] == sum(run.outcome != "withdrawn" for run in of_stage)
+    degraded = Counter((run.stage, re.sub(r"^\d+: ", "", text)) for run in current.values() for text in run.degradations)
+    assert {(row["stage"], row["degradation"]): row["times"] for row in database.ask("degradation_counts")} == dict(degraded)
+
+
+@st.composite
+def moves(draw: st.DrawFn) -> list[Any]:
+    """Optimization steps and contacts of some scenes."""
+    rows: list[Any] = []
+    for scene in SCENES[:2]:
+        losses = draw(st.lists(EXACT, max_size=5))
+        for step, loss in enumerate(losses):
+            outcome = "start" if step == 0 else draw(st.sampled_from(["kept", "reverted", "left_room"]))
+            smallest = min(losses[: step + 1])
+            rows.append(sample(OptimizationStep, scene_id=scene, step=step, loss=loss, smallest_loss=smallest, outcome=outcome))
+        pairs = draw(st.lists(st.tuples(st.sampled_from(["proposed", "optimized"]), st.sampled_from(INSTANCES[:2])), unique=True))
+        for phase, first in pairs:
+            rows.append(sample(Contact, scene_id=scene, phase=phase, instance_a=first, instance_b="0003", penetration_m=draw(EXACT)))
+    return rows
+
+
+@quick
+@given(rows=moves())
+def test_collision_loss_before_and_after(database: Database, rows: list[Any]) -> None:
+    database.fill(*rows)
+    answer = by_key(database.ask("collision_loss"), "scene_id")
+    assert answer.keys() == {row.scene_id for row in rows}
+    for scene, row in answer.items():
+        steps = sorted((r for r in of(rows, OptimizationStep) if r.scene_id == scene), key=lambda r: r.step)
+        touching = {phase: [r for r in of(rows, Contact) if (r.scene_id, r.phase) == (scene, phase)] for phase in ("proposed", "optimized")}
+        same(
+            row, loss_before_m3=steps[0].loss if steps else None, loss_after_m3=min(r.loss for r in steps) if steps else None,
+            steps=max(0, len(steps) - 1), kept_steps=sum(r.outcome == "kept" for r in steps), contacts_before=len(touching["proposed"]),
+            contacts_after=len(touching["optimized"]), deepest_before_m=max((r.penetration_m for r in touching["proposed"]), default=0.0),
+            deepest_after_m=max((r.penetration_m for r in touching["optimized"]), default=0.0),
+        )  # fmt: skip
+
+
+@st.composite
+def choices(draw: st.DrawFn) -> list[Any]:
+    """Instances with candidates, selections, placements, captions, supports and annotations."""
+    known = zip(ASSETS, ("MIT", "MIT", "CC0-1.0"), ("Q", None, "Q"), strict=True)
+    rows: list[Any] = [sample(Asset, asset_id=asset, license=terms, author=author) for asset, terms, author in known]
+    for scene in SCENES[:2]:
+        for instance in draw(st.lists(st.sampled_from(INSTANCES), unique=True)):
+            place = {"scene_id": scene, "instance_id": instance}
+            rows.append(sample(Instance, **place, category=draw(st.sampled_from(CATEGORIES)), is_structure=False))
+            if draw(st.booleans()):
+                body = draw(st.sampled_from(["rigid", "cloth", "soft"]))
+                rows.append(sample(Caption, **place, mass_kg=1 + draw(EXACT), body_type=body, is_fallback=draw(st.booleans())))
+            slots = draw(st.lists(st.integers(1, 3), unique=True))
+            filled = [slot for slot in slots if draw(st.booleans())]
+            for slot in slots:
+                outcome = "filled" if slot in filled else draw(st.sampled_from(["empty", "failed"]))
+                rows.append(
+                    sample(
+                        Candidate, **place, slot=slot, provider=draw(st.sampled_from(["library", "procedural"])), outcome=outcome,
+                        is_fallback=draw(st.booleans()), asset_id=ASSETS[slot - 1] if slot in filled else None,
+                    )
+                )  # fmt: skip
+            ranked = draw(st.permutations(filled))
+            for rank, slot in enumerate(ranked, start=1):
+                score, chamfer = draw(st.integers(0, 64)) / 64, draw(EXACT)
+                rows.append(sample(Selection, **place, rank=rank, slot=slot, asset_id=ASSETS[slot - 1], score=score, chamfer_m=chamfer))
+            if ranked:
+                asset = ASSETS[draw(st.sampled_from(ranked)) - 1]
+                rows.append(sample(Placement, **place, asset_id=asset, displacement_m=draw(EXACT), lift_m=-draw(EXACT)))
+                relation = draw(st.sampled_from(["floor", "on", "wall", "ceiling", "none"]))
+                rows.append(sample(Support, **place, relation=relation, gap_m=-draw(EXACT)))
+            for batch in range(draw(st.integers(0, 2))):
+                choice = draw(st.sampled_from([None, *ASSETS]))
+                when = START + timedelta(days=batch)
+                rows.append(sample(Annotation, **place, batch_id=f"b{batch}", annotator="ann", answered_at=when, choice=choice))
+    return rows
+
+
+@quick
+@given(rows=choices())
+def test_candidates_selections_and_placements(database: Database, rows: list[Any]) -> None:
+    database.fill(*rows)
+    best = {(r.scene_id, r.instance_id): r for r in of(rows, Selection) if r.rank == 1}
+    placed = {(r.scene_id, r.instance_id): r for r in of(rows, Placement)}
+    category = {(r.scene_id, r.instance_id): r.category for r in of(rows, Instance)}
+    groups: dict[tuple[str, int], list[Candidate]] = defaultdict(list)
+    for row in of(rows, Candidate):
+        groups[row.provider, row.slot].append(row)
+    wins = by_key(database.ask("candidate_wins"), "provider", "slot")
+    assert wins.keys() == groups.keys()
+    for key, group in groups.items():
+        won = [b.score for c in group if (b := best.get((c.scene_id, c.instance_id))) and b.slot == c.slot]
+        filled = sum(c.outcome == "filled" for c in group)
+        same(
+            wins[key], candidates=len(group), filled=filled, fallbacks=sum(c.is_fallback for c in group), wins=len(won),
+            win_share=len(won) / filled if filled else None, mean_winning_score=float(np.mean(won)) if won else None,
+            placed=sum((p := placed.get((c.scene_id, c.instance_id))) is not None and p.asset_id == c.asset_id for c in group),
+        )  # fmt: skip
+    assert sum(row["wins"] for row in wins.values()) == len(best)
+    for row in database.ask("selection_quality"):
+        scores = [r.score for key, r in best.items() if category[key] == row["category"]]
+        same(row, objects=len(scores), median_score=float(np.median(scores)), lowest_score=min(scores))
+    for row in database.ask("displacement_by_category"):
+        moved = [p.displacement_m for key, p in placed.items() if category[key] == row["category"]]
+        same(row, objects=len(moved), moved=sum(m > 0 for m in moved), median_displacement_m=float(np.median(moved)))
+    assert sum(row["objects"] for row in database.ask("displacement_by_category")) == len(placed)
+    licenses = {asset.asset_id: asset.license for asset in of(rows, Asset)}
+    used = by_key([row for row in database.ask("license_counts") if row["material"] == "asset"], "license")
+    assert {key: row["uses"] for key, row in used.items()} == Counter(licenses[p.asset_id] for p in placed.values())
+    for name, row in used.items():
+        of_license = [p for p in placed.values() if licenses[p.asset_id] == name]
+        same(row, items=len({p.asset_id for p in of_license}), scenes=len({p.scene_id for p in of_license}))
+    assert sum(row["uses"] for row in database.ask("attributions")) == len(placed)
+
+
+@quick
+@given(rows=choices())
+def test_one_row_per_object_and_what_is_known_of_it(database: Database, rows: list[Any]) -> None:
+    database.fill(*rows)
+    answer = by_key(database.ask("scene_objects"), "scene_id", "instance_id")
+    assert answer.keys() == {(r.scene_id, r.instance_id) for r in of(rows, Instance)}
+    captions, placed, supports = (
+        {(r.scene_id, r.instance_id): r for r in of(rows, kind)} for kind in (Caption, Placement, Support)
+    )
+    scores = {(r.scene_id, r.instance_id, r.asset_id): r.score for r in of(rows, Selection)}
+    for key, row in answer.items():
+        placement = placed.get(key)
+        same(
+            row, mass_kg=captions[key].mass_kg if key in captions else None,
+            displacement_m=placement.displacement_m if placement else None, score=scores[(*key, placement.asset_id)] if placement else None,
+            support=supports[key].relation if key in supports else None,
+        )  # fmt: skip
+    for row in database.ask("mass_by_category"):
+        masses = [captions[key].mass_kg for key, one in answer.items() if one["category"] == row["category"] and key in captions]
+        same(row, objects=len(masses), median_kg=float(np.median(masses)), heaviest_kg=max(masses), total_kg=float(sum(masses)))
+        assert row["rigid"] + row["cloth"] + row["soft"] == len(masses)
+    for row in database.ask("support_counts"):
+        carried = [s for s in supports.values() if s.scene_id == row["scene_id"]]
+        assert row["on_floor"] + row["on_objects"] + row["on_walls"] + row["on_ceiling"] + row["unsupported"] == len(carried)
+        same(row, on_objects=sum(s.relation == "on" for s in carried), largest_gap_m=max(abs(s.gap_m) for s in carried))
+    fallbacks = {(r["stage"], r["provider"]): (r["answers"], r["fallbacks"]) for r in database.ask("fallback_counts")}
+    candidates = of(rows, Candidate)
+    assert sum(a for (stage, _), (a, _) in fallbacks.items() if stage == "candidates") == len(candidates)
+    assert sum(f for (stage, _), (_, f) in fallbacks.items() if stage == "candidates") == sum(c.is_fallback for c in candidates)
+    assert sum(f for (stage, _), (_, f) in fallbacks.items() if stage == "captions") == sum(c.is_fallback for c in captions.values())
+
+
+@quick
+@given(rows=choices())
+def test_annotation_agreement_counts_only_the_newest_answer(database: Database, rows: list[Any]) -> None:
+    database.fill(*rows)
+    newest: dict[tuple[str, str], Annotation] = {}
+    for row in sorted(of(rows, Annotation), key=lambda r: r.answered_at):
+        newest[row.scene_id, row.instance_id] = row
+    best = {(r.scene_id, r.instance_id): r.asset_id for r in of(rows, Selection) if r.rank == 1}
+    answer = database.ask("annotation_agreement")
+    if not newest:
+        assert answer == []
+        return
+    agreed = sum(row.choice is not None and row.choice == best.get(key) for key, row in newest.items())
+    comparable = sum(row.choice is not None and key in best for key, row in newest.items())
+    same(
+        answer[0], annotator="ann", answers=len(newest), none_fits=sum(row.choice is None for row in newest.values()),
+        same_as_selection=agreed, agreement=agreed / comparable if comparable else None,
+    )  # fmt: skip
+
+
+@st.composite
+def trips(draw: st.DrawFn) -> list[Any]:
+    """Navmeshes, episodes and unreachable targets of some scenes."""
+    rows = draw(scenes())
+    for scene in sorted({row.scene_id for row in of(rows, Scene)}):
+        for agent in draw(st.lists(st.sampled_from(["stretch", "spot"]), unique=True)):
+            rows.append(sample(Navmesh, scene_id=scene, agent=agent, area_m2=draw(EXACT), largest_island_m2=draw(EXACT)))
+        for number in range(draw(st.integers(0, 5))):
+            rows.append(
+                sample(
+                    Episode, scene_id=scene, episode_id=f"{number:04d}", agent=draw(st.sampled_from(["stretch", "spot"])),
+                    instance_id=draw(st.sampled_from(INSTANCES)), split=draw(st.sampled_from(["train", "test"])), geodesic_m=draw(EXACT),
+                    actions=("forward",) * draw(st.integers(0, 4)) + ("stop",),
+                )
+            )  # fmt: skip
+        for target in draw(st.lists(st.sampled_from(INSTANCES), unique=True)):
+            rows.append(sample(UnreachableTarget, scene_id=scene, instance_id=target))
+        for number in range(draw(st.integers(0, 3))):
+            pose = None if draw(st.booleans()) else tuple(np.eye(4).ravel().tolist())
+            rows.append(sample(Frame, scene_id=scene, frame_id=f"{number:06d}", pose=pose))
+    return rows
+
+
+@quick
+@given(rows=trips())
+def test_navigability_splits_and_capture(database: Database, rows: list[Any]) -> None:
+    database.fill(*rows)
+    area = {row.scene_id: row.floor_area_m2 for row in of(rows, Room)}
+    answer = by_key(database.ask("navigability"), "scene_id", "agent")
+    assert answer.keys() == {(row.scene_id, row.agent) for row in of(rows, Navmesh)}
+    for mesh in of(rows, Navmesh):
+        taken = [e for e in of(rows, Episode) if (e.scene_id, e.agent) == (mesh.scene_id, mesh.agent)]
+        floor = area.get(mesh.scene_id)
+        same(
+            answer[mesh.scene_id, mesh.agent], episodes=len(taken), targets=len({e.instance_id for e in taken}),
+            navigable_share=mesh.area_m2 / floor if floor else None,
+            largest_island_share=mesh.largest_island_m2 / mesh.area_m2 if mesh.area_m2 else None,
+            unreachable_targets=sum(u.scene_id == mesh.scene_id for u in of(rows, UnreachableTarget)),
+        )  # fmt: skip
+    for row in database.ask("episode_splits"):
+        inside = [e for e in of(rows, Episode) if e.split == row["split"]]
+        same(
+            row, episodes=len(inside), scenes=len({e.scene_id for e in inside}), rooms=len({e.scene_id.rsplit("_", 1)[0] for e in inside}),
+            median_geodesic_m=float(np.median([e.geodesic_m for e in inside])),
+            mean_actions=float(np.mean([len(e.actions) for e in inside])),
+        )  # fmt: skip
+    for row in database.ask("capture_quality"):
+        posed = sum(f.pose is not None for f in of(rows, Frame) if f.scene_id == row["scene_id"])
+        assert row["posed_frames"] == posed
+    scans = [r for r in database.ask("license_counts") if r["material"] == "scan"]
+    assert {r["license"]: r["items"] for r in scans} == Counter(s.license or "not stated" for s in of(rows, Scene))
+
+
+@st.composite
+def exports(draw: st.DrawFn) -> list[Any]:
+    """Export files and checks of some scenes."""
+    rows: list[Any] = []
+    for scene in SCENES[:2]:
+        for kind in ("usd", "habitat"):
+            for path in draw(st.lists(st.sampled_from("abc"), unique=True)):
+                rows.append(sample(ExportFile, scene_id=scene, format=kind, path=path, size_bytes=draw(st.integers(0, 1000))))
+            for rule in draw(st.lists(st.sampled_from("pqr"), unique=True)):
+                rows.append(sample(ExportCheck, scene_id=scene, format=kind, rule=rule, passed=draw(st.booleans())))
+    return rows
+
+
+@quick
+@given(rows=exports())
+def test_export_verdicts(database: Database, rows: list[Any]) -> None:
+    database.fill(*rows)
+    answer = by_key(database.ask("export_verdicts"), "scene_id", "format")
+    assert answer.keys() == {(row.scene_id, row.format) for row in rows}
+    for key, row in answer.items():
+        files = [r for r in of(rows, ExportFile) if (r.scene_id, r.format) == key]
+        checks = [r for r in of(rows, ExportCheck) if (r.scene_id, r.format) == key]
+        broken = sum(not check.passed for check in checks)
+        passed = bool(files) and bool(checks) and broken == 0
+        same(row, files=len(files), size_bytes=sum(f.size_bytes for f in files), rules=len(checks), broken_rules=broken, passed=passed)
+    found = {(r["scene_id"], r["format"], r["rule"]) for r in database.ask("broken_rules")}
+    assert found == {(r.scene_id, r.format, r.rule) for r in of(rows, ExportCheck) if not r.passed}
