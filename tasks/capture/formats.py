@@ -110,8 +110,7 @@ def _search(folder: Path, wanted: tuple[str, ...], dataset: str | None, depth: i
         return [single], []
     scans = [_scan("glb", path, dataset, path.stem) for path in _glbs(folder)] if "glb" in wanted else []
     errors: list[InputError] = []
-    children = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")) if depth < 2 else []
-    for child in children:
+    for child in _children(folder) if depth < 2 else []:
         more, wrong = _search(child, wanted, dataset, depth + 1)
         scans, errors = scans + more, errors + wrong
     if not scans and not errors:
@@ -131,9 +130,18 @@ def _single(folder: Path, wanted: tuple[str, ...], dataset: str | None) -> Scan 
         return _scan("scannet", folder, dataset, layout.scan)
     if "posed_rgbd" in wanted and (frames := frame_layout(folder)) is not None and frames.folder == folder:
         return _scan("posed_rgbd", folder, dataset, folder.name)
-    if "glb" in wanted and len(_glbs(folder)) == 1:
+    if "glb" in wanted and len(_glbs(folder)) == 1 and not any(_is_recorded(child) for child in _children(folder)):
         return _scan("glb", folder, dataset, folder.name)
     return None
+
+
+def _is_recorded(folder: Path) -> bool:
+    """Whether a folder is a scan of frames or of a sensor's mesh; then what lies beside it is a scan of its own."""
+    return scannet_layout(folder) is not None or frame_layout(folder) is not None
+
+
+def _children(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
 
 
 def _scan(format: str, path: Path, dataset: str | None, scan: str) -> Scan:

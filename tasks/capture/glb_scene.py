@@ -63,6 +63,7 @@ def read_glb_scene(scan: Scan) -> Reading:
         license=license_of(folder),
         is_dense=False,
         degradations=("no frames in the scene: no views, no masks",),
+        glb=data,
     )
 
 

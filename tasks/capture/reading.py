@@ -59,6 +59,7 @@ class Reading:
     parts: The same geometry with its textures, where the scan has any (GLB), in the order of `surface`.
     groups: Instances; None when the scan names none, to be found in the geometry.
     alignment: Scan frame to an aligned frame, 4x4 [m], where the scan states one.
+    glb: The scan's own file where it is a GLB, which can be kept as it is when nothing moves.
     is_dense: Vertices lie as densely as a depth sensor leaves them, so that they can stand for the surface.
     """
 
@@ -71,6 +72,7 @@ class Reading:
     license: str | None
     is_dense: bool
     degradations: tuple[str, ...]
+    glb: bytes | None = None
 
 
 def groups_of(found: Sequence[tuple[str, str, NDArray[np.int64]]], owner: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:

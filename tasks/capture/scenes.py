@@ -248,6 +248,8 @@ def _room(context: Context, reading: Reading, world: Surface, groups: Sequence[G
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:
     """GLB of the whole scan in the world frame, thinned when it has more faces than the config allows; and a note on that."""
+    if reading.glb is not None and alignment.source == "identity":
+        return reading.glb, []
     if reading.parts:
         parts = []
         for part in reading.parts:
