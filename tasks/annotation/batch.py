@@ -211,13 +211,17 @@ def _remedy(error: Any) -> str:
 def _inside(folder: Path, relative: str, name: str, where: str) -> Path:
     """The file that `relative` names, which must lie in `folder`, links followed."""
     parts = PurePosixPath(relative)
-    if parts.is_absolute() or ".." in parts.parts or "\\" in relative or "\0" in relative or ":" in parts.parts[0]:
+    if parts.is_absolute() or ".." in parts.parts or "\\" in relative or ":" in relative:
         raise InputError(name, where, f"{relative!r} leaves the folder of the batch", "give a path below it, with forward slashes")
-    target = (folder / parts).resolve()
-    if not target.is_relative_to(folder.resolve()):
+    try:
+        target = (folder / parts).resolve()
+        inside, there = target.is_relative_to(folder.resolve()), target.is_file()
+    except (OSError, ValueError, RuntimeError):  # too long, not encodable, links in a circle
+        inside, there = True, False
+    if not inside:
         raise InputError(name, where, f"{relative!r} is a link out of the folder of the batch", "put the file itself there")
-    if not target.is_file():
-        raise InputError(name, where, f"{relative!r} is no file", "correct the path")
+    if not there:
+        raise InputError(name, where, f"{relative!r:.200} is no file", "correct the path")
     return target
 
 
