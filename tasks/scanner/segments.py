@@ -77,11 +77,9 @@ def _union(count, a, b, weight, threshold, min_size):  # type: ignore[no-untyped
                 y = parent[y]
             if x == y:
                 continue
-            if small == 0:
-                joins = weight[e] <= limit[x] and weight[e] <= limit[y]
-            else:
-                joins = size[x] < min_size or size[y] < min_size
-            if joins:
+            similar = weight[e] <= limit[x] and weight[e] <= limit[y]
+            tiny = size[x] < min_size or size[y] < min_size
+            if (similar and small == 0) or (tiny and small == 1):
                 if y < x:
                     x, y = y, x
                 parent[y] = x

@@ -193,6 +193,6 @@ def _truth(
                 pose=None if pose is None else flat(pose),
                 observed_share=float(np.isfinite(distance).mean()),
                 is_annotated=bool((owner == index).any()),
-            )  # fmt: skip
+            )
         )
     return tuple(found)
