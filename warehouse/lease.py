@@ -6,6 +6,7 @@ owner is dead: on the same machine when its process is gone, from elsewhere when
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import random
@@ -57,6 +58,8 @@ class Lease:
         self._storage, self._timeout, self._life = storage, timeout, life
         self._token = ""
         self._tag: str | None = None
+        self._renewed = 0.0
+        self._lock = threading.Lock()
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -86,6 +89,9 @@ class Lease:
 
     def check(self) -> None:
         """Raise LeaseError when the lease is no longer held; called before every step that others would see."""
+        # Overdue: the process was stopped for a while, or the storage was away. Others may have taken the lease over.
+        if time.time() > self._renewed + self._life / 2:
+            self._renew_once()
         if self._tag is None:
             raise LeaseError(f"{self._storage.address}: the lake's lease was lost to another process; run the command again")
 
@@ -102,7 +108,7 @@ class Lease:
             holder = _parse(found[0])
             if (holder is not None and not holder.is_gone) or not self._storage.swap(PATH, content, found[1]):
                 return False
-        self._tag = self._own_tag()
+        self._tag, self._renewed = self._own_tag(), time.time()
         return self._tag is not None
 
     def _own_tag(self) -> str | None:
@@ -112,16 +118,18 @@ class Lease:
         return found[1] if found and holder and holder.token == self._token else None
 
     def _renew(self) -> None:
-        while not self._stopped.wait(self._life / 3):
-            tag = self._tag
-            try:
-                if tag is None or not self._storage.swap(PATH, self._content(), tag):
-                    self._tag = None
-                    return
-                self._tag = self._own_tag()
-            except OSError:
-                # The storage may be back at the next renewal; until then the lease stands as long as it was last given.
-                continue
+        while not self._stopped.wait(self._life / 3) and self._tag is not None:
+            # The storage may be back at the next renewal. If it is not, `check` tries again, and its error is seen.
+            with contextlib.suppress(Exception):
+                self._renew_once()
+
+    def _renew_once(self) -> None:
+        with self._lock:
+            now = time.time()
+            if self._tag is not None and self._storage.swap(PATH, self._content(), self._tag):
+                self._tag, self._renewed = self._own_tag(), now
+            else:
+                self._tag = None
 
 
 def _read(storage: Storage) -> Holder | None:

@@ -56,12 +56,9 @@ def read_only(statement: str) -> None:
         if not statements:
             raise InputError("SQL", "", "there is no statement", "write a SELECT")
         for one in statements:
-            kind = one.type.name
-            text = one.query
+            kind, text = one.type.name, one.query
             if kind == "EXPLAIN":
-                text = _EXPLAIN.sub("", _without_leading_comments(text), count=1)
-                inner = parser.extract_statements(text)
-                kind = inner[0].type.name if len(inner) == 1 else "EXPLAIN"
+                kind, text = _explained(parser, text)
             if kind != "SELECT":
                 remedy = "list the values: PIVOT t ON c IN (...)" if kind == "MULTI" else _REMEDY
                 raise InputError("SQL", "", f"{_words(kind)} is not allowed", remedy)
@@ -101,6 +98,18 @@ def format_table(data: pa.Table, output: Output = "table") -> str | bytes:
             pq.write_table(data, sink)
             return sink.getvalue()
     raise InputError("output", str(output), "there is no such output", f"choose one of {', '.join(OUTPUTS)}")
+
+
+def _explained(parser: Any, text: str) -> tuple[str, str]:
+    """Kind and text of the statement that an EXPLAIN explains, or runs when it is to ANALYZE."""
+    import duckdb
+
+    text = _EXPLAIN.sub("", _without_leading_comments(text), count=1)
+    try:
+        inner = parser.extract_statements(text)
+    except duckdb.Error as error:  # comments between the words, for one
+        raise InputError("SQL", "", "EXPLAIN of a statement that cannot be told apart", "write it without comments") from error
+    return (inner[0].type.name if len(inner) == 1 else "EXPLAIN"), text
 
 
 def _check_tree(parser: Any, text: str) -> None:
