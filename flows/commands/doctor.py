@@ -1,0 +1,78 @@
+"""`metascenes doctor`: is this file, this dataset, this lake sound?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from flows.commands.options import json_option, lake_option
+
+
+@click.group("doctor", short_help="Check a USD file, a Habitat dataset or the lake.")
+def command() -> None:
+    """Check a USD file, a Habitat dataset or the lake. Exit code 1 says that something is wrong.
+
+    Example: metascenes doctor usd scene.usda
+    """
+
+
+@command.command("usd")
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@json_option
+def usd(file: Path, as_json: bool) -> None:
+    """Check anybody's USD file: UsdValidation's rules and those for scenes with physics.
+
+    Example: metascenes doctor usd scene.usda
+    """
+    from tasks.exports.usd_rules import check_usd
+
+    findings = check_usd(file)
+    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+
+
+@command.command("habitat")
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@json_option
+def habitat(folder: Path, as_json: bool) -> None:
+    """Check a Habitat scene dataset against everything that habitat-sim and habitat-lab stumble over.
+
+    Example: metascenes doctor habitat ./replicas/habitat
+    """
+    from tasks.exports.habitat_rules import check_habitat
+
+    findings = check_habitat(folder)
+    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+
+
+@command.command("lake")
+@lake_option
+@json_option
+def lake(address: str, as_json: bool) -> None:
+    """Check that every blob that the newest snapshot names is there and holds what its name says.
+
+    Example: metascenes doctor lake --lake ./lake
+    """
+    from warehouse.digest import blob_names
+    from warehouse.lake import Lake
+
+    opened = Lake.open(address)
+    names = sorted(blob_names(opened.snapshot()))
+    wrong = [f"blob {name}: {'content differs from its name' if name in opened.blobs else 'is missing'}" for name in names
+             if name not in opened.blobs or not opened.blobs.verify(name)]  # fmt: skip
+    _tell(wrong, [], as_json, f"{len(names)} blobs")
+
+
+def _tell(errors: Sequence[str], warnings: Sequence[str], as_json: bool, what: str = "") -> None:
+    if as_json:
+        print(json.dumps({"errors": errors, "warnings": warnings}))
+    else:
+        for line in warnings:
+            print(f"warning: {line}")
+        for line in errors:
+            print(f"wrong: {line}")
+        print(f"{what + ': ' if what else ''}{len(errors)} errors, {len(warnings)} warnings")
+    if errors:
+        raise click.exceptions.Exit(1)

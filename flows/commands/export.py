@@ -1,0 +1,52 @@
+"""`metascenes export`: files for simulators, in a folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from flows.commands.options import json_option, lake_option
+from schemas.exports import FORMATS
+
+
+@click.command("export", short_help="Write scenes as USD and as a Habitat dataset into a folder.")
+@click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write into.")
+@click.option("--format", "formats", multiple=True, type=click.Choice(FORMATS), help="Format; all by default; may be repeated.")
+@click.option("--scene", "scenes", multiple=True, metavar="SCENE_ID", help="Scene; all by default; may be repeated.")
+@click.option("--snapshot", "snapshot_id", type=int, help="Snapshot to export; the newest by default.")
+@click.option("--dry-run", is_flag=True, help="Say how many files would be written; write nothing.")
+@lake_option
+@json_option
+def command(
+    out: Path, formats: tuple[str, ...], scenes: tuple[str, ...], snapshot_id: int | None, dry_run: bool, address: str, as_json: bool
+) -> None:
+    """Write scenes as USD and as a Habitat dataset into a folder, and check what was written.
+
+    Exit code 1 says that a check did not pass; each is named.
+
+    Example: metascenes export --lake ./lake --out ./replicas --format usd
+    """
+    from flows.export import write_exports
+    from schemas.exports import ExportFile
+    from warehouse.lake import Lake
+
+    lake = Lake.open(address)
+    chosen = formats or FORMATS
+    if dry_run:
+        rows = lake.snapshot(snapshot_id).rows(ExportFile)
+        count = sum(row.format in chosen and (not scenes or row.scene_id in scenes) for row in rows)
+        print(json.dumps({"files": count}) if as_json else f"{count} files would be written below {out}")
+        return
+    written = write_exports(lake, out, chosen, scenes, snapshot_id)
+    if as_json:
+        print(json.dumps({"files": written.files, "usd_scenes": [str(p) for p in written.usd_scenes], "findings": written.findings}))
+    else:
+        print(f"{written.files} files below {out}; {written.failed_checks} checks failed")
+        for scene in written.usd_scenes:
+            print(scene)
+    for line in written.findings:
+        click.echo(f"failed: {line}", err=True)
+    if written.findings:
+        raise click.exceptions.Exit(1)

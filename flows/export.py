@@ -1,0 +1,101 @@
+"""Exports out of the lake into a folder: files of scenes by hard copy of blobs, files of datasets assembled over scenes."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from schemas.errors import InputError
+from schemas.exports import FORMATS, ExportFile
+from warehouse.lake import Lake
+
+
+@dataclasses.dataclass(frozen=True)
+class WrittenExports:
+    """What was written: how many files, the root file of every USD scene, and checks that did not pass."""
+
+    files: int
+    usd_scenes: tuple[Path, ...]
+    findings: tuple[str, ...]
+
+    @property
+    def failed_checks(self) -> int:
+        """Rules that are broken by the folder as written."""
+        return len(self.findings)
+
+
+def write_exports(
+    lake: Lake,
+    out: Path,
+    formats: Sequence[str] = FORMATS,
+    scenes: Sequence[str] = (),
+    snapshot_id: int | None = None,
+) -> WrittenExports:
+    """Write `<out>/usd` and `<out>/habitat`, each replaced as a whole, and check what was written.
+
+    Scenes whose checks in the lake did not pass are written all the same; the findings name them.
+
+    Raises:
+        InputError: a scene is not in the lake or has no export, or `<out>/<format>` holds what no export wrote.
+    """
+    from tasks.exports.layout import layout, shared_files
+
+    reader = lake.snapshot(snapshot_id)
+    rows = [row for row in reader.rows(ExportFile) if row.format in formats and (not scenes or row.scene_id in scenes)]
+    missing = sorted(set(scenes) - {row.scene_id for row in rows})
+    if missing:
+        raise InputError(lake.address, "export_files", f"no export of {missing[0]}", "see `metascenes status`")
+    placed = layout(rows)
+    shared = shared_files(rows, lake.blobs)
+    for name in formats:
+        making = out / f".{name}.making"
+        shutil.rmtree(making, ignore_errors=True)
+        for path, blob in placed.items():
+            if path.startswith(f"{name}/"):
+                _copy(lake, blob, making / path.removeprefix(f"{name}/"))
+        for path, data in shared.items():
+            if path.startswith(f"{name}/"):
+                target = making / path.removeprefix(f"{name}/")
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(data)
+        if making.exists():
+            (making / MARK).write_text("Written by `metascenes export`; replaced as a whole by the next one.\n")
+            _replace(making, out / name)
+    usd = tuple(
+        sorted(out / "usd" / row.path for row in rows if row.format == "usd" and row.role == "scene" and row.path.endswith("scene.usda"))
+    )
+    return WrittenExports(len(placed) + len(shared), usd, tuple(_findings(out, formats, usd)))
+
+
+MARK = ".exported"
+"""In the root of a written export: the folder is ours to replace."""
+
+
+def _replace(making: Path, place: Path) -> None:
+    """Put a finished folder where an older export, or nothing, was."""
+    if place.exists() and not (place / MARK).is_file() and any(place.iterdir()):
+        shutil.rmtree(making)
+        raise InputError(str(place), "folder", "holds files that no export wrote", "give another --out")
+    shutil.rmtree(place, ignore_errors=True)
+    os.replace(making, place)
+
+
+def _copy(lake: Lake, blob: str, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(lake.blobs[blob])
+
+
+def _findings(out: Path, formats: Sequence[str], usd: Sequence[Path]) -> list[str]:
+    """Broken rules of what was written, a line each."""
+    from tasks.exports.habitat_rules import check_habitat
+    from tasks.exports.usd_rules import check_usd
+
+    found = []
+    for path in usd:
+        found += [f"{path}: {finding}" for finding in check_usd(path) if finding.is_error]
+    if "habitat" in formats and (out / "habitat").is_dir():
+        found += [f"{out / 'habitat'}: {finding}" for finding in check_habitat(out / "habitat") if finding.is_error]
+    return found
