@@ -24,8 +24,17 @@ OUTLINE_M = 0.004
 QUARTER_SEGMENTS = 8
 """Segments per quarter turn around an obstacle's corner: chords of 11 degrees, 1 mm off the circle of a radius of 0.2 m."""
 
+GRID_M = 0.01
+"""Plan of a very dense mesh: corners move to this grid [m], and the outline grows by as much to cover what it covered."""
+
+_MANY_TRIANGLES = 20_000
+"""Triangles up to which their projections are united one by one: a quarter of a second."""
+
 _WELD_M = 1e-6
 """Vertices nearer than this are one [m]: exporters split them at seams of color and texture."""
+
+_FLAT_M = 1e-4
+"""Vertices may reach this far over a face of a convex solid [m]: rounding of exported coordinates, on thin faces too."""
 
 _CONVEX_AREA = 1e-3
 """Relative difference of surface and hull area up to which a closed component counts as convex."""
@@ -35,7 +44,7 @@ def footprint(surface: Surface, low: float = -np.inf, high: float = np.inf) -> s
     """Projection to the floor of what a surface has between two heights [m]; holes are filled, nothing gives an empty polygon.
 
     Solids count as filled: a convex component is clipped as a solid, and what an upright wall of faces encloses is closed off.
-    The result covers the true projection and exceeds it by at most `SEAM_M`, except for filled holes.
+    The result covers the true projection and, filled holes aside, exceeds it by at most `SEAM_M`; very dense meshes by two `GRID_M`.
     """
     import shapely
 
@@ -58,7 +67,10 @@ def footprint(surface: Surface, low: float = -np.inf, high: float = np.inf) -> s
     if loose:
         corners = vertices[np.concatenate(loose)]
         corners = corners[(corners[:, :, 2].max(axis=1) > low) & (corners[:, :, 2].min(axis=1) < high)]
-        pieces.extend(shapely.convex_hull(shapely.linestrings(_band_points(corners, low, high))))
+        dense = len(corners) > _MANY_TRIANGLES
+        points = _snapped(corners) if dense else _band_points(corners, low, high)
+        drawn = shapely.convex_hull(shapely.linestrings(points))
+        pieces.append(shapely.buffer(shapely.union_all(drawn), GRID_M, quad_segs=2) if dense else shapely.union_all(drawn))
     if not pieces:
         return shapely.Polygon()
     grown = shapely.buffer(shapely.union_all(pieces), SEAM_M, quad_segs=2, join_style="mitre", mitre_limit=2.0)
@@ -98,8 +110,8 @@ def _components(surface: Surface) -> tuple[Array, NDArray[np.int64], NDArray[np.
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    _, first, welded = np.unique(np.round(surface.vertices / _WELD_M).astype(np.int64), axis=0, return_index=True, return_inverse=True)
-    vertices, faces = surface.vertices[first], welded.reshape(-1)[surface.faces]
+    first, welded = _distinct(np.round(surface.vertices / _WELD_M).astype(np.int64))
+    vertices, faces = surface.vertices[first], welded[surface.faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
     links = coo_matrix(
         (np.ones(2 * len(faces), dtype=np.int8), (np.r_[faces[:, 0], faces[:, 1]], np.r_[faces[:, 1], faces[:, 2]])),
@@ -109,22 +121,49 @@ def _components(surface: Surface) -> tuple[Array, NDArray[np.int64], NDArray[np.
     return vertices, faces, component[faces[:, 0]] if len(faces) else np.zeros(0, dtype=np.int64)
 
 
+def _distinct(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Index of the first of each kind of row, shape (m,), and the kind of every row, shape (n,). Faster than sorting rows."""
+    kind = np.zeros(len(rows), dtype=np.int64)
+    first = np.zeros(min(1, len(rows)), dtype=np.int64)
+    for column in rows.T:
+        values, level = np.unique(column, return_inverse=True)
+        _, first, kind = np.unique(kind * len(values) + level, return_index=True, return_inverse=True)
+    return first, kind
+
+
 def _is_convex(vertices: Array, faces: NDArray[np.int64]) -> bool:
     """Whether a connected component is the closed surface of a convex solid: its area is that of its hull."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(faces) < 4:
         return False
-    corners = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    try:
-        hull = ConvexHull(vertices[np.unique(faces)])
-    except QhullError:  # flat
-        return False
     # Every edge of a closed surface has two faces.
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, count = np.unique(edges, axis=0, return_counts=True)
-    return bool((count == 2).all()) and abs(area - hull.area) <= _CONVEX_AREA * hull.area
+    _, count = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
+    if (count != 2).any():
+        return False
+    corners, used = vertices[faces], vertices[np.unique(faces)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # A few faces tell most solids apart before the hull, which is slow for many vertices: nothing reaches over a convex one's face.
+    for index in range(0, len(faces), max(1, len(faces) // 16)):
+        over = (used - corners[index, 0]) @ cross[index] / max(float(np.linalg.norm(cross[index])), 1e-300)
+        if over.max() > _FLAT_M and over.min() < -_FLAT_M:
+            return False
+    area = 0.5 * np.linalg.norm(cross, axis=1).sum()
+    try:
+        hull = ConvexHull(used)
+    except QhullError:  # flat
+        return False
+    return bool(abs(area - hull.area) <= _CONVEX_AREA * hull.area)
+
+
+def _snapped(corners: Array) -> Array:
+    """Projections of triangles, shape (n, 3, 3), with corners on a grid of `GRID_M`, each once, shape (m, 3, 2)."""
+    cells = np.round(corners[:, :, :2] / GRID_M).astype(np.int64)
+    order = np.lexsort((cells[:, :, 1], cells[:, :, 0]), axis=1)
+    cells = np.take_along_axis(cells, order[:, :, None], axis=1)
+    first, _ = _distinct(cells.reshape(-1, 6))
+    return cells[first].astype(np.float64) * GRID_M
 
 
 def _band_points(corners: Array, low: float, high: float) -> Array:
