@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import shutil
 from collections.abc import Callable
@@ -190,17 +191,11 @@ def test_masks_are_what_the_camera_sees(room: BoxRoom, tmp_path: Path) -> None:
 def test_view_of_an_instance_shows_its_color(room: BoxRoom, tmp_path: Path) -> None:
     outcome = captured(write_scannet(tmp_path / "scene0001_00", room))
     row = outcome.rows["instances"][ROOM_INSTANCES]
-    image = np.asarray(Image.open(_stream(outcome.blobs[row.view_blob])), dtype=float)
+    image = np.asarray(Image.open(io.BytesIO(outcome.blobs[row.view_blob])), dtype=float)
     middle = image[image.shape[0] // 2, image.shape[1] // 2]
     color = room.surface.colors[room.instance == ROOM_INSTANCES][0].astype(float)
     # The rendering darkens by shading alone: the direction of the color stays.
     assert middle @ color / np.linalg.norm(middle) / np.linalg.norm(color) > 0.99
-
-
-def _stream(data: bytes):
-    import io
-
-    return io.BytesIO(data)
 
 
 def test_an_occluded_view_scores_lower(room: BoxRoom, tmp_path: Path) -> None:
@@ -318,7 +313,7 @@ def test_boxes_ignore_stray_points() -> None:
     face = rng.integers(0, 3, len(body))
     body[np.arange(len(body)), face] = np.sign(body[np.arange(len(body)), face]) * (np.array([0.8, 0.5, 1.0]) / 2)[face]
     pose = yaw_pose(0.6, [1, 2, 0.5])
-    stray = rng.uniform(-1.5, 1.5, (30, 3)) + [1, 2, 0.5]
+    stray = rng.uniform([-0.5, 0.5, -1.0], [2.5, 3.5, 2.0], (30, 3))
     box, size = oriented_box(np.concatenate([transform_points(body, pose), stray]))
     assert np.allclose(sorted(size), [0.5, 0.8, 1.0], atol=0.02)
     assert np.allclose(box[:3, 3], [1, 2, 0.5], atol=0.02)
