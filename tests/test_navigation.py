@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 import trimesh
+from scipy.spatial import cKDTree
 
 from schemas.candidates import Asset
 from schemas.capture import Instance, Room, Scene
@@ -17,7 +20,7 @@ from schemas.errors import InputError
 from schemas.optimization import Placement
 from schemas.record import rows_to_arrow
 from schemas.tables import TABLES
-from tasks.meshes import dump_glb
+from tasks.meshes import canonical, dump_glb, load_glb, sample_surface
 from tasks.navigation import STAGE, NavigationConfig, placed_surfaces, run, split_of
 from tasks.navigation.configuration import Agent
 from tasks.navigation.follower import STOP, replay
@@ -240,3 +243,37 @@ def test_the_declaration_names_what_run_takes_and_gives() -> None:
     assert set(STAGE.reads) == set(tables)
     outcome = run(**tables, context=context, config=dataclasses.replace(CONFIG, train_episodes=1, test_episodes=1))
     assert tuple(outcome.rows) == STAGE.writes
+
+
+def test_real_furniture_is_walked_around(realdata: Callable[[str], Path]) -> None:
+    """Models by others, dense and open and in many parts, at the poses that a person would give them."""
+    folder = realdata("assets")
+    things = {}
+    layout = {
+        "aws_Bed_01": (1.4, 3.6, 0.0), "aws_Wardrobe_01": (5.2, 4.4, 0.3), "aws_SofaC_01": (4.3, 1.3, 0.6),
+        "aws_KitchenTable_01": (2.0, 1.4, 0.2), "aws_ChairA_01": (2.9, 2.3, 1.0), "aws_Vase_01": (3.3, 3.2, 0.0),
+    }  # fmt: skip
+    for number, (name, (x, y, yaw)) in enumerate(layout.items()):
+        parts = canonical(load_glb((folder / f"{name}.glb").read_bytes(), name))
+        plain = [trimesh.Trimesh(part.vertices, part.faces, process=False) for part in parts]
+        things[f"{number:04d}"] = (name.split("_")[1].lower(), plain, (x, y, 0.0), yaw)
+    tables, context = furnished(things, size=(6.0, 5.0))
+    config = dataclasses.replace(CONFIG, train_episodes=12, test_episodes=12)
+    outcome = run(**tables, context=context, config=config)
+    assert len(outcome.rows["episodes"]) == 12
+    placed = placed_surfaces(tables["placements"], tables["assets"], context.blobs)
+    # Independent of footprints: points on the surfaces at the agent's height, none nearer to any pose than its radius.
+    rng = np.random.default_rng(0)
+    points = np.concatenate([sample_surface(surface, 20_000, rng)[0] for surface in placed.values()])
+    hit = points[(points[:, 2] >= config.agent.max_climb_m) & (points[:, 2] <= config.agent.height_m), :2]
+    tree = cKDTree(hit)
+    for e in outcome.rows["episodes"]:
+        position, heading, poses = np.array(e.start_position[:2]), e.start_yaw_radians, []
+        for action in e.actions:
+            if action == "forward":
+                step = 0.25 * np.array([math.cos(heading), math.sin(heading)])
+                poses += [position + step * t for t in np.linspace(0, 1, 6)]
+                position = position + step
+            heading += {"left": math.pi / 6, "right": -math.pi / 6}.get(action, 0.0)
+        assert tree.query(np.array(poses))[0].min() >= config.agent.radius_m
+        assert position == pytest.approx(e.final_position[:2], abs=1e-9)
