@@ -169,7 +169,7 @@ def bar_stool(d: Draft) -> None:
             d.leg("legs", metal, (x, y), (0.5 * x, 0.5 * y), (0, d.Z - pad), 0.028)
     angle = np.linspace(0, 2 * np.pi, 17)
     ring = np.column_stack([0.7 * r * np.cos(angle), 0.7 * r * np.sin(angle), np.full(17, 0.3 * d.Z)])
-    d.add("foot ring", metal, sweep(ring[:-1], 0.02, 0.02, 6, run=2))
+    d.add("foot ring", metal, sweep(ring, 0.02, 0.02, 6, run=2))
 
 
 @category("bench", (0.4, 1.2, 0.46), "piano bench", "stool bench")
