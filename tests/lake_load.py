@@ -60,7 +60,7 @@ def writer(lake: Lake, first: int, count: int, rounds: int) -> None:
 
 def half(lake: Lake) -> None:
     """Stop while a run is staged and while a file is written."""
-    storage = lake._storage
+    storage = lake.storage
     real = storage.write
 
     def stop(path: str, data: bytes) -> None:
@@ -164,6 +164,6 @@ if __name__ == "__main__":
     elif command == "hold":
         from warehouse.lease import Lease
 
-        with Lease(Lake.open(address)._storage):
+        with Lease(Lake.open(address).storage):
             print("held", flush=True)
             time.sleep(600)

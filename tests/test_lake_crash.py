@@ -149,12 +149,12 @@ def test_lease_of_a_killed_process_is_taken_over_at_once(tmp_path: Path) -> None
     lake = Lake.open(tmp_path / "lake")
     lake.blobs.put(b"x", "glb")
     with started("hold", lake.address, says="held") as process:
-        with pytest.raises(LeaseError, match=rf"{process.pid}.*holds the lake's lease"), Lease(lake._storage, timeout=0.2):
+        with pytest.raises(LeaseError, match=rf"{process.pid}.*holds the lake's lease"), Lease(lake.storage, timeout=0.2):
             pass
         process.send_signal(signal.SIGKILL)
         process.wait()
         clock = time.monotonic()
-        with Lease(lake._storage, timeout=10):
+        with Lease(lake.storage, timeout=10):
             assert time.monotonic() - clock < 2
     assert not (Path(lake.address) / PATH).exists()
 
@@ -221,7 +221,7 @@ def test_committer_that_lost_its_lease_cannot_write_a_snapshot(tmp_path: Path, m
     stage_scene(lake, 0, "a", at=0)
     lake.commit()
     stage_scene(lake, 1, "a", at=1)
-    storage = lake._storage
+    storage = lake.storage
     real = Commit._write_snapshot
 
     def stopped(self: Commit, *arguments: object) -> None:

@@ -89,7 +89,7 @@ def test_same_rows_and_blobs_as_in_a_folder(bucket: str, tmp_path: Path) -> None
         counted = [{"scene_id": scene_id(0), "sentence": "new", "n": 5}, {"scene_id": scene_id(2), "sentence": "old", "n": 5}]
         assert query(reader, sql).to_pylist() == counted
         assert len(lake.snapshot(1).rows(Caption)) == 15
-        assert lake._storage.names("staged") == []
+        assert lake.storage.names("staged") == []
         found.append([digests(reader), digests(lake.snapshot(1)), sorted(lake.blobs)])
     assert found[0] == found[1]
 
@@ -159,7 +159,7 @@ def test_two_processes_at_once(bucket: str) -> None:
     assert [process.wait(timeout=180) for process in processes] == [0, 0]
     lake = Lake.open(address)
     assert len(lake.snapshot().rows(Caption)) == 30
-    assert lake._storage.names("staged") == []
+    assert lake.storage.names("staged") == []
     assert {state.done is not None for state in lake.history().values()} == {True}
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 
 from schemas.errors import InputError
@@ -12,6 +13,8 @@ from schemas.record import BLOB_PATTERN
 from warehouse.storage import Storage
 
 FOLDER = "blobs"
+
+_FRESH_SECONDS = 3600.0
 
 
 class BlobStore(Mapping[str, bytes]):
@@ -25,11 +28,25 @@ class BlobStore(Mapping[str, bytes]):
         """Keep `data` and return its name. Written once, whole or not at all."""
         name = f"{hashlib.sha256(data).hexdigest()}.{extension}"
         path = _path(name)
-        if name not in self:
+        # Refreshed even when it is there, so that a vacuum does not take it for garbage before a row names it.
+        if not self._storage.refresh(path, _FRESH_SECONDS):
             self._prepare()
             self._storage.write(path, data)
-            self._known.add(name)
+        self._known.add(name)
         return name
+
+    def remove_garbage(self, named: Collection[str], seconds: float) -> int:
+        """Remove blobs that are not `named` and that nobody put in the last `seconds`; how many. Holds the lake's lease."""
+        count = 0
+        for first in self._storage.folders(FOLDER):
+            for second in self._storage.folders(f"{FOLDER}/{first}"):
+                for entry in self._storage.entries(f"{FOLDER}/{first}/{second}"):
+                    name = entry.path.rpartition("/")[2]
+                    if name not in named and re.fullmatch(BLOB_PATTERN, name) and time.time() - entry.modified > seconds:
+                        self._storage.remove(entry.path)
+                        self._known.discard(name)
+                        count += 1
+        return count
 
     def path(self, name: str) -> Path:
         """Where a blob lies in the local file system.
@@ -63,7 +80,7 @@ class BlobStore(Mapping[str, bytes]):
     def __contains__(self, name: object) -> bool:
         if not isinstance(name, str) or not re.fullmatch(BLOB_PATTERN, name):
             return False
-        # Blobs are never removed while a run could name them, so what was seen once is there.
+        # A vacuum leaves blobs alone that were put a day ago or later, so what was seen once is there.
         if name not in self._known and self._storage.exists(_path(name)):
             self._known.add(name)
         return name in self._known

@@ -211,6 +211,11 @@ class Commit:
             raise AssertionError("stage_runs has a version once it is written")
         return writer.version
 
+    def rewrite_snapshots(self, kept: Sequence[Snapshot]) -> None:
+        """Keep only these rows of `snapshots`."""
+        writer = self._tables.writer_from(self._snapshots, self._opened_snapshots, self._lease.check)
+        writer.rewrite(rows_to_arrow(kept, Snapshot))
+
     def _write_snapshot(self, snapshot: Snapshot, adopted: Sequence[StagedRun]) -> None:
         # The table is small and read by everybody first, so it is kept in one file.
         writer = self._tables.writer_from(self._snapshots, self._opened_snapshots, self._lease.check)

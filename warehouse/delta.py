@@ -79,6 +79,14 @@ class DeltaTables:
             wanted = one if wanted is None else wanted & one
         return data.to_table(columns=names, filter=wanted)
 
+    def vacuum(self, table: str, versions: Collection[int]) -> int:
+        """Remove data files that none of these versions names; how many. Only while the lease is held."""
+        opened = self.open(table)
+        if opened is None:
+            return 0
+        kept = sorted({*versions, int(opened.version())})
+        return len(opened.vacuum(retention_hours=0, dry_run=False, enforce_retention_duration=False, full=True, keep_versions=kept))
+
     def sweep(self) -> None:
         """Remove the temporary files of writes that were killed. Only while the lease is held: nobody else writes here."""
         for name in self._storage.folders(FOLDER):

@@ -35,12 +35,15 @@ FORMAT = 1
 
 
 class Lake:
-    """A lake at a local folder or an S3 prefix. Can be pickled: it is its address."""
+    """A lake at a local folder or an S3 prefix. Can be pickled: it is its address.
+
+    `storage`, `tables` and `staging` are for the other modules of the warehouse.
+    """
 
     def __init__(self, storage: Storage) -> None:
-        self._storage = storage
-        self._tables = DeltaTables(storage)
-        self._staging = Staging(storage)
+        self.storage = storage
+        self.tables = DeltaTables(storage)
+        self.staging = Staging(storage)
         self._is_marked = False
         self.blobs = BlobStore(storage, self._prepare)
 
@@ -61,7 +64,7 @@ class Lake:
     @property
     def address(self) -> str:
         """Folder (absolute) or `s3://` address."""
-        return self._storage.address
+        return self.storage.address
 
     @property
     def exists(self) -> bool:
@@ -77,11 +80,11 @@ class Lake:
         """
         self._prepare()
         self._check_blobs(rows or {})
-        self._staging.stage(run, rows or {})
+        self.staging.stage(run, rows or {})
 
     def staged_rows(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
         """Rows of the newest complete staged run with a fingerprint; None when none is staged (it may be committed)."""
-        return self._staging.rows(table, scene_id, fingerprint)
+        return self.staging.rows(table, scene_id, fingerprint)
 
     def rows_of(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
         """Rows that a run with a fingerprint gave, staged or in the last snapshot; None when they are in neither."""
@@ -116,17 +119,17 @@ class Lake:
         """
         if not self.exists:
             return
-        with Lease(self._storage, timeout=timeout) as lease:
-            Commit(self._tables, self._staging, lease).sweep(keep)
-            for entry in self._storage.entries(TEMPORARY):
+        with self.leased(timeout) as lease:
+            Commit(self.tables, self.staging, lease).sweep(keep)
+            for entry in self.storage.entries(TEMPORARY):
                 if is_left_over(writer_of(entry.path.rpartition("/")[2]), entry.modified):
-                    self._storage.remove(entry.path)
-            self._tables.sweep()
+                    self.storage.remove(entry.path)
+            self.tables.sweep()
 
     def history(self) -> dict[Key, StageState]:
         """The state of every (scene, stage), staged runs that a commit would take included."""
         current = self._committed(self.snapshot())
-        staged = self._staging.runs()
+        staged = self.staging.runs()
         return overlaid(current, plan(current, staged)) if staged else current
 
     def snapshot(self, snapshot_id: int | None = None) -> Reader:
@@ -135,16 +138,20 @@ class Lake:
         Raises:
             InputError: there is no such snapshot.
         """
-        return Reader(self._storage, self._tables, snapshot_id)
+        return Reader(self.storage, self.tables, snapshot_id)
+
+    def leased(self, timeout: float = 300.0) -> Lease:
+        """The lake's lease: ``with lake.leased(): ...``. Who holds it is the only one that commits or removes anything."""
+        return Lease(self.storage, timeout=timeout)
 
     def _commit(self, note: str, removed: Collection[str], scenes: Collection[str] | None, timeout: float) -> Snapshot | None:
         if not self.exists:
             return None
-        with Lease(self._storage, timeout=timeout) as lease:
-            return Commit(self._tables, self._staging, lease).run(note, removed, scenes)
+        with self.leased(timeout) as lease:
+            return Commit(self.tables, self.staging, lease).run(note, removed, scenes)
 
     def _committed(self, reader: Reader) -> dict[Key, StageState]:
-        return states(self._tables.read(TABLES["stage_runs"], reader.files("stage_runs")))
+        return states(self.tables.read(TABLES["stage_runs"], reader.files("stage_runs")))
 
     def _check_blobs(self, rows: Mapping[str, Sequence[Any]]) -> None:
         for name, records in rows.items():
@@ -163,17 +170,17 @@ class Lake:
         if self.exists:
             return
         ours = {TEMPORARY, MARKER}
-        others = [name for name in [*self._storage.folders(""), *self._storage.names("")] if name not in ours]
+        others = [name for name in [*self.storage.folders(""), *self.storage.names("")] if name not in ours]
         if others and not self._read_marker():
             raise InputError(self.address, "", f"this is no lake but holds other things ({others[0]}, ...)", "give a new or empty folder")
-        self._storage.create(MARKER, json.dumps({"format": FORMAT}).encode())
+        self.storage.create(MARKER, json.dumps({"format": FORMAT}).encode())
         self._is_marked = True
 
     def _read_marker(self) -> bool:
         """Whether the address is marked as a lake."""
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             try:
-                version = int(json.loads(self._storage.read(MARKER))["format"])
+                version = int(json.loads(self.storage.read(MARKER))["format"])
             except (ValueError, KeyError, TypeError):
                 raise InputError(f"{self.address}/{MARKER}", "format", "cannot be read", "restore the file") from None
             if version > FORMAT:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,6 +52,17 @@ class S3Storage:
     def exists(self, path: str) -> bool:
         """See Storage."""
         return self._head(path) is not None
+
+    def refresh(self, path: str, seconds: float) -> bool:
+        """See Storage. An object is copied onto itself."""
+        try:
+            head = self._files.call_s3("head_object", Bucket=self._bucket, Key=self._key(path))
+            if time.time() - head["LastModified"].timestamp() > seconds:
+                place = {"Bucket": self._bucket, "Key": self._key(path)}
+                self._files.call_s3("copy_object", CopySource=place, MetadataDirective="REPLACE", **place)
+        except FileNotFoundError:
+            return False
+        return True
 
     def remove(self, path: str) -> None:
         """See Storage."""

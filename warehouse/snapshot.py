@@ -40,8 +40,7 @@ class Reader:
         if snapshot_id is not None:
             self.snapshots = tuple(row for row in self.snapshots if row.snapshot_id <= snapshot_id)
             if snapshot_id != (self.snapshots[-1].snapshot_id if self.snapshots else 0):
-                last = max((row.snapshot_id for row in rows), default=0)
-                remedy = f"the lake has snapshots 1 to {last}" if rows else "the lake has no snapshot yet"
+                remedy = f"the lake has snapshots {_ranges([row.snapshot_id for row in rows])}" if rows else "the lake has no snapshot yet"
                 raise InputError(storage.address, "snapshot", f"there is no snapshot {snapshot_id}", remedy)
         self.snapshot: Snapshot | None = self.snapshots[-1] if self.snapshots else None
 
@@ -126,6 +125,17 @@ class Reader:
             if name == "snapshots":
                 body += f" WHERE snapshot_id <= {self.snapshot_id}"
         return [f"CREATE VIEW {quoted(name)} AS {body}", *comment_statements(table)]
+
+
+def _ranges(numbers: list[int]) -> str:
+    """Numbers in words: ``1 to 4, 7``."""
+    found: list[list[int]] = []
+    for number in sorted(numbers):
+        if found and number == found[-1][-1] + 1:
+            found[-1] = [found[-1][0], number]
+        else:
+            found.append([number, number])
+    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in found)
 
 
 def _text(value: str) -> str:

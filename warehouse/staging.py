@@ -108,6 +108,17 @@ class Staging:
         except FileNotFoundError:  # committed meanwhile
             return None
 
+    def blob_names(self) -> set[str]:
+        """Names of the blobs that staged rows name, complete runs or not."""
+        found: set[str] = set()
+        for files in self._by_stem().values():
+            for table, path in files.items():
+                columns = TABLES[table].blob_columns if table in TABLES else ()
+                rows = self.read(path) if columns else None
+                for column in columns if rows is not None else ():
+                    found.update(name for name in rows.column(column).to_pylist() if name is not None)  # type: ignore[union-attr]
+        return found
+
     def read(self, path: str) -> pa.Table:
         """Rows of a staged file."""
         import pyarrow.parquet as pq

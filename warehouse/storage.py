@@ -12,6 +12,7 @@ import hashlib
 import os
 import re
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -50,6 +51,9 @@ class Storage(Protocol):
 
     def exists(self, path: str) -> bool:
         """Whether there is such a file."""
+
+    def refresh(self, path: str, seconds: float) -> bool:
+        """Whether there is such a file; one that last changed more than `seconds` ago counts as changed now."""
 
     def remove(self, path: str) -> None:
         """Remove a file; one that is not there is no error."""
@@ -142,6 +146,16 @@ class LocalStorage:
     def exists(self, path: str) -> bool:
         """See Storage."""
         return (self.folder / path).is_file()
+
+    def refresh(self, path: str, seconds: float) -> bool:
+        """See Storage."""
+        target = self.folder / path
+        try:
+            if time.time() - target.stat().st_mtime > seconds:
+                os.utime(target)
+        except FileNotFoundError:
+            return False
+        return True
 
     def remove(self, path: str) -> None:
         """See Storage."""

@@ -1,0 +1,135 @@
+"""Releases and vacuum: what is kept stays readable whatever is removed around it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from schemas.captions import Caption
+from schemas.errors import InputError
+from schemas.tables import TABLES
+from tests.lake_load import scene_id, stage_scene
+from tests.samples import fingerprint, sample, stage_run
+from warehouse.digest import blob_names, digests
+from warehouse.lake import Lake
+from warehouse.release import export_tables, make_release, releases
+from warehouse.vacuum import vacuum
+
+
+@pytest.fixture
+def lake(tmp_path: Path) -> Lake:
+    """Four snapshots, each with other rows of the same two scenes."""
+    lake = Lake.open(tmp_path / "lake")
+    for i in range(4):
+        for number in range(2):
+            stage_scene(lake, number, i, at=10 * i + number)
+        lake.commit(f"run {i}")
+    return lake
+
+
+def data_files(lake: Lake) -> int:
+    return sum(1 for _ in Path(lake.address).glob("tables/*/*.parquet"))
+
+
+def age(lake: Lake) -> None:
+    """Let all blobs be old."""
+    for path in Path(lake.address, "blobs").rglob("*.*"):
+        os.utime(path, (0, 0))
+
+
+def test_release_is_plain_parquet_of_its_snapshot(lake: Lake) -> None:
+    release = make_release(lake, "2026.1", snapshot_id=2, note="for the paper")
+    assert releases(lake) == [release]
+    assert (release.snapshot_id, release.note) == (2, "for the paper")
+    folder = Path(lake.address) / release.folder
+    reader = lake.snapshot(2)
+    for name, table in TABLES.items():
+        data = pq.read_table(folder / f"{name}.parquet")
+        assert data.equals(reader.arrow(name))
+        assert data.schema.field(0).metadata[b"description"].decode() == table.columns[0].description
+    assert (folder / "tables.md").read_text().startswith("# Tables")
+    for wrong, message in (("2026.1", "is released already"), ("../x", "cannot be a name"), ("", "cannot be a name")):
+        with pytest.raises(InputError, match=message):
+            make_release(lake, wrong)
+    with pytest.raises(InputError, match="the lake has snapshots 1 to 4"):
+        make_release(lake, "new", snapshot_id=9)
+
+
+def test_empty_lake_has_nothing_to_release(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    with pytest.raises(InputError, match="no snapshot yet"):
+        make_release(lake, "x")
+    assert releases(lake) == []
+    assert vacuum(lake).snapshots == ()
+    assert not (tmp_path / "lake").exists()
+
+
+def test_tables_can_be_exported_anywhere(lake: Lake, tmp_path: Path) -> None:
+    made = export_tables(lake, tmp_path / "out")
+    assert sorted(path.name for path in made) == sorted([*(f"{name}.parquet" for name in TABLES), "tables.md"])
+    assert pq.read_table(tmp_path / "out" / "captions.parquet").equals(lake.snapshot().arrow("captions"))
+
+
+def test_vacuum_keeps_what_releases_and_the_last_snapshot_name(lake: Lake) -> None:
+    make_release(lake, "kept", snapshot_id=2)
+    before = {i: (digests(lake.snapshot(i)), blob_names(lake.snapshot(i))) for i in (2, 4)}
+    files = data_files(lake)
+    age(lake)
+    assert vacuum(lake, days=0, dry_run=True).snapshots == (1, 3)
+    assert data_files(lake) == files
+    found = vacuum(lake, days=0)
+    assert found.snapshots == (1, 3)
+    assert found.files > 0
+    assert data_files(lake) < files
+    for i in (2, 4):
+        assert digests(lake.snapshot(i)) == before[i][0]
+        assert all(lake.blobs.verify(name) for name in before[i][1])
+    assert set(lake.blobs) == before[2][1] | before[4][1]
+    assert found.blobs == 4
+    with pytest.raises(InputError, match="the lake has snapshots 2, 4"):
+        lake.snapshot(3)
+    stage_scene(lake, 0, "after", at=99)
+    snapshot = lake.commit()
+    assert snapshot is not None
+    assert snapshot.snapshot_id == 5
+    assert len(lake.snapshot().rows(Caption)) == 10
+    assert digests(lake.snapshot(2)) == before[2][0]
+    assert vacuum(lake, days=0).snapshots == (4,)
+    assert digests(lake.snapshot(2)) == before[2][0]
+    assert len(lake.snapshot().rows(Caption)) == 10
+
+
+def test_vacuum_leaves_recent_snapshots_and_fresh_or_staged_blobs(lake: Lake) -> None:
+    assert vacuum(lake).snapshots == ()
+    assert len(lake.snapshot(1).rows(Caption)) == 10
+    fresh = lake.blobs.put(b"not named yet", "glb")
+    stage_scene(lake, 5, "staged", at=99)
+    staged = set(lake.blobs)
+    age(lake)
+    assert lake.blobs.put(b"not named yet", "glb") == fresh, "put again, so it is fresh again"
+    vacuum(lake, days=0)
+    left = set(lake.blobs)
+    assert fresh in left
+    lake.commit()
+    assert blob_names(lake.snapshot()) <= left < staged
+    age(lake)
+    vacuum(lake, days=0)
+    assert set(lake.blobs) == blob_names(lake.snapshot())
+
+
+def test_commit_that_died_before_a_vacuum_is_still_made_good(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    from warehouse.commit import Commit
+
+    lake.stage_rows(stage_run(scene_id(0), "captions", fingerprint("x"), at=99), {"captions": [sample(Caption, scene_id=scene_id(0))]})
+    with monkeypatch.context() as patch:
+        patch.setattr(Commit, "_write_snapshot", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            lake.commit()
+    before = digests(lake.snapshot())
+    vacuum(lake, days=0)
+    assert digests(lake.snapshot()) == before
+    lake.commit()
+    assert len(lake.snapshot().rows(Caption)) == 6
