@@ -85,13 +85,23 @@ def _ranking(request: CandidateRequest, index: LibraryIndex | None, config: Cand
 def _fill(
     number: int, slot: SlotConfig, request: CandidateRequest, index: LibraryIndex | None, ranking: Callable[[], Ranking]
 ) -> tuple[Candidate, MadeAsset | None]:
-    """What a slot holds after its provider, or its fallback when the provider is not there, was asked."""
-    provider: Provider = slot.provider
-    is_fallback, reason = False, None
-    if isinstance(provider, LibraryRetrieval) and index is None:
-        if slot.fallback is None:
-            return _row(number, provider, request, outcome="empty", reason="no library given"), None
-        provider, is_fallback, reason = slot.fallback, True, "no library given"
+    """What a slot holds after its provider was asked, and its fallback where the provider is not there or has nothing."""
+    nothing = "no library given" if isinstance(slot.provider, LibraryRetrieval) and index is None else None
+    if nothing is None:
+        candidate, made = _attempt(number, slot.provider, request, ranking)
+        if candidate.outcome != "empty" or slot.fallback is None:
+            return candidate, made
+        nothing = candidate.reason
+    if slot.fallback is None:
+        return _row(number, slot.provider, request, outcome="empty", reason=nothing), None
+    return _attempt(number, slot.fallback, request, ranking, instead=nothing)
+
+
+def _attempt(
+    number: int, provider: Provider, request: CandidateRequest, ranking: Callable[[], Ranking], instead: str | None = None
+) -> tuple[Candidate, MadeAsset | None]:
+    """What one provider puts into a slot. `instead`: why the slot's own provider did not, when this is the fallback."""
+    is_fallback = instead is not None
     try:
         made = _ask(provider, request, ranking)
     except NothingToOffer as nothing:
@@ -99,7 +109,7 @@ def _fill(
     except Exception as error:  # one slot of one instance never stops the others; the row tells what happened
         text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         return _row(number, provider, request, outcome="failed", reason=text, is_fallback=is_fallback), None
-    row = _row(number, provider, request, outcome="filled", reason=reason, is_fallback=is_fallback, asset_id=made.asset.asset_id)
+    row = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
     return row, made
 
 
@@ -117,7 +127,7 @@ def _ask(provider: Provider, request: CandidateRequest, ranking: Callable[[], Ra
         case LibraryRetrieval(k=k):
             best = ranking()
             if len(best) < k:
-                raise NothingToOffer(f"{len(best)} assets of the library come near enough")
+                raise NothingToOffer(f"only {len(best)} of the library's assets come near enough")
             return library_asset(best[k - 1][1])
 
 

@@ -15,6 +15,9 @@ SLAB_PRICE = 0.02
 """What one more slab costs, as a share of the solid's cells: a board of a shelf is 5 to 15 percent of its cells, a layer
 of noise below one."""
 
+MAX_PIECES, MAX_DOUBLINGS = 32, 4
+"""More pieces than 32 slow a simulator down; the price of a slab is doubled, at most four times, until there are fewer."""
+
 MAX_LAYERS = 80
 """Taller grids are cut at every second, third, ... layer only: the search is quadratic."""
 
@@ -44,15 +47,25 @@ def convex_pieces(field: SolidField) -> list[Array]:
     if not solid.any():
         raise ValueError("the crop encloses nothing")
     pieces: list[Array] = []
-    for low, high in _slabs(solid):
+    for doubling in range(MAX_DOUBLINGS + 1):
+        pieces = _pieces(solid, field, SLAB_PRICE * 2**doubling)
+        if len(pieces) <= MAX_PIECES:
+            break
+    if not pieces:
+        raise ValueError("the crop encloses nothing")
+    return pieces
+
+
+def _pieces(solid: Mask, field: SolidField, slab_price: float) -> list[Array]:
+    """Corner points of the pieces at one price per slab."""
+    pieces = []
+    for low, high in _slabs(solid, slab_price):
         # A cell belongs to the slab's plan when it is solid in at least half of its layers: else one noisy layer rules.
         plan = solid[:, :, low:high].sum(axis=2) * 2 >= high - low
         for body in _bodies(plan):
             for part in _convex_parts(body, MAX_CUTS):
                 if part.sum() * (high - low) >= MIN_PIECE_CELLS:
                     pieces.append(_corners(part, low, high, field))
-    if not pieces:
-        raise ValueError("the crop encloses nothing")
     return pieces
 
 
@@ -64,7 +77,7 @@ def _bodies(plan: Mask) -> list[Mask]:
     return [parts == index for index in range(1, count + 1)]
 
 
-def _slabs(solid: Mask) -> list[tuple[int, int]]:
+def _slabs(solid: Mask, slab_price: float) -> list[tuple[int, int]]:
     """Ranges of layers [low, high), bottom to top, that one plan each describes best.
 
     The best cut has the least sum of misfit (cells that differ from the plan of their slab) and price per slab; found
@@ -76,7 +89,7 @@ def _slabs(solid: Mask) -> list[tuple[int, int]]:
     counts = np.zeros((len(edges), solid.shape[0] * solid.shape[1]), dtype=np.int32)
     layers = solid.transpose(2, 0, 1).reshape(solid.shape[2], -1)
     counts[1:] = np.cumsum(np.add.reduceat(layers.astype(np.int32), edges[:-1], axis=0), axis=0)
-    price = SLAB_PRICE * float(solid.sum())
+    price = slab_price * float(solid.sum())
     best, cut_before = np.zeros(len(edges)), np.zeros(len(edges), dtype=np.int64)
     for end in range(1, len(edges)):
         heights = (edges[end] - edges[:end])[:, None]
@@ -112,22 +125,25 @@ def _convex_parts(plan: Mask, cuts: int) -> list[Mask]:
     return [part for body in best[1] for part in _convex_parts(body, cuts - 1)]
 
 
-def _hull_area(plan: Mask) -> float:
-    """Area of the convex hull of cells in plan, in cells."""
+def _outline(plan: Mask) -> Array:
+    """Corners of the convex hull of cells in plan, in cells (cell (i, j) spans i to i + 1), counter-clockwise, shape (n, 2)."""
     from scipy.spatial import ConvexHull
 
-    cells = np.argwhere(plan)
-    corners = np.unique((cells[:, None, :] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])).reshape(-1, 2), axis=0)
-    return float(ConvexHull(corners).volume)
+    rows = np.flatnonzero(plan.any(axis=1))
+    first = plan[rows].argmax(axis=1)
+    last = plan.shape[1] - plan[rows, ::-1].argmax(axis=1)
+    corners = np.array([[rows, first], [rows + 1, first], [rows, last], [rows + 1, last]]).transpose(0, 2, 1).reshape(-1, 2)
+    return np.asarray(corners[ConvexHull(corners).vertices], dtype=np.float64)
+
+
+def _hull_area(plan: Mask) -> float:
+    """Area of the convex hull of cells in plan, in cells."""
+    x, y = _outline(plan).T
+    return float(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _corners(plan: Mask, low: int, high: int, field: SolidField) -> Array:
-    """Corners of the prism of cells over `plan` from layer `low` to `high` [m], only those on its outline's hull."""
-    from scipy.spatial import ConvexHull
-
-    cells = np.argwhere(plan)
-    corners = (cells[:, None, :] + np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])).reshape(-1, 2)
-    outline = corners[ConvexHull(corners).vertices]
-    levels = [low - 0.5, high - 0.5]
-    nodes = np.concatenate([np.column_stack([outline, np.full(len(outline), level)]) for level in levels])
+    """Corners of the prism over the hull of `plan` from layer `low` to `high` [m], shape (n, 3)."""
+    outline = _outline(plan) - 0.5
+    nodes = np.concatenate([np.column_stack([outline, np.full(len(outline), level)]) for level in (low - 0.5, high - 0.5)])
     return field.origin + field.step * nodes

@@ -56,7 +56,7 @@ def provider_name(provider: Provider) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class SlotConfig:
-    """A slot's provider, and who fills it when that provider is not there at all (no library given)."""
+    """A slot's provider, and who fills it, flagged, when that provider is not there (no library given) or has nothing."""
 
     provider: Provider
     fallback: Procedural | None = None
@@ -68,4 +68,5 @@ DEFAULT_SLOTS: tuple[SlotConfig, ...] = (
     SlotConfig(ScanCrop("pieces")),
     *(SlotConfig(LibraryRetrieval(k), fallback=Procedural(4 + k)) for k in (1, 2, 3, 4)),
 )
-"""Four styles of the generator, two solids of the scan, four assets of the library; without a library four more styles."""
+"""Four styles of the generator, two solids of the scan, four assets of the library; where the library
+has none, more styles, flagged as fallback."""

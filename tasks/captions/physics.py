@@ -39,7 +39,7 @@ _ALIASES: dict[str, str] = {
     "wall clock": "clock", "alarm clock": "clock", "pendant lamp": "ceiling lamp", "standing lamp": "floor lamp", "cardboard box": "box",
     "notebook": "book", "pc": "computer tower", "dining chair": "chair", "pouf": "ottoman",
     "luggage": "suitcase", "hamper": "laundry hamper", "coat": "jacket", "binder": "folder", "shirt": "clothes", "bathrobe": "clothes",
-    "recliner": "armchair", "loveseat": "sofa", "trolley": "cart", "ceiling fan": "fan", "column": "pillar", "handrail": "rail",
+    "recliner": "armchair", "loveseat": "sofa", "trolley": "cart", "remote control": "remote", "column": "pillar", "handrail": "rail",
     "heating": "radiator", "shelf unit": "shelf",
 }  # fmt: skip
 

@@ -51,11 +51,14 @@ def compose(category: str, colors: Sequence[str], shares: Sequence[float], mater
         words.append(adjective)
     words.append(category)
     body = " ".join(words)
-    article = "An" if body[0] in "aeiou" else "A"
+    if category.endswith("s") and not category.endswith(("ss", "us", "is")):
+        subject = body[0].upper() + body[1:]
+    else:
+        subject = f"{'An' if body[:1] in ('a', 'e', 'i', 'o', 'u') else 'A'} {body}"
     details = [_detail(category, shape, np.asarray(size, dtype=np.float64))]
     if len(colors) > 1 and shares[1] >= SECOND_COLOR_FROM:
         details.append(f"partly {colors[1]}")
-    return f"{article} {body}{details[0]}" + (f", {details[1]}." if len(details) > 1 else ".")
+    return f"{subject}{details[0]}" + (f", {details[1]}." if len(details) > 1 else ".")
 
 
 def _detail(category: str, shape: str, size: np.ndarray) -> str:
