@@ -17,6 +17,7 @@ from tasks.meshes import Surface, surface_of
 from tasks.navigation.follower import FORWARD, LEFT, RIGHT, STOP, Motion, follow, replay
 from tasks.navigation.obstacles import GRID_M, OUTLINE_M, SEAM_M, footprint, free_space
 from tasks.navigation.planar import PlanarPathFinder
+from tasks.transforms import yaw_pose
 
 ROOM_SIZE = (5.0, 4.0)
 
@@ -203,6 +204,24 @@ def test_an_open_shell_of_upright_faces_is_closed_off() -> None:
     blocked = footprint(surface(shell), 0.2, 0.88)
     assert blocked.covers(shapely.box(-0.5, -0.3, 0.5, 0.3))
     assert blocked.area == pytest.approx(0.6, rel=0.02)
+
+
+@given(
+    yaw=st.floats(-3.2, 3.2), x=st.floats(-5, 5), y=st.floats(-5, 5), inset=st.sampled_from([0.0, 0.0, 0.03]),
+    cuts=st.tuples(st.floats(0.05, 0.4), st.floats(0.5, 1.5)),
+)  # fmt: skip
+@settings(max_examples=60, deadline=None)
+def test_solids_that_share_corners_are_filled_at_any_turn(
+    yaw: float, x: float, y: float, inset: float, cuts: tuple[float, float]
+) -> None:
+    """Base, body and top of a cabinet: welded where they touch, with nothing but upright faces at the agent's height."""
+    base, body = cuts
+    parts = [solid((0.4 - inset, 0.9 - inset, base)), solid((0.4, 0.9, body), (0, 0, base)), solid((0.4, 0.9, 0.1), (0, 0, base + body))]
+    turned = surface(*parts).transformed(yaw_pose(yaw, (x, y, 0)))
+    outline = shapely.affinity.translate(shapely.affinity.rotate(box(0, 0, 0.4, 0.9), yaw, origin=(0, 0), use_radians=True), x, y)
+    found = footprint(turned, 0.2, 0.88)
+    assert found.covers(outline)
+    assert found.difference(outline.buffer(2 * SEAM_M)).is_empty
 
 
 @pytest.mark.parametrize("name", ["torus", "dented", "dense", "two balls", "slanted"])

@@ -33,6 +33,9 @@ _MANY_TRIANGLES = 20_000
 _WELD_M = 1e-6
 """Vertices nearer than this are one [m]: exporters split them at seams of color and texture."""
 
+_THIN_M = 1e-4
+"""Projections narrower than this [m] are lines: a twentieth of the width that lines get."""
+
 _FLAT_M = 1e-4
 """Vertices may reach this far over a face of a convex solid [m]: rounding of exported coordinates, on thin faces too."""
 
@@ -69,11 +72,11 @@ def footprint(surface: Surface, low: float = -np.inf, high: float = np.inf) -> s
         corners = corners[(corners[:, :, 2].max(axis=1) > low) & (corners[:, :, 2].min(axis=1) < high)]
         dense = len(corners) > _MANY_TRIANGLES
         points = _snapped(corners) if dense else _band_points(corners, low, high)
-        drawn = shapely.convex_hull(shapely.linestrings(points))
-        pieces.append(shapely.buffer(shapely.union_all(drawn), GRID_M, quad_segs=2) if dense else shapely.union_all(drawn))
+        drawn = shapely.union_all(_drawn(points))
+        pieces.append(shapely.buffer(drawn, GRID_M, quad_segs=2) if dense else drawn)
     if not pieces:
         return shapely.Polygon()
-    grown = shapely.buffer(shapely.union_all(pieces), SEAM_M, quad_segs=2, join_style="mitre", mitre_limit=2.0)
+    grown = shapely.buffer(shapely.union_all(pieces), SEAM_M / 2, quad_segs=2, join_style="mitre", mitre_limit=2.0)
     filled = [shapely.Polygon(part.exterior) for part in shapely.get_parts(grown) if not part.is_empty]
     return shapely.union_all(filled)
 
@@ -155,6 +158,25 @@ def _is_convex(vertices: Array, faces: NDArray[np.int64]) -> bool:
     except QhullError:  # flat
         return False
     return bool(abs(area - hull.area) <= _CONVEX_AREA * hull.area)
+
+
+def _drawn(points: Array) -> NDArray[np.object_]:
+    """Hulls of groups of points, shape (n, k, 2), as polygons. Upright faces, which have no width from above, get half a `SEAM_M`.
+
+    Left as slivers, with the width of a rounding error, they would vanish when the hulls are united.
+    """
+    import shapely
+
+    hulls = shapely.convex_hull(shapely.linestrings(points))
+    away = points - points[:, :1]
+    far = np.take_along_axis(away, np.hypot(away[:, :, 0], away[:, :, 1]).argmax(axis=1)[:, None, None], axis=1)
+    length = np.hypot(far[:, 0, 0], far[:, 0, 1])
+    thin = shapely.area(hulls) <= _THIN_M * length
+    along = (away[thin] * far[thin]).sum(axis=2)
+    ends = np.stack([along.argmin(axis=1), along.argmax(axis=1)], axis=1)
+    lines = np.unique(np.take_along_axis(points[thin], ends[:, :, None], axis=1).reshape(-1, 4), axis=0).reshape(-1, 2, 2)
+    walls = shapely.buffer(shapely.linestrings(lines), SEAM_M / 2, cap_style="square", quad_segs=1)
+    return np.concatenate([hulls[~thin], walls])
 
 
 def _snapped(corners: Array) -> Array:
