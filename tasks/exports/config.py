@@ -38,10 +38,10 @@ class ExportsConfig:
     """The exports stage."""
 
     formats: tuple[str, ...] = FORMATS  # all of them: a file nobody asked for costs less than a scene exported again
-    pieces: PieceConfig = PieceConfig()
-    shell: ShellConfig = ShellConfig()
-    usd: UsdConfig = UsdConfig()
-    habitat: HabitatConfig = HabitatConfig()
+    pieces: PieceConfig = dataclasses.field(default_factory=PieceConfig)
+    shell: ShellConfig = dataclasses.field(default_factory=ShellConfig)
+    usd: UsdConfig = dataclasses.field(default_factory=UsdConfig)
+    habitat: HabitatConfig = dataclasses.field(default_factory=HabitatConfig)
     room_friction: float = 0.8  # painted plaster and varnished wood against furniture; between the tables' 0.5 and rubber's 1
     room_restitution: float = 0.05  # a room does not bounce
     default_density_kg_m3: float = 300.0  # of an object without a caption: light wood with hollows

@@ -110,7 +110,8 @@ def _object_files(replica: Replica, config: ExportsConfig) -> list[HabitatFile]:
         handle = handles[body.instance_id]
         geometry = first.setdefault(body.shape.name, handle)
         if geometry == handle:
-            files.append(HabitatFile(f"objects/{handle}.glb", scaled_glb(body.shape.glb, body.shape.scale, f"{body.shape.name}.glb"), "object"))
+            seen = scaled_glb(body.shape.glb, body.shape.scale, f"{body.shape.name}.glb")
+            files.append(HabitatFile(f"objects/{handle}.glb", seen, "object"))
             files.append(HabitatFile(f"objects/{handle}.collider.glb", _collider(body.shape.hulls), "collision"))
         settings = {
             "render_asset": f"{geometry}.glb", "collision_asset": f"{geometry}.collider.glb", **UPRIGHT, "scale": [1, 1, 1],
@@ -134,27 +135,29 @@ def _scene_instance(replica: Replica, navmesh: tuple[Navmesh, bytes] | None, con
     """The scene: its stage, its objects with poses, its navmesh and its semantic lexicon."""
     handle, handles = scene_handle(replica.scene_id), object_handles(replica)
     origin = {"translation_origin": "asset_local"}
+    about = {
+        "scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type, "object_count": len(replica.bodies),
+    }  # fmt: skip
     scene: dict[str, Any] = {
         **origin,
         "stage_instance": {"template_name": handle, **origin, "translation": [0, 0, 0], "rotation": [1, 0, 0, 0]},
         "object_instances": [],
         "default_lighting": "no_lights",
         "semantic_scene_instance": f"{config.habitat.dataset}_lexicon",
-        "user_defined": {
-            "scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type,
-            "object_count": len(replica.bodies),
-        },  # fmt: skip
+        "user_defined": about,
     }
     if navmesh is not None:
         scene["navmesh_instance"] = f"{handle}_navmesh"
     for body in replica.bodies:
         pose = to_y_up(body.pose)
-        known = {"category": body.category, "nyu40_id": body.nyu40_id, "nyu40_label": body.nyu40_label, "is_fixed": body.is_fixed}
+        known: dict[str, Any] = {
+            "category": body.category, "nyu40_id": body.nyu40_id, "nyu40_label": body.nyu40_label, "is_fixed": body.is_fixed,
+        }  # fmt: skip
         scene["object_instances"].append(
             {
                 "template_name": handles[body.instance_id], **origin, "translation": numbers(pose[:3, 3]),
                 "rotation": numbers(_unit(quaternion_wxyz(pose))), "motion_type": config.habitat.motion_type,
-                "user_defined": {**known, **body.provenance},
+                "user_defined": known | dict(body.provenance),
             }
         )  # fmt: skip
     return scene

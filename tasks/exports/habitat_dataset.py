@@ -141,7 +141,8 @@ def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
     agent = next((scene.navmesh for scene in scenes if scene.navmesh), None)
     if agent is not None:
         settings = agent_settings(agent)
-        lines += [f"habitat.simulator.agents.main_agent.{name}={settings[name]:g}" for name in ("radius", "height", "max_climb", "max_slope")]
+        names = ("radius", "height", "max_climb", "max_slope")
+        lines += [f"habitat.simulator.agents.main_agent.{name}={settings[name]:g}" for name in names]
         lines += [f"habitat.simulator.navmesh_include_static_objects={settings['navmesh_include_static_objects']}"]
     lines += [
         f"habitat.simulator.forward_step_size={config.forward_m:g}",

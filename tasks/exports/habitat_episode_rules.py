@@ -89,8 +89,9 @@ def _maps(document: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _content(
-    library: Library, content: Mapping[str, Any], task: str, name: str, navmeshes: Mapping[str, NavmeshFile | None], maps: dict[str, Any] | None
-) -> Iterator[Finding]:
+    library: Library, content: Mapping[str, Any], task: str, name: str,
+    navmeshes: Mapping[str, NavmeshFile | None], maps: dict[str, Any] | None,
+) -> Iterator[Finding]:  # fmt: skip
     """The episodes of one scene."""
     goals = content.get("goals_by_category", {})
     seen: set[Any] = set()
@@ -195,7 +196,8 @@ def _point_goals(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | 
         if wrong:
             yield Finding("goals", where, f"position {wrong}")
     for path in episode.get("shortest_paths") or []:
-        if not isinstance(path, list) or not all(isinstance(state, dict) and set(state) == {"position", "rotation", "action"} for state in path):
+        states = path if isinstance(path, list) else [None]
+        if not all(isinstance(state, dict) and set(state) == {"position", "rotation", "action"} for state in states):
             yield Finding("shortest_paths", where, "a step is no object with position, rotation and action")
 
 

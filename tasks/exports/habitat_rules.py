@@ -7,6 +7,7 @@ furniture, a stage without an up axis is tipped over. Every such trap is a rule 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,7 @@ RULES: dict[str, str] = {
 """Every rule, and what holds when it passes."""
 
 _SHORTEST = 1e-5  # habitat-sim's own tolerance when it compares settings of navmeshes
+_PRIMITIVE = re.compile(r"(capsule3D|cone|cube|cylinder|icosphere|uvSphere)(Solid|Wireframe).*")  # made by habitat-sim itself
 _MOTIONS = ("static", "kinematic", "dynamic")
 
 
@@ -66,8 +68,9 @@ def check_habitat(root: Path) -> list[Finding]:
         findings += _scene(library, scene, navmeshes, lexicons)
     if not library.sections["scene_instances"]:
         findings.append(Finding("dataset_config", library.config, "has no scenes"))
-    by_scene = {handle: navmeshes.get(str(scene.values.get("navmesh_instance", ""))) for handle, scene in library.sections["scene_instances"].items()}
-    findings += check_episodes(library, by_scene)
+    scenes = library.sections["scene_instances"]
+    named = {handle: str(scene.values.get("navmesh_instance", "")) for handle, scene in scenes.items()}
+    findings += check_episodes(library, {handle: navmeshes.get(name) for handle, name in named.items()})
     return sorted(set(findings))
 
 
@@ -92,7 +95,7 @@ def _asset(root: Path, template: Template, kind: str) -> Iterator[Finding]:
     if not values.get("render_asset"):
         yield Finding("files_exist", where, "render_asset is not named")
     for key in ("render_asset", "collision_asset", "semantic_asset", "nav_asset"):
-        if values.get(key):
+        if values.get(key) and not (key == "collision_asset" and _PRIMITIVE.fullmatch(Path(str(values[key])).name)):
             yield from _glb(root, template.folder / str(values[key]), where, key)
     up, front = (_vector(values.get(key), 3) for key in ("up", "front"))
     if up is None or front is None:
@@ -110,7 +113,8 @@ def _asset(root: Path, template: Template, kind: str) -> Iterator[Finding]:
         value = values.get(key, 1.0)
         if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value) or value < least:
             yield Finding("physics", where, f"{key} is {value}")
-    if kind == "objects" and values.get("collision_asset") not in (None, values.get("render_asset")) and values.get("join_collision_meshes", True):
+    apart = values.get("collision_asset") not in (None, values.get("render_asset"))
+    if kind == "objects" and apart and values.get("join_collision_meshes", True):
         yield Finding("collider", where, "join_collision_meshes makes one hull of all pieces")
 
 
@@ -180,7 +184,8 @@ def _settings(path: str, settings: Mapping[str, float], agent: Mapping[str, Any]
     expected["includeStaticObjects"] = float((agent or {}).get("navmesh_include_static_objects", True))
     for key, value in expected.items():
         if abs(settings[key] - value) > _SHORTEST:
-            yield Finding("navmesh_settings", path, f"{key} is {settings[key]:g} in the file, {value:g} for the agent: it would be baked anew")
+            message = f"{key} is {settings[key]:g} in the file, {value:g} for the agent: it would be baked anew"
+            yield Finding("navmesh_settings", path, message)
     if not settings["includeStaticObjects"]:
         yield Finding("navmesh_settings", path, "includeStaticObjects is off: the navmesh would be baked without furniture")
 
@@ -195,14 +200,18 @@ def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
                 findings.append(Finding("semantics", str(path), "has no list of classes"))
             continue
         ids = [item.get("id") for item in document["classes"]]
+        named = all(isinstance(item.get("name"), str) for item in document["classes"])
         wrong = [i for i in ids if not isinstance(i, int) or isinstance(i, bool) or not 0 <= i <= 10000]
-        if wrong or len(set(ids)) != len(ids) or not all(isinstance(item.get("name"), str) for item in document["classes"]):
-            findings.append(Finding("semantics", str(path), f"ids must be unique numbers from 0 to 10000 with a name each (wrong: {wrong[:3]})"))
+        if wrong or len(set(ids)) != len(ids) or not named:
+            message = f"ids must be unique numbers from 0 to 10000 with a name each (wrong: {wrong[:3]})"
+            findings.append(Finding("semantics", str(path), message))
         found[name] = {i for i in ids if isinstance(i, int)}
     return found
 
 
-def _scene(library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFile], lexicons: Mapping[str, set[int]]) -> Iterator[Finding]:
+def _scene(
+    library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFile], lexicons: Mapping[str, set[int]]
+) -> Iterator[Finding]:
     """One scene: its stage, its objects, its navmesh and its lexicon."""
     values, where = scene.values, scene.file
     stage = values.get("stage_instance")
@@ -225,7 +234,8 @@ def _scene(library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFil
     count = (values.get("user_defined") or {}).get("object_count")
     if count is not None and count != len(objects):
         yield Finding("object_count", where, f"has {len(objects)} objects, not {count}")
-    baked = navmesh in navmeshes and bool((navmeshes[navmesh].settings or {}).get("includeStaticObjects"))
+    found = navmeshes.get(str(navmesh))
+    baked = found is not None and bool((found.settings or {}).get("includeStaticObjects"))
     for index, item in enumerate(objects):
         yield from _object(library, values, item, f"object_instances[{index}]", where, baked, lexicons.get(str(semantic)))
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +35,25 @@ class NavmeshFile:
 
     def distance(self, point: NDArray[np.float64]) -> tuple[float, float]:
         """Horizontal distance [m] from a point (3,) to the walkable area, and how far [m] it lies above or below there."""
-        best = (np.inf, np.inf)
-        for corners in self.polygons:
-            plan = corners[:, [0, 2]]
-            gap = _polygon_distance(plan, point[[0, 2]])
-            if gap < best[0]:
-                best = (gap, float(abs(corners[:, 1].mean() - point[1])))
-        return best
+        if not self.polygons:
+            return np.inf, np.inf
+        rings, heights = self._rings
+        place = point[[0, 2]]
+        a, b = rings, np.roll(rings, -1, axis=1)
+        edge, to = b - a, place - a
+        side = edge[..., 0] * to[..., 1] - edge[..., 1] * to[..., 0]
+        inside = (side >= 0).all(axis=1) | (side <= 0).all(axis=1)
+        length = np.maximum((edge * edge).sum(axis=2), 1e-18)
+        along = np.clip((to * edge).sum(axis=2) / length, 0.0, 1.0)
+        gaps = np.where(inside, 0.0, np.linalg.norm(to - along[..., None] * edge, axis=2).min(axis=1))
+        nearest = int(np.argmin(gaps))
+        return float(gaps[nearest]), float(abs(heights[nearest] - point[1]))
+
+    @cached_property
+    def _rings(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Corners in plan, shape (n, 6, 2), the last one repeated, and mean height [m], shape (n,)."""
+        padded = [corners[np.minimum(np.arange(6), len(corners) - 1)] for corners in self.polygons]
+        return np.array(padded)[:, :, [0, 2]], np.array([corners[:, 1].mean() for corners in self.polygons])
 
 
 def read_navmesh(data: bytes) -> NavmeshFile:
@@ -96,14 +109,3 @@ def _tile(data: bytes) -> list[NDArray[np.float64]]:
         if flags & 1 and area_and_type >> 6 == 0:
             found.append(vertices[list(corners[:count])])
     return found
-
-
-def _polygon_distance(ring: NDArray[np.float64], point: NDArray[np.float64]) -> float:
-    """Distance from a point (2,) to a convex ring (k, 2), 0 inside."""
-    a, b = ring, np.roll(ring, -1, axis=0)
-    edge, to = b - a, point - a
-    side = edge[:, 0] * to[:, 1] - edge[:, 1] * to[:, 0]
-    if (side >= 0).all() or (side <= 0).all():
-        return 0.0
-    along = np.clip(np.einsum("ij,ij->i", to, edge) / np.maximum(np.einsum("ij,ij->i", edge, edge), 1e-18), 0.0, 1.0)
-    return float(np.linalg.norm(to - along[:, None] * edge, axis=1).min())

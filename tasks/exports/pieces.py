@@ -187,7 +187,9 @@ def _boxed(clouds: Sequence[NDArray[np.float64]], bounds: NDArray[np.float64], c
     return tuple(_without_contained(hulls))
 
 
-def _inside_body(points: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], config: PieceConfig) -> NDArray[np.float64]:
+def _inside_body(
+    points: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], config: PieceConfig
+) -> NDArray[np.float64]:
     """Points that span a body inside a box: those that clipping pressed flat are drawn inwards from the box's face."""
     flat = np.flatnonzero(np.ptp(points, axis=0) < config.thickness_m * 0.5)
     for axis in flat:

@@ -335,7 +335,7 @@ def _visuals(shape: Shape) -> list[_Visual]:
 def _visual(index: int, texture: _Texture | None, parts: list[trimesh.Trimesh]) -> _Visual:
     """One group of parts as arrays."""
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    uv = None if texture is None else np.concatenate([np.nan_to_num(np.asarray(part.visual.uv, dtype=np.float64)) for part in parts])
+    uv = None if texture is None else np.concatenate([np.nan_to_num(np.asarray(_look(part).uv, dtype=np.float64)) for part in parts])
     return _Visual(
         name=f"Part_{index:02d}",
         vertices=np.concatenate([np.asarray(part.vertices, dtype=np.float64) for part in parts]),
@@ -349,7 +349,7 @@ def _visual(index: int, texture: _Texture | None, parts: list[trimesh.Trimesh]) 
 
 def _texture_of(part: trimesh.Trimesh, encoded: tuple[bytes, str] | None) -> _Texture | None:
     """The image that a part is drawn with, or None: as it lies in the file, else encoded again."""
-    visual = part.visual
+    visual = _look(part)
     if visual.kind != "texture" or visual.uv is None or len(visual.uv) != len(part.vertices):
         return None
     image, factor = material_of(part)
@@ -364,6 +364,11 @@ def _texture_of(part: trimesh.Trimesh, encoded: tuple[bytes, str] | None) -> _Te
         factor=tuple(float(value) for value in factor),
         alpha=str(getattr(visual.material, "alphaMode", None) or "OPAQUE"),
     )
+
+
+def _look(part: trimesh.Trimesh) -> Any:
+    """How a part looks: its colors, or its material and texture coordinates."""
+    return part.visual
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

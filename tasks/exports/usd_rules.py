@@ -83,8 +83,8 @@ def _metadata(stage: Any, path: Path) -> Iterator[Finding]:
         ("metersPerUnit", UsdGeom.StageHasAuthoredMetersPerUnit(stage), UsdGeom.GetStageMetersPerUnit(stage)),
         ("kilogramsPerUnit", UsdPhysics.StageHasAuthoredKilogramsPerUnit(stage), UsdPhysics.GetStageKilogramsPerUnit(stage)),
     ):
-        if not stated:
-            yield Finding("units", path.name, f"{name} is not stated")
+        if not stated:  # what is not stated is a centimetre, but one kilogram
+            yield Finding("units", path.name, f"{name} is not stated", name == "metersPerUnit")
         elif value != 1.0:
             yield Finding("units", path.name, f"{name} is {value:g}, not 1")
     if not stage.HasAuthoredMetadata("upAxis"):
@@ -177,11 +177,14 @@ def _mesh(prim: Any) -> _Mesh | None:
     from pxr import UsdGeom
 
     mesh = UsdGeom.Mesh(prim)
-    points, counts, indices = (attribute.Get() for attribute in (mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()))
+    points, counts, indices = mesh.GetPointsAttr().Get(), mesh.GetFaceVertexCountsAttr().Get(), mesh.GetFaceVertexIndicesAttr().Get()
     if not points or not counts or not indices:
         return None
-    vertices, sizes, corners = np.asarray(points, dtype=np.float64), np.asarray(counts, dtype=np.int64), np.asarray(indices, dtype=np.int64)
-    if not np.isfinite(vertices).all() or sizes.min() < 3 or sizes.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(vertices):
+    vertices = np.asarray(points, dtype=np.float64)
+    sizes, corners = np.asarray(counts, dtype=np.int64), np.asarray(indices, dtype=np.int64)
+    if not np.isfinite(vertices).all() or sizes.min() < 3 or sizes.sum() != len(corners):
+        return None
+    if corners.min() < 0 or corners.max() >= len(vertices):
         return None
     first = np.cumsum(sizes) - sizes
     fans = np.repeat(np.arange(len(sizes)), sizes - 2)
@@ -235,8 +238,9 @@ def _poses(stage: Any, path: Path) -> Iterator[Finding]:
         rotation = _world(prim)[:3, :3]
         if not np.isfinite(rotation).all() or not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
             lengths = ", ".join(f"{value:.4g}" for value in np.linalg.norm(rotation, axis=0))
-            # colliders of simple kinds are scaled by everybody who writes them; engines agree about those
-            yield Finding("rigid_pose", prim.GetPath().pathString, f"is scaled or sheared (axes {lengths})", _is_body(prim) or prim.IsA(UsdGeom.Mesh))
+            # cubes and spheres are scaled by everybody who writes them; engines agree about those
+            serious = _is_body(prim) or prim.IsA(UsdGeom.Mesh)
+            yield Finding("rigid_pose", prim.GetPath().pathString, f"is scaled or sheared (axes {lengths})", serious)
 
 
 def _geometry(stage: Any, path: Path) -> Iterator[Finding]:
@@ -261,7 +265,8 @@ def _colliders(stage: Any, path: Path) -> Iterator[Finding]:
         if not _is_collider(prim) or not prim.IsA(UsdGeom.Mesh):
             continue
         where = prim.GetPath().pathString
-        kind = UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() if prim.HasAPI(UsdPhysics.MeshCollisionAPI) else UsdPhysics.Tokens.none
+        stated = prim.HasAPI(UsdPhysics.MeshCollisionAPI)
+        kind = UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() if stated else UsdPhysics.Tokens.none
         raw = kind in (None, UsdPhysics.Tokens.none, UsdPhysics.Tokens.meshSimplification)
         if raw and prim.GetPath() in moving:
             yield Finding("triangle_collider", where, "collides with its raw triangles, but moves")
@@ -300,7 +305,9 @@ def _masses(stage: Any, path: Path) -> Iterator[Finding]:
         if not (np.isfinite(mass) and mass > 0):
             yield Finding("mass", where, f"is {mass:g}" if stated else "is not stated")
         moments = np.array((api.GetDiagonalInertiaAttr().Get() if stated else None) or (0, 0, 0), dtype=np.float64)
-        if not (np.isfinite(moments).all() and (moments > 0).all()):
+        if not moments.any():
+            yield Finding("inertia", where, "is not stated: every engine makes its own")
+        elif not (np.isfinite(moments).all() and (moments > 0).all()):
             yield Finding("inertia", where, f"is {tuple(map(float, moments))}")
         elif moments.max() > (moments.sum() - moments.max()) * (1 + 1e-3):
             yield Finding("inertia", where, f"{tuple(map(float, moments))}: one moment exceeds the sum of the others")
@@ -329,20 +336,21 @@ def _box(body: Any, wanted: Callable[[Any], bool]) -> NDArray[np.float64] | None
 def _is_visible(prim: Any) -> bool:
     from pxr import UsdGeom
 
-    image = UsdGeom.Imageable(prim)
-    return bool(prim.IsA(UsdGeom.Gprim)) and image.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render) and image.ComputeVisibility() != UsdGeom.Tokens.invisible
+    image, tokens = UsdGeom.Imageable(prim), UsdGeom.Tokens
+    shown = image.ComputePurpose() in (tokens.default_, tokens.render) and image.ComputeVisibility() != tokens.invisible
+    return bool(prim.IsA(UsdGeom.Gprim)) and shown
 
 
 def _objects(stage: Any) -> list[Any]:
     """Rigid bodies, and models (kind component) that have colliders without being one."""
     from pxr import Kind, Usd
 
-    bodies = _bodies(stage)
-    models = [
-        prim for prim in _traverse(stage)
-        if Usd.ModelAPI(prim).GetKind() == Kind.Tokens.component and not _is_body(prim) and any(_is_collider(below) for below in _subtree(prim))
+    components = [prim for prim in _traverse(stage) if Usd.ModelAPI(prim).GetKind() == Kind.Tokens.component]
+    fixed = [
+        prim for prim in components
+        if any(_is_collider(below) for below in _subtree(prim)) and not any(_is_body(below) for below in _subtree(prim))
     ]  # fmt: skip
-    return bodies + [model for model in models if not any(_is_body(below) for below in _subtree(model))]
+    return _bodies(stage) + fixed
 
 
 def _boxes(stage: Any, path: Path) -> Iterator[Finding]:

@@ -1,0 +1,139 @@
+"""Small replicas for the tests of the exports: generated furniture that stands where it should."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from schemas.candidates import Asset
+from schemas.captions import Caption
+from schemas.capture import Instance, Room, Scene
+from schemas.optimization import Placement, Support
+from tasks import navigation
+from tasks.furniture import generate
+from tasks.meshes import dump_glb, surface_of
+from tasks.stage import Blobs, Context
+from tasks.transforms import flat, translation, yaw_pose
+
+ROOM = ((-3.0, -2.0), (3.0, -2.0), (3.0, 1.0), (1.0, 1.0), (1.0, 2.0), (-3.0, 2.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class Thing:
+    """An object to place. `pose`: 4x4 [m]. `known`: the asset comes with its convex pieces."""
+
+    category: str
+    parts: Sequence[trimesh.Trimesh]
+    pieces: Sequence[trimesh.Trimesh]
+    pose: np.ndarray
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    relation: str = "floor"
+    parent_id: str | None = None
+    known: bool = True
+    mass_kg: float = 5.0
+    friction: float = 0.5
+
+
+def thing(category: str, pose: np.ndarray, seed: int = 0, **rest: Any) -> Thing:
+    """A generated piece of furniture."""
+    model = generate(category, None, np.random.default_rng(seed))
+    return Thing(category, model.parts, model.pieces, pose, **rest)
+
+
+def cube(size: Sequence[float], pose: np.ndarray, **rest: Any) -> Thing:
+    """A red box that stands on its origin."""
+    mesh = trimesh.creation.box(size)
+    mesh.apply_translation([0, 0, size[2] / 2])
+    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile(np.array([200, 40, 30, 255], np.uint8), (8, 1)))
+    return Thing("box", [mesh], [mesh], pose, **rest)
+
+
+def room_of(scene_id: str = "demo/room_01", polygon: Sequence[Sequence[float]] = ROOM) -> Room:
+    """An L-shaped room."""
+    return Room(
+        scene_id=scene_id, room_type="office", floor_polygon=tuple(tuple(map(float, p)) for p in polygon), floor_area_m2=22.0,
+        floor_source="surface", walls=(), height_m=2.6, height_source="walls",
+    )  # fmt: skip
+
+
+def rows_of(things: Sequence[Thing], scene_id: str = "demo/room_01") -> tuple[dict[str, list[Any]], Blobs]:
+    """Rows of a scene up to optimization, by table, and the blobs they name."""
+    blobs = Blobs()
+    none = blobs.add(b"none", "ply")
+    dataset, scan = scene_id.split("/")
+    scene = Scene(
+        scene_id=scene_id, room_id=scene_id, dataset=dataset, scan=scan, scan_format="scannet", scan_path="-", alignment=flat(np.eye(4)),
+        alignment_source="identity", floor_tilt_radians=0.0, mesh_blob=blobs.add(b"none", "glb"), vertex_count=3, face_count=1,
+        frame_count=0, instance_count=len(things), segmentation="file", license="CC0-1.0",
+    )  # fmt: skip
+    rows: dict[str, list[Any]] = {name: [] for name in ("instances", "captions", "placements", "supports")}
+    rows |= {"scenes": [scene], "rooms": [room_of(scene_id)]}
+    assets: dict[str, Asset] = {}
+    for index, item in enumerate(things):
+        instance_id = f"{index + 1:04d}"
+        glb = dump_glb(item.parts)
+        asset_id = hashlib.sha256(glb).hexdigest()
+        surface = surface_of(item.parts)
+        pieces = blobs.add(dump_glb(item.pieces), "glb") if item.known else None
+        extents = tuple(map(float, np.ptp(surface.vertices, axis=0)))
+        assets[asset_id] = Asset(
+            asset_id=asset_id, provider="procedural", name=item.category, category=item.category, source="generator", license="Apache-2.0",
+            author=None, mesh_blob=blobs.add(glb, "glb"), pieces_blob=pieces,
+            extents=extents, volume_m3=1.0, is_watertight=True, vertex_count=len(surface.vertices), face_count=len(surface.faces),
+        )  # fmt: skip
+        pose = flat(item.pose)
+        rows["instances"].append(
+            Instance(
+                scene_id=scene_id, instance_id=instance_id, source_id=instance_id, raw_label=item.category, category=item.category,
+                nyu40_id=5, nyu40_label="chair", is_structure=False, box_pose=flat(item.pose @ translation([0, 0, extents[2] / 2])), box_size=extents,
+                box_volume_m3=float(np.prod(extents)), point_count=10, points_blob=none, mesh_blob=None, view_blob=None, best_frames=(),
+            )
+        )  # fmt: skip
+        rows["captions"].append(
+            Caption(
+                scene_id=scene_id, instance_id=instance_id, provider="test", provider_version="1", is_fallback=False, sentence="a thing",
+                colors=(), color_shares=(), materials=(), shape="box", body_type="rigid", density_kg_m3=500.0, solid_fraction=0.5,
+                mass_kg=item.mass_kg, friction=item.friction, restitution=0.1, attribute_source="test",
+            )
+        )  # fmt: skip
+        rows["placements"].append(
+            Placement(
+                scene_id=scene_id, instance_id=instance_id, asset_id=asset_id, origin="selection", annotator=None, annotation_match=None,
+                scale=item.scale, proposed_pose=pose, optimized_pose=pose, displacement_m=0.0, lift_m=0.0, method="default",
+            )
+        )  # fmt: skip
+        rows["supports"].append(
+            Support(scene_id=scene_id, instance_id=instance_id, relation=item.relation, parent_id=item.parent_id, gap_m=0.0)
+        )
+    rows["assets"] = [assets[key] for key in sorted(assets)]
+    return rows, blobs
+
+
+def with_navigation(
+    rows: dict[str, list[Any]], blobs: Mapping[str, bytes], episodes: int = 6
+) -> tuple[dict[str, list[Any]], dict[str, bytes]]:
+    """The same rows with a navmesh and episodes."""
+    scene_id = rows["scenes"][0].scene_id
+    config = dataclasses.replace(navigation.NavigationConfig(), train_episodes=episodes, test_episodes=episodes)
+    needed = {name: rows[name] for name in ("scenes", "rooms", "placements", "instances", "assets")}
+    outcome = navigation.run(**needed, context=Context(scene_id, "navigation", 0, blobs), config=config)
+    return rows | {name: outcome.rows[name] for name in ("navmeshes", "episodes")}, {**blobs, **outcome.blobs}
+
+
+def furnished() -> list[Thing]:
+    """An office: a table with a box on it, two equal chairs, a stretched box, a picture on the wall."""
+    table = thing("table", translation([-1.5, 0.5, 0.0]), seed=3)
+    top = float(surface_of(table.parts).vertices[:, 2].max())
+    return [
+        table,
+        thing("chair", yaw_pose(0.4, [1.5, -1.0, 0.0]), seed=4, mass_kg=4.0),
+        thing("chair", yaw_pose(2.4, [2.3, 0.2, 0.0]), seed=4, mass_kg=7.0, friction=0.8),
+        cube((0.3, 0.2, 0.25), translation([-1.5, 0.5, top]), relation="on", parent_id="0001"),
+        cube((0.3, 0.2, 0.25), yaw_pose(-0.7, [-0.2, -1.2, 0.0]), scale=(1.0, 2.0, 1.5), known=False),
+        thing("picture", yaw_pose(-1.5707963, [0.0, 1.98, 1.4]), seed=5, relation="wall"),
+    ]
