@@ -29,7 +29,8 @@ from tests.samples import START, fingerprint, sample, stage_run
 from warehouse import views
 from warehouse.history import states
 
-SCENES = ("demo/a", "demo/b", "scannet/scene0001_00")
+SCENES = ("demo/a", "scannet/scene0001_00", "scannet/scene0001_01")
+"""The last two are scans of one room."""
 CATEGORIES = ("chair", "mug", "table")
 INSTANCES = ("0000", "0001", "0002", "0003")
 ASSETS = tuple(fingerprint("asset", name) for name in "xyz")
@@ -225,6 +226,17 @@ def test_volume_quartiles_whiskers_and_outliers_are_those_of_matplotlib(database
             q3_m3=float(box["q3"]), whisker_low_m3=float(box["whislo"]), whisker_high_m3=float(box["whishi"]), outliers=len(fliers),
         )  # fmt: skip
         assert sorted(stray["box_volume_m3"] for stray in strays if stray["category"] == row["category"]) == fliers
+
+
+def test_a_whisker_never_ends_inside_its_box(database: Database) -> None:
+    # the only volume below the lower quartile is an outlier, so that no volume lies between fence and box
+    volumes = (0.0, 10.0, 10.0, 10.0)
+    held = [
+        sample(Instance, scene_id="demo/a", instance_id=f"{n:04d}", category="mug", is_structure=False, box_volume_m3=v)
+        for n, v in enumerate(volumes)
+    ]
+    database.fill(*held)
+    same(database.ask("volume_by_category")[0], whisker_low_m3=7.5, q1_m3=7.5, whisker_high_m3=10.0, outliers=1)
 
 
 @quick
