@@ -10,10 +10,11 @@ import dataclasses
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from prefect import flow, task
-from prefect.futures import as_completed
-from prefect.task_runners import ThreadPoolTaskRunner
+from prefect.futures import PrefectFuture, as_completed
+from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
 from flows.configuration import Configuration, configure
 from flows.plan import Plan, ScenePlan, make_plan
@@ -30,6 +31,8 @@ COMMIT_SCENES = 25
 
 THREADS = 16
 """Scenes in flight at most; each thread only waits for the pool, which has as many processes as were asked for."""
+
+_RUNNER: TaskRunner[PrefectFuture[Any]] = ThreadPoolTaskRunner(max_workers=THREADS)  # type: ignore[assignment]  # invariant generic
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +55,7 @@ def replicate_scene(scene_id: str, run: str) -> SceneResult:
     return run_scene(work.lake, work.plans[scene_id], work.configuration, work.pool)
 
 
-@flow(name="replicate", persist_result=False, task_runner=ThreadPoolTaskRunner(max_workers=THREADS))
+@flow(name="replicate", persist_result=False, task_runner=_RUNNER)
 def replicate(
     scans: str,
     lake: str,

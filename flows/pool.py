@@ -64,7 +64,7 @@ class WorkerPool:
 
         future = self._pool.schedule(function, args=arguments, timeout=timeout)
         try:
-            return future.result()  # type: ignore[no-any-return]
+            return future.result()
         except ProcessExpired as error:
             raise WorkerLost(f"the worker died (exit code {error.exitcode})") from error
         except FutureTimeout as error:

@@ -158,8 +158,8 @@ def _rows(lake: Lake, table: str, scene_id: str, fingerprint: str | None) -> lis
     reader = lake.snapshot()
     if spec.rule != "share":
         return list(reader.rows(spec.record, scene_id))
-    key = spec.key[0]
-    names = sorted({getattr(row, key) for row in reader.rows(TABLES[spec.shared_by].record, scene_id)} - {None})
+    sharing: list[Any] = reader.rows(TABLES[spec.shared_by].record, scene_id)
+    names = sorted({getattr(row, spec.key[0]) for row in sharing} - {None})
     return list(reader.rows_by_key(spec.record, names))
 
 

@@ -14,7 +14,7 @@ import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime
 from functools import cache
-from typing import Any, Literal, TypeVar, dataclass_transform
+from typing import Any, Literal, TypeVar, cast, dataclass_transform
 
 import pyarrow as pa
 
@@ -171,16 +171,14 @@ def record(
 
 
 @cache
-def table_of(record_type: type) -> Table:
+def table_of(record_type: type[Any]) -> Table:
     """The table that `record_type` describes."""
-    declared = record_type.__table__  # type: ignore[attr-defined]
+    declared = record_type.__table__
     hints = typing.get_type_hints(record_type)
     columns = []
     for field in dataclasses.fields(record_type):
         arrow, nullable = _arrow_type(hints[field.name])
-        columns.append(
-            Column(name=field.name, type=arrow, nullable=nullable, key=field.name in declared["key"], **field.metadata)
-        )
+        columns.append(Column(name=field.name, type=arrow, nullable=nullable, key=field.name in declared["key"], **field.metadata))
     description = " ".join((record_type.__doc__ or "").split())
     return Table(record=record_type, description=description, columns=tuple(columns), **declared)
 
@@ -200,7 +198,7 @@ def rows_to_arrow(rows: Sequence[Any], record_type: type) -> pa.Table:
 
 def arrow_to_rows(data: pa.Table, record_type: type[R]) -> list[R]:
     """Records of an Arrow table. Columns that an older version did not have are None."""
-    table = table_of(record_type)
+    table = table_of(cast("type[Any]", record_type))
     columns = {c.name: data.column(c.name).to_pylist() if c.name in data.schema.names else [None] * data.num_rows for c in table.columns}
     return [record_type(**{c.name: _frozen(columns[c.name][i]) for c in table.columns}) for i in range(data.num_rows)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,7 +54,8 @@ class Surface:
         import trimesh
 
         mesh = trimesh.Trimesh(self.vertices, self.faces, process=False)
-        mesh.visual.vertex_colors = np.column_stack([self.colors, np.full(len(self.colors), 255, dtype=np.uint8)])
+        visual: Any = mesh.visual
+        visual.vertex_colors = np.column_stack([self.colors, np.full(len(self.colors), 255, dtype=np.uint8)])
         return mesh
 
 
@@ -71,7 +72,9 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
     except Exception as error:  # the loader raises whatever the bytes lead it to
-        raise InputError(file, "content", f"is not a readable GLB ({type(error).__name__}: {error})", "export it again as glTF binary") from error
+        raise InputError(
+            file, "content", f"is not a readable GLB ({type(error).__name__}: {error})", "export it again as glTF binary"
+        ) from error
     if sum(len(getattr(g, "faces", ())) for g in scene.geometry.values()) > MAX_FACES:
         raise InputError(file, "faces", f"more than {MAX_FACES} triangles", "decimate the mesh")
     parts = []
@@ -119,7 +122,7 @@ def surface_of(parts: Sequence[trimesh.Trimesh]) -> Surface:
 
 def vertex_colors(part: trimesh.Trimesh) -> NDArray[np.uint8]:
     """RGB per vertex, shape (n, 3): vertex colors, else the texture at the vertex, else the material's color."""
-    visual = part.visual
+    visual: Any = part.visual
     if visual.kind == "texture":
         uv, (image, factor) = visual.uv, material_of(part)
         if image is not None and uv is not None and len(uv) == len(part.vertices):
@@ -132,7 +135,8 @@ def vertex_colors(part: trimesh.Trimesh) -> NDArray[np.uint8]:
 
 def material_of(part: trimesh.Trimesh) -> tuple[NDArray[np.uint8] | None, NDArray[np.float64]]:
     """Base color texture, shape (h, w, 3), or None, and base color factor in 0..1, shape (3,), of a textured part."""
-    material = part.visual.material
+    visual: Any = part.visual
+    material = visual.material
     image = getattr(material, "baseColorTexture", None)
     factor = getattr(material, "baseColorFactor", None)
     if image is None and factor is None:
@@ -153,7 +157,9 @@ def sample_texture(image: NDArray[np.uint8], uv: NDArray[np.float64], factor: ND
     return np.clip(np.round(image[row, column] * factor), 0, 255).astype(np.uint8)
 
 
-def sample_surface(surface: Surface, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]:
+def sample_surface(
+    surface: Surface, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float64]]:
     """Points spread evenly over a surface: positions (count, 3) [m], colors (count, 3), unit normals (count, 3)."""
     a, b, c = (surface.vertices[surface.faces[:, i]] for i in range(3))
     cross = np.cross(b - a, c - a)
@@ -184,7 +190,9 @@ def read_points(data: bytes, file: str = "points.ply") -> tuple[NDArray[np.float
     rows = np.frombuffer(body, dtype=_POINT)
     if not mark or f"element vertex {len(rows)}\n".encode() not in head:
         raise InputError(file, "header", "is not a point cloud of this lake", "run the stage that made it again")
-    return np.stack([rows["x"], rows["y"], rows["z"]], axis=1).astype(np.float64), np.stack([rows["red"], rows["green"], rows["blue"]], axis=1)
+    return np.stack([rows["x"], rows["y"], rows["z"]], axis=1).astype(np.float64), np.stack(
+        [rows["red"], rows["green"], rows["blue"]], axis=1
+    )
 
 
 def dump_points(points: ArrayLike, colors: ArrayLike) -> bytes:

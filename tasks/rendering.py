@@ -132,9 +132,10 @@ class RayScene:
         """Color at hits on one part: faces (n,), barycentric coordinates of corners 1 and 2 (n, 2)."""
         part = self.parts[index]
         if index not in self._looks:
-            textured = part.visual.kind == "texture" and part.visual.uv is not None and len(part.visual.uv) == len(part.vertices)
+            visual: Any = part.visual
+            textured = visual.kind == "texture" and visual.uv is not None and len(visual.uv) == len(part.vertices)
             image, factor = material_of(part) if textured else (None, None)
-            self._looks[index] = (image, factor, np.asarray(part.visual.uv) if image is not None else vertex_colors(part))
+            self._looks[index] = (image, factor, np.asarray(visual.uv) if image is not None else vertex_colors(part))
         image, factor, values = self._looks[index]
         corners = values[np.asarray(part.faces)[face]]
         weights = np.column_stack([1 - bary.sum(axis=1), bary])

@@ -84,7 +84,8 @@ def carry_out(plan: Plan, store: Lake, *, threads: int, **parameters: Any) -> Ru
 
             from flows.pipeline import replicate
 
-            local = replicate.with_options(task_runner=ThreadPoolTaskRunner(max_workers=threads + 1))
+            runner: Any = ThreadPoolTaskRunner(max_workers=threads + 1)
+            local = replicate.with_options(task_runner=runner)
             report: RunReport = local(**parameters)
         finally:
             listen(None)

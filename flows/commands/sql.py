@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Literal
 
 import click
 
@@ -17,7 +18,9 @@ from flows.commands.options import lake_option
 @click.option("--list", "listing", is_flag=True, help="List tables and views with what they answer.")
 @click.option("--snapshot", "snapshot_id", type=int, help="Snapshot to ask; the newest by default.")
 @lake_option
-def command(statement: str | None, output: str, listing: bool, snapshot_id: int | None, address: str) -> None:
+def command(
+    statement: str | None, output: Literal["table", "csv", "json", "parquet"], listing: bool, snapshot_id: int | None, address: str
+) -> None:
     """Ask the lake a question in SQL. Only statements that read are let through.
 
     Example: metascenes sql "SELECT category, count(*) FROM instances GROUP BY ALL ORDER BY 2 DESC LIMIT 5"

@@ -25,9 +25,12 @@ def command(address: str, as_json: bool) -> None:
     errors: list[str] = []
     for (scene, stage), state in sorted(Lake.open(address).history().items()):
         last = state.last
-        done = state.done is not None
-        states[scene][stage] = "done" if last is None or last.outcome == "done" else f"{last.outcome}{' (older rows kept)' if done else ''}"
-        if last is not None and last.outcome in ("failed", "lost"):
+        kept = " (older rows kept)" if state.done is not None else ""
+        if last.outcome != "done":
+            states[scene][stage] = last.outcome + kept
+        else:
+            states[scene][stage] = "done" if state.done is not None else "withdrawn"
+        if last.outcome in ("failed", "lost"):
             errors.append(f"{scene}: {stage}: {last.error}")
     if as_json:
         print(json.dumps({"scenes": states, "errors": errors}))

@@ -8,6 +8,7 @@ import struct
 import zlib
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ def write_mesh(
     segments_file = f"{scan}_vh_clean_2.0.010000.segs.json"
     document = {"params": {"kThresh": "0.01", "segMinVerts": "20"}, "sceneId": f"{prefix}{scan}", "segIndices": segment.tolist()}
     (place / segments_file).write_text(json.dumps(document, separators=(",", ":")))
-    groups = []
+    groups: list[dict[str, Any]] = []
     for index, (_, label) in enumerate(labels):
         own = np.unique(segment[owner == index])
         if len(own):

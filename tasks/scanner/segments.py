@@ -5,6 +5,8 @@ Felzenszwalb and Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,19 +40,19 @@ def segments(surface: Surface, owner: NDArray[np.int64]) -> NDArray[np.int64]:
     weight[owner[a] != owner[b]] = np.inf
     order = np.argsort(weight, kind="stable")
     labels = _merge(len(surface.vertices), a[order], b[order], weight[order], THRESHOLD, MIN_VERTICES)
-    return np.asarray(labels, dtype=np.int64)
+    return labels
 
 
 def _merge(
     count: int, a: NDArray[np.int64], b: NDArray[np.int64], weight: NDArray[np.float64], threshold: float, min_size: int
 ) -> NDArray[np.int64]:
-    return _compiled()(count, a, b, weight, threshold, min_size)  # type: ignore[no-any-return]
+    return np.asarray(_compiled()(count, a, b, weight, threshold, min_size), dtype=np.int64)
 
 
-_KERNEL: list[object] = []
+_KERNEL: list[Any] = []
 
 
-def _compiled() -> object:
+def _compiled() -> Any:
     """The union-find loop, compiled on first use."""
     if not _KERNEL:
         from numba import njit

@@ -137,7 +137,7 @@ def _source(index: int, shot: Shot, config: ScannerConfig) -> FrameSource:
     return FrameSource(
         frame_id=f"{index:06d}", color_file="", depth_file="", width=camera.width, height=camera.height,
         intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), depth_size=(width, height), depth_intrinsics=depth_intrinsics,
-        depth_scale=1000.0, pose=shot.pose, color=lambda: shot.color, depth=lambda: shot.depth.astype(np.float32) / 1000,
+        depth_scale=1000.0, pose=shot.pose, color=lambda: shot.color, depth=lambda: (shot.depth / 1000).astype(np.float32),
     )  # fmt: skip
 
 
