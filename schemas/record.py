@@ -13,8 +13,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime
-from functools import cache
-from typing import Any, Literal, TypeVar, cast, dataclass_transform
+from typing import Any, Literal, TypeVar, dataclass_transform
 
 import pyarrow as pa
 
@@ -170,9 +169,17 @@ def record(
     return declare
 
 
-@cache
 def table_of(record_type: type[Any]) -> Table:
     """The table that `record_type` describes."""
+    if record_type not in _DECLARED:
+        _DECLARED[record_type] = _declare(record_type)
+    return _DECLARED[record_type]
+
+
+_DECLARED: dict[type[Any], Table] = {}
+
+
+def _declare(record_type: type[Any]) -> Table:
     declared = record_type.__table__
     hints = typing.get_type_hints(record_type)
     columns = []
@@ -198,7 +205,7 @@ def rows_to_arrow(rows: Sequence[Any], record_type: type) -> pa.Table:
 
 def arrow_to_rows(data: pa.Table, record_type: type[R]) -> list[R]:
     """Records of an Arrow table. Columns that an older version did not have are None."""
-    table = table_of(cast("type[Any]", record_type))
+    table = table_of(record_type)
     columns = {c.name: data.column(c.name).to_pylist() if c.name in data.schema.names else [None] * data.num_rows for c in table.columns}
     return [record_type(**{c.name: _frozen(columns[c.name][i]) for c in table.columns}) for i in range(data.num_rows)]
 
