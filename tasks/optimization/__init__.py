@@ -149,7 +149,8 @@ def _placed(
                 f"{proposal.instance.instance_id}: nothing stands for it: asset {proposal.asset_id[:12]} cannot be read: {error}"
             )
             continue
-        placed.append(PlacedAsset.of(proposal.instance.instance_id, proposal.instance.category, surface))
+        instance, watertight = proposal.instance, assets[proposal.asset_id].is_watertight
+        placed.append(PlacedAsset.of(instance.instance_id, instance.category, surface, watertight))
         kept.append(proposal)
     return placed, kept, unreadable
 

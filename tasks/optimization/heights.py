@@ -36,16 +36,21 @@ class PlanView:
         return result
 
 
-def plan_view(surface: Surface, low: ArrayLike, high: ArrayLike, ceiling: float, cell: float) -> PlanView:
-    """The highest point of a surface at or below `ceiling` in every cell of a window [m]; `low`, `high`: shape (2,)."""
-    a, b = np.asarray(low, dtype=np.float64)[:2], np.asarray(high, dtype=np.float64)[:2]
-    first = np.floor(a / cell).astype(np.int64)
-    shape = np.maximum(np.floor(b / cell).astype(np.int64) - first + 1, 1)
-    corners = surface.vertices[surface.faces]
-    near = (corners[:, :, :2].min(axis=1) <= b + cell).all(axis=1) & (corners[:, :, :2].max(axis=1) >= a - cell).all(axis=1)
-    near &= corners[:, :, 2].min(axis=1) <= ceiling
-    heights = np.full((int(shape[0]), int(shape[1])), -np.inf)
-    _compiled()(np.ascontiguousarray(corners[near]), first.astype(np.float64), float(cell), float(ceiling), heights)
+def plan_view(surface: Surface, low: ArrayLike, high: ArrayLike, ceiling: float, cell: float, upward: bool = False) -> PlanView:
+    """The highest point of a surface at or below `ceiling` in every cell of a window [m]; `low`, `high`: shape (2,).
+
+    `upward`: only faces that look up count, which closed surfaces allow: a thing sunk into a block does not find the
+    block's underside below it.
+    """
+    corners, first, heights = _window(surface, low, high, -np.inf, ceiling, cell)
+    _compiled()["raster"](corners, first.astype(np.float64), float(cell), float(ceiling), bool(upward), heights)
+    return PlanView(heights, (int(first[0]), int(first[1])), cell)
+
+
+def occupancy(surface: Surface, low: ArrayLike, high: ArrayLike, bottom: float, top: float, cell: float) -> PlanView:
+    """Where a surface, upright faces too, passes between two heights [m]: 1 in such cells of a window, else minus infinity."""
+    corners, first, heights = _window(surface, low, high, bottom, top, cell)
+    _compiled()["mark"](corners, first.astype(np.float64), float(cell), float(bottom), float(top), heights)
     return PlanView(heights, (int(first[0]), int(first[1])), cell)
 
 
@@ -63,15 +68,51 @@ def underside(surface: Surface, cell: float) -> tuple[NDArray[np.int64], Array]:
     return cells + np.array(view.first), -view.heights[cells[:, 0], cells[:, 1]]
 
 
+def _window(
+    surface: Surface, low: ArrayLike, high: ArrayLike, bottom: float, top: float, cell: float
+) -> tuple[Array, NDArray[np.int64], Array]:
+    """Triangles, shape (m, 3, 3), that may be seen in a window between two heights, its first cell, and empty heights."""
+    a, b = np.asarray(low, dtype=np.float64)[:2], np.asarray(high, dtype=np.float64)[:2]
+    first = np.floor(a / cell).astype(np.int64)
+    shape = np.maximum(np.floor(b / cell).astype(np.int64) - first + 1, 1)
+    corners = surface.vertices[surface.faces]
+    least, most = corners.min(axis=1), corners.max(axis=1)
+    near = (least[:, :2] <= b + cell).all(axis=1) & (most[:, :2] >= a - cell).all(axis=1) & (least[:, 2] <= top) & (most[:, 2] >= bottom)
+    return np.ascontiguousarray(corners[near]), first, np.full((int(shape[0]), int(shape[1])), -np.inf)
+
+
 @cache
-def _compiled() -> Callable[..., Any]:
+def _compiled() -> dict[str, Callable[..., Any]]:
     import numba
 
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_raster)
-    return compiled
+    return {f.__name__.strip("_"): numba.njit(cache=True, nogil=True, error_model="numpy")(f) for f in (_raster, _mark)}
 
 
-def _raster(corners: Array, first: Array, cell: float, ceiling: float, heights: Array) -> None:
+def _mark(corners: Array, first: Array, cell: float, bottom: float, top: float, heights: Array) -> None:
+    """Mark the cells that triangles, shape (n, 3, 3), pass through between two heights: points on them, half a cell apart."""
+    nx, ny = heights.shape
+    for t in range(corners.shape[0]):
+        longest = 0.0
+        for e in range(3):
+            square = 0.0
+            for k in range(3):
+                square += (corners[t, e, k] - corners[t, (e + 1) % 3, k]) ** 2
+            longest = max(longest, square)
+        parts = max(int(np.ceil(2 * np.sqrt(longest) / cell)), 1)
+        for p in range(parts + 1):
+            for q in range(parts + 1 - p):
+                u, v = p / parts, q / parts
+                z = corners[t, 0, 2] + u * (corners[t, 1, 2] - corners[t, 0, 2]) + v * (corners[t, 2, 2] - corners[t, 0, 2])
+                if z < bottom or z > top:
+                    continue
+                x = corners[t, 0, 0] + u * (corners[t, 1, 0] - corners[t, 0, 0]) + v * (corners[t, 2, 0] - corners[t, 0, 0])
+                y = corners[t, 0, 1] + u * (corners[t, 1, 1] - corners[t, 0, 1]) + v * (corners[t, 2, 1] - corners[t, 0, 1])
+                i, j = int(np.floor(x / cell) - first[0]), int(np.floor(y / cell) - first[1])
+                if 0 <= i < nx and 0 <= j < ny:
+                    heights[i, j] = 1.0
+
+
+def _raster(corners: Array, first: Array, cell: float, ceiling: float, upward: bool, heights: Array) -> None:
     """Raise `heights` to every triangle, shape (n, 3, 3), at the centers of the cells that it covers."""
     nx, ny = heights.shape
     for t in range(corners.shape[0]):
@@ -79,7 +120,7 @@ def _raster(corners: Array, first: Array, cell: float, ceiling: float, heights: 
         bx, by, bz = corners[t, 1, 0], corners[t, 1, 1], corners[t, 1, 2]
         cx, cy, cz = corners[t, 2, 0], corners[t, 2, 1], corners[t, 2, 2]
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if abs(area) < 1e-14:  # upright: seen edge-on from above
+        if abs(area) < 1e-14 or (upward and area < 0):  # upright faces are seen edge-on from above
             continue
         i0 = max(int(np.ceil(min(ax, bx, cx) / cell - 0.5 - first[0] - 1e-9)), 0)
         i1 = min(int(np.floor(max(ax, bx, cx) / cell - 0.5 - first[0] + 1e-9)), nx - 1)

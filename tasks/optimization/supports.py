@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from schemas.capture import Room
 from tasks.boxes import aabb
 from tasks.meshes import Surface
-from tasks.optimization.heights import plan_view, underside
+from tasks.optimization.heights import occupancy, plan_view, underside
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,7 @@ class SupportConfig:
     reach_m: float = 0.10  # scans bleed and boxes are a few centimetres off; a gap beyond this is a gap
     base_m: float = 0.02  # feet and rims within this of the lowest point are what a thing stands on
     share: float = 0.3  # of the base over a surface: less, and the center of mass may be past the edge
+    carried_share: float = 0.75  # of the base stays on the carrier when a thing is moved: a quarter over the edge tips nothing
     covering_m: float = 0.05  # as low as this and on the floor: a rug or mat, which others may stand on in part
     covering_share: float = 0.5  # what stands on a rug with less than half of its feet stands on the floor
     wall_m: float = 0.12  # a picture frame's depth plus the error of a wall's place
@@ -40,19 +41,23 @@ class SupportConfig:
 
 @dataclasses.dataclass(frozen=True)
 class PlacedAsset:
-    """An asset in the world frame as proposed. `low`, `high`: its axis-aligned box [m], shape (3,)."""
+    """An asset in the world frame as proposed. `low`, `high`: its axis-aligned box [m], shape (3,). `closed`: its faces
+    bound a solid and look outward, so that only those that look up carry."""
 
     instance_id: str
     category: str
     surface: Surface
     low: Array
     high: Array
+    closed: bool
 
     @staticmethod
-    def of(instance_id: str, category: str, surface: Surface) -> PlacedAsset:
-        """A placed surface with its box."""
-        used = surface.vertices[np.unique(surface.faces)]
-        return PlacedAsset(instance_id, category, surface, *aabb(used))
+    def of(instance_id: str, category: str, surface: Surface, watertight: bool) -> PlacedAsset:
+        """A placed surface with its box. `watertight`: every edge has two faces."""
+        low, high = aabb(surface.vertices[np.unique(surface.faces)])
+        corners = surface.vertices[surface.faces] - low
+        outward = float(np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) > 0
+        return PlacedAsset(instance_id, category, surface, low, high, watertight and outward)
 
     @property
     def plan_area(self) -> float:
@@ -123,8 +128,8 @@ def allowed_shifts(
     """Where a carried thing may stand, in steps [m] along x and y from its place on its carrier: shape (2 reach + 1,
     2 reach + 1).
 
-    It may where as much of its base, or at least half of it, is carried at the same height, and where no more of the
-    carrier (the side of a compartment, a lamp's foot) is in its way than at its place.
+    It may where as much of its base, or at least `carried_share` of it, is carried at the same height, and where no
+    more of the carrier (the side of a compartment) is in its way than at its place.
     """
     per_step = max(1, round(step / config.cell_m))
     cell = step / per_step
@@ -135,16 +140,17 @@ def allowed_shifts(
     margin = reach * step + cell
     level = config.base_m
     low, high = thing.low[:2] - margin, thing.high[:2] + margin
-    floor = plan_view(carrier.surface, low, high, rest + level, cell)
-    top = plan_view(carrier.surface, low, high, rest + max(float(thing.high[2] - thing.low[2]), level) - 1e-3, cell)
+    floor = plan_view(carrier.surface, low, high, rest + level, cell, carrier.closed)
+    rise = float(thing.high[2] - thing.low[2])
+    solid = occupancy(carrier.surface, low, high, rest + level, rest + max(rise - config.cell_m, level), cell)
     carried = np.empty((2 * reach + 1, 2 * reach + 1))
     blocked = np.empty_like(carried)
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
             shift = np.array([i, j]) * per_step
             carried[i + reach, j + reach] = (np.abs(floor.at(base + shift) - rest) <= level).mean()
-            blocked[i + reach, j + reach] = (top.at(body + shift) > rest + level).mean()
-    allowed: NDArray[np.bool_] = (carried >= min(0.5, carried[reach, reach])) & (blocked <= blocked[reach, reach] + 0.02)
+            blocked[i + reach, j + reach] = np.isfinite(solid.at(body + shift)).mean()
+    allowed: NDArray[np.bool_] = (carried >= min(config.carried_share, carried[reach, reach])) & (blocked <= blocked[reach, reach] + 0.02)
     allowed[reach, reach] = True
     return allowed
 
@@ -167,7 +173,7 @@ def _best_rest(
     for other in others:
         if not _may_carry(other, thing, config) or _rests_on(other.instance_id, thing.instance_id, rests):
             continue
-        view = plan_view(other.surface, thing.low[:2], thing.high[:2], float(thing.low[2]) + config.reach_m, config.cell_m)
+        view = plan_view(other.surface, thing.low[:2], thing.high[:2], float(thing.low[2]) + config.reach_m, config.cell_m, other.closed)
         # how high the bottom would be with each part of the base touching what is below it
         touching = view.at(base) - rise
         within = np.abs(touching - thing.low[2]) <= config.reach_m
