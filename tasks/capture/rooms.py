@@ -118,7 +118,7 @@ def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
         near = np.abs(heights - (int(np.argmax(filled)) + 0.5) * 0.05) < 0.1
         return float(np.median(heights[near])), "ceiling"
     walls = z[kinds == WALL]
-    if areas[kinds == WALL].sum() > 1.0 and (top := float(np.percentile(walls, 99))) > 1.0:
+    if areas[kinds == WALL].sum() > 1.0 and (top := float(np.percentile(walls, 99.7))) > 1.0:
         return top, "walls"
     return max(float(np.percentile(z, 99.5)), 0.1), "extent"
 
