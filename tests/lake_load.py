@@ -1,9 +1,9 @@
 """A process that works on a lake, for tests that let several of them meet or die. `python -m tests.lake_load ...`.
 
-    writer LAKE FIRST COUNT ROUNDS   stage and commit scenes FIRST .. FIRST+COUNT, ROUNDS times over
-    hold LAKE                        take the lease, say so, and hold it until killed
-    half LAKE                        stage half a run and a temporary file, say so, and wait to be killed
-    crashes LAKE FOLDER              commit copies of LAKE, dying at every step in turn (see `crashes`)
+writer LAKE FIRST COUNT ROUNDS   stage and commit scenes FIRST .. FIRST+COUNT, ROUNDS times over
+hold LAKE                        take the lease, say so, and hold it until killed
+half LAKE                        stage half a run and a temporary file, say so, and wait to be killed
+crashes LAKE FOLDER              commit copies of LAKE, dying at every step in turn (see `crashes`)
 """
 
 from __future__ import annotations

@@ -549,6 +549,36 @@ def test_new_column_reads_as_missing_in_old_rows(lake: Lake, monkeypatch: pytest
     assert [row.parent_id for row in lake.snapshot().rows(table.record)] == ["0007", "0009"]
 
 
+def test_column_that_the_schema_has_no_more_is_not_shown(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = TABLES["supports"]
+    stage(lake, A, "optimization", fingerprint(1), supports=[sample(table.record, scene_id=A)])
+    lake.commit()
+    younger = dataclasses.replace(table, columns=tuple(c for c in table.columns if c.name != "gap_m"))
+    monkeypatch.setitem(TABLES, "supports", younger)
+    monkeypatch.setattr("warehouse.views.install", lambda connection: None)  # views may ask for the column
+    assert "gap_m" not in query(lake.snapshot(), "SELECT * FROM supports").column_names
+    assert "gap_m" not in lake.snapshot().arrow("supports").column_names
+
+
+def test_threads_share_a_lake(lake: Lake) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    def work(number: int) -> list[Caption] | None:
+        scene = f"demo/t{number:02d}"
+        stage(lake, scene, "captions", fingerprint(scene), captions=captions(scene, "x"))
+        found = lake.rows_of("captions", scene, fingerprint(scene))
+        if number % 4 == 0:
+            lake.commit()
+        return found
+
+    with ThreadPoolExecutor(6) as pool:
+        found = list(pool.map(work, range(24)))
+    assert [len(rows or ()) for rows in found] == [1] * 24
+    lake.commit()
+    assert len(lake.snapshot().rows(Caption)) == len(lake.snapshot().rows(StageRun)) == 24
+    assert files(Path(lake.address), "staged") == set()
+
+
 STEPS = st.lists(
     st.tuples(
         st.sampled_from(["capture", "captions", "candidates", "selection", "failed", "commit", "remove", "sweep"]),

@@ -74,9 +74,7 @@ def plan(current: Mapping[Key, StageState], staged: Sequence[StagedRun], removed
     return Plan((*adopted.values(), *adopted_batches), tuple(recorded), tuple(withdrawn), tuple(left))
 
 
-def committed_rows(
-    made: Plan, attempts: Mapping[tuple[str, str, str], int], snapshot_id: int, now: datetime
-) -> list[StageRun]:
+def committed_rows(made: Plan, attempts: Mapping[tuple[str, str, str], int], snapshot_id: int, now: datetime) -> list[StageRun]:
     """Rows that a commit adds to `stage_runs`.
 
     `attempts` gives the highest attempt of every (scene, stage, fingerprint) so far. Attempts that are taken are

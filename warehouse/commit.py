@@ -41,6 +41,7 @@ class Commit:
         self._tables, self._staging, self._lease = tables, staging, lease
         self._snapshots = TABLES["snapshots"]
         self._base = self._read_base()
+        self._done = {key for key, state in self._base.states.items() if state.done is not None}
 
     def run(self, note: str, removed: Collection[str] = (), scenes: Collection[str] | None = None) -> Snapshot | None:
         """Adopt, replace, withdraw, and append the snapshot; None when there is nothing to do."""
@@ -113,7 +114,7 @@ class Commit:
 
     def _replace(self, table: Table, new: Sequence[StagedRun], made: Plan) -> int | None:
         """The scenes' new rows take the place of their old ones; withdrawn scenes' rows go."""
-        old = {scene for (scene, stage), state in self._base.states.items() if stage == table.stage and state.done is not None}
+        old = {scene for scene, stage in self._done if stage == table.stage}
         changed = {one.run.scene_id for one in new} | {run.scene_id for run in made.withdrawn if run.stage == table.stage}
         rows = self._staged_rows(table, new)
         replaced = changed & old
@@ -150,50 +151,54 @@ class Commit:
         Absent keys are inserted. A row that says something else than the one that is there takes its place: it was
         made by newer code or from a newer source, since the same input gives the same row.
         """
-        sharing = TABLES[table.shared_by]
-        is_touched = any(one.run.stage in (table.stage, sharing.stage) for one in made.adopted) or any(
-            run.stage in (table.stage, sharing.stage) for run in made.withdrawn
-        )
-        rows = self._staged_rows(table, new)
-        if not is_touched or (not rows.num_rows and table.name not in self._base.versions):
+        sharing, column = TABLES[table.shared_by], table.key[0]
+        stages = {table.stage, sharing.stage}
+        rows = _newest(self._staged_rows(table, new), table)
+        touched = {(one.run.scene_id, one.run.stage) for one in made.adopted} | {(run.scene_id, run.stage) for run in made.withdrawn}
+        loses = any(stage in stages and (scene, stage) in self._done for scene, stage in touched) and table.name in self._base.versions
+        if not rows.num_rows and not loses:
             return None
-        column = table.key[0]
-        named = self._named_keys(table, sharing, made)
+        named = self._named_keys(table, sharing, made, None if loses else {one.run.scene_id for one in new})
         writer = self._writer(table)
-        known = self._tables.read(table, writer.files)
-        merged = _newest(pa.concat_tables([known, rows]), table)
-        merged = merged.filter(pc.is_in(merged.column(column), pa.array(sorted(named), pa.string())))
-        before = {row[column]: row for row in known.to_pylist()}
-        after = {row[column]: row for row in merged.to_pylist()}
-        changed = {key for key in before.keys() | after.keys() if before.get(key) != after.get(key)}
-        if changed:
-            fresh = merged.filter(pc.is_in(merged.column(column), pa.array(sorted(changed), pa.string())))
-            if changed & before.keys():
-                writer.replace(fresh, column, changed)
-            else:
-                writer.append(fresh)
-            writer.compact()
+        rows = rows.filter(pc.is_in(rows.column(column), named))
+        keys = rows.column(column).to_pylist()
+        before = {row[column]: row for row in self._tables.read(table, writer.files, only={column: keys}).to_pylist()}
+        changed = [key for key, row in zip(keys, rows.to_pylist(), strict=True) if before.get(key) != row]
+        gone: list[str] = []
+        if loses:
+            known = self._tables.read(table, writer.files, [column]).column(column)
+            gone = known.filter(pc.invert(pc.is_in(known, named))).to_pylist()
+        fresh = rows.filter(pc.is_in(rows.column(column), pa.array(changed, pa.string())))
+        if gone or before.keys() & set(changed):
+            writer.replace(fresh, column, {*gone, *changed})
+        elif changed:
+            writer.append(fresh)
+        writer.compact()
         return writer.version
 
-    def _named_keys(self, table: Table, sharing: Table, made: Plan) -> set[str]:
-        """Keys that rows of `sharing` name, of scenes that have rows of the stage of `table` once this is committed."""
+    def _named_keys(self, table: Table, sharing: Table, made: Plan, scenes: Collection[str] | None) -> pa.Array:
+        """Keys that rows of `sharing` name, of scenes that have rows of the stage of `table` once this is committed.
+
+        With `scenes`, only keys that these name: enough where no key can go, and much less to read.
+        """
         column = table.key[0]
         new = [one for one in made.adopted if one.run.stage == sharing.stage]
         replaced = {one.run.scene_id for one in new} | {run.scene_id for run in made.withdrawn if run.stage == sharing.stage}
+        with_stage = {scene for scene, stage in self._done if stage == table.stage}
+        with_stage |= {one.run.scene_id for one in made.adopted if one.run.stage == table.stage}
+        with_stage -= {run.scene_id for run in made.withdrawn if run.stage == table.stage}
         # Read from the version that the commit starts from, so that the order in which tables are written does not matter.
         version = self._base.versions.get(sharing.name)
         opened = self._tables.open(sharing.name, version) if version is not None else None
         files = self._tables.files(sharing.name, opened) if opened is not None else []
-        old = self._tables.read(sharing, files, ["scene_id", column])
-        with_stage = {scene for (scene, stage), state in self._base.states.items() if stage == table.stage and state.done is not None}
-        with_stage |= {one.run.scene_id for one in made.adopted if one.run.stage == table.stage}
-        with_stage -= {run.scene_id for run in made.withdrawn if run.stage == table.stage}
+        kept = with_stage - replaced
+        only = {"scene_id": kept & set(scenes)} if scenes is not None else None
+        old = self._tables.read(sharing, files, ["scene_id", column], only)
         fresh = self._staged_rows(sharing, new).select(["scene_id", column])
-        pairs = zip(old.column("scene_id").to_pylist(), old.column(column).to_pylist(), strict=True)
-        keys = {key for scene, key in pairs if scene in with_stage and scene not in replaced}
-        pairs = zip(fresh.column("scene_id").to_pylist(), fresh.column(column).to_pylist(), strict=True)
-        keys |= {key for scene, key in pairs if scene in with_stage}
-        return keys - {None}
+        parts = []
+        for part, of in ((old, kept), (fresh, with_stage)):
+            parts.append(part.filter(pc.is_in(part.column("scene_id"), pa.array(sorted(of), pa.string()))).column(column))
+        return pa.chunked_array([chunk for part in parts for chunk in part.chunks], pa.string()).unique().drop_null()
 
     def _write_runs(self, made: Plan) -> int:
         table = TABLES["stage_runs"]

@@ -114,9 +114,7 @@ class DeltaTables:
 class TableWriter:
     """Writes one table, from one version on."""
 
-    def __init__(
-        self, tables: DeltaTables, storage: Storage, table: Table, opened: DeltaTable | None, check: Callable[[], None]
-    ) -> None:
+    def __init__(self, tables: DeltaTables, storage: Storage, table: Table, opened: DeltaTable | None, check: Callable[[], None]) -> None:
         self._tables, self._storage, self._table, self._opened, self._check = tables, storage, table, opened, check
         self._is_leftover = False
 

@@ -188,4 +188,3 @@ class Lake:
                 raise InputError(f"{self.address}/{MARKER}", "format", problem, "update the project")
             self._is_marked = True
         return self._is_marked
-

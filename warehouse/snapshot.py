@@ -79,12 +79,12 @@ class Reader:
 
     def rows(self, record_type: type[R], scene_id: str | None = None) -> list[R]:
         """Rows of a record type, sorted by key; of one scene when `scene_id` is given."""
-        name = table_of(record_type).name  # type: ignore[arg-type]
+        name = table_of(record_type).name
         return arrow_to_rows(self.arrow(name, scene_id), record_type)
 
     def rows_by_key(self, record_type: type[R], keys: Collection[str]) -> list[R]:
         """Rows of a record type whose key (the first column of it) is one of `keys`, sorted by key."""
-        declared = table_of(record_type)  # type: ignore[arg-type]
+        declared = table_of(record_type)
         rows = self._tables.read(declared, self.files(declared.name) if keys else [], only={declared.key[0]: set(keys)})
         return arrow_to_rows(rows.sort_by([(name, "ascending") for name in declared.key]), record_type)
 
@@ -104,10 +104,11 @@ class Reader:
         connection.execute(f"SET allowed_paths = [{allowed}]")
         connection.execute("SET enable_external_access = false")
         connection.execute("SET TimeZone = 'UTC'")
-        for table in TABLES:
-            for statement in self._view(table, paths[table]):
-                connection.execute(statement)
+        # In one transaction, which is nearly twice as fast as 260 of them.
+        connection.execute("BEGIN")
+        connection.execute(";\n".join(statement for table in TABLES for statement in self._view(table, paths[table])))
         views.install(connection)
+        connection.execute("COMMIT")
         connection.execute("SET lock_configuration = true")
         return connection
 
@@ -140,4 +141,3 @@ def _ranges(numbers: list[int]) -> str:
 
 def _text(value: str) -> str:
     return "'" + value.replace("'", "''") + "'"
-

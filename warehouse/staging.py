@@ -6,6 +6,7 @@ Files lie flat in `staged/`, so that one listing shows all of them, and are name
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import io
@@ -42,7 +43,7 @@ class Staging:
 
     def __init__(self, storage: Storage) -> None:
         self._storage = storage
-        self._rows: dict[str, StageRun] = {}  # by path of the run's file: files never change once they are there
+        self._known: dict[str, StageRun] = {}  # by path of the run's file: files never change once they are there
 
     def stage(self, run: StageRun, rows: Mapping[str, Sequence[Any]]) -> None:
         """Leave a run and its rows for the committer.
@@ -75,18 +76,17 @@ class Staging:
     def runs(self) -> list[StagedRun]:
         """All complete staged runs, sorted by scene, stage, start and token."""
         complete = {stem: files for stem, files in self._by_stem().items() if _RUNS in files}
-        paths = [files[_RUNS] for files in complete.values()]
-        self._rows = {path: row for path, row in self._rows.items() if path in set(paths)}
-        self._read_run_rows([path for path in paths if path not in self._rows])
+        rows = self._run_rows([files[_RUNS] for files in complete.values()])
+        self._known = dict(rows)
         found = [
             StagedRun(
-                run=self._rows[files[_RUNS]],
+                run=rows[files[_RUNS]],
                 token=stem.split("@")[3],
                 files={table: path for table, path in files.items() if table != _RUNS},
                 run_file=files[_RUNS],
             )
             for stem, files in complete.items()
-            if files[_RUNS] in self._rows
+            if files[_RUNS] in rows
         ]
         return sorted(found, key=lambda staged: (staged.run.scene_id, staged.run.stage, staged.run.started_at, staged.token))
 
@@ -95,8 +95,8 @@ class Staging:
         record = TABLES[table].record
         head = f"{_quoted(scene_id)}@{TABLES[table].stage}@{fingerprint}@"
         stems = {stem: files for stem, files in self._by_stem(head).items() if _RUNS in files}
-        self._read_run_rows([files[_RUNS] for files in stems.values() if files[_RUNS] not in self._rows])
-        runs = [(self._rows[files[_RUNS]], stem) for stem, files in stems.items() if files[_RUNS] in self._rows]
+        read = self._run_rows([files[_RUNS] for files in stems.values()])
+        runs = [(read[files[_RUNS]], stem) for stem, files in stems.items() if files[_RUNS] in read]
         done = sorted(((run.started_at, run.attempt, stem) for run, stem in runs if run.outcome == "done"), reverse=True)
         if not done:
             return None
@@ -186,27 +186,28 @@ class Staging:
                 found.setdefault(stem, {})[last.removesuffix(".parquet")] = f"{FOLDER}/{name}"
         return found
 
-    def _read_run_rows(self, paths: Sequence[str]) -> None:
-        """Read run rows that are not known yet; a file that is gone was committed meanwhile."""
-        if not paths:
-            return
+    def _run_rows(self, paths: Sequence[str]) -> dict[str, StageRun]:
+        """Run rows by path; those that were read before are not read again, those that are gone were committed meanwhile."""
+        known = self._known
+        found = {path: known[path] for path in paths if path in known}
+        new = [path for path in paths if path not in found]
+        if not new:
+            return found
         import pyarrow.dataset as ds
 
         try:
             # All in one go: several threads and one pass, four times as fast as file by file.
-            places = [self._storage.arrow_path(path) for path in paths]
+            places = [self._storage.arrow_path(path) for path in new]
             filesystem, schema = self._storage.arrow_filesystem(), TABLES[_RUNS].arrow_schema
             data = ds.dataset(places, format="parquet", filesystem=filesystem, schema=schema).to_table()
-            if data.num_rows == len(paths):
-                self._rows.update(zip(paths, arrow_to_rows(data, StageRun), strict=True))
-                return
+            if data.num_rows == len(new):
+                return found | dict(zip(new, arrow_to_rows(data, StageRun), strict=True))
         except (pa.ArrowException, OSError):
             pass  # one of them is gone or damaged: file by file shows which
-        for path in paths:
-            try:
-                self._rows[path] = arrow_to_rows(self.read(path), StageRun)[0]
-            except FileNotFoundError:
-                continue
+        for path in new:
+            with contextlib.suppress(FileNotFoundError):
+                found[path] = arrow_to_rows(self.read(path), StageRun)[0]
+        return found
 
 
 def is_left_over(writer: Writer | None, modified: float) -> bool:
