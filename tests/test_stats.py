@@ -173,6 +173,15 @@ def test_the_word_cloud_holds_every_category_larger_when_more_frequent() -> None
     assert words.word_cloud({}) is None
 
 
+def test_equally_frequent_categories_are_equally_large() -> None:
+    cloud = words.word_cloud({f"category {n}": 3 if n < 20 else 1 for n in range(40)})
+    assert cloud is not None
+    root = ET.fromstring(cloud.svg)
+    sizes = {"".join(node.itertext()): node.attrib["font-size"] for node in root.iter("{http://www.w3.org/2000/svg}text")}
+    assert len(sizes) == 40
+    assert len({sizes[f"category {n}"] for n in range(20)}) == len({sizes[f"category {n}"] for n in range(20, 40)}) == 1
+
+
 def outline(width: float, depth: float, height: float = HEIGHT) -> Outline:
     return Outline(np.array([[0.0, 0.0], [width, 0.0], [width, depth], [0.0, depth]]), height)
 

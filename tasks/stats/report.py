@@ -98,7 +98,7 @@ def _headline(rows: pa.Table) -> list[tuple[str, str]]:
         (as_count(row["objects"]), "objects"),
         (as_count(row["categories"]), "categories"),
         (as_count(row["placed_objects"]), "placed assets"),
-        (as_count(row["assets"]), "different assets"),
+        (as_count(row["assets"]), "candidate assets"),
         (as_count(row["episodes"]), "episodes"),
         (f"{as_count(row['exports_passed'])} of {as_count(row['exports'])}", "exports pass all checks"),
         (as_count(row["failures"]), "failed stages"),

@@ -6,9 +6,12 @@ import html
 import io
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tasks.stats.style import PAPER, SERIES, Picture, themed
+
+if TYPE_CHECKING:
+    from wordcloud import WordCloud
 
 SEED = 7
 """Any number; fixed, so that the same counts give the same cloud."""
@@ -22,20 +25,7 @@ def word_cloud(counts: Mapping[str, int]) -> Picture | None:
     words = {word: count for word, count in sorted(counts.items()) if count > 0 and word.strip()}
     if not words:
         return None
-    from wordcloud import WordCloud
-
-    cloud = WordCloud(
-        width=900,
-        height=560,
-        margin=10,
-        random_state=SEED,
-        prefer_horizontal=0.9,
-        max_words=WORD_LIMIT,
-        max_font_size=150,
-        relative_scaling=0.5,  # between rank and count: one huge category must not crowd out all others
-        background_color=PAPER.light,
-        color_func=_color,
-    ).generate_from_frequencies(words)
+    cloud = _layout(words)
     raster = io.BytesIO()
     cloud.to_image().save(raster, "PNG")
     svg = re.sub(r"<rect[^>]*/>|<rect[^>]*></rect>", "", cloud.to_svg(embed_font=False), count=1)
@@ -47,6 +37,33 @@ def word_cloud(counts: Mapping[str, int]) -> Picture | None:
     frequent = sorted(words, key=lambda word: (-words[word], word))[:5]
     alt = f"Word cloud of {len(words)} categories. Most frequent: " + ", ".join(f"{word} ({words[word]})" for word in frequent) + "."
     return Picture("category_counts", "Categories", alt, themed(svg), raster.getvalue())
+
+
+def _layout(words: Mapping[str, int]) -> WordCloud:
+    """The cloud with the largest letters at which all words fit without being shrunk: equal counts, equal sizes."""
+    from wordcloud import WordCloud
+
+    for largest in _LETTER_SIZES:
+        cloud = WordCloud(
+            width=900,
+            height=560,
+            margin=10,
+            random_state=SEED,
+            prefer_horizontal=0.9,
+            max_words=WORD_LIMIT,
+            max_font_size=largest,
+            relative_scaling=0.5,  # between rank and count: one huge category must not crowd out all others
+            background_color=PAPER.light,
+            color_func=_color,
+        ).generate_from_frequencies(words)
+        sizes = {(words[word], size) for (word, _), size, _, _, _ in cloud.layout_}
+        if len(cloud.layout_) == min(len(words), WORD_LIMIT) and len(sizes) == len({count for count, _ in sizes}):
+            break
+    return cloud
+
+
+_LETTER_SIZES = (150, 120, 96, 76, 60, 48, 38)
+"""Sizes [px] that are tried; the last is taken when the words do not fit even then."""
 
 
 def _fitted(found: re.Match[str]) -> str:
