@@ -552,7 +552,8 @@ def test_an_empty_scene_is_no_error() -> None:
 def annotated(scene: Scene, name: str, parts: Sequence[trimesh.Trimesh] | None, **values: Any) -> Annotation:
     instance = next(i for i in scene.instances if i.instance_id == name)
     given = {
-        "scene_id": SCENE, "instance_id": name, "annotator": "ada", "answered_at": START, "batch_id": "b1", "ranking": (), "pose": None, "scale": None,
+        "scene_id": SCENE, "instance_id": name, "annotator": "ada", "answered_at": START, "batch_id": "b1", "ranking": (),
+        "pose": None, "scale": None,
         "choice": scene.asset(parts) if parts is not None else None, "box_pose": instance.box_pose, "box_size": instance.box_size,
     }  # fmt: skip
     scene.annotations.append(sample(Annotation, **(given | values)))
