@@ -374,7 +374,7 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None]]] = {
     "start rotation in the other order": ("start_rotation", in_episode(lambda e: e.update(start_rotation=[0.8, 0.0, 0.6, 0.0]))),
     "start rotation of length 2": ("start_rotation", in_episode(lambda e: e.update(start_rotation=[0.0, 0.0, 0.0, 2.0]))),
     "no goals": ("goals", in_episode(lambda e: e.update(goals=[]))),
-    "no goals of the category": ("goals", in_episodes("objectnav", lambda c: c["goals_by_category"].pop(next(iter(c["goals_by_category"]))))),
+    "no goals of the category": ("goals", in_episodes("objectnav", lambda c: c["goals_by_category"].popitem())),
     "goal outside": ("goals", in_episode(lambda e: e["goals"][0].update(position=[0.0, 0.0, 40.0]))),
     "goal of no object": ("goal_object", in_goal(lambda g: g.update(object_id="nothing"))),
     "no view points": ("view_points", in_goal(lambda g: g.update(view_points=None))),

@@ -17,10 +17,11 @@ from schemas.exports import ExportCheck, ExportFile
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement, Support
 from tasks.exports.bodies import Replica, gather
-from tasks.exports.config import ExportsConfig
+from tasks.exports.config import ExportsConfig, HabitatConfig, UsdConfig
+from tasks.exports.pieces import PieceConfig
 from tasks.stage import Blobs, Context, Outcome, Stage
 
-__all__ = ["STAGE", "ExportsConfig", "run"]
+__all__ = ["STAGE", "ExportsConfig", "HabitatConfig", "PieceConfig", "UsdConfig", "run", "write_folder"]
 
 _USD_ROLES = {"scene.usda": "scene", "room": "stage", "textures": "texture"}
 

@@ -5,14 +5,29 @@ Works on anybody's file. What only makes a scene less portable, or is a choice o
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tasks.exports.findings import Finding
+from tasks.exports.usd_prims import (
+    bodies,
+    box_of,
+    dent,
+    is_body,
+    is_collider,
+    is_visible,
+    moves,
+    objects,
+    own_colliders,
+    subtree,
+    to_world,
+    traverse,
+    triangles,
+)
 
 RULES: dict[str, str] = {
     "stage_opens": "the file opens as a USD stage",
@@ -40,7 +55,6 @@ RULES: dict[str, str] = {
 
 _SUPPORT_TOLERANCE = 5e-4  # metres: float32 positions in a room of ten metres are good to a micrometre; hulls to a tenth of this
 _HULL_TOLERANCE = 2e-3  # metres; a collider whose vertices lie this far inside its own hull is no hull
-_Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 def check_usd(path: Path) -> list[Finding]:
@@ -50,26 +64,31 @@ def check_usd(path: Path) -> list[Finding]:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        return [Finding("stage_opens", path.name, _line(str(error)))]
+        return [Finding("stage_opens", path.name, _line(str(error), path))]
     findings: list[Finding] = []
     for check in _CHECKS:
-        findings += check(stage, path)
+        try:
+            findings += check(stage, path)
+        except Tf.ErrorException as error:  # a layer behind a reference is broken: it is only read when it is needed
+            findings.append(Finding("stage_opens", path.name, _line(str(error), path)))
     return sorted(set(findings))
 
 
-def _line(text: str) -> str:
-    return " ".join(text.split())[:300]
+def _line(text: str, path: Path) -> str:
+    """A message of USD's in one line, with files named from the scene's folder, so it is the same wherever that lies."""
+    plain = text.replace(f"{path.parent.resolve()}/", "").replace(f"{path.parent}/", "")
+    return re.sub(r"Error in '\S+' at line \d+ in file \S+ : ", "", " ".join(plain.split()))[:300]
 
 
 def _validators(stage: Any, path: Path) -> Iterator[Finding]:
-    """USD's own validators. Messages name layers by file name, so they are the same wherever the folder is."""
+    """USD's own validators."""
     from pxr import UsdValidation
 
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     for error in UsdValidation.ValidationContext(validators).Validate(stage):
         kind = error.GetType()
         serious = kind == UsdValidation.ValidationErrorType.Error
-        text = _line(error.GetMessage()).replace(f"{path.parent.resolve()}/", "").replace(f"{path.parent}/", "")
+        text = _line(error.GetMessage(), path)
         sites = [site.GetPrim().GetPath().pathString for site in error.GetSites() if site.IsPrim()]
         yield Finding("usd_validation", sites[0] if sites else path.name, f"{error.GetName()}: {text}", serious)
 
@@ -121,88 +140,10 @@ def _paths(stage: Any, path: Path) -> Iterator[Finding]:
                 yield Finding("closed_paths", where, f"{text} does not exist")
 
 
-def _traverse(stage: Any) -> Iterator[Any]:
-    from pxr import Usd
-
-    return iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
-
-
-def _subtree(prim: Any) -> Iterator[Any]:
-    from pxr import Usd
-
-    return iter(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
-
-
-def _is_body(prim: Any) -> bool:
-    from pxr import UsdPhysics
-
-    return bool(prim.HasAPI(UsdPhysics.RigidBodyAPI))
-
-
-def _is_collider(prim: Any) -> bool:
-    from pxr import UsdPhysics
-
-    if not prim.HasAPI(UsdPhysics.CollisionAPI):
-        return False
-    enabled = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get()
-    return enabled is not False
-
-
-def _bodies(stage: Any) -> list[Any]:
-    return [prim for prim in _traverse(stage) if _is_body(prim)]
-
-
-def _moves(prim: Any) -> bool:
-    """Whether a rigid body is moved by forces."""
-    from pxr import UsdPhysics
-
-    api = UsdPhysics.RigidBodyAPI(prim)
-    return api.GetRigidBodyEnabledAttr().Get() is not False and not api.GetKinematicEnabledAttr().Get()
-
-
-def _own_colliders(body: Any) -> list[Any]:
-    """Colliders that belong to a body and not to one below it."""
-    found = []
-    for prim in _subtree(body):
-        owner = prim
-        while not _is_body(owner):
-            owner = owner.GetParent()
-        if owner == body and _is_collider(prim):
-            found.append(prim)
-    return found
-
-
-def _mesh(prim: Any) -> _Mesh | None:
-    """Positions and triangles of a mesh prim in its own frame, or None when they do not fit together."""
-    from pxr import UsdGeom
-
-    mesh = UsdGeom.Mesh(prim)
-    points, counts, indices = mesh.GetPointsAttr().Get(), mesh.GetFaceVertexCountsAttr().Get(), mesh.GetFaceVertexIndicesAttr().Get()
-    if not points or not counts or not indices:
-        return None
-    vertices = np.asarray(points, dtype=np.float64)
-    sizes, corners = np.asarray(counts, dtype=np.int64), np.asarray(indices, dtype=np.int64)
-    if not np.isfinite(vertices).all() or sizes.min() < 3 or sizes.sum() != len(corners):
-        return None
-    if corners.min() < 0 or corners.max() >= len(vertices):
-        return None
-    first = np.cumsum(sizes) - sizes
-    fans = np.repeat(np.arange(len(sizes)), sizes - 2)
-    step = np.arange(len(fans)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
-    return vertices, np.stack([corners[first[fans]], corners[first[fans] + step + 1], corners[first[fans] + step + 2]], axis=1)
-
-
-def _world(prim: Any) -> NDArray[np.float64]:
-    """Prim to world, column vectors, 4x4."""
-    from pxr import Usd, UsdGeom
-
-    return np.array(UsdGeom.XformCache(Usd.TimeCode.Default()).GetLocalToWorldTransform(prim), dtype=np.float64).T
-
-
 def _physics_scene(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdGeom, UsdPhysics
 
-    scenes = [prim for prim in _traverse(stage) if prim.IsA(UsdPhysics.Scene)]
+    scenes = [prim for prim in traverse(stage) if prim.IsA(UsdPhysics.Scene)]
     if len(scenes) != 1:
         yield Finding("physics_scene", path.name, f"{len(scenes)} physics scenes")
     down = (0.0, -1.0, 0.0) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else (0.0, 0.0, -1.0)
@@ -220,10 +161,10 @@ def _physics_scene(stage: Any, path: Path) -> Iterator[Finding]:
 def _nesting(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdGeom
 
-    for body in _bodies(stage):
+    for body in bodies(stage):
         parent = body.GetParent()
         while parent and not parent.IsPseudoRoot():
-            if _is_body(parent) and not UsdGeom.Xformable(body).GetResetXformStack():
+            if is_body(parent) and not UsdGeom.Xformable(body).GetResetXformStack():
                 yield Finding("nested_bodies", body.GetPath().pathString, f"lies inside {parent.GetPath()}")
                 break
             parent = parent.GetParent()
@@ -232,22 +173,22 @@ def _nesting(stage: Any, path: Path) -> Iterator[Finding]:
 def _poses(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdGeom
 
-    for prim in _traverse(stage):
-        if not (_is_body(prim) or _is_collider(prim)):
+    for prim in traverse(stage):
+        if not (is_body(prim) or is_collider(prim)):
             continue
-        rotation = _world(prim)[:3, :3]
+        rotation = to_world(prim)[:3, :3]
         if not np.isfinite(rotation).all() or not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
             lengths = ", ".join(f"{value:.4g}" for value in np.linalg.norm(rotation, axis=0))
             # cubes and spheres are scaled by everybody who writes them; engines agree about those
-            serious = _is_body(prim) or prim.IsA(UsdGeom.Mesh)
+            serious = is_body(prim) or prim.IsA(UsdGeom.Mesh)
             yield Finding("rigid_pose", prim.GetPath().pathString, f"is scaled or sheared (axes {lengths})", serious)
 
 
 def _geometry(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdGeom
 
-    for prim in _traverse(stage):
-        if prim.IsA(UsdGeom.Mesh) and _mesh(prim) is None:
+    for prim in traverse(stage):
+        if prim.IsA(UsdGeom.Mesh) and triangles(prim) is None:
             yield Finding("finite_geometry", prim.GetPath().pathString, "positions or triangles are missing, not finite or out of range")
 
 
@@ -255,14 +196,14 @@ def _colliders(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdGeom, UsdPhysics
 
     moving = set()
-    for body in _bodies(stage):
-        own = _own_colliders(body)
+    for body in bodies(stage):
+        own = own_colliders(body)
         if not own:
             yield Finding("collider", body.GetPath().pathString, "has no collider")
-        if _moves(body):
+        if moves(body):
             moving |= {prim.GetPath() for prim in own}
-    for prim in _traverse(stage):
-        if not _is_collider(prim) or not prim.IsA(UsdGeom.Mesh):
+    for prim in traverse(stage):
+        if not is_collider(prim) or not prim.IsA(UsdGeom.Mesh):
             continue
         where = prim.GetPath().pathString
         stated = prim.HasAPI(UsdPhysics.MeshCollisionAPI)
@@ -273,30 +214,16 @@ def _colliders(stage: Any, path: Path) -> Iterator[Finding]:
         elif kind == UsdPhysics.Tokens.convexDecomposition:
             yield Finding("explicit_hulls", where, "is left to the engine to decompose")
         elif kind == UsdPhysics.Tokens.convexHull:
-            mesh = _mesh(prim)
-            if mesh is not None and _dent(mesh) > _HULL_TOLERANCE:
-                yield Finding("explicit_hulls", where, f"lies up to {_dent(mesh) * 1000:.1f} mm inside its own hull")
-
-
-def _dent(mesh: _Mesh) -> float:
-    """How far [m] a vertex of a mesh lies in front of one of its faces: 0 for a convex mesh with outward triangles."""
-    vertices, faces = mesh
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals = normals[lengths > 1e-12] / lengths[lengths > 1e-12][:, None]
-    offsets = np.einsum("ij,ij->i", normals, corners[lengths > 1e-12][:, 0])
-    used = vertices[np.unique(faces)]
-    # slivers have no direction to speak of: judge by faces that are larger than a square millimetre
-    large = lengths[lengths > 1e-12] > 2e-6
-    return float(((used @ normals.T) - offsets)[:, large].max(initial=0.0)) if large.any() else 0.0
+            mesh = triangles(prim)
+            if mesh is not None and dent(mesh) > _HULL_TOLERANCE:
+                yield Finding("explicit_hulls", where, f"lies up to {dent(mesh) * 1000:.1f} mm inside its own hull")
 
 
 def _masses(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdPhysics
 
-    for body in _bodies(stage):
-        if not _moves(body):
+    for body in bodies(stage):
+        if not moves(body):
             continue
         where = body.GetPath().pathString
         api = UsdPhysics.MassAPI(body)
@@ -316,54 +243,17 @@ def _masses(stage: Any, path: Path) -> Iterator[Finding]:
             yield Finding("inertia", where, "its axes are no unit quaternion")
 
 
-def _box(body: Any, wanted: Callable[[Any], bool]) -> NDArray[np.float64] | None:
-    """Box of the mesh prims below a body that are `wanted`, in the body's frame [units of the stage], shape (2, 3)."""
-    from pxr import UsdGeom
-
-    inverse = np.linalg.inv(_world(body))
-    corners = []
-    for prim in _subtree(body):
-        mesh = _mesh(prim) if prim.IsA(UsdGeom.Mesh) and wanted(prim) else None
-        if mesh is not None:
-            local = inverse @ _world(prim)
-            corners.append(mesh[0] @ local[:3, :3].T + local[:3, 3])
-    if not corners:
-        return None
-    points = np.concatenate(corners)
-    return np.array([points.min(axis=0), points.max(axis=0)])
-
-
-def _is_visible(prim: Any) -> bool:
-    from pxr import UsdGeom
-
-    image, tokens = UsdGeom.Imageable(prim), UsdGeom.Tokens
-    shown = image.ComputePurpose() in (tokens.default_, tokens.render) and image.ComputeVisibility() != tokens.invisible
-    return bool(prim.IsA(UsdGeom.Gprim)) and shown
-
-
-def _objects(stage: Any) -> list[Any]:
-    """Rigid bodies, and models (kind component) that have colliders without being one."""
-    from pxr import Kind, Usd
-
-    components = [prim for prim in _traverse(stage) if Usd.ModelAPI(prim).GetKind() == Kind.Tokens.component]
-    fixed = [
-        prim for prim in components
-        if any(_is_collider(below) for below in _subtree(prim)) and not any(_is_body(below) for below in _subtree(prim))
-    ]  # fmt: skip
-    return _bodies(stage) + fixed
-
-
 def _boxes(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdPhysics
 
-    for body in _objects(stage):
+    for body in objects(stage):
         where = body.GetPath().pathString
-        if not any(_is_visible(prim) for prim in _subtree(body)):
+        if not any(is_visible(prim) for prim in subtree(body)):
             yield Finding("visual", where, "nothing of it can be seen")
-        seen, solid = _box(body, _is_visible), _box(body, _is_collider)
+        seen, solid = box_of(body, is_visible), box_of(body, is_collider)
         if solid is not None and seen is not None and solid[0, 2] < seen[0, 2] - _SUPPORT_TOLERANCE:
             yield Finding("support_plane", where, f"a collider reaches {(seen[0, 2] - solid[0, 2]) * 1000:.1f} mm below what is seen")
-        if _is_body(body) and body.HasAPI(UsdPhysics.MassAPI) and solid is not None:
+        if is_body(body) and body.HasAPI(UsdPhysics.MassAPI) and solid is not None:
             center = np.array(UsdPhysics.MassAPI(body).GetCenterOfMassAttr().Get() or (0, 0, 0), dtype=np.float64)
             stated = np.isfinite(center).all()
             if stated and ((center < solid[0] - 1e-3) | (center > solid[1] + 1e-3)).any():
@@ -373,8 +263,8 @@ def _boxes(stage: Any, path: Path) -> Iterator[Finding]:
 def _materials(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdPhysics, UsdShade
 
-    for prim in _traverse(stage):
-        if not _is_collider(prim):
+    for prim in traverse(stage):
+        if not is_collider(prim):
             continue
         where = prim.GetPath().pathString
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
@@ -394,7 +284,7 @@ def _materials(stage: Any, path: Path) -> Iterator[Finding]:
 def _labels(stage: Any, path: Path) -> Iterator[Finding]:
     from pxr import UsdSemantics
 
-    for body in _objects(stage):
+    for body in objects(stage):
         taxonomies = UsdSemantics.LabelsAPI.GetDirectTaxonomies(body)
         if not any(UsdSemantics.LabelsAPI(body, taxonomy).GetLabelsAttr().Get() for taxonomy in taxonomies):
             yield Finding("labels", body.GetPath().pathString, "has no semantic label", False)
