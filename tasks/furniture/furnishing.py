@@ -191,7 +191,9 @@ class Furnisher:
                 return placed
         return None
 
-    def on_wall(self, category: str, low: tuple[float, float], size: Extents | None = None, above: Furnishing | None = None) -> Furnishing | None:
+    def on_wall(
+        self, category: str, low: tuple[float, float], size: Extents | None = None, above: Furnishing | None = None
+    ) -> Furnishing | None:
         """Hung at a wall with its bottom in a range of heights [m], centered above a thing when one is given."""
         size = size or self._sizes(category)
         for _ in range(40):

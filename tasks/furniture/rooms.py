@@ -88,7 +88,19 @@ _SMALL = ("mug", "book", "bottle", "box", "bowl", "candle", "vase", "can", "tiss
 _CLUTTER = ("box", "bag", "shoe", "ball", "backpack", "storage bin", "book", "clothes", "bottle", "stool", "suitcase", "dumbbell", "basket")
 """What lies about on the floor of an untidy room."""
 
-_TOPS = ("desk", "table", "coffee table", "side table", "nightstand", "dresser", "cabinet", "bookshelf", "shelf", "tv stand", "kitchen counter")
+_TOPS = (
+    "desk",
+    "table",
+    "coffee table",
+    "side table",
+    "nightstand",
+    "dresser",
+    "cabinet",
+    "bookshelf",
+    "shelf",
+    "tv stand",
+    "kitchen counter",
+)
 
 
 @dataclasses.dataclass(frozen=True)

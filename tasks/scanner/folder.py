@@ -1,4 +1,4 @@
-"""A scan as ScanNet lays it out: mesh, segments, aggregation, text file, frames as files or in a .sens container."""
+"""A scan on disk as ScanNet lays it out: text file, mesh, segments, aggregation, frames exported or in a container."""
 
 from __future__ import annotations
 
@@ -6,123 +6,118 @@ import io
 import json
 import struct
 import zlib
-from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasks.meshes import Surface
-from tasks.rendering import Camera
-from tasks.scanner.config import ScannerConfig
-from tasks.scanner.sensor import Shot, camera_at
+from tasks.scanner.sensor import Shot, color_camera, depth_camera
 
-STRUCTURE = ("wall", "floor", "ceiling")
+if TYPE_CHECKING:
+    from tasks.scanner import ScannerConfig
 
+Array = NDArray[np.float64]
 
-def depth_intrinsics(camera: Camera) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy [px] of the depth camera, whose pixels are every second one of the color camera."""
-    return camera.fx / 2, camera.fy / 2, camera.cx / 2, camera.cy / 2
+LICENSE = "CC0-1.0"
+"""Of everything that the scanner writes."""
 
-
-def write_mesh(
-    place: Path,
-    scan: str,
-    surface: Surface,
-    segment: NDArray[np.int64],
-    owner: NDArray[np.int64],
-    labels: Sequence[tuple[str, str]],
-    config: ScannerConfig,
-) -> None:
-    """The fused mesh (scan frame), its segments and the aggregation of segments into objects."""
-    _write_ply(place / f"{scan}_vh_clean_2.ply", surface)
-    prefix = "scannet." if config.has_dataset_prefix else ""
-    segments_file = f"{scan}_vh_clean_2.0.010000.segs.json"
-    document = {"params": {"kThresh": "0.01", "segMinVerts": "20"}, "sceneId": f"{prefix}{scan}", "segIndices": segment.tolist()}
-    (place / segments_file).write_text(json.dumps(document, separators=(",", ":")))
-    groups: list[dict[str, Any]] = []
-    for index, (_, label) in enumerate(labels):
-        own = np.unique(segment[owner == index])
-        if len(own):
-            groups.append({"id": len(groups), "objectId": len(groups), "segments": own.tolist(), "label": label})
-    name = f"{scan}_vh_clean.aggregation.json" if config.has_long_aggregation_name else f"{scan}.aggregation.json"
-    aggregation = {"sceneId": f"{prefix}{scan}", "appId": "virtual-scanner", "segGroups": groups, "segmentsId": f"{prefix}{segments_file}"}
-    (place / name).write_text(json.dumps(aggregation, separators=(",", ":")))
+DEPTH_SCALE = 1000.0
+"""Depth units per metre."""
 
 
-def write_text(place: Path, scan: str, config: ScannerConfig, alignment: NDArray[np.float64], frames: int, scene_type: str) -> None:
-    """`<scan>.txt`: cameras, frame counts, and the scan frame to the world frame where the config says so."""
-    camera = camera_at(np.eye(4), config)
-    fx, fy, cx, cy = depth_intrinsics(camera)
-    lines = [f"axisAlignment = {' '.join(f'{v:.6f}' for v in alignment.reshape(-1))}"] if config.writes_alignment else []
-    count = 0 if config.frames == "none" else frames
-    lines += [
-        f"colorHeight = {camera.height}", f"colorToDepthExtrinsics = {_numbers(np.eye(4))}", f"colorWidth = {camera.width}",
-        f"depthHeight = {camera.height // 2}", f"depthWidth = {camera.width // 2}",
-        f"fx_color = {camera.fx:.6f}", f"fx_depth = {fx:.6f}", f"fy_color = {camera.fy:.6f}", f"fy_depth = {fy:.6f}",
-        f"mx_color = {camera.cx:.6f}", f"mx_depth = {cx:.6f}", f"my_color = {camera.cy:.6f}", f"my_depth = {cy:.6f}",
-        f"numColorFrames = {count}", f"numDepthFrames = {count}", "numIMUmeasurements = 0",
-    ]  # fmt: skip
-    if scene_type:
-        lines.append(f"sceneType = {scene_type}")
-    (place / f"{scan}.txt").write_text("\n".join(lines) + "\n")
+def write_metadata(path: Path, config: ScannerConfig, frames: int, alignment: Array | None) -> None:
+    """`<scan>.txt`: sizes, intrinsics, kind of scene, and scan frame to world frame unless None."""
+    color, depth = color_camera(np.eye(4), config), depth_camera(np.eye(4), config)
+    lines = [] if alignment is None else [f"axisAlignment = {' '.join(f'{v:.8f}' for v in alignment.reshape(-1))} "]
+    for word, camera in (("color", color), ("depth", depth)):
+        lines += [f"{word}Height = {camera.height}", f"{word}Width = {camera.width}"]
+        lines += [
+            f"fx_{word} = {camera.fx:.6f}",
+            f"fy_{word} = {camera.fy:.6f}",
+            f"mx_{word} = {camera.cx:.6f}",
+            f"my_{word} = {camera.cy:.6f}",
+        ]
+    lines += [f"numColorFrames = {frames}", f"numDepthFrames = {frames}", "numIMUmeasurements = 0"]
+    if config.scene_type:
+        lines.append(f"sceneType = {config.scene_type}")
+    path.write_text("\n".join(lines) + "\n")
 
 
-def write_frames(place: Path, scan: str, shots: Sequence[Shot], lost: Collection[int], config: ScannerConfig) -> None:
-    """The frames, as the config wants them. Frames whose tracking was lost have a pose of -inf."""
-    if config.frames == "none":
-        return
-    poses = [np.full((4, 4), -np.inf) if i in lost else shot.pose for i, shot in enumerate(shots)]
-    if config.frames == "sens":
-        _write_sens(place / f"{scan}.sens", shots, poses, config)
-        return
-    for name in ("color", "depth", "pose", "intrinsic"):
-        (place / name).mkdir()
-    camera = camera_at(np.eye(4), config)
-    for name, (fx, fy, cx, cy) in (("color", (camera.fx, camera.fy, camera.cx, camera.cy)), ("depth", depth_intrinsics(camera))):
-        rows = [[fx, 0, cx, 0], [0, fy, cy, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-        (place / "intrinsic" / f"intrinsic_{name}.txt").write_text("\n".join(_numbers(row) for row in rows) + "\n")
-        (place / "intrinsic" / f"extrinsic_{name}.txt").write_text("\n".join(_numbers(row) for row in np.eye(4)) + "\n")
-    for index, (shot, pose) in enumerate(zip(shots, poses, strict=True)):
-        (place / "color" / f"{index}.jpg").write_bytes(_jpeg(shot.color, config.jpeg_quality))
-        (place / "depth" / f"{index}.png").write_bytes(_png(shot.depth))
-        (place / "pose" / f"{index}.txt").write_text("\n".join(_numbers(row) for row in pose) + "\n")
-
-
-def _write_sens(path: Path, shots: Sequence[Shot], poses: Sequence[NDArray[np.float64]], config: ScannerConfig) -> None:
-    """A .sens container, version 4: jpeg color, zlib depth."""
-    camera = camera_at(np.eye(4), config)
-    color, depth = np.eye(4, dtype="<f4"), np.eye(4, dtype="<f4")
-    color[[0, 1, 0, 1], [0, 1, 2, 2]] = camera.fx, camera.fy, camera.cx, camera.cy
-    depth[[0, 1, 0, 1], [0, 1, 2, 2]] = depth_intrinsics(camera)
-    sensor, identity = b"virtual", np.eye(4, dtype="<f4").tobytes()
-    height, width = shots[0].depth.shape
-    with path.open("wb") as file:
-        file.write(struct.pack("<IQ", 4, len(sensor)) + sensor + color.tobytes() + identity + depth.tobytes() + identity)
-        file.write(struct.pack("<2i4IfQ", 2, 1, camera.width, camera.height, width, height, 1000.0, len(shots)))
-        for index, (shot, pose) in enumerate(zip(shots, poses, strict=True)):
-            image, packed = _jpeg(shot.color, config.jpeg_quality), zlib.compress(shot.depth.astype("<u2").tobytes(), 6)
-            file.write(pose.astype("<f4").tobytes() + struct.pack("<4Q", index * 33333, index * 33333, len(image), len(packed)))
-            file.write(image + packed)
-
-
-def _write_ply(path: Path, surface: Surface) -> None:
-    vertices = np.empty(len(surface.vertices), dtype=[("position", "<f4", 3), ("color", "u1", 4)])
-    vertices["position"], vertices["color"][:, :3], vertices["color"][:, 3] = surface.vertices, surface.colors, 255
-    faces = np.empty(len(surface.faces), dtype=[("count", "u1"), ("index", "<i4", 3)])
-    faces["count"], faces["index"] = 3, surface.faces
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+def write_mesh(path: Path, surface: Surface) -> None:
+    """Binary PLY with vertex colors, scan frame [m]."""
+    rows = np.empty(len(surface.vertices), dtype=[("p", "<f4", 3), ("c", "u1", 4)])
+    rows["p"], rows["c"][:, :3], rows["c"][:, 3] = surface.vertices, surface.colors, 255
+    triangles = np.empty(len(surface.faces), dtype=[("n", "u1"), ("i", "<i4", 3)])
+    triangles["n"], triangles["i"] = 3, surface.faces
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
     head += [f"property float {axis}" for axis in "xyz"] + [f"property uchar {c}" for c in ("red", "green", "blue", "alpha")]
-    head += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
-    path.write_bytes(("\n".join(head) + "\n").encode() + vertices.tobytes() + faces.tobytes())
+    head += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header"]
+    path.write_bytes(("\n".join(head) + "\n").encode() + rows.tobytes() + triangles.tobytes())
 
 
-def _jpeg(color: NDArray[np.uint8], quality: int) -> bytes:
+def write_segments(path: Path, scan: str, config: ScannerConfig, segments: NDArray[np.int64]) -> None:
+    """`.segs.json`: a segment per vertex."""
+    params = {"kThresh": f"{config.segment_threshold:.6f}", "segMinVerts": str(config.segment_least)}
+    path.write_text(json.dumps({"params": params, "sceneId": config.prefix + scan, "segIndices": segments.tolist()}))
+
+
+def write_aggregation(path: Path, scan: str, config: ScannerConfig, segments_file: str, groups: list[tuple[str, list[int]]]) -> None:
+    """`.aggregation.json`: instances as (label, segments), numbered in their order."""
+    listed: list[dict[str, Any]] = [
+        {"id": index, "objectId": index, "segments": segments, "label": label} for index, (label, segments) in enumerate(groups)
+    ]
+    document = {
+        "sceneId": config.prefix + scan,
+        "appId": "virtual-scanner",
+        "segGroups": listed,
+        "segmentsFile": config.prefix + segments_file,
+    }
+    path.write_text(json.dumps(document))
+
+
+def write_exported(folder: Path, config: ScannerConfig, shots: list[Shot], poses: list[Array]) -> None:
+    """`color/N.jpg`, `depth/N.png` (16 bit, mm), `pose/N.txt`, `intrinsic/*.txt`. `poses`: as written, they may be -inf."""
+    for name in ("color", "depth", "pose", "intrinsic"):
+        (folder / name).mkdir()
+    for index, (shot, pose) in enumerate(zip(shots, poses, strict=True)):
+        (folder / "color" / f"{index}.jpg").write_bytes(jpeg(shot.color))
+        (folder / "depth" / f"{index}.png").write_bytes(_png(shot.depth))
+        (folder / "pose" / f"{index}.txt").write_text(_matrix_text(pose))
+    for word, camera in (("color", color_camera(np.eye(4), config)), ("depth", depth_camera(np.eye(4), config))):
+        matrix = np.eye(4)
+        matrix[:3, :3] = camera.intrinsic
+        (folder / "intrinsic" / f"intrinsic_{word}.txt").write_text(_matrix_text(matrix))
+        (folder / "intrinsic" / f"extrinsic_{word}.txt").write_text(_matrix_text(np.eye(4)))
+
+
+def write_sens(path: Path, config: ScannerConfig, shots: list[Shot], poses: list[Array]) -> None:
+    """A `.sens` container of version 4: JPEG color, zlib-packed 16-bit depth."""
+    color, depth = color_camera(np.eye(4), config), depth_camera(np.eye(4), config)
+    name = b"virtual scanner"
+    with path.open("wb") as stream:
+        stream.write(struct.pack("<IQ", 4, len(name)) + name)
+        for camera in (color, depth):
+            matrix = np.eye(4, dtype="<f4")
+            matrix[:3, :3] = camera.intrinsic
+            stream.write(matrix.tobytes() + np.eye(4, dtype="<f4").tobytes())
+        stream.write(struct.pack("<2i4If", 2, 1, color.width, color.height, depth.width, depth.height, DEPTH_SCALE))
+        stream.write(struct.pack("<Q", len(shots)))
+        for index, (shot, pose) in enumerate(zip(shots, poses, strict=True)):
+            image, packed = jpeg(shot.color), zlib.compress(shot.depth.astype("<u2").tobytes(), 6)
+            micros = index * 33_333
+            stream.write(pose.astype("<f4").tobytes() + struct.pack("<4Q", micros, micros, len(image), len(packed)))
+            stream.write(image)
+            stream.write(packed)
+
+
+def jpeg(color: NDArray[np.uint8]) -> bytes:
+    """A color image as JPEG."""
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.fromarray(color).save(buffer, "JPEG", quality=quality)
+    Image.fromarray(color).save(buffer, "JPEG", quality=88)
     return buffer.getvalue()
 
 
@@ -130,9 +125,9 @@ def _png(depth: NDArray[np.uint16]) -> bytes:
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.fromarray(depth).save(buffer, "PNG", compress_level=3)
+    Image.fromarray(depth).save(buffer, "PNG", compress_level=4)
     return buffer.getvalue()
 
 
-def _numbers(values: object) -> str:
-    return " ".join(f"{float(v):.6f}" for v in np.asarray(values).reshape(-1))
+def _matrix_text(matrix: Array) -> str:
+    return "".join(" ".join(f"{v:.6f}" for v in row) + "\n" for row in matrix)
