@@ -30,6 +30,8 @@ from tasks.transforms import Z_UP_TO_Y_UP, quaternion_wxyz, quaternion_xyzw, to_
 ACTIONS: Mapping[str, int] = {"stop": 0, "forward": 1, "left": 2, "right": 3}
 """habitat-sim's numbers of the actions that episodes are made of."""
 
+_Path = list[dict[str, Any]] | None
+
 UPRIGHT = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Every file is in Habitat's own frame; a stage that does not say so is taken to be +Z up."""
 
@@ -194,10 +196,17 @@ def _episode_files(
         rows = [e for e in chosen if e.split == split]
         where = f"{split}/content/{handle}.json.gz"
         source = {"scene_id": replica.scene_id, "license": replica.license, "agent": navmesh.agent}
-        points = [_point_episode(str(i), handle, row, config) for i, row in enumerate(rows)]
+        paths = [_replay(row, config) for row in rows]
+        points = [_point_episode(str(i), handle, row, path, config) for i, (row, path) in enumerate(zip(rows, paths, strict=True))]
         files.append(HabitatFile(f"pointnav/{where}", dump_json_gz({"episodes": points, "provenance": source}), "episodes"))
         goals = _goals(handle, rows, bodies, handles, navmesh, config)
-        objects = [_object_episode(str(i), handle, row, handles, config) for i, row in enumerate(rows)]
+        objects = [
+            _object_episode(str(i), handle, row, handles[row.instance_id], path, config)
+            for i, (row, path) in enumerate(zip(rows, paths, strict=True))
+        ]
+        lost = [row.episode_id for row, path in zip(rows, paths, strict=True) if path is None]
+        if lost:
+            missed.append(f"{len(lost)} episodes ({split}) have no shortest path in the Habitat dataset: {lost[0]}'s actions end elsewhere")
         content = {"goals_by_category": goals, "episodes": objects, "provenance": source}
         files.append(HabitatFile(f"objectnav/{where}", dump_json_gz(content), "episodes"))
     return files, missed
@@ -220,9 +229,8 @@ def _episode(episode_id: str, handle: str, row: Episode, config: HabitatConfig) 
     }  # fmt: skip
 
 
-def _point_episode(episode_id: str, handle: str, row: Episode, config: HabitatConfig) -> dict[str, Any]:
+def _point_episode(episode_id: str, handle: str, row: Episode, path: _Path, config: HabitatConfig) -> dict[str, Any]:
     """A PointNav episode; its shortest path is a list of dictionaries, as habitat-lab wants it there."""
-    path = _replay(row, config)
     return {
         **_episode(episode_id, handle, row, config),
         "goals": [{"position": position(row.goal_position), "radius": None}],
@@ -230,15 +238,14 @@ def _point_episode(episode_id: str, handle: str, row: Episode, config: HabitatCo
     }
 
 
-def _object_episode(episode_id: str, handle: str, row: Episode, handles: Mapping[str, str], config: HabitatConfig) -> dict[str, Any]:
+def _object_episode(episode_id: str, handle: str, row: Episode, target: str, path: _Path, config: HabitatConfig) -> dict[str, Any]:
     """An ObjectNav episode; its goals are those of its category."""
     episode = _episode(episode_id, handle, row, config)
-    episode["info"]["target_object_id"] = handles[row.instance_id]
-    path = _replay(row, config)
+    episode["info"]["target_object_id"] = target
     return {**episode, "goals": [], "shortest_paths": None if path is None else [path], "object_category": row.category}
 
 
-def _replay(row: Episode, config: HabitatConfig) -> list[dict[str, Any]] | None:
+def _replay(row: Episode, config: HabitatConfig) -> _Path:
     """States along the actions, each with the action taken there; None when the actions do not end where the row says.
 
     Raises:
