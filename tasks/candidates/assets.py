@@ -51,12 +51,12 @@ def make_asset(
 
     surface = surface_of(parts)
     _check(surface)
-    shift = -np.array([surface.bounds[:, 0].mean(), surface.bounds[:, 1].mean(), surface.bounds[0, 2]])
     if len(surface.faces) > MAX_FACES:
         surface = decimated(surface, MAX_FACES)
         parts = [surface.to_trimesh()]
+    shift = -np.array([surface.bounds[:, 0].mean(), surface.bounds[:, 1].mean(), surface.bounds[0, 2]])
     surface = dataclasses.replace(surface, vertices=surface.vertices + shift)
-    textured = any(part.visual.kind == "texture" for part in parts)
+    textured = any(getattr(part.visual, "kind", None) == "texture" for part in parts)
     # Vertex colors lose nothing in one mesh, and one mesh is a tenth of the work for all who read it.
     data = dump_glb(canonical(parts)) if textured else dump_glb([surface.to_trimesh()])
     asset_id = hashlib.sha256(data).hexdigest()

@@ -5,8 +5,9 @@ A distance is put on a grid and its level taken, so the result is closed whateve
 * The scanned surface is thickened to a shell of about one cell, so that thin things (legs, boards, seats seen from one
   side only) stay.
 * Elsewhere rays decide: a point is inside when most of the directions from it meet the back of a face before they meet
-  a front. An unseen back against the wall or an unseen underside lets some rays escape, which is why half of them
-  suffice; an open compartment shows fronts, and one tenth of those empties it. This is a coarse sampling of the
+  a front. Unseen sides (a back against the wall, a top above the camera) let some rays escape, which is why half of
+  them suffice. No scan shows an underside: three fifths of the level and upward rays suffice too. An open compartment
+  shows fronts, and a tenth of those empties it; under a table the level rays escape. This is a coarse sampling of the
   generalized winding number (Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers",
   SIGGRAPH 2013).
 * The lowest layer reaches straight down to the bottom of the box, so that the solid stands on a flat contact.
@@ -43,8 +44,8 @@ SMOOTHING_CELLS = 0.7
 CROP_SMOOTHING_ROUNDS = 4
 """Rounds of averaging over neighbors before rays are cast: a face turned around by noise would vote for the wrong side."""
 
-INSIDE_SHARE, FRONT_SHARE = 0.5, 0.1
-"""Shares of the rays that must meet a back, and that may meet a front, inside the solid."""
+INSIDE_SHARE, INSIDE_SHARE_ABOVE, FRONT_SHARE = 0.5, 0.6, 0.1
+"""Inside the solid, these shares of all rays, or of the level and upward ones, meet a back, and no more than that a front."""
 
 MIN_BODY_SHARE = 0.15
 """Separate bodies whose diagonal is below this share of the whole are specks; a chair's leg under an unseen seat is 0.4 of it."""
@@ -138,7 +139,7 @@ def _smoothed(crop: Surface) -> Array:
 def _inside(scene: object, nodes: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Whether rays from nodes, shape (n, 3), tell that they are inside; shape (n,)."""
     o3d = open3d()
-    backs, fronts = np.zeros(len(nodes), dtype=np.int64), np.zeros(len(nodes), dtype=np.int64)
+    backs, backs_above, fronts = (np.zeros(len(nodes), dtype=np.int64) for _ in range(3))
     rays = np.empty((len(nodes), 6), dtype=np.float32)
     rays[:, :3] = nodes
     for direction in _DIRECTIONS:
@@ -147,8 +148,11 @@ def _inside(scene: object, nodes: NDArray[np.float32]) -> NDArray[np.bool_]:
         met = np.isfinite(hits["t_hit"].numpy())
         leaving = hits["primitive_normals"].numpy() @ direction > 0
         backs += met & leaving
+        backs_above += met & leaving & (direction[2] >= 0)
         fronts += met & ~leaving
-    return (backs >= INSIDE_SHARE * len(_DIRECTIONS)) & (fronts <= FRONT_SHARE * len(_DIRECTIONS))
+    count, above = len(_DIRECTIONS), int((_DIRECTIONS[:, 2] >= 0).sum())
+    closed_in = (backs >= INSIDE_SHARE * count) | (backs_above >= INSIDE_SHARE_ABOVE * above)
+    return np.asarray(closed_in & (fronts <= FRONT_SHARE * count))
 
 
 def _grounded(field: NDArray[np.float32], heights: Array, bottom: float, step: float) -> NDArray[np.float32]:

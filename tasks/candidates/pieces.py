@@ -15,14 +15,15 @@ SLAB_PRICE = 0.02
 """What one more slab costs, as a share of the solid's cells: a board of a shelf is 5 to 15 percent of its cells, a layer
 of noise below one."""
 
-MAX_PIECES, MAX_DOUBLINGS = 32, 4
-"""More pieces than 32 slow a simulator down; the price of a slab is doubled, at most four times, until there are fewer."""
+MAX_PIECES = 32
+"""More pieces slow a simulator down. Until there are fewer, parts are cut less (a bucket's wall becomes a full disc), then
+slabs cost more."""
 
 MAX_LAYERS = 80
 """Taller grids are cut at every second, third, ... layer only: the search is quadratic."""
 
-CONVEXITY = 0.8
-"""A part that fills this share of its hull's area is one piece; an L fills 0.6 to 0.75."""
+CONVEXITY = 0.87
+"""A part that fills this share of its hull's area is one piece: a disc of cells fills 0.92, an L 0.6 to 0.8."""
 
 MAX_CUTS = 3
 """Cuts in a row of one part of a slab: eight pieces hold any L, U or cross."""
@@ -47,8 +48,8 @@ def convex_pieces(field: SolidField) -> list[Array]:
     if not solid.any():
         raise ValueError("the crop encloses nothing")
     pieces: list[Array] = []
-    for doubling in range(MAX_DOUBLINGS + 1):
-        pieces = _pieces(solid, field, SLAB_PRICE * 2**doubling)
+    for cuts, price in ((MAX_CUTS, 1), (1, 1), (0, 1), (0, 2), (0, 4), (0, 8)):
+        pieces = _pieces(solid, field, cuts, price * SLAB_PRICE)
         if len(pieces) <= MAX_PIECES:
             break
     if not pieces:
@@ -56,14 +57,14 @@ def convex_pieces(field: SolidField) -> list[Array]:
     return pieces
 
 
-def _pieces(solid: Mask, field: SolidField, slab_price: float) -> list[Array]:
-    """Corner points of the pieces at one price per slab."""
+def _pieces(solid: Mask, field: SolidField, cuts: int, slab_price: float) -> list[Array]:
+    """Corner points of the pieces with so many cuts per part and one price per slab."""
     pieces = []
     for low, high in _slabs(solid, slab_price):
         # A cell belongs to the slab's plan when it is solid in at least half of its layers: else one noisy layer rules.
         plan = solid[:, :, low:high].sum(axis=2) * 2 >= high - low
         for body in _bodies(plan):
-            for part in _convex_parts(body, MAX_CUTS):
+            for part in _convex_parts(body, cuts):
                 if part.sum() * (high - low) >= MIN_PIECE_CELLS:
                     pieces.append(_corners(part, low, high, field))
     return pieces
