@@ -130,7 +130,7 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
     rooms = reader.rows(Room, scene_id)
     placements = reader.rows(Placement, scene_id)
     assets = {asset.asset_id: asset for asset in reader.rows_by_key(Asset, sorted({p.asset_id for p in placements}))}
-    objects = [part for placement in placements for part in placed_parts(placement, lake.blobs[assets[placement.asset_id].mesh_blob])]
+    objects = [placed_parts(placement, lake.blobs[assets[placement.asset_id].mesh_blob]) for placement in placements]
     shell = [part for _, part in room_shell(rooms[0])] if rooms else []
     return picture_scene(scan, shell, objects, Outline.of_room(rooms[0]) if rooms else Outline.of_parts(scan), look)
 

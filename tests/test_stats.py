@@ -245,18 +245,30 @@ def test_the_cut_leaves_furniture_alone() -> None:
     assert kept == [mesh]
 
 
+def test_what_hangs_on_a_cut_wall_goes_with_it_and_what_stands_before_it_stays_whole() -> None:
+    room = outline(4.0, 3.0)
+    camera = scenes.corner_camera(room, 2, SMALL)  # beyond x = 0 and y = 0
+    def box(*bounds: list[float]) -> trimesh.Trimesh:
+        return trimesh.creation.box(bounds=bounds)
+
+    frame = [box([0.0, 1.0, 1.2], [0.04, 1.8, 1.8]), box([0.04, 1.1, 1.3], [0.14, 1.7, 1.7])]
+    across = [part.copy().apply_translation([3.86, 0.0, 0.0]) for part in frame]
+    shelf = [box([0.0, 2.0, 0.0], [0.05, 2.9, 2.0]), box([0.05, 2.0, 0.9], [0.2, 2.9, 0.95])]
+    assert scenes.shown([frame, across, shelf], room, camera, SMALL) == [*across, *shelf]
+
+
 def test_scan_and_replica_of_the_same_parts_are_the_same_picture_and_differ_when_something_is_missing() -> None:
     mesh = solid(0)
     mesh.apply_translation([2.0, 1.5, 0.0])
     room = sample(Room, scene_id="demo/a", floor_polygon=((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)), height_m=HEIGHT)
     shell = [part for _, part in room_shell(room)]
-    same = scenes.picture_scene([*shell, mesh], shell, [mesh], Outline.of_room(room), SMALL)
+    same = scenes.picture_scene([*shell, mesh], shell, [[mesh]], Outline.of_room(room), SMALL)
     assert same.corner_scan == same.corner_replica
     assert same.top_scan == same.top_replica
     other = scenes.picture_scene([*shell, mesh], shell, [], Outline.of_room(room), SMALL)
     assert other.corner_scan != other.corner_replica
     assert dataclasses.astuple(same) == dataclasses.astuple(
-        scenes.picture_scene([*shell, mesh], shell, [mesh], Outline.of_room(room), SMALL)
+        scenes.picture_scene([*shell, mesh], shell, [[mesh]], Outline.of_room(room), SMALL)
     )
 
 
@@ -269,7 +281,7 @@ def test_the_corner_is_the_one_from_which_the_furniture_is_seen() -> None:
         trimesh.creation.box(bounds=[[3.6, 3.5, 0], [5.0, 3.6, 2.2]]),
         trimesh.creation.box(bounds=[[3.5, 3.5, 0], [3.6, 5.0, 2.2]]),
     ]
-    camera = scenes._best_corner([lamp], screens, room, PictureConfig())
+    camera = scenes._best_corner([[lamp]], screens, room, PictureConfig())
     assert camera.pose[0, 3] > 5.0
     assert camera.pose[1, 3] > 5.0
 

@@ -36,6 +36,8 @@ class PictureConfig:
     elevation_radians: float = 0.75  # 43 degrees: sees the floor behind a table and still the fronts of shelves
     ceiling_cut_m: float = 0.2  # fused ceilings are wavy by some centimetres; lamps below that stay
     wall_cut_m: float = 0.12  # as far inside the room as noise and skirting boards of a scanned wall reach
+    hung_m: float = 0.25  # a thing above the floor that is nowhere farther from a wall hangs on it: pictures, windows, shelves
+    standing_m: float = 0.3  # what begins lower stands on the floor
     background: tuple[int, int, int] = (240, 242, 245)  # neither page color; both scan and replica stand out on it
     jpeg_quality: int = 84  # below that, edges of thin legs show blocks
 
@@ -82,21 +84,21 @@ class Outline:
 def picture_scene(
     scan: Sequence[trimesh.Trimesh],
     shell: Sequence[trimesh.Trimesh],
-    objects: Sequence[trimesh.Trimesh],
+    objects: Sequence[Sequence[trimesh.Trimesh]],
     outline: Outline,
     config: PictureConfig | None = None,
 ) -> ScenePictures:
-    """Pictures of a scan and of its replica (`shell` and `objects`), all in the world frame [m].
+    """Pictures of a scan and of its replica, `shell` and the parts of each of the `objects`, all in the world frame [m].
 
     The corner is the one from which most of the objects is seen; without objects, most of the scan.
     """
     config = config or PictureConfig()
-    corner = _best_corner(objects or scan, [*shell], outline, config)
-    top = top_camera(outline, config)
+    corner = _best_corner(objects or [[part] for part in scan], shell, outline, config)
     files = []
-    for camera in (corner, top):
-        for parts in (scan, [*shell, *objects]):
-            files.append(render(opened(parts, outline, camera, config), camera, config))
+    for camera in (corner, top_camera(outline, config)):
+        replica = [*opened(shell, outline, camera, config), *shown(objects, outline, camera, config)]
+        for parts in (opened(scan, outline, camera, config), replica):
+            files.append(render(parts, camera, config))
     return ScenePictures(*files)
 
 
@@ -137,6 +139,21 @@ def opened(parts: Sequence[trimesh.Trimesh], outline: Outline, camera: Camera, c
             kept.append(part)
         elif faces.any():
             kept.append(_with_faces(part, faces))
+    return kept
+
+
+def shown(objects: Sequence[Sequence[trimesh.Trimesh]], outline: Outline, camera: Camera, config: PictureConfig) -> list[trimesh.Trimesh]:
+    """Parts of the objects that do not go with what is cut away: not what hangs on a cut wall, nor what sticks in the ceiling.
+
+    The others stay whole, however near to a cut wall they stand.
+    """
+    hiding = _hiding_walls(outline, camera.pose[:3, 3])
+    hung = dataclasses.replace(config, wall_cut_m=config.hung_m)
+    kept: list[trimesh.Trimesh] = []
+    for parts in objects:
+        stands = min(part.bounds[0, 2] for part in parts) < config.standing_m
+        if stands or not all(_is_cut(part, outline, hiding, hung).all() for part in parts):
+            kept.extend(parts)
     return kept
 
 
@@ -186,13 +203,15 @@ def _fitting_camera(points: Array, target: Array, direction: Array, config: Pict
     return Camera.with_fov(pose, config.width, config.height, config.horizontal_fov_radians)
 
 
-def _best_corner(objects: Sequence[trimesh.Trimesh], shell: Sequence[trimesh.Trimesh], outline: Outline, config: PictureConfig) -> Camera:
+def _best_corner(
+    objects: Sequence[Sequence[trimesh.Trimesh]], shell: Sequence[trimesh.Trimesh], outline: Outline, config: PictureConfig
+) -> Camera:
     """Of the four corner cameras the one that sees most of the objects, not all on one spot: pixels weigh by square root."""
     small = dataclasses.replace(config, width=120, height=84, oversampling=1)
     best, most = corner_camera(outline, 0, config), -1.0
     for corner in range(4):
         camera = corner_camera(outline, corner, small)
-        visible = opened([*objects], outline, camera, small)
+        visible = shown(objects, outline, camera, small)
         if not visible:
             continue
         part = RayScene([*visible, *opened(shell, outline, camera, small)]).render(camera, shade=False).part
