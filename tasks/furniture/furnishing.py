@@ -6,6 +6,7 @@ World frame: +Z up, metres, floor at z = 0. Every thing stands in the oriented b
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -273,7 +274,7 @@ class Furnisher:
         over = self.height - anchor.pose[2, 3] - top - 0.05
         if anchor.category == "bookshelf" or (anchor.category == "shelf" and top > 0.4):
             levels = [*shelf_levels(anchor.extents), top]
-            return [(a, b - a - 0.03) for a, b in zip(levels, levels[1:], strict=False)]
+            return [(a, b - a - 0.03) for a, b in pairwise(levels)]
         if anchor.category in ("sofa", "armchair"):
             return [(0.48 * top, 1.0)]
         if anchor.category == "bed":

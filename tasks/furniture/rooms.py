@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,47 +39,52 @@ _RECIPES: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("wall", "dresser", ""), ("above", "mirror", "dresser"), ("beside", "nightstand", "bed"), ("on", "book", "nightstand"),
         ("on", "blanket", "bed"), ("on", "pillow", "bed"), ("hang", "window", ""), ("wall", "desk", ""), ("seat", "chair", "desk"),
         ("on", "laptop", "desk"), ("rug", "rug", "bed"), ("above", "picture", "bed"), ("on", "vase", "dresser"), ("floor", "plant", ""),
-        ("on", "mug", "desk"), ("wall", "trash can", ""), ("on", "stuffed animal", "bed"), ("wall", "basket", ""), ("lamp", "ceiling lamp", ""),
-        ("hang", "clock", ""), ("floor", "backpack", ""), ("wall", "bookshelf", ""), ("on", "book stack", "bookshelf"),
-        ("on", "box", "bookshelf"), ("on", "candle", "dresser"), ("hang", "picture", ""),
+        ("on", "mug", "desk"), ("wall", "trash can", ""), ("on", "stuffed animal", "bed"), ("wall", "basket", ""),
+        ("lamp", "ceiling lamp", ""), ("hang", "clock", ""), ("floor", "backpack", ""), ("wall", "bookshelf", ""),
+        ("on", "book stack", "bookshelf"), ("on", "box", "bookshelf"), ("on", "candle", "dresser"), ("hang", "picture", ""),
     ),
     "office": (
-        ("wall", "desk", ""), ("seat", "office chair", "desk"), ("on", "monitor", "desk"), ("on", "keyboard", "desk"), ("on", "mouse", "desk"),
-        ("wall", "bookshelf", ""), ("on", "book stack", "bookshelf"), ("on", "book stack", "bookshelf"), ("wall", "desk", ""),
-        ("seat", "office chair", "desk"), ("on", "laptop", "desk"), ("hang", "whiteboard", ""), ("wall", "file cabinet", ""),
-        ("on", "printer", "file cabinet"), ("wall", "trash can", ""), ("floor", "plant", ""), ("hang", "window", ""),
-        ("on", "mug", "desk"), ("on", "telephone", "desk"), ("on", "desk lamp", "desk"), ("on", "box", "bookshelf"), ("wall", "cabinet", ""),
-        ("on", "coffee maker", "cabinet"), ("hang", "clock", ""), ("floor", "backpack", ""), ("on", "book stack", "bookshelf"),
-        ("on", "bottle", "desk"), ("hang", "picture", ""), ("wall", "computer tower", ""), ("on", "desk organizer", "desk"),
-        ("lamp", "ceiling lamp", ""), ("wall", "coat rack", ""), ("on", "speaker", "bookshelf"),
+        ("wall", "desk", ""), ("seat", "office chair", "desk"), ("on", "monitor", "desk"), ("on", "keyboard", "desk"),
+        ("on", "mouse", "desk"), ("wall", "bookshelf", ""), ("on", "book stack", "bookshelf"), ("on", "book stack", "bookshelf"),
+        ("wall", "desk", ""), ("seat", "office chair", "desk"), ("on", "laptop", "desk"), ("hang", "whiteboard", ""),
+        ("wall", "file cabinet", ""), ("on", "printer", "file cabinet"), ("wall", "trash can", ""), ("floor", "plant", ""),
+        ("hang", "window", ""), ("on", "mug", "desk"), ("on", "telephone", "desk"), ("on", "desk lamp", "desk"),
+        ("on", "box", "bookshelf"), ("wall", "cabinet", ""), ("on", "coffee maker", "cabinet"), ("hang", "clock", ""),
+        ("floor", "backpack", ""), ("on", "book stack", "bookshelf"), ("on", "bottle", "desk"), ("hang", "picture", ""),
+        ("wall", "computer tower", ""), ("on", "desk organizer", "desk"), ("lamp", "ceiling lamp", ""), ("wall", "coat rack", ""),
+        ("on", "speaker", "bookshelf"),
     ),
     "living room": (
-        ("wall", "sofa", ""), ("before", "coffee table", "sofa"), ("wall", "tv stand", ""), ("on", "tv", "tv stand"), ("rug", "rug", "coffee table"),
-        ("wall", "armchair", ""), ("wall", "bookshelf", ""), ("on", "book stack", "bookshelf"), ("beside", "side table", "sofa"),
-        ("on", "table lamp", "side table"), ("on", "pillow", "sofa"), ("on", "pillow", "sofa"), ("on", "bowl", "coffee table"),
-        ("on", "remote control", "coffee table"), ("on", "mug", "coffee table"), ("wall", "floor lamp", ""), ("floor", "plant", ""),
-        ("above", "picture", "sofa"), ("hang", "window", ""), ("on", "book stack", "bookshelf"), ("on", "vase", "bookshelf"),
-        ("floor", "ottoman", ""), ("on", "speaker", "tv stand"), ("wall", "basket", ""), ("lamp", "ceiling lamp", ""), ("hang", "clock", ""),
-        ("on", "plant", "side table"), ("wall", "cabinet", ""), ("on", "sculpture", "cabinet"), ("hang", "picture", ""),
-        ("floor", "ball", ""), ("on", "book", "coffee table"), ("on", "candle", "coffee table"),
+        ("wall", "sofa", ""), ("before", "coffee table", "sofa"), ("wall", "tv stand", ""), ("on", "tv", "tv stand"),
+        ("rug", "rug", "coffee table"), ("wall", "armchair", ""), ("wall", "bookshelf", ""), ("on", "book stack", "bookshelf"),
+        ("beside", "side table", "sofa"), ("on", "table lamp", "side table"), ("on", "pillow", "sofa"), ("on", "pillow", "sofa"),
+        ("on", "bowl", "coffee table"), ("on", "remote control", "coffee table"), ("on", "mug", "coffee table"),
+        ("wall", "floor lamp", ""), ("floor", "plant", ""), ("above", "picture", "sofa"), ("hang", "window", ""),
+        ("on", "book stack", "bookshelf"), ("on", "vase", "bookshelf"), ("floor", "ottoman", ""), ("on", "speaker", "tv stand"),
+        ("wall", "basket", ""), ("lamp", "ceiling lamp", ""), ("hang", "clock", ""), ("on", "plant", "side table"),
+        ("wall", "cabinet", ""), ("on", "sculpture", "cabinet"), ("hang", "picture", ""), ("floor", "ball", ""),
+        ("on", "book", "coffee table"), ("on", "candle", "coffee table"),
     ),
     "kitchen": (
         ("wall", "kitchen counter", ""), ("beside", "oven", "kitchen counter"), ("beside", "refrigerator", "kitchen counter"),
-        ("above", "kitchen cabinet", "kitchen counter"), ("centered", "table", ""), ("seat", "chair", "table"), ("seat", "chair", "table"),
-        ("seat", "chair", "table"), ("on", "microwave", "kitchen counter"), ("on", "kettle", "kitchen counter"), ("on", "pot", "oven"),
-        ("above", "range hood", "oven"), ("on", "plate", "table"), ("on", "cup", "table"), ("on", "bowl", "table"), ("wall", "trash can", ""),
-        ("hang", "window", ""), ("on", "toaster", "kitchen counter"), ("on", "bottle", "kitchen counter"), ("wall", "washing machine", ""),
+        ("above", "kitchen cabinet", "kitchen counter"), ("centered", "table", ""), ("seat", "chair", "table"),
+        ("seat", "chair", "table"), ("seat", "chair", "table"), ("on", "microwave", "kitchen counter"),
+        ("on", "kettle", "kitchen counter"), ("on", "pot", "oven"), ("above", "range hood", "oven"), ("on", "plate", "table"),
+        ("on", "cup", "table"), ("on", "bowl", "table"), ("wall", "trash can", ""), ("hang", "window", ""),
+        ("on", "toaster", "kitchen counter"), ("on", "bottle", "kitchen counter"), ("wall", "washing machine", ""),
         ("seat", "chair", "table"), ("on", "kitchen utensils", "kitchen counter"), ("on", "plate", "table"), ("hang", "clock", ""),
         ("lamp", "ceiling lamp", "table"), ("floor", "plant", ""), ("on", "jar", "kitchen counter"), ("on", "pan", "oven"),
         ("wall", "shelf", ""), ("on", "box", "shelf"), ("on", "storage bin", "shelf"), ("on", "basket", "washing machine"),
     ),
     "dining room": (
-        ("centered", "table", ""), ("seat", "chair", "table"), ("seat", "chair", "table"), ("seat", "chair", "table"), ("seat", "chair", "table"),
-        ("wall", "cabinet", ""), ("on", "vase", "cabinet"), ("on", "plate", "table"), ("on", "plate", "table"), ("on", "wine glass", "table"),
-        ("on", "wine glass", "table"), ("on", "bowl", "table"), ("rug", "rug", "table"), ("lamp", "chandelier", "table"), ("hang", "picture", ""),
-        ("hang", "window", ""), ("floor", "plant", ""), ("above", "mirror", "cabinet"), ("wall", "floor lamp", ""), ("on", "bottle", "table"),
+        ("centered", "table", ""), ("seat", "chair", "table"), ("seat", "chair", "table"), ("seat", "chair", "table"),
+        ("seat", "chair", "table"), ("wall", "cabinet", ""), ("on", "vase", "cabinet"), ("on", "plate", "table"),
+        ("on", "plate", "table"), ("on", "wine glass", "table"), ("on", "wine glass", "table"), ("on", "bowl", "table"),
+        ("rug", "rug", "table"), ("lamp", "chandelier", "table"), ("hang", "picture", ""), ("hang", "window", ""),
+        ("floor", "plant", ""), ("above", "mirror", "cabinet"), ("wall", "floor lamp", ""), ("on", "bottle", "table"),
         ("wall", "shelf", ""), ("on", "book stack", "shelf"), ("on", "jar", "shelf"), ("wall", "bench", ""), ("hang", "clock", ""),
-        ("on", "candle", "cabinet"), ("on", "bottle", "cabinet"), ("wall", "armchair", ""), ("hang", "picture", ""), ("on", "cup", "table"),
+        ("on", "candle", "cabinet"), ("on", "bottle", "cabinet"), ("wall", "armchair", ""), ("hang", "picture", ""),
+        ("on", "cup", "table"),
     ),
 }  # fmt: skip
 
@@ -281,7 +287,7 @@ def _planks(polygon: Array, wood: Color, rng: np.random.Generator) -> trimesh.Tr
     for plate in _plates(polygon, (-0.1, 0.0)):
         low, high = plate.vertices.min(axis=0), plate.vertices.max(axis=0)
         edges = np.linspace(low[1], high[1], max(2, round((high[1] - low[1]) / 0.14)) + 1)
-        for y0, y1 in zip(edges, edges[1:], strict=False):
+        for y0, y1 in pairwise(edges):
             cut = float(rng.uniform(low[0] + 0.2, high[0] - 0.2))
             for x0, x1 in ((low[0], cut), (cut, high[0])):
                 tone = shade(wood, float(rng.uniform(0.9, 1.1)))

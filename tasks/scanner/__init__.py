@@ -43,9 +43,9 @@ class ScannerConfig:
     min_range_m: float = 0.4  # nearer, such a sensor finds no match
     max_range_m: float = 4.5  # farther, its noise exceeds the voxels
     depth_noise_m: float = 0.0012  # standard deviation near the sensor (Khoshelham and Elberink, 2012)
-    depth_noise_per_m: float = 0.0019  # and its growth with the square of the distance beyond 0.4 m
+    depth_noise_per_m: float = 0.0008  # growth with the square of the distance: 0.0019 of one frame, fewer frames than a real walk has
     edge_jump: float = 0.04  # a jump of more than 4 % of the depth is an edge, where the sensor mixes two surfaces
-    edge_dropout: float = 0.5  # half of the pixels there get no depth
+    edge_dropout: float = 0.3  # a third of the pixels there get no depth
     speckle_dropout: float = 0.002  # and a few anywhere
     grazing_cosine: float = 0.08  # below about 5 degrees the pattern smears
     color_noise: float = 2.0  # of 255, an indoor exposure
@@ -53,8 +53,8 @@ class ScannerConfig:
     drift_m: float = 0.01  # what is left of a tracker's drift after loop closure
     drift_radians: float = 0.005  # 0.3 degrees, likewise
     tilt_radians: float = 0.04  # the scan frame's z is gravity as the device felt it, off by a degree or two
-    eye_low_m: float = 1.1  # a scanner held low ...
-    eye_high_m: float = 1.7  # ... and at the eyes
+    eye_low_m: float = 1.2  # a scanner held low ...
+    eye_high_m: float = 1.8  # ... and at the eyes
     pitches_degrees: tuple[float, ...] = (-40.0, -15.0, 10.0)  # floor and tops, furniture, upper walls
     yaws: int = 9  # every 40 degrees: neighboring views overlap by a third
     body_radius_m: float = 0.3  # a person needs that much around
@@ -62,11 +62,11 @@ class ScannerConfig:
     standpoint_limit: int = 400  # a floor of 150 m2; more would only slow the choice down
     target_spacing_m: float = 0.12  # points that ask to be seen: coarser than furniture's parts, finer than furniture
     target_least: int = 60  # per thing, so that a mug counts
-    looks_wanted: float = 2.5  # full-quality looks per point, after which another averages no more than noise
-    least_gain: float = 0.035  # of the first view's: the walk ends when views add less
+    looks_wanted: float = 3.0  # full-quality looks per point, after which another averages no more than noise
+    least_gain: float = 0.02  # of the first view's: the walk ends when views add less
     view_limit: int = 600  # a house
     voxel_m: float = 0.02  # the resolution of ScanNet's cleaned meshes
-    truncation_voxels: float = 3.0  # two sigma of the noise at 3 m on either side
+    truncation_voxels: float = 2.5  # 5 cm: a chair's leg is thinner than what lies between its two sides otherwise
     least_looks: float = 2.0  # a surface that only one frame saw may be a flying pixel
     speck_faces: int = 150  # smaller islands float in the air
     segment_threshold: float = 0.01  # as in the names of ScanNet's segment files

@@ -94,7 +94,8 @@ def plan_views(scene: RayScene, scenery: Scenery, targets: Targets, config: Scan
     from scipy.sparse import csr_matrix
 
     eyes = standpoints(scene, scenery, config, rng)
-    poses, rows, columns, values = [], [], [], []
+    poses: list[Array] = []
+    rows, columns, values = [], [], []
     for eye in eyes:
         index, quality = _looks(scene, targets, eye, config)
         if not len(index):

@@ -103,9 +103,10 @@ class Paint:
     def __init__(self, scene: RayScene) -> None:
         corners, textures = [], {}
         for index, part in enumerate(scene.parts):
-            image, factor, uv = None, None, getattr(part.visual, "uv", None)
-            if part.visual.kind == "texture" and uv is not None and len(uv) == len(part.vertices):
-                image, factor = material_of(part)
+            visual: Any = part.visual
+            uv = getattr(visual, "uv", None)
+            textured = visual.kind == "texture" and uv is not None and len(uv) == len(part.vertices)
+            image, factor = material_of(part) if textured else (None, np.ones(3))
             if image is not None:
                 textures[index] = (image, factor, np.asarray(uv), np.asarray(part.faces))
                 corners.append(np.zeros((len(part.faces), 3, 3), dtype=np.float32))
