@@ -18,11 +18,23 @@ from schemas.record import check
 from schemas.tables import TABLES
 from tasks.capture import STAGE, CaptureConfig, find_scans, run, scan_files
 from tasks.capture.labels import NYU40, label_map
+from tasks.capture.posed_rgbd import read_posed_rgbd
 from tasks.capture.views import mask_of_runs, run_lengths
 from tasks.meshes import dump_glb, load_glb, read_points, surface_of
 from tasks.rendering import Camera, RayScene
 from tasks.stage import Context, Outcome
-from tasks.transforms import inverse, is_rigid, matrix, transform_points, yaw_of, yaw_pose
+from tasks.transforms import (
+    OPENGL_TO_OPENCV,
+    inverse,
+    is_rigid,
+    matrix,
+    pose_from_quaternion_wxyz,
+    quaternion_wxyz,
+    quaternion_xyzw,
+    transform_points,
+    yaw_of,
+    yaw_pose,
+)
 from tests.capture_scans import (
     OBJECTS,
     ROOM,
@@ -227,6 +239,29 @@ def test_posed_rgbd_gets_mesh_room_and_instances(room: BoxRoom, tmp_path: Path) 
         assert nearest[1].raw_label.startswith("geometry:")
         assert nearest[1].view_blob is not None
     assert sum(row.category == "wall" for row in outcome.rows["instances"]) == 4
+
+
+CONVENTIONS = ("", "world-to-camera", "OpenGL", "OpenGL world-to-camera", "qw qx qy qz", "qw qx qy qz world-to-camera")
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_pose_convention_is_told_from_the_depth(convention: str, room: BoxRoom, tmp_path: Path) -> None:
+    """Whatever a folder means by its poses, they are read as they are meant, and what was unusual is reported."""
+    folder = write_posed_rgbd(tmp_path / "room", room)
+    lines = []
+    for line in (folder / "pose.txt").read_text().splitlines():
+        x, y, z, *quaternion = (float(word) for word in line.split())
+        pose = pose_from_quaternion_wxyz((quaternion[3], *quaternion[:3]), [x, y, z])
+        pose = pose @ OPENGL_TO_OPENCV if "OpenGL" in convention else pose
+        pose = inverse(pose) if "world" in convention else pose
+        order = quaternion_wxyz(pose) if "qw" in convention else quaternion_xyzw(pose)
+        lines.append(" ".join(f"{v:.8f}" for v in (*pose[:3, 3], *order)))
+    truth = read_posed_rgbd(find_scans(folder)[0][0]).frames
+    (folder / "pose.txt").write_text("\n".join(lines) + "\n")
+    reading = read_posed_rgbd(find_scans(folder)[0][0])
+    for mine, true in zip(reading.frames, truth, strict=True):
+        assert np.allclose(mine.pose, true.pose, atol=1e-6)
+    assert any(f"poses read as {convention}:" in note for note in reading.degradations) == bool(convention)
 
 
 def test_glb_scene_is_taken_as_it_was_modelled(tmp_path: Path) -> None:

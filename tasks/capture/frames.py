@@ -17,7 +17,7 @@ from tasks.capture.images import image_size, read_color, read_depth
 from tasks.capture.layout import FrameFiles, FrameLayout, frame_ids
 from tasks.capture.reading import FrameSource
 from tasks.capture.sens import focal_and_center, open_sens
-from tasks.capture.trajectory import read_trajectory
+from tasks.capture.trajectory import as_described, read_trajectory
 from tasks.transforms import is_rigid, nearest_rigid
 
 Intrinsics = tuple[float, float, float, float]
@@ -31,8 +31,11 @@ _POSE_TOLERANCE = 2e-2
 _MAX_POSITION_M = 10_000.0
 
 
-def exported_frames(layout: FrameLayout, folder: Path, stated: dict[str, str]) -> tuple[tuple[FrameSource, ...], list[str]]:
+def exported_frames(
+    layout: FrameLayout, folder: Path, stated: dict[str, str], convention: str = ""
+) -> tuple[tuple[FrameSource, ...], list[str]]:
     """Frames of color, depth and pose files. `stated`: the scan's metadata, for intrinsics that have no file of their own.
+    `convention`: What is known about its poses besides what the scan says, see `trajectory`.
 
     A pose that is missing or unreadable leaves its frame without one, and a note.
 
@@ -45,11 +48,11 @@ def exported_frames(layout: FrameLayout, folder: Path, stated: dict[str, str]) -
     color_intrinsics, scale = _color_intrinsics(layout, folder, stated, sizes)
     depth_intrinsics = _depth_intrinsics(layout, folder, stated, color_intrinsics, sizes, depth_size or sizes)
     ids = frame_ids(f.key for f in layout.frames)
+    described = f"{pose_format(layout, folder)} {convention}"
     if layout.trajectory is not None:
-        described = _pose_format(layout, folder)
         poses, reasons = read_trajectory(layout.trajectory, name_of(layout.trajectory, folder), [f.key for f in layout.frames], described)
     else:
-        poses, reasons = _pose_files(layout.frames, folder)
+        poses, reasons = _pose_files(layout.frames, folder, described)
     checked, notes = checked_poses(ids, poses, reasons)
     frames = []
     for frame, frame_id, pose in zip(layout.frames, ids, checked, strict=True):
@@ -133,7 +136,9 @@ def _unusable(pose: NDArray[np.float64] | None) -> str:
     return "beyond 10 km" if np.abs(pose[:3, 3]).max() > _MAX_POSITION_M else ""
 
 
-def _pose_files(frames: Sequence[FrameFiles], folder: Path) -> tuple[list[NDArray[np.float64] | None], dict[int, str]]:
+def _pose_files(
+    frames: Sequence[FrameFiles], folder: Path, described: str
+) -> tuple[list[NDArray[np.float64] | None], dict[int, str]]:
     poses: list[NDArray[np.float64] | None] = []
     reasons: dict[int, str] = {}
     for index, frame in enumerate(frames):
@@ -142,7 +147,7 @@ def _pose_files(frames: Sequence[FrameFiles], folder: Path) -> tuple[list[NDArra
             continue
         name = name_of(frame.pose, folder)
         try:
-            poses[-1] = floats(read_text(frame.pose, name), name, "pose", 16).reshape(4, 4)
+            poses[-1] = as_described(floats(read_text(frame.pose, name), name, "pose", 16).reshape(4, 4), described)
         except InputError as error:
             reasons[index] = error.problem
     return poses, reasons
@@ -249,7 +254,7 @@ def _stated_size(stated: dict[str, str], camera: str) -> tuple[int, int] | None:
     return (int(width), int(height)) if int(width) and int(height) else None
 
 
-def _pose_format(layout: FrameLayout, folder: Path) -> str:
+def pose_format(layout: FrameLayout, folder: Path) -> str:
     """What the scan says about its poses (`pose_format` of intrinsics.json), '' when nothing."""
     path = layout.color_intrinsics
     if path is None or path.suffix != ".json":

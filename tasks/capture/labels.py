@@ -92,16 +92,10 @@ def label_map(path: str | None = None) -> LabelMap:
     return _parsed(read_text(file, file.name), file.name)
 
 
-def label_map_hash(path: str) -> str:
-    """SHA-256 of a label map's content, which scenes depend on; raises InputError when it cannot be read."""
-    file = Path(path)
-    return hashlib.sha256(read_text(file, file.name).encode()).hexdigest()
-
-
 @cache
 def _own() -> LabelMap:
     file = Path(__file__).with_name("labels.csv")
-    return _parsed(file.read_text(encoding="utf-8"), file.name)
+    return _parsed(read_text(file, file.name), file.name)
 
 
 def _parsed(text: str, name: str) -> LabelMap:

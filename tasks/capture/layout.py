@@ -69,8 +69,8 @@ class ScanNetLayout:
     @property
     def files(self) -> list[Path]:
         """Every file that the scan may be read from."""
-        single = [path for path in (self.metadata, self.mesh, self.aggregation, self.sens) if path is not None]
-        return single + list(self.segments) + (self.frames.files if self.frames else [])
+        single = [path for path in (self.metadata, self.aggregation, self.sens) if path is not None]
+        return single + list(self.meshes) + list(self.segments) + (self.frames.files if self.frames else [])
 
 
 def frame_layout(folder: Path) -> FrameLayout | None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from schemas.errors import InputError
+from tasks.capture.conventions import CLEARLY_BETTER, CONVENTIONS, MIN_AGREEMENT, QUATERNIONS, agreement
 from tasks.capture.documents import license_of
 from tasks.capture.formats import Scan
-from tasks.capture.frames import exported_frames
-from tasks.capture.layout import frame_layout
-from tasks.capture.reading import Reading
+from tasks.capture.frames import exported_frames, pose_format
+from tasks.capture.layout import FrameLayout, frame_layout
+from tasks.capture.reading import FrameSource, Reading
 
 
 def read_posed_rgbd(scan: Scan) -> Reading:
@@ -21,7 +24,7 @@ def read_posed_rgbd(scan: Scan) -> Reading:
         raise InputError(scan.path.name, "folder", "holds no frames", "expected folders color and depth")
     if layout.trajectory is None and not any(frame.pose for frame in layout.frames):
         raise InputError(scan.path.name, "poses", "there are none", "add pose.txt with one camera-to-world pose a line, or a folder pose")
-    frames, notes = exported_frames(layout, scan.path, {})
+    frames, notes = _by_convention(layout, scan.path)
     if not any(frame.pose is not None for frame in frames):
         raise InputError(scan.path.name, "poses", f"none can be used ({'; '.join(notes)})", "write camera-to-world poses in metres")
     return Reading(
@@ -35,3 +38,24 @@ def read_posed_rgbd(scan: Scan) -> Reading:
         is_dense=True,
         degradations=tuple(notes),
     )
+
+
+def _by_convention(layout: FrameLayout, folder: Path) -> tuple[tuple[FrameSource, ...], list[str]]:
+    """Frames with poses as the scan describes them; where it does not, as usual, unless its depth clearly says otherwise."""
+    frames, notes = exported_frames(layout, folder, {})
+    usual = agreement(frames)
+    if pose_format(layout, folder) or usual >= MIN_AGREEMENT:
+        return frames, notes
+    best = (usual, "", frames, notes)
+    for order in QUATERNIONS if layout.trajectory is not None else QUATERNIONS[:1]:
+        for meaning in CONVENTIONS:
+            convention = f"{order} {meaning}".strip()
+            if convention:
+                other, more = exported_frames(layout, folder, {}, convention)
+                if (share := agreement(other)) > best[0]:
+                    best = (share, convention, other, more)
+    share, convention, other, more = best
+    if share < max(MIN_AGREEMENT, CLEARLY_BETTER * usual):
+        return frames, notes
+    note = f"poses read as {convention}: depth of neighboring frames then agrees on {share:.0%}, otherwise on {usual:.0%}"
+    return other, [*more, f"{note}; state pose_format in intrinsics.json to settle it"]

@@ -17,7 +17,7 @@ from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.glb_scene import read_glb_scene
 from tasks.capture.images import encode_jpeg
 from tasks.capture.instances import Solid, instance_row, modelled_solid, scanned_solid
-from tasks.capture.labels import CEILING, FLOOR, WALL, Label, LabelMap, label_map, label_map_hash
+from tasks.capture.labels import CEILING, FLOOR, WALL, Label, LabelMap, label_map
 from tasks.capture.posed_rgbd import read_posed_rgbd
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms import estimate_room, inferred_room_type
@@ -33,7 +33,7 @@ from tasks.transforms import flat
 class CaptureConfig:
     """How scans are captured.
 
-    `label_map_sha256` is filled in from the file when a label map is given, so that its content, not its place, decides
+    `label_map_sha256` is filled in from the label map in use, the project's own or the user's, so that its content decides
     whether a scene is captured again.
     """
 
@@ -47,8 +47,8 @@ class CaptureConfig:
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
 
     def __post_init__(self) -> None:
-        if self.label_map is not None and not self.label_map_sha256:
-            object.__setattr__(self, "label_map_sha256", label_map_hash(self.label_map))
+        if not self.label_map_sha256:
+            object.__setattr__(self, "label_map_sha256", label_map(self.label_map).sha256)
 
 
 def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
@@ -59,8 +59,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     """
     reading = _read(scan)
     labels = label_map(config.label_map)
-    if config.label_map is not None and labels.sha256 != config.label_map_sha256:
-        raise InputError(config.label_map, "content", "has changed since the run was planned", "start the run again")
+    if labels.sha256 != config.label_map_sha256:
+        raise InputError(config.label_map or "labels.csv", "content", "has changed since the run was planned", "start the run again")
     notes = list(reading.degradations)
     surface = reading.surface
     if surface is None:

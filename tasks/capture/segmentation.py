@@ -24,6 +24,9 @@ PROVIDER = "geometry"
 _FLOOR_BAND_M = 0.05
 """Height up to which level surface counts as floor: fused floors are some two centimetres thick, rugs one more."""
 
+_SLIVER_M = 0.07
+"""What rises no higher than this is floor whose surface is too rough, or lies too low or high, to count as level."""
+
 _CEILING_M = 1.9
 _MIN_CEILING_M2 = 1.0
 
@@ -119,7 +122,7 @@ def geometry_groups(world: Surface) -> tuple[tuple[Group, ...], list[str]]:
     # What lies below the floor was seen in a mirror, or is noise.
     rest = np.flatnonzero((owner < 0) & (z > -_FLOOR_BAND_M))
     for members in _clusters(world.vertices, areas, rest, _OBJECT_GAP_M):
-        if _lies_flat(world.vertices[members], normals[members], areas[members]) and len(floor):
+        if len(floor) and np.percentile(np.abs(z[members]), 95) < _SLIVER_M:
             # Floor that the alignment leaves a little askew at its far end, or that drift has doubled.
             owner[members] = 0
             found[0] = ("floor", np.concatenate([found[0][1], members]))
@@ -132,12 +135,6 @@ def geometry_groups(world: Surface) -> tuple[tuple[Group, ...], list[str]]:
     rows = [(str(index), f"{PROVIDER}:{category}", np.sort(members)) for index, (category, members) in enumerate(found)]
     note = f"instances found in the geometry: {objects} objects, categories guessed from their sizes"
     return groups_of(rows, owner, world), [note]
-
-
-def _lies_flat(points: Array, normals: Array, areas: Array) -> bool:
-    """Whether a cluster is a piece of floor: level, and hardly higher than the floor."""
-    level = np.abs(normals[:, 2]) > 0.7
-    return bool(np.percentile(np.abs(points[:, 2]), 90) < 2 * _FLOOR_BAND_M and areas[level].sum() > 0.4 * areas.sum())
 
 
 def _walls(points: Array, normals: Array, areas: Array, free: NDArray[np.bool_]) -> list[Indices]:

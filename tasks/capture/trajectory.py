@@ -6,7 +6,7 @@ Known layouts, told apart by the shape of their lines:
 - 8 numbers a line: a time stamp or frame number, then tx ty tz qx qy qz qw (TUM);
 - 12 or 16 numbers a line: the rows of a 3x4 (KITTI) or 4x4 matrix; 4 numbers a line: 4x4 matrices below one another.
 Quaternions have their real part last, unless the scan's description says `qw qx qy qz`. Poses are camera-to-world of an
-OpenCV camera (x right, y down, z forward), unless it says `world-to-camera`.
+OpenCV camera (x right, y down, z forward), unless it says `world-to-camera` or `OpenGL`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.documents import read_text
-from tasks.transforms import inverse, pose_from_quaternion_wxyz
+from tasks.transforms import OPENGL_TO_OPENCV, inverse, is_rigid, pose_from_quaternion_wxyz
 
 _STAMP_SECONDS = 0.02
 """Color, depth and tracker of a 30 Hz camera are told to belong together within this, as TUM's own tools do."""
@@ -42,12 +42,18 @@ def read_trajectory(path: Path, name: str, keys: Sequence[str], described: str =
     rows = [line.replace(",", " ").split() for line in read_text(path, name).splitlines()]
     numbers = _numbers([row for row in rows if row and not row[0].startswith(("#", "%"))], name)
     stamps, poses, kind = _poses(numbers, name, "qwqxqyqz" in re.sub(r"[\s,_]", "", described.lower()))
-    words = re.sub(r"[\s_-]", "", described.lower())
-    if "worldtocamera" in words or "w2c" in words:
-        poses = [inverse(pose) if pose is not None else None for pose in poses]
+    poses = [as_described(pose, described) if pose is not None else None for pose in poses]
     rows_of = _matched(stamps, len(poses), keys, kind)
     found: list[Pose | None] = [poses[row] if row is not None else None for row in rows_of]
     return found, {i: "none in the trajectory" for i, row in enumerate(rows_of) if row is None}
+
+
+def as_described(pose: Pose, described: str) -> Pose:
+    """A pose as a file has it, 4x4, as OpenCV camera to scan frame, by what is said about it: `world-to-camera`, `OpenGL`."""
+    words = re.sub(r"[\s_-]", "", described.lower())
+    if ("worldtocamera" in words or "w2c" in words) and is_rigid(pose, 0.02):
+        pose = inverse(pose)
+    return pose @ OPENGL_TO_OPENCV if "opengl" in words and np.isfinite(pose).all() else pose
 
 
 def _numbers(rows: list[list[str]], name: str) -> list[list[float]]:
