@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import click
@@ -11,14 +12,17 @@ import click
 @click.argument("scene", type=click.Path(path_type=Path, dir_okay=False, exists=True))
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder that the scan's folder is made in.")
 @click.option("--name", help="Name of the scan; the file's stem by default.")
+@click.option("--voxel", type=click.FloatRange(0.005, 0.1), help="Voxel of the fusion [m]; coarser for a whole house.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of walk, noise and drift.")
-def command(scene: Path, out: Path, name: str | None, seed: int) -> None:
+def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed: int) -> None:
     """Scan a furnished GLB scene: walk through it, cast rays, fuse what they hit, write a ScanNet-format folder.
 
     Nodes are named `model|category|part`. The truth is written beside the folder, as <name>.truth.json.
 
     Example: metascenes scan house.glb --out scans --name scene0001_00
     """
+    import dataclasses
+
     import numpy as np
 
     from schemas.errors import InputError
@@ -28,11 +32,16 @@ def command(scene: Path, out: Path, name: str | None, seed: int) -> None:
     scan = name or scene.stem
     if (out / scan).exists():
         raise InputError(str(out / scan), "folder", "is there already", "give another --name or remove it")
-    parts = load_glb(scene.read_bytes(), scene.name)
+    config = ScannerConfig() if voxel is None else dataclasses.replace(ScannerConfig(), voxel_m=voxel)
     making = out / f".making-{scan}"
+    shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
-    scan_scene(parts, making, scan, ScannerConfig(), np.random.default_rng(seed))
-    for made in sorted(making.iterdir()):
-        made.rename(out / made.name)
-    making.rmdir()
-    print(out / scan)
+    try:
+        truth = scan_scene(load_glb(scene.read_bytes(), scene.name), making, scan, config, np.random.default_rng(seed))
+        for made in sorted(making.iterdir()):
+            made.rename(out / made.name)
+    finally:
+        shutil.rmtree(making)
+    print(
+        f"{out / scan}: {truth.frame_count} frames, {sum(o.object_id is not None for o in truth.objects)} of {len(truth.objects)} things seen"
+    )
