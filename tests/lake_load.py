@@ -63,9 +63,9 @@ def half(lake: Lake) -> None:
     storage = lake.storage
     real = storage.write
 
-    def stop(path: str, data: bytes) -> None:
+    def stop(path: str, data: bytes, lasting: bool = True) -> None:
         if not path.endswith("stage_runs.parquet"):
-            return real(path, data)
+            return real(path, data, lasting)
         with storage._temporary(data):  # type: ignore[attr-defined]
             print("half", flush=True)
             time.sleep(600)

@@ -41,7 +41,7 @@ class S3Storage:
         """See Storage."""
         return bytes(self._files.cat_file(self.arrow_path(path)))
 
-    def write(self, path: str, data: bytes) -> None:
+    def write(self, path: str, data: bytes, lasting: bool = True) -> None:
         """See Storage. A put is whole or not at all."""
         self._files.call_s3("put_object", Bucket=self._bucket, Key=self._key(path), Body=data)
 

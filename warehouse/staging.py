@@ -69,8 +69,8 @@ class Staging:
             run = dataclasses.replace(run, row_counts=tuple(f"{name}={data.num_rows}" for name, data in tables.items()))
         last = _parquet(rows_to_arrow([run], StageRun))
         for name, data in tables.items():
-            if data.num_rows:
-                self._storage.write(f"{stem}@{name}.parquet", _parquet(data))
+            if data.num_rows:  # the run's own file, in the same folder, makes all of them last
+                self._storage.write(f"{stem}@{name}.parquet", _parquet(data), lasting=False)
         self._storage.write(f"{stem}@{_RUNS}.parquet", last)
 
     def runs(self) -> list[StagedRun]:

@@ -13,7 +13,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -43,8 +43,11 @@ class Storage(Protocol):
     def read(self, path: str) -> bytes:
         """Contents of a file. Raises FileNotFoundError."""
 
-    def write(self, path: str, data: bytes) -> None:
-        """Write a file, replacing what was there; readers see the old contents or the new, never a part."""
+    def write(self, path: str, data: bytes, lasting: bool = True) -> None:
+        """Write a file, replacing what was there; readers see the old contents or the new, never a part.
+
+        Unless `lasting`, a power failure may take the file's name away again until another file of its folder is written.
+        """
 
     def create(self, path: str, data: bytes) -> bool:
         """Write a file unless it exists. Of several at once, exactly one gets True."""
@@ -120,10 +123,10 @@ class LocalStorage:
         """See Storage."""
         return (self.folder / path).read_bytes()
 
-    def write(self, path: str, data: bytes) -> None:
+    def write(self, path: str, data: bytes, lasting: bool = True) -> None:
         """See Storage. Temporary file, fsync, rename, fsync of the folder."""
         with self._temporary(data) as temporary:
-            self._placed(path, lambda target: os.replace(temporary, target))
+            self._placed(path, lambda target: os.replace(temporary, target), lasting)
 
     def create(self, path: str, data: bytes) -> bool:
         """See Storage. A hard link to the finished temporary file, which fails when the name is taken."""
@@ -247,7 +250,7 @@ class LocalStorage:
         finally:
             path.unlink(missing_ok=True)
 
-    def _placed(self, path: str, place: Any) -> None:
+    def _placed(self, path: str, place: Callable[[Path], None], lasting: bool = True) -> None:
         """Call `place` with the target of `path`, and make the new name last."""
         target = self.folder / path
         try:
@@ -255,7 +258,8 @@ class LocalStorage:
         except FileNotFoundError:
             target.parent.mkdir(parents=True, exist_ok=True)
             place(target)
-        _sync_folder(target.parent)
+        if lasting:
+            _sync_folder(target.parent)
 
     @contextlib.contextmanager
     def _exclusive(self) -> Iterator[None]:
