@@ -42,6 +42,5 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
             made.rename(out / made.name)
     finally:
         shutil.rmtree(making)
-    print(
-        f"{out / scan}: {truth.frame_count} frames, {sum(o.object_id is not None for o in truth.objects)} of {len(truth.objects)} things seen"
-    )
+    seen = sum(thing.object_id is not None for thing in truth.objects)
+    print(f"{out / scan}: {truth.frame_count} frames, {seen} of {len(truth.objects)} things seen")
