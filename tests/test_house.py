@@ -1,0 +1,119 @@
+"""A furnished house made by others, scanned by the virtual scanner, through the whole path with a library by others."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.test_pipeline import home, metascenes  # noqa: F401
+from warehouse.lake import Lake
+
+pytestmark = [pytest.mark.slow, pytest.mark.realdata, pytest.mark.timeout(3600)]
+
+SCENE = "house/house"
+
+
+def box_iou(a: np.ndarray, b: np.ndarray) -> float:
+    """Intersection over union of two axis-aligned boxes, shape (2, 3) [m]."""
+    inside = np.prod(np.clip(np.minimum(a[1], b[1]) - np.maximum(a[0], b[0]), 0, None))
+    return float(inside / (np.prod(a[1] - a[0]) + np.prod(b[1] - b[0]) - inside))
+
+
+def bounds_of(pose: list[float], size: list[float]) -> np.ndarray:
+    """Axis-aligned bounds of an oriented box, shape (2, 3) [m]."""
+    matrix = np.array(pose).reshape(4, 4)
+    half = np.abs(matrix[:3, :3]) @ (np.array(size) / 2)
+    return np.array([matrix[:3, 3] - half, matrix[:3, 3] + half])
+
+
+@pytest.fixture(scope="module")
+def house(home: dict[str, str], realdata: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:  # noqa: F811
+    folder = tmp_path_factory.mktemp("house")
+    source = realdata("scene_aws_small_house")
+    scanned = metascenes(home, "scan", source / "house.glb", "--out", folder / "scans", "--voxel", 0.03, timeout=1800)
+    assert scanned.returncode == 0, scanned.stderr
+    done = metascenes(
+        home, "run", "--scans", folder / "scans", "--dataset", "house", "--library", realdata("assets"), "--lake", folder / "lake", timeout=3000
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return {"lake": folder / "lake", "truth": source / "house.json", "scan": folder / "scans" / "house.truth.json", "folder": folder}
+
+
+def matched(house: dict[str, Path]) -> list[tuple[dict, dict, float]]:
+    """Things of the house that were seen well, each with the instance whose box overlaps it most."""
+    connection = Lake.open(house["lake"]).snapshot().connect()
+    rows = connection.execute("SELECT instance_id, category, box_pose, box_size FROM instances WHERE NOT is_structure").fetchall()
+    instances = [{"instance_id": i, "category": c, "bounds": bounds_of(p, s)} for i, c, p, s in rows]
+    seen = {thing["name"]: thing for thing in json.loads(house["scan"].read_text())["objects"] if thing["observed"] >= 0.8}
+    pairs = []
+    for thing in json.loads(house["truth"].read_text()):
+        if thing["name"] not in seen or seen[thing["name"]]["object_id"] is None:
+            continue
+        bounds = np.array(thing["bounds"])
+        if (bounds[1] - bounds[0]).max() > 6:  # the shell
+            continue
+        best = max(instances, key=lambda instance: box_iou(instance["bounds"], bounds))
+        pairs.append((thing, best, box_iou(best["bounds"], bounds)))
+    return pairs
+
+
+def test_instances_lie_where_the_house_has_its_things(house: dict[str, Path]) -> None:
+    pairs = matched(house)
+    assert len(pairs) >= 25
+    overlaps = np.array([iou for _, _, iou in pairs])
+    assert np.median(overlaps) > 0.7
+    assert (overlaps > 0.4).mean() > 0.8
+    words = [(thing["category"], best["category"]) for thing, best, iou in pairs if iou > 0.4]
+    same = [a == b or set(a.split()) & set(b.split()) for a, b in words]
+    assert np.mean(same) > 0.85, words
+
+
+def test_replicas_stand_where_the_things_stood(house: dict[str, Path]) -> None:
+    connection = Lake.open(house["lake"]).snapshot().connect()
+    rows = connection.execute(
+        "SELECT instance_id, optimized_pose, list_transform(range(1, 4), k -> scale[k] * extents[k]), provider, name, displacement_m "
+        "FROM placements JOIN assets USING (asset_id)"
+    ).fetchall()
+    placed = {row[0]: row for row in rows}
+    off = []
+    for thing, best, iou in matched(house):
+        if iou < 0.4 or best["instance_id"] not in placed:
+            continue
+        pose = np.array(placed[best["instance_id"]][1]).reshape(4, 4)
+        center = np.array(thing["bounds"]).mean(axis=0)
+        off.append(np.linalg.norm(pose[:2, 3] - center[:2]))
+    assert len(off) >= 20
+    assert np.median(off) < 0.1
+    assert np.mean(np.array(off) < 0.3) > 0.85
+
+
+def test_retrieval_finds_the_models_that_furnish_the_house(house: dict[str, Path], realdata: Callable[[str], Path]) -> None:
+    """The library holds the very models: a good retrieval has the true one among its four."""
+    connection = Lake.open(house["lake"]).snapshot().connect()
+    rows = connection.execute("SELECT instance_id, list(name) FROM candidates JOIN assets USING (asset_id) GROUP BY instance_id").fetchall()
+    names = {instance: [name.lower() for name in found] for instance, found in rows}
+    library = {path.stem.lower() for path in realdata("assets").glob("*.glb")}
+    hits = []
+    for thing, best, iou in matched(house):
+        model = thing["model"].replace("aws_robomaker_residential_", "aws_").lower()
+        if iou > 0.4 and model in library and best["instance_id"] in names:
+            hits.append(any(model in name for name in names[best["instance_id"]]))
+    assert len(hits) >= 15
+    assert np.mean(hits) > 0.6
+
+
+def test_exports_of_the_house_pass_their_gates(house: dict[str, Path], home: dict[str, str]) -> None:  # noqa: F811
+    out = house["folder"] / "out"
+    done = metascenes(home, "export", "--lake", house["lake"], "--out", out, timeout=600)
+    assert done.returncode == 0, done.stderr
+    moved = house["folder"] / "moved"
+    (out / "usd").rename(moved)
+    scene = next(moved.glob("*/scene.usda"))
+    check = subprocess.run([sys.executable, "-m", "flows.cli", "doctor", "usd", str(scene)], capture_output=True, text=True, env=home)
+    assert check.returncode == 0, check.stdout
