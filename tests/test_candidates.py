@@ -398,9 +398,9 @@ def test_huge_meshes_are_decimated() -> None:
 def a_room() -> list[tuple[Instance, dict[str, bytes]]]:
     return [
         furniture(2, "chair", (0.5, 0.48, 0.95), 0.4),
-        furniture(1, "sofa", (0.9, 2.0, 0.8), 1.9),
+        furniture(1, "nightstand", (0.4, 0.55, 0.5), 1.9),
         furniture(4, "gizmo", (0.3, 0.2, 0.25), 0.0),
-        furniture(3, "wall", (0.1, 4.0, 2.5), 0.0, is_structure=True),
+        furniture(3, "box", (0.3, 0.3, 0.3), 0.0, is_structure=True),
     ]
 
 
@@ -442,7 +442,7 @@ def test_models_have_the_size_of_the_instance(outcome: Outcome) -> None:
             assert np.allclose(sorted(asset.extents), sorted((0.5, 0.48, 0.95)), atol=1e-5)
             assert asset.category == "chair"
         if row.provider == "scan_crop_closed" and row.instance_id == "0001":
-            assert np.allclose(asset.extents, (0.9, 2.0, 0.8), atol=0.03)
+            assert np.allclose(asset.extents, (0.4, 0.55, 0.5), atol=0.03)
     styles = {row.asset_id for row in outcome.rows["candidates"] if row.instance_id == "0002" and row.slot <= 4}
     assert len(styles) >= 2
 

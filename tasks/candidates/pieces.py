@@ -11,13 +11,13 @@ from tasks.candidates.closing import SolidField
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SLAB_PRICE = 0.02
-"""What one more slab costs, as a share of the solid's cells: a board of a shelf is 5 to 15 percent of its cells, a layer
-of noise below one."""
+SLAB_PRICE = 0.008
+"""What one more slab costs, as a share of the solid's cells: a board of a shelf is 3 to 15 percent of its cells and takes
+two slabs, a layer of noise is below one."""
 
-MAX_PIECES = 32
-"""More pieces slow a simulator down. Until there are fewer, parts are cut less (a bucket's wall becomes a full disc), then
-slabs cost more."""
+MAX_PIECES = 40
+"""More pieces slow a simulator down. Until there are fewer, slabs cost more, then parts are cut less (a bucket's wall
+becomes a full disc), then slabs cost more again."""
 
 MAX_LAYERS = 80
 """Taller grids are cut at every second, third, ... layer only: the search is quadratic."""
@@ -27,6 +27,9 @@ CONVEXITY = 0.87
 
 MAX_CUTS = 3
 """Cuts in a row of one part of a slab: eight pieces hold any L, U or cross."""
+
+_THRIFT = ((MAX_CUTS, 1.0), (MAX_CUTS, 2.5), (2, 2.5), (1, 2.5), (0, 2.5), (0, 5.0), (0, 10.0))
+# Cuts per part and factor on the price of a slab, from lavish to thrifty.
 
 CUT_POSITIONS = 9
 """Places along a part where a cut is tried: an arm rest is about an eighth of its sofa."""
@@ -48,7 +51,7 @@ def convex_pieces(field: SolidField) -> list[Array]:
     if not solid.any():
         raise ValueError("the crop encloses nothing")
     pieces: list[Array] = []
-    for cuts, price in ((MAX_CUTS, 1), (1, 1), (0, 1), (0, 2), (0, 4), (0, 8)):
+    for cuts, price in _THRIFT:
         pieces = _pieces(solid, field, cuts, price * SLAB_PRICE)
         if len(pieces) <= MAX_PIECES:
             break
