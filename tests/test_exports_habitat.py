@@ -329,6 +329,9 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None]]] = {
     "cut scene": ("json", lambda root: scene_file(root).write_text(scene_file(root).read_text()[:-30])),
     "cut episodes": ("json", cut("pointnav/*/content/*.json.gz", 0.7)),
     "NaN in a scene": ("json", in_scene(lambda s: first(s).update(translation=[0, float("nan"), 0]))),
+    "scale below zero": ("shape", in_object(lambda o: o.update(scale=[1, -1, 1]))),
+    "collidable in words": ("shape", in_stage(lambda o: o.update(is_collidable="yes"))),
+    "objects as a mapping": ("shape", in_scene(lambda s: s.update(object_instances={}))),
     "cut geometry": ("geometry", cut("objects/*_0001.glb", 0.6)),
     "geometry with NaN": ("geometry", poison_glb),
     "no up axis": ("upright", in_stage(lambda s: s.pop("up"))),
@@ -401,6 +404,41 @@ def test_damage_is_refused_by_its_rule(name: str, copy: Path) -> None:
 
 def test_every_rule_has_a_kind_of_damage() -> None:
     assert {rule for rule, _ in DAMAGES.values()} == set(RULES)
+
+
+_WRONG = [None, 3, -1.5, "x", [], {}, [1], {"a": 1}, True, [None], 1e300, "../x", [[]], [{}], {"id": []}]
+
+
+def places(value: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Ways to everything inside a JSON value; of lists the first items only."""
+    yield here
+    inner = value.items() if isinstance(value, dict) else enumerate(value[:3]) if isinstance(value, list) else ()
+    for key, item in inner:
+        yield from places(item, (*here, key))
+
+
+def test_no_value_of_the_wrong_kind_stops_the_check(copy: Path) -> None:
+    import random
+
+    chance = random.Random(5)
+    files = sorted(path for path in copy.rglob("*") if path.name.endswith((".json", ".json.gz")) and "objects" not in path.parts)
+    noticed = 0
+    for _ in range(40):
+        path = chance.choice(files)
+        old = path.read_bytes()
+        where = chance.choice(list(places(json.loads(gzip.decompress(old) if path.suffix == ".gz" else old)))[1:])
+
+        def change(value: Any, where: tuple[Any, ...] = where) -> None:
+            for key in where[:-1]:
+                value = value[key]
+            value[where[-1]] = chance.choice(_WRONG)
+
+        edit(path, change)
+        found = check_habitat(copy)
+        assert all(finding.rule in RULES for finding in found)
+        noticed += bool(found)
+        path.write_bytes(old)
+    assert noticed > 25, "most such damage is noticed; what the rest hits is free text"
 
 
 def test_datasets_of_others_are_read(realdata: Callable[[str], Path]) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tasks.exports import habitat_shapes
 from tasks.exports.findings import Finding
 from tasks.exports.habitat_library import Library, read_json
 from tasks.exports.navmesh_file import NavmeshFile
@@ -52,25 +53,24 @@ def check_episodes(library: Library, navmeshes: Mapping[str, NavmeshFile | None]
 def _split(library: Library, folder: Path, task: str, navmeshes: Mapping[str, NavmeshFile | None], findings: list[Finding]) -> None:
     """One split of one task."""
     header_path = folder / f"{folder.name}.json.gz"
-    header = read_json(header_path, library.root, findings)
+    header = read_json(header_path, library.root, findings, habitat_shapes.SPLIT) or {}
     where = header_path.relative_to(library.root).as_posix()
-    header = header if isinstance(header, dict) else {}
-    if not isinstance(header.get("episodes"), list):
+    if "episodes" not in header:
         findings.append(Finding("split_file", where, "has no list of episodes"))
     maps = _maps(header)
     if task == "objectnav" and maps is None:
         findings.append(Finding("category_maps", where, "a category map is missing, or the two have different keys"))
     total = len(header.get("episodes") or [])
     for path in sorted((folder / "content").glob("*.json.gz")):
-        content = read_json(path, library.root, findings)
-        if not isinstance(content, dict):
+        content = read_json(path, library.root, findings, habitat_shapes.CONTENT)
+        if content is None:
             continue
         name = path.relative_to(library.root).as_posix()
         own = _maps(content)
         if any("category_to" in key for key in content) and own != maps:
             findings.append(Finding("category_maps", name, "differ from those of the split"))
         episodes = content.get("episodes")
-        if not isinstance(episodes, list) or not episodes:
+        if not episodes:
             findings.append(Finding("split_file", name, "has no episodes"))
             continue
         total += len(episodes)
@@ -83,7 +83,7 @@ def _maps(document: Mapping[str, Any]) -> dict[str, Any] | None:
     """The category maps of a document, or None when they are missing or have different keys."""
     tasks = document.get("category_to_task_category_id")
     scenes = document.get("category_to_scene_annotation_category_id", document.get("category_to_mp3d_category_id"))
-    if not isinstance(tasks, dict) or not isinstance(scenes, dict) or set(tasks) != set(scenes):
+    if tasks is None or scenes is None or set(tasks) != set(scenes):
         return None
     return {"task": tasks, "scene": scenes}
 
@@ -97,9 +97,6 @@ def _content(
     seen: set[Any] = set()
     for index, episode in enumerate(content["episodes"]):
         where = f"{name} episodes[{index}]"
-        if not isinstance(episode, dict):
-            yield Finding("episode_keys", where, "is no object")
-            continue
         yield from _keys(episode, _OBJECT_EPISODE if task == "objectnav" else _EPISODE, _NEEDED, "episode_keys", where)
         episode_id = episode.get("episode_id")
         if not isinstance(episode_id, str) or episode_id in seen:
@@ -113,6 +110,9 @@ def _content(
             key = f"{PurePosixPath(str(episode.get('scene_id'))).name}_{category}"
             if not goals.get(key):
                 yield Finding("goals", where, f"goals_by_category has no {key!r}")
+            states = [state for path in episode.get("shortest_paths") or [] for state in path if isinstance(state, dict)]
+            if habitat_shapes.mismatch(states, [habitat_shapes.STATE]):
+                yield Finding("shortest_paths", where, "a step has a position, rotation or action of another kind")
             if maps is not None and category not in maps["task"]:
                 yield Finding("category_maps", where, f"category {category!r} is in no map")
         else:
@@ -139,10 +139,7 @@ def _scene(library: Library, episode: Mapping[str, Any], where: str) -> Iterator
 
 
 def _numbers(value: Any, count: int) -> np.ndarray[Any, np.dtype[np.float64]] | None:
-    if not isinstance(value, list) or len(value) != count or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
-        return None
-    array = np.asarray(value, dtype=np.float64)
-    return array if np.isfinite(array).all() else None
+    return np.asarray(value, dtype=np.float64) if value is not None and len(value) == count else None
 
 
 def _standing(value: Any, navmesh: NavmeshFile | None) -> str | None:
@@ -180,14 +177,14 @@ def _start(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | None) 
         yield Finding("start_rotation", where, wrong)
     info = episode.get("info") or {}
     distance, straight = info.get("geodesic_distance"), info.get("euclidean_distance", 0.0)
-    if not isinstance(distance, int | float) or not math.isfinite(distance) or distance < straight - 1e-3:
+    if habitat_shapes.number(distance) or habitat_shapes.number(straight) or distance < straight - 1e-3:
         yield Finding("geodesic", where, f"geodesic_distance is {distance}, the straight line {straight}")
 
 
 def _point_goals(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | None) -> Iterator[Finding]:
     """Goals and shortest paths of a PointNav episode."""
     goals = episode.get("goals")
-    if not isinstance(goals, list) or not goals:
+    if not goals:
         yield Finding("goals", where, "has no goals")
         return
     for goal in goals:
@@ -196,8 +193,8 @@ def _point_goals(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | 
         if wrong:
             yield Finding("goals", where, f"position {wrong}")
     for path in episode.get("shortest_paths") or []:
-        states = path if isinstance(path, list) else [None]
-        if not all(isinstance(state, dict) and set(state) == {"position", "rotation", "action"} for state in states):
+        states = all(isinstance(state, dict) and set(state) == {"position", "rotation", "action"} for state in path)
+        if not states or habitat_shapes.mismatch(path, [habitat_shapes.STATE]):
             yield Finding("shortest_paths", where, "a step is no object with position, rotation and action")
 
 
@@ -209,15 +206,15 @@ def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: 
         return
     items = library.sections["scene_instances"][scene].values.get("object_instances", [])
     objects = {item.get("template_name") for item in items if isinstance(item, dict)}
-    for index, goal in enumerate(goals if isinstance(goals, list) else []):
+    for index, goal in enumerate(goals):
         where = f"{name} goals_by_category[{key!r}][{index}]"
         yield from _keys(goal, _OBJECT_GOAL, {"position", "object_id", "view_points"}, "goal_keys", where)
-        if goal.get("object_id") not in objects:
+        if not isinstance(goal.get("object_id"), str) or goal["object_id"] not in objects:
             yield Finding("goal_object", where, f"object_id {goal.get('object_id')!r} is no object of {scene!r}")
         if _numbers(goal.get("position"), 3) is None:
             yield Finding("goals", where, f"position {goal.get('position')} is not three finite numbers")
         views = goal.get("view_points")
-        if not isinstance(views, list) or not views:
+        if not views:
             yield Finding("view_points", where, "has none")
             continue
         for view in views:
@@ -226,7 +223,7 @@ def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: 
 
 def _view(view: Any, where: str, navmesh: NavmeshFile | None) -> Iterator[Finding]:
     """One view point."""
-    if not isinstance(view, dict) or set(view) != {"agent_state", "iou"} or not isinstance(view["agent_state"], dict):
+    if set(view) != {"agent_state", "iou"}:
         yield Finding("view_points", where, "a view point needs agent_state and iou, and nothing else")
         return
     iou = view["iou"]

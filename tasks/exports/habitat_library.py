@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from tasks.exports import habitat_shapes
 from tasks.exports.findings import Finding
 
 ENDINGS = {"stages": ".stage_config.json", "objects": ".object_config.json", "scene_instances": ".scene_instance.json"}
@@ -45,8 +46,7 @@ def read_library(root: Path) -> Library:
         findings.append(Finding("dataset_config", ".", f"{len(configs)} scene dataset configs, not one"))
     if not configs:
         return Library(root, "", {name: {} for name in ENDINGS}, {}, {}, tuple(findings))
-    document = read_json(configs[0], root, findings)
-    document = document if isinstance(document, dict) else {}
+    document = read_json(configs[0], root, findings, habitat_shapes.CONFIG) or {}
     known = {*ENDINGS, "articulated_objects", "light_setups", "pbr_ibl_configs", "navmesh_instances", "semantic_scene_descriptor_instances"}
     for name in sorted(set(document) - known):
         findings.append(Finding("dataset_config", configs[0].name, f"section {name!r} is not read by habitat-sim"))
@@ -60,13 +60,17 @@ def read_library(root: Path) -> Library:
     return Library(root, configs[0].name, sections, dict(document.get("navmesh_instances", {})), semantics, tuple(findings))
 
 
-def read_json(path: Path, root: Path, findings: list[Finding]) -> Any:
-    """A JSON file (compressed when its name ends in .gz), or None and a finding."""
+def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[str, Any]) -> Any:
+    """A JSON file (compressed when its name ends in .gz) of a shape (`habitat_shapes`), or None and a finding."""
     where = path.relative_to(root).as_posix()
     try:
         data = path.read_bytes()
         text = gzip.decompress(data) if path.suffix == ".gz" else data
-        return json.loads(text, parse_constant=_refuse)
+        document = json.loads(text, parse_constant=_refuse)
+        wrong = habitat_shapes.mismatch(document, shape)
+        if wrong is None:
+            return document
+        findings.append(Finding("shape", where, wrong))
     except FileNotFoundError:
         findings.append(Finding("files_exist", where, "does not exist"))
     except (OSError, EOFError, ValueError, RecursionError) as error:
@@ -80,21 +84,17 @@ def _refuse(name: str) -> float:
 
 def _section(root: Path, section: Any, kind: str, file: str, findings: list[Finding]) -> dict[str, Template]:
     """Templates of one section, in habitat-sim's order: defaults, files, then entries written in the config itself."""
-    if not isinstance(section, dict):
-        findings.append(Finding("dataset_config", file, f"section {kind!r} is no object"))
-        return {}
     defaults = section.get("default_attributes", {})
     ending = ENDINGS[kind]
     found: dict[str, Template] = {}
     for path in _listed(root, section.get("paths", {}), ending, kind, file, findings):
-        values = read_json(path, root, findings) if path.name.endswith(ending) else {"render_asset": path.name}
-        if isinstance(values, dict):
+        shape = habitat_shapes.SECTIONS[kind]
+        values = read_json(path, root, findings, shape) if path.name.endswith(ending) else {"render_asset": path.name}
+        if values is not None:
             handle = path.name.removesuffix(ending).removesuffix(".glb")
             if handle in found:
                 findings.append(Finding("handle_exact", path.relative_to(root).as_posix(), f"{handle!r} is the name of two files"))
             found[handle] = Template(handle, path.relative_to(root).as_posix(), {**defaults, **values}, path.parent)
-        elif values is not None:
-            findings.append(Finding("json", path.relative_to(root).as_posix(), "is no JSON object"))
     for entry in section.get("configs", []):
         origin = entry.get("original_file")
         handle = entry.get("template_handle") or Path(str(origin)).name.removesuffix(ending)
@@ -102,7 +102,11 @@ def _section(root: Path, section: Any, kind: str, file: str, findings: list[Find
         if origin and base is None:
             findings.append(Finding("files_exist", file, f"{origin} is changed by the config, but not loaded"))
         values = {**(base.values if base else defaults), **entry.get("attributes", {})}
-        found[handle] = Template(handle, file, values, base.folder if base else root)
+        wrong = habitat_shapes.mismatch(values, habitat_shapes.SECTIONS[kind])
+        if wrong is None:
+            found[handle] = Template(handle, file, values, base.folder if base else root)
+        else:
+            findings.append(Finding("shape", f"{file} {handle}", wrong))
     return found
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from tasks.exports import habitat_shapes
 from tasks.exports.findings import Finding
 from tasks.exports.habitat_episode_rules import EPISODE_RULES, check_episodes
 from tasks.exports.habitat_library import Library, Template, read_json, read_library
@@ -24,6 +25,7 @@ from tasks.exports.navmesh_file import DEFAULTS, NavmeshFile, read_navmesh
 RULES: dict[str, str] = {
     "dataset_config": "there is one scene dataset config, with sections that habitat-sim reads and paths inside the folder",
     "json": "every JSON file can be read",
+    "shape": "every value is of the kind that Habitat reads there",
     "files_exist": "every file that is named exists",
     "handle_exact": "every template, navmesh and lexicon is named exactly as it is, and by one name only",
     "handle_contained": "no name contains another name of its kind, nor is part of the folder's own path",
@@ -111,11 +113,13 @@ def _asset(root: Path, template: Template, kind: str) -> Iterator[Finding]:
         yield Finding("gravity", where, f"units_to_meters is {values['units_to_meters']}")
     for key, least in (("mass", 1e-9), ("friction_coefficient", 0.0), ("restitution_coefficient", 0.0)):
         value = values.get(key, 1.0)
-        if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value) or value < least:
+        if value < least:
             yield Finding("physics", where, f"{key} is {value}")
     apart = values.get("collision_asset") not in (None, values.get("render_asset"))
     if kind == "objects" and apart and values.get("join_collision_meshes", True):
         yield Finding("collider", where, "join_collision_meshes makes one hull of all pieces")
+    if kind == "objects" and apart and values.get("use_bounding_box_for_collision"):
+        yield Finding("collider", where, "use_bounding_box_for_collision puts a box in the place of the pieces")
 
 
 def _glb(root: Path, path: Path, where: str, key: str) -> Iterator[Finding]:
@@ -137,18 +141,15 @@ def _glb(root: Path, path: Path, where: str, key: str) -> Iterator[Finding]:
 
 
 def _vector(value: Any, count: int) -> NDArray[np.float64] | None:
-    """A list of `count` finite numbers as an array, else None."""
-    if not isinstance(value, list) or len(value) != count or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
-        return None
-    array = np.asarray(value, dtype=np.float64)
-    return array if np.isfinite(array).all() else None
+    """A list of `count` numbers as an array, else None."""
+    return np.asarray(value, dtype=np.float64) if value is not None and len(value) == count else None
 
 
 def _agent(root: Path, findings: list[Finding]) -> Mapping[str, Any] | None:
     """The documented agent of a dataset of this project; other datasets have none."""
     path = root / "metadata" / "agent.json"
-    agent = read_json(path, root, findings) if path.is_file() else None
-    return agent if isinstance(agent, dict) else None
+    agent: Mapping[str, Any] | None = read_json(path, root, findings, habitat_shapes.AGENT) if path.is_file() else None
+    return agent
 
 
 def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list[Finding]) -> dict[str, NavmeshFile]:
@@ -194,18 +195,16 @@ def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
     """Ids of every lexicon, by name."""
     found = {}
     for name, path in sorted(library.semantics.items()):
-        document = read_json(library.root / str(path), library.root, findings)
-        if not isinstance(document, dict) or "classes" not in document:
+        document = read_json(library.root / path, library.root, findings, habitat_shapes.LEXICON)
+        if document is None or "classes" not in document:
             if document is not None and not str(path).endswith(".semantic_config.json"):
                 findings.append(Finding("semantics", str(path), "has no list of classes"))
             continue
         ids = [item.get("id") for item in document["classes"]]
-        named = all(isinstance(item.get("name"), str) for item in document["classes"])
-        wrong = [i for i in ids if not isinstance(i, int) or isinstance(i, bool) or not 0 <= i <= 10000]
-        if wrong or len(set(ids)) != len(ids) or not named:
-            message = f"ids must be unique numbers from 0 to 10000 with a name each (wrong: {wrong[:3]})"
-            findings.append(Finding("semantics", str(path), message))
-        found[name] = {i for i in ids if isinstance(i, int)}
+        wrong = [i for i in ids if not 0 <= i <= 10000]
+        if wrong or len(set(ids)) != len(ids):
+            findings.append(Finding("semantics", str(path), f"ids must be unique numbers from 0 to 10000 (wrong: {wrong[:3]})"))
+        found[name] = set(ids)
     return found
 
 
@@ -228,9 +227,6 @@ def _scene(
     if semantic is not None and "%%" not in str(semantic) and semantic not in library.semantics:
         yield Finding("handle_exact", where, f"lexicon {semantic!r} is not in the dataset config: habitat-sim stops")
     objects = values.get("object_instances", [])
-    if not isinstance(objects, list):
-        yield Finding("json", where, "object_instances is no list")
-        return
     count = (values.get("user_defined") or {}).get("object_count")
     if count is not None and count != len(objects):
         yield Finding("object_count", where, f"has {len(objects)} objects, not {count}")
