@@ -536,6 +536,17 @@ def test_step_zero_is_the_state_at_rest() -> None:
     assert steps[0].loss == scene.run().rows["optimization_steps"][0].loss > 0
 
 
+def test_nothing_gives_way_to_a_rug_or_to_what_it_stands_in() -> None:
+    scene = Scene()
+    scene.add(block(1.5, 1.0, 0.02), np.eye(4), "rug")
+    scene.add(block(0.4, 0.4, 0.5), translation([0.85, 0.0, 0.0]), "stool")  # a quarter of it on the rug
+    scene.add(SHELF, translation([-1.5, 0.0, 0.0]), "shelf")
+    scene.add(block(0.1, 0.2, 0.2), translation([-1.5, 0.1, 0.52]), "book")
+    outcome = scene.run()
+    assert [step.loss for step in outcome.rows["optimization_steps"]] == [0.0]
+    assert {(c.instance_a, c.instance_b) for c in outcome.rows["contacts"]} == {("0000", "0001"), ("0002", "0003")}
+
+
 def test_what_cannot_be_parted_is_said() -> None:
     scene = Scene(((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)))
     for _ in range(2):

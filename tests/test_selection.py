@@ -20,7 +20,7 @@ from schemas.selection import Selection
 from tasks.boxes import oriented_iou
 from tasks.meshes import canonical, dump_glb, dump_points, load_glb, sample_surface, surface_of
 from tasks.selection import STAGE, ScoreConfig, SelectionConfig, run, score_of
-from tasks.selection.alignment import AlignmentConfig, Distances, clamp_scale
+from tasks.selection.alignment import AlignmentConfig, Distances, Fit, clamp_scale, make_target, measure, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices
 from tasks.stage import Blobs, Context
@@ -195,6 +195,20 @@ def test_real_furniture_is_recovered_among_its_kind(realdata: Callable[[str], Pa
         name for name in right if yaw_error(matrix(first[f"{names.index(name):04d}"].pose), truths[name]) > 8 and name not in ("Trash_01",)
     ]
     assert len(turned) <= 2, turned
+
+
+def test_an_underside_that_nobody_can_see_hardly_counts() -> None:
+    """A wide, low thing shows half of its surface at most; the half on the floor is no sign of a wrong asset."""
+    room, rng = Room(), np.random.default_rng(9)
+    asset_id = room.asset([part((1.6, 1.2, 0.3), (0, 0, 0.15))], "bed")
+    points, colors = scan([part((1.6, 1.2, 0.3), (0, 0, 0.15))], np.eye(4), (1, 1, 1), rng, noise=0.002)
+    config = AlignmentConfig()
+    target = make_target(points, colors, np.array([1.6, 1.2, 0.3]), config, rng)
+    sample = sample_asset(room.assets[asset_id], room.blobs[room.assets[asset_id].mesh_blob], config, rng)
+    fit = Fit(0.0, np.zeros(3), np.ones(3))
+    found, strict = (measure(target, sample, fit, 0.03, dataclasses.replace(config, hidden_weight=w)) for w in (0.1, 1.0))
+    assert found.scan < 0.01
+    assert found.asset < 0.5 * strict.asset
 
 
 def test_every_filled_slot_has_one_row_and_equal_assets_rank_by_slot() -> None:
