@@ -15,14 +15,15 @@ D65_WHITE: Array = np.array([0.95047, 1.0, 1.08883])
 
 _TO_XYZ: Array = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]])
 
-NEUTRAL_SATURATION = 0.085
-"""Saturation C / (L + 16) below which a color is a gray: the lamp's tint and sensor noise reach about 0.08 on white walls."""
+NEUTRAL_SATURATION, NEUTRAL_SATURATION_DARK = 0.085, 0.15
+"""Saturation C / (L + 16) below which a light (L 80) and a dark (L 45) color is a gray. On white walls the lamp's tint and
+sensor noise reach 0.08; of dark things people name a hue only where it is stronger."""
 
 LIGHTNESS_WEIGHT = 0.4
 """Lightness counts less than hue and saturation: a shadow halves lightness but leaves the other two where they were."""
 
 WHITE_FROM = 78.0
-"""An object whose brightest grays are lighter than this (L) is white in light and gray only in its own shadow."""
+"""An object two fifths of whose grays are lighter than this (L) is white in light and gray only in its own shadow."""
 
 SHADOW_RATIO = 0.72
 """Lightness of a matte surface turned away from the light, as a share of its lit side: Lambert at 70 degrees with ambient light."""
@@ -41,19 +42,19 @@ _WORDS: dict[str, tuple[tuple[int, int, int], ...]] = {
     "dark red": ((105, 15, 25), (130, 30, 40)),
     "pink": ((245, 160, 185), (230, 110, 150)),
     "orange": ((245, 130, 25), (240, 105, 40), (250, 165, 70)),
-    "brown": ((140, 85, 45), (165, 115, 75), (125, 70, 30), (180, 125, 80)),
+    "brown": ((140, 85, 45), (165, 115, 75), (125, 70, 30), (180, 125, 80), (142, 116, 84), (115, 97, 72)),
     "dark brown": ((80, 48, 25), (62, 42, 30)),
     "beige": ((215, 190, 155), (200, 175, 140), (225, 205, 175)),
     "cream": ((245, 235, 205), (240, 225, 185)),
     "yellow": ((245, 220, 40), (225, 195, 60)),
     "olive": ((110, 110, 40), (130, 125, 70)),
-    "green": ((45, 150, 60), (90, 170, 80), (120, 190, 110)),
-    "dark green": ((25, 75, 35), (40, 70, 45)),
+    "green": ((45, 150, 60), (90, 170, 80), (120, 190, 110), (125, 152, 120)),
+    "dark green": ((25, 75, 35), (40, 70, 45), (68, 90, 66)),
     "teal": ((20, 120, 120), (40, 100, 105)),
     "turquoise": ((60, 205, 200), (30, 190, 210)),
     "light blue": ((150, 195, 230), (120, 175, 225)),
-    "blue": ((35, 85, 190), (50, 110, 200), (70, 105, 160)),
-    "navy": ((20, 30, 80), (30, 40, 95)),
+    "blue": ((35, 85, 190), (50, 110, 200), (70, 105, 160), (85, 103, 130)),
+    "navy": ((20, 30, 80), (30, 40, 95), (45, 55, 80)),
     "purple": ((110, 50, 150), (150, 100, 180), (90, 60, 110)),
 }
 
@@ -110,7 +111,7 @@ def _name_grays(lightness: Array) -> NDArray[np.int64]:
     word = np.searchsorted([BLACK_TO, DARK_TO, GRAY_TO, LIGHT_TO], lightness, side="right")
     if len(lightness):
         lit = float(np.percentile(lightness, 90))
-        if lit >= WHITE_FROM:
+        if lit >= WHITE_FROM and float(np.percentile(lightness, 60)) >= WHITE_FROM:
             word = np.where(lightness >= SHADOW_RATIO * lit, 4, word)
     return word.astype(np.int64)
 
@@ -125,7 +126,8 @@ def name_colors(rgb: ArrayLike, max_points: int = 6000) -> ColorNames:
     points = lab(colors)
     saturation = np.hypot(points[:, 1], points[:, 2]) / (points[:, 0] + 16)
     # Below L = 12 the hue is noise of the sensor.
-    gray = (saturation < NEUTRAL_SATURATION) | (points[:, 0] < 12)
+    neutral = np.interp(points[:, 0], [45, 80], [NEUTRAL_SATURATION_DARK, NEUTRAL_SATURATION])
+    gray = (saturation < neutral) | (points[:, 0] < 12)
     named = np.empty(len(colors), dtype=np.int64)
     named[gray] = _name_grays(points[gray, 0])
     prototypes, words = _prototypes()
