@@ -91,7 +91,7 @@ def test_boxes_come_out_where_they_were_put(lake: Path) -> None:
     rows = connection.execute(
         "SELECT category, box_size, box_volume_m3 FROM instances WHERE scene_id = 'scannet/scene0000_00' AND NOT is_structure"
     ).fetchall()
-    found = {category: (sorted(size[:2]) + [size[2]], volume) for category, size, volume in rows}
+    found = {category: ([*sorted(size[:2]), size[2]], volume) for category, size, volume in rows}
     for label, size, volume in (
         ("table", (0.7, 1.2, 0.72), 0.6048),
         ("cabinet", (0.45, 0.8, 1.0), 0.36),
@@ -122,7 +122,7 @@ def test_the_same_run_again_does_nothing_quickly_and_without_prefect(home: dict[
 
 @pytest.mark.parametrize(
     ("setting", "stage"),
-    [("optimization.method.max_steps=77", "optimization"), ("navigation.agent_height=1.2", "navigation"), ("seed", "capture")],
+    [("optimization.method.max_steps=77", "optimization"), ("navigation.max_steps=123", "navigation"), ("seed", "capture")],
 )
 def test_one_changed_value_redoes_exactly_what_depends_on_it(
     home: dict[str, str], lake: Path, scans: Path, setting: str, stage: str
