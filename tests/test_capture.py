@@ -453,7 +453,10 @@ def test_real_modelled_house(realdata: Callable[[str], Path]) -> None:
         assert (pose[:3, 3] - reach <= low + 0.01).all()
     (shape,) = outcome.rows["rooms"]
     assert shape.height_m == pytest.approx(3.0, abs=0.05)
-    assert 150 < shape.floor_area_m2 < 19 * 11.4
+    # Its outer walls are 20 cm thick, and its floor runs on below them: the room ends at their inner faces.
+    ring = np.array(shape.floor_polygon)
+    assert np.allclose([ring.min(axis=0), ring.max(axis=0)], [[-9.3, -5.5], [9.3, 5.5]], atol=0.03)
+    assert len(ring) == 8
     assert {rows[name].category for name in rows if "Wall" in name} == {"wall"}
     assert rows["FloorB_01_001"].category == "floor"
 
@@ -516,3 +519,37 @@ def test_camera_of_the_truth_projects_into_masks(room: BoxRoom, tmp_path: Path) 
         in_box = (pixel >= [x0 - 1.5, y0 - 1.5]).all(axis=1) & (pixel <= [x1 + 0.5, y1 + 0.5]).all(axis=1)
         if mask.visible_fraction > 0.6:
             assert (inside & in_box).sum() > 0.9 * inside.sum()
+
+
+def test_scan_of_a_furnished_room_against_its_truth(tmp_path: Path) -> None:
+    """A noisy virtual scan, without alignment: room and boxes come out where the furniture stood."""
+    import shapely
+
+    from tasks.furniture.rooms import furnish
+    from tasks.scanner import ScannerConfig, scan_scene
+
+    rng = np.random.default_rng(8)
+    room = furnish("bedroom", rng, object_count=10)
+    scan_scene(room, tmp_path, "scene0000_00", ScannerConfig(axis_alignment=False, frames="sens"), rng)
+    truth = json.loads((tmp_path / "scene0000_00.truth.json").read_text())
+    outcome = captured(tmp_path / "scene0000_00")
+    (scene,), (shape,) = outcome.rows["scenes"], outcome.rows["rooms"]
+    world = matrix(scene.alignment) @ inverse(matrix(np.ravel(truth["alignment"])))
+    assert np.arccos(min(1.0, world[2, 2])) < np.deg2rad(0.5)
+    assert abs((yaw_of(world) + np.pi / 4) % (np.pi / 2) - np.pi / 4) < np.deg2rad(0.7)
+    assert abs(world[2, 3]) < 0.03
+    corners = np.column_stack([truth["polygon"], np.zeros(len(truth["polygon"]))])
+    expected, found = shapely.Polygon(transform_points(corners, world)[:, :2]), shapely.Polygon(shape.floor_polygon)
+    assert expected.intersection(found).area / expected.union(found).area > 0.95
+    assert shape.height_m == pytest.approx(truth["height_m"], abs=0.05)
+    of_id = {str(thing["object_id"]): thing for thing in truth["objects"] if thing["object_id"] is not None}
+    errors = []
+    for row in outcome.rows["instances"]:
+        thing = of_id[row.source_id]
+        assert row.category == thing["category"]
+        if not row.is_structure:
+            center = matrix(np.ravel(thing["pose"])) @ [0, 0, thing["extents"][2] / 2, 1]
+            errors.append(np.linalg.norm((world @ center)[:3] - matrix(row.box_pose)[:3, 3]))
+    assert len(errors) >= 8
+    assert np.median(errors) < 0.04
+    assert scene.license == "CC0-1.0"

@@ -26,6 +26,9 @@ _MIN_WALL_M2 = 0.4
 _LINE_GAP_M = 0.08
 """Lines nearer than this are one wall: thinner walls than that do not exist."""
 
+_WALL_THICKNESS_M = 0.23
+"""Thicker than the walls between rooms usually are."""
+
 _MIN_HEIGHT_M = 1.8
 _STEP_M = 0.1
 
@@ -147,12 +150,15 @@ class _Plan:
         low, high = np.percentile(base, [0.05, 99.95], axis=0)
         origin = low - 6 * _CELL_M
         shape = np.ceil((high - low) / _CELL_M).astype(int) + 12
-        floor, objects = (_raster(cloud.points[where, :2], origin, shape) for where in (is_floor, is_object))
+        is_wall = (kinds == WALL) & (z < height)
+        floor, objects, walls = (_raster(cloud.points[where, :2], origin, shape) for where in (is_floor, is_object, is_wall))
         # Floor is seen once in a cell, but a single point of an object may be a stray one.
         raw = (floor >= 1) | (objects >= 2)
         ball = ndimage.generate_binary_structure(2, 1)
-        closed = ndimage.binary_closing(np.pad(raw, 6), ball, iterations=5)[6:-6, 6:-6]
-        filled = ndimage.binary_fill_holes(closed)
+        # What walls and floor enclose is inside, seen or not: behind the front of a wardrobe nobody has looked.
+        barrier = raw | (walls >= 2)
+        closed = ndimage.binary_closing(np.pad(barrier, 6), ball, iterations=5)[6:-6, 6:-6]
+        filled = ndimage.binary_fill_holes(closed) & (raw | ~barrier)
         opened = ndimage.binary_opening(filled, ball, iterations=2)
         if not opened.any():
             return _Plan(origin, np.zeros_like(raw), floor >= 1)
@@ -230,14 +236,25 @@ def _snapped(plan: _Plan, outline: Polygon, lines: list[Array]) -> tuple[Polygon
     simple = outline.simplify(0.12)
     xs, ys = (_with_outline(lines[axis], simple, axis) for axis in (0, 1))
     share = plan.filled_share(xs, ys)
+    # A strip no wider than a wall between two walls is that wall, though modelled floors run on below it. Inside the
+    # room such strips are bridged again by the closing below.
+    share[_is_wall_strip(xs, lines[0]), :] = 0
+    share[:, _is_wall_strip(ys, lines[1])] = 0
     boxes = [shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(share > 0.5)]
     if boxes:
-        shape = _largest(_closed(shapely.union_all(boxes), 0.12))
+        # Strips narrower than a wall is thick are floor below a wall, or its recess at a window.
+        shape = _largest(_closed(_closed(shapely.union_all(boxes), 0.2), -0.13))
         if shape is not None:
             overlap = shape.intersection(outline).area / shape.union(outline).area
             if overlap > 0.85:
                 return shape.simplify(0.03), True
     return shapely.Polygon(simple.exterior), False
+
+
+def _is_wall_strip(positions: Array, walls: Array) -> NDArray[np.bool_]:
+    """Which gaps between consecutive lines lie between two walls and are as narrow as a wall, shape (len(positions) - 1,)."""
+    is_wall = np.isin(positions, walls)
+    return is_wall[:-1] & is_wall[1:] & (np.diff(positions) < _WALL_THICKNESS_M)
 
 
 def _with_outline(lines: Array, outline: Polygon, axis: int) -> Array:
