@@ -76,7 +76,11 @@ def generate(category: str, extents: Extents | None, rng: np.random.Generator, c
         x, y, z = (float(v) for v in extents)
     if not (np.isfinite([x, y, z]).all() and min(x, y, z) >= MINIMUM_M and max(x, y, z) <= MAXIMUM_M):
         raise ValueError(f"extents of a {category!r} must be {MINIMUM_M} to {MAXIMUM_M} m, are {(x, y, z)}")
-    draft = Draft(category, (x, y, z), rng, color)
     known = canonical_category(category)
-    (REGISTRY[known].draw if known else fallback.draw)(draft)
-    return draft.model()
+    if known is None:
+        draft = Draft(category, (x, y, z), rng, color)
+        fallback.draw(draft)
+    else:
+        draft = Draft(category, REGISTRY[known].drawn_extents((x, y, z)), rng, color)
+        REGISTRY[known].draw(draft)
+    return draft.model((x, y, z))

@@ -97,7 +97,9 @@ def washing_machine(d: Draft) -> None:
     d.add(
         "window",
         (70, 80, 92),
-        turned_body([(0.82 * r, face - 0.01), (0.82 * r, face + 0.01), (0.5 * r, d.hx)]).turned("y", np.pi / 2).at(0, 0, 0.44 * d.Z),
+        turned_body([(0.82 * r, face - 0.01), (0.82 * r, 0.5 * (face + d.hx)), (0.5 * r, d.hx)])
+        .turned("y", np.pi / 2)
+        .at(0, 0, 0.44 * d.Z),
     )
     d.box("panel", shade(color, 0.86), (face, 0.95 * d.hx), (-0.96 * d.hy, 0.96 * d.hy), (0.82 * d.Z, 0.95 * d.Z))
     d.box("drawer", color, (face, 0.96 * d.hx), (0.4 * d.hy, 0.9 * d.hy), (0.84 * d.Z, 0.93 * d.Z))
@@ -170,7 +172,7 @@ def air_conditioner(d: Draft) -> None:
     d.box("display", (90, 160, 170), (0.9 * d.hx, d.hx * 1.008), (0.6 * d.hy, 0.75 * d.hy), (0.5 * d.Z, 0.56 * d.Z))
 
 
-@category("vacuum cleaner", (0.45, 0.28, 0.9), "vacuum", "robot vacuum")
+@category("vacuum cleaner", (0.45, 0.28, 0.9), "vacuum", "robot vacuum", free=True)
 def vacuum_cleaner(d: Draft) -> None:
     """A canister on wheels with a tube; a flat one is a robot."""
     color = d.main(PLASTICS)

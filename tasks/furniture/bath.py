@@ -39,7 +39,7 @@ def _squash(factor: float) -> np.ndarray:
     return matrix
 
 
-@category("sink", (0.45, 0.55, 0.85), "wash basin", "bathroom sink", "kitchen sink", "basin")
+@category("sink", (0.45, 0.55, 0.85), "wash basin", "bathroom sink", "kitchen sink", "basin", free=True)
 def sink(d: Draft) -> None:
     """A basin with a tap: on a pedestal, on a cupboard, or, when flat, let into a counter."""
     color = d.main(WHITES + METALS[:1])
@@ -128,7 +128,7 @@ def soap_dispenser(d: Draft) -> None:
     d.box("pump", METALS[0], (-0.3 * r, 0.95 * r), (-0.2 * r, 0.2 * r), (0.92 * d.Z, d.Z))
 
 
-@category("towel", (0.06, 0.45, 0.65), "hand towel", "bath towel", "towels")
+@category("towel", (0.06, 0.45, 0.65), "hand towel", "bath towel", "towels", free=True)
 def towel(d: Draft) -> None:
     """A cloth over a rail; a flat one is folded."""
     color = d.main(LINENS + FABRICS)
@@ -136,7 +136,7 @@ def towel(d: Draft) -> None:
         layers = 3
         for i in range(layers):
             z = d.Z * i / layers
-            inset = 0.02 * d.X * (i % 2)
+            inset = 0.02 * min(d.X, d.Y) * (i % 2)
             d.cushion("folds", color, (-d.hx + inset, d.hx), (-d.hy + inset, d.hy - inset), (z, z + d.Z / layers), 0.48 * d.Z / layers)
         return
     d.variant = "hanging"

@@ -122,7 +122,7 @@ def mattress(d: Draft) -> None:
         d.cushion("piping", shade(cloth, 0.8), (-d.hx, d.hx), (-d.hy, d.hy), (z * d.Z, (z + 0.04) * d.Z), 0.018 * d.Z)
 
 
-@category("pillow", (0.14, 0.5, 0.36), "cushion", "throw pillow", "couch pillow")
+@category("pillow", (0.14, 0.5, 0.36), "cushion", "throw pillow", "couch pillow", free=True)
 def pillow(d: Draft) -> None:
     """A filled square of cloth, thick in the middle; standing or lying, as its extents have it."""
     d.add("pillow", d.main(LINENS + FABRICS + WHITES), _filled(d))

@@ -34,7 +34,18 @@ def _frame(d: Draft, color: Color, width: float, front: float) -> None:
 
 
 @category(
-    "picture", (0.03, 0.6, 0.45), "picture frame", "painting", "poster", "photo", "photo frame", "portrait", "calendar", "sign", "map"
+    "picture",
+    (0.03, 0.6, 0.45),
+    "picture frame",
+    "painting",
+    "poster",
+    "photo",
+    "photo frame",
+    "portrait",
+    "calendar",
+    "sign",
+    "map",
+    free=True,
 )
 def picture(d: Draft) -> None:
     """A frame with a mat and a painted scene: hills, blocks, or a still life."""
@@ -70,17 +81,17 @@ def picture(d: Draft) -> None:
         patch((70, 46, 34), (0.35, 0.65), (0.7, 0.82), 3)
 
 
-@category("mirror", (0.03, 0.5, 0.9), "wall mirror")
+@category("mirror", (0.03, 0.5, 0.9), "wall mirror", free=True)
 def mirror(d: Draft) -> None:
     """A light pane in a frame, rectangular or round."""
     frame = d.main(WOODS + METALS + DARKS)
     if d.one_of("framed", "round") == "round" and 0.3 * min(d.Y, d.Z) > d.X:
         stretch = d.Y / d.Z
-        for part, color, size, front in (("frame", frame, 1.0, 0.6), ("pane", (196, 212, 220), 0.92, 1.0)):
-            disc = turned_body([(size * 0.5 * d.Z, -d.hx), (size * 0.5 * d.Z, front * d.hx)], stretch=stretch)
+        for part, color, size, back, front in (("frame", frame, 1.0, -1.0, 0.6), ("pane", (196, 212, 220), 0.92, 0.0, 1.0)):
+            disc = turned_body([(size * 0.5 * d.Z, back * d.hx), (size * 0.5 * d.Z, front * d.hx)], stretch=stretch)
             d.add(part, color, disc.turned("y", np.pi / 2).at(0, 0, 0.5 * d.Z))
         return
-    width = min(0.04, 0.08 * d.Y)
+    width = min(0.04, 0.08 * d.Y, 0.08 * d.Z)
     _frame(d, frame, width, d.hx)
     d.box("pane", (196, 212, 220), (-0.8 * d.hx, 0.5 * d.hx), (-d.hy + width, d.hy - width), (width, d.Z - width))
 
@@ -125,7 +136,7 @@ def plant(d: Draft) -> None:
     high = min(0.32 * d.Z, 0.3) if d.Z > 0.3 else 0.45 * d.Z
     r = min(0.5 * min(d.hx, d.hy), 0.75 * high)
     d.add("pot", clay, vessel([(0.72 * r, 0), (0.95 * r, 0.85 * high), (r, 0.85 * high), (r, high)], 0.1 * r, 0.1 * high))
-    d.add("soil", (70, 52, 40), cylinder(0.88 * r, (0.5 * high, 0.88 * high)))
+    d.add("soil", (70, 52, 40), cylinder(0.8 * r, (0.5 * high, 0.84 * high)))
     if kind == "tree":
         d.add("stem", (110, 84, 60), bar((0, 0, 0.5 * high), (0.03 * d.hx, 0, 0.75 * d.Z), 0.05 * r + 0.012, 0.05 * r + 0.012, 8))
     count = 14 if kind == "palm" else 18
@@ -165,7 +176,7 @@ def _book(d: Draft, color: Color, x: tuple[float, float], y: tuple[float, float]
     thin = {"-y": 2, "+x": 1}[spine]
     spans = [x, y, z]
     low, high = spans[thin]
-    cover = min(0.003, 0.15 * (high - low))
+    cover = min(0.003, *(0.15 * (b - a) for a, b in spans))
     for a, b in ((low, low + cover), (high - cover, high)):
         sides = [*spans]
         sides[thin] = (a, b)
@@ -178,7 +189,7 @@ def _book(d: Draft, color: Color, x: tuple[float, float], y: tuple[float, float]
         d.box("pages", PAPER, (x[0] + cover, x[1] - cover), (low + cover, high - cover), (z[0] + cover, z[1] - cover))
 
 
-@category("book", (0.24, 0.17, 0.03), "notebook", "magazine", "folder", "binder", "newspaper")
+@category("book", (0.24, 0.17, 0.03), "notebook", "magazine", "folder", "binder", "newspaper", free=True)
 def book(d: Draft) -> None:
     """A closed book that lies, or stands with its spine to the front."""
     color = d.main(COVERS)
@@ -189,7 +200,7 @@ def book(d: Draft) -> None:
         _book(d, color, (-d.hx, d.hx), (-d.hy, d.hy), (0, d.Z), "-y")
 
 
-@category("book stack", (0.24, 0.3, 0.2), "books", "books stack", "row of books", "stack of books")
+@category("book stack", (0.24, 0.3, 0.2), "books", "books stack", "row of books", "stack of books", free=True)
 def book_stack(d: Draft) -> None:
     """Books lying on each other, or standing in a row when wide."""
     if d.Y > 1.25 * d.Z:
@@ -201,7 +212,7 @@ def book_stack(d: Draft) -> None:
             height = d.Z * (1.0 if i == count // 2 else d.between(0.78, 1.0))
             deep = d.X * (1.0 if i == 0 else d.between(0.8, 1.0))
             span = (float(edges[i]), float(edges[i + 1]) - 0.001)
-            _book(d, d.pick(COVERS), (-d.hx, -d.hx + deep), span, (0, height), "+x")
+            _book(d, d.main(COVERS) if i == 0 else d.pick(COVERS), (-d.hx, -d.hx + deep), span, (0, height), "+x")
         return
     d.variant = "pile"
     count = max(2, min(9, round(d.Z / 0.035)))
@@ -209,7 +220,9 @@ def book_stack(d: Draft) -> None:
     for i in range(count):
         x, y = d.hx * (1.0 if i == 0 else d.between(0.75, 0.97)), d.hy * (1.0 if i == 0 else d.between(0.75, 0.97))
         shift = d.between(-1, 1) * (d.hy - y)
-        _book(d, d.pick(COVERS), (-x, x), (-y + shift, y + shift), (float(edges[i]), float(edges[i + 1])), "-y")
+        _book(
+            d, d.main(COVERS) if i == 0 else d.pick(COVERS), (-x, x), (-y + shift, y + shift), (float(edges[i]), float(edges[i + 1])), "-y"
+        )
 
 
 @category("blanket", (1.0, 0.8, 0.12), "quilt", "comforter", "bedding", "bed sheet", "throw")

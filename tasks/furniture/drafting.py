@@ -99,13 +99,13 @@ class Draft:
         x, y = self.hx - min(inset, 0.45 * self.X), self.hy - min(inset, 0.45 * self.Y)
         return [(x, y), (-x, y), (-x, -y), (x, -y)]
 
-    def model(self) -> Model:
-        """The drawn thing, fitted exactly into its extents."""
+    def model(self, extents: Extents) -> Model:
+        """The drawn thing, fitted exactly into extents [m]."""
         import trimesh
 
         everything = np.concatenate([solid.vertices for _, _, solid in self._solids])
         low, high = everything.min(axis=0), everything.max(axis=0)
-        scale = np.array([self.X, self.Y, self.Z]) / np.maximum(high - low, 1e-9)
+        scale = np.array(extents) / np.maximum(high - low, 1e-9)
         center = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
 
         def mesh(hull: Hull | Solid) -> trimesh.Trimesh:
@@ -131,25 +131,45 @@ class Draft:
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A category: its usual extents [m], shape (3,), depth x width x height, and who draws it."""
+    """A category: its usual extents [m], shape (3,), depth x width x height, and who draws it.
+
+    free: Whether it is drawn at any proportions (it may stand, lie or hang); others are drawn at proportions that occur
+    and stretched from there.
+    """
 
     name: str
     extents: Extents
     draw: Callable[[Draft], None]
+    free: bool
 
+    def drawn_extents(self, extents: Extents) -> Extents:
+        """The extents to draw at for a model of these extents [m]."""
+        if self.free:
+            return extents
+        x, y, z = np.clip(extents, np.array(self.extents) * PROPORTIONS[0], np.array(self.extents) * PROPORTIONS[1])
+        return float(x), float(y), float(z)
+
+
+PROPORTIONS: tuple[float, float] = (0.4, 3.0)
+"""Share of the usual extents within which parameters are adjusted: boards keep their thickness, legs stay legs."""
 
 REGISTRY: dict[str, Entry] = {}
 ALIASES: dict[str, str] = {}
 
 
-def category(name: str, extents: Extents, *aliases: str) -> Callable[[Callable[[Draft], None]], Callable[[Draft], None]]:
-    """Registers a drawing under a category with its usual extents (depth, width, height) [m], and under other words for it."""
+def category(
+    name: str, extents: Extents, *aliases: str, free: bool = False
+) -> Callable[[Callable[[Draft], None]], Callable[[Draft], None]]:
+    """Registers a drawing under a category with its usual extents (depth, width, height) [m], and under other words for it.
+
+    `free`: see `Entry`.
+    """
 
     def register(draw: Callable[[Draft], None]) -> Callable[[Draft], None]:
         for word in (name, *aliases):
             if word in REGISTRY or word in ALIASES:
                 raise ValueError(f"category {word!r} is drawn twice")
-        REGISTRY[name] = Entry(name, extents, draw)
+        REGISTRY[name] = Entry(name, extents, draw, free)
         ALIASES.update(dict.fromkeys(aliases, name))
         return draw
 

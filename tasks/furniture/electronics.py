@@ -14,25 +14,26 @@ PICTURES: tuple[Color, ...] = ((40, 70, 110), (70, 110, 90), (120, 80, 60), (90,
 
 def _screen(d: Draft, frame: Color, x: tuple[float, float], z: tuple[float, float], on: bool) -> None:
     """A flat housing with a dark front and, when on, a picture of a few areas."""
-    d.box("housing", frame, (x[0], x[1] - 0.004), (-d.hy, d.hy), z)
-    edge = min(0.015, 0.05 * d.Y)
+    deep = min(0.006, 0.3 * (x[1] - x[0]))
+    d.box("housing", frame, (x[0], x[1] - 0.7 * deep), (-d.hy, d.hy), z)
+    edge = min(0.015, 0.05 * d.Y, 0.05 * (z[1] - z[0]))
     y0, y1, z0, z1 = -d.hy + edge, d.hy - edge, z[0] + edge, z[1] - edge
-    d.box("screen", SCREEN, (x[1] - 0.006, x[1] - 0.001), (y0, y1), (z0, z1))
+    d.box("screen", SCREEN, (x[1] - deep, x[1] - 0.2 * deep), (y0, y1), (z0, z1))
     if on:
         picture = d.pick(PICTURES)
-        d.box("picture", picture, (x[1] - 0.003, x[1] - 0.0005), (y0 + edge, y1 - edge), (z0 + edge, z1 - edge))
+        d.box("picture", picture, (x[1] - 0.5 * deep, x[1] - 0.1 * deep), (y0 + edge, y1 - edge), (z0 + edge, z1 - edge))
         d.box(
             "picture",
             shade(picture, 1.7),
-            (x[1] - 0.002, x[1]),
+            (x[1] - 0.35 * deep, x[1]),
             (y0 + 0.3 * d.hy, y1 - 0.9 * d.hy),
             (z0 + 0.3 * (z1 - z0), z0 + 0.75 * (z1 - z0)),
         )
     else:
-        d.box("screen", SCREEN, (x[1] - 0.002, x[1]), (y0, y1), (z0, z1))
+        d.box("screen", SCREEN, (x[1] - 0.35 * deep, x[1]), (y0, y1), (z0, z1))
 
 
-@category("tv", (0.22, 1.1, 0.68), "television", "tv set", "flat screen tv")
+@category("tv", (0.22, 1.1, 0.68), "television", "tv set", "flat screen tv", free=True)
 def tv(d: Draft) -> None:
     """A wide screen, on two feet when it is deep enough to stand, else for a wall."""
     frame = d.main(DARKS)
@@ -46,12 +47,14 @@ def tv(d: Draft) -> None:
     _screen(d, frame, (-0.5 * thin, 0.5 * thin), (low, d.Z), on)
     for s in (-1, 1):
         y = s * 0.62 * d.hy
-        d.add("feet", frame, bar((-d.hx, y, 0.008), (d.hx, y, 0.008), 0.03, 0.016))
+        d.add("feet", frame, bar((-d.hx, y, 0.3 * low), (d.hx, y, 0.3 * low), 0.03, 0.6 * low))
         d.add(
             "feet",
             frame,
             wedge(
-                ((-0.4 * d.hx, 0.4 * d.hx), (y - 0.015, y + 0.015)), ((-0.4 * thin, 0.4 * thin), (y - 0.015, y + 0.015)), (0.01, 1.1 * low)
+                ((-0.4 * d.hx, 0.4 * d.hx), (y - 0.015, y + 0.015)),
+                ((-0.4 * thin, 0.4 * thin), (y - 0.015, y + 0.015)),
+                (0.5 * low, 1.1 * low),
             ),
         )
 
@@ -101,7 +104,7 @@ def mouse(d: Draft) -> None:
     )
 
 
-@category("laptop", (0.3, 0.34, 0.24), "notebook computer")
+@category("laptop", (0.3, 0.34, 0.24), "notebook computer", free=True)
 def laptop(d: Draft) -> None:
     """An open laptop with its user at the front; a flat one is closed."""
     color = d.main(METALS + DARKS)
@@ -126,13 +129,13 @@ def laptop(d: Draft) -> None:
     d.add("screen", d.pick((SCREEN, *PICTURES)), glass)
 
 
-@category("tablet", (0.17, 0.24, 0.01), "ipad")
+@category("tablet", (0.17, 0.24, 0.01), "ipad", free=True)
 def tablet(d: Draft) -> None:
     """A flat slab with a dark glass on top, or to the front when it stands."""
     _glass_slab(d, d.main(METALS + DARKS))
 
 
-@category("cell phone", (0.15, 0.075, 0.01), "smartphone", "mobile phone")
+@category("cell phone", (0.15, 0.075, 0.01), "smartphone", "mobile phone", free=True)
 def cell_phone(d: Draft) -> None:
     """A small flat slab with a dark glass."""
     _glass_slab(d, d.main(DARKS + WHITES))

@@ -27,6 +27,9 @@ Extents = tuple[float, float, float]
 TOUCH_M3 = 1e-7
 """Overlap of two boxes that is rounding, not collision."""
 
+SETS: tuple[str, ...] = ("chair", "office chair", "bar stool", "nightstand", "wine glass", "plate", "cup")
+"""What comes in sets: all of a room are of one design and size."""
+
 GAP_M = 0.015
 """Between furniture and the wall behind it: baseboards keep it that far off."""
 
@@ -94,6 +97,7 @@ class Furnisher:
         directions = (after - polygon) / lengths[:, None]
         self.walls = [Wall(p, d, np.array([-d[1], d[0]]), float(n)) for p, d, n in zip(polygon, directions, lengths, strict=True)]
         self._casts: dict[str, RayScene] = {}
+        self._sets: dict[str, tuple[int, Extents]] = {}
 
     def keep_clear(self, pose: Array, size: Extents) -> None:
         """Nothing that stands on the floor may enter this box: a pose of its center, and its sides [m]."""
@@ -147,11 +151,12 @@ class Furnisher:
             for tuck in (0.45, 0.3, 0.15, -0.04):
                 away = reach + (0.5 - tuck) * size[0]
                 turn = self.rng.normal(0, 0.05) if tuck < 0 else 0.0
-                offset = [away * np.cos(out) - shift * np.sin(out), away * np.sin(out) + shift * np.cos(out), 0]
-                pose = table.pose @ yaw_pose(side + turn, offset)
-                placed = self._try(category, size, pose, "floor", tucked=table)
-                if placed:
-                    return placed
+                for squeeze in (1.0, 0.75):  # between a trestle's legs there is room only nearer the middle
+                    along = squeeze * shift
+                    offset = [away * np.cos(out) - along * np.sin(out), away * np.sin(out) + along * np.cos(out), 0]
+                    placed = self._try(category, size, table.pose @ yaw_pose(side + turn, offset), "floor", tucked=table)
+                    if placed:
+                        return placed
         return None
 
     def _table_sides(self, x: float, y: float, width: float) -> list[tuple[float, float, float]]:
@@ -257,6 +262,8 @@ class Furnisher:
         return None
 
     def _sizes(self, category: str) -> Extents:
+        if category in self._sets:
+            return self._sets[category][1]
         x, y, z = np.array(typical_extents(category)) * self.rng.uniform(0.92, 1.08, 3)
         return float(x), float(y), float(z)
 
@@ -329,7 +336,11 @@ class Furnisher:
         return placed
 
     def _model(self, category: str, size: Extents, pose: Array, parent: str) -> Furnishing:
-        model = generate(category, size, self.rng)
+        if category in SETS:
+            self._sets.setdefault(category, (int(self.rng.integers(2**63)), size))
+            model = generate(category, size, np.random.default_rng(self._sets[category][0]))
+        else:
+            model = generate(category, size, self.rng)
         name = f"{category.replace(' ', '_')}_{len(self.objects):03d}"
         return Furnishing(name, category, model.parts, model.pieces, pose, size, parent)
 

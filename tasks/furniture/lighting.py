@@ -44,7 +44,7 @@ def floor_lamp(d: Draft) -> None:
     _shade_and_bulb(d, low, d.Z, r, 0.75, stretch)
 
 
-@category("table lamp", (0.28, 0.28, 0.48), "lamp", "bedside lamp")
+@category("table lamp", (0.28, 0.28, 0.48), "lamp", "bedside lamp", free=True)
 def table_lamp(d: Draft) -> None:
     """A turned foot of pottery or metal under a cloth shade; a tall one is a floor lamp."""
     if d.Z > 1.0:
@@ -86,20 +86,20 @@ def desk_lamp(d: Draft) -> None:
     d.add("bulb", GLOW, cylinder(0.5 * r, (-0.168 * d.Z, -0.155 * d.Z)).turned("y", -0.6).at(*head))
 
 
-@category("ceiling lamp", (0.4, 0.4, 0.35), "ceiling light", "light", "pendant lamp", "hanging lamp")
+@category("ceiling lamp", (0.4, 0.4, 0.35), "ceiling light", "light", "pendant lamp", "hanging lamp", free=True)
 def ceiling_lamp(d: Draft) -> None:
     """A pendant shade on a cord, a glass globe, or a flat disc under the ceiling."""
     metal = d.pick(METALS + BRASSES)
     r, stretch = d.hx, d.Y / d.X
     if d.Z < 0.35 * d.X:
         d.variant = "flush"
-        d.add("plate", metal, turned_body([(0.9 * r, 0.8 * d.Z), (0.9 * r, d.Z)], stretch=stretch))
+        d.add("plate", d.main(METALS), turned_body([(0.9 * r, 0.8 * d.Z), (0.9 * r, d.Z)], stretch=stretch))
         d.add("diffuser", GLOW, turned_body([(0.7 * r, 0), (r, 0.35 * d.Z), (r, 0.8 * d.Z)], stretch=stretch))
         return
     d.add("rose", metal, turned_body([(0.05 + 0.1 * r, 0.97 * d.Z), (0.06 + 0.1 * r, d.Z)]))
     d.round_leg("cord", (40, 40, 40), 0, 0, (0.5 * d.Z, 0.98 * d.Z), 0.006)
     if d.one_of("shade", "globe") == "globe":
-        d.add("globe", GLOW, ellipsoid((0, 0, 0.3 * d.Z), (r, r * stretch, 0.3 * d.Z), 16, 10))
+        d.add("globe", d.main((GLOW,)), ellipsoid((0, 0, 0.3 * d.Z), (r, r * stretch, 0.3 * d.Z), 16, 10))
     else:
         _shade_and_bulb(d, 0, 0.55 * d.Z, r, 0.45, stretch)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.furniture.furnishing import Furnisher, Furnishing
+from tasks.furniture.furnishing import Furnisher, Furnishing, Wall
 from tasks.furniture.palette import PAINTS, WOODS, Color, pick, shade
 from tasks.furniture.solids import Solid, box
 from tasks.transforms import yaw_pose
@@ -253,7 +253,7 @@ def _structure(furnisher: Furnisher, door_wall: int, door_at: float, rng: np.ran
     """Floor of planks, walls with baseboards and the door's opening, ceiling; closed solids in the world frame."""
     wood, paint, white = pick(WOODS[2:5], rng), pick((*PAINTS[:2], (206, 214, 208), (226, 214, 198)), rng), (236, 234, 228)
     height, polygon = furnisher.height, furnisher.polygon
-    nodes = [("floor_000|floor|floor", _planks(polygon, wood, rng))]
+    nodes = [("floor_000|floor|floor", _planks(polygon, wood, rng, _threshold(furnisher.walls[door_wall], door_at)))]
     for index, wall in enumerate(furnisher.walls):
         openings = [(door_at - 0.5 * DOOR_M[0], door_at + 0.5 * DOOR_M[0])] if index == door_wall else []
         edges = [-WALL_M, *[v for span in openings for v in span], wall.length + WALL_M]
@@ -281,9 +281,15 @@ def _plates(polygon: Array, z: tuple[float, float]) -> list[Solid]:
     return [box((0.0, x), (0.0, float(polygon[4, 1])), z), box((x, float(polygon[1, 0])), (0.0, y), z)]
 
 
-def _planks(polygon: Array, wood: Color, rng: np.random.Generator) -> trimesh.Trimesh:
+def _threshold(wall: Wall, at: float) -> Solid:
+    """The floor in the door's opening."""
+    sill = box((-WALL_M, 0.0), (-0.5 * DOOR_M[0], 0.5 * DOOR_M[0]), (-0.1, 0.0))
+    return sill.moved(yaw_pose(wall.yaw, [*(wall.start + at * wall.along), 0.0]))
+
+
+def _planks(polygon: Array, wood: Color, rng: np.random.Generator, threshold: Solid) -> trimesh.Trimesh:
     """A floor of boards 14 cm wide in tones of one wood, top at z = 0."""
-    solids: list[tuple[Color, Solid]] = []
+    solids: list[tuple[Color, Solid]] = [(shade(wood, 0.85), threshold)]
     for plate in _plates(polygon, (-0.1, 0.0)):
         low, high = plate.vertices.min(axis=0), plate.vertices.max(axis=0)
         edges = np.linspace(low[1], high[1], max(2, round((high[1] - low[1]) / 0.14)) + 1)

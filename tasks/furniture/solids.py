@@ -179,7 +179,7 @@ def cylinder(radius: float, z: Span, count: int = 16) -> Solid:
 
 
 def vessel(
-    profile: Sequence[tuple[float, float]], wall: float, floor: float, section: Array | None = None, stretch: float = 1.0, sectors: int = 8
+    profile: Sequence[tuple[float, float]], wall: float, floor: float, section: Array | None = None, stretch: float = 1.0, sectors: int = 12
 ) -> Solid:
     """Open hollow body: outer `profile` of (radius, z) from bottom to top, `wall` and `floor` thick [m].
 
@@ -202,7 +202,7 @@ def vessel(
 
 
 def band(
-    profile: Sequence[tuple[float, float]], wall: float, section: Array | None = None, stretch: float = 1.0, sectors: int = 8
+    profile: Sequence[tuple[float, float]], wall: float, section: Array | None = None, stretch: float = 1.0, sectors: int = 12
 ) -> Solid:
     """Hollow body without a floor: outer `profile` of (radius, z) from bottom to top, `wall` thick [m]; else as `vessel`."""
     outline = circle() if section is None else section

@@ -28,7 +28,7 @@ def bookshelf(d: Draft) -> None:
     _case(d, wood, back=True)
 
 
-@category("shelf", (0.35, 0.9, 1.5), "shelves", "rack", "storage shelf", "display shelf", "storage rack", "spice rack")
+@category("shelf", (0.35, 0.9, 1.5), "shelves", "rack", "storage shelf", "display shelf", "storage rack", "spice rack", free=True)
 def shelf(d: Draft) -> None:
     """Boards between metal posts, a backless case, or a single board on brackets when it is flat."""
     if d.Z < 0.35 * d.Y and d.Z < 0.4:
@@ -61,7 +61,7 @@ def _case(d: Draft, wood: Color, back: bool) -> None:
     levels = shelf_levels((d.X, d.Y, d.Z))
     for level in [*levels, d.Z]:
         d.box("boards", wood, (-d.hx, d.hx - 0.004), (-d.hy + side, d.hy - side), (level - board, level))
-    d.box("plinth", shade(wood, 0.9), (-d.hx, d.hx - 0.02), (-d.hy + side, d.hy - side), (0, levels[0] - board))
+    d.box("plinth", shade(wood, 0.9), (-d.hx, d.hx - min(0.02, 0.1 * d.X)), (-d.hy + side, d.hy - side), (0, levels[0] - board))
     if back:
         d.box("back", shade(wood, 0.88), (-d.hx, -d.hx + 0.008), (-d.hy + side, d.hy - side), (levels[0], d.Z - board))
 
@@ -202,7 +202,7 @@ def file_cabinet(d: Draft) -> None:
     _fronts(d, color, max(2, round(d.Z / 0.33)), 1, (0.01, d.Z - 0.01), "bar")
 
 
-@category("box", (0.3, 0.4, 0.28), "cardboard box", "carton", "package")
+@category("box", (0.3, 0.4, 0.28), "cardboard box", "carton", "package", free=True)
 def carton(d: Draft) -> None:
     """A closed carton with tape, or an open one with its flaps out."""
     color = d.main(CARTONS)
@@ -225,8 +225,8 @@ def storage_bin(d: Draft) -> None:
     r, stretch = d.hx, d.Y / d.X
     lid = d.one_of("lidded", "open") == "lidded"
     top = 0.88 * d.Z if lid else d.Z
-    body = [(0.84 * r, 0), (0.95 * r, top - 0.03 * d.Z), (r, top - 0.03 * d.Z), (r, top)]
-    d.add("tub", color, vessel(body, min(0.012, 0.1 * r), 0.01, square(), stretch, 4))
+    body = [(0.84 * r, 0), (0.97 * r, top - 0.03 * d.Z), (r, top - 0.03 * d.Z), (r, top)]
+    d.add("tub", color, vessel(body, min(0.06 * r, 0.012 + 0.03 * r), 0.01, square(), stretch, 4))
     if lid:
         d.cushion("lid", shade(color, 0.8), (-d.hx, d.hx), (-d.hy, d.hy), (top, d.Z), 0.01)
 
@@ -236,7 +236,7 @@ def basket(d: Draft) -> None:
     """A woven pot: bands of two tones, with two handles."""
     color = d.main(((176, 138, 92), (150, 112, 70), (200, 178, 140)))
     r, stretch, top = 0.96 * d.hx, d.Y / d.X, 0.9 * d.Z
-    bands = 6
+    bands = 4
     for i in range(bands):
         z0, z1 = top * i / bands, top * (i + 1) / bands
         profile = [(r * (0.78 + 0.22 * z / top), z) for z in (z0, z1)]

@@ -26,7 +26,7 @@ def table(d: Draft) -> None:
     d.box("top", wood, (-d.hx, d.hx), (-d.hy, d.hy), (d.Z - top, d.Z))
     if kind == "trestle":
         for s in (-1, 1):
-            y = s * (d.hy - 0.22 * d.Y * 0.8)
+            y = s * (d.hy - 0.1 * d.Y)
             for t in (-1, 1):
                 d.add("legs", wood, bar((t * 0.85 * d.hx, y, 0.01), (t * 0.2 * d.hx, y, d.Z - top), 0.07, 0.05))
             d.box("legs", wood, (-0.6 * d.hx, 0.6 * d.hx), (y - 0.03, y + 0.03), (d.Z - top - 0.06, d.Z - top))

@@ -28,7 +28,7 @@ def mug(d: Draft) -> None:
     d.add(
         "cup",
         color,
-        vessel([(foot * r, 0), (r, 0.1 * d.Z if foot > 0.9 else d.Z * 0.9), (r, d.Z)], 0.07 * r, 0.08 * d.Z, sectors=8).at(x, 0, 0),
+        vessel([(foot * r, 0), (r, 0.1 * d.Z if foot > 0.9 else d.Z * 0.9), (r, d.Z)], 0.07 * r, 0.08 * d.Z).at(x, 0, 0),
     )
     if d.hx > r + 0.002:
         _handle(d, "handle", color, x + 0.93 * r, d.hx, (0.22 * d.Z, 0.8 * d.Z), min(0.18 * r, 0.4 * (d.X - 2 * r)))
@@ -185,9 +185,9 @@ def pan(d: Draft) -> None:
 def kettle(d: Draft) -> None:
     """A bellied pot with a spout at its front and a handle at its back."""
     color, r = d.main(METALS + CERAMICS), d.hy
-    d.add("pot", color, turned_body([(0.85 * r, 0), (r, 0.2 * d.Z), (0.95 * r, 0.5 * d.Z), (0.6 * r, 0.85 * d.Z), (0.3 * r, 0.93 * d.Z)]))
+    d.add("pot", color, turned_body([(0.85 * r, 0), (r, 0.2 * d.Z), (0.85 * r, 0.5 * d.Z), (0.55 * r, 0.8 * d.Z), (0.3 * r, 0.93 * d.Z)]))
     d.add("knob", (34, 34, 36), turned_body([(0.1 * r, 0.9 * d.Z), (0.12 * r, d.Z)]))
-    d.add("spout", color, sweep([(0.7 * r, 0, 0.45 * d.Z), (d.hx, 0, 0.8 * d.Z)], [0.05, 0.03], [0.05, 0.03], 8, up=(0, 1, 0)))
+    d.add("spout", color, sweep([(0.6 * r, 0, 0.4 * d.Z), (d.hx, 0, 0.82 * d.Z)], [0.5 * r, 0.2 * r], [0.5 * r, 0.2 * r], 8, up=(0, 1, 0)))
     t = np.linspace(np.pi / 2, 3 * np.pi / 2, 7)
     reach = d.hx - 0.7 * r
     loop = np.column_stack([-0.7 * r + reach * np.cos(t), np.zeros(7), 0.5 * d.Z + 0.32 * d.Z * np.sin(t)])

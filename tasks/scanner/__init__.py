@@ -74,7 +74,7 @@ class ScannerConfig:
     segment_color_weight: float = 0.35  # paint parts things that geometry does not: a book on a table
     segment_owner_weight: float = 0.3  # how much a person's clean-up keeps segments from crossing things
     owner_reach_m: float = 0.06  # a vertex farther from every true surface is nobody's
-    least_vertices: int = 40  # an instance with fewer is not annotated
+    least_vertices: int = 30  # an instance with fewer is not annotated: about 100 cm2
     least_share: float = 0.05  # nor one of which less has been seen
     scene_type: str = ""  # `sceneType` of the text file; a furnished room states its own
     frames: Literal["exported", "sens", "none"] = "exported"  # folders of files open anywhere

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +83,7 @@ def scenery_of(source: FurnishedRoom | Sequence[Any]) -> Scenery:
     for name, mesh in pairs:
         word = parse_node_name(name)
         model = word["model"]
-        categories.setdefault(model, word["category"].lower().strip() or model)
+        categories.setdefault(model, _category(word["category"]) or model)
         old = bounds.get(model)
         box = np.asarray(mesh.bounds, dtype=np.float64)
         bounds[model] = box if old is None else np.array([np.minimum(old[0], box[0]), np.maximum(old[1], box[1])])
@@ -90,6 +91,13 @@ def scenery_of(source: FurnishedRoom | Sequence[Any]) -> Scenery:
     order = {model: index for index, model in enumerate(bounds)}
     things = [known.get(model) or _thing(model, categories[model], bounds[model]) for model in order]
     return Scenery([mesh for _, mesh in pairs], np.array([order[m] for m in models]), things, room)
+
+
+def _category(word: str) -> str:
+    """A category in lower case. Scenes name a house's own parts in one word (`housewallb`, `floorb`): they become plain."""
+    lower = " ".join(word.lower().replace("_", " ").split())
+    part = re.fullmatch(r"(?:house|room|folding)? ?(wall|floor|ceiling|window|door)[a-z]?", lower)
+    return part[1] if part else lower
 
 
 def _thing(model: str, category: str, bounds: Array) -> Thing:
