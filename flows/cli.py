@@ -55,12 +55,11 @@ def main() -> None:
     from schemas.errors import LakeError
 
     try:
-        cli(standalone_mode=False)
+        code = cli(standalone_mode=False)  # click hands back the code of an Exit instead of raising it
+        sys.exit(code if isinstance(code, int) else 0)
     except click.ClickException as error:
         error.show()
         sys.exit(2)
-    except click.exceptions.Exit as leaving:
-        sys.exit(leaving.exit_code)
     except click.Abort:
         print("interrupted", file=sys.stderr)
         sys.exit(130)

@@ -23,6 +23,7 @@ from tasks import captions
 from tasks.candidates import STAGE, CandidatesConfig, LibraryRetrieval, Procedural, ScanCrop, SlotConfig, run
 from tasks.candidates.assets import MAX_FACES, make_asset
 from tasks.candidates.closing import solid_field
+from tasks.candidates.cutting import hull_area
 from tasks.candidates.descriptors import Descriptor, describe, extents_similarity, shape_similarity, similarity
 from tasks.candidates.library import category_of, index_library, library_asset, library_files
 from tasks.candidates.procedural import fronted_extents
@@ -225,6 +226,23 @@ def test_a_corner_sofa_is_cut_not_filled() -> None:
     assert len(pieces) >= 2
     assert surface.volume < 0.75 * 2 * 2 * 0.6
     assert signed_distance(surface, np.array([[0.6, 0.6, 0.3]]))[0] > 0.3
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(1, 7), st.integers(0, 1), st.integers(0, 6))
+def test_hulls_of_cells_have_the_area_that_shapely_says(seed: int, rows: int, columns: int, axis: int, position: int) -> None:
+    import shapely
+    from scipy.ndimage import label
+
+    plan = np.random.default_rng(seed).random((rows, columns)) < 0.6
+    side = np.zeros(plan.shape, dtype=bool)
+    np.moveaxis(side, axis, 0)[:position] = True
+    expected = 0.0
+    for half in (plan & side, plan & ~side):
+        bodies, count = label(half)
+        for index in range(1, count + 1):
+            expected += shapely.union_all([shapely.box(i, j, i + 1, j + 1) for i, j in np.argwhere(bodies == index)]).convex_hull.area
+    assert hull_area(plan, axis, position) == pytest.approx(expected)
 
 
 # Descriptors and retrieval

@@ -38,9 +38,8 @@ def house(home: dict[str, str], realdata: Callable[[str], Path], tmp_path_factor
     source = realdata("scene_aws_small_house")
     scanned = metascenes(home, "scan", source / "house.glb", "--out", folder / "scans", "--voxel", 0.03, timeout=1800)
     assert scanned.returncode == 0, scanned.stderr
-    done = metascenes(
-        home, "run", "--scans", folder / "scans", "--dataset", "house", "--library", realdata("assets"), "--lake", folder / "lake", timeout=3000
-    )  # fmt: skip
+    options = ("--dataset", "house", "--library", realdata("assets"), "--lake", folder / "lake")
+    done = metascenes(home, "run", "--scans", folder / "scans", *options, timeout=3000)
     assert done.returncode == 0, done.stderr
     return {"lake": folder / "lake", "truth": source / "house.json", "scan": folder / "scans" / "house.truth.json", "folder": folder}
 
