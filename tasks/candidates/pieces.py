@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.candidates.closing import SolidField
+from tasks.candidates.cutting import hull_area
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -111,22 +112,22 @@ def _slabs(solid: Mask, slab_price: float) -> list[tuple[int, int]]:
 def _convex_parts(plan: Mask, cuts: int) -> list[Mask]:
     """A connected part of a slab in plan, cut along x or y where the hulls of what remains become smallest, until all
     are nearly convex."""
-    area = _hull_area(plan)
+    area = hull_area(plan)
     if cuts == 0 or plan.sum() >= CONVEXITY * area or plan.sum() < 4:
         return [plan]
-    best: tuple[float, list[Mask]] | None = None
+    best, best_axis, best_position = np.inf, 0, 0
     for axis in (0, 1):
         spread = np.flatnonzero(plan.any(axis=1 - axis))
         for position in np.unique(np.linspace(spread[0] + 1, spread[-1], CUT_POSITIONS).astype(int)):
-            side = np.zeros(plan.shape, dtype=bool)
-            side[tuple(slice(0, position) if i == axis else slice(None) for i in range(2))] = True
-            bodies = _bodies(plan & side) + _bodies(plan & ~side)
-            total = sum(_hull_area(body) for body in bodies)
-            if best is None or total < best[0]:
-                best = (total, bodies)
-    if best is None or best[0] > WORTHWHILE * area:
+            total = hull_area(plan, axis, int(position))
+            if total < best:
+                best, best_axis, best_position = total, axis, int(position)
+    if best > WORTHWHILE * area:
         return [plan]
-    return [part for body in best[1] for part in _convex_parts(body, cuts - 1)]
+    side = np.zeros(plan.shape, dtype=bool)
+    np.moveaxis(side, best_axis, 0)[:best_position] = True
+    bodies = _bodies(plan & side) + _bodies(plan & ~side)
+    return [part for body in bodies for part in _convex_parts(body, cuts - 1)]
 
 
 def _outline(plan: Mask) -> Array:
@@ -138,12 +139,6 @@ def _outline(plan: Mask) -> Array:
     last = plan.shape[1] - plan[rows, ::-1].argmax(axis=1)
     corners = np.array([[rows, first], [rows + 1, first], [rows, last], [rows + 1, last]]).transpose(0, 2, 1).reshape(-1, 2)
     return np.asarray(corners[ConvexHull(corners).vertices], dtype=np.float64)
-
-
-def _hull_area(plan: Mask) -> float:
-    """Area of the convex hull of cells in plan, in cells."""
-    x, y = _outline(plan).T
-    return float(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _corners(plan: Mask, low: int, high: int, field: SolidField) -> Array:
