@@ -258,7 +258,7 @@ class Furnisher:
         for factor in (1.0, 0.85, 0.7):
             small = (size[0] * factor, size[1] * factor, size[2])
             if self._inside(pose, small):
-                return self._put(category, small, pose, "floor")
+                return self.put(category, small, pose, "floor")
         return None
 
     def _sizes(self, category: str) -> Extents:
@@ -330,7 +330,8 @@ class Furnisher:
         self.objects.append(placed)
         return placed
 
-    def _put(self, category: str, size: Extents, pose: Array, parent: str) -> Furnishing:
+    def put(self, category: str, size: Extents, pose: Array, parent: str) -> Furnishing:
+        """Place it without asking whether it fits: what belongs to the house itself, and rugs."""
         placed = self._model(category, size, pose, parent)
         self.objects.append(placed)
         return placed

@@ -40,7 +40,6 @@ COVERS: tuple[Color, ...] = (
 )  # fmt: skip
 GLASSES: tuple[Color, ...] = ((190, 210, 216), (178, 200, 190), (206, 216, 220))
 SCREEN: Color = (18, 20, 26)
-WATER: Color = (200, 220, 228)
 PAPER: Color = (240, 236, 224)
 
 

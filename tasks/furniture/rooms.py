@@ -245,7 +245,7 @@ def _door(furnisher: Furnisher, rng: np.random.Generator) -> tuple[int, float]:
     furnisher.keep_clear(yaw_pose(wall.yaw, [*zone, 1.0]), (0.9, DOOR_M[0] + 0.1, 2.0))
     # hung things keep off too: the door itself takes part in every test of collision
     leaf = yaw_pose(wall.yaw, [*(point - 0.5 * WALL_M * wall.inward), 0.0])
-    furnisher._put("door", (WALL_M, DOOR_M[0] - 0.01, DOOR_M[1] - 0.005), leaf, "wall")
+    furnisher.put("door", (WALL_M, DOOR_M[0] - 0.01, DOOR_M[1] - 0.005), leaf, "wall")
     return index, at
 
 
