@@ -77,6 +77,8 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
         ) from error
     if sum(len(getattr(g, "faces", ())) for g in scene.geometry.values()) > MAX_FACES:
         raise InputError(file, "faces", f"more than {MAX_FACES} triangles", "decimate the mesh")
+    for geometry in scene.geometry.values():
+        _keep_encoded(geometry)
     parts = []
     for node in sorted(scene.graph.nodes_geometry):
         pose, name = scene.graph[node]
@@ -104,9 +106,49 @@ def dump_glb(parts: Sequence[trimesh.Trimesh], names: Sequence[str] | None = Non
         turned = part.copy()
         turned.apply_transform(Z_UP_TO_Y_UP)
         turned.metadata.clear()
+        _put_encoded(turned)
         scene.add_geometry(turned, node_name=name, geom_name=name)
     data = scene.export(file_type="glb", include_normals=False)
     return bytes(data)
+
+
+_ENCODED = "encoded file"
+"""Key in a texture's `info`: the image file as it was in the GLB."""
+
+_TEXTURES = ("baseColorTexture", "image", "emissiveTexture", "normalTexture", "occlusionTexture", "metallicRoughnessTexture")
+
+
+class _EncodedImage:
+    """A texture that is written as the file it came from: no second loss of a JPEG, and no ten times larger PNG of it."""
+
+    def __init__(self, data: bytes) -> None:
+        self.format = "JPEG" if data[:2] == b"\xff\xd8" else "PNG"
+        self._data = data
+
+    def save(self, file: Any, format: str = "") -> None:
+        file.write(self._data)
+
+
+def _textures(part: Any) -> list[tuple[Any, str, Any]]:
+    """Material, attribute and image of every texture of a part."""
+    material = getattr(getattr(part, "visual", None), "material", None)
+    found = [(material, name, getattr(material, name, None)) for name in _TEXTURES] if material is not None else []
+    return [(m, name, image) for m, name, image in found if hasattr(image, "info")]
+
+
+def _keep_encoded(part: Any) -> None:
+    """Remember the image file of every texture that was not decoded yet; copies carry it along."""
+    for _, _, image in _textures(part):
+        file: Any = getattr(image, "fp", None)
+        if image.format in ("JPEG", "PNG") and hasattr(file, "getvalue"):
+            image.info[_ENCODED] = file.getvalue()
+
+
+def _put_encoded(part: Any) -> None:
+    """Let the textures of a part be written as the files that they came from."""
+    for material, name, image in _textures(part):
+        if _ENCODED in image.info:
+            setattr(material, name, _EncodedImage(image.info[_ENCODED]))
 
 
 def surface_of(parts: Sequence[trimesh.Trimesh]) -> Surface:
@@ -187,8 +229,8 @@ def read_points(data: bytes, file: str = "points.ply") -> tuple[NDArray[np.float
         InputError: the bytes are no such PLY.
     """
     head, mark, body = data.partition(b"end_header\n")
-    rows = np.frombuffer(body, dtype=_POINT)
-    if not mark or f"element vertex {len(rows)}\n".encode() not in head:
+    rows = np.frombuffer(body[: len(body) // _POINT.itemsize * _POINT.itemsize], dtype=_POINT)
+    if not mark or len(body) % _POINT.itemsize or f"element vertex {len(rows)}\n".encode() not in head:
         raise InputError(file, "header", "is not a point cloud of this lake", "run the stage that made it again")
     return np.stack([rows["x"], rows["y"], rows["z"]], axis=1).astype(np.float64), np.stack(
         [rows["red"], rows["green"], rows["blue"]], axis=1

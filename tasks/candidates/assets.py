@@ -58,7 +58,9 @@ def make_asset(
     surface = dataclasses.replace(surface, vertices=surface.vertices + shift)
     textured = any(getattr(part.visual, "kind", None) == "texture" for part in parts)
     # Vertex colors lose nothing in one mesh, and one mesh is a tenth of the work for all who read it.
-    data = dump_glb(canonical(parts)) if textured else dump_glb([surface.to_trimesh()])
+    bodies = canonical(parts) if textured else [surface.to_trimesh()]
+    # Names inside the file make its hash, and so the asset, differ wherever the row would: one asset, one row.
+    data = dump_glb(bodies, [f"{name}|{category}|{index:03d}" for index in range(len(bodies))])
     asset_id = hashlib.sha256(data).hexdigest()
     files = {f"{asset_id}.glb": data}
     is_watertight, volume = _solidity(surface)

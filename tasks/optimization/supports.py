@@ -167,6 +167,8 @@ def _best_rest(
     cells, heights = underside(thing.surface, config.cell_m)
     on_base = heights <= thing.low[2] + config.base_m
     base, rise = cells[on_base], heights[on_base] - thing.low[2]
+    if not len(base):  # nothing of it near its lowest point is wide enough to stand on
+        return None
     found: list[tuple[float, str | None]] = []
     if abs(thing.low[2]) <= config.reach_m:
         found.append((0.0, None))
