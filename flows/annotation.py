@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
 from flows.configuration import configure
-from flows.fingerprints import canonical, canonical_json, code_fingerprint, digest
+from flows.fingerprints import canonical_json, code_fingerprint, digest
 from flows.worker import Job, execute
 from schemas.annotation import Annotation
 from schemas.candidates import Candidate
 from schemas.capture import Instance
 from schemas.errors import InputError
+from schemas.record import rows_to_arrow
 from tasks import annotation
 from tasks.annotation.batch import read_batch
 from tasks.stage import Context
@@ -74,8 +74,5 @@ def import_annotations(lake: Lake, file: Path, dry_run: bool = False) -> dict[st
 
 
 def _same(present: list[Annotation], rows: list[Annotation]) -> bool:
-    def order(row: Annotation) -> tuple[str, str, str]:
-        return row.scene_id, row.instance_id, row.annotator
-
-    plain = [[canonical(dataclasses.asdict(row)) for row in sorted(group, key=order)] for group in (present, rows)]
-    return bool(present) and repr(plain[0]) == repr(plain[1])
+    """Whether the lake holds exactly these answers."""
+    return bool(present) and rows_to_arrow(present, Annotation).equals(rows_to_arrow(rows, Annotation))
