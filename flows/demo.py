@@ -44,7 +44,7 @@ def make_scan(folder: Path, index: int, seed: int) -> None:
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir()
     demo_scan(making, index, seed)
-    truth = folder / "truth"
+    truth = folder.parent / "truth"
     truth.mkdir(exist_ok=True)
     for made in sorted(making.iterdir()):
         made.rename((truth if made.suffix == ".json" else folder) / made.name)

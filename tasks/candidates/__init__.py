@@ -19,12 +19,9 @@ from tasks.candidates.library import LibraryEntry, LibraryIndex, index_library, 
 from tasks.candidates.procedural import procedural_asset
 from tasks.candidates.request import CandidateRequest, NothingToOffer
 from tasks.candidates.retrieval import retrieve
-from tasks.candidates.scan_crop import closed_crop, pieces_of_crop
+from tasks.candidates.scan_crop import closed_crop
 from tasks.candidates.slots import DEFAULT_SLOTS, LibraryRetrieval, Procedural, Provider, ScanCrop, SlotConfig, provider_name
 from tasks.stage import Blobs, Context, Outcome, Stage
-
-if TYPE_CHECKING:
-    import trimesh
 
 Ranking = list[tuple[float, LibraryEntry]]
 
@@ -41,9 +38,7 @@ class CandidatesConfig:
             raise ValueError(f"slots: {len(self.slots)} given, there are one to ten")
 
 
-def run(
-    *, instances: list[Instance], captions: list[Caption], library: Path | None, context: Context, config: CandidatesConfig
-) -> Outcome:
+def run(*, instances: list[Instance], captions: list[Caption], library: Path | None, context: Context, config: CandidatesConfig) -> Outcome:
     """Candidates of every instance that is no structure, and their assets."""
     index = index_library(library) if library is not None else None
     problems = list(index.problems) if index is not None else []
@@ -135,13 +130,10 @@ def _crop_asset(request: CandidateRequest, provider: ScanCrop) -> MadeAsset:
     """The asset made of the instance's own faces."""
     if request.instance.mesh_blob is None:
         raise NothingToOffer("the scan has no faces of the instance")
-    pieces: list[trimesh.Trimesh] = []
-    if provider.mode == "closed":
-        surface = closed_crop(request.crop, request.field)
-    else:
-        surface, pieces = pieces_of_crop(request.crop, request.field)
-    return make_asset(
-        [surface],
+    surface, pieces = request.pieces  # the closed crop collides as its pieces do: they are known, and cheap
+    closed = closed_crop(request.crop, request.field) if provider.mode == "closed" else None
+    made = make_asset(
+        [surface if closed is None else closed],
         provider=provider_name(provider),
         name=f"{request.context.scene_id} {request.instance.instance_id} {provider.mode}",
         category=request.category,
@@ -149,6 +141,9 @@ def _crop_asset(request: CandidateRequest, provider: ScanCrop) -> MadeAsset:
         license="LicenseRef-scan",
         pieces=pieces,
     )
+    if closed is None or not made.asset.is_watertight:
+        return made
+    return dataclasses.replace(made, asset=dataclasses.replace(made.asset, volume_m3=float(closed.volume)))
 
 
 def _row(

@@ -120,9 +120,7 @@ def library_asset(entry: LibraryEntry) -> MadeAsset:
 def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str]) -> MadeAsset:
     file, category, license_text, author, source = facts
     parts = load_glb(path.read_bytes(), file)
-    return make_asset(
-        parts, provider="library", name=path.stem, category=category, source=source, license=license_text, author=author
-    )
+    return make_asset(parts, provider="library", name=path.stem, category=category, source=source, license=license_text, author=author)
 
 
 @lru_cache(maxsize=CACHED_FILES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,14 @@ from schemas.captions import Caption
 from schemas.capture import Instance
 from tasks.candidates.closing import SolidField, solid_field
 from tasks.candidates.descriptors import Descriptor, describe
-from tasks.candidates.scan_crop import crop_of
+from tasks.candidates.scan_crop import crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
 from tasks.meshes import Surface, read_points
 from tasks.stage import Context
 from tasks.transforms import inverse, matrix, transform_points
+
+if TYPE_CHECKING:
+    import trimesh
 
 MIN_SIDE_M = 0.005
 """A model gets no side thinner than 5 mm, however flat the scanned box is: posters and rugs come out without thickness."""
@@ -86,3 +90,8 @@ class CandidateRequest:
     def field(self) -> SolidField:
         """The solid field of the crop."""
         return solid_field(self.crop)
+
+    @cached_property
+    def pieces(self) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:
+        """Convex pieces of the crop and the surface of their union; raises as `pieces_of_crop` does."""
+        return pieces_of_crop(self.crop, self.field)
