@@ -14,7 +14,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, MutableMapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -164,6 +164,41 @@ class FileHashes:
         except OSError:  # a read-only home only costs the next run some time
             return
         self._changed = False
+
+
+class FileCache(MutableMapping[str, bytes]):
+    """Values by key in files of a folder, each whole or not there at all. A folder that cannot be written keeps nothing."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._unwritten: dict[str, bytes] = {}
+
+    def __getitem__(self, key: str) -> bytes:
+        try:
+            return (self._folder / key).read_bytes()
+        except OSError:
+            if key in self._unwritten:
+                return self._unwritten[key]
+            raise KeyError(key) from None
+
+    def __setitem__(self, key: str, value: bytes) -> None:
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(dir=self._folder, prefix=".making")
+            with os.fdopen(handle, "wb") as file:
+                file.write(value)
+            os.replace(name, self._folder / key)
+        except OSError:
+            self._unwritten[key] = value
+
+    def __delitem__(self, key: str) -> None:
+        (self._folder / key).unlink(missing_ok=True)
+
+    def __iter__(self) -> Iterator[str]:
+        return (path.name for path in sorted(self._folder.glob("*")) if not path.name.startswith("."))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 def cache_folder() -> Path:

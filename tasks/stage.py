@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -42,13 +42,15 @@ class Blobs(Mapping[str, bytes]):
 class Context:
     """What a run may know besides its inputs: whose it is, the seed, and the blobs that its input rows name.
 
-    `scene_id` is the annotation batch for stages of that grain.
+    `scene_id` is the annotation batch for stages of that grain. `cache` remembers, between runs, what costs much and
+    follows from content alone: a key must name everything that its value depends on but the stage's own code.
     """
 
     scene_id: str
     stage: str
     seed: int
     blobs: Mapping[str, bytes]
+    cache: MutableMapping[str, bytes] = dataclasses.field(default_factory=dict)
 
     def rng(self, *words: object) -> np.random.Generator:
         """A generator seeded by (run seed, scene, stage, words): the same on every worker."""

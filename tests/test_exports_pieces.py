@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from schemas.errors import InputError
 from tasks.exports.glb import close_glb, node_textures, open_glb, scaled_glb
-from tasks.exports.pieces import PieceConfig, asset_pieces, convex_hull, mass_properties, pieces
+from tasks.exports.pieces import PieceConfig, _cached, asset_pieces, convex_hull, mass_properties, pieces
 from tasks.exports.shading import corner_normals, linear_colors
 from tasks.furniture import generate
 from tasks.meshes import canonical, dump_glb, load_glb, surface_of
@@ -230,3 +230,16 @@ def test_rooms_without_a_floor_are_refused(polygon: list[tuple[float, float]]) -
 def test_the_direction_of_the_polygon_does_not_matter() -> None:
     there, back = (room_shell(room_of(polygon=p)) for p in (ROOM, ROOM[::-1]))
     assert sum(mesh.volume for _, mesh in there) == pytest.approx(sum(mesh.volume for _, mesh in back))
+
+
+def test_pieces_out_of_the_cache_are_those_that_went_in() -> None:
+    ell = trimesh.util.concatenate([trimesh.creation.box((1, 0.2, 0.2)), trimesh.creation.box((0.2, 0.2, 1))])
+    cache: dict[str, bytes] = {}
+    first = _cached("y" * 64, [ell], CONFIG, cache)
+    assert len(cache) == 1
+    again = _cached("y" * 64, [], CONFIG, cache)
+    assert first.method == again.method == pieces([ell], None, CONFIG).method
+    for a, b, c in zip(first.hulls, again.hulls, pieces([ell], None, CONFIG).hulls, strict=True):
+        assert np.array_equal(a.vertices, b.vertices)
+        assert np.array_equal(a.vertices, c.vertices)
+        assert np.array_equal(a.faces, c.faces)

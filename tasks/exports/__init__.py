@@ -36,7 +36,7 @@ def run(
     Raises:
         InputError: the scene has no room.
     """
-    replica, missed = gather(scenes, rooms, instances, captions, assets, placements, supports, context.blobs, config)
+    replica, missed = gather(scenes, rooms, instances, captions, assets, placements, supports, context.blobs, config, context.cache)
     blobs = Blobs()
     files: list[ExportFile] = []
     checks: list[ExportCheck] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,8 +101,9 @@ def identifier(text: str) -> str:
 def gather(
     scenes: Sequence[Scene], rooms: Sequence[Room], instances: Sequence[Instance], captions: Sequence[Caption], assets: Sequence[Asset],
     placements: Sequence[Placement], supports: Sequence[Support], blobs: Mapping[str, bytes], config: ExportsConfig,
+    cache: MutableMapping[str, bytes] | None = None,
 ) -> tuple[Replica, list[str]]:  # fmt: skip
-    """The replica of one scene, and what had to be left out of it.
+    """The replica of one scene, and what had to be left out of it. `cache` remembers convex pieces between runs.
 
     Raises:
         InputError: the scene has no room.
@@ -120,7 +121,7 @@ def gather(
         key = (placement.asset_id, placement.scale)
         try:
             if key not in shapes:
-                shapes[key] = _shape(placement, by_asset, blobs, config)
+                shapes[key] = _shape(placement, by_asset, blobs, config, cache)
             if not is_rigid(matrix(placement.optimized_pose)):
                 raise InputError("placements", f"{placement.instance_id} optimized_pose", "is no rigid pose")
         except InputError as error:
@@ -135,7 +136,13 @@ def gather(
     return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), license_), missed
 
 
-def _shape(placement: Placement, assets: Mapping[str, Asset], blobs: Mapping[str, bytes], config: ExportsConfig) -> Shape:
+def _shape(
+    placement: Placement,
+    assets: Mapping[str, Asset],
+    blobs: Mapping[str, bytes],
+    config: ExportsConfig,
+    cache: MutableMapping[str, bytes] | None,
+) -> Shape:
     """The shape of a placement's asset at its scale."""
     asset = assets.get(placement.asset_id)
     if asset is None:
@@ -143,7 +150,7 @@ def _shape(placement: Placement, assets: Mapping[str, Asset], blobs: Mapping[str
     glb = blobs[asset.mesh_blob]
     parts = load_glb(glb, f"{asset.name}.glb")
     known = load_glb(blobs[asset.pieces_blob], f"{asset.name} pieces.glb") if asset.pieces_blob else None
-    made = asset_pieces(asset.asset_id, parts, known, config.pieces)
+    made = asset_pieces(asset.asset_id, parts, known, config.pieces, cache)
     for part in parts:
         part.apply_transform(np.diag([*placement.scale, 1.0]))
     hulls = tuple(hull.transformed(np.eye(4), placement.scale) for hull in made.hulls)

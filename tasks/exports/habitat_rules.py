@@ -208,9 +208,7 @@ def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
     return found
 
 
-def _scene(
-    library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFile], lexicons: Mapping[str, set[int]]
-) -> Iterator[Finding]:
+def _scene(library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFile], lexicons: Mapping[str, set[int]]) -> Iterator[Finding]:
     """One scene: its stage, its objects, its navmesh and its lexicon."""
     values, where = scene.values, scene.file
     stage = values.get("stage_instance")

@@ -6,8 +6,10 @@ A decomposition left to the engine is not portable (engines inflate, merge or ig
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import MutableMapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -76,20 +78,35 @@ _MEMO_SIZE = 512  # assets; a few hundred kB each at most
 
 
 def asset_pieces(
-    asset_id: str, parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] | None, config: PieceConfig
+    asset_id: str,
+    parts: Sequence[trimesh.Trimesh],
+    known: Sequence[trimesh.Trimesh] | None,
+    config: PieceConfig,
+    cache: MutableMapping[str, bytes] | None = None,
 ) -> Pieces:
-    """Convex pieces of an unscaled asset, computed once per process for each asset.
+    """Convex pieces of an unscaled asset, computed once per process for each asset, and once per `cache`.
 
     parts: what is seen. known: pieces from construction, or None. Both in the asset's frame [m]. Pieces never reach
     outside the box of the parts, so an object that rests on what is seen of it rests on its pieces.
     """
     key = (asset_id, config)
     if key not in _memo:
-        _memo[key] = pieces(parts, known, config)
+        _memo[key] = pieces(parts, known, config) if known or cache is None else _cached(asset_id, parts, config, cache)
         while len(_memo) > _MEMO_SIZE:
             _memo.popitem(last=False)
     _memo.move_to_end(key)
     return _memo[key]
+
+
+def _cached(asset_id: str, parts: Sequence[trimesh.Trimesh], config: PieceConfig, cache: MutableMapping[str, bytes]) -> Pieces:
+    """Pieces out of the cache, put there when they are not; a library's models are decomposed once, not once per run."""
+    key = hashlib.sha256(f"pieces {asset_id} {config!r}".encode()).hexdigest()
+    if key not in cache:
+        made = pieces(parts, None, config)
+        hulls = [[hull.vertices.tolist(), hull.faces.tolist()] for hull in made.hulls]
+        cache[key] = json.dumps([made.method, hulls]).encode()
+    method, hulls = json.loads(cache[key])
+    return Pieces(tuple(Hull(np.array(v, dtype=np.float64), np.array(f, dtype=np.int64)) for v, f in hulls), method)
 
 
 def pieces(parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] | None, config: PieceConfig) -> Pieces:
