@@ -39,10 +39,19 @@ class Room:
     floor_area_m2: float = column("Area of the floor polygon", unit="m2", minimum=0)
     floor_source: str = column("What the floor polygon was estimated from", values=("surface", "walls", "extent"))
     walls: tuple[tuple[float, ...], ...] = column(
-        "Walls as segments (x0, y0, x1, y1) in the world frame; the room lies to their left", unit="m"
+        "Walls as segments (x0, y0, x1, y1) in the world frame, both faces of interior ones; the room lies to their left", unit="m"
+    )
+    interior_walls: tuple[tuple[float, ...], ...] = column(
+        "Walls inside the room as center lines with thickness and height (x0, y0, x1, y1, thickness, height)", unit="m"
     )
     height_m: float = column("Height of the room from floor to ceiling", unit="m", minimum=0.1)
     height_source: str = column("What the height was estimated from", values=("ceiling", "walls", "extent"))
+    floor_color: tuple[int, ...] | None = column(
+        "Median color of the floor in the scan, sRGB; missing when unseen", length=3, minimum=0, maximum=255
+    )
+    wall_color: tuple[int, ...] | None = column(
+        "Median color of the walls in the scan, sRGB; missing when unseen", length=3, minimum=0, maximum=255
+    )
 
 
 @record("frames", key=("scene_id", "frame_id"), stage="capture")

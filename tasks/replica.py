@@ -25,26 +25,48 @@ class ShellConfig:
     """How a room's floor and walls become slabs."""
 
     thickness_m: float = 0.1  # a partition wall; thick enough that nothing at walking pace passes it in one time step
-    floor_color: tuple[int, int, int] = (196, 186, 172)  # light wood, so that furniture stands out
-    wall_color: tuple[int, int, int] = (228, 226, 220)  # off-white paint
+    floor_color: tuple[int, int, int] = (196, 186, 172)  # light wood, where the scan shows no floor
+    wall_color: tuple[int, int, int] = (228, 226, 220)  # off-white paint, where the scan shows no wall
     miter_limit: float = 3.0  # sharper corners than about 40 degrees are cut instead of drawn out into spikes
 
 
 def room_shell(room: Room, config: ShellConfig | None = None) -> list[tuple[str, trimesh.Trimesh]]:
-    """Floor and walls of a room as closed slabs in the world frame [m], named `floor`, `wall_00`, `wall_01`, ...
+    """Floor and walls of a room as closed slabs in the world frame [m]: `floor`, `wall_00`, ..., `inner_00`, ...
 
-    The floor's top is z = 0. Slabs lie outside the floor polygon, so the inside of the room is free. Every wall is a
-    convex prism on one edge of the polygon; walls meet in miters and stand on the floor slab.
+    The floor's top is z = 0. Floor and outer walls lie outside the floor polygon. Every outer wall is a convex prism on
+    one edge of the polygon; they meet in miters and stand on the floor slab. Interior walls are boxes that stand on the
+    floor inside the room; what is over their openings stays open. Colors are the scan's, where it shows any.
 
     Raises:
-        InputError: the floor polygon has no area or crosses itself.
+        InputError: the floor polygon has no area or crosses itself, or an interior wall has no size.
     """
     shell = config or ShellConfig()
     ring = floor_ring(room)
-    named = [("floor", _prism_of_ring(_outer_ring(ring, shell), -shell.thickness_m, 0.0, shell.floor_color))]
+    floor_color, wall_color = room.floor_color or shell.floor_color, room.wall_color or shell.wall_color
+    named = [("floor", _prism_of_ring(_outer_ring(ring, shell), -shell.thickness_m, 0.0, floor_color))]
     for index, corners in enumerate(_wall_footprints(ring, shell)):
-        named.append((f"wall_{index:02d}", _prism_of_ring(corners, 0.0, room.height_m, shell.wall_color)))
+        named.append((f"wall_{index:02d}", _prism_of_ring(corners, 0.0, room.height_m, wall_color)))
+    for index, (wall, corners) in enumerate(zip(room.interior_walls, interior_footprints(room), strict=True)):
+        named.append((f"inner_{index:02d}", _prism_of_ring(corners, 0.0, wall[5], wall_color)))
     return named
+
+
+def interior_footprints(room: Room) -> list[NDArray[np.float64]]:
+    """Corners of every interior wall seen from above [m], shape (4, 2) each, counter-clockwise.
+
+    Raises:
+        InputError: an interior wall has no length, thickness or height.
+    """
+    footprints = []
+    for number, wall in enumerate(room.interior_walls):
+        values = np.asarray(wall, dtype=np.float64)
+        along = values[2:4] - values[:2] if len(values) == 6 else np.zeros(2)
+        length = float(np.linalg.norm(along))
+        if length < 1e-3 or values[4] < 1e-3 or values[5] < 1e-3:
+            raise InputError("rooms", f"{room.scene_id} interior_walls {number}", "has no size", "capture the scan again")
+        side = np.array([-along[1], along[0]]) / length * values[4] / 2
+        footprints.append(np.array([values[:2] - side, values[2:4] - side, values[2:4] + side, values[:2] + side]))
+    return footprints
 
 
 def floor_ring(room: Room) -> NDArray[np.float64]:
@@ -105,7 +127,7 @@ def prism(corners: ArrayLike, low: float, high: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, np.concatenate([fan[:, ::-1], fan + n, sides]), process=False)
 
 
-def _prism_of_ring(ring: NDArray[np.float64], low: float, high: float, color: tuple[int, int, int]) -> trimesh.Trimesh:
+def _prism_of_ring(ring: NDArray[np.float64], low: float, high: float, color: tuple[int, ...]) -> trimesh.Trimesh:
     """Closed, colored, flat-shaded prism over any simple counter-clockwise ring."""
     import trimesh
     from shapely.geometry import Polygon
@@ -173,5 +195,3 @@ def _miter(
         return at + normals[0] * thickness
     reach = min(2.0 / length, shell.miter_limit)
     return np.asarray(at + middle / length * reach * thickness)
-
-

@@ -61,7 +61,7 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
     rng = np.random.default_rng(number)
     room = sample(
         Room, scene_id=scene_id, room_type="office", floor_polygon=((0.0, 0.0), (4.0 + number, 0.0), (4.0 + number, 3.2), (0.0, 3.2)),
-        floor_area_m2=12.8 + 3.2 * number, walls=((0.0, 0.0, 4.0, 0.0),), height_m=HEIGHT,
+        floor_area_m2=12.8 + 3.2 * number, walls=((0.0, 0.0, 4.0, 0.0),), interior_walls=(), height_m=HEIGHT,
     )  # fmt: skip
     tables = ("instances", "captions", "candidates", "assets", "selections", "placements", "supports")
     rows: dict[str, list[Any]] = {table: [] for table in tables}

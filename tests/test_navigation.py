@@ -68,7 +68,8 @@ def furnished(
     w, d = size
     room = Room(
         scene_id=SCENE, room_type="office", floor_polygon=((0.0, 0.0), (w, 0.0), (w, d), (0.0, d)), floor_area_m2=w * d,
-        floor_source="surface", walls=(), height_m=2.6, height_source="ceiling",
+        floor_source="surface", walls=(), interior_walls=(), height_m=2.6, height_source="ceiling",
+        floor_color=None, wall_color=None,
     )  # fmt: skip
     tables = {"scenes": [scene], "placements": placements, "rooms": [room], "instances": instances, "assets": list(assets.values())}
     return tables, Context(SCENE, "navigation", 3, blobs)

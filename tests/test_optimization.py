@@ -64,7 +64,7 @@ class Scene:
         self.selections: list[Selection] = []
         self.assets: dict[str, Asset] = {}
         self.annotations: list[Annotation] = []
-        self.rooms = [sample(Room, scene_id=SCENE, floor_polygon=polygon, walls=(), height_m=2.5)]
+        self.rooms = [sample(Room, scene_id=SCENE, floor_polygon=polygon, walls=(), interior_walls=(), height_m=2.5)]
 
     def asset(self, parts: Sequence[trimesh.Trimesh]) -> str:
         data = dump_glb(parts)
@@ -397,7 +397,7 @@ CARRIED: dict[str, tuple[list[PlacedAsset], tuple[str, str | None, float]]] = {
 @pytest.mark.parametrize("name", CARRIED)
 def test_what_carries_a_thing(name: str) -> None:
     things, (relation, parent, gap) = CARRIED[name]
-    room = sample(Room, scene_id=SCENE, floor_polygon=SQUARE, walls=(), height_m=2.5)
+    room = sample(Room, scene_id=SCENE, floor_polygon=SQUARE, walls=(), interior_walls=(), height_m=2.5)
     for order in (things, things[::-1]):
         found = find_carriers(order, room, SupportConfig())["0000"]
         assert (found.relation, found.parent_id) == (relation, parent)

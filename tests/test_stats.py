@@ -219,7 +219,7 @@ def test_the_long_side_of_a_room_lies_across_the_top_view() -> None:
 @settings(max_examples=25, deadline=None)
 def test_the_cut_opens_the_view_on_the_whole_floor(width: float, depth: float, corner: int, turn: int) -> None:
     ring = np.roll(outline(width, depth).ring, turn, axis=0)
-    room = sample(Room, scene_id="demo/a", floor_polygon=tuple(map(tuple, ring.tolist())), height_m=HEIGHT)
+    room = sample(Room, scene_id="demo/a", floor_polygon=tuple(map(tuple, ring.tolist())), interior_walls=(), height_m=HEIGHT)
     ceiling = trimesh.creation.box(bounds=[[0, 0, HEIGHT], [width, depth, HEIGHT + 0.05]])
     parts = [mesh for _, mesh in room_shell(room)] + [ceiling]
     shape = Outline.of_room(room)
@@ -260,7 +260,8 @@ def test_what_hangs_on_a_cut_wall_goes_with_it_and_what_stands_before_it_stays_w
 def test_scan_and_replica_of_the_same_parts_are_the_same_picture_and_differ_when_something_is_missing() -> None:
     mesh = solid(0)
     mesh.apply_translation([2.0, 1.5, 0.0])
-    room = sample(Room, scene_id="demo/a", floor_polygon=((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)), height_m=HEIGHT)
+    ring = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))
+    room = sample(Room, scene_id="demo/a", floor_polygon=ring, interior_walls=(), height_m=HEIGHT)
     shell = [part for _, part in room_shell(room)]
     same = scenes.picture_scene([*shell, mesh], shell, [[mesh]], Outline.of_room(room), SMALL)
     assert same.corner_scan == same.corner_replica

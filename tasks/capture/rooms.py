@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tasks.capture.cloud import Cloud
 from tasks.capture.labels import CEILING, FLOOR, WALL
+from tasks.capture.partitions import interior_walls
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -30,7 +31,6 @@ _WALL_THICKNESS_M = 0.23
 """Thicker than the walls between rooms usually are."""
 
 _MIN_HEIGHT_M = 1.8
-_STEP_M = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,13 +38,15 @@ class RoomShape:
     """Shape of a room in the world frame.
 
     polygon: Corners of the floor, counter-clockwise, open ring [m], shape (n, 2). walls: Segments x0, y0, x1, y1 with the
-    room to their left [m], shape (m, 4). height [m].
+    room to their left [m], shape (m, 4): edges of the polygon, then faces of interior walls. interior_walls: Center lines
+    x0, y0, x1, y1, thickness, height [m], shape (k, 6). height [m].
     """
 
     polygon: Array
     area: float
     floor_source: str
     walls: Array
+    interior_walls: Array
     height: float
     height_source: str
     notes: tuple[str, ...]
@@ -62,7 +64,8 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
         high = np.maximum(high, low + 0.2)
         polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         notes.append("no floor to be seen: its polygon is the extent of the scan")
-        return RoomShape(polygon, float(np.prod(high - low)), "extent", _edges(polygon), height, height_source, tuple(notes))
+        area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
+        return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
     lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
     shape, is_snapped = _snapped(plan, outline, lines)
     if plan.left_out_m2 > 1.0:
@@ -70,8 +73,10 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     polygon = _ring(shape)
     seen = plan.share_of_floor(shape)
     source = "surface" if seen >= 0.25 else ("walls" if is_snapped and any(len(found) for found in lines) else "extent")
-    walls = np.concatenate([_edges(polygon), _partitions(cloud, kinds == WALL, lines, shape)])
-    return RoomShape(polygon, float(shape.area), source, walls, height, height_source, tuple(notes))
+    slabs, more = interior_walls(cloud, kinds == WALL, shape, height, plan.is_floor)
+    walls = np.array([*_edges(polygon), *(face for slab in slabs for face in slab.faces)])
+    inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
+    return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more))
 
 
 def inferred_room_type(categories: Iterable[str]) -> str:
@@ -197,6 +202,14 @@ class _Plan:
         counts = total[np.ix_(i[1:], j[1:])] - total[np.ix_(i[:-1], j[1:])] - total[np.ix_(i[1:], j[:-1])] + total[np.ix_(i[:-1], j[:-1])]
         return counts / np.maximum(np.outer(np.diff(i), np.diff(j)), 1)
 
+    def is_floor(self, points: Array) -> NDArray[np.bool_]:
+        """Whether the floor was seen at places, shape (n, 2)."""
+        cells = np.floor((points - self.origin) / _CELL_M).astype(np.int64)
+        known = ((cells >= 0) & (cells < self.floor.shape)).all(axis=1)
+        seen = np.zeros(len(points), dtype=bool)
+        seen[known] = self.floor[cells[known, 0], cells[known, 1]]
+        return seen
+
 
 def _raster(points: Array, origin: Array, shape: NDArray[np.int64]) -> NDArray[np.int64]:
     cells = np.floor((points - origin) / _CELL_M).astype(np.int64)
@@ -271,42 +284,6 @@ def _with_outline(lines: Array, outline: Polygon, axis: int) -> Array:
         if all(abs(position - other_line) > 0.3 for other_line in kept):
             kept.append(position)
     return np.sort(np.array(kept))
-
-
-def _partitions(cloud: Cloud, is_wall: NDArray[np.bool_], lines: list[Array], floor: Polygon) -> Array:
-    """Faces of walls that stand inside the floor polygon, between its rooms, shape (m, 4); the room lies to their left."""
-    import shapely
-
-    inner = floor.buffer(-0.2)
-    found = []
-    for axis, positions in enumerate(lines):
-        other = 1 - axis
-        for position in positions:
-            for sign in (1.0, -1.0):
-                mine = is_wall & (cloud.normals[:, axis] * sign > 0.9) & (np.abs(cloud.points[:, axis] - position) < 0.05)
-                for start, stop in _tall_runs(cloud.points[mine, other], cloud.points[mine, 2]):
-                    ends = [start, stop] if (sign > 0) == (axis == 1) else [stop, start]
-                    segment = [(position, end) if axis == 0 else (end, position) for end in ends]
-                    if shapely.LineString(segment).intersection(inner).length > 0.7 * (stop - start):
-                        found.append([*segment[0], *segment[1]])
-    return np.array(found, dtype=np.float64).reshape(-1, 4)
-
-
-def _tall_runs(along: Array, height: Array) -> list[tuple[float, float]]:
-    """Stretches of at least 0.4 m along a wall where it is seen over at least 1.2 m of height."""
-    if not len(along):
-        return []
-    start = along.min()
-    cell = np.floor((along - start) / _STEP_M).astype(np.int64)
-    band = np.clip(np.floor(height / 0.3).astype(np.int64), 0, 9)
-    bands = np.zeros((cell.max() + 1, 10), dtype=bool)
-    bands[cell, band] = True
-    from scipy import ndimage
-
-    tall = ndimage.binary_closing(np.pad(bands.sum(axis=1) >= 4, 2), iterations=2)[2:-2]
-    edges = np.diff(np.concatenate([[0], tall.astype(np.int8), [0]]))
-    runs = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
-    return [(float(start + a * _STEP_M), float(start + b * _STEP_M)) for a, b in runs if (b - a) * _STEP_M >= 0.4]
 
 
 def _closed(shape: Any, reach: float) -> Any:

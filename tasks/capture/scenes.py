@@ -84,7 +84,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     ]
     sights = _sights(reading, world, groups, meanings, solids, alignment, context, config)
     rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config)
-    room = _room(context, reading, world, groups, meanings, notes)
+    room = _room(context, reading, world, groups, meanings, solids, notes)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
@@ -226,7 +226,10 @@ def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: C
     return sampled_cloud(world, face_instance, context.rng("room"))
 
 
-def _room(context: Context, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], notes: list[str]) -> Room:
+def _room(
+    context: Context, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[Solid],
+    notes: list[str],
+) -> Room:  # fmt: skip
     cloud = _cloud(reading, world, groups, context)
     classes: NDArray[np.int64] = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)
     shape = estimate_room(cloud, classes[cloud.instance + 1])
@@ -241,9 +244,20 @@ def _room(context: Context, reading: Reading, world: Surface, groups: Sequence[G
         floor_area_m2=shape.area,
         floor_source=shape.floor_source,
         walls=tuple(tuple(float(v) for v in wall) for wall in shape.walls),
+        interior_walls=tuple(tuple(float(v) for v in wall) for wall in shape.interior_walls),
         height_m=shape.height,
         height_source=shape.height_source,
+        floor_color=_color(solids, meanings, FLOOR),
+        wall_color=_color(solids, meanings, WALL),
     )
+
+
+def _color(solids: Sequence[Solid], meanings: Sequence[Label], nyu40: int) -> tuple[int, ...] | None:
+    """Median color of a class of instances, shape (3,), None when there is none of it."""
+    colors = [solid.colors for solid, label in zip(solids, meanings, strict=True) if label.nyu40_id == nyu40]
+    if not sum(map(len, colors)):
+        return None
+    return tuple(int(value) for value in np.median(np.concatenate(colors), axis=0))
 
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:

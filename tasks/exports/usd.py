@@ -69,7 +69,8 @@ def _write_room(folder: Path, replica: Replica, config: ExportsConfig) -> None:
         add_collider(geometry, f"{path}/Collider", hull)
         part = stage.OverridePrim(path)
         Usd.ModelAPI(part).SetKind(Kind.Tokens.component)
-        label(part, {"class": [name.split("_")[0]], "category": [name.split("_")[0]]})
+        kind = "floor" if name == "floor" else "wall"
+        label(part, {"class": [kind], "category": [kind]})
         UsdGeom.Scope.Define(stage, f"{path}/Looks")
         UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(f"{path}/Visual")).Bind(add_color_material(stage, f"{path}/Looks/Paint"))
         collider = stage.OverridePrim(f"{path}/Collider")

@@ -71,11 +71,13 @@ def run(
     """Navmesh, episodes and split of one scene.
 
     Raises:
-        InputError: the scene has no room or no row of its own, or a placement names an instance or asset that is not there.
+        InputError: the scene has no room or no row of its own, an interior wall has no size, or a placement names an
+            instance or asset that is not there.
     """
     import shapely
 
     from tasks.navigation.obstacles import footprint
+    from tasks.replica import interior_footprints
 
     if not scenes or not rooms:
         raise InputError(context.scene_id, "rooms" if scenes else "scenes", "has no row for this scene", "run the capture stage again")
@@ -88,7 +90,8 @@ def run(
     surfaces = placed_surfaces(furniture, assets, context.blobs)
     agent = config.agent
     footprints = {i: footprint(s, agent.max_climb_m, agent.height_m) for i, s in surfaces.items()}
-    finder = _path_finder(rooms[0], list(footprints.values()), config)
+    walls = [shapely.Polygon(corners) for corners in interior_footprints(rooms[0])]
+    finder = _path_finder(rooms[0], [*footprints.values(), *walls], config)
     blobs, degradations = Blobs(), []
     reasons = {i.instance_id: "no asset was placed for it" for i in instances if not i.is_structure and i.instance_id not in surfaces}
     targets: list[Target] = []
@@ -98,7 +101,7 @@ def run(
     else:
         for instance_id, surface in surfaces.items():
             outline = shapely.MultiPoint(surface.vertices[np.unique(surface.faces), :2]).convex_hull
-            target = target_of(instance_id, by_id[instance_id].category, outline, finder, config)
+            target = target_of(instance_id, by_id[instance_id].category, outline, finder, config, walls)
             if isinstance(target, Target):
                 targets.append(target)
             else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,13 +42,14 @@ class Target:
     islands: NDArray[np.int64]
 
 
-def view_points(outline: shapely.Geometry, finder: PathFinder, config: NavigationConfig) -> Array:
-    """For directions all around an object the navigable point nearest to it, at most `view_reach_m` away; shape (n, 2), n may be 0.
+def view_points(outline: shapely.Geometry, finder: PathFinder, config: NavigationConfig, walls: Sequence[shapely.Geometry] = ()) -> Array:
+    """For directions all around an object the navigable point nearest to it, at most `view_reach_m` away, no wall between; (n, 2).
 
     Args:
         outline: Convex hull of the object seen from above, world frame [m].
         finder: Knows where the agent can be.
         config: Reach and spacing.
+        walls: What stands between rooms, world frame [m]: nothing is seen through it.
     """
     import shapely
 
@@ -66,6 +68,10 @@ def view_points(outline: shapely.Geometry, finder: PathFinder, config: Navigatio
         center = shapely.get_coordinates(solid.centroid)
         nearest = finder.snap(center)
         found = nearest[shapely.distance(solid, shapely.points(nearest)) <= config.view_reach_m]
+    if walls and len(found):
+        # what stands in a wall, as a door does, is seen from both sides: only wall beyond the object hides it
+        hiding = shapely.difference(shapely.union_all(walls), shapely.buffer(solid, _SKIN_M))
+        found = found[~shapely.intersects(shapely.shortest_line(shapely.points(found), solid), hiding)]
     kept: list[Array] = []
     for point in found:
         if all(np.hypot(*(point - other)) >= _SAME_M for other in kept):
@@ -73,7 +79,10 @@ def view_points(outline: shapely.Geometry, finder: PathFinder, config: Navigatio
     return np.array(kept).reshape(-1, 2)
 
 
-def target_of(instance_id: str, category: str, outline: shapely.Geometry, finder: PathFinder, config: NavigationConfig) -> Target | str:
+def target_of(
+    instance_id: str, category: str, outline: shapely.Geometry, finder: PathFinder, config: NavigationConfig,
+    walls: Sequence[shapely.Geometry] = (),
+) -> Target | str:  # fmt: skip
     """An object as a target, or the reason why nobody can get near it.
 
     Args:
@@ -82,13 +91,16 @@ def target_of(instance_id: str, category: str, outline: shapely.Geometry, finder
         outline: Convex hull of the object seen from above, world frame [m].
         finder: Knows where the agent can be.
         config: Reach and spacing of view points.
+        walls: What stands between rooms, world frame [m].
     """
     import shapely
 
-    points = view_points(outline, finder, config)
+    points = view_points(outline, finder, config, walls)
     if not len(points):
         nearest = shapely.points(finder.snap(shapely.get_coordinates(outline.centroid)))
         away = float(shapely.distance(outline, nearest)[0])
+        if away <= config.view_reach_m:
+            return "a wall stands between it and the free floor near it"
         return f"the free floor near it is {away:.2f} m away, view points reach {config.view_reach_m:g} m"
     center = shapely.get_coordinates(outline.centroid)[0]
     ahead = center - points

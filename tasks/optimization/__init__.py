@@ -20,7 +20,7 @@ from tasks.optimization.collisions import MOVES, OUTCOMES, Crowd, Trace, collisi
 from tasks.optimization.descent import TOUCH_M
 from tasks.optimization.proposals import Proposal, propose
 from tasks.optimization.supports import Carrier, PlacedAsset, SupportConfig, allowed_shifts, descendants, find_carriers, is_floor_covering
-from tasks.replica import floor_ring
+from tasks.replica import floor_ring, interior_footprints
 from tasks.stage import Context, Outcome, Stage
 from tasks.transforms import flat, translation
 
@@ -180,7 +180,7 @@ def _crowd(
     floor, problem = np.zeros((0, 3, 2)), "no room is known: nothing keeps the assets inside it"
     if room is not None:
         try:
-            floor, problem = room_triangles(floor_ring(room)), ""
+            floor, problem = room_triangles(floor_ring(room), interior_footprints(room)), ""
         except InputError as error:
             problem = f"nothing keeps the assets inside the room: {error}"
     crowd = Crowd(

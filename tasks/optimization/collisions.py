@@ -132,11 +132,14 @@ def stacked(rings: Sequence[Array]) -> tuple[Array, NDArray[np.int64]]:
     return np.array(padded).reshape(len(rings), most, 2), np.array([len(r) for r in rings], dtype=np.int64)
 
 
-def room_triangles(ring: Array) -> Array:
-    """A simple polygon, shape (n, 2), as counter-clockwise triangles, shape (t, 3, 2)."""
+def room_triangles(ring: Array, walls: Sequence[Array] = ()) -> Array:
+    """A simple polygon, shape (n, 2), less the walls in it, shape (4, 2) each, as counter-clockwise triangles, shape (t, 3, 2)."""
     import shapely
 
-    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(shapely.Polygon(ring)))
+    free = shapely.Polygon(ring)
+    if walls:
+        free = free.difference(shapely.union_all([shapely.Polygon(corners) for corners in walls]))
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(free))
     triangles = np.array([shapely.get_coordinates(p)[:3] for p in parts]).reshape(-1, 3, 2)
     first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     clockwise = first[:, 0] * second[:, 1] < first[:, 1] * second[:, 0]
