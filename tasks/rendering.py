@@ -5,10 +5,8 @@ Used by the virtual scanner, by visibility tests and by the report's pictures.
 
 from __future__ import annotations
 
-import ctypes
 import dataclasses
 from collections.abc import Sequence
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,18 +18,8 @@ if TYPE_CHECKING:
     import trimesh
 
 
-@cache
-def open3d() -> Any:
-    """The open3d module. It wants libusb from the system; the copy from PyPI is loaded first, so a bare machine works."""
-    import libusb_package
-
-    path = libusb_package.get_library_path()
-    if path is not None:
-        ctypes.CDLL(str(path), ctypes.RTLD_GLOBAL)
-    import open3d as module
-
-    module.utility.set_verbosity_level(module.utility.VerbosityLevel.Error)
-    return module
+NOTHING = 0xFFFFFFFF
+"""Part and face of a ray that hits nothing."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,26 +75,60 @@ class View:
 
 
 class RayScene:
-    """Parts (trimeshes in one frame) that rays can be cast at. `raycaster` is open3d's scene, for distances."""
+    """Parts (trimeshes in one frame) that rays can be cast at. Both sides of a face are hit; casting takes one thread."""
 
     def __init__(self, parts: Sequence[trimesh.Trimesh]) -> None:
-        o3d = open3d()
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
         self.parts = list(parts)
-        self.raycaster = o3d.t.geometry.RaycastingScene(nthreads=1)
-        for part in self.parts:
-            self.raycaster.add_triangles(
-                o3d.core.Tensor(np.ascontiguousarray(part.vertices, dtype=np.float32)),
-                o3d.core.Tensor(np.ascontiguousarray(part.faces, dtype=np.uint32)),
-            )
         self._looks: dict[int, tuple[Any, ...]] = {}
+        counts = np.array([len(part.faces) for part in self.parts], dtype=np.int64)
+        self._part_of = np.repeat(np.arange(len(self.parts)), counts).astype(np.uint32)
+        self._first = np.cumsum(counts) - counts
+        self._scene = None
+        if not counts.sum():
+            return
+        corners = np.cumsum([0, *(len(part.vertices) for part in self.parts)])
+        vertices = np.concatenate([np.asarray(part.vertices, dtype=np.float32).reshape(-1, 3) for part in self.parts])
+        faces = np.concatenate(
+            [np.asarray(part.faces, dtype=np.int64).reshape(-1, 3) + at for part, at in zip(self.parts, corners[:-1], strict=True)]
+        )
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.int32))
 
     def cast(self, rays: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-        """Hits of rays, shape (..., 6): `t_hit` (inf: none), `geometry_ids`, `primitive_ids`, `primitive_uvs`, `primitive_normals`."""
-        o3d = open3d()
-        return {
-            name: value.numpy()
-            for name, value in self.raycaster.cast_rays(o3d.core.Tensor(np.ascontiguousarray(rays, dtype=np.float32))).items()
+        """The first hit of rays (origin and direction of any length), shape (..., 6).
+
+        Returns:
+            `t_hit`: in lengths of the direction, inf where there is none, shape (...). `geometry_ids`: part, and
+            `primitive_ids`: face of the part, uint32, `NOTHING` where there is none. `primitive_uvs`: barycentric
+            coordinates of the face's corners 1 and 2, shape (..., 2). `primitive_normals`: unit, by the face's winding,
+            shape (..., 3); 0 where there is none.
+        """
+        flat = np.asarray(rays, dtype=np.float32).reshape(-1, 6)
+        shape, n = rays.shape[:-1], len(flat)
+        hits: dict[str, NDArray[Any]] = {
+            "t_hit": np.full(n, np.inf, dtype=np.float32),
+            "geometry_ids": np.full(n, NOTHING, dtype=np.uint32),
+            "primitive_ids": np.full(n, NOTHING, dtype=np.uint32),
+            "primitive_uvs": np.zeros((n, 2), dtype=np.float32),
+            "primitive_normals": np.zeros((n, 3), dtype=np.float32),
         }
+        if self._scene is not None and n:
+            found = self._scene.run(np.ascontiguousarray(flat[:, :3]), np.ascontiguousarray(flat[:, 3:]), output=True)
+            face = np.asarray(found["primID"], dtype=np.int64)
+            hit = np.flatnonzero(face >= 0)
+            face = face[hit]
+            part = self._part_of[face]
+            normal = np.asarray(found["Ng"], dtype=np.float32)[hit]
+            length = np.sqrt(np.einsum("nd,nd->n", normal, normal))[:, None]
+            hits["t_hit"][hit] = found["tfar"][hit]
+            hits["geometry_ids"][hit] = part
+            hits["primitive_ids"][hit] = face - self._first[part]
+            hits["primitive_uvs"][hit] = np.column_stack([found["u"][hit], found["v"][hit]])
+            hits["primitive_normals"][hit] = normal / np.where(length > 0, length, 1)
+        return {name: values.reshape(*shape, *values.shape[1:]) for name, values in hits.items()}
 
     def render(self, camera: Camera, background: tuple[int, int, int] = (255, 255, 255), shade: bool = True) -> View:
         """Depth, part and color from a camera. `shade` darkens faces that turn away from the camera and from above."""

@@ -19,6 +19,7 @@ from tasks.capture.layout import scannet_layout
 from tasks.capture.ply import read_ply
 from tasks.furniture.rooms import furnish
 from tasks.meshes import Surface, load_glb
+from tasks.proximity import closest_points
 from tasks.scanner import ScannerConfig, scan_scene
 from tasks.scanner.demo import ROOMS, demo_scan
 from tasks.scanner.scenery import scenery_of
@@ -80,12 +81,7 @@ def digest(folder: Path) -> dict[str, str]:
 def distances(room, points: np.ndarray) -> np.ndarray:
     """From points to a room's true surfaces [m]."""
     whole = trimesh.util.concatenate([trimesh.Trimesh(m.vertices, m.faces, process=False) for _, m in room.named_parts()])
-    from tasks.rendering import open3d
-
-    o3d = open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(whole.vertices.astype(np.float32)), o3d.core.Tensor(whole.faces.astype(np.uint32)))
-    return scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy()
+    return closest_points(whole.vertices, whole.faces, points).distance
 
 
 def test_the_folder_is_laid_out_as_scannet_has_it(made: Made) -> None:

@@ -21,8 +21,10 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.isosurfaces import dense_surface
 from tasks.meshes import Surface
-from tasks.rendering import open3d
+from tasks.proximity import closest_points
+from tasks.rendering import RayScene
 
 Array = NDArray[np.float64]
 
@@ -76,7 +78,6 @@ def solid_field(crop: Surface) -> SolidField:
     """The field of a crop whose frame has +Z up and the bottom of the object's box at z = 0."""
     from scipy.ndimage import gaussian_filter, uniform_filter
 
-    o3d = open3d()
     low, high = crop.bounds
     low[2] = min(low[2], 0.0)
     extent = np.maximum(high - low, 0.01)
@@ -86,14 +87,12 @@ def solid_field(crop: Surface) -> SolidField:
     origin[2] = low[2] - 2.5 * step  # the floor lies halfway between two nodes
     axes = [origin[i] + step * np.arange(shape[i]) for i in range(3)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     vertices = _smoothed(crop)
-    corners = o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32))
-    scene.add_triangles(corners, o3d.core.Tensor(np.ascontiguousarray(crop.faces, dtype=np.uint32)))
+    scene = RayScene([dataclasses.replace(crop, vertices=vertices).to_trimesh()])
     # Only near the surface does the amount matter; elsewhere the sign does, and exact distances are dear there.
     distance = np.full(len(nodes), FAR_STEPS * step, dtype=np.float32)
     near = np.flatnonzero(_near(vertices[crop.faces], origin, step, tuple(shape)))
-    distance[near] = np.minimum(scene.compute_distance(o3d.core.Tensor(nodes[near]), nthreads=1).numpy(), FAR_STEPS * step)
+    distance[near] = np.minimum(closest_points(vertices, crop.faces, nodes[near]).distance, FAR_STEPS * step)
     far = np.flatnonzero(distance > 0.5 * step)
     inside = np.zeros(len(nodes), dtype=np.float32)
     inside[far] = _inside(scene, nodes[far])
@@ -136,17 +135,16 @@ def _smoothed(crop: Surface) -> Array:
     return np.asarray(vertices)
 
 
-def _inside(scene: object, nodes: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _inside(scene: RayScene, nodes: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Whether rays from nodes, shape (n, 3), tell that they are inside; shape (n,)."""
-    o3d = open3d()
     backs, backs_above, fronts = (np.zeros(len(nodes), dtype=np.int64) for _ in range(3))
     rays = np.empty((len(nodes), 6), dtype=np.float32)
     rays[:, :3] = nodes
     for direction in _DIRECTIONS:
         rays[:, 3:] = direction
-        hits = scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)  # type: ignore[attr-defined]
-        met = np.isfinite(hits["t_hit"].numpy())
-        leaving = hits["primitive_normals"].numpy() @ direction > 0
+        hits = scene.cast(rays)
+        met = np.isfinite(hits["t_hit"])
+        leaving = hits["primitive_normals"] @ direction > 0
         backs += met & leaving
         backs_above += met & leaving & (direction[2] >= 0)
         fronts += met & ~leaving
@@ -181,14 +179,10 @@ def closed_mesh(field: SolidField, tolerance: float | None = None) -> tuple[Arra
     """
     import manifold3d
 
-    o3d = open3d()
     if not (field.values < 0).any():
         raise ValueError("the crop encloses nothing")
-    volume = np.ascontiguousarray(-field.values.transpose(2, 1, 0), dtype=np.float32)
-    level = o3d.t.geometry.TriangleMesh.create_isosurfaces(o3d.core.Tensor(volume), [0.0])
-    vertices = field.origin + field.step * level.vertex.positions.numpy().astype(np.float64)
-    faces = level.triangle.indices.numpy().astype(np.int64)
-    solid = _manifold(vertices, faces)
+    nodes, faces = dense_surface(field.values)
+    solid = _manifold(field.origin + field.step * nodes, faces)
     whole = _diagonal(solid)
     kept = [body for body in solid.decompose() if body.volume() > 0 and _diagonal(body) >= MIN_BODY_SHARE * whole]
     if not kept:
@@ -204,20 +198,13 @@ def fitted(vertices: Array, low: Array, high: Array) -> Array:
 
 
 def _manifold(vertices: Array, faces: NDArray[np.int64]):  # type: ignore[no-untyped-def]
-    """A manifold3d solid of triangles, turned outward."""
+    """A manifold3d solid of triangles that face outward."""
     import manifold3d
 
-    for order in (slice(None), slice(None, None, -1)):
-        mesh = manifold3d.Mesh64(
-            vert_properties=np.ascontiguousarray(vertices), tri_verts=np.ascontiguousarray(faces[:, order], dtype=np.uint64)
-        )
-        mesh.merge()
-        solid = manifold3d.Manifold(mesh)
-        if solid.status() != manifold3d.Error.NoError:
-            raise ValueError(f"the level is no manifold ({solid.status().name})")
-        if solid.volume() > 0:
-            return solid
-    raise ValueError("the crop encloses nothing")
+    solid = manifold3d.Manifold(manifold3d.Mesh64(vert_properties=np.ascontiguousarray(vertices), tri_verts=faces.astype(np.uint64)))
+    if solid.status() != manifold3d.Error.NoError:
+        raise ValueError(f"the level is no manifold ({solid.status().name})")
+    return solid
 
 
 def _diagonal(solid) -> float:  # type: ignore[no-untyped-def]

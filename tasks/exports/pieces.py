@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tasks.proximity import closest_points
+
 if TYPE_CHECKING:
     import trimesh
 
@@ -312,18 +314,10 @@ def _is_convex(part: trimesh.Trimesh, config: PieceConfig) -> bool:
 
 def _gap(part: trimesh.Trimesh, hull: Hull) -> float:
     """Farthest distance of a hull's surface from the mesh that it wraps, in diagonals of the mesh."""
-    from tasks.rendering import open3d
-
-    o3d = open3d()
     corners = hull.vertices[hull.faces]
     weights = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [1, 2, 2], [2, 1, 2], [2, 2, 1]], dtype=np.float64)
     samples = np.einsum("kc,ncd->nkd", weights / weights.sum(axis=1, keepdims=True), corners).reshape(-1, 3)
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(part.vertices, dtype=np.float32)),
-        o3d.core.Tensor(np.ascontiguousarray(part.faces, dtype=np.uint32)),
-    )
-    distance = scene.compute_distance(o3d.core.Tensor(samples.astype(np.float32)), nthreads=1).numpy()
+    distance = closest_points(part.vertices, part.faces, samples).distance
     return float(distance.max() / max(float(np.linalg.norm(np.ptp(part.vertices, axis=0))), 1e-9))
 
 

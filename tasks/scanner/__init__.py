@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from tasks.furniture.rooms import FurnishedRoom
 from tasks.meshes import Surface
-from tasks.rendering import RayScene, open3d
+from tasks.proximity import closest_points
+from tasks.rendering import RayScene
 from tasks.scanner.folder import LICENSE, write_aggregation, write_exported, write_mesh, write_metadata, write_segments, write_sens
 from tasks.scanner.fusion import fuse
 from tasks.scanner.route import plan_views, targets_of
@@ -157,17 +158,12 @@ def scan_scene(parts: FurnishedRoom | Sequence[Any], out: Path, scan: str, confi
 
 def owners(scenery: Scenery, points: Array, reach: float) -> NDArray[np.int64]:
     """Thing whose true surface is nearest to each point [m], shape (n,); -1 where none is within `reach` [m]."""
-    o3d = open3d()
-    near = o3d.t.geometry.RaycastingScene(nthreads=1)
-    for part in scenery.parts:
-        near.add_triangles(
-            o3d.core.Tensor(np.ascontiguousarray(part.vertices, dtype=np.float32)),
-            o3d.core.Tensor(np.ascontiguousarray(part.faces, dtype=np.uint32)),
-        )
-    query = np.ascontiguousarray(points, dtype=np.float32)
-    found = near.compute_closest_points(o3d.core.Tensor(query))
-    distance = np.linalg.norm(found["points"].numpy() - query, axis=1)
-    return np.where(distance <= reach, scenery.thing_of[found["geometry_ids"].numpy().astype(np.int64)], -1)
+    parts = [(np.asarray(part.vertices), np.asarray(part.faces)) for part in scenery.parts]
+    corners = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    part_of = np.repeat(np.arange(len(parts)), [len(faces) for _, faces in parts])
+    faces = np.concatenate([faces + at for (_, faces), at in zip(parts, corners[:-1], strict=True)])
+    near = closest_points(np.concatenate([vertices for vertices, _ in parts]), faces, points)
+    return np.where(near.distance <= reach, scenery.thing_of[part_of[near.face]], -1)
 
 
 def observed_shares(points: Array, thing: NDArray[np.int64], count: int, vertices: Array) -> Array:
