@@ -28,7 +28,9 @@ def main() -> None:
     project = tomllib.loads((HERE.parent / "pyproject.toml").read_text())
     run = [*project["project"]["dependencies"], *project["build-system"]["requires"], *BUILD]
     pinned = resolve(run)
-    everything = resolve([*(f"{name}=={version}" for name, version in pinned.items()), *project["project"]["optional-dependencies"]["test"]])
+    everything = resolve(
+        [*(f"{name}=={version}" for name, version in pinned.items()), *project["project"]["optional-dependencies"]["test"]]
+    )
     extra = {name: version for name, version in everything.items() if name not in pinned}
     for name, pins in (("run", pinned), ("test", extra)):
         lines = [f"{package}=={version}" for package, version in sorted(pins.items())]
