@@ -2,7 +2,8 @@
 PYTHON ?= $(firstword $(foreach v,python3.11 python3.12 python3,$(shell command -v $(v) 2>/dev/null)))
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+# Outside of a virtual environment pip refuses: a broken .venv must never lead it into the system's Python.
+PIP := PIP_REQUIRE_VIRTUALENV=1 $(BIN)/python -m pip --disable-pip-version-check --no-input
 OUT ?= demo
 
 .PHONY: help demo test test-all check format docs lock clean
@@ -32,11 +33,13 @@ docs: $(VENV)/.run-ready  ## Write the table pages of the documentation from the
 	$(BIN)/python -m warehouse.documentation
 
 # The lock files name versions, no host; --no-deps: nothing that they do not name is installed.
-$(VENV)/bin/python:
+$(VENV)/.made:
+	rm -rf $(VENV)
 	$(PYTHON) -c 'import sys; assert (3, 11) <= sys.version_info < (3, 13), "Python 3.11 or 3.12 is needed, this is " + sys.version.split()[0]'
 	$(PYTHON) -m venv $(VENV)
+	touch $@
 
-$(VENV)/.run-ready: requirements/run.lock pyproject.toml | $(VENV)/bin/python
+$(VENV)/.run-ready: requirements/run.lock pyproject.toml | $(VENV)/.made
 	$(PIP) install -q --no-deps -r requirements/run.lock
 	$(PIP) install -q --no-deps --no-build-isolation -e .
 	touch $@

@@ -69,7 +69,7 @@ def import_annotations(lake: Lake, file: Path, dry_run: bool = False) -> dict[st
     run = execute(job)
     if run.error:
         raise InputError(file.name, "annotations", run.error)
-    lake.commit(note=f"annotation batch {batch.batch_id}")
+    lake.commit(note=f"annotation batch {batch.batch_id}", scenes=[batch.batch_id])
     return summary
 
 

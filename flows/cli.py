@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
+import traceback
 
 import click
 
@@ -15,7 +17,7 @@ COMMANDS = {
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD and as a Habitat dataset into a folder.",
     "annotate": "Import what annotators chose.",
-    "status": "Say what is done, failed and stale, from the lake alone.",
+    "status": "Say what is done and what failed, from the lake alone.",
     "doctor": "Check a USD file, a Habitat dataset or the lake.",
 }
 """Commands with their first line of help, in the order of `--help`. Each lives in `flows.commands.<name>`."""
@@ -51,7 +53,8 @@ def cli() -> None:
 
 
 def main() -> None:
-    """Entry point. Exit codes: 0 done, 1 some scenes failed, 2 misuse or input that cannot be used."""
+    """Entry point. Exit codes: 0 done, 1 some scenes failed, 2 misuse or input that cannot be used, 3 a defect of ours,
+    130 interrupted, 143 terminated."""
     from schemas.errors import LakeError
 
     try:
@@ -60,15 +63,25 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(2)
-    except click.Abort:
-        print("interrupted", file=sys.stderr)
-        sys.exit(130)
-    except LakeError as error:
-        print(f"metascenes: {error}", file=sys.stderr)
-        sys.exit(2)
-    except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(0)
+    except (LakeError, OSError, UnicodeError) as error:
+        _say_and_exit(" ".join(str(error).split()), error, 2)
+    except Exception as error:
+        _say_and_exit(f"unexpected {type(error).__name__}: {' '.join(str(error).split())} (METASCENES_TRACEBACK=1 shows where)", error, 3)
+    except BaseException as signal:
+        if isinstance(signal, SystemExit):
+            raise
+        # Threads of Prefect's may still be at work and would be waited for: what is finished is staged, the rest is redone.
+        print("interrupted; the same command goes on where this one stopped", file=sys.stderr, flush=True)
+        sys.stdout.flush()
+        os._exit(143 if type(signal).__name__ == "TerminationSignal" else 130)
+
+
+def _say_and_exit(text: str, error: Exception, code: int) -> None:
+    """One line for people, the traceback for those who ask, and an exit code that a scheduler can trust."""
+    print(f"metascenes: {text}", file=sys.stderr)
+    if os.environ.get("METASCENES_TRACEBACK"):
+        traceback.print_exception(error)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

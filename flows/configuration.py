@@ -35,10 +35,12 @@ def configure(
         origin = file.name
         try:
             told = tomllib.loads(file.read_text())
-        except (OSError, tomllib.TOMLDecodeError) as error:
+        except (OSError, ValueError) as error:
             raise InputError(file.name, "content", str(error), "give a TOML file with one table per stage") from error
-    seed = seed if seed is not None else told.pop("seed", 0)
-    named_library = told.pop("library", None)
+    named_seed, named_library = told.pop("seed", 0), told.pop("library", None)
+    if type(named_seed) is not int or not isinstance(named_library, str | None):
+        raise InputError(origin, "seed, library", "must be a whole number and a path", "mend the file")
+    seed = seed if seed is not None else named_seed
     library = library or (Path(named_library) if named_library else None)
     if library is not None and not library.is_dir():
         raise InputError(str(library), "library", "is not a folder", "name a folder of GLB files")

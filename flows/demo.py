@@ -10,6 +10,7 @@ from pathlib import Path
 from flows.fingerprints import code_fingerprint
 from flows.pool import WorkerPool
 from flows.progress import Progress
+from schemas.errors import InputError
 
 MARK = "made.json"
 """Beside the scans: which code and seed made them. A demo that finds the same again keeps its scans."""
@@ -19,12 +20,17 @@ def make_scans(folder: Path, count: int, seed: int, workers: int) -> int:
     """Make `count` raw scans of furnished rooms in `folder`. Returns how many had to be made; 0 when all were there."""
     mark = {"code": code_fingerprint("tasks.scanner.demo"), "seed": seed, "count": count}
     path = folder / MARK
-    if path.is_file() and json.loads(path.read_text()) == mark:
+    names = [f"scene{index:04d}_00" for index in range(count)]
+    known = _mark(path)
+    if known == mark and all((folder / name).is_dir() for name in names):
         return 0
+    others = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+    if others and known is None:
+        raise InputError(str(folder), "folder", f"holds {others[0]}, which the demo did not make", "give another --out")
     folder.mkdir(parents=True, exist_ok=True)
-    path.unlink(missing_ok=True)
-    for old in folder.iterdir():
-        shutil.rmtree(old) if old.is_dir() else old.unlink()
+    path.write_text(json.dumps({"making": mark}))  # from here on, what lies here is the demo's
+    for old in folder.glob("*scene*"):
+        shutil.rmtree(old)
     with Progress("scans", count) as progress, WorkerPool(min(workers, count)) as pool, ThreadPoolExecutor(count) as threads:
 
         def make(index: int) -> None:
@@ -36,11 +42,19 @@ def make_scans(folder: Path, count: int, seed: int, workers: int) -> int:
     return count
 
 
+def _mark(path: Path) -> object:
+    """What the mark says; None where there is none, or none that can be read."""
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+
+
 def make_scan(folder: Path, index: int, seed: int) -> None:
     """Make one scan beside the others, then move it into place. Runs in a worker."""
     from tasks.scanner.demo import demo_scan
 
-    making = folder / f".making-{index}"
+    making = folder / f".making-scene{index}"
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir()
     demo_scan(making, index, seed)

@@ -48,6 +48,8 @@ def write_exports(
     missing = sorted(set(scenes) - {row.scene_id for row in rows})
     if missing:
         raise InputError(lake.address, "export_files", f"no export of {missing[0]}", "see `metascenes status`")
+    for name in formats:
+        _check_ours(out / name)
     placed = layout(rows)
     shared = shared_files(rows, lake.blobs)
     for name in formats:
@@ -74,13 +76,20 @@ MARK = ".exported"
 """In the root of a written export: the folder is ours to replace."""
 
 
+def _check_ours(place: Path) -> None:
+    """Refuse to replace what no export wrote."""
+    if place.exists() and not (place.is_dir() and ((place / MARK).is_file() or not any(place.iterdir()))):
+        raise InputError(str(place), "folder", "holds files that no export wrote", "give another --out")
+
+
 def _replace(making: Path, place: Path) -> None:
     """Put a finished folder where an older export, or nothing, was."""
-    if place.exists() and not (place / MARK).is_file() and any(place.iterdir()):
-        shutil.rmtree(making)
-        raise InputError(str(place), "folder", "holds files that no export wrote", "give another --out")
-    shutil.rmtree(place, ignore_errors=True)
+    old = place.with_name(f".{place.name}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    if place.exists():
+        os.replace(place, old)
     os.replace(making, place)
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def _copy(lake: Lake, blob: str, target: Path) -> None:

@@ -19,9 +19,8 @@ from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 from flows.configuration import Configuration, configure
 from flows.plan import Plan, ScenePlan, make_plan
 from flows.pool import WorkerPool
-from flows.progress import current
 from flows.report import RunReport, report_of
-from flows.scene import SceneResult, run_scene
+from flows.scene import SceneResult, run_scene, settle
 from tasks.capture.formats import find_scans
 from warehouse.lake import Lake
 
@@ -63,7 +62,7 @@ def replicate(
     dataset: str | None = None,
     workers: int = 2,
     library: str | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     config_file: str | None = None,
     settings: Sequence[str] = (),
     retry_failed: bool = False,
@@ -99,8 +98,7 @@ def carry_out(plan: Plan, lake: Lake, configuration: Configuration, workers: int
     if plan.todo:
         with WorkerPool(workers) as pool:
             results = _fan_out(plan, _Work({s.scan.scene_id: s for s in plan.scenes}, lake, configuration, pool))
-    lake.commit()
-    lake.sweep(set())
+    settle(lake, plan)
     return report_of(plan, results)
 
 
@@ -116,8 +114,6 @@ def _fan_out(plan: Plan, work: _Work) -> list[SceneResult]:
             result = future.result()
             results.append(result)
             finished.append(result.scene_id)
-            if result.failed:
-                current().say(f"{result.scene_id}: {result.failed} failed: {result.error}")
             if len(finished) >= COMMIT_SCENES:
                 work.lake.commit(scenes=finished)
                 finished = []

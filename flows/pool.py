@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -34,6 +35,10 @@ class WorkerTimeout(Exception):
     """The task took longer than its time limit; its worker was stopped."""
 
 
+class PoolStopped(Exception):
+    """The pool was stopped while, or before, the task was computed."""
+
+
 class WorkerPool:
     """Worker processes that stay warm between tasks. Threads of the caller share it.
 
@@ -45,10 +50,13 @@ class WorkerPool:
 
         from pebble import ProcessPool
 
+        self._lock = threading.Lock()
+        self._open: set[Any] = set()
+        self._stopped = False
         self._environment = {name: os.environ.get(name) for name in ONE_THREAD}
         os.environ.update(ONE_THREAD)  # a spawned worker reads these before it imports anything
         self._pool = ProcessPool(
-            max_workers=workers, context=multiprocessing.get_context("spawn"), initializer=follow_parent, initargs=(os.getpid(),)
+            max_workers=workers, context=multiprocessing.get_context("spawn"), initializer=start_worker, initargs=(os.getpid(),)
         )
 
     def call(self, function: Callable[..., T], *arguments: Any, timeout: float | None = None) -> T:
@@ -57,18 +65,30 @@ class WorkerPool:
         Raises:
             WorkerLost: the worker died.
             WorkerTimeout: it took longer than `timeout` seconds.
+            PoolStopped: the pool was stopped meanwhile.
         """
+        from concurrent.futures import CancelledError
         from concurrent.futures import TimeoutError as FutureTimeout
 
         from pebble import ProcessExpired
 
-        future = self._pool.schedule(function, args=arguments, timeout=timeout)
+        with self._lock:
+            if self._stopped:
+                raise PoolStopped("the run is ending")
+            future = self._pool.schedule(function, args=arguments, timeout=timeout)
+            self._open.add(future)
         try:
-            return future.result()
+            result: T = future.result()
+            return result
         except ProcessExpired as error:
             raise WorkerLost(f"the worker died (exit code {error.exitcode})") from error
         except FutureTimeout as error:
             raise WorkerTimeout(f"took longer than {timeout:g} s") from error
+        except CancelledError as error:
+            raise PoolStopped("the run is ending") from error
+        finally:
+            with self._lock:
+                self._open.discard(future)
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -76,7 +96,12 @@ class WorkerPool:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if kind is None:
             self._pool.close()
-        else:
+        else:  # threads that wait for a result must get an answer, or nobody could ever end
+            with self._lock:
+                self._stopped = True
+                waiting = list(self._open)
+            for future in waiting:
+                future.cancel()
             self._pool.stop()
         self._pool.join()
         for name, value in self._environment.items():
@@ -84,6 +109,12 @@ class WorkerPool:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def start_worker(parent: int) -> None:
+    """What a worker does first: leave Ctrl-C to the coordinator, and follow it when it goes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    follow_parent(parent)
 
 
 def follow_parent(parent: int) -> None:

@@ -18,7 +18,7 @@ class RunReport:
     unchanged: tuple[str, ...]
     failures: tuple[str, ...]
     steps: int
-    degradations: int
+    degradations: tuple[str, ...]
 
 
 def report_of(plan: Plan, results: Sequence[SceneResult]) -> RunReport:
@@ -32,5 +32,5 @@ def report_of(plan: Plan, results: Sequence[SceneResult]) -> RunReport:
         unchanged=tuple(s.scan.scene_id for s in plan.scenes if s.scan.scene_id not in computed and not s.failure),
         failures=(*plan.failures, *failures),
         steps=sum(len(r.ran) for r in results),
-        degradations=sum(r.degradations for r in results),
+        degradations=tuple(text for r in sorted(results, key=lambda r: r.scene_id) for text in r.degradations),
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 from flows.configuration import Configuration
 from flows.fingerprints import canonical_json
-from flows.plan import ScenePlan, Step
+from flows.plan import Plan, ScenePlan, Step
 from flows.pool import WorkerLost, WorkerPool, WorkerTimeout
 from flows.progress import current
 from flows.worker import Job, execute, lost_run
@@ -31,24 +31,40 @@ class SceneResult:
     ran: tuple[str, ...]
     failed: str | None
     error: str | None
-    degradations: int
+    degradations: tuple[str, ...]
 
 
 def run_scene(lake: Lake, plan: ScenePlan, configuration: Configuration, pool: WorkerPool) -> SceneResult:
     """Compute what the plan says for one scene. A failure ends the scene, never the run."""
+    try:
+        return _run_scene(lake, plan, configuration, pool)
+    except Exception as error:  # a full disk, a lake that went away: this scene's, until others say the same
+        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return SceneResult(plan.scan.scene_id, (), plan.todo[0].stage, text, ())
+
+
+def _run_scene(lake: Lake, plan: ScenePlan, configuration: Configuration, pool: WorkerPool) -> SceneResult:
+    """The steps of one scene, in order."""
     progress = current()
     ran: list[str] = []
-    degradations = 0
+    degradations: list[str] = []
     for step in plan.todo:
         run = _run_step(lake, job_of(lake, plan, step, configuration), pool)
         progress.advance(f"{plan.scan.scene_id} {step.stage}")
-        degradations += len(run.degradations)
+        degradations += [f"{plan.scan.scene_id}: {step.stage}: {text}" for text in run.degradations]
         if run.outcome != "done":
             for _ in range(len(plan.todo) - len(ran) - 1):
                 progress.advance()
-            return SceneResult(plan.scan.scene_id, tuple(ran), step.stage, run.error, degradations)
+            return SceneResult(plan.scan.scene_id, tuple(ran), step.stage, run.error, tuple(degradations))
         ran.append(step.stage)
-    return SceneResult(plan.scan.scene_id, tuple(ran), None, None, degradations)
+    return SceneResult(plan.scan.scene_id, tuple(ran), None, None, tuple(degradations))
+
+
+def settle(lake: Lake, plan: Plan) -> None:
+    """Commit what is finished of a plan's scenes, and of runs that died; remove what nobody needs. Live runs are left alone."""
+    own = {scene.scan.scene_id for scene in plan.scenes}
+    lake.commit(scenes=own | lake.abandoned())
+    lake.sweep(set())
 
 
 def job_of(lake: Lake, plan: ScenePlan, step: Step, configuration: Configuration) -> Job:
@@ -79,11 +95,9 @@ def _run_step(lake: Lake, job: Job, pool: WorkerPool) -> StageRun:
         try:
             return pool.call(execute, attempt, timeout=STAGE_SECONDS)
         except WorkerLost as error:
-            run = lost_run(
-                attempt, "lost", f"{job.scene_id}: {job.stage}: {error}; it is retried by the next run", time.perf_counter() - clock
-            )
+            run = lost_run(attempt, "lost", f"{error}; it is retried by the next run", time.perf_counter() - clock)
         except WorkerTimeout as error:
-            run = lost_run(attempt, "timeout", f"{job.scene_id}: {job.stage}: {error}; simplify the scan", time.perf_counter() - clock)
+            run = lost_run(attempt, "timeout", f"{error}; simplify the scan", time.perf_counter() - clock)
         lake.stage_rows(run, {})
         if run.outcome == "failed":
             return run

@@ -11,9 +11,11 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.request
 from collections.abc import Iterator
+from typing import IO
 
 from schemas.errors import LakeError
 
@@ -48,41 +50,43 @@ def prefect_server() -> Iterator[str]:
     if named:
         yield named
         return
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen(128)
-        port = listener.getsockname()[1]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "flows.server", str(listener.fileno()), str(os.getpid())],
-            pass_fds=[listener.fileno()],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-        )
-    address = f"http://127.0.0.1:{port}/api"
-    try:
-        _wait_until_healthy(process, address)
-        os.environ["PREFECT_API_URL"] = address
-        yield address
-    finally:
-        os.environ.pop("PREFECT_API_URL", None)
-        process.terminate()
+    # Its words go to a file: a pipe that nobody drains would stop the server once it is full.
+    with tempfile.TemporaryFile() as said:
+        with socket.socket() as listener:
+            listener.bind(("127.0.0.1", 0))
+            listener.listen(128)
+            port = listener.getsockname()[1]
+            process = subprocess.Popen(
+                [sys.executable, "-m", "flows.server", str(listener.fileno()), str(os.getpid())],
+                pass_fds=[listener.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                start_new_session=True,  # Ctrl-C is for the run, which still has to tell the server how it ended
+            )
+        address = f"http://127.0.0.1:{port}/api"
         try:
-            process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.stderr is not None:
-            process.stderr.close()
+            _wait_until_healthy(process, address, said)
+            os.environ["PREFECT_API_URL"] = address
+            yield address
+        finally:
+            os.environ.pop("PREFECT_API_URL", None)
+            process.terminate()
+            try:
+                process.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
-def _wait_until_healthy(process: subprocess.Popen[bytes], address: str) -> None:
+def _wait_until_healthy(process: subprocess.Popen[bytes], address: str, said: IO[bytes]) -> None:
     """Return once the server answers."""
     give_up = time.monotonic() + START_SECONDS
     while time.monotonic() < give_up:
         if process.poll() is not None:
-            said = process.stderr.read().decode(errors="replace").strip().splitlines() if process.stderr else []
-            raise LakeError(f"the Prefect server did not start: {said[-1] if said else f'exit code {process.returncode}'}")
+            said.seek(0)
+            lines = said.read().decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"]
+            raise LakeError(f"the Prefect server did not start: {lines[-1]}")
         try:
             with urllib.request.urlopen(f"{address}/health", timeout=2) as reply:
                 if reply.status == 200:

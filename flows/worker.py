@@ -58,6 +58,8 @@ def execute(job: Job) -> StageRun:
         rows, degradations = outcome.rows, outcome.degradations
     except InputError as problem:
         error, kind = str(problem), "input"
+    except RowsGone as problem:
+        error, kind = str(problem), "lost"
     except Exception as problem:
         error, kind = _one_line(problem), "defect"
         if os.environ.get("METASCENES_TRACEBACK"):
@@ -67,7 +69,7 @@ def execute(job: Job) -> StageRun:
         stage=job.stage,
         fingerprint=job.fingerprint,
         attempt=job.attempt,
-        outcome="failed" if error else "done",
+        outcome="lost" if kind == "lost" else "failed" if error else "done",
         upstream=job.upstream,
         reasons=job.reasons,
         config=job.config_json,
@@ -149,22 +151,35 @@ def _check_owner(table: str, rows: list[Any], job: Job) -> None:
             raise RecordError(table, str(index), column, f"must be {job.scene_id}, got {getattr(row, column)!r}")
 
 
-def _rows(lake: Lake, table: str, scene_id: str, fingerprint: str | None) -> list[Any]:
-    """A table's rows of a scene: staged ones of this run where there are any, else the lake's.
+class RowsGone(LakeError):
+    """Rows that a stage reads are neither staged nor in the lake any more: another run replaced them meanwhile."""
 
-    Rows of a shared table (assets) are those that the scene's staged run wrote, or those that its rows name.
+
+def _rows(lake: Lake, table: str, scene_id: str, fingerprint: str | None) -> list[Any]:
+    """A table's rows of a scene: those that the run with a fingerprint gave, or as the lake has them where none is named.
+
+    Rows of a shared table (assets) are those that the run itself wrote, or those that its rows name.
+
+    Raises:
+        RowsGone: the run with that fingerprint left no rows, or they were replaced.
     """
-    if fingerprint is not None:
-        staged = lake.staged_rows(table, scene_id, fingerprint)
-        if staged is not None:
-            return list(staged)
     spec = TABLES[table]
-    reader = lake.snapshot()
+    if fingerprint is None:
+        return list(lake.snapshot().rows(spec.record, scene_id))
     if spec.rule != "share":
-        return list(reader.rows(spec.record, scene_id))
-    sharing: list[Any] = reader.rows(TABLES[spec.shared_by].record, scene_id)
+        return _found(lake.rows_of(table, scene_id, fingerprint), table, scene_id)
+    staged = lake.staged_rows(table, scene_id, fingerprint)
+    if staged is not None:
+        return list(staged)
+    sharing = _found(lake.rows_of(spec.shared_by, scene_id, fingerprint), table, scene_id)
     names = sorted({getattr(row, spec.key[0]) for row in sharing} - {None})
-    return list(reader.rows_by_key(spec.record, names))
+    return list(lake.snapshot().rows_by_key(spec.record, names))
+
+
+def _found(rows: list[Any] | None, table: str, scene_id: str) -> list[Any]:
+    if rows is None:
+        raise RowsGone(f"{scene_id}: {table}: the rows that this stage reads were replaced by another run; run again")
+    return rows
 
 
 def _one_line(error: BaseException) -> str:

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from tasks.pipeline import SCENE_STAGES, STAGES, upstream
@@ -230,21 +231,55 @@ def test_a_statement_that_writes_is_refused_in_one_line(home: dict[str, str], la
     assert json.loads(asked.stdout) == [{"n": 2}]
 
 
+def start(home: dict[str, str], lake: Path, scans: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "flows.cli", "run", "--scans", str(scans), "--lake", str(lake), "--workers", "2"]
+    return subprocess.Popen(command, env=home, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def assert_gone(processes: list[psutil.Process], seconds: float = 10) -> None:
+    """What a run had started ends by itself soon after the run."""
+    _, alive = psutil.wait_procs(processes, timeout=seconds)
+    assert not alive, [process.cmdline() for process in alive]
+
+
 def killed_runs(home: dict[str, str], lake: Path, scans: Path, undisturbed: Path, trials: int, seconds: float) -> None:
-    """Kill a run and all its processes at a random moment, give the same command again, compare; `trials` times."""
+    """Kill a run's coordinator at a random moment, give the same command again, compare; `trials` times.
+
+    Its workers and its server are left to follow it by themselves.
+    """
     rng = random.Random(7)
     expected = digests(Lake.open(undisturbed).snapshot())
+    hit = 0
     for trial in range(trials):
         target = lake / f"trial{trial}"
-        command = [sys.executable, "-m", "flows.cli", "run", "--scans", str(scans), "--lake", str(target), "--workers", "2"]
-        process = subprocess.Popen(command, env=home, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-        time.sleep(rng.uniform(0.5, seconds))
-        os.kill(process.pid, signal.SIGKILL)  # the coordinator alone: its workers and its server must follow by themselves
+        process = start(home, target, scans)
+        time.sleep(rng.uniform(0.2, 0.95) * seconds)
+        hit += process.poll() is None
+        children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+        os.kill(process.pid, signal.SIGKILL)
         process.wait()
+        assert_gone(children)
+        kept = {key: state.done.started_at for key, state in Lake.open(target).history().items() if state.done}
         done = run(home, scans, target, "--workers", 2)
         assert done.returncode == 0, f"trial {trial}: {done.stderr}"
         assert digests(Lake.open(target).snapshot()) == expected, f"trial {trial}"
         assert leftovers(target) == [], f"trial {trial}"
+        after = Lake.open(target).history()
+        assert all(after[key].done.started_at == started for key, started in kept.items()), "what was finished is not done again"
+    assert hit >= trials / 2, "most kills must fall into the run"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_run_in_the_middle(home: dict[str, str], scans: Path, tmp_path: Path, number: int) -> None:
+    process = start(home, tmp_path / "lake", scans)
+    deadline = time.monotonic() + 120
+    while not list((tmp_path / "lake" / "staged").glob("*")) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    children = psutil.Process(process.pid).children(recursive=True)
+    assert children
+    os.kill(process.pid, number)
+    assert process.wait(timeout=40) in (130, 143, -signal.SIGTERM)
+    assert_gone(children)
 
 
 def undisturbed_seconds(home: dict[str, str], scans: Path, lake: Path) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from flows.commands.options import json_option, lake_option
+from flows.commands.options import existing_lake, json_option, lake_option
 
 
 @click.group("annotate", short_help="Import what annotators chose.")
@@ -29,9 +29,8 @@ def import_batch(file: Path, dry_run: bool, address: str, as_json: bool) -> None
     Example: metascenes annotate import batch.json --lake ./lake
     """
     from flows.annotation import import_annotations
-    from warehouse.lake import Lake
 
-    result = import_annotations(Lake.open(address), file, dry_run)
+    result = import_annotations(existing_lake(address), file, dry_run)
     if as_json:
         print(json.dumps(result))
         return

@@ -24,7 +24,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
 
     Example: metascenes demo --out demo
     """
-    from flows.commands.run import carry_out, summary
+    from flows.commands.run import carry_out, summary, tell
     from flows.configuration import configure
     from flows.demo import make_scans
     from flows.export import write_exports
@@ -66,7 +66,6 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
         for scene in written.usd_scenes:
             print(f"{'open in usdview':<16} {scene}")
         print(f'{"ask the lake":<16} metascenes sql --lake {out / "lake"} "SELECT * FROM objects_per_scene"')
-    for line in report.failures:
-        click.echo(f"failed: {line}", err=True)
+    tell(report)
     if report.failures or written.failed_checks:
         raise click.exceptions.Exit(1)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from flows.commands.options import json_option, lake_option
+from flows.commands.options import existing_lake, json_option, lake_option
 
 
 @click.group("doctor", short_help="Check a USD file, a Habitat dataset or the lake.")
@@ -56,9 +56,8 @@ def lake(address: str, as_json: bool) -> None:
     Example: metascenes doctor lake --lake ./lake
     """
     from warehouse.digest import blob_names
-    from warehouse.lake import Lake
 
-    opened = Lake.open(address)
+    opened = existing_lake(address)
     names = sorted(blob_names(opened.snapshot()))
     wrong = [f"blob {name}: {'content differs from its name' if name in opened.blobs else 'is missing'}" for name in names
              if name not in opened.blobs or not opened.blobs.verify(name)]  # fmt: skip

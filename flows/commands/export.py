@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from flows.commands.options import json_option, lake_option
+from flows.commands.options import existing_lake, json_option, lake_option
 from schemas.exports import FORMATS
 
 
@@ -30,9 +30,8 @@ def command(
     """
     from flows.export import write_exports
     from schemas.exports import ExportFile
-    from warehouse.lake import Lake
 
-    lake = Lake.open(address)
+    lake = existing_lake(address)
     chosen = formats or FORMATS
     if dry_run:
         rows = lake.snapshot(snapshot_id).rows(ExportFile)

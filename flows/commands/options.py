@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from warehouse.lake import Lake
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -35,7 +38,7 @@ def workers_option(function: F) -> F:
 def configuration_options(function: F) -> F:
     """`--config`, `--set`, `--library`, `--seed`: what the stages are told."""
     for option in (
-        click.option("--seed", type=int, default=0, show_default=True, help="Run seed; the same input and seed give the same result."),
+        click.option("--seed", type=int, help="Run seed, 0 by default; the same input and seed give the same result."),
         click.option("--library", type=click.Path(path_type=Path), help="Folder of GLB assets to retrieve candidates from."),
         click.option(
             "--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="One value of a stage's config; may be repeated."
@@ -44,3 +47,18 @@ def configuration_options(function: F) -> F:
     ):
         function = option(function)
     return function
+
+
+def existing_lake(address: str) -> Lake:
+    """The lake at an address, for commands that only read.
+
+    Raises:
+        InputError: there is none; a mistyped address must not look like an empty lake.
+    """
+    from schemas.errors import InputError
+    from warehouse.lake import Lake
+
+    lake = Lake.open(address)
+    if not lake.exists:
+        raise InputError(address, "--lake", "there is no lake", "name its folder; `metascenes run` makes one")
+    return lake

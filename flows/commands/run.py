@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 @click.option("--dry-run", is_flag=True, help="Say what would be done and why; do nothing.")
 @json_option
 def command(scans: Path, scan_format: str, dataset: str | None, address: str, config_file: Path | None, settings: tuple[str, ...],
-            library: Path | None, seed: int, workers: int, retry_failed: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
+            library: Path | None, seed: int | None, workers: int, retry_failed: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
     """Turn a folder of scans into replica scenes in a lake.
 
     Only what is missing, changed or stale is computed. Exit code 1 says that some scenes failed; each is named.
@@ -59,8 +59,7 @@ def command(scans: Path, scan_format: str, dataset: str | None, address: str, co
                        library=str(library) if library else None, seed=seed, config_file=str(config_file) if config_file else None,
                        settings=list(settings), retry_failed=retry_failed)  # fmt: skip
     print(json.dumps(dataclasses.asdict(report)) if as_json else summary(report))
-    for line in report.failures:
-        print(f"failed: {line}", file=sys.stderr)
+    tell(report)
     if report.failures:
         raise click.exceptions.Exit(1)
 
@@ -70,8 +69,9 @@ def carry_out(plan: Plan, store: Lake, *, threads: int, **parameters: Any) -> Ru
     from flows.report import report_of
 
     if not plan.todo:
-        store.commit()  # what an interrupted run had finished and not yet committed
-        store.sweep(set())
+        from flows.scene import settle
+
+        settle(store, plan)  # what an interrupted run had finished and not yet committed
         return report_of(plan, [])
     from flows.progress import Progress, listen
     from flows.server import prefect_server
@@ -92,17 +92,31 @@ def carry_out(plan: Plan, store: Lake, *, threads: int, **parameters: Any) -> Ru
     return report
 
 
+MAX_NOTES = 20
+"""Degradations that are printed; all of them are in the table `stage_runs`."""
+
+
+def tell(report: RunReport) -> None:
+    """Failures and degradations on standard error, a line each."""
+    for line in report.degradations[:MAX_NOTES]:
+        print(f"note: {line}", file=sys.stderr)
+    if len(report.degradations) > MAX_NOTES:
+        print(f"note: and {len(report.degradations) - MAX_NOTES} more in stage_runs.degradations", file=sys.stderr)
+    for line in report.failures:
+        print(f"failed: {line}", file=sys.stderr)
+
+
 def summary(report: RunReport) -> str:
     """A run's report in a line."""
     if not report.done and not report.failed and not report.failures:
         return f"nothing to do: {len(report.unchanged)} scenes are up to date"
     parts = [f"{len(report.done)} scenes done"]
-    if report.failed or report.failures:
-        parts.append(f"{len(set(report.failed)) or len(report.failures)} failed")
+    if report.failures:
+        parts.append(f"{len(report.failures)} failed")
     parts.append(f"{len(report.unchanged)} unchanged")
     parts.append(f"{report.steps} stage runs")
     if report.degradations:
-        parts.append(f"{report.degradations} degradations (see the table stage_runs)")
+        parts.append(f"{len(report.degradations)} degradations (in the table stage_runs)")
     return ", ".join(parts)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -30,6 +31,8 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     from tasks.scanner import ScannerConfig, scan_scene
 
     scan = name or scene.stem
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", scan):
+        raise InputError("--name", scan, "is no name of a scan", "use letters, digits, '_', '-' and '.'")
     if (out / scan).exists():
         raise InputError(str(out / scan), "folder", "is there already", "give another --name or remove it")
     config = ScannerConfig() if voxel is None else dataclasses.replace(ScannerConfig(), voxel_m=voxel)

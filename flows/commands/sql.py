@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from flows.commands.options import lake_option
+from flows.commands.options import existing_lake, lake_option
 
 
 @click.command("sql", short_help="Ask the lake a question in SQL; reads only.")
@@ -26,7 +26,6 @@ def command(
     Example: metascenes sql "SELECT category, count(*) FROM instances GROUP BY ALL ORDER BY 2 DESC LIMIT 5"
     """
     from schemas.tables import TABLES
-    from warehouse.lake import Lake
     from warehouse.sql import format_table, query
     from warehouse.views import listing as views
 
@@ -38,7 +37,7 @@ def command(
         return
     if statement is None:
         raise click.UsageError('give a statement, or --list. Example: metascenes sql "SELECT * FROM scenes"')
-    answer = format_table(query(Lake.open(address).snapshot(snapshot_id), statement), output)
+    answer = format_table(query(existing_lake(address).snapshot(snapshot_id), statement), output)
     if isinstance(answer, bytes):
         sys.stdout.buffer.write(answer)
     else:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from flows.commands.options import lake_option
+from flows.commands.options import existing_lake, lake_option
 
 
 @click.command("stats", short_help="Draw the statistics and write the report.")
@@ -21,9 +21,8 @@ def command(out: Path, pictures: Path | None, stages: bool, snapshot_id: int | N
     Example: metascenes stats --lake ./lake --out report.html
     """
     from flows.stats import stage_table, write_report
-    from warehouse.lake import Lake
 
-    lake = Lake.open(address)
+    lake = existing_lake(address)
     if stages:
         print(stage_table(lake.snapshot(snapshot_id)))
         return

@@ -7,10 +7,10 @@ from collections import defaultdict
 
 import click
 
-from flows.commands.options import json_option, lake_option
+from flows.commands.options import existing_lake, json_option, lake_option
 
 
-@click.command("status", short_help="Say what is done, failed and stale, from the lake alone.")
+@click.command("status", short_help="Say what is done and what failed, from the lake alone.")
 @lake_option
 @json_option
 def command(address: str, as_json: bool) -> None:
@@ -19,11 +19,10 @@ def command(address: str, as_json: bool) -> None:
     Example: metascenes status --lake ./lake
     """
     from tasks.pipeline import SCENE_STAGES
-    from warehouse.lake import Lake
 
     states: dict[str, dict[str, str]] = defaultdict(dict)
     errors: list[str] = []
-    for (scene, stage), state in sorted(Lake.open(address).history().items()):
+    for (scene, stage), state in sorted(existing_lake(address).history().items()):
         last = state.last
         kept = " (older rows kept)" if state.done is not None else ""
         if last.outcome != "done":
