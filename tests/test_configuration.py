@@ -1,0 +1,158 @@
+"""What a run is told: defaults, a TOML file, single settings, and one line for each thing that cannot be."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from flows.configuration import Configuration, configure
+from schemas.errors import InputError
+from tasks.pipeline import STAGES
+
+
+def toml(folder: Path, text: str) -> Path:
+    file = folder / "stages.toml"
+    file.write_text(text)
+    return file
+
+
+def refusal(*arguments: object, **named: object) -> str:
+    """The one line that `configure` refuses its arguments with."""
+    with pytest.raises(InputError) as refused:
+        configure(*arguments, **named)  # type: ignore[arg-type]
+    line = str(refused.value)
+    assert len(line.splitlines()) == 1
+    return line
+
+
+def test_without_anything_told_every_stage_has_its_defaults() -> None:
+    told = configure()
+    assert told == Configuration({stage.name: stage.config() for stage in STAGES}, None, 0)
+
+
+def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
+    text = "[navigation]\nmax_steps = 123\nmin_geodesic_m = 2\n[navigation.agent]\nradius_m = 0.25\n[exports]\nformats = ['usd']\n"
+    told, default = configure(toml(tmp_path, text)), configure()
+    navigation = told.stages["navigation"]
+    assert (navigation.max_steps, navigation.min_geodesic_m, navigation.agent.radius_m) == (123, 2.0, 0.25)
+    assert isinstance(navigation.min_geodesic_m, float), "a whole number given for a float field"
+    assert told.stages["exports"].formats == ("usd",)
+    back = dataclasses.replace(navigation, max_steps=500, min_geodesic_m=1.0, agent=dataclasses.replace(navigation.agent, radius_m=0.18))
+    assert back == default.stages["navigation"]
+    assert {name for name in told.stages if told.stages[name] != default.stages[name]} == {"navigation", "exports"}
+
+
+def test_seed_and_library_may_stand_in_the_file_and_arguments_win(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    file = toml(tmp_path, f"seed = 7\nlibrary = '{tmp_path / 'one'}'\n[optimization.method]\nmax_steps = 5\n")
+    told = configure(file)
+    assert (told.seed, told.library, told.stages["optimization"].method.max_steps) == (7, tmp_path / "one", 5)
+    told = configure(file, library=tmp_path / "two", seed=3)
+    assert (told.seed, told.library) == (3, tmp_path / "two")
+    assert configure(file, seed=0).seed == 0, "a seed of 0 that was given is not the same as none"
+
+
+def test_a_setting_reaches_nested_fields_and_wins_over_the_file(tmp_path: Path) -> None:
+    file = toml(tmp_path, "[optimization.method]\nmax_steps = 5\nstep_m = 0.1\n")
+    method = configure(file, ["optimization.method.max_steps=9"]).stages["optimization"].method
+    assert (method.max_steps, method.step_m) == (9, 0.1)
+    settings = [
+        "navigation.agent.name=cart",
+        "navigation.agent.height_m=0.5",
+        "navigation.max_steps=10",
+        "navigation.max_steps=11",
+        "exports.formats=['habitat']",
+    ]
+    stages = configure(None, settings).stages
+    assert (stages["navigation"].agent.name, stages["navigation"].agent.height_m) == ("cart", 0.5)
+    assert stages["navigation"].max_steps == 11, "the last one wins"
+    assert stages["exports"].formats == ("habitat",)
+
+
+@pytest.mark.parametrize(
+    ("setting", "named"),
+    [
+        ("navigations.max_steps=1", "navigations"),
+        ("navigation.max_step=1", "max_step"),
+        ("navigation.agent.radius=1", "radius"),
+        ("navigation.max_steps.more=1", "max_steps"),
+        ("navigation.max_steps", "navigation.max_steps"),
+        ("navigation=1", "navigation"),
+        ("navigation.max_steps=many", "navigation.max_steps"),
+        ("navigation.max_steps=1.5", "navigation.max_steps"),
+        ("navigation.max_steps=true", "navigation.max_steps"),
+        ("navigation.agent.radius_m=[1]", "navigation.agent.radius_m"),
+        ("navigation.agent=1", "navigation.agent"),
+        ("navigation.agent.radius_m=-1", "radius"),
+        ("navigation.stop_m=5", "stop_m"),
+        ("navigation.turn_degrees=7", "turn_degrees"),
+        ("exports.formats='usd'", "exports.formats"),
+        ("exports.formats=['usd', 3]", "exports.formats"),
+        ("candidates.slots=[1, 2]", "candidates.slots"),
+        ("=", "="),
+        ("", ""),
+        ("navigation..=1", "navigation"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_one_line_that_names_it(tmp_path: Path, setting: str, named: str) -> None:
+    line = refusal(None, [setting])
+    assert "--set" in line
+    assert named in line
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[navigations]\nmax_steps = 1\n", "navigations"),
+        ("navigation = 3\n", "navigation"),
+        ("[navigation]\nmax_step = 1\n", "max_step"),
+        ("[navigation]\nmax_steps = 'many'\n", "navigation.max_steps"),
+        ("[navigation.agent]\nradius_m = 'wide'\n", "navigation.agent.radius_m"),
+        ("[navigation.agent]\nwidth = 1\n", "width"),
+        ("[navigation.max_steps]\nmore = 1\n", "max_steps"),
+        ("[navigation]\nturn_degrees = 7\n", "turn_degrees"),
+        ("[navigation]\nmax_steps = 2026-01-02\n", "navigation.max_steps"),
+        ("seed = 'seven'\n", "seed"),
+        ("seed = true\n", "seed"),
+        ("seed = 1.5\n", "seed"),
+        ("library = 3\n", "library"),
+        ("library = 'not/there'\n", "not/there"),
+        ("[navigation\n", "stages.toml"),
+    ],
+)
+def test_a_file_that_cannot_be_is_one_line_that_names_file_and_field(tmp_path: Path, text: str, named: str) -> None:
+    line = refusal(toml(tmp_path, text))
+    assert named in line
+    assert "stages.toml" in line or "library" in line
+
+
+@pytest.mark.parametrize("content", [b"[navigation]\n# \xff\xfe\nmax_steps = 1\n", "[navigation]\nmax_steps = 1\n".encode("utf-16")])
+def test_a_file_that_is_not_utf8_is_one_line_that_names_it(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "stages.toml"
+    file.write_bytes(content)
+    assert "stages.toml" in refusal(file)
+
+
+def test_a_file_or_library_that_is_not_there_is_one_line_that_names_it(tmp_path: Path) -> None:
+    assert "absent.toml" in refusal(tmp_path / "absent.toml")
+    (tmp_path / "file.glb").touch()
+    assert "file.glb" in refusal(None, [], tmp_path / "file.glb")
+    assert "absent" in refusal(None, [], tmp_path / "absent")
+
+
+def test_every_plain_default_given_back_as_a_setting_changes_nothing() -> None:
+    """No default breaks its own rule or the rule of its type."""
+    settings = []
+    for stage in STAGES:
+        config = stage.config()
+        for field in dataclasses.fields(config):
+            value = getattr(config, field.name)
+            if isinstance(value, bool):
+                settings.append(f"{stage.name}.{field.name}={str(value).lower()}")
+            elif isinstance(value, int | float | str):
+                settings.append(f"{stage.name}.{field.name}={value!r}")
+    assert len(settings) > 20
+    assert configure(None, settings) == configure()
