@@ -28,6 +28,7 @@ from warehouse import adoption
 from warehouse.digest import blob_names, digests
 from warehouse.lake import Lake
 from warehouse.sql import query
+from warehouse.writer import new_token, this_writer
 
 A, B, C = "demo/a_00", "demo/b_00", "demo/c_00"
 
@@ -118,6 +119,26 @@ def test_folder_with_other_things_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="other things"):
         lake.blobs.put(b"x", "glb")
     assert files(tmp_path) == {"thesis.tex"}
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "deep/notes.txt", "my-2024-notes-1", "deadbeef-2024-1-notes"])
+def test_folder_with_others_temporary_things_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "tmp" / name).parent.mkdir(parents=True)
+    (tmp_path / "tmp" / name).write_text("do not touch")
+    lake = Lake.open(tmp_path)
+    with pytest.raises(InputError, match=rf"no lake but holds other things \(tmp/{name.partition('/')[0]}, "):
+        stage(lake, A, "captions", fingerprint(1))
+    lake.sweep()
+    assert files(tmp_path) == {f"tmp/{name}"}
+
+
+@pytest.mark.parametrize("token", [new_token(), f"{this_writer().machine}-999999-1-1"])
+def test_folder_in_which_another_first_write_began_becomes_a_lake(tmp_path: Path, token: str) -> None:
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "tmp" / token).write_text("half a marker")
+    lake = Lake.open(tmp_path)
+    stage(lake, A, "captions", fingerprint(1), captions=captions(A, "x"))
+    assert lake.commit() is not None
 
 
 def test_lake_of_a_newer_format_is_refused(tmp_path: Path) -> None:

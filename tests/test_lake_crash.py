@@ -281,6 +281,21 @@ def test_sweep_removes_runs_that_can_never_be_adopted_unless_they_are_kept(tmp_p
     assert left_over(lake) == []
 
 
+def test_sweep_never_removes_files_that_no_writer_named(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    stage_scene(lake, 0, "a", at=0)
+    lake.commit()
+    folder = Path(lake.address)
+    half = f"a@captions@{fingerprint(1)}@my-2024-01@captions.parquet"
+    theirs = [folder / "tmp" / "my-2024-notes", folder / "staged" / half, folder / "tables" / "captions" / "notes.tmp"]
+    ours = folder / "tmp" / f"{this_writer().machine}-999999-1-1"
+    for path in (*theirs, ours):
+        path.write_bytes(b"mine")
+        os.utime(path, (0, 0))
+    lake.sweep()
+    assert [path.exists() for path in (*theirs, ours)] == [True, True, True, False]
+
+
 def test_temporary_files_of_killed_table_writes_are_swept(tmp_path: Path) -> None:
     lake = Lake.open(tmp_path / "lake")
     stage_scene(lake, 1, "a", at=0)

@@ -93,7 +93,7 @@ class DeltaTables:
             for folder in (f"{FOLDER}/{name}", f"{FOLDER}/{name}/_delta_log"):
                 for file in self._storage.names(folder):
                     # delta-rs writes `<file>#<number>` and `_commit_<id>.json.tmp`, and renames them.
-                    if re.search(r"#[0-9]+$|\.tmp$", file):
+                    if re.search(r"#[0-9]+$|^_commit_.*\.json\.tmp$", file):
                         self._storage.remove(f"{folder}/{file}")
 
     def writer(self, table: Table, version: int | None, check: Callable[[], None]) -> TableWriter:

@@ -169,12 +169,18 @@ class Lake:
         """
         if self.exists:
             return
-        ours = {TEMPORARY, MARKER}
-        others = [name for name in [*self.storage.folders(""), *self.storage.names("")] if name not in ours]
+        others = self._others()
         if others and not self._read_marker():
             raise InputError(self.address, "", f"this is no lake but holds other things ({others[0]}, ...)", "give a new or empty folder")
         self.storage.create(MARKER, json.dumps({"format": FORMAT}).encode())
         self._is_marked = True
+
+    def _others(self) -> list[str]:
+        """What no lake holds before its marker. Temporary files of writers may be there: of one beside us, or a dead one."""
+        found = [name for name in self.storage.folders("") if name != TEMPORARY]
+        found += [name for name in self.storage.names("") if name != MARKER]
+        inner = [*self.storage.folders(TEMPORARY), *(name for name in self.storage.names(TEMPORARY) if writer_of(name) is None)]
+        return found + [f"{TEMPORARY}/{name}" for name in inner]
 
     def _read_marker(self) -> bool:
         """Whether the address is marked as a lake."""

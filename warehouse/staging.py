@@ -211,8 +211,13 @@ class Staging:
 
 
 def is_left_over(writer: Writer | None, modified: float) -> bool:
-    """Whether a temporary file can be removed: its writer is dead, or cannot be asked and the file is a day old."""
-    if writer is not None and writer.is_here:
+    """Whether a writer's file can be removed: the writer is dead, or cannot be asked and the file is a day old.
+
+    A file whose name gives no writer is none of the lake's.
+    """
+    if writer is None:
+        return False
+    if writer.is_here:
         return not writer.is_alive
     return time.time() - modified > 86_400
 

@@ -11,6 +11,7 @@ import functools
 import hashlib
 import itertools
 import os
+import re
 import socket
 import subprocess
 import threading
@@ -18,6 +19,9 @@ from pathlib import Path
 
 _counter = itertools.count(1)
 _counter_lock = threading.Lock()
+
+# As `new_token` writes it, and no looser: people's files have names with hyphens and numbers, too.
+_TOKEN = re.compile(r"([0-9a-f]{8})-([0-9]{1,10})-([0-9a-f]{1,20})-[0-9]+")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,10 +61,8 @@ def new_token() -> str:
 
 def writer_of(token: str) -> Writer | None:
     """The writer that made `token`, or None when it is no token."""
-    parts = token.split("-")
-    if len(parts) < 3 or not parts[1].isdigit():
-        return None
-    return Writer(parts[0], int(parts[1]), parts[2])
+    parts = _TOKEN.fullmatch(token)
+    return Writer(parts[1], int(parts[2]), parts[3]) if parts else None
 
 
 @functools.cache
