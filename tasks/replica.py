@@ -164,7 +164,7 @@ def _wall_footprints(ring: NDArray[np.float64], shell: ShellConfig) -> list[NDAr
         corners = np.array([b, a, _miter(before, a, b, thickness, shell), _miter(a, b, after, thickness, shell)])
         # between two inward corners a short wall's miters may cross, and near a narrow notch a wall may reach back
         # into the room: there the wall is a plain rectangle, as thick as there is place for
-        while thickness > 1e-3 and not _fits(corners, room):
+        while thickness > 1e-4 and not _fits(corners, room):
             along = (b - a) / np.linalg.norm(b - a)
             out = np.array([along[1], -along[0]]) * thickness
             corners = np.array([b, a, a + out, b + out])

@@ -60,6 +60,12 @@ _FLOOR_BEHIND = 0.3
 _OBLIQUE_M2, _OBLIQUE_LENGTH_M = 1.0, 0.6
 """A direction other than the room's own needs this much wall, and longer walls: it could be noise otherwise."""
 
+_STRIP_M = 0.08
+"""Floor is looked for this far to both sides of a wall's center line at least: farther than vertices are apart."""
+
+_SLOPE = 0.1
+"""A stretch askew by more is a piece of a wall that runs in another direction."""
+
 _MOST_OBLIQUE, _UNEXPLAINED_M2 = 4, 1.0
 
 
@@ -133,7 +139,8 @@ def _oblique_direction(cloud: Cloud, free: Mask, tried: list[float]) -> float | 
     weights = np.bincount((angles / np.deg2rad(5)).astype(np.int64) % 36, weights=areas, minlength=36)
     near = weights + np.roll(weights, 1) + np.roll(weights, -1)
     for known in (0.0, np.pi / 2, *tried):  # nothing is left there but noise
-        near[(np.arange(-2, 3) + int(known / np.deg2rad(5))) % 36] = 0
+        near[(np.arange(-1, 2) + round(known / np.deg2rad(5) - 0.5)) % 36] = 0
+        near[round(known / np.deg2rad(5)) % 36] = 0
     if near.max() < _OBLIQUE_M2:
         return None
     middle = np.deg2rad(5 * (int(np.argmax(near)) + 0.5))
@@ -199,7 +206,7 @@ def _slabs(site: _Site, free: Mask, angle: float, shortest: float) -> list[Slab]
 
     def is_empty(low: float, high: float) -> Mask:
         """Cells with nothing but wall seen between two planes, shape (count,): no floor, and no door."""
-        between = (things_u > low + 0.03) & (things_u < high - 0.03)
+        between = np.abs(things_u - (low + high) / 2) < max((high - low) / 2 - 0.03, _STRIP_M)
         return np.bincount(places[between], minlength=count) < 2
 
     faces = []
@@ -303,25 +310,36 @@ def _stretches(seen: Mask, empty: Mask, shortest: float) -> list[tuple[int, int]
 def _measured(
     site: _Site, points: NDArray[np.int64], u: Array, v: Array, span: tuple[float, float], is_double: bool, across: Array, along: Array
 ) -> Slab | None:
-    """The slab that the points of a stretch of wall make, None where it is too low."""
+    """The slab that the points of a stretch of wall make, None where it is too low or runs in another direction."""
     z = site.cloud.points[points, 2]
     top = float(np.percentile(z, 99))
     if top < _HEIGHT_M - 0.03:
         return None
-    tall = z > _LOW_M
-    start, end = (float(np.percentile(v[tall], q)) for q in (0.5, 99.5))
+    side = np.sign(site.cloud.normals[points, :2] @ across)
+    for mine in (side == sign for sign in (-1, 1) if (side == sign).sum() > 2):
+        if abs(np.cov(u[mine], v[mine])[0, 1]) > _SLOPE * np.var(v[mine]):
+            return None
+    start, end = -_end(-v, z), _end(v, z)
     low, high = span
     if is_double:
-        side = site.cloud.normals[points, :2] @ across
         near = [np.abs(u - position) < _FLAT_M for position in span]
         low, high = (
-            float(np.median(u[mine & (side * sign > 0)])) if (mine & (side * sign > 0)).any() else position
+            float(np.median(u[mine & (side == sign)])) if (mine & (side == sign)).any() else position
             for mine, sign, position in zip(near, (-1, 1), span, strict=True)
         )
     middle, thickness = (low + high) / 2, max(abs(high - low), _MIN_THICKNESS_M)
     # What ends a hand below the ceiling was hidden there, or lies above what the scanner was pointed at.
     height = site.height if top > min(site.height - 0.4, 2.0) else top
     return Slab(middle * across + start * along, middle * across + end * along, thickness, height)
+
+
+def _end(v: Array, z: Array) -> float:
+    """How far a stretch of wall reaches [m]; a lintel that goes on over a doorway does not count."""
+    last = v > v.max() - 2 * _CELL_M
+    low = last & (z > _LOW_M) & (z < _LOW_M + _BANDS * _BAND_M)
+    reach = float(np.percentile(v[low], 99)) if low.any() else -np.inf
+    # wall that only shows above what hides it reaches cells further; a lintel's first cell is often the wall's last
+    return reach if reach > v.max() - 1.5 * _CELL_M else float(np.percentile(v[last], 99))
 
 
 def _stands(site: _Site, slab: Slab, owners: list[_Face], across: Array) -> bool:
