@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
+import os
 import pickle
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -139,6 +141,48 @@ def test_folder_in_which_another_first_write_began_becomes_a_lake(tmp_path: Path
     lake = Lake.open(tmp_path)
     stage(lake, A, "captions", fingerprint(1), captions=captions(A, "x"))
     assert lake.commit() is not None
+
+
+def test_address_that_is_a_file_or_below_one_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "scan.ply"
+    file.write_text("ply")
+    with pytest.raises(InputError, match=r"^\S+/scan\.ply: this is a file, not a folder; give a new or empty folder$"):
+        Lake.open(file)
+    with pytest.raises(InputError, match=r"^\S+/scan\.ply/a/lake: lies below \S+/scan\.ply, which is no folder; give .*$"):
+        Lake.open(str(file / "a" / "lake"))
+    (tmp_path / "link").symlink_to(tmp_path / "gone")
+    with pytest.raises(InputError, match="this is a file, not a folder"):
+        Lake.open(tmp_path / "link")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "way").symlink_to(tmp_path / "folder")
+    stage(Lake.open(tmp_path / "way"), A, "captions", fingerprint(1))
+    assert "lake.json" in files(tmp_path / "folder")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder in which nobody can make one")
+def test_folder_that_cannot_be_made_is_refused() -> None:
+    lake = Lake.open("/proc/nope/lake")
+    assert lake.history() == {}
+    with pytest.raises(InputError, match=r"^/proc/nope/lake: the lake's folder cannot be made or written to \(.+\); give a folder"):
+        lake.stage_rows(stage_run(A, "captions", fingerprint(1)))
+    with pytest.raises(InputError, match="/proc/nope/lake: the lake's folder cannot be made"):
+        lake.blobs.put(b"x", "glb")
+
+
+@pytest.mark.parametrize("code", [errno.EROFS, errno.EACCES])
+def test_lake_that_cannot_be_written_to_can_be_read(lake: Lake, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    stage(lake, A, "captions", fingerprint(1), captions=captions(A, "x"))
+    lake.commit()
+
+    def refused(path: Any, mode: str = "r", *rest: Any, **named: Any) -> Any:
+        if "x" in mode:
+            raise OSError(code, os.strerror(code), str(path))
+        return open(path, mode, *rest, **named)
+
+    monkeypatch.setattr("warehouse.storage.open", refused, raising=False)
+    with pytest.raises(InputError, match=rf"cannot be made or written to \({os.strerror(code)}\)"):
+        stage(lake, A, "captions", fingerprint(2), at=1, captions=captions(A, "y"))
+    assert lake.snapshot().rows(Caption) == captions(A, "x")
 
 
 def test_lake_of_a_newer_format_is_refused(tmp_path: Path) -> None:

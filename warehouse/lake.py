@@ -165,7 +165,7 @@ class Lake:
         """Mark the address as a lake before the first write.
 
         Raises:
-            InputError: the folder holds other things.
+            InputError: the folder holds other things, or cannot be made.
         """
         if self.exists:
             return
@@ -184,7 +184,7 @@ class Lake:
 
     def _read_marker(self) -> bool:
         """Whether the address is marked as a lake."""
-        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        with contextlib.suppress(FileNotFoundError):
             try:
                 version = int(json.loads(self.storage.read(MARKER))["format"])
             except (ValueError, KeyError, TypeError):

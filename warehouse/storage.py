@@ -118,6 +118,12 @@ class LocalStorage:
         # delta-rs decodes such addresses a second time and DuckDB reads them as patterns: both would look elsewhere.
         if re.search(r"[\[\]*?#\\\x00-\x1f]|%[0-9A-Fa-f]{2}", self.address):
             raise InputError(self.address, "", "the lake's address holds one of [ ] * ? # \\ or %xx", "choose a folder without them")
+        for place in (self.folder, *self.folder.parents):
+            if os.path.isdir(place):
+                break
+            if os.path.lexists(place):
+                problem = "this is a file, not a folder" if place == self.folder else f"lies below {place}, which is no folder"
+                raise InputError(self.address, "", problem, "give a new or empty folder")
 
     def read(self, path: str) -> bytes:
         """See Storage."""
@@ -242,7 +248,12 @@ class LocalStorage:
         path = self.folder / TEMPORARY / new_token()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with open(path, "xb") as handle:
+            handle = open(path, "xb")  # noqa: SIM115  # closed below: only what goes wrong here is the folder's fault
+        except OSError as error:
+            problem = f"the lake's folder cannot be made or written to ({error.strerror or error})"
+            raise InputError(self.address, "", problem, "give a folder that you can write to") from error
+        try:
+            with handle:
                 handle.write(data)
                 handle.flush()
                 os.fsync(handle.fileno())
