@@ -368,6 +368,7 @@ def test_failure_after_a_change_upstream_leaves_nothing_old(lake: Lake) -> None:
 def test_commit_of_some_scenes_leaves_the_others_staged(lake: Lake) -> None:
     for scene in (A, B, C):
         stage(lake, scene, "captions", fingerprint(scene), captions=captions(scene, "x"))
+    assert lake.commit(scenes=()) is None
     lake.commit(scenes=[A, C])
     assert names_of(lake, "captions", "scene_id") == [A, C]
     assert lake.history()[B, "captions"].is_staged

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -11,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -294,6 +296,69 @@ def test_sweep_never_removes_files_that_no_writer_named(tmp_path: Path) -> None:
         os.utime(path, (0, 0))
     lake.sweep()
     assert [path.exists() for path in (*theirs, ours)] == [True, True, True, False]
+
+
+def _as_of(lake: Lake, run: StageRun, token: str) -> None:
+    """Rename the files of a staged run as if `token`'s writer had left them."""
+    for path in list((Path(lake.address) / "staged").glob(f"*@{run.stage}@{run.fingerprint}@*")):
+        parts = path.name.split("@")
+        path.rename(path.with_name("@".join([*parts[:3], token, parts[4]])))
+
+
+def test_sweep_spares_what_living_neighbors_staged(tmp_path: Path) -> None:
+    """It cannot be adopted yet, and this run knows nothing of it; its writer may be about to stage what it read."""
+    lake = Lake.open(tmp_path / "lake")
+    run = stage_run(scene_id(1), "captions", fingerprint("c"), f"capture={fingerprint('later')}")
+    lake.stage_rows(run, {"captions": [sample(Caption, scene_id=scene_id(1))]})
+    neighbor = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    try:
+        _as_of(lake, run, _token_of(neighbor.pid))
+        lake.sweep()
+        assert len(left_over(lake)) == 2
+        assert lake.abandoned() == set()
+    finally:
+        neighbor.communicate(b"\n")
+    assert lake.abandoned() == {scene_id(1)}
+    lake.sweep({(run.scene_id, run.stage, run.fingerprint)})
+    assert len(left_over(lake)) == 2
+    lake.sweep()
+    assert left_over(lake) == []
+
+
+def test_abandoned_scenes_are_those_of_which_no_writer_lives(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    assert lake.abandoned() == set()
+    dead, elsewhere = f"{this_writer().machine}-999999-1-1", "ffffffff-1-2-3"
+    now = datetime.now(UTC)
+    for number, writers in enumerate([[dead], [None], [dead, None], [elsewhere], [elsewhere]]):
+        for at, (stage, token) in enumerate(zip(("capture", "captions"), writers, strict=False)):
+            run = stage_run(scene_id(number), stage, fingerprint(number, stage), at=at)
+            started = now - timedelta(days=2 if number == 3 else 0)
+            lake.stage_rows(dataclasses.replace(run, started_at=started))
+            if token is not None:
+                _as_of(lake, run, token)
+    assert lake.abandoned() == {scene_id(0), scene_id(3)}
+    lake.commit(scenes=lake.abandoned())
+    assert {row.scene_id for row in lake.snapshot().rows(StageRun)} == {scene_id(0), scene_id(3)}
+    assert lake.abandoned() == set()
+    assert {state.scene_id for state in lake.history().values() if state.is_staged} == {scene_id(1), scene_id(2), scene_id(4)}
+
+
+def test_what_a_killed_run_left_is_abandoned_and_adopted(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    child = "import sys; from warehouse.lake import Lake; from tests.lake_load import stage_scene; "
+    child += "stage_scene(Lake.open(sys.argv[1]), 1, 'a', at=0)"
+    subprocess.run([sys.executable, "-c", child, lake.address], cwd=REPOSITORY, check=True)
+    stage_scene(lake, 2, "mine", at=0)
+    assert lake.abandoned() == {scene_id(1)}
+    lake.commit(scenes=lake.abandoned())
+    assert {row.scene_id for row in lake.snapshot().rows(Caption)} == {scene_id(1)}
+
+
+def _token_of(pid: int) -> str:
+    from warehouse.writer import Writer, _process_start
+
+    return f"{Writer(this_writer().machine, pid, _process_start(pid) or '')}-1"
 
 
 def test_temporary_files_of_killed_table_writes_are_swept(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from warehouse.delta import DeltaTables, TableWriter, nullable
 from warehouse.history import Key, StageState, states
 from warehouse.lease import Lease
 from warehouse.staging import StagedRun, Staging
+from warehouse.writer import this_writer, writer_of
 
 _ADOPTED = "adopted"
 
@@ -71,11 +72,16 @@ class Commit:
         return snapshot
 
     def sweep(self, keep: Collection[tuple[str, str, str]]) -> None:
-        """Remove staged runs that cannot be adopted and are not among `keep` (scene, stage, fingerprint)."""
+        """Remove staged runs that cannot be adopted and are not among `keep` (scene, stage, fingerprint).
+
+        Those of other processes that live are spared: what they read may still be on its way.
+        """
         staged = self.remove_adopted()
         left = plan(self._base.states, staged).left
+        own = this_writer()  # lives, of course, but has said by `keep` what it needs
+        idle = [one for one in left if one.is_abandoned or writer_of(one.token) == own]
         self._lease.check()
-        self._staging.remove([one for one in left if (one.run.scene_id, one.run.stage, one.run.fingerprint) not in keep])
+        self._staging.remove([one for one in idle if (one.run.scene_id, one.run.stage, one.run.fingerprint) not in keep])
         self._staging.remove_incomplete()
 
     def remove_adopted(self) -> list[StagedRun]:

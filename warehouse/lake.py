@@ -100,8 +100,9 @@ class Lake:
     def commit(self, note: str = "", *, scenes: Collection[str] | None = None, timeout: float = 300.0) -> Snapshot | None:
         """Take everything that is staged, by anyone, into a new snapshot; None when there is nothing to take.
 
-        With `scenes`, only what is staged for these: a scene that is still being computed would be taken in part,
-        and what its next stages gave before would be withdrawn for the time being.
+        With `scenes`, only what is staged for these, nothing for an empty collection: a scene that is still being
+        computed would be taken in part, and what its next stages gave before would be withdrawn for the time being.
+        A run of the pipeline gives its own scenes and those that are `abandoned`.
 
         Raises:
             LeaseError: another committer holds the lease for more than `timeout` seconds.
@@ -115,7 +116,8 @@ class Lake:
     def sweep(self, keep: Collection[tuple[str, str, str]] = (), *, timeout: float = 300.0) -> None:
         """Remove what can be of no use to anybody: temporary and staged files of dead writers, runs that cannot be adopted.
 
-        `keep` names (scene, stage, fingerprint) that may still be adopted.
+        `keep` names (scene, stage, fingerprint) that may still be adopted. What other living processes staged stays,
+        and so do files whose names give no writer.
         """
         if not self.exists:
             return
@@ -125,6 +127,14 @@ class Lake:
                 if is_left_over(writer_of(entry.path.rpartition("/")[2]), entry.modified):
                     self.storage.remove(entry.path)
             self.tables.sweep()
+
+    def abandoned(self) -> set[str]:
+        """Scenes with complete staged runs of which no writer lives: nobody but another run's commit will take them in.
+
+        A writer on another machine cannot be asked and is taken to live for a day after its run.
+        """
+        staged = self.staging.runs()
+        return {one.run.scene_id for one in staged} - {one.run.scene_id for one in staged if not one.is_abandoned}
 
     def history(self) -> dict[Key, StageState]:
         """The state of every (scene, stage), staged runs that a commit would take included."""

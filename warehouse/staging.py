@@ -37,6 +37,11 @@ class StagedRun:
     files: Mapping[str, str]
     run_file: str
 
+    @property
+    def is_abandoned(self) -> bool:
+        """Whether the writer is dead, or cannot be asked and was done with this a day ago (see `is_left_over`)."""
+        return is_left_over(writer_of(self.token), self.run.started_at.timestamp() + self.run.seconds)
+
 
 class Staging:
     """The staged runs of a lake."""
