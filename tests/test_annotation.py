@@ -180,6 +180,8 @@ CONTENT: list[tuple[bytes, str]] = [
     (b'{"batch_id": "b", "batch_id": "c"}', "twice"),
     (b'{"annotations": []}', "batch_id"),
     (b'{"batch_id": "a b"}', "not allowed"),
+    (b'{"batch_id": "b"}', "annotations: the batch has no answers"),
+    (b'{"batch_id": "b", "annotations": [], "files": []}', "annotations: the batch has no answers"),
     (b'{"batch_id": "b", "annotations": {}}', "a list"),
     (b"[" * 100_000, "nested"),
     (b'{"batch_id": ' + b"9" * 10_000 + b"}", "digits"),
@@ -231,6 +233,16 @@ def test_a_file_named_twice_is_refused(tmp_path: Path, files: list[str]) -> None
     write(tmp_path / "c.json", answer(annotator="bob"))
     with pytest.raises(InputError, match="named twice"):
         read_batch(write(tmp_path / "b.json", answer(), files=files))
+
+
+def test_files_without_an_answer_among_them_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "c.json")
+    with pytest.raises(InputError, match=r"^b\.json: annotations: the batch has no answers"):
+        read_batch(write(tmp_path / "b.json", files=["c.json"]))
+    with pytest.raises(InputError, match=r"^batch\.json: annotations: the batch has no answers"):
+        parse_batch({"batch_id": "b", "annotations": []})
+    write(tmp_path / "c.json", answer())
+    assert len(read_batch(tmp_path / "b.json").annotations) == 1
 
 
 def test_files_of_another_batch_are_refused(tmp_path: Path) -> None:

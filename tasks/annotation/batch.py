@@ -68,7 +68,7 @@ def read_batch(path: Path) -> AnnotationBatch:
 
     Raises:
         InputError: a file cannot be read, breaks the schema or names a file outside its own folder; an answer
-            contradicts itself or is given twice. Names file and JSON path.
+            contradicts itself or is given twice; there is no answer at all. Names file and JSON path.
     """
     root = path.parent.resolve()
     if not path.is_file():
@@ -95,6 +95,7 @@ def read_batch(path: Path) -> AnnotationBatch:
             if len(seen) + len(queue) >= MAX_FILES:
                 raise InputError(name, "files", f"the batch has more than {MAX_FILES} files", "split the batch")
             queue.append(target)
+    _refuse_none(answers, path.name)
     _refuse_repeats(answers)
     return AnnotationBatch(batch_id, tuple(answers))
 
@@ -109,6 +110,7 @@ def parse_batch(document: Any, name: str = "batch.json") -> AnnotationBatch:
     if document.get("files"):
         raise InputError(name, "files", "names further files", "send their annotations in the same document")
     answers = [_answer(item, name, f"annotations[{i}]") for i, item in enumerate(document.get("annotations", ()))]
+    _refuse_none(answers, name)
     _refuse_repeats(answers)
     return AnnotationBatch(document["batch_id"], tuple(answers))
 
@@ -283,6 +285,11 @@ def _placed(transform: Any, name: str, where: str) -> tuple[tuple[float, ...], t
     if abs(length - 1.0) > QUATERNION_TOLERANCE:
         raise InputError(name, f"{where}.rotation_wxyz", f"has length {length:.4g}", "give a unit quaternion w, x, y, z")
     return flat(pose_from_quaternion_wxyz(quaternion, transform["position"])), scale
+
+
+def _refuse_none(answers: Sequence[Answer], name: str) -> None:
+    if not answers:
+        raise InputError(name, "annotations", "the batch has no answers", "give at least one answer, here or in a file named in files")
 
 
 def _refuse_repeats(answers: Sequence[Answer]) -> None:
