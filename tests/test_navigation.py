@@ -22,7 +22,7 @@ from schemas.record import rows_to_arrow
 from schemas.tables import TABLES
 from tasks.meshes import canonical, dump_glb, load_glb, sample_surface
 from tasks.navigation import STAGE, NavigationConfig, placed_surfaces, run, split_of
-from tasks.navigation.configuration import Agent
+from tasks.navigation.configuration import Agent, PlanarConfig
 from tasks.navigation.follower import STOP, replay
 from tasks.navigation.navmesh import polygon_areas, polygon_islands, read_navmesh
 from tasks.navigation.obstacles import footprint, free_space
@@ -200,7 +200,30 @@ def test_rows_that_do_not_fit_together_are_refused() -> None:
     with pytest.raises(ValueError, match="turn_degrees: 50"):
         NavigationConfig(turn_degrees=50)
     with pytest.raises(ValueError, match="agent: "):
-        NavigationConfig(agent=Agent(height_m=0.1))
+        Agent(height_m=0.1)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"forward_m": 0.0}, {"turn_degrees": 0.0}, {"turn_degrees": math.inf}, {"turn_degrees": -30.0}, {"train_episodes": -1},
+        {"test_episodes": -1}, {"test_share": 1.5}, {"test_share": math.nan}, {"max_steps": 0}, {"max_path_ratio": 0.9}, {"start_tries": 0},
+        {"view_reach_m": 0.0}, {"view_spacing_m": math.nan}, {"view_directions": 0}, {"search_expansions": -1}, {"success_m": math.inf},
+    ],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused(values: dict[str, float]) -> None:
+    (field,) = values
+    with pytest.raises(ValueError, match=f"^{field}: must be "):
+        NavigationConfig(**values)  # type: ignore[arg-type]
+    assert NavigationConfig(train_episodes=0, test_episodes=0, test_share=0).test_share == 0
+
+
+@pytest.mark.parametrize("values", [{"radius_m": 0.0}, {"radius_m": math.nan}, {"height_m": math.inf}, {"max_climb_m": -0.1}])
+def test_an_agent_that_cannot_be_is_refused(values: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"^agent: "):
+        Agent(**values)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^smallest_island_m2: must be at least 0, is -1$"):
+        PlanarConfig(smallest_island_m2=-1.0)
 
 
 def test_rooms_are_split_four_to_one_and_rescans_stay_together() -> None:

@@ -674,3 +674,18 @@ def test_generated_furniture_comes_to_rest_without_collisions(seed: int) -> None
         assert (boxes[name][0, :2] + boxes[name][1, :2] >= 2 * boxes["0000"][0, :2]).all()
         assert (boxes[name][0, :2] + boxes[name][1, :2] <= 2 * boxes["0000"][1, :2]).all()
         assert boxes[name][0, 2] == pytest.approx(boxes["0000"][1, 2], abs=0.03)
+
+
+@pytest.mark.parametrize("values", [{"step_m": 0.0}, {"step_m": -0.05}, {"step_m": float("nan")}, {"max_steps": -1}, {"shift_reach": -1}])
+def test_a_method_that_cannot_be_is_refused(values: dict[str, float]) -> None:
+    (field,) = values
+    with pytest.raises(ValueError, match=f"^{field}: must be "):
+        Paper(**values)  # type: ignore[arg-type]
+    assert Paper(max_steps=0, shift_reach=0).max_steps == 0
+
+
+@pytest.mark.parametrize("values", [{"cell_m": 0.0}, {"base_m": 0.0}, {"reach_m": -0.1}, {"share": 1.5}, {"rest_quantile": float("nan")}])
+def test_supports_that_cannot_be_are_refused(values: dict[str, float]) -> None:
+    (field,) = values
+    with pytest.raises(ValueError, match=f"^{field}: must be "):
+        SupportConfig(**values)  # type: ignore[arg-type]

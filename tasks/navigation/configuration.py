@@ -18,12 +18,20 @@ class Agent:
     height_m: float = 0.88  # the same; lower than a door handle, higher than a table, so tables block
     max_climb_m: float = 0.2  # Habitat's default: rugs and slippers are driven over; another value makes Habitat bake anew
 
+    def __post_init__(self) -> None:
+        if not (0 < self.radius_m < math.inf and math.inf > self.height_m > self.max_climb_m >= 0):
+            raise ValueError("agent: radius must be positive, and height above max_climb_m")
+
 
 @dataclasses.dataclass(frozen=True)
 class PlanarConfig:
     """Exact shortest paths in the free polygon of the floor. Needs nothing but Python packages."""
 
     smallest_island_m2: float = 0.0625  # the square of one step: on less floor no step can be made
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.smallest_island_m2 < math.inf:
+            raise ValueError(f"smallest_island_m2: must be at least 0, is {self.smallest_island_m2:g}")
 
 
 PathFinderConfig: TypeAlias = PlanarConfig
@@ -54,8 +62,19 @@ class NavigationConfig:
     search_expansions: int = 400  # of the searches that can succeed 49 in 50 do so within this many states (six crowded rooms)
 
     def __post_init__(self) -> None:
-        if not (self.agent.radius_m > 0 and self.agent.height_m > self.agent.max_climb_m >= 0):
-            raise ValueError("agent: radius must be positive, and height above max_climb_m")
+        for name in ("forward_m", "turn_degrees", "view_reach_m", "view_spacing_m", "success_m", "min_geodesic_m"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
+        for name, least in (
+            ("train_episodes", 0), ("test_episodes", 0), ("max_steps", 1),
+            ("start_tries", 1), ("view_directions", 1), ("search_expansions", 0),
+        ):  # fmt: skip
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}: must be at least {least}, is {getattr(self, name)}")
+        if not 0 <= self.test_share <= 1:
+            raise ValueError(f"test_share: must be 0 to 1, is {self.test_share:g}")
+        if not self.max_path_ratio >= 1:
+            raise ValueError(f"max_path_ratio: must be at least 1, is {self.max_path_ratio:g}")
         if abs(round(360 / self.turn_degrees) * self.turn_degrees - 360) > 1e-9:
             raise ValueError(f"turn_degrees: {self.turn_degrees:g} does not divide a full turn")
         if not 0 < self.stop_m <= self.success_m:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -49,6 +50,13 @@ class Paper:
     step_m: float = 0.05  # as printed
     max_steps: int = 10_000  # the loop ends itself long before, when no move helps; 40 things need about 5000
     shift_reach: int = 12  # steps that a carried thing may stray on its carrier: 60 cm, most of a desk's depth
+
+    def __post_init__(self) -> None:
+        if not 0 < self.step_m < math.inf:
+            raise ValueError(f"step_m: must be above 0, is {self.step_m:g}")
+        for name in ("max_steps", "shift_reach"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name)}")
 
 
 Method = Paper

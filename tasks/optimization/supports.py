@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -37,6 +38,17 @@ class SupportConfig:
         "window", "door", "towel", "coat rack", "light switch", "air conditioner", "range hood", "wall lamp", "shower curtain",
     )  # fmt: skip
     """Things that hang even where something stands right below: a picture over a sofa."""
+
+    def __post_init__(self) -> None:
+        for name in ("base_m", "cell_m"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
+        for name in ("reach_m", "covering_m", "wall_m", "ceiling_m", "hung_gap_m", "same_bottom_m"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
+        for name in ("share", "carried_share", "covering_share", "rest_quantile"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}: must be 0 to 1, is {getattr(self, name):g}")
 
 
 @dataclasses.dataclass(frozen=True)
