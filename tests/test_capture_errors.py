@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from schemas.tables import TABLES
 from tasks.capture import CaptureConfig, Scan, find_scans, run
 from tasks.capture.documents import floats
 from tasks.capture.formats import FORMATS
+from tasks.capture.fusion import FusionConfig
 from tasks.capture.images import image_size, read_color, read_depth
 from tasks.capture.labels import label_map
 from tasks.capture.ply import read_ply
@@ -216,11 +217,13 @@ def test_missing_pose_and_all_poses_gone(scan: Path) -> None:
 
 
 def test_label_outside_the_map_is_kept(room: BoxRoom, tmp_path: Path) -> None:
-    labels = [*room.labels[:-1], "Flux  Capacitor"]
+    labels = [*room.labels[:-2], "Flux  Capacitor", "Flux Capacitor"]
+    first = len(labels) - 2
     outcome = captured(write_scannet(tmp_path / "scene0001_00", room, frames="none", labels=labels))
     row = outcome.rows["instances"][-1]
     assert (row.raw_label, row.category, row.nyu40_id, row.nyu40_label) == ("Flux Capacitor", "flux capacitor", 0, "unlabeled")
-    assert any("'Flux Capacitor' is not in the label map" in note for note in outcome.degradations)
+    line = f"{AGGREGATION}: segGroups[{first}].label: 'Flux Capacitor' is not in the label map, nyu40 class 0"
+    assert [note for note in outcome.degradations if "label map" in note] == [line]
 
 
 def test_one_bad_scan_leaves_the_others_alone(room: BoxRoom, tmp_path: Path) -> None:
@@ -263,15 +266,99 @@ def test_find_scans_by_format(room: BoxRoom, tmp_path: Path) -> None:
         assert {scan.format for scan in only} == {format}
     assert find_scans(tmp_path, dataset="Mine")[0][0].scene_id == "mine/My_Kitchen_"
     assert find_scans(tmp_path / "house.glb")[0][0].scene_id == "glb/house"
-    assert find_scans(tmp_path / "nowhere")[1][0].problem == "does not exist"
+    with pytest.raises(InputError, match=r"^nowhere: folder: does not exist; "):
+        find_scans(tmp_path / "nowhere")
     with pytest.raises(InputError, match="not known"):
         find_scans(tmp_path, "las")
 
 
-def test_names_that_leave_the_folder_are_not_followed(scan: Path) -> None:
+@pytest.mark.parametrize("beside", ["nothing", "a scan", "a lone GLB"])
+@pytest.mark.parametrize("below", ["", "group"])
+def test_a_folder_that_cannot_be_read_is_one_error(
+    beside: str, below: str, room: BoxRoom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody is kept out by permissions who runs as root: the refusal is acted."""
+    closed = tmp_path / "scans" / below / "closed"
+    closed.mkdir(parents=True)
+    if beside == "a scan":
+        write_scannet(tmp_path / "scans" / "scene0001_00", room, frames="none")
+    if beside == "a lone GLB":
+        (tmp_path / "scans" / "house.glb").write_bytes(dump_glb([room.surface.to_trimesh()], ["room|wall|0"]))
+    listed = Path.iterdir
+
+    def iterdir(path: Path) -> Iterator[Path]:
+        if path == closed.resolve():
+            raise PermissionError(13, "Permission denied", str(path))
+        return listed(path)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    scans, errors = find_scans(tmp_path / "scans")
+    assert [str(error) for error in errors] == ["closed: folder: cannot be read (Permission denied); check its permissions"]
+    assert [scan.scene_id for scan in scans] == {"nothing": [], "a scan": ["scannet/scene0001_00"], "a lone GLB": ["glb/house"]}[beside]
+
+
+@pytest.mark.parametrize("name", [AGGREGATION, "scene0001_00_vh_clean.aggregation.json"])
+def test_an_aggregation_that_is_a_folder_is_refused(name: str, room: BoxRoom, scan: Path) -> None:
+    (scan / AGGREGATION).unlink()
+    (scan / name).mkdir()
+    write_scannet(scan.parent / "scene0002_00", room, frames="none")
+    scans, errors = find_scans(scan.parent)
+    assert [found.scene_id for found in scans] == ["scannet/scene0002_00"]
+    assert [(error.file, error.problem) for error in errors] == [(f"scene0001_00/{name}", "is a folder")]
+    with pytest.raises(InputError, match="is a folder"):
+        read_scannet(Scan("scannet", scan, "scannet", "scene0001_00"))
+
+
+@pytest.mark.parametrize("field", ["segmentsFile", "segmentsId"])
+@pytest.mark.parametrize(
+    ("stated", "problem"),
+    [
+        ("../secret.segs.json", "is a path"),
+        (f"/data/{SEGMENTS}", "is a path"),
+        (f"..\\{SEGMENTS}", "is a path"),
+        ("scannet.scene0002_00_vh_clean_2.0.010000.segs.json", "the scan has"),
+        ("scene0001_00_vh_clean.segs.json", "the scan has"),
+        (f"scannet{SEGMENTS}", "the scan has"),
+        (7, "is no file name"),
+    ],
+)
+def test_segments_of_another_place_or_scan_are_refused(field: str, stated: object, problem: str, scan: Path) -> None:
     (scan.parent / "secret.segs.json").write_text("{}")
-    edit_json(scan / AGGREGATION, lambda d: d.update(segmentsFile="../secret.segs.json"))
-    assert len(captured(scan).rows["instances"]) == 10
+    edit_json(scan / AGGREGATION, lambda d: d.update({field: stated}))
+    error = refused(scan)
+    assert (error.file, error.field) == (f"scene0001_00/{AGGREGATION}", field)
+    assert problem in error.problem
+
+
+@pytest.mark.parametrize("stated", [SEGMENTS, f"scannet.{SEGMENTS}", f"org.scannet.v2.{SEGMENTS}", "", None])
+def test_segments_named_with_a_prefix_are_found(stated: str | None, scan: Path) -> None:
+    edit_json(scan / AGGREGATION, lambda d: [d.pop("segmentsFile"), d.update(segmentsId=stated)])
+    groups = read_scannet(Scan("scannet", scan, "scannet", "scene0001_00")).groups
+    assert groups is not None
+    assert len(groups) == 10
+
+
+@pytest.mark.parametrize(
+    ("values", "field"),
+    [({name: 0}, name) for name in ("max_view_frames", "views_per_instance", "view_size_px", "max_points", "max_faces")],
+)
+def test_capture_counts_start_at_one(values: dict[str, int], field: str) -> None:
+    with pytest.raises(ValueError, match=f"^{field}: must be at least 1, is 0$"):
+        CaptureConfig(**values)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"voxel_m": 0.0}, {"voxel_m": -0.02}, {"voxel_m": float("nan")}, {"voxel_m": float("inf")}, {"truncation_voxels": 0.0},
+        {"max_depth_m": 0.1}, {"max_frames": 0}, {"min_weight": -1.0}, {"min_piece_faces": -1},
+    ],
+)  # fmt: skip
+def test_fusion_values_that_cannot_be(values: dict[str, float]) -> None:
+    (field,) = values
+    with pytest.raises(ValueError, match=f"^{field}: must be "):
+        FusionConfig(**values)  # type: ignore[arg-type]
+    FusionConfig(min_weight=0, min_piece_faces=0, max_frames=1)
 
 
 def test_aggregation_without_segments_of_its_own_group(scan: Path) -> None:

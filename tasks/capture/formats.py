@@ -44,19 +44,23 @@ class Scan:
 def find_scans(folder: Path, format: str = "auto", dataset: str | None = None) -> tuple[list[Scan], list[InputError]]:
     """Scans in `folder`, which is one scan or a folder of scans, sorted by scene id; and what is wrong with the rest.
 
-    Hidden files, and plain files that are no scan, are passed over. A folder in which no scan is found, and two scans
-    that would be one scene, are errors; all other scans are still returned.
+    Hidden files, and plain files that are no scan, are passed over. A folder in which no scan is found or that cannot be
+    read, and two scans that would be one scene, are errors; all other scans are still returned.
+
+    Raises:
+        InputError: the format is not known, or `folder` does not exist.
     """
     if format not in ("auto", *FORMATS):
         raise InputError("--format", "format", f"{format!r} is not known", f"use auto, {', '.join(FORMATS)}")
     wanted = FORMATS if format == "auto" else (format,)
-    if not folder.exists():
-        return [], [InputError(folder.name or str(folder), "folder", "does not exist", "name a scan, or a folder of scans")]
-    folder = folder.resolve()
     try:
-        found, errors = _search(folder, wanted, dataset, depth=0)
+        exists = folder.exists()
     except OSError as error:
-        return [], [InputError(folder.name, "folder", f"cannot be read ({error.strerror})", "check its permissions")]
+        return [], [_unreadable(folder, error)]
+    if not exists:
+        raise InputError(folder.name or str(folder), "folder", "does not exist", "name a scan, or a folder of scans")
+    folder = folder.resolve()
+    found, errors = _search(folder, wanted, dataset, depth=0)
     by_scene: dict[str, list[Scan]] = {}
     for scan in found:
         by_scene.setdefault(scan.scene_id, []).append(scan)
@@ -101,6 +105,28 @@ def glb_file(path: Path) -> Path:
 
 
 def _search(folder: Path, wanted: tuple[str, ...], dataset: str | None, depth: int) -> tuple[list[Scan], list[InputError]]:
+    """What `_listed` finds; a folder that cannot be read, or a scan that cannot be one, is an error of its own."""
+    try:
+        return _listed(folder, wanted, dataset, depth)
+    except OSError as error:
+        return [], [_unreadable(folder, error)]
+    except InputError as error:
+        return [], [error]
+
+
+def _unreadable(folder: Path, error: OSError) -> InputError:
+    return InputError(folder.name, "folder", f"cannot be read ({error.strerror})", "check its permissions")
+
+
+def _is_of_no_scan(error: InputError) -> bool:
+    """Whether an error only says that a folder holds no scan, not that something in it is wrong."""
+    return error.problem == _EMPTY or error.problem.startswith(_NO_SCAN)
+
+
+_EMPTY, _NO_SCAN = "is empty", "holds no scan of a known format"
+
+
+def _listed(folder: Path, wanted: tuple[str, ...], dataset: str | None, depth: int) -> tuple[list[Scan], list[InputError]]:
     if folder.is_file():
         if folder.suffix.lower() == ".glb" and "glb" in wanted:
             return [_scan("glb", folder, dataset, folder.stem)], []
@@ -115,11 +141,11 @@ def _search(folder: Path, wanted: tuple[str, ...], dataset: str | None, depth: i
         scans, errors = scans + more, errors + wrong
     if not scans and not errors:
         is_empty = not any(folder.iterdir())
-        problem = "is empty" if is_empty else f"holds no scan of a known format ({', '.join(wanted)})"
+        problem = _EMPTY if is_empty else f"{_NO_SCAN} ({', '.join(wanted)})"
         errors.append(InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}"))
-    elif not scans and depth:
+    elif not scans and depth and all(map(_is_of_no_scan, errors)):
         # A folder without a scan anywhere below it is one mistake, not one for each of its folders.
-        problem = f"holds no scan of a known format ({', '.join(wanted)})"
+        problem = f"{_NO_SCAN} ({', '.join(wanted)})"
         errors = [InputError(folder.name, "folder", problem, f"expected {_expected(wanted)}")]
     return scans, errors
 
@@ -128,7 +154,7 @@ def _single(folder: Path, wanted: tuple[str, ...], dataset: str | None) -> Scan 
     """The scan that `folder` itself is, or None."""
     if "scannet" in wanted and (layout := scannet_layout(folder)) is not None:
         return _scan("scannet", folder, dataset, layout.scan)
-    if "posed_rgbd" in wanted and (frames := frame_layout(folder)) is not None and frames.folder == folder:
+    if "posed_rgbd" in wanted and frame_layout(folder, inside=False) is not None:
         return _scan("posed_rgbd", folder, dataset, folder.name)
     if "glb" in wanted and len(_glbs(folder)) == 1 and not any(_is_recorded(child) for child in _children(folder)):
         return _scan("glb", folder, dataset, folder.name)
@@ -136,8 +162,14 @@ def _single(folder: Path, wanted: tuple[str, ...], dataset: str | None) -> Scan 
 
 
 def _is_recorded(folder: Path) -> bool:
-    """Whether a folder is a scan of frames or of a sensor's mesh; then what lies beside it is a scan of its own."""
-    return scannet_layout(folder) is not None or frame_layout(folder) is not None
+    """Whether a folder is a scan of frames or of a sensor's mesh; then what lies beside it is a scan of its own.
+
+    So it is when the folder cannot be read: that is an error then, and not for a scan that would take it in.
+    """
+    try:
+        return scannet_layout(folder) is not None or frame_layout(folder) is not None
+    except (OSError, InputError):
+        return True
 
 
 def _children(folder: Path) -> list[Path]:

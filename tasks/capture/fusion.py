@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -25,6 +26,22 @@ class FusionConfig:
     min_weight: float = 0.5  # Every voxel seen at least once: plain folders may hold a handful of frames with little overlap.
     min_piece_faces: int = 200  # Smaller separate pieces are flying pixels along depth edges.
 
+    def __post_init__(self) -> None:
+        for name in ("voxel_m", "truncation_voxels"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
+        if not _NEAREST_M < self.max_depth_m < math.inf:
+            raise ValueError(f"max_depth_m: must be above {_NEAREST_M:g}, is {self.max_depth_m:g}")
+        if self.max_frames < 1:
+            raise ValueError(f"max_frames: must be at least 1, is {self.max_frames}")
+        if not 0 <= self.min_weight < math.inf:
+            raise ValueError(f"min_weight: must be at least 0, is {self.min_weight:g}")
+        if self.min_piece_faces < 0:
+            raise ValueError(f"min_piece_faces: must be at least 0, is {self.min_piece_faces}")
+
+
+_NEAREST_M = 0.1
+"""Sensors of depth see nothing nearer."""
 
 _MIN_READINGS = 0.01
 """A depth image with fewer usable pixels than this share says nothing."""
@@ -44,11 +61,11 @@ def fused_surface(frames: Sequence[FrameSource], config: FusionConfig, name: str
         if frame.depth is None or frame.depth_size is None or frame.pose is None:
             continue
         depth = frame.depth()
-        usable = (depth > 0.1) & (depth < config.max_depth_m)
+        usable = (depth > _NEAREST_M) & (depth < config.max_depth_m)
         if depth.any():
             medians.append(float(np.median(depth[depth > 0])))
         if usable.mean() < _MIN_READINGS:
-            notes.append(f"frame {frame.frame_id}: hardly any depth between 0.1 and {config.max_depth_m:g} m, not fused")
+            notes.append(f"frame {frame.frame_id}: hardly any depth between {_NEAREST_M:g} and {config.max_depth_m:g} m, not fused")
             continue
         volume.integrate(
             np.where(usable, depth, 0), frame.color(), frame.depth_intrinsics, frame.intrinsics, frame.pose, config.max_depth_m

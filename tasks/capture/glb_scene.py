@@ -50,6 +50,7 @@ def read_glb_scene(scan: Scan) -> Reading:
             raw_label=label,
             vertices=np.concatenate([np.arange(vertex_starts[i], vertex_starts[i + 1]) for i in own]),
             faces=np.concatenate([np.arange(face_starts[i], face_starts[i + 1]) for i in own]),
+            origin=f"{path.name}: node {str(parts[own[0]].metadata['name'])!r:.100}",
         )
         for (model, label), own in sorted(members.items())
     )

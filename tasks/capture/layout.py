@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+from schemas.errors import InputError
 from tasks.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 
 _COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
@@ -73,9 +74,9 @@ class ScanNetLayout:
         return single + list(self.meshes) + list(self.segments) + (self.frames.files if self.frames else [])
 
 
-def frame_layout(folder: Path) -> FrameLayout | None:
-    """Exported frames in `folder` or in one folder inside it (`<scan>_2d`, `frames`, ...); None without any."""
-    for place in (folder, *_folders(folder)):
+def frame_layout(folder: Path, inside: bool = True) -> FrameLayout | None:
+    """Exported frames in `folder` or, with `inside`, in one folder in it (`<scan>_2d`, `frames`, ...); None without any."""
+    for place in (folder, *(_folders(folder) if inside else ())):
         frames = _paired(place) or _flat(place)
         if frames:
             places = (place, folder)
@@ -93,6 +94,9 @@ def scannet_layout(folder: Path) -> ScanNetLayout | None:
     """Files of a ScanNet scan in `folder`, whatever of them there is; None when nothing in it looks like one.
 
     The scan's name is the folder's where files begin with it, else what the files themselves begin with.
+
+    Raises:
+        InputError: what should be the aggregation is a folder.
     """
     names = sorted(path.name for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     scans = sorted({match[1] for name in names if (match := _SCANNET.fullmatch(name))})
@@ -102,7 +106,10 @@ def scannet_layout(folder: Path) -> ScanNetLayout | None:
     mine = [name for name in names if name.startswith((f"{scan}.", f"{scan}_vh_clean"))]
     meshes = tuple(folder / name for name in (f"{scan}_vh_clean_2.ply", f"{scan}_vh_clean.ply") if name in mine)
     segments = tuple(folder / name for name in mine if name.endswith(".segs.json"))
-    aggregation = [name for name in (f"{scan}.aggregation.json", f"{scan}_vh_clean.aggregation.json") if name in mine]
+    aggregation = [name for name in (f"{scan}{ending}" for ending in _AGGREGATIONS) if name in mine]
+    for name in (f"{scan}{ending}" for ending in _AGGREGATIONS):
+        if (folder / name).is_dir():
+            raise InputError(f"{folder.name}/{name}", "file", "is a folder", "put the aggregation's JSON file in its place")
     frames = frame_layout(folder)
     return ScanNetLayout(
         scan=scan,
@@ -116,6 +123,7 @@ def scannet_layout(folder: Path) -> ScanNetLayout | None:
     )
 
 
+_AGGREGATIONS = (".aggregation.json", "_vh_clean.aggregation.json")
 _SCANNET = re.compile(
     r"(.+?)(?:_vh_clean(?:_2)?\.ply|_vh_clean(?:_2)?(?:\.\d+\.\d+)?\.segs\.json|(?:_vh_clean)?\.aggregation\.json|\.sens)"
 )

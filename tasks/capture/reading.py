@@ -43,12 +43,14 @@ class Group:
     """One instance as the scan names it: the vertices and faces of the scan mesh that are its own.
 
     vertices, faces: Sorted indices into the scan mesh, shapes (n,) and (m,) int64.
+    origin: File and field that the label was read from, for messages; empty for what was found in the geometry.
     """
 
     source_id: str
     raw_label: str
     vertices: NDArray[np.int64]
     faces: NDArray[np.int64]
+    origin: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,6 +6,7 @@ ids, frames in a `.sens` container, exported to folders, or absent.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 from typing import Any
@@ -119,16 +120,11 @@ def _pair(layout: ScanNetLayout, folder: Path, document: dict[str, Any], name: s
     """The segments that the aggregation speaks of, and the mesh that they index."""
     if not layout.segments:
         raise InputError(folder.name, f"{layout.scan}_vh_clean_2.0.010000.segs.json", "is missing", "copy the segments beside the mesh")
-    stated = document.get("segmentsFile", "")
-    if not isinstance(stated, str):
-        raise InputError(name, "segmentsFile", "is no file name", "is it the right file?")
-    # Only the name counts, without the dataset's prefix: `scannet.scene0000_00_vh_clean_2.0.010000.segs.json`.
-    wanted = stated.replace("\\", "/").rpartition("/")[2]
     by_name = {path.name: path for path in layout.segments}
-    segments = next((path for key, path in by_name.items() if wanted == key or wanted.endswith(f".{key}")), None)
-    if segments is None:
-        first = f"{layout.scan}_vh_clean_2.0.010000.segs.json"
-        segments = by_name.get(first, layout.segments[0])
+    segments = by_name.get(f"{layout.scan}_vh_clean_2.0.010000.segs.json", layout.segments[0])
+    for field in ("segmentsFile", "segmentsId"):
+        if document.get(field) not in (None, ""):
+            segments = _named_segments(document[field], by_name, name, field)
     stem = re.sub(r"(\.\d+\.\d+)?\.segs\.json$", "", segments.name)
     mesh = folder / f"{stem}.ply"
     if mesh in layout.meshes:
@@ -136,6 +132,19 @@ def _pair(layout: ScanNetLayout, folder: Path, document: dict[str, Any], name: s
     if layout.mesh is None:
         raise InputError(folder.name, f"{stem}.ply", "is missing", "copy the mesh that the segments index")
     return segments, layout.mesh
+
+
+def _named_segments(stated: Any, by_name: dict[str, Path], name: str, field: str) -> Path:
+    """The file that an aggregation names, with or without a dataset's prefix: `scannet.scene0000_00_vh_clean.segs.json`."""
+    if not isinstance(stated, str):
+        raise InputError(name, field, "is no file name", "is it the right file?")
+    if "/" in stated or "\\" in stated:
+        raise InputError(name, field, f"{stated!r:.100} is a path, not a file name", "give the name of a .segs.json beside the aggregation")
+    for key, path in by_name.items():
+        if stated == key or stated.endswith(f".{key}"):
+            return path
+    problem = f"names {stated!r:.100}, the scan has {', '.join(by_name)}"
+    raise InputError(name, field, problem, "use aggregation and segments of one and the same scan")
 
 
 def _groups(
@@ -150,6 +159,7 @@ def _groups(
     starts = np.searchsorted(dense[order], np.arange(len(segments) + 1))
     owner = np.full(len(of_vertex), -1, dtype=np.int64)
     found: list[tuple[str, str, NDArray[np.int64]]] = []
+    origins: list[str] = []
     notes: list[str] = []
     seen: set[int] = set()
     shared = 0
@@ -170,11 +180,13 @@ def _groups(
         owner[free] = len(found)
         if len(free):
             found.append((str(object_id), label, free))
+            origins.append(f"{Path(name).name}: segGroups[{index}].label")
         else:
             notes.append(f"instance {object_id} ({label}): has no vertices of its own, left out")
     if shared:
         notes.append(f"{shared} vertices are claimed by two instances: they stay with the first")
-    return groups_of(found, owner, surface), notes
+    groups = groups_of(found, owner, surface)
+    return tuple(dataclasses.replace(group, origin=origin) for group, origin in zip(groups, origins, strict=True)), notes
 
 
 def _group(entry: Any, name: str, field: str) -> tuple[int, str, NDArray[np.int64]]:

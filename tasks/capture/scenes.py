@@ -47,6 +47,9 @@ class CaptureConfig:
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
 
     def __post_init__(self) -> None:
+        for name in ("max_view_frames", "views_per_instance", "view_size_px", "max_points", "max_faces"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
         if not self.label_map_sha256:
             object.__setattr__(self, "label_map_sha256", label_map(self.label_map).sha256)
 
@@ -75,7 +78,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         groups, more = geometry_groups(world)
         notes += more
         meanings = [labels[group.raw_label.partition(":")[2]] for group in groups]
-    notes += _unknown_labels(groups, meanings)
+    notes += _unknown_labels(groups, meanings, scan.path.name)
     blobs = Blobs()
     solids = _solids(reading, world, groups, context, config)
     rows = [
@@ -125,12 +128,13 @@ def _meaning(group: Group, labels: LabelMap, scan_format: str) -> Label:
     return labels.of_node(group.raw_label, group.source_id) if scan_format == "glb" else labels[group.raw_label]
 
 
-def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label]) -> list[str]:
-    unknown: dict[str, int] = {}
+def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label], scan: str) -> list[str]:
+    """One line per label that the map does not have, with the place where it is met first."""
+    unknown: dict[str, str] = {}
     for group, label in zip(groups, meanings, strict=True):
         if not label.is_known:
-            unknown[group.raw_label] = unknown.get(group.raw_label, 0) + 1
-    return [f"label {name!r} is not in the label map ({count} instances): NYU40 class 0" for name, count in sorted(unknown.items())]
+            unknown.setdefault(group.raw_label, group.origin or f"{scan}: geometry")
+    return [f"{origin}: {name!r} is not in the label map, nyu40 class 0" for name, origin in unknown.items()]
 
 
 def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_authored: bool) -> Alignment:
