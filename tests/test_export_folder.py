@@ -1,0 +1,171 @@
+"""Exports out of a lake into a folder: what is written, replaced, refused."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import pytest
+
+from flows.export import write_exports
+from schemas.errors import InputError
+from schemas.exports import FORMATS, ExportFile
+from tests.scans import OBJECTS, write_scan
+from tests.test_pipeline import metascenes
+from warehouse.lake import Lake
+
+SCENES = ("scannet/scene0000_00", "scannet/scene0001_00")
+THINGS = OBJECTS[1:2]
+"""One thing in each room: most of a run goes into candidates, and they cost the same for every thing."""
+
+
+def built(factory: pytest.TempPathFactory) -> tuple[dict[str, str], Path, Path]:
+    """Environment, scans and lake of two rooms with a thing in each; made once per process, for every module that asks."""
+    base = factory.getbasetemp() / "two_rooms"
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "METASCENES_"))}
+    environment = {**kept, "HOME": str(base / "home"), "XDG_CACHE_HOME": str(base / "home" / ".cache"), "NO_COLOR": "1"}
+    if not base.exists():
+        (base / "home").mkdir(parents=True)
+        write_scan(base / "scans", "scene0000_00", objects=THINGS)
+        write_scan(base / "scans", "scene0001_00", size=(4.5, 3.2, 2.5), objects=THINGS, shift=(0.01, 0.0))
+        done = metascenes(environment, "run", "--scans", base / "scans", "--lake", base / "lake", "--workers", 2)
+        (base / "said").write_text(done.stdout + done.stderr)
+    assert (base / "lake").is_dir(), (base / "said").read_text()
+    return environment, base / "scans", base / "lake"
+
+
+@pytest.fixture(scope="module")
+def lake(tmp_path_factory: pytest.TempPathFactory) -> Lake:
+    return Lake.open(built(tmp_path_factory)[2])
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, by its path from there; empty folders count by their names."""
+    found = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    empty = {f"{p.relative_to(folder).as_posix()}/": b"" for p in folder.rglob("*") if p.is_dir() and not any(p.iterdir())}
+    return {**found, **empty}
+
+
+def rows_of(lake: Lake) -> list[ExportFile]:
+    return list(lake.snapshot().rows(ExportFile))
+
+
+@pytest.fixture(scope="module")
+def whole(lake: Lake, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Everything, exported. Read only."""
+    out = tmp_path_factory.mktemp("whole")
+    written = write_exports(lake, out)
+    assert written.findings == ()
+    assert written.failed_checks == 0
+    assert written.files == sum(not name.endswith(".exported") for name in contents(out))
+    return out
+
+
+def test_files_are_the_blobs_that_the_rows_name(lake: Lake, whole: Path) -> None:
+    rows = rows_of(lake)
+    assert {(row.format, row.scene_id) for row in rows} == {(name, scene) for name in FORMATS for scene in SCENES}
+    for row in rows:
+        data = (whole / row.format / row.path).read_bytes()
+        assert data == lake.blobs[row.file_blob]
+        assert hashlib.sha256(data).hexdigest() == row.file_blob.split(".")[0]
+        assert len(data) == row.size_bytes
+    beyond = {name for name in contents(whole) if not name.endswith(".exported")} - {f"{row.format}/{row.path}" for row in rows}
+    assert beyond, "the files of the Habitat dataset, which belong to no scene alone"
+    assert all(name.startswith("habitat/") for name in beyond)
+    assert sorted(path.name for path in whole.iterdir()) == sorted(FORMATS), "nothing half made is left"
+
+
+def test_files_are_copies_not_links_into_the_lake(lake: Lake, whole: Path) -> None:
+    for path in whole.rglob("*"):
+        assert not path.is_symlink()
+        assert path.is_dir() or path.stat().st_nlink == 1, "whoever edits an export must not edit the lake"
+
+
+def test_the_usd_scene_opens_with_all_that_stands_in_it(lake: Lake, whole: Path) -> None:
+    from pxr import Usd, UsdGeom, UsdPhysics
+
+    written = write_exports(lake, whole, formats=("usd",))
+    assert len(written.usd_scenes) == len(SCENES)
+    for file in written.usd_scenes:
+        assert file.is_relative_to(whole / "usd")
+        usd = Usd.Stage.Open(str(file))
+        assert usd.GetDefaultPrim()
+        assert UsdGeom.GetStageUpAxis(usd) == UsdGeom.Tokens.z
+        assert UsdGeom.GetStageMetersPerUnit(usd) == 1.0
+        prims = list(usd.Traverse(Usd.TraverseInstanceProxies()))
+        assert sum(prim.HasAPI(UsdPhysics.RigidBodyAPI) for prim in prims) == len(THINGS)
+        assert sum(prim.IsA(UsdGeom.Mesh) for prim in prims) > len(THINGS), "things and room"
+        missing = [layer for layer in usd.GetUsedLayers() if not layer.anonymous and not Path(layer.realPath).is_relative_to(whole)]
+        assert missing == [], "layers from elsewhere"
+
+
+def test_a_second_export_replaces_the_first(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    write_exports(lake, tmp_path)
+    assert contents(tmp_path) == contents(whole)
+    scene = next((tmp_path / "usd").rglob("scene.usda"))
+    scene.write_text("edited")
+    (tmp_path / "usd" / "stale.usda").write_text("of an older export")
+    (tmp_path / "habitat" / "old").mkdir()
+    write_exports(lake, tmp_path)
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_a_format_alone_leaves_the_other_and_its_neighbors_alone(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    write_exports(lake, tmp_path, formats=("usd",))
+    assert contents(tmp_path / "usd") == contents(whole / "usd")
+    assert not (tmp_path / "habitat").exists()
+    write_exports(lake, tmp_path, formats=("habitat",))
+    assert contents(tmp_path / "usd") == contents(whole / "usd")
+    assert contents(tmp_path / "habitat") == contents(whole / "habitat")
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("taken", FORMATS)
+def test_a_folder_with_foreign_files_is_refused_before_anything_is_changed(lake: Lake, tmp_path: Path, taken: str) -> None:
+    other = next(name for name in FORMATS if name != taken)
+    write_exports(lake, tmp_path, formats=(other,), scenes=SCENES[:1])
+    (tmp_path / taken).mkdir()
+    (tmp_path / taken / "thesis.txt").write_text("mine")
+    before = contents(tmp_path)
+    with pytest.raises(InputError) as refused:
+        write_exports(lake, tmp_path)
+    assert str(tmp_path / taken) in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
+    assert contents(tmp_path) == before
+
+
+def test_a_file_in_the_place_of_a_folder_is_refused_and_kept(lake: Lake, tmp_path: Path) -> None:
+    (tmp_path / "usd").write_text("mine")
+    with pytest.raises(InputError, match="usd"):
+        write_exports(lake, tmp_path)
+    assert contents(tmp_path) == {"usd": b"mine"}
+
+
+def test_an_empty_folder_may_be_filled(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "usd").mkdir()
+    write_exports(lake, tmp_path, formats=("usd",))
+    assert contents(tmp_path / "usd") == contents(whole / "usd")
+
+
+def test_one_scene_alone(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    write_exports(lake, tmp_path)
+    written = write_exports(lake, tmp_path, scenes=SCENES[1:])
+    assert written.findings == ()
+    assert len(written.usd_scenes) == 1
+    mine = {f"{row.format}/{row.path}" for row in rows_of(lake) if row.scene_id == SCENES[1]}
+    assert mine <= set(contents(tmp_path))
+    others = {f"{row.format}/{row.path}" for row in rows_of(lake)} - mine
+    assert others
+    assert not others & set(contents(tmp_path)), "the scene that was there before is gone with its folder"
+    full = contents(whole)
+    assert all(contents(tmp_path)[name] == full[name] for name in mine)
+    text = b"".join(data for name, data in contents(tmp_path).items() if name.endswith(".json"))
+    assert b"scene0000_00" not in text, "the dataset speaks of no scene that is not there"
+
+
+def test_a_scene_that_is_not_there_is_refused_and_nothing_is_written(lake: Lake, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="scannet/scene0009_00"):
+        write_exports(lake, tmp_path / "out", scenes=[*SCENES, "scannet/scene0009_00"])
+    assert not (tmp_path / "out").exists()
