@@ -45,8 +45,8 @@ class Volume:
     """
 
     def __init__(self, voxel_m: float, truncation_voxels: float) -> None:
-        self.voxel_m = voxel_m
-        self.truncation_m = truncation_voxels * voxel_m
+        self.voxel_m = float(voxel_m)
+        self.truncation_m = float(truncation_voxels * voxel_m)
         self.blocks = 0
         self._places = np.zeros((0, 3), dtype=np.int64)
         self._seen = np.zeros(0, dtype=np.int64)
@@ -75,7 +75,7 @@ class Volume:
         depth = np.ascontiguousarray(depth, dtype=np.float32)
         to_camera = np.linalg.inv(np.asarray(pose, dtype=np.float64))
         lenses = np.array([depth_intrinsics, color_intrinsics], dtype=np.float64)
-        block_m = _SIDE * self.voxel_m
+        block_m, max_depth_m = _SIDE * self.voxel_m, float(max_depth_m)
         stride = int(np.clip(0.5 * block_m * min(depth_intrinsics[:2]) / max_depth_m, 1, _WIDEST_STRIDE))
         full = True
         while full:
