@@ -137,7 +137,7 @@ def test_instances_are_where_the_truth_has_them(made: Made) -> None:
         half = 0.5 * np.array(thing["extents"])
         outside = np.maximum(np.abs(local - [0, 0, half[2]]) - half, 0).max(axis=1)
         assert np.mean(outside < 0.08) > 0.9, thing["name"]
-    assert np.mean([o["observed"] for o in seen]) > 0.45
+    assert np.mean([o["observed"] for o in seen]) > 0.5
     assert all(0 <= o["observed"] <= 1 for o in made.truth["objects"])
 
 
