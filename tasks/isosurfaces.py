@@ -194,9 +194,7 @@ def _survey(values: Any, known: Any, following: Any, rank: Any, crossed: Any, ca
     return triangles
 
 
-def _place(
-    values: Any, colors: Any, places: Any, following: Any, rank: Any, crossed: Any, base: Any, vertices: Any, shades: Any
-) -> None:
+def _place(values: Any, colors: Any, places: Any, following: Any, rank: Any, crossed: Any, base: Any, vertices: Any, shades: Any) -> None:
     """Vertices and their channels where edges cross the level."""
     bricks, nx, ny, nz = values.shape
     for b in range(bricks):

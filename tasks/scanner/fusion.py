@@ -31,7 +31,7 @@ def fuse(shots: Iterable[Shot], config: ScannerConfig) -> Surface:
     step = config.color_width // config.depth_width
     for shot in shots:
         color = shot.color[step // 2 :: step, step // 2 :: step]
-        volume.integrate(shot.depth.astype(np.float32) / 1000, color, lens, lens, shot.pose, config.max_range_m + _FARTHER_M)
+        volume.integrate((shot.depth / 1000).astype(np.float32), color, lens, lens, shot.pose, config.max_range_m + _FARTHER_M)
     surface = volume.surface(config.least_looks, config.speck_faces)
     if not len(surface.faces):
         raise InputError("scene", "surfaces", "no frame saw anything within the sensor's range", "is it in metres?")
