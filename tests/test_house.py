@@ -92,6 +92,17 @@ def test_replicas_stand_where_the_things_stood(house: dict[str, Path]) -> None:
     assert np.mean(np.array(off) < 0.3) > 0.85
 
 
+def test_walls_between_rooms_are_found_in_the_scan(house: dict[str, Path]) -> None:
+    """As the model has them: two beside the folding doors, and one between the bedrooms that is no taller than a person."""
+    connection = Lake.open(house["lake"]).snapshot().connect()
+    ((walls,),) = connection.execute("SELECT interior_walls FROM rooms").fetchall()
+    truth = [(-2.6, -5.5, -2.6, -3.7, 0.2, 3.0), (-2.6, 1.3, -2.6, 3.1, 0.2, 3.0), (-8.3, -1.496, -3.89, -1.496, 0.105, 1.865)]
+    found = [(*min(w[:2], w[2:4], key=sum), *max(w[:2], w[2:4], key=sum), *w[4:]) for w in walls]
+    assert len(found) == len(truth)
+    for expected in truth:
+        assert min(np.abs(np.array(wall) - expected).max() for wall in found) < 0.05
+
+
 def test_retrieval_finds_the_models_that_furnish_the_house(house: dict[str, Path], realdata: Callable[[str], Path]) -> None:
     """The library holds the very models: a good retrieval has the true one among its four."""
     connection = Lake.open(house["lake"]).snapshot().connect()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -227,6 +228,19 @@ def test_ends_near_another_wall_reach_it_and_no_slab_leaves_the_floor() -> None:
     first, second = joined([across, branch], floor)
     assert np.allclose([*first.start, *first.end], [3, 0, 3, DEPTH])
     assert np.allclose([*second.start, *second.end], [3, 2, 5.2, 2])
+
+
+@pytest.mark.realdata
+def test_walls_of_a_modelled_house(realdata: Callable[[str], Path]) -> None:
+    """Its own faces say where: 20 cm thick beside the folding doors, 10 cm and 1.87 m tall between the bedrooms."""
+    (row,) = captured(realdata("scene_aws_small_house") / "house.glb").rows["rooms"]
+    divider, north, south = ([*sorted([wall[:2], wall[2:4]], key=sum), wall[4:]] for wall in row.interior_walls)
+    for found, expected in (
+        (divider, [(-8.3, -1.496), (-3.89, -1.496), (0.105, 1.865)]),
+        (north, [(-2.6, 1.3), (-2.6, 3.1), (0.2, 3.0)]),
+        (south, [(-2.6, -5.5), (-2.6, -3.7), (0.2, 3.0)]),
+    ):
+        assert np.allclose(found, expected, atol=0.03)
 
 
 # replica and exports
