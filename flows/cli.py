@@ -63,6 +63,8 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(2)
+    except click.Abort:  # what click makes of Ctrl-C
+        _end(130)
     except (LakeError, OSError, UnicodeError) as error:
         _say_and_exit(" ".join(str(error).split()), error, 2)
     except Exception as error:
@@ -70,10 +72,14 @@ def main() -> None:
     except BaseException as signal:
         if isinstance(signal, SystemExit):
             raise
-        # Threads of Prefect's may still be at work and would be waited for: what is finished is staged, the rest is redone.
-        print("interrupted; the same command goes on where this one stopped", file=sys.stderr, flush=True)
-        sys.stdout.flush()
-        os._exit(143 if type(signal).__name__ == "TerminationSignal" else 130)
+        _end(143 if type(signal).__name__ == "TerminationSignal" else 130)
+
+
+def _end(code: int) -> None:
+    """Leave at once: threads of Prefect's may still be at work and would be waited for. What is finished is staged."""
+    print("interrupted; the same command goes on where this one stopped", file=sys.stderr, flush=True)
+    sys.stdout.flush()
+    os._exit(code)
 
 
 def _say_and_exit(text: str, error: Exception, code: int) -> None:
