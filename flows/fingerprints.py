@@ -128,9 +128,11 @@ class FileHashes:
         self._known: dict[str, list[Any]] = {}
         self._changed = False
         try:
-            self._known = json.loads(self._store.read_text())
+            read = json.loads(self._store.read_text())
         except (OSError, ValueError):
-            self._known = {}
+            read = None
+        if isinstance(read, dict):  # anything else was not written by us, or not whole
+            self._known = {path: entry for path, entry in read.items() if isinstance(entry, list) and len(entry) == 5}
 
     def hash(self, path: Path) -> str:
         """SHA-256 of a file's content."""
@@ -192,10 +194,14 @@ class FileCache(MutableMapping[str, bytes]):
             self._unwritten[key] = value
 
     def __delitem__(self, key: str) -> None:
+        if key not in set(self):
+            raise KeyError(key)
+        self._unwritten.pop(key, None)
         (self._folder / key).unlink(missing_ok=True)
 
     def __iter__(self) -> Iterator[str]:
-        return (path.name for path in sorted(self._folder.glob("*")) if not path.name.startswith("."))
+        written = {path.name for path in self._folder.glob("*") if not path.name.startswith(".")}
+        return iter(sorted(written | set(self._unwritten)))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)

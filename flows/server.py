@@ -15,6 +15,7 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Iterator
+from pathlib import Path
 from typing import IO
 
 from schemas.errors import LakeError
@@ -50,6 +51,8 @@ def prefect_server() -> Iterator[str]:
     if named:
         yield named
         return
+    home = Path(os.environ.get("PREFECT_HOME") or Path.home() / ".prefect")
+    home.mkdir(parents=True, exist_ok=True)  # Prefect expects at least the home folder to be there
     # Its words go to a file: a pipe that nobody drains would stop the server once it is full.
     with tempfile.TemporaryFile() as said:
         with socket.socket() as listener:

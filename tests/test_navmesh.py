@@ -45,9 +45,9 @@ def room_with(holes: list[tuple[float, float, float, float, float]]) -> shapely.
 
 
 side = st.floats(0.2, 1.6)
-rooms = st.lists(
-    st.tuples(st.floats(0, 5), st.floats(0, 4), side, side, st.sampled_from([0.0, 0.0, 15.0, 37.0, 45.0])), max_size=8
-).map(room_with)
+rooms = st.lists(st.tuples(st.floats(0, 5), st.floats(0, 4), side, side, st.sampled_from([0.0, 0.0, 15.0, 37.0, 45.0])), max_size=8).map(
+    room_with
+)
 
 
 @pytest.mark.parametrize("entry", INDEX, ids=lambda e: e["navmesh"])
@@ -132,9 +132,7 @@ def test_convex_cover_tiles_the_region_and_keeps_its_connections(free: shapely.G
             edge = {int(polygon["vertices"][k]), int(polygon["vertices"][(k + 1) % count])}
             other = tile.polygons[beyond]
             back = other["neighbors"][: other["count"]].astype(int) - 1
-            shared = [
-                {int(other["vertices"][j]), int(other["vertices"][(j + 1) % other["count"]])} for j in np.flatnonzero(back == number)
-            ]
+            shared = [{int(other["vertices"][j]), int(other["vertices"][(j + 1) % other["count"]])} for j in np.flatnonzero(back == number)]
             assert edge in shared
 
 

@@ -211,9 +211,7 @@ def test_an_open_shell_of_upright_faces_is_closed_off() -> None:
     cuts=st.tuples(st.floats(0.05, 0.4), st.floats(0.5, 1.5)),
 )  # fmt: skip
 @settings(max_examples=60, deadline=None)
-def test_solids_that_share_corners_are_filled_at_any_turn(
-    yaw: float, x: float, y: float, inset: float, cuts: tuple[float, float]
-) -> None:
+def test_solids_that_share_corners_are_filled_at_any_turn(yaw: float, x: float, y: float, inset: float, cuts: tuple[float, float]) -> None:
     """Base, body and top of a cabinet: welded where they touch, with nothing but upright faces at the agent's height."""
     base, body = cuts
     parts = [solid((0.4 - inset, 0.9 - inset, base)), solid((0.4, 0.9, body), (0, 0, base)), solid((0.4, 0.9, 0.1), (0, 0, base + body))]

@@ -248,6 +248,7 @@ def test_the_cut_leaves_furniture_alone() -> None:
 def test_what_hangs_on_a_cut_wall_goes_with_it_and_what_stands_before_it_stays_whole() -> None:
     room = outline(4.0, 3.0)
     camera = scenes.corner_camera(room, 2, SMALL)  # beyond x = 0 and y = 0
+
     def box(*bounds: list[float]) -> trimesh.Trimesh:
         return trimesh.creation.box(bounds=bounds)
 

@@ -398,9 +398,7 @@ def test_one_row_per_object_and_what_is_known_of_it(database: Database, rows: li
     database.fill(*rows)
     answer = by_key(database.ask("scene_objects"), "scene_id", "instance_id")
     assert answer.keys() == {(r.scene_id, r.instance_id) for r in of(rows, Instance)}
-    captions, placed, supports = (
-        {(r.scene_id, r.instance_id): r for r in of(rows, kind)} for kind in (Caption, Placement, Support)
-    )
+    captions, placed, supports = ({(r.scene_id, r.instance_id): r for r in of(rows, kind)} for kind in (Caption, Placement, Support))
     scores = {(r.scene_id, r.instance_id, r.asset_id): r.score for r in of(rows, Selection)}
     for key, row in answer.items():
         placement = placed.get(key)

@@ -41,4 +41,4 @@ def command(
     if isinstance(answer, bytes):
         sys.stdout.buffer.write(answer)
     else:
-        print(answer)
+        sys.stdout.write(answer if answer.endswith("\n") else answer + "\n")
