@@ -103,9 +103,7 @@ def materials() -> Mapping[str, Material]:
     numbers = ("density_kg_m3", "friction", "restitution", "roughness")
     return MappingProxyType(
         {
-            r["material"]: Material(
-                name=r["material"], adjective=r["adjective"], source=r["source"], **{n: float(r[n]) for n in numbers}
-            )
+            r["material"]: Material(name=r["material"], adjective=r["adjective"], source=r["source"], **{n: float(r[n]) for n in numbers})
             for r in rows
         }
     )

@@ -136,9 +136,7 @@ def _unusable(pose: NDArray[np.float64] | None) -> str:
     return "beyond 10 km" if np.abs(pose[:3, 3]).max() > _MAX_POSITION_M else ""
 
 
-def _pose_files(
-    frames: Sequence[FrameFiles], folder: Path, described: str
-) -> tuple[list[NDArray[np.float64] | None], dict[int, str]]:
+def _pose_files(frames: Sequence[FrameFiles], folder: Path, described: str) -> tuple[list[NDArray[np.float64] | None], dict[int, str]]:
     poses: list[NDArray[np.float64] | None] = []
     reasons: dict[int, str] = {}
     for index, frame in enumerate(frames):

@@ -147,9 +147,7 @@ def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_a
         masks[nyu40] = mask if mask.any() else None
     # A scan with a mesh of its own has its z axis up already; fused frames have only their cameras to tell.
     up = camera_up(reading.frames) if reading.surface is None else None
-    return align(
-        surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, camera_up=up, is_authored=is_authored
-    )
+    return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, camera_up=up, is_authored=is_authored)
 
 
 def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: Context, config: CaptureConfig) -> list[Solid]:
@@ -212,9 +210,7 @@ def _with_views(
         for sight in best:
             crops[sight.instance] = blobs.add(encode_jpeg(view_of(image, sight.pixel_box), config.view_size_px), "jpg")
     best_frames = {index: tuple(frames[s.frame].frame_id for s in own) for index, own in of_instance.items()}
-    seen = [
-        dataclasses.replace(row, view_blob=crops.get(index), best_frames=best_frames.get(index, ())) for index, row in enumerate(rows)
-    ]
+    seen = [dataclasses.replace(row, view_blob=crops.get(index), best_frames=best_frames.get(index, ())) for index, row in enumerate(rows)]
     return seen, masks
 
 

@@ -27,8 +27,12 @@ _HEADER = struct.Struct("<5iI9i10f")
 
 POLYGON = np.dtype(
     [
-        ("first_link", "<u4"), ("vertices", "<u2", CORNERS), ("neighbors", "<u2", CORNERS),
-        ("flags", "<u2"), ("count", "u1"), ("area_and_type", "u1"),
+        ("first_link", "<u4"),
+        ("vertices", "<u2", CORNERS),
+        ("neighbors", "<u2", CORNERS),
+        ("flags", "<u2"),
+        ("count", "u1"),
+        ("area_and_type", "u1"),
     ]
 )
 LINK = np.dtype([("reference", "<u4"), ("next", "<u4"), ("edge", "u1"), ("side", "u1"), ("low", "u1"), ("high", "u1")])

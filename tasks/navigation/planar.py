@@ -191,7 +191,6 @@ class PlanarPathFinder:
         stop = start + (end - start) * (reach / length)
         return stop if self.is_navigable(stop)[0] and self.is_clear(start, stop) else start
 
-
     def navmesh(self, settings: Settings) -> NavmeshFile:
         """The free polygon tiled by convex polygons, as habitat-sim stores it, glTF frame.
 
