@@ -134,7 +134,7 @@ def test_folder_with_others_temporary_things_is_refused(tmp_path: Path, name: st
     assert files(tmp_path) == {f"tmp/{name}"}
 
 
-@pytest.mark.parametrize("token", [new_token(), f"{this_writer().machine}-999999-1-1"])
+@pytest.mark.parametrize("token", [new_token(), f"{this_writer().machine}-999999-1-1"], ids=["living", "dead"])
 def test_folder_in_which_another_first_write_began_becomes_a_lake(tmp_path: Path, token: str) -> None:
     (tmp_path / "tmp").mkdir()
     (tmp_path / "tmp" / token).write_text("half a marker")
