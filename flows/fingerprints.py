@@ -8,6 +8,7 @@ that a second look at an unchanged scan costs one `stat` per file; the hash alon
 from __future__ import annotations
 
 import ast
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -197,7 +198,8 @@ class FileCache(MutableMapping[str, bytes]):
         if key not in set(self):
             raise KeyError(key)
         self._unwritten.pop(key, None)
-        (self._folder / key).unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            (self._folder / key).unlink()
 
     def __iter__(self) -> Iterator[str]:
         written = {path.name for path in self._folder.glob("*") if not path.name.startswith(".")}
