@@ -94,6 +94,8 @@ def run(
     carriers = find_carriers(placed, room, config.supports)
     said += unreadable + [f"{name}: nothing carries it; it is left hanging {c.gap:.2f} m above the floor" for name, c in carriers.items()
                           if c.relation == "none"]  # fmt: skip
+    said += [f"{name}: nothing carried it; it was set down {c.gap:.2f} m onto the floor" for name, c in carriers.items()
+             if c.relation == "floor" and c.gap > config.supports.reach_m]  # fmt: skip
     crowd, problem = _crowd(placed, carriers, room, config)
     said += [problem] if problem else []
     match config.method:

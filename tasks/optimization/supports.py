@@ -22,6 +22,7 @@ class SupportConfig:
     """When a thing counts as carried."""
 
     reach_m: float = 0.10  # scans bleed and boxes are a few centimetres off; a gap beyond this is a gap
+    drop_m: float = 0.5  # legs are often too thin for a scan: what nothing carries and is this low was standing on the floor
     base_m: float = 0.02  # feet and rims within this of the lowest point are what a thing stands on
     share: float = 0.3  # of the base over a surface: less, and the center of mass may be past the edge
     carried_share: float = 0.75  # of the base stays on the carrier when a thing is moved: a quarter over the edge tips nothing
@@ -43,7 +44,7 @@ class SupportConfig:
         for name in ("base_m", "cell_m"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
-        for name in ("reach_m", "covering_m", "wall_m", "ceiling_m", "hung_gap_m", "same_bottom_m"):
+        for name in ("reach_m", "drop_m", "covering_m", "wall_m", "ceiling_m", "hung_gap_m", "same_bottom_m"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
         for name in ("share", "carried_share", "covering_share", "rest_quantile"):
@@ -93,7 +94,7 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: Supp
 
     Surfaces within reach of the bottom count, the highest wins: a mug stands on the laptop on the desk, and a book on
     the board of its compartment, not on the shelf's top. What hangs keeps its height, its gap and lift are zero; what
-    nothing carries keeps its height too, and its gap is the height above the floor.
+    nothing carries is set down on the floor from `drop_m` at most, and keeps its height above that.
     """
     order = sorted(placed, key=lambda p: (p.low[2], p.high[2], p.instance_id))
     rests: dict[str, tuple[str | None, float] | None] = {}
@@ -230,7 +231,8 @@ def _carrier(thing: PlacedAsset, rest: tuple[str | None, float] | None, room: Ro
         return Carrier("ceiling", None, 0.0, 0.0)
     if near_wall:
         return Carrier("wall", None, 0.0, 0.0)
-    return Carrier("none", None, float(thing.low[2]), 0.0)
+    gap = float(thing.low[2])
+    return Carrier("floor", None, gap, -gap) if 0 < gap <= config.drop_m else Carrier("none", None, gap, 0.0)
 
 
 def _wall_distance(thing: PlacedAsset, room: Room) -> float:
