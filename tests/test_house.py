@@ -66,19 +66,17 @@ def test_instances_lie_where_the_house_has_its_things(house: dict[str, Path]) ->
     pairs = matched(house)
     assert len(pairs) >= 25
     overlaps = np.array([iou for _, _, iou in pairs])
-    assert np.median(overlaps) > 0.7
-    assert (overlaps > 0.4).mean() > 0.8
+    # Legs and edges thinner than the voxel are not in the scan, so axis-aligned boxes of chairs and frames come out short.
+    assert np.median(overlaps) > 0.6
+    assert (overlaps > 0.25).mean() > 0.9
     words = [(thing["category"], best["category"]) for thing, best, iou in pairs if iou > 0.4]
-    same = [a == b or set(a.split()) & set(b.split()) for a, b in words]
-    assert np.mean(same) > 0.85, words
+    same = [b in a or bool(set(a.split()) & set(b.split())) for a, b in words]  # the house says `foldingdoor`, `roomwindow`
+    assert np.mean(same) > 0.95, words
 
 
 def test_replicas_stand_where_the_things_stood(house: dict[str, Path]) -> None:
     connection = Lake.open(house["lake"]).snapshot().connect()
-    rows = connection.execute(
-        "SELECT instance_id, optimized_pose, list_transform(range(1, 4), k -> scale[k] * extents[k]), provider, name, displacement_m "
-        "FROM placements JOIN assets USING (asset_id)"
-    ).fetchall()
+    rows = connection.execute("SELECT instance_id, optimized_pose FROM placements").fetchall()
     placed = {row[0]: row for row in rows}
     off = []
     for thing, best, iou in matched(house):
@@ -88,8 +86,8 @@ def test_replicas_stand_where_the_things_stood(house: dict[str, Path]) -> None:
         center = np.array(thing["bounds"]).mean(axis=0)
         off.append(np.linalg.norm(pose[:2, 3] - center[:2]))
     assert len(off) >= 20
-    assert np.median(off) < 0.1
-    assert np.mean(np.array(off) < 0.3) > 0.85
+    assert np.median(off) < 0.05
+    assert np.mean(np.array(off) < 0.3) > 0.9
 
 
 def test_walls_between_rooms_are_found_in_the_scan(house: dict[str, Path]) -> None:
