@@ -97,3 +97,9 @@ def tables_page() -> str:
 
 def _literal(text: str) -> str:
     return "'" + text.replace("'", "''") + "'"
+
+
+if __name__ == "__main__":  # `make docs`
+    from pathlib import Path
+
+    Path(__file__).resolve().parent.parent.joinpath("docs", "tables.md").write_text(tables_page())
