@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from flows.fingerprints import FileCache, cache_folder, code_fingerprint
+from flows.fingerprints import ModuleCaches
 from schemas.errors import InputError, LakeError, RecordError
 from schemas.record import check
 from schemas.runs import StageRun
@@ -112,8 +112,6 @@ def lost_run(job: Job, kind: str, message: str, seconds: float) -> StageRun:
 
 def _run(stage: Stage, job: Job, lake: Lake) -> Outcome:
     """Inputs in, `run`, and the result held against the declaration and the schemas."""
-    from tasks.pipeline import MODULES
-
     fingerprints = dict(part.split("=", 1) for part in job.upstream)
     inputs: dict[str, Any] = dict(job.outside)
     for table in stage.reads:
@@ -122,8 +120,7 @@ def _run(stage: Stage, job: Job, lake: Lake) -> Outcome:
         inputs[table] = _rows(lake, table, job.scene_id, None if table in stage.history else fingerprints.get(TABLES[table].stage))
     for table in stage.history:
         inputs[table] = _rows(lake, table, job.scene_id, None)
-    cache = FileCache(cache_folder() / "stages" / code_fingerprint(MODULES[stage.name])[:16])
-    context = Context(scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, cache=cache)
+    context = Context(scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches())
     outcome = stage.run(**inputs, context=context, config=job.config)
     if set(outcome.rows) != set(stage.writes):
         raise LakeError(f"stage {stage.name} declares {', '.join(stage.writes)} and returned {', '.join(outcome.rows)}")

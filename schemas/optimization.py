@@ -1,13 +1,22 @@
-"""Rows of the optimization stage: where every asset ends up, and how it got there."""
+"""Rows of the optimization stage: where every asset ends up, how it got there, and whether it stays there."""
 
 from __future__ import annotations
 
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
 
+BODY_PATTERN = r"[0-9]{4,}|floor|ceiling|(wall|inner)_[0-9]{2,}"
+"""An instance, or a part of the room's shell as exports name it: `floor`, `wall_00`, `inner_00`."""
+
+RELATIONS = ("floor", "on", "inside", "wall", "ceiling", "none")
+"""How a thing can be carried."""
+
+APPLIED = ("pulled_in", "hung", "rested", "kept")
+"""Outcomes of steps that moved something: replaying these steps gives the optimized poses."""
+
 
 @record("placements", key=("scene_id", "instance_id"), stage="optimization")
 class Placement:
-    """The asset that stands for an instance, its proposed and its optimized pose."""
+    """The asset that stands for an instance, its proposed, optimized and settled poses."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
@@ -18,9 +27,13 @@ class Placement:
     scale: tuple[float, ...] = column("Scale along the asset's own axes, applied before the pose", length=3, minimum=0.001)
     proposed_pose: tuple[float, ...] = column("Asset to world frame as proposed, 4x4 row by row", unit="m", length=16)
     optimized_pose: tuple[float, ...] = column("Asset to world frame after optimization, 4x4 row by row", unit="m", length=16)
+    settled_pose: tuple[float, ...] | None = column(
+        "Asset to world frame after 2 s under gravity in MuJoCo, 4x4 row by row; missing when no certificate was made", unit="m", length=16
+    )
     displacement_m: float = column("Horizontal distance between the proposed and the optimized pose", unit="m", minimum=0)
     lift_m: float = column("Optimized height minus proposed height", unit="m")
     method: str = column("Optimization method", values=("paper", "default"))
+    remains: str | None = column("What is still wrong with the optimized pose; missing when nothing is")
 
 
 @record("supports", key=("scene_id", "instance_id"), stage="optimization")
@@ -29,32 +42,86 @@ class Support:
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     instance_id: str = column("Carried instance", pattern=INSTANCE_PATTERN)
-    relation: str = column("How it is carried", values=("floor", "on", "wall", "ceiling", "none"))
-    parent_id: str | None = column("Carrying instance for 'on'", pattern=INSTANCE_PATTERN)
+    relation: str = column(
+        "How it is carried: 'inside' is a compartment or container of the parent, 'wall' and 'ceiling' are hanging", values=RELATIONS
+    )
+    parent_id: str | None = column("Carrying instance for 'on' and 'inside'", pattern=INSTANCE_PATTERN)
+    against: str | None = column("Part of the room that it hangs on or stands against", pattern=BODY_PATTERN)
     gap_m: float = column("Height of the proposed asset's bottom above what carries it; negative when it sinks in", unit="m")
+    is_fixed: bool = column("Fastened to the room: it hangs on a wall or ceiling, or is built in; everything else is free to move")
+    is_kept: bool = column("The same thing still carries it after the optimization")
 
 
-@record("contacts", key=("scene_id", "phase", "instance_a", "instance_b"), stage="optimization")
+@record("contacts", key=("scene_id", "phase", "instance_a", "body_b"), stage="optimization")
 class Contact:
-    """Two instances whose boxes overlap, before or after optimization."""
+    """An instance and another, or a part of the room, that overlap before or after optimization."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     phase: str = column("Pose that was tested", values=("proposed", "optimized"))
     instance_a: str = column("First instance of the pair, the smaller id", pattern=INSTANCE_PATTERN)
-    instance_b: str = column("Second instance of the pair", pattern=INSTANCE_PATTERN)
-    overlap_m3: float = column("Volume of the overlap of the axis-aligned boxes", unit="m3", minimum=0)
-    penetration_m: float = column("Least movement along one axis that parts the boxes", unit="m", minimum=0)
+    body_b: str = column("Second instance of the pair, or a part of the room: floor, wall_00, inner_00", pattern=BODY_PATTERN)
+    box_overlap_m3: float = column("Volume of the overlap of the axis-aligned boxes; 0 for parts of the room", unit="m3", minimum=0)
+    penetration_m: float = column(
+        "Penetration depth of the convex pieces, the deepest pair of pieces; 0 when only the boxes overlap", unit="m", minimum=0
+    )
+    is_allowed: bool = column("The two may interpenetrate: a thing that hangs or is built in with the room it is fastened to")
 
 
 @record("optimization_steps", key=("scene_id", "step"), stage="optimization")
 class OptimizationStep:
-    """One step of the optimization. Replaying the kept moves gives the optimized poses."""
+    """One step of the optimization. Replaying the steps that moved something gives the optimized poses bit for bit."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
-    step: int = column("Step, 0 is the proposed state", minimum=0)
-    instance_id: str | None = column("Moved instance; missing for step 0", pattern=INSTANCE_PATTERN)
+    step: int = column("Step, 0 is the proposed state; the default method leaves out moves that it took back", minimum=0)
+    instance_id: str | None = column("Moved instance, with all it carries; missing for step 0", pattern=INSTANCE_PATTERN)
     dx_m: float = column("Move along x", unit="m")
     dy_m: float = column("Move along y", unit="m")
-    loss: float = column("Collision loss after the move (equation A1)", unit="m3", minimum=0)
-    smallest_loss: float = column("Smallest loss so far, this step included", unit="m3", minimum=0)
-    outcome: str = column("What became of the move", values=("start", "kept", "reverted", "left_room", "left_support"))
+    dz_m: float = column("Move along z", unit="m")
+    dyaw_radians: float = column("Turn about the upright axis through the proposed pose's origin", unit="rad")
+    loss: float = column("Collision loss after the move: overlap volume in m3 (paper, equation A1) or penetration depth in m (default)", minimum=0)
+    smallest_loss: float = column("Smallest loss so far, this step included, in the unit of the loss", minimum=0)
+    outcome: str = column(
+        "What became of the move; 'pulled_in', 'hung', 'rested' and 'kept' moved something",
+        values=("start", *APPLIED, "reverted", "left_room", "left_support"),
+    )
+
+
+@record("optimizations", key=("scene_id",), stage="optimization")
+class Optimization:
+    """What the optimization of a scene came to."""
+
+    scene_id: str = column("Scene", pattern=SCENE_PATTERN)
+    method: str = column("Optimization method", values=("paper", "default"))
+    object_count: int = column("Instances for which an asset was placed", minimum=0)
+    loss_start: float = column("Loss of the proposed state at rest, in the method's unit", minimum=0)
+    loss_final: float = column("Loss of the state that was kept, in the method's unit", minimum=0)
+    moves: int = column("Moves that were tried", minimum=0)
+    chains: int = column("Chains that were run", minimum=0)
+    ended: str = column("Why it ended", values=("zero_loss", "no_move_helps", "out_of_moves", "nothing_to_do"))
+    fixed_count: int = column("Instances that are fixed in the certificate: they hang or are built in", minimum=0)
+    deep_pairs: int = column("Pairs that penetrate deeper than 2 mm after the optimization, allowed ones left out", minimum=0)
+    remains: tuple[str, ...] = column("What the optimization could not put right, one line each")
+
+
+@record("certificates", key=("scene_id", "instance_id", "engine"), stage="optimization")
+class Certificate:
+    """What an independent physics engine says of an instance: put at its optimized pose, left alone under gravity."""
+
+    scene_id: str = column("Scene", pattern=SCENE_PATTERN)
+    instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
+    engine: str = column("Physics engine", values=("mujoco", "newton"))
+    engine_version: str = column("Version of the engine")
+    simulated_seconds: float = column("Simulated time", unit="s", minimum=0)
+    is_fixed: bool = column("It could not move: it hangs on a wall or ceiling, or is built in")
+    displacement_m: float = column("Distance between the optimized and the settled place of the asset's origin", unit="m", minimum=0)
+    tilt_radians: float = column("Angle between the upright axes before and after", unit="rad", minimum=0)
+    start_penetration_m: float = column("Deepest penetration with anything at the optimized pose, by the engine", unit="m", minimum=0)
+    is_stable_1cm: bool = column("Moved by no more than 1 cm")
+    is_stable_5cm: bool = column("Moved by no more than 5 cm and tilted by no more than 5 degrees")
+    settled_pose: tuple[float, ...] = column("Asset to world frame at the end, 4x4 row by row", unit="m", length=16)
+    mass_kg: float = column("Mass", unit="kg", minimum=0)
+    solid_volume_m3: float = column("Volume of the union of the convex pieces", unit="m3", minimum=0)
+    density_kg_m3: float = column("Mass over solid volume", unit="kg/m3", minimum=0)
+    density_low_kg_m3: float = column("Least density that its material allows", unit="kg/m3", minimum=0)
+    density_high_kg_m3: float = column("Greatest density that its material allows", unit="kg/m3", minimum=0)
+    is_density_plausible: bool = column("The density lies between those bounds")

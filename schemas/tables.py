@@ -20,6 +20,8 @@ RECORDS: tuple[type, ...] = (
     optimization.Support,
     optimization.Contact,
     optimization.OptimizationStep,
+    optimization.Optimization,
+    optimization.Certificate,
     navigation.Navmesh,
     navigation.Episode,
     navigation.UnreachableTarget,

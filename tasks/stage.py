@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from typing import Any, Literal
 
@@ -38,19 +39,27 @@ class Blobs(Mapping[str, bytes]):
         return len(self._data)
 
 
+def in_turn(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """The function's values, one item after another, in this process."""
+    return [function(item) for item in items]
+
+
 @dataclasses.dataclass(frozen=True)
 class Context:
     """What a run may know besides its inputs: whose it is, the seed, and the blobs that its input rows name.
 
-    `scene_id` is the annotation batch for stages of that grain. `cache` remembers, between runs, what costs much and
-    follows from content alone: a key must name everything that its value depends on but the stage's own code.
+    `scene_id` is the annotation batch for stages of that grain. `caches` remember, between runs and stages, what costs
+    much and follows from content alone, one for every module that computes such values (`caches["tasks.pieces"]`): a
+    key must name everything that its value depends on but the module's own code. `spread(function, items)` is the list
+    of the function's values, in the order of the items, computed in other processes where cores are free.
     """
 
     scene_id: str
     stage: str
     seed: int
     blobs: Mapping[str, bytes]
-    cache: MutableMapping[str, bytes] = dataclasses.field(default_factory=dict)
+    caches: Mapping[str, MutableMapping[str, bytes]] = dataclasses.field(default_factory=lambda: defaultdict(dict))
+    spread: Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]] = in_turn
 
     def rng(self, *words: object) -> np.random.Generator:
         """A generator seeded by (run seed, scene, stage, words): the same on every worker."""

@@ -12,7 +12,7 @@ import pytest
 
 from tasks import exports
 from tasks.exports.bodies import Replica, gather
-from tasks.exports.pieces import principal_axes, solid_properties
+from tasks.pieces import principal_axes, solid_properties
 from tasks.exports.usd import write_usd
 from tasks.exports.usd_rules import RULES, check_usd
 from tasks.replica import placed_parts, room_shell

@@ -18,7 +18,7 @@ from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement, Support
 from tasks.exports.bodies import Replica, gather
 from tasks.exports.config import ExportsConfig, HabitatConfig, UsdConfig
-from tasks.exports.pieces import PieceConfig
+from tasks.pieces import PieceConfig
 from tasks.stage import Blobs, Context, Outcome, Stage
 
 __all__ = ["STAGE", "ExportsConfig", "HabitatConfig", "PieceConfig", "UsdConfig", "run", "write_folder"]
@@ -36,7 +36,7 @@ def run(
     Raises:
         InputError: the scene has no room.
     """
-    replica, missed = gather(scenes, rooms, instances, captions, assets, placements, supports, context.blobs, config, context.cache)
+    replica, missed = gather(scenes, rooms, instances, captions, assets, placements, supports, context.blobs, config, context.caches["tasks.pieces"])
     blobs = Blobs()
     files: list[ExportFile] = []
     checks: list[ExportCheck] = []

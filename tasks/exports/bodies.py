@@ -17,7 +17,7 @@ from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError
 from schemas.optimization import Placement, Support
 from tasks.exports.config import ExportsConfig
-from tasks.exports.pieces import Hull, MassProperties, Method, asset_pieces, mass_properties
+from tasks.pieces import Hull, MassProperties, Method, asset_pieces, mass_properties
 from tasks.meshes import load_glb
 from tasks.transforms import is_rigid, matrix
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from schemas.exports import FORMATS
-from tasks.exports.pieces import PieceConfig
+from tasks.pieces import PieceConfig
 from tasks.replica import ShellConfig
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
-from tasks.exports.pieces import Hull, convex_hull
+from tasks.pieces import Hull, convex_hull
 from tasks.exports.shading import corner_normals
 from tasks.exports.usd_assets import (
     add_collider,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tasks.exports.bodies import Body, Shape, digest
 from tasks.exports.config import UsdConfig
 from tasks.exports.glb import node_textures
-from tasks.exports.pieces import Hull, principal_axes
+from tasks.pieces import Hull, principal_axes
 from tasks.exports.shading import corner_normals, face_normals, linear_colors
 from tasks.meshes import material_of, vertex_colors
 

@@ -220,14 +220,25 @@ def _placement(proposal: Proposal, moved: NDArray[np.float64], scene_id: str, me
         scale=tuple(float(v) for v in proposal.scale),
         proposed_pose=flat(proposal.pose),
         optimized_pose=flat(translation(moved) @ proposal.pose),
+        settled_pose=None,
         displacement_m=float(np.hypot(moved[0], moved[1])),
         lift_m=float(moved[2]) + 0.0,
         method=method,
+        remains=None,
     )
 
 
 def _support(scene_id: str, name: str, carrier: Carrier) -> Support:
-    return Support(scene_id=scene_id, instance_id=name, relation=carrier.relation, parent_id=carrier.parent_id, gap_m=carrier.gap + 0.0)
+    return Support(
+        scene_id=scene_id,
+        instance_id=name,
+        relation=carrier.relation,
+        parent_id=carrier.parent_id,
+        against=None,
+        gap_m=carrier.gap + 0.0,
+        is_fixed=carrier.relation in ("wall", "ceiling"),
+        is_kept=True,
+    )
 
 
 def _contacts(scene_id: str, names: Sequence[str], phase: str, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[Contact]:
@@ -241,9 +252,10 @@ def _contacts(scene_id: str, names: Sequence[str], phase: str, low: NDArray[np.f
             scene_id=scene_id,
             phase=phase,
             instance_a=names[i],
-            instance_b=names[j],
-            overlap_m3=float(volumes[i, j]),
+            body_b=names[j],
+            box_overlap_m3=float(volumes[i, j]),
             penetration_m=float(depths[i, j]),
+            is_allowed=False,
         )
         for i, j in pairs
     ]
@@ -252,7 +264,7 @@ def _contacts(scene_id: str, names: Sequence[str], phase: str, low: NDArray[np.f
 def _steps(scene_id: str, names: Sequence[str], trace: Trace, step: float) -> list[OptimizationStep]:
     """One row per step of the algorithm, and step 0 for the state at rest."""
     start = OptimizationStep(
-        scene_id=scene_id, step=0, instance_id=None, dx_m=0.0, dy_m=0.0, loss=trace.start, smallest_loss=trace.start, outcome=OUTCOMES[0]
+        scene_id=scene_id, step=0, instance_id=None, dx_m=0.0, dy_m=0.0, dz_m=0.0, dyaw_radians=0.0, loss=trace.start, smallest_loss=trace.start, outcome=OUTCOMES[0]
     )
     columns = (trace.things.tolist(), (trace.moves * step).tolist(), trace.loss.tolist(), trace.smallest.tolist(), trace.outcome.tolist())
     rows = zip(*columns, strict=True)
@@ -263,6 +275,8 @@ def _steps(scene_id: str, names: Sequence[str], trace: Trace, step: float) -> li
             instance_id=names[thing],
             dx_m=dx + 0.0,
             dy_m=dy + 0.0,
+            dz_m=0.0,
+            dyaw_radians=0.0,
             loss=loss,
             smallest_loss=smallest,
             outcome=OUTCOMES[code],

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from schemas.errors import InputError
 from tasks.exports.glb import close_glb, node_textures, open_glb, scaled_glb
-from tasks.exports.pieces import PieceConfig, _cached, asset_pieces, convex_hull, mass_properties, pieces
+from tasks.pieces import PieceConfig, _cached, asset_pieces, convex_hull, mass_properties, pieces
 from tasks.exports.shading import corner_normals, linear_colors
 from tasks.furniture import generate
 from tasks.meshes import canonical, dump_glb, load_glb, surface_of
