@@ -107,11 +107,15 @@ def rows_of(things: Sequence[Thing], scene_id: str = "demo/room_01") -> tuple[di
             Placement(
                 scene_id=scene_id, instance_id=instance_id, asset_id=asset_id, origin="selection", annotator=None, annotation_match=None,
                 scale=item.scale, proposed_pose=pose, optimized_pose=pose, displacement_m=0.0, lift_m=0.0, method="default",
+                settled_pose=None, remains=None,
             )
         )  # fmt: skip
         rows["supports"].append(
-            Support(scene_id=scene_id, instance_id=instance_id, relation=item.relation, parent_id=item.parent_id, gap_m=0.0)
-        )
+            Support(
+                scene_id=scene_id, instance_id=instance_id, relation=item.relation, parent_id=item.parent_id, against=None, gap_m=0.0,
+                is_fixed=item.relation in ("wall", "ceiling"), is_kept=True,
+            )
+        )  # fmt: skip
     rows["assets"] = [assets[key] for key in sorted(assets)]
     return rows, blobs
 

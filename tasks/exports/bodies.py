@@ -17,8 +17,8 @@ from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError
 from schemas.optimization import Placement, Support
 from tasks.exports.config import ExportsConfig
-from tasks.pieces import Hull, MassProperties, Method, asset_pieces, mass_properties
 from tasks.meshes import load_glb
+from tasks.pieces import Hull, MassProperties, Method, asset_pieces, mass_properties
 from tasks.transforms import is_rigid, matrix
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Shape:
 
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """An object of the replica. `pose`: shape's frame to world, rigid 4x4 [m]. `is_fixed`: hangs on a wall or a ceiling."""
+    """An object of the replica. `pose`: shape's frame to world, rigid 4x4 [m]. `is_fixed`: fastened to the room."""
 
     instance_id: str
     name: str
@@ -114,7 +114,7 @@ def gather(
     by_asset = {asset.asset_id: asset for asset in assets}
     by_instance = {instance.instance_id: instance for instance in instances}
     by_caption = {caption.instance_id: caption for caption in captions}
-    relation = {support.instance_id: support.relation for support in supports}
+    fixed = {support.instance_id for support in supports if support.is_fixed}
     shapes: dict[tuple[str, tuple[float, ...]], Shape] = {}
     bodies, missed = [], []
     for placement in sorted(placements, key=lambda row: row.instance_id):
@@ -130,8 +130,8 @@ def gather(
         caption = by_caption.get(placement.instance_id)
         if caption is None:
             missed.append(f"{placement.instance_id}: no caption; mass from a density of {config.default_density_kg_m3:g} kg/m3")
-        fixed = relation.get(placement.instance_id) in ("wall", "ceiling")
-        bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, fixed, config))
+        is_fixed = placement.instance_id in fixed
+        bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, is_fixed, config))
     license_ = next((scene.license for scene in scenes if scene.license), None) or "unknown"
     return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), license_), missed
 

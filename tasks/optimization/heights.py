@@ -42,15 +42,15 @@ def plan_view(surface: Surface, low: ArrayLike, high: ArrayLike, ceiling: float,
     `upward`: only faces that look up count, which closed surfaces allow: a thing sunk into a block does not find the
     block's underside below it.
     """
-    corners, first, heights = _window(surface, low, high, -np.inf, ceiling, cell)
-    _compiled()["raster"](corners, first.astype(np.float64), float(cell), float(ceiling), bool(upward), heights)
+    first, heights = _window(low, high, cell)
+    _compiled()["raster"](*_triangles(surface), first.astype(np.float64), float(cell), float(ceiling), bool(upward), heights)
     return PlanView(heights, (int(first[0]), int(first[1])), cell)
 
 
 def occupancy(surface: Surface, low: ArrayLike, high: ArrayLike, bottom: float, top: float, cell: float) -> PlanView:
     """Where a surface, upright faces too, passes between two heights [m]: 1 in such cells of a window, else minus infinity."""
-    corners, first, heights = _window(surface, low, high, bottom, top, cell)
-    _compiled()["mark"](corners, first.astype(np.float64), float(cell), float(bottom), float(top), heights)
+    first, heights = _window(low, high, cell)
+    _compiled()["mark"](*_triangles(surface), first.astype(np.float64), float(cell), float(bottom), float(top), heights)
     return PlanView(heights, (int(first[0]), int(first[1])), cell)
 
 
@@ -68,17 +68,16 @@ def underside(surface: Surface, cell: float) -> tuple[NDArray[np.int64], Array]:
     return cells + np.array(view.first), -view.heights[cells[:, 0], cells[:, 1]]
 
 
-def _window(
-    surface: Surface, low: ArrayLike, high: ArrayLike, bottom: float, top: float, cell: float
-) -> tuple[Array, NDArray[np.int64], Array]:
-    """Triangles, shape (m, 3, 3), that may be seen in a window between two heights, its first cell, and empty heights."""
+def _triangles(surface: Surface) -> tuple[Array, NDArray[np.int64]]:
+    return np.ascontiguousarray(surface.vertices, dtype=np.float64), np.ascontiguousarray(surface.faces, dtype=np.int64)
+
+
+def _window(low: ArrayLike, high: ArrayLike, cell: float) -> tuple[NDArray[np.int64], Array]:
+    """First cell of a window, and its empty heights."""
     a, b = np.asarray(low, dtype=np.float64)[:2], np.asarray(high, dtype=np.float64)[:2]
     first = np.floor(a / cell).astype(np.int64)
     shape = np.maximum(np.floor(b / cell).astype(np.int64) - first + 1, 1)
-    corners = surface.vertices[surface.faces]
-    least, most = corners.min(axis=1), corners.max(axis=1)
-    near = (least[:, :2] <= b + cell).all(axis=1) & (most[:, :2] >= a - cell).all(axis=1) & (least[:, 2] <= top) & (most[:, 2] >= bottom)
-    return np.ascontiguousarray(corners[near]), first, np.full((int(shape[0]), int(shape[1])), -np.inf)
+    return first, np.full((int(shape[0]), int(shape[1])), -np.inf)
 
 
 @cache
@@ -88,37 +87,87 @@ def _compiled() -> dict[str, Callable[..., Any]]:
     return {f.__name__.strip("_"): numba.njit(cache=True, nogil=True, error_model="numpy")(f) for f in (_raster, _mark)}
 
 
-def _mark(corners: Array, first: Array, cell: float, bottom: float, top: float, heights: Array) -> None:
-    """Mark the cells that triangles, shape (n, 3, 3), pass through between two heights: points on them, half a cell apart."""
+def _mark(vertices: Array, faces: NDArray[np.int64], first: Array, cell: float, bottom: float, top: float, heights: Array) -> None:
+    """Mark the cells that triangles pass through between two heights: cells whose centers their slices cover, and cells
+    along the slices' edges, which are all that upright faces have in plan."""
     nx, ny = heights.shape
-    for t in range(corners.shape[0]):
-        longest = 0.0
-        for e in range(3):
-            square = 0.0
-            for k in range(3):
-                square += (corners[t, e, k] - corners[t, (e + 1) % 3, k]) ** 2
-            longest = max(longest, square)
-        parts = max(int(np.ceil(2 * np.sqrt(longest) / cell)), 1)
-        for p in range(parts + 1):
-            for q in range(parts + 1 - p):
-                u, v = p / parts, q / parts
-                z = corners[t, 0, 2] + u * (corners[t, 1, 2] - corners[t, 0, 2]) + v * (corners[t, 2, 2] - corners[t, 0, 2])
-                if z < bottom or z > top:
-                    continue
-                x = corners[t, 0, 0] + u * (corners[t, 1, 0] - corners[t, 0, 0]) + v * (corners[t, 2, 0] - corners[t, 0, 0])
-                y = corners[t, 0, 1] + u * (corners[t, 1, 1] - corners[t, 0, 1]) + v * (corners[t, 2, 1] - corners[t, 0, 1])
-                i, j = int(np.floor(x / cell) - first[0]), int(np.floor(y / cell) - first[1])
+    x0, y0 = first[0] * cell, first[1] * cell
+    x1, y1 = x0 + nx * cell, y0 + ny * cell
+    ring, cut = np.empty((8, 3)), np.empty((8, 3))
+    for t in range(faces.shape[0]):
+        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+        if min(vertices[a, 2], vertices[b, 2], vertices[c, 2]) > top or max(vertices[a, 2], vertices[b, 2], vertices[c, 2]) < bottom:
+            continue
+        if min(vertices[a, 0], vertices[b, 0], vertices[c, 0]) > x1 or max(vertices[a, 0], vertices[b, 0], vertices[c, 0]) < x0:
+            continue
+        if min(vertices[a, 1], vertices[b, 1], vertices[c, 1]) > y1 or max(vertices[a, 1], vertices[b, 1], vertices[c, 1]) < y0:
+            continue
+        for k in range(3):
+            ring[0, k], ring[1, k], ring[2, k] = vertices[a, k], vertices[b, k], vertices[c, k]
+        n = 3
+        for side in range(2):  # cut off what lies below the bottom, then what lies above the top
+            m = 0
+            for e in range(n):
+                f = (e + 1) % n
+                one = ring[e, 2] - bottom if side == 0 else top - ring[e, 2]
+                other = ring[f, 2] - bottom if side == 0 else top - ring[f, 2]
+                if one >= 0:
+                    for k in range(3):
+                        cut[m, k] = ring[e, k]
+                    m += 1
+                if (one > 0 and other < 0) or (one < 0 and other > 0):
+                    for k in range(3):
+                        cut[m, k] = ring[e, k] + one / (one - other) * (ring[f, k] - ring[e, k])
+                    m += 1
+            n = m
+            for e in range(n):
+                for k in range(3):
+                    ring[e, k] = cut[e, k]
+        for e in range(n):
+            f = (e + 1) % n
+            dx, dy = ring[f, 0] - ring[e, 0], ring[f, 1] - ring[e, 1]
+            parts = max(int(np.ceil(2 * np.sqrt(dx * dx + dy * dy) / cell)), 1)
+            for p in range(parts + 1):
+                i = int(np.floor((ring[e, 0] + dx * p / parts) / cell) - first[0])
+                j = int(np.floor((ring[e, 1] + dy * p / parts) / cell) - first[1])
                 if 0 <= i < nx and 0 <= j < ny:
                     heights[i, j] = 1.0
+        for e in range(1, n - 1):
+            ax, ay, bx, by = ring[0, 0], ring[0, 1], ring[e, 0], ring[e, 1]
+            cx, cy = ring[e + 1, 0], ring[e + 1, 1]
+            area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+            if abs(area) < 1e-14:
+                continue
+            i0 = max(int(np.ceil(min(ax, bx, cx) / cell - 0.5 - first[0])), 0)
+            i1 = min(int(np.floor(max(ax, bx, cx) / cell - 0.5 - first[0])), nx - 1)
+            j0 = max(int(np.ceil(min(ay, by, cy) / cell - 0.5 - first[1])), 0)
+            j1 = min(int(np.floor(max(ay, by, cy) / cell - 0.5 - first[1])), ny - 1)
+            for i in range(i0, i1 + 1):
+                x = (first[0] + i + 0.5) * cell
+                for j in range(j0, j1 + 1):
+                    y = (first[1] + j + 0.5) * cell
+                    v = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
+                    w = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
+                    if v >= -1e-9 and w >= -1e-9 and v + w <= 1 + 1e-9:
+                        heights[i, j] = 1.0
 
 
-def _raster(corners: Array, first: Array, cell: float, ceiling: float, upward: bool, heights: Array) -> None:
-    """Raise `heights` to every triangle, shape (n, 3, 3), at the centers of the cells that it covers."""
+def _raster(vertices: Array, faces: NDArray[np.int64], first: Array, cell: float, ceiling: float, upward: bool, heights: Array) -> None:
+    """Raise `heights` to every triangle at the centers of the cells that it covers."""
     nx, ny = heights.shape
-    for t in range(corners.shape[0]):
-        ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
-        bx, by, bz = corners[t, 1, 0], corners[t, 1, 1], corners[t, 1, 2]
-        cx, cy, cz = corners[t, 2, 0], corners[t, 2, 1], corners[t, 2, 2]
+    x0, y0 = first[0] * cell, first[1] * cell
+    x1, y1 = x0 + nx * cell, y0 + ny * cell
+    for t in range(faces.shape[0]):
+        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+        ax, bx, cx = vertices[a, 0], vertices[b, 0], vertices[c, 0]
+        if min(ax, bx, cx) > x1 or max(ax, bx, cx) < x0:
+            continue
+        ay, by, cy = vertices[a, 1], vertices[b, 1], vertices[c, 1]
+        if min(ay, by, cy) > y1 or max(ay, by, cy) < y0:
+            continue
+        az, bz, cz = vertices[a, 2], vertices[b, 2], vertices[c, 2]
+        if min(az, bz, cz) > ceiling:
+            continue
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         if abs(area) < 1e-14 or (upward and area < 0):  # upright faces are seen edge-on from above
             continue

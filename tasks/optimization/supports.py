@@ -5,16 +5,20 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Room
-from tasks.boxes import aabb
 from tasks.meshes import Surface
+from tasks.optimization.enclosures import encloses
 from tasks.optimization.heights import occupancy, plan_view, underside
+from tasks.optimization.mounting import mounting
+from tasks.optimization.walls import WallFace, stands_against, wall_contact, wall_faces
 
 Array = NDArray[np.float64]
+Cells = NDArray[np.int64]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,34 +26,37 @@ class SupportConfig:
     """When a thing counts as carried."""
 
     reach_m: float = 0.10  # scans bleed and boxes are a few centimetres off; a gap beyond this is a gap
-    drop_m: float = 0.5  # legs are often too thin for a scan: what nothing carries and is this low was standing on the floor
+    drop_m: float = 0.5  # legs are often too thin for a scan: what nothing carries and is this low was standing on what lies below
+    stand_drop_m: float = 1.0  # the same for what never hangs: nothing else than a lost support explains it
+    sunk_m: float = 0.2  # what nothing carries within reach may have sunk this deep: the thing and its carrier are both off
     base_m: float = 0.02  # feet and rims within this of the lowest point are what a thing stands on
     share: float = 0.3  # of the base over a surface: less, and the center of mass may be past the edge
     carried_share: float = 0.75  # of the base stays on the carrier when a thing is moved: a quarter over the edge tips nothing
-    covering_m: float = 0.05  # as low as this and on the floor: a rug or mat, which others may stand on in part
-    covering_share: float = 0.5  # what stands on a rug with less than half of its feet stands on the floor
+    covering_m: float = 0.05  # as flat as this, a rug or mat, which others may stand on in part
+    covering_area_m2: float = 0.25  # as large as this, something flat of no known kind is a covering: a mat, no keyboard
     wall_m: float = 0.12  # a picture frame's depth plus the error of a wall's place
+    against_m: float = 0.05  # baseboards and cables keep furniture this far off the wall that it stands against
     ceiling_m: float = 0.15  # the ceiling's height is known less well than a wall's place
+    cable_m: float = 1.2  # a hanging lamp's cable is too thin for a scan
     hung_gap_m: float = 0.02  # what is usually hung and ends this near a surface stands on it all the same
+    desk_frame_m: float = 0.3  # frames smaller than this stand on furniture as often as they hang
+    hung_depth_m: float = 0.5  # things of no known kind that stick out farther from a wall are not hung on it
+    enclosed_share: float = 0.85  # of the horizon that a container's sides close; a sofa with arms closes two thirds
     same_bottom_m: float = 0.03  # bottoms this near say nothing about who carries whom; the larger one does
     rest_quantile: float = 0.9  # bumps under a tenth of the base are noise of scanned geometry
     cell_m: float = 0.01  # grid of the plan views: a mug's foot covers forty cells
-    hung_categories: tuple[str, ...] = (
-        "picture", "painting", "poster", "mirror", "clock", "curtain", "blinds", "whiteboard", "blackboard", "bulletin board",
-        "window", "door", "towel", "coat rack", "light switch", "air conditioner", "range hood", "wall lamp", "shower curtain",
-    )  # fmt: skip
-    """Things that hang even where something stands right below: a picture over a sofa."""
 
     def __post_init__(self) -> None:
-        for name in ("base_m", "cell_m"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
-        for name in ("reach_m", "drop_m", "covering_m", "wall_m", "ceiling_m", "hung_gap_m", "same_bottom_m"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
-        for name in ("share", "carried_share", "covering_share", "rest_quantile"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: must be 0 to 1, is {getattr(self, name):g}")
+        for field in dataclasses.fields(self):
+            value, name = getattr(self, field.name), field.name
+            if name in ("share", "carried_share", "enclosed_share", "rest_quantile"):
+                if not 0 <= value <= 1:
+                    raise ValueError(f"{name}: must be 0 to 1, is {value:g}")
+            elif name in ("base_m", "cell_m"):
+                if not 0 < value < math.inf:
+                    raise ValueError(f"{name}: must be above 0, is {value:g}")
+            elif not 0 <= value < math.inf:
+                raise ValueError(f"{name}: must be at least 0, is {value:g}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,56 +74,104 @@ class PlacedAsset:
     @staticmethod
     def of(instance_id: str, category: str, surface: Surface, watertight: bool) -> PlacedAsset:
         """A placed surface with its box. `watertight`: every edge has two faces."""
-        low, high = aabb(surface.vertices[np.unique(surface.faces)])
-        corners = surface.vertices[surface.faces] - low
-        outward = float(np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) > 0
-        return PlacedAsset(instance_id, category, surface, low, high, watertight and outward)
+        used = np.zeros(len(surface.vertices), dtype=np.bool_)
+        used[surface.faces] = True
+        points = surface.vertices[used]
+        low, high = points.min(axis=0), points.max(axis=0)
+        closed = watertight
+        if watertight:
+            a, b, c = (surface.vertices[surface.faces[:, k]] - low for k in range(3))
+            closed = float(np.einsum("ni,ni->", a, np.cross(b, c))) > 0
+        return PlacedAsset(instance_id, category, surface, low, high, closed)
 
     @property
     def plan_area(self) -> float:
         """Area of the box in plan [m2]."""
         return float(np.prod((self.high - self.low)[:2]))
 
+    @property
+    def height(self) -> float:
+        """Height of the box [m]."""
+        return float(self.high[2] - self.low[2])
+
+    @cached_property
+    def plan_points(self) -> Array:
+        """What it covers in plan: its used vertices [m], shape (n, 2)."""
+        used = np.zeros(len(self.surface.vertices), dtype=np.bool_)
+        used[self.surface.faces] = True
+        return np.ascontiguousarray(self.surface.vertices[used, :2])
+
+    def footprint(self, cell: float) -> tuple[Cells, Array]:
+        """Cells that it covers in plan, shape (n, 2), and its lowest height in each [m], shape (n,); computed once per cell size."""
+        if cell not in self._footprints:
+            self._footprints[cell] = underside(self.surface, cell)
+        return self._footprints[cell]
+
+    @cached_property
+    def _footprints(self) -> dict[float, tuple[Cells, Array]]:
+        return {}
+
 
 @dataclasses.dataclass(frozen=True)
 class Carrier:
     """What carries a thing. `gap` [m]: height of its bottom above that, both as proposed. `lift` [m]: how far it is
-    moved up to rest, its carrier's own lift included."""
+    moved up to rest, its carrier's own lift included. `against`: part of the room's shell that it hangs on or stands
+    against."""
 
     relation: str
     parent_id: str | None
     gap: float
     lift: float
+    against: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Rest:
+    """A surface that a thing can rest on. parent: whose, None for the floor. gap: of the thing's bottom above it [m]."""
+
+    parent: str | None
+    gap: float
 
 
 def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: SupportConfig) -> dict[str, Carrier]:
     """What carries every placed asset, by instance id. No thing carries itself, not even through others.
 
-    Surfaces within reach of the bottom count, the highest wins: a mug stands on the laptop on the desk, and a book on
-    the board of its compartment, not on the shelf's top. What hangs keeps its height, its gap and lift are zero; what
-    nothing carries is set down on the floor from `drop_m` at most, and keeps its height above that.
+    Surfaces within reach of the bottom count, the highest at every point of the base; whose are most carries it: a mug
+    stands on the laptop on the desk, and a book on the board of its compartment, not on the shelf's top. Where the
+    lowest part has nothing below it, the next broad part may: a chair lies upside down on a table, its back past the
+    edge. What hangs keeps its height, its gap and lift are zero; what nothing carries is set down onto what is below it
+    from `drop_m` at most (`stand_drop_m` what never hangs), and else keeps its height above the floor as its gap.
     """
     order = sorted(placed, key=lambda p: (p.low[2], p.high[2], p.instance_id))
-    rests: dict[str, tuple[str | None, float] | None] = {}
+    faces = wall_faces(room) if room is not None else []
+    rests: dict[str, _Rest | None] = {}
+    found: dict[str, Carrier] = {}
     for thing in order:
-        rests[thing.instance_id] = _best_rest(thing, order, rests, config)
+        carrier = _carrier(thing, order, rests, faces, room, config)
+        found[thing.instance_id] = carrier
+        rests[thing.instance_id] = _Rest(carrier.parent_id, carrier.gap) if carrier.parent_id is not None else None
+    by_id = {thing.instance_id: thing for thing in placed}
     carriers: dict[str, Carrier] = {}
 
-    def settle(thing: PlacedAsset) -> Carrier:
+    def settle(name: str) -> Carrier:
         """Carriers first, so that their lift is known."""
-        known = carriers.get(thing.instance_id)
-        if known is None:
-            known = _carrier(thing, rests[thing.instance_id], room, config)
+        if name not in carriers:
+            known, against = found[name], found[name].against
             if known.parent_id is not None:
-                below = settle(by_id[known.parent_id])
-                known = dataclasses.replace(known, lift=known.lift + below.lift)
-            carriers[thing.instance_id] = known
-        return known
+                inside = encloses(by_id[known.parent_id], by_id[name], known.gap, config)
+                lift = known.lift + settle(known.parent_id).lift
+                known = dataclasses.replace(known, relation="inside" if inside else "on", lift=lift)
+            if faces and against is None and not is_covering(by_id[name], config):
+                against = stands_against(by_id[name], faces, config.against_m)
+            carriers[name] = dataclasses.replace(known, against=against)
+        return carriers[name]
 
-    by_id = {thing.instance_id: thing for thing in placed}
-    for thing in order:
-        settle(thing)
-    return {name: carriers[name] for name in sorted(carriers)}
+    return {name: settle(name) for name in sorted(found)}
+
+
+def is_fixed(carrier: Carrier, category: str) -> bool:
+    """Whether a thing is fastened to the room: it hangs on a wall or ceiling, or its category is built in."""
+    return carrier.relation in ("wall", "ceiling") or mounting(category).is_built_in
 
 
 def descendants(parents: Mapping[str, str | None]) -> dict[str, set[str]]:
@@ -130,9 +185,17 @@ def descendants(parents: Mapping[str, str | None]) -> dict[str, set[str]]:
     return below
 
 
+def is_covering(thing: PlacedAsset, config: SupportConfig) -> bool:
+    """Whether a thing is a flat cloth or mat to be stood upon: on the floor or, as a tablecloth, on furniture."""
+    kind = mounting(thing.category).kind
+    if kind == "covering":
+        return thing.height**2 < thing.plan_area  # a carpet that is rolled up and stood in a corner covers nothing
+    return kind == "any" and thing.height <= config.covering_m and thing.plan_area >= config.covering_area_m2
+
+
 def is_floor_covering(thing: PlacedAsset, config: SupportConfig) -> bool:
     """Whether a thing lies flat on the floor, to be stood upon: a rug, a mat."""
-    return bool(thing.high[2] - thing.low[2] <= config.covering_m and abs(thing.low[2]) <= config.covering_m)
+    return bool(is_covering(thing, config) and abs(thing.low[2]) <= config.reach_m)
 
 
 def allowed_shifts(
@@ -147,7 +210,7 @@ def allowed_shifts(
     per_step = max(1, round(step / config.cell_m))
     cell = step / per_step
     rest = float(thing.low[2]) - gap
-    cells, heights = underside(thing.surface, cell)
+    cells, heights = thing.footprint(cell)
     base = _thinned(cells[heights <= thing.low[2] + config.base_m])
     body = _thinned(cells)
     margin = reach * step + cell
@@ -173,76 +236,150 @@ def _thinned(cells: NDArray[np.int64], most: int = 300) -> NDArray[np.int64]:
     return cells[:: max(1, len(cells) // most)]
 
 
-def _best_rest(
-    thing: PlacedAsset, others: Sequence[PlacedAsset], rests: Mapping[str, tuple[str | None, float] | None], config: SupportConfig
-) -> tuple[str | None, float] | None:
-    """The highest surface within reach that a thing can rest on: whose (None: the floor), and the gap to it [m]."""
-    cells, heights = underside(thing.surface, config.cell_m)
-    on_base = heights <= thing.low[2] + config.base_m
-    base, rise = cells[on_base], heights[on_base] - thing.low[2]
+def _carrier(
+    thing: PlacedAsset, order: Sequence[PlacedAsset], rests: Mapping[str, _Rest | None], faces: Sequence[WallFace], room: Room | None,
+    config: SupportConfig,
+) -> Carrier:  # fmt: skip
+    """What carries one thing: 'on' for every thing that does, the lift its own only."""
+    kind = mounting(thing.category).kind
+    contact = wall_contact(thing, faces, config.wall_m) if kind not in ("stands", "covering") else None
+    wall = Carrier("wall", None, 0.0, 0.0, contact.face.name) if contact is not None else None
+    ceiling = Carrier("ceiling", None, 0.0, 0.0, "ceiling")
+    below_ceiling = room.height_m - float(thing.high[2]) if room is not None else math.inf
+    is_high = room is not None and float(thing.low[2] + thing.high[2]) > room.height_m
+    if kind in ("let_in", "wall"):
+        if wall is not None:
+            return wall
+        if kind == "wall" and is_high:  # on a rail across the room
+            return ceiling
+    rest = _rest_within(thing, order, rests, config)
+    if kind == "frame" and wall is not None:
+        small = float((thing.high - thing.low).max()) <= config.desk_frame_m
+        if rest is None or abs(rest.gap) > (config.reach_m if small else config.hung_gap_m):
+            return wall
+    if kind == "ceiling" and is_high and below_ceiling <= config.cable_m and (rest is None or abs(rest.gap) > config.hung_gap_m):
+        return ceiling
+    if rest is None and kind not in ("stands", "covering") and abs(below_ceiling) <= config.ceiling_m:
+        return ceiling
+    if rest is None and kind == "either" and wall is not None:
+        return wall
+    deep = _rest_off(thing, order, rests, 2 * config.reach_m, config) if rest is None else None
+    if rest is None and deep is None and contact is not None and contact.depth <= config.hung_depth_m:
+        return wall or ceiling
+    rest = rest or deep or _rest_off(thing, order, rests, config.stand_drop_m if kind == "stands" else config.drop_m, config)
+    if rest is None:
+        return Carrier("none", None, float(thing.low[2]), 0.0)
+    return Carrier("floor" if rest.parent is None else "on", rest.parent, rest.gap, -rest.gap)
+
+
+def _rest_within(
+    thing: PlacedAsset, others: Sequence[PlacedAsset], rests: Mapping[str, _Rest | None], config: SupportConfig
+) -> _Rest | None:
+    """What carries most of a thing's base within reach; what carries its next broad part where nothing carries the base."""
+    cells, heights = thing.footprint(config.cell_m)
+    rise = heights - thing.low[2]
+    on_base = rise <= config.base_m
+    near = [other for other in others if _may_carry(other, thing, config) and not _rests_on(other.instance_id, thing.instance_id, rests)]
+    has_floor = bool(abs(thing.low[2]) <= config.reach_m)
+    found = _most_carried(thing, *_thinned_base(cells[on_base], rise[on_base]), near, has_floor, config)
+    if found is not None or on_base.all():
+        return found
+    levels = np.floor(rise / config.base_m).astype(np.int64)
+    counts = np.bincount(levels)
+    for level in np.flatnonzero(counts >= config.share * len(cells)):
+        at = (rise >= level * config.base_m) & (rise < (level + 1) * config.base_m)
+        over = np.abs(cells[at].mean(axis=0) - cells.mean(axis=0)) * config.cell_m
+        if level == 0 or (over > 0.25 * (thing.high - thing.low)[:2]).any():  # what lies so far off its middle would tip
+            continue
+        found = _most_carried(thing, *_thinned_base(cells[at], rise[at]), near, False, config)
+        if found is not None and found.gap > -config.reach_m:
+            return found
+    return None
+
+
+def _most_carried(
+    thing: PlacedAsset, base: Cells, rise: Array, near: Sequence[PlacedAsset], has_floor: bool, config: SupportConfig
+) -> _Rest | None:
+    """Whose surface is the highest within reach under most of a base; `rise` of its cells over the thing's bottom [m]."""
     if not len(base):  # nothing of it near its lowest point is wide enough to stand on
         return None
-    found: list[tuple[float, str | None]] = []
-    if abs(thing.low[2]) <= config.reach_m:
-        found.append((0.0, None))
-    for other in others:
+    low = float(thing.low[2])
+    first, last = base.min(axis=0) * config.cell_m, (base.max(axis=0) + 0.5) * config.cell_m
+    # how high the bottom would be with each part of the base touching what is below it
+    touching = [-rise] if has_floor else []
+    names: list[str | None] = [None] if has_floor else []
+    top = low + float(rise.max()) + config.reach_m
+    for other in near:
+        view = plan_view(other.surface, first, last, top, config.cell_m, other.closed)
+        if np.isfinite(view.heights).any():
+            touching.append(view.at(base) - rise)
+            names.append(other.instance_id)
+    if not names:
+        return None
+    heights = np.array(touching)
+    within = np.abs(heights - low) <= config.reach_m
+    heights[~within] = -np.inf
+    carried = within.any(axis=0)
+    if carried.mean() < config.share:
+        return None
+    shares = np.bincount(heights.argmax(axis=0)[carried], minlength=len(names))
+    best = int(shares.argmax())  # the floor where it carries as much
+    return _Rest(names[best], low - float(np.quantile(heights[best, within[best]], config.rest_quantile)))
+
+
+def _rest_off(
+    thing: PlacedAsset, others: Sequence[PlacedAsset], rests: Mapping[str, _Rest | None], drop: float, config: SupportConfig
+) -> _Rest | None:
+    """The nearest surface at most `drop` [m] below a thing that nothing carries within reach, or that it sank into."""
+    cells, heights = thing.footprint(config.cell_m)
+    on_base = heights <= thing.low[2] + config.base_m
+    base, rise = _thinned_base(cells[on_base], heights[on_base] - thing.low[2])
+    low = float(thing.low[2])
+    found = [_Rest(None, low)] if low <= drop else []
+    for other in others if len(base) else ():
         if not _may_carry(other, thing, config) or _rests_on(other.instance_id, thing.instance_id, rests):
             continue
-        view = plan_view(other.surface, thing.low[:2], thing.high[:2], float(thing.low[2]) + config.reach_m, config.cell_m, other.closed)
-        # how high the bottom would be with each part of the base touching what is below it
-        touching = view.at(base) - rise
-        within = np.abs(touching - thing.low[2]) <= config.reach_m
-        if within.mean() >= (config.covering_share if is_floor_covering(other, config) else config.share):
-            found.append((float(np.quantile(touching[within], config.rest_quantile)), other.instance_id))
-    if not found:
-        return None
-    height, parent = max(found, key=lambda f: (f[0], f[1] is None, f[1] or ""))
-    return parent, float(thing.low[2]) - height
+        for top in (low + config.reach_m, low + config.sunk_m):
+            view = plan_view(other.surface, thing.low[:2], thing.high[:2], top, config.cell_m, other.closed)
+            gaps = low - (view.at(base) - rise)
+            within = (gaps <= drop) & (gaps >= -config.sunk_m)
+            if within.mean() >= config.share:
+                found.append(_Rest(other.instance_id, float(np.quantile(gaps[within], 1 - config.rest_quantile))))
+                break
+    return min(found, key=lambda r: (abs(r.gap), r.parent is not None, r.parent or ""), default=None)
+
+
+def _thinned_base(cells: Cells, rise: Array, most: int = 2000) -> tuple[Cells, Array]:
+    """Cells scattered over a base: shares are needed to a percent."""
+    parts = -(-len(cells) // most)
+    if parts <= 1:
+        return cells, rise
+    kept = (cells[:, 0] * 73856093 ^ cells[:, 1] * 19349663) % 9973 * parts < 9973  # scattered, or rows would alias
+    return cells[kept], rise[kept]
 
 
 def _may_carry(carrier: PlacedAsset, thing: PlacedAsset, config: SupportConfig) -> bool:
     """Whether boxes and heights leave it possible that one thing stands on or in another."""
     if carrier.instance_id == thing.instance_id or (carrier.high[:2] < thing.low[:2]).any() or (carrier.low[:2] > thing.high[:2]).any():
         return False
+    if is_floor_covering(thing, config) and not is_floor_covering(carrier, config):
+        return False  # a rug lies under what stands on it
     difference = float(carrier.low[2] - thing.low[2])
-    if abs(difference) <= config.same_bottom_m:
-        return (carrier.plan_area, carrier.instance_id) > (thing.plan_area, thing.instance_id)
-    return difference < 0
+    if difference < -config.same_bottom_m:
+        return True
+    if is_floor_covering(carrier, config) and not is_floor_covering(thing, config):
+        return abs(difference) <= config.reach_m
+    if difference > config.same_bottom_m:  # scanned too high, or the other too low: something large may still hold it
+        holds = (carrier.low[:2] <= thing.low[:2]).all() and (carrier.high[:2] >= thing.high[:2]).all()
+        return bool(holds and difference <= config.reach_m and carrier.high[2] > thing.high[2])
+    return (carrier.plan_area, carrier.instance_id) > (thing.plan_area, thing.instance_id)
 
 
-def _rests_on(name: str, other: str, rests: Mapping[str, tuple[str | None, float] | None]) -> bool:
+def _rests_on(name: str, other: str, rests: Mapping[str, _Rest | None]) -> bool:
     """Whether `name` rests on `other`, directly or through others, as far as is known."""
     while name != other:
         rest = rests.get(name)
-        if rest is None or rest[0] is None:
+        if rest is None or rest.parent is None:
             return False
-        name = rest[0]
+        name = rest.parent
     return True
-
-
-def _carrier(thing: PlacedAsset, rest: tuple[str | None, float] | None, room: Room | None, config: SupportConfig) -> Carrier:
-    """The relation of one thing; the lift is its own only."""
-    near_wall = room is not None and _wall_distance(thing, room) <= config.wall_m
-    hung = thing.category in config.hung_categories and near_wall and (rest is None or abs(rest[1]) > config.hung_gap_m)
-    if rest is not None and not hung:
-        parent, gap = rest
-        return Carrier("floor" if parent is None else "on", parent, gap, -gap)
-    if room is not None and not hung and abs(thing.high[2] - room.height_m) <= config.ceiling_m:
-        return Carrier("ceiling", None, 0.0, 0.0)
-    if near_wall:
-        return Carrier("wall", None, 0.0, 0.0)
-    gap = float(thing.low[2])
-    return Carrier("floor", None, gap, -gap) if 0 < gap <= config.drop_m else Carrier("none", None, gap, 0.0)
-
-
-def _wall_distance(thing: PlacedAsset, room: Room) -> float:
-    """Distance between a thing's box in plan and the nearest wall [m]; the floor polygon's edges where no wall is known."""
-    from shapely.geometry import LineString, MultiLineString, box
-
-    ring = room.floor_polygon
-    edges = [(*a, *b) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)]
-    lines = [LineString([(w[0], w[1]), (w[2], w[3])]) for w in room.walls or edges]
-    if not lines:
-        return float("inf")
-    plan = box(*thing.low[:2], *thing.high[:2])
-    return float(MultiLineString(lines).distance(plan))

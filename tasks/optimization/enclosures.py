@@ -1,0 +1,36 @@
+"""What is inside what it stands on: compartments have a board above, containers have sides all around."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tasks.optimization.heights import occupancy, plan_view
+
+if TYPE_CHECKING:
+    from tasks.optimization.supports import PlacedAsset, SupportConfig
+
+
+def encloses(parent: PlacedAsset, thing: PlacedAsset, gap: float, config: SupportConfig) -> bool:
+    """Whether the surface that carries a thing has parts of the same parent above it, or all around it.
+
+    `gap`: of the thing's bottom above that surface [m].
+    """
+    rest = float(thing.low[2]) - gap
+    center = np.array([*(0.5 * (thing.low + thing.high)[:2]), rest + 0.5 * thing.height])
+    if (center < parent.low).any() or (center > parent.high).any():
+        return False
+    cells, _ = thing.footprint(config.cell_m)
+    over = plan_view(parent.surface, thing.low[:2], thing.high[:2], math.inf, config.cell_m).at(cells)
+    if (over > center[2]).mean() >= 0.5:
+        return True
+    cell = float(np.clip((parent.high - parent.low)[:2].max() / 64, 0.005, 0.04))
+    sides = occupancy(parent.surface, parent.low[:2], parent.high[:2], rest + config.base_m, max(center[2], rest + 2 * config.base_m), cell)
+    points = (np.argwhere(np.isfinite(sides.heights)) + np.array(sides.first) + 0.5) * cell - center[:2]
+    if not len(points):
+        return False
+    # sectors of the horizon of 1/24 turn in which a side stands
+    sectors = np.floor(np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) * 24).astype(np.int64) % 24
+    return bool(len(np.unique(sectors)) >= config.enclosed_share * 24)
