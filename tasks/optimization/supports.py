@@ -15,6 +15,7 @@ from tasks.meshes import Surface
 from tasks.optimization.enclosures import encloses
 from tasks.optimization.heights import occupancy, plan_view, underside
 from tasks.optimization.mounting import mounting
+from tasks.optimization.standing import standing_map
 from tasks.optimization.walls import WallFace, stands_against, wall_contact, wall_faces
 
 Array = NDArray[np.float64]
@@ -116,13 +117,14 @@ class PlacedAsset:
 class Carrier:
     """What carries a thing. `gap` [m]: height of its bottom above that, both as proposed. `lift` [m]: how far it is
     moved up to rest, its carrier's own lift included. `against`: part of the room's shell that it hangs on or stands
-    against."""
+    against. `is_fixed`: fastened to the room."""
 
     relation: str
     parent_id: str | None
     gap: float
     lift: float
     against: str | None = None
+    is_fixed: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,7 +165,7 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: Supp
                 known = dataclasses.replace(known, relation="inside" if inside else "on", lift=lift)
             if faces and against is None and not is_covering(by_id[name], config):
                 against = stands_against(by_id[name], faces, config.against_m)
-            carriers[name] = dataclasses.replace(known, against=against)
+            carriers[name] = dataclasses.replace(known, against=against, is_fixed=is_fixed(known, by_id[name].category))
         return carriers[name]
 
     return {name: settle(name) for name in sorted(found)}
@@ -202,38 +204,44 @@ def allowed_shifts(
     thing: PlacedAsset, carrier: PlacedAsset, gap: float, step: float, reach: int, config: SupportConfig
 ) -> NDArray[np.bool_]:
     """Where a carried thing may stand, in steps [m] along x and y from its place on its carrier: shape (2 reach + 1,
+    2 reach + 1). The same as `support_map`, in steps longer than a cell."""
+    per_step = max(1, round(step / config.cell_m))
+    return _standing(thing, carrier, gap, step / per_step, per_step, reach, config)
+
+
+def support_map(thing: PlacedAsset, carrier: PlacedAsset, gap: float, cell: float, reach: int, config: SupportConfig) -> NDArray[np.bool_]:
+    """Where a carried thing may stand, in cells [m] along x and y from its place on its carrier: shape (2 reach + 1,
     2 reach + 1).
 
     It may where as much of its base, or at least `carried_share` of it, is carried at the same height, and where no
-    more of the carrier (the side of a compartment) is in its way than at its place.
+    more of the carrier (the side of a compartment) is in its way than at its place. `gap`: as in its `Carrier`.
     """
-    per_step = max(1, round(step / config.cell_m))
-    cell = step / per_step
-    rest = float(thing.low[2]) - gap
+    return _standing(thing, carrier, gap, cell, 1, reach, config)
+
+
+def _standing(
+    thing: PlacedAsset, carrier: PlacedAsset, gap: float, cell: float, per_step: int, reach: int, config: SupportConfig
+) -> NDArray[np.bool_]:
+    """The map of `support_map` in steps of `per_step` cells."""
+    rest, level = float(thing.low[2]) - gap, config.base_m
     cells, heights = thing.footprint(cell)
-    base = _thinned(cells[heights <= thing.low[2] + config.base_m])
-    body = _thinned(cells)
-    margin = reach * step + cell
-    level = config.base_m
+    rise = heights - thing.low[2]
+    margin = reach * per_step * cell + cell
     low, high = thing.low[:2] - margin, thing.high[:2] + margin
+    base, lowest = rise <= level, 0.0
     floor = plan_view(carrier.surface, low, high, rest + level, cell, carrier.closed)
-    rise = float(thing.high[2] - thing.low[2])
-    solid = occupancy(carrier.surface, low, high, rest + level, rest + max(rise - config.cell_m, level), cell)
-    carried = np.empty((2 * reach + 1, 2 * reach + 1))
-    blocked = np.empty_like(carried)
-    for i in range(-reach, reach + 1):
-        for j in range(-reach, reach + 1):
-            shift = np.array([i, j]) * per_step
-            carried[i + reach, j + reach] = (np.abs(floor.at(base + shift) - rest) <= level).mean()
-            blocked[i + reach, j + reach] = np.isfinite(solid.at(body + shift)).mean()
-    allowed: NDArray[np.bool_] = (carried >= min(config.carried_share, carried[reach, reach])) & (blocked <= blocked[reach, reach] + 0.02)
-    allowed[reach, reach] = True
-    return allowed
-
-
-def _thinned(cells: NDArray[np.int64], most: int = 300) -> NDArray[np.int64]:
-    """Every n-th cell: shares are needed to a percent."""
-    return cells[:: max(1, len(cells) // most)]
+    if (np.abs(floor.at(cells[base]) - rest) <= level).mean() < config.share:
+        # its lowest part is past the carrier's edge: what stands is what touches
+        under = plan_view(carrier.surface, low, high, rest + float(rise.max()) + level, cell, carrier.closed).at(cells)
+        touches = np.abs(under - rest - rise) <= level
+        if touches.any():
+            lowest = float(np.median(rise[touches]))
+            base = np.abs(rise - lowest) <= level
+            floor = plan_view(carrier.surface, low, high, rest + lowest + level, cell, carrier.closed)
+    top = rest + max(thing.height - config.cell_m, lowest + level)
+    solid = occupancy(carrier.surface, low, high, rest + lowest + level, top, cell)
+    stood, body = cells[base], cells[_kept(cells, 200)]
+    return standing_map(floor, solid, rest + lowest, level, stood[_kept(stood, 200)], body, per_step, reach, config.carried_share)
 
 
 def _carrier(
@@ -281,7 +289,7 @@ def _rest_within(
     on_base = rise <= config.base_m
     near = [other for other in others if _may_carry(other, thing, config) and not _rests_on(other.instance_id, thing.instance_id, rests)]
     has_floor = bool(abs(thing.low[2]) <= config.reach_m)
-    found = _most_carried(thing, *_thinned_base(cells[on_base], rise[on_base]), near, has_floor, config)
+    found = _most_carried(thing, cells[on_base], rise[on_base], near, has_floor, config)
     if found is not None or on_base.all():
         return found
     levels = np.floor(rise / config.base_m).astype(np.int64)
@@ -291,7 +299,7 @@ def _rest_within(
         over = np.abs(cells[at].mean(axis=0) - cells.mean(axis=0)) * config.cell_m
         if level == 0 or (over > 0.25 * (thing.high - thing.low)[:2]).any():  # what lies so far off its middle would tip
             continue
-        found = _most_carried(thing, *_thinned_base(cells[at], rise[at]), near, False, config)
+        found = _most_carried(thing, cells[at], rise[at], near, False, config)
         if found is not None and found.gap > -config.reach_m:
             return found
     return None
@@ -303,7 +311,8 @@ def _most_carried(
     """Whose surface is the highest within reach under most of a base; `rise` of its cells over the thing's bottom [m]."""
     if not len(base):  # nothing of it near its lowest point is wide enough to stand on
         return None
-    low = float(thing.low[2])
+    low, kept = float(thing.low[2]), _kept(base, 2000)
+    base, rise = base[kept], rise[kept]
     first, last = base.min(axis=0) * config.cell_m, (base.max(axis=0) + 0.5) * config.cell_m
     # how high the bottom would be with each part of the base touching what is below it
     touching = [-rise] if has_floor else []
@@ -332,9 +341,10 @@ def _rest_off(
 ) -> _Rest | None:
     """The nearest surface at most `drop` [m] below a thing that nothing carries within reach, or that it sank into."""
     cells, heights = thing.footprint(config.cell_m)
-    on_base = heights <= thing.low[2] + config.base_m
-    base, rise = _thinned_base(cells[on_base], heights[on_base] - thing.low[2])
     low = float(thing.low[2])
+    on_base = heights <= low + config.base_m
+    kept = _kept(cells[on_base], 2000)
+    base, rise = cells[on_base][kept], heights[on_base][kept] - low
     found = [_Rest(None, low)] if low <= drop else []
     for other in others if len(base) else ():
         if not _may_carry(other, thing, config) or _rests_on(other.instance_id, thing.instance_id, rests):
@@ -349,13 +359,13 @@ def _rest_off(
     return min(found, key=lambda r: (abs(r.gap), r.parent is not None, r.parent or ""), default=None)
 
 
-def _thinned_base(cells: Cells, rise: Array, most: int = 2000) -> tuple[Cells, Array]:
-    """Cells scattered over a base: shares are needed to a percent."""
+def _kept(cells: Cells, most: int) -> NDArray[np.int64]:
+    """Places of about `most` cells in a list of cells, scattered over the grid: shares are needed to a percent."""
     parts = -(-len(cells) // most)
     if parts <= 1:
-        return cells, rise
-    kept = (cells[:, 0] * 73856093 ^ cells[:, 1] * 19349663) % 9973 * parts < 9973  # scattered, or rows would alias
-    return cells[kept], rise[kept]
+        return np.arange(len(cells))
+    scattered = np.flatnonzero((cells[:, 0] * 73856093 ^ cells[:, 1] * 19349663) % 9973 * parts < 9973)
+    return scattered if 2 * len(scattered) > most else np.arange(0, len(cells), parts)
 
 
 def _may_carry(carrier: PlacedAsset, thing: PlacedAsset, config: SupportConfig) -> bool:
