@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +14,7 @@ import pyarrow as pa
 from schemas.candidates import Asset
 from schemas.capture import Room, Scene
 from schemas.errors import InputError, LakeError
-from schemas.optimization import Placement
+from schemas.optimization import Contact, Placement
 from schemas.tables import TABLES
 from warehouse.views import views
 
@@ -27,7 +28,7 @@ STAGES: tuple[str, ...] = tuple(dict.fromkeys(table.stage for table in TABLES.va
 """Stages in the order of the data path."""
 
 PICTURED_SCENES = 10
-"""Scenes with pictures: about 0.3 MB each, so that the report can still be mailed."""
+"""Scenes with pictures: about 0.35 MB each, so that the report can still be mailed."""
 
 
 def write_report(
@@ -104,7 +105,8 @@ def draw_charts(answers: Mapping[str, pa.Table]) -> list[Picture]:
         words.word_cloud(dict(zip(counts["category"].to_pylist(), counts["objects"].to_pylist(), strict=True))),
         charts.volume_boxes(answers["volume_by_category"], answers["volume_outliers"]),
         charts.candidate_bars(answers["candidate_wins"]),
-        charts.loss_pairs(answers["collision_loss"]),
+        charts.deep_pair_counts(answers["collision_loss"]),
+        charts.stability_bars(answers["stability"]),
         charts.navigable_bars(answers["navigability"]),
         charts.stage_bars(answers["stage_timing"], STAGES),
         charts.scene_bars(_of_scenes(answers), STAGES),
@@ -120,7 +122,9 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
     """
     from tasks.meshes import load_glb
     from tasks.replica import placed_parts, room_shell
-    from tasks.stats.scenes import Outline, picture_scene
+    from tasks.stats.charts import loss_curve
+    from tasks.stats.collisions import colliding_pairs, marked_picture
+    from tasks.stats.scenes import Outline, best_corner, picture_scene
 
     reader = lake.snapshot(snapshot_id)
     found = reader.rows(Scene, scene_id)
@@ -130,9 +134,23 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
     rooms = reader.rows(Room, scene_id)
     placements = reader.rows(Placement, scene_id)
     assets = {asset.asset_id: asset for asset in reader.rows_by_key(Asset, sorted({p.asset_id for p in placements}))}
-    objects = [placed_parts(placement, lake.blobs[assets[placement.asset_id].mesh_blob]) for placement in placements]
-    shell = [part for _, part in room_shell(rooms[0])] if rooms else []
-    return picture_scene(scan, shell, objects, Outline.of_room(rooms[0]) if rooms else Outline.of_parts(scan), look)
+    blobs = {p.instance_id: lake.blobs[assets[p.asset_id].mesh_blob] for p in placements}
+    objects = {p.instance_id: placed_parts(p, blobs[p.instance_id]) for p in placements}
+    shell = {name: [part] for name, part in room_shell(rooms[0])} if rooms else {}
+    outline = Outline.of_room(rooms[0]) if rooms else Outline.of_parts(scan)
+    walls = [part for parts in shell.values() for part in parts]
+    pictures = picture_scene(scan, walls, list(objects.values()), outline, look)
+    if not placements:
+        return pictures
+    contacts = reader.rows(Contact, scene_id)
+    camera = best_corner(list(objects.values()), walls, outline, look)
+    proposed = {p.instance_id: placed_parts(p, blobs[p.instance_id], "proposed") for p in placements}
+    return dataclasses.replace(
+        pictures,
+        before=marked_picture(proposed, shell, colliding_pairs(contacts, "proposed"), outline, camera, look),
+        after=marked_picture(objects, shell, colliding_pairs(contacts, "optimized"), outline, camera, look),
+        loss_curve=loss_curve(reader.arrow("optimization_steps", scene_id), placements[0].method, scene_id),
+    )
 
 
 def _picture_scenes(

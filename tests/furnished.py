@@ -14,11 +14,11 @@ from schemas.captions import Caption
 from schemas.capture import Instance, Room, Scene
 from schemas.exports import ExportCheck, ExportFile
 from schemas.navigation import Episode, Navmesh, UnreachableTarget
-from schemas.optimization import Contact, OptimizationStep, Placement, Support
+from schemas.optimization import Certificate, Contact, Optimization, OptimizationStep, Placement, Support
 from schemas.selection import Selection
 from tasks.meshes import dump_glb
 from tasks.replica import placed_parts, room_shell
-from tasks.transforms import flat, yaw_pose
+from tasks.transforms import flat, translation, yaw_pose
 from tests.samples import fingerprint, sample, stage_run
 from warehouse.lake import Lake
 
@@ -63,7 +63,7 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
         Room, scene_id=scene_id, room_type="office", floor_polygon=((0.0, 0.0), (4.0 + number, 0.0), (4.0 + number, 3.2), (0.0, 3.2)),
         floor_area_m2=12.8 + 3.2 * number, walls=((0.0, 0.0, 4.0, 0.0),), interior_walls=(), height_m=HEIGHT,
     )  # fmt: skip
-    tables = ("instances", "captions", "candidates", "assets", "selections", "placements", "supports")
+    tables = ("instances", "captions", "candidates", "assets", "selections", "placements", "supports", "certificates")
     rows: dict[str, list[Any]] = {table: [] for table in tables}
     scan = [mesh for _, mesh in room_shell(room)]
     for index in range(objects):
@@ -82,11 +82,22 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
         "selection": {"selections": rows["selections"]},
         "optimization": {
             "placements": rows["placements"], "supports": rows["supports"],
-            "contacts": [sample(Contact, scene_id=scene_id, phase="proposed", instance_a="0000", instance_b="0001", penetration_m=0.05)],
+            "contacts": [
+                sample(
+                    Contact, scene_id=scene_id, phase="proposed", instance_a="0000", body_b="0001", penetration_m=0.05, is_allowed=False
+                )
+            ] if objects > 1 else [],
             "optimization_steps": [
                 sample(OptimizationStep, scene_id=scene_id, step=step, loss=loss, smallest_loss=loss, outcome=outcome)
                 for step, loss, outcome in ((0, 0.25, "start"), (1, 0.125, "kept"), (2, 0.0, "kept"))
             ],
+            "optimizations": [
+                sample(
+                    Optimization, scene_id=scene_id, method="default", object_count=objects, loss_start=0.25, loss_final=0.0, moves=7,
+                    ended="zero_loss", fixed_count=1, deep_pairs=0, remains=("0003: <nothing> carries it",),
+                )
+            ],
+            "certificates": rows["certificates"],
         },
         "navigation": {
             "navmeshes": [
@@ -126,9 +137,10 @@ def _stage_object(lake: Lake, rows: dict[str, list[Any]], scene_id: str, index: 
     blob = lake.blobs.put(glb, "glb")
     asset = blob.split(".")[0]
     pose = yaw_pose(float(rng.uniform(0, 6)), (0.7 + 1.1 * (index % 3), 0.7 + 1.3 * (index // 3 % 2), 0.0))
+    shift = -0.65 if index == 1 else 0.0  # the second thing was proposed inside the first
     placement = sample(
-        Placement, **of, asset_id=asset, scale=(1.0, 1.0, 1.0), proposed_pose=flat(pose), optimized_pose=flat(pose),
-        displacement_m=0.02 * index, lift_m=-0.01 * index,
+        Placement, **of, asset_id=asset, scale=(1.0, 1.0, 1.0), proposed_pose=flat(translation((shift, 0.0, 0.0)) @ pose),
+        optimized_pose=flat(pose), displacement_m=abs(shift), lift_m=-0.01 * index, method="default",
     )  # fmt: skip
     category = CATEGORIES[index % len(CATEGORIES)]
     rows["instances"].append(
@@ -144,5 +156,12 @@ def _stage_object(lake: Lake, rows: dict[str, list[Any]], scene_id: str, index: 
     rows["candidates"].append(sample(Candidate, **of, slot=2, provider="text_to_3d", outcome="empty", asset_id=None, is_fallback=True))
     rows["selections"].append(sample(Selection, **of, rank=1, slot=1, asset_id=asset, score=0.75))
     rows["placements"].append(placement)
-    rows["supports"].append(sample(Support, **of, relation="floor", gap_m=0.0))
+    rows["supports"].append(sample(Support, **of, relation="floor", gap_m=0.0, is_fixed=index == 0, is_kept=True))
+    moved = 0.5 if index == 3 else 0.001
+    rows["certificates"].append(
+        sample(
+            Certificate, **of, engine="mujoco", engine_version="4.0.0", is_fixed=index == 0, displacement_m=moved, tilt_radians=0.1 * moved,
+            start_penetration_m=0.0, is_stable_1cm=moved <= 0.01, is_stable_5cm=moved <= 0.05, is_density_plausible=True,
+        )
+    )  # fmt: skip
     return placed_parts(placement, glb)

@@ -9,6 +9,7 @@ from typing import Any
 import pyarrow as pa
 from hypothesis import strategies as st
 
+from schemas.optimization import BODY_PATTERN
 from schemas.record import Column, table_of
 from schemas.runs import StageRun
 
@@ -40,6 +41,7 @@ _PATTERNS = {
     r"[0-9]{6}": "000001",
     r"[0-9a-f]{64}": "a" * 64,
     r"[A-Za-z0-9][A-Za-z0-9_.-]*": "batch-1",
+    BODY_PATTERN: "wall_00",
 }
 
 

@@ -14,6 +14,7 @@ from flows.stats import write_report
 from tasks.stats.scenes import PictureConfig
 from tasks.stats.style import INK
 from tests.furnished import furnished_lake
+from tests.test_stats import CHARTS
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -137,7 +138,7 @@ def test_everything_is_there_without_a_network_and_can_be_read(
 ) -> None:
     page, wrong = opened(viewport=viewport, color_scheme=scheme)
     images = page.evaluate("[...document.images].map(image => [image.complete, image.naturalWidth, image.getBoundingClientRect().width])")
-    assert len(images) == 9 + 2 * 4
+    assert len(images) == CHARTS + 2 * 7
     assert all(complete and natural > 0 and shown > 0 for complete, natural, shown in images)
     page.evaluate("document.querySelectorAll('details').forEach(details => { details.open = true })")
     assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
@@ -151,7 +152,7 @@ def test_everything_is_there_without_a_network_and_can_be_read(
 def test_charts_turn_over_with_the_page(opened: Callable[..., tuple[Page, list[str]]], scheme: str) -> None:
     page, wrong = opened(viewport=DESK, color_scheme=scheme)
     inks = [[int(color[at : at + 2], 16) for at in (1, 3, 5)] for color in (INK.light, INK.dark)]
-    for index in range(9):
+    for index in range(CHARTS):
         if page.locator(".charts figcaption code").nth(index).inner_text() == "category_counts":
             continue  # no word of the cloud is in ink
         light, dark = page.evaluate(INKED, [index, inks])

@@ -25,17 +25,21 @@ from hypothesis import strategies as st
 from flows.stats import STAGES, answers_of, draw_charts, picture_scene_of, stage_table, write_report
 from schemas.capture import Room
 from schemas.errors import InputError
+from schemas.optimization import Contact, Placement
 from tasks.meshes import load_glb
-from tasks.rendering import RayScene
+from tasks.rendering import Camera, RayScene
 from tasks.replica import room_shell
-from tasks.stats import charts, grids, scenes, words
+from tasks.stats import charts, collisions, grids, scenes, words
 from tasks.stats.scenes import Outline, PictureConfig
 from tasks.stats.style import GRID, INK, MUTED, PAPER, SERIES, Tone
+from tasks.transforms import matrix
 from tests.furnished import HEIGHT, furnished_lake, solid
 from tests.samples import sample
 from warehouse.lake import Lake
 from warehouse.views import listing
 
+CHARTS = 10
+"""Charts over all scenes of a lake in which there is something of everything."""
 SMALL = PictureConfig(width=120, height=84, oversampling=1)
 
 
@@ -144,7 +148,7 @@ def test_charts_of_a_lake_are_named_after_views_and_the_same_twice(lake: Lake) -
     answers = answers_of(lake.snapshot())
     drawn, again = draw_charts(answers), draw_charts(answers)
     assert drawn == again
-    assert len(drawn) == 9
+    assert len(drawn) == CHARTS
     assert {chart.name for chart in drawn} <= {name for name, _ in listing()}
     for chart in drawn:
         assert chart.png.startswith(b"\x89PNG")
@@ -283,9 +287,125 @@ def test_the_corner_is_the_one_from_which_the_furniture_is_seen() -> None:
         trimesh.creation.box(bounds=[[3.6, 3.5, 0], [5.0, 3.6, 2.2]]),
         trimesh.creation.box(bounds=[[3.5, 3.5, 0], [3.6, 5.0, 2.2]]),
     ]
-    camera = scenes._best_corner([[lamp]], screens, room, PictureConfig())
+    camera = scenes.best_corner([[lamp]], screens, room, PictureConfig())
     assert camera.pose[0, 3] > 5.0
     assert camera.pose[1, 3] > 5.0
+
+
+def cube(low: tuple[float, float, float], size: float = 1.0) -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=[low, np.add(low, size)])
+
+
+@given(shift=st.tuples(*[st.floats(0.1, 0.9)] * 3), at=st.floats(-20, 20))
+@settings(max_examples=40, deadline=None)
+def test_two_things_overlap_where_their_surfaces_cut_each_other(shift: tuple[float, float, float], at: float) -> None:
+    first, second = cube((at, -at, 0.0)), cube((at + shift[0], shift[1] - at, shift[2]))
+    place, turned = collisions.overlap_place([first], [second]), collisions.overlap_place([second], [first])
+    low, high = second.bounds[0], first.bounds[1]
+    # of corners that overlap, the cut runs around all of the overlap's box
+    assert np.allclose(place.center, (low + high) / 2, atol=0.02)
+    assert place.radius == pytest.approx(np.linalg.norm(high - low) / 2, abs=0.04)
+    assert np.allclose(place.center, turned.center, atol=0.01)
+
+
+def test_a_thing_wholly_inside_another_overlaps_where_it_is_and_things_apart_between_them() -> None:
+    inside = collisions.overlap_place([cube((0, 0, 0))], [cube((0.6, 0.2, 0.3), 0.2)])
+    assert np.allclose(inside.center, (0.7, 0.3, 0.4))
+    apart = collisions.overlap_place([cube((0, 0, 0))], [cube((1.5, 0, 0))])
+    assert np.allclose(apart.center, (1.25, 0.5, 0.5))
+
+
+def marked(objects: dict[str, list[trimesh.Trimesh]], pairs: list[tuple[str, str]], corner: int = 0) -> tuple[np.ndarray, Camera]:
+    """A marked picture of a room of 4 x 3 m as RGB, and the camera it was taken with."""
+    from PIL import Image
+
+    config = dataclasses.replace(SMALL, width=400, height=280, jpeg_quality=95)
+    ring = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))
+    room = sample(Room, scene_id="demo/a", floor_polygon=ring, interior_walls=(), height_m=HEIGHT)
+    shell = {name: [part] for name, part in room_shell(room)}
+    camera = scenes.corner_camera(Outline.of_room(room), corner, config)
+    file = collisions.marked_picture(objects, shell, pairs, Outline.of_room(room), camera, config)
+    return np.asarray(Image.open(io.BytesIO(file)).convert("RGB"), dtype=np.int64), camera
+
+
+def red(image: np.ndarray) -> np.ndarray:
+    return np.asarray(image[..., 0] - image[..., 1:].max(axis=2) > 50)
+
+
+def test_only_what_collides_is_tinted_and_a_ring_lies_where_it_overlaps() -> None:
+    objects = {"0000": [cube((1.0, 1.0, 0.0), 0.6)], "0001": [cube((1.5, 1.2, 0.0), 0.6)], "0002": [cube((3.0, 2.0, 0.0), 0.6)]}
+    plain, camera = marked(objects, [])
+    shown, _ = marked(objects, [("0000", "0001")])
+    assert not red(plain).any()
+    tinted = red(shown)
+    place = collisions.overlap_place(objects["0000"], objects["0001"])
+    (center,), _ = camera.project(place.center[None])
+    rows, columns = np.nonzero(tinted)
+    assert np.hypot(columns - center[0], rows - center[1]).max() < 90
+    for name, is_tinted in (("0000", True), ("0001", True), ("0002", False)):
+        middle, _ = camera.project(objects[name][0].bounds.mean(axis=0)[None])
+        column, row = np.round(middle[0]).astype(int)
+        assert tinted[row, column] == is_tinted, name
+    # white of the halo, all around
+    white = (shown.min(axis=2) > 235) & (plain.min(axis=2) < 225)
+    angles = np.arctan2(*(np.argwhere(white) - center[::-1]).T)
+    assert set(np.floor(angles / (np.pi / 4)).astype(int)) >= set(range(-4, 4))
+    far = np.hypot(*(np.indices(tinted.shape) - center[::-1, None, None])) > 100
+    assert np.abs(shown - plain)[far].max() <= 12  # JPEG
+
+
+def test_what_collides_is_shown_where_its_wall_is_cut_away() -> None:
+    # a picture on the wall at x = 0, which the camera beyond that wall looks through
+    objects = {"0000": [trimesh.creation.box(bounds=[[0.0, 1.0, 1.2], [0.04, 1.8, 1.8]])]}
+    assert not red(marked(objects, [], corner=2)[0]).any()
+    assert red(marked(objects, [("0000", "wall_03")], corner=2)[0]).sum() > 200
+
+
+def test_a_thing_that_is_nowhere_costs_its_own_place_in_the_picture_only() -> None:
+    lost = cube((2.0, 2.0, 0.0), 0.5)
+    lost.vertices[0] = np.nan
+    objects = {"0000": [cube((1.0, 1.0, 0.0), 0.6)]}
+    assert (marked({**objects, "0001": [lost]}, [("0000", "0001")])[0] == marked(objects, [("0000", "0001")])[0]).all()
+
+
+def test_pairs_that_collide_are_deeper_than_2_mm_and_not_allowed() -> None:
+    contacts = [
+        sample(Contact, scene_id="demo/a", phase=phase, instance_a="0000", body_b=body, penetration_m=depth, is_allowed=allowed)
+        for phase, body, depth, allowed in (
+            ("proposed", "wall_00", 0.01, False), ("proposed", "0001", 0.0021, False), ("proposed", "0002", 0.002, False),
+            ("proposed", "wall_01", 0.5, True), ("optimized", "0003", 0.01, False),
+        )
+    ]  # fmt: skip
+    assert collisions.colliding_pairs(contacts, "proposed") == [("0000", "0001"), ("0000", "wall_00")]
+    assert collisions.colliding_pairs(contacts, "optimized") == [("0000", "0003")]
+
+
+def test_the_loss_curve_of_many_steps_is_small_and_says_start_and_end() -> None:
+    rng = np.random.default_rng(0)
+    loss = np.concatenate([[0.5], rng.random(9999) * 0.4 + 0.1, [0.0]])
+    steps = pa.table({"step": range(len(loss)), "loss": loss, "smallest_loss": np.minimum.accumulate(loss)})
+    drawn = charts.loss_curve(steps, "paper", "demo/a")
+    assert drawn is not None
+    assert drawn == charts.loss_curve(steps.take(rng.permutation(len(loss))), "paper", "demo/a")
+    assert len(drawn.svg) < 40_000
+    assert "500 l at the start, 0 l in the end" in drawn.alt
+    assert "0" in texts(drawn.svg)  # the axis reaches zero
+    assert any("[l]" in text for text in texts(drawn.svg))
+    in_depth = charts.loss_curve(steps.slice(0, 3), "default", "demo/a")
+    assert in_depth is not None
+    assert any("[mm]" in text for text in texts(in_depth.svg))
+    assert charts.loss_curve(steps.slice(0, 0), "paper", "demo/a") is None
+
+
+def test_a_share_says_all_or_none_only_when_it_is() -> None:
+    assert [grids.as_share(share) for share in (1.0, 0.9999, 0.985, 1 / 6, 0.0001, 0.0)] == [
+        "100%",
+        "99.9%",
+        "98.5%",
+        "16.7%",
+        "0.1%",
+        "0%",
+    ]
 
 
 def test_a_real_house_is_pictured_from_above_and_opened(realdata: Callable[[str], Path]) -> None:
@@ -359,7 +479,7 @@ def test_the_report_is_one_file_that_refers_to_nothing_outside(report: Path) -> 
     page = Page(html)
     assert len(page.ids) == len(set(page.ids))
     assert all(link.startswith("#") and link[1:] in page.ids for link in page.links)
-    assert len(page.images) == 9 + 2 * 4
+    assert len(page.images) == CHARTS + 2 * 7
     assert all(str(image["src"]).startswith("data:image/") and image["alt"] for image in page.images)
     assert not {"link", "iframe", "object", "embed"} & set(page.tags)
     assert not re.search(r"(?:src|href)=\"(?!data:|#)|@import|url\((?!data:)", re.sub(r"data:[^\"]*", "data:", html))
@@ -376,13 +496,47 @@ def test_the_report_says_what_the_views_say(report: Path, lake: Lake) -> None:
     for row in answers["scene_objects"].to_pylist():
         assert row["instance_id"] in page.text
     assert "28.8 m²" in page.text  # 12.8 + 16
-    assert "250 → 0" in page.text  # liters of overlap before and after
+    assert "1 → 0" in page.text  # pairs deeper than 2 mm before and after
+    assert "4 of 5, 80%" in page.text  # free objects that stay within 5 cm; one of six is fixed
+    assert "0003 book, 50.0 cm" in page.text
+    assert "<nothing> carries it" in page.text
     assert "3 of 4" in page.text  # exports
     assert "determinant is 0; remove the line to have it estimated" in page.text
     assert "no view; shape by category" in page.text
     assert "up is <missing>" in page.text
     assert "CC-BY-4.0" in page.text
     assert f"Snapshot {lake.snapshot().snapshot_id} of " in page.text
+
+
+def test_a_scene_has_a_picture_before_and_one_after_its_optimization(report: Path) -> None:
+    images = {str(image["alt"]): str(image["src"]) for image in Page(report.read_text()).images}
+    for scene in ("demo/room_0", "demo/room_1"):
+        before, after = (images[f"{name} of {scene} seen with what collides marked"] for name in ("Proposed", "Optimized"))
+        assert before != after
+        assert any(alt.startswith(f"Collision loss of {scene} over 2 steps: 250 mm at the start, 0 mm") for alt in images)
+
+
+def test_the_picture_before_shows_the_proposed_poses_and_the_one_after_the_optimized(lake: Lake) -> None:
+    reader = lake.snapshot()
+    placements = reader.rows(Placement, "demo/room_0")
+    room = reader.rows(Room, "demo/room_0")[0]
+    shell = {name: [part] for name, part in room_shell(room)}
+    parts = [solid(int(placement.instance_id)) for placement in placements]
+    pictures = picture_scene_of(lake, reader.snapshot_id, "demo/room_0", SMALL)
+
+    def expected(phase: str, pairs: list[tuple[str, str]]) -> bytes:
+        objects, optimized = (
+            {
+                placement.instance_id: [part.copy().apply_transform(matrix(getattr(placement, f"{name}_pose")))]
+                for placement, part in zip(placements, parts, strict=True)
+            }
+            for name in (phase, "optimized")
+        )
+        camera = scenes.best_corner(list(optimized.values()), [part for of in shell.values() for part in of], Outline.of_room(room), SMALL)
+        return collisions.marked_picture(objects, shell, pairs, Outline.of_room(room), camera, SMALL)
+
+    assert pictures.before == expected("proposed", [("0000", "0001")])
+    assert pictures.after == expected("optimized", [])
 
 
 def test_the_report_tells_nothing_of_the_machine(report: Path, lake: Lake) -> None:
@@ -396,7 +550,7 @@ def test_the_same_snapshot_gives_the_same_report_and_pictures(report: Path, lake
     assert again == tmp_path / "report.html"
     assert again.read_bytes() == report.read_bytes()
     made = sorted(path.name for path in (tmp_path / "pictures").iterdir())
-    assert len(made) == 18
+    assert len(made) == 2 * CHARTS
     for name in made:
         assert (tmp_path / "pictures" / name).read_bytes() == (report.parent / "pictures" / name).read_bytes()
 
@@ -416,6 +570,13 @@ def test_an_empty_lake_has_a_report(tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
+def test_more_scenes_than_are_pictured_are_counted(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flows.stats.PICTURED_SCENES", 1)
+    page = Page(write_report(lake, tmp_path / "report.html", look=SMALL, workers=1).read_text())
+    assert "The first 1 of 2 scenes are pictured" in page.text
+    assert not any("demo/room_1" in str(image["alt"]) and str(image["src"]).startswith("data:image/jpeg") for image in page.images)
+
+
 def test_a_snapshot_that_is_not_there_is_refused(lake: Lake, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no snapshot 99"):
         write_report(lake, tmp_path / "report.html", 99)
@@ -431,7 +592,7 @@ def test_a_scene_that_cannot_be_pictured_costs_its_pictures_only(tmp_path: Path)
     page = Page(write_report(lake, tmp_path / "report.html", look=SMALL, workers=1).read_text())
     assert "No pictures:" in page.text
     assert sum("demo/room_0" in str(image["alt"]) and str(image["src"]).startswith("data:image/jpeg") for image in page.images) == 0
-    assert sum("demo/room_1" in str(image["alt"]) and str(image["src"]).startswith("data:image/jpeg") for image in page.images) == 4
+    assert sum("demo/room_1" in str(image["alt"]) and str(image["src"]).startswith("data:image/jpeg") for image in page.images) == 6
 
 
 def test_a_scene_that_is_not_in_the_snapshot_is_refused(lake: Lake) -> None:

@@ -22,6 +22,9 @@ SCENE_LIMIT = 20
 SMALLEST_VOLUME_M3 = 1e-6
 """A cubic centimetre. Flatter boxes are drawn there: a logarithmic axis has no zero."""
 
+_CURVE_POINTS = 400
+"""Steps that a loss curve of a phone's width can tell apart."""
+
 _BLUE, _ORANGE, _GREEN, _GRAY = (SERIES[i].light for i in (0, 1, 2, 8))
 
 
@@ -191,27 +194,99 @@ def candidate_bars(wins: pa.Table) -> Picture | None:
 
 
 @in_style
-def loss_pairs(losses: pa.Table) -> Picture | None:
-    """Collision loss before and after the optimization, the worst scenes first. Rows of `collision_loss`."""
-    rows = [row for row in losses.to_pylist() if row["loss_before_m3"] is not None and row["loss_after_m3"] is not None]
-    order = sorted(rows, key=lambda row: (-row["loss_before_m3"], row["scene_id"]))[:SCENE_LIMIT]
+def deep_pair_counts(losses: pa.Table) -> Picture | None:
+    """Pairs deeper than 2 mm before and after the optimization, the worst scenes first. Rows of `collision_loss`.
+
+    Unlike the loss, whose unit is the method's, they compare over all scenes.
+    """
+    order = sorted(losses.to_pylist(), key=lambda row: (-row["deep_pairs_before"], row["scene_id"]))[:SCENE_LIMIT]
     if not order:
         return None
-    before = np.array([row["loss_before_m3"] for row in order]) * 1000
-    after = np.array([row["loss_after_m3"] for row in order]) * 1000
+    before, after = (np.array([row[f"deep_pairs_{when}"] for row in order]) for when in ("before", "after"))
     figure, axes = canvas(1.6 + 0.26 * len(order))
     y = np.arange(len(order))
     axes.hlines(y, after, before, color=MUTED.light, linewidth=1.4, zorder=2)
-    axes.plot(before, y, linestyle="none", marker="o", markersize=6, color=_ORANGE, label="proposed", zorder=3)
-    axes.plot(after, y, linestyle="none", marker="o", markersize=6, color=_GREEN, label="optimized", zorder=3)
+    axes.plot(before, y, linestyle="none", marker="o", markersize=7, color=_ORANGE, label="proposed", zorder=3)
+    axes.plot(after, y, linestyle="none", marker="o", markersize=5, color=_GREEN, label="optimized", zorder=3)
     _category_axis(axes, [row["scene_id"] for row in order])
     axes.margins(x=0.06)
-    axes.set_xlabel("collision loss [liters of overlap]")
-    title = "Collision loss before and after"
+    _whole_numbers(axes)
+    axes.set_xlabel("pairs that penetrate deeper than 2 mm")
+    title = "Collisions before and after"
     axes.set_title(title)
     axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.0)
-    alt = f"Collision loss of {len(order)} scenes: {before.sum():.3g} liters in all as proposed, {after.sum():.3g} after the optimization."
+    alt = f"Pairs deeper than 2 mm in {len(order)} scenes: {before.sum()} as proposed, {after.sum()} after the optimization."
     return picture(figure, "collision_loss", title, alt)
+
+
+@in_style
+def stability_bars(rows: pa.Table) -> Picture | None:
+    """Share of each scene's free objects that stay within 5 cm and within 1 cm, the least stable first. Rows of `stability`."""
+    judged = [row for row in rows.to_pylist() if row["free"]]
+    order = sorted(judged, key=lambda row: (row["stable_5cm_share"], row["stable_1cm_share"], row["scene_id"], row["engine"]))[:SCENE_LIMIT]
+    if not order:
+        return None
+    five, one = (100 * np.array([row[f"stable_{limit}_share"] for row in order]) for limit in ("5cm", "1cm"))
+    several = len({row["engine"] for row in order}) > 1
+    figure, axes = canvas(1.5 + 0.27 * len(order))
+    y = np.arange(len(order))
+    axes.barh(y, five, height=0.7, color=_GRAY, alpha=0.45, label="5 cm and 5 degrees")
+    axes.barh(y, one, height=0.42, color=_GREEN, label="1 cm")
+    for at, row in enumerate(order):
+        text = f"{row['stable_1cm']}, {row['stable_5cm']} of {row['free']}"
+        axes.annotate(text, (max(five[at], one[at]), at), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8)
+    _category_axis(axes, [f"{row['scene_id']} {row['engine']}" if several else row["scene_id"] for row in order])
+    axes.set_xlim(0, 128)  # room for the numbers
+    axes.set_xticks(range(0, 101, 20))
+    axes.set_xlabel("free objects that stay within a limit [%]")
+    title = "Stability under gravity"
+    axes.set_title(title)
+    axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.0)
+    total, fixed = (sum(row[key] for row in order) for key in ("free", "fixed"))
+    alt = (
+        f"Of {total} free objects in the scenes shown, {sum(row['stable_5cm'] for row in order)} stay within 5 cm and 5 degrees, "
+        f"{sum(row['stable_1cm'] for row in order)} within 1 cm. {fixed} more are fixed."
+    )
+    return picture(figure, "stability", title, alt)
+
+
+@in_style
+def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
+    """Loss and smallest loss so far over the steps of a scene's optimization, on an axis that is logarithmic down to the
+    smallest loss above zero and linear from there to zero. Rows of `optimization_steps`.
+
+    The smallest loss is drawn at every step at which it falls; of many steps, the loss as the range that it takes.
+    """
+    rows = sorted(steps.select(["step", "loss", "smallest_loss"]).to_pylist(), key=lambda row: row["step"])
+    if not rows:
+        return None
+    unit, factor, what = ("l", 1000.0, "overlap of the boxes") if method == "paper" else ("mm", 1000.0, "penetration depth")
+    step, loss, smallest = (np.array([row[key] for row in rows], dtype=np.float64) for key in ("step", "loss", "smallest_loss"))
+    loss, smallest = loss * factor, smallest * factor
+    figure, axes = canvas(2.7)
+    if len(rows) > _CURVE_POINTS:
+        starts = np.linspace(0, len(rows), _CURVE_POINTS // 2 + 1).astype(np.int64)[:-1]
+        low, high = np.minimum.reduceat(loss, starts), np.maximum.reduceat(loss, starts)
+        axes.fill_between(step[starts], low, high, step="post", color=_ORANGE, alpha=0.45, linewidth=0, label="loss, its range")
+    else:
+        axes.plot(step, loss, color=_ORANGE, linewidth=1.1, drawstyle="steps-post", label="loss")
+    falls = np.flatnonzero(np.diff(smallest, prepend=np.inf) < 0)
+    ends = np.append(falls, len(rows) - 1)
+    axes.plot(step[ends], smallest[ends], color=_BLUE, linewidth=1.8, drawstyle="steps-post", label="smallest so far")
+    _loss_axis(axes, np.concatenate([loss, smallest]))
+    axes.grid(visible=False, axis="x")
+    axes.grid(visible=True, axis="y", color=GRID.light, linewidth=0.7)
+    axes.set_xlim(0, 1.03 * max(step[-1], 1))  # a fall at the last step is to be seen
+    _whole_numbers(axes)
+    axes.set_xlabel("step" if method == "paper" else "step; moves that were taken back are left out")
+    axes.set_ylabel(f"{what} [{unit}]")
+    title = f"Loss, method {method}"
+    axes.set_title(title)
+    axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.4)
+    alt = (
+        f"Collision loss of {scene_id} over {len(rows) - 1} steps: {loss[0]:.3g} {unit} at the start, {smallest[-1]:.3g} {unit} in the end."
+    )
+    return picture(figure, f"loss_{scene_id}", title, alt)
 
 
 @in_style
@@ -231,6 +306,31 @@ def navigable_bars(floors: pa.Table) -> Picture | None:
     axes.set_title(title)
     alt = f"Navigable share of the floor in {len(order)} scenes: {share.min():.0f}% to {share.max():.0f}%."
     return picture(figure, "navigability", title, alt)
+
+
+def _whole_numbers(axes: Axes) -> None:
+    """Ticks of the x axis at whole numbers only."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _loss_axis(axes: Axes, values: Any) -> None:
+    """A logarithmic y axis in plain numbers over values that are not negative; below the smallest positive one linear to zero."""
+    from matplotlib.ticker import FuncFormatter, NullLocator, SymmetricalLogLocator
+
+    positive = values[values > 0]
+    if not len(positive):
+        axes.set_ylim(0, 1)
+        return
+    high = float(positive.max())
+    # six decades are shown at most: below them is rounding, drawn at zero
+    low = max(10.0 ** np.floor(np.log10(positive.min())), 10.0 ** (np.floor(np.log10(high)) - 6))
+    axes.set_yscale("symlog", linthresh=low, linscale=0.4)
+    axes.set_ylim(0, high * 1.5)
+    axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=low))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _volume_axis(axes: Axes, values: Sequence[float]) -> None:

@@ -90,6 +90,12 @@ def as_percent(value: Any) -> str:
     return f"{100 * value:.0f}%"
 
 
+def as_share(value: Any) -> str:
+    """A share as a percentage with one decimal: 100% means all, 0% means none."""
+    rounded = round(100 * value, 1)
+    return f"{min(max(rounded, 0.1), 99.9) if 0 < value < 1 else rounded:g}%"
+
+
 def as_size(value: Any) -> str:
     """Bytes as kB or MB."""
     return f"{value / 1e6:.1f} MB" if value >= 1e5 else f"{value / 1e3:.1f} kB"
@@ -112,7 +118,7 @@ def as_box(value: Any) -> str:
 
 def grid(caption: str, view: str, rows: pa.Table, columns: Sequence[tuple[str, str, Format]]) -> Grid:
     """Columns of an Arrow table as text: (column, header, format) each. A missing value is a dash."""
-    numeric = [form in (as_count, as_number, as_percent, as_size, as_box) for _, _, form in columns]
+    numeric = [form in (as_count, as_number, as_percent, as_share, as_size, as_box) for _, _, form in columns]
     shown = rows.slice(0, ROW_LIMIT).select([name for name, _, _ in columns]).to_pylist()
     cells = tuple(
         tuple(
@@ -197,6 +203,73 @@ _REPORT_COLUMNS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] =
             ("median_chamfer_m", "Chamfer distance [m]", as_number),
             ("median_coverage", "Coverage", as_percent),
             ("median_box_iou", "Box IoU", as_number),
+        ),
+    ),
+    "scene_certificates": (
+        "Plausible scenes",
+        (
+            ("scene_id", "Scene", as_text),
+            ("method", "Method", as_text),
+            ("engine", "Engine", as_text),
+            ("deep_pairs", "Deep pairs", as_count),
+            ("free", "Free", as_count),
+            ("unstable_1cm", "Beyond 1 cm", as_count),
+            ("unstable_5cm", "Beyond 5 cm or 5\u00b0", as_count),
+            ("uncertified", "Uncertified", as_count),
+            ("lost_supports", "Lost supports", as_count),
+            ("implausible_densities", "Odd densities", as_count),
+            ("remains", "Remains", as_count),
+            ("is_plausible", "Plausible", as_yes),
+        ),
+    ),
+    "unstable_objects": (
+        "Objects that do not stay",
+        (
+            ("scene_id", "Scene", as_text),
+            ("instance_id", "Instance", as_text),
+            ("category", "Category", as_text),
+            ("engine", "Engine", as_text),
+            ("support", "Carried by", as_text),
+            ("displacement_m", "Moves [m]", as_number),
+            ("tilt_degrees", "Tilts [\u00b0]", as_number),
+            ("start_penetration_m", "Starts at depth [m]", as_number),
+            ("fails_5cm", "Fails at 5 cm or 5\u00b0", as_yes),
+        ),
+    ),
+    "optimization_remains": (
+        "What the optimization could not put right",
+        (
+            ("scene_id", "Scene", as_text),
+            ("instance_id", "Instance", as_text),
+            ("category", "Category", as_text),
+            ("remains", "What remains", as_text),
+        ),
+    ),
+    "support_counts": (
+        "What carries the objects",
+        (
+            ("scene_id", "Scene", as_text),
+            ("on_floor", "Floor", as_count),
+            ("on_objects", "On others", as_count),
+            ("inside_objects", "Inside others", as_count),
+            ("on_walls", "Walls", as_count),
+            ("on_ceiling", "Ceiling", as_count),
+            ("unsupported", "Nothing", as_count),
+            ("fixed", "Fixed", as_count),
+            ("lost", "Lost", as_count),
+        ),
+    ),
+    "density_check": (
+        "Densities",
+        (
+            ("category", "Category", as_text),
+            ("objects", "Objects", as_count),
+            ("implausible", "Implausible", as_count),
+            ("least_density_kg_m3", "Least [kg/m\u00b3]", as_number),
+            ("median_density_kg_m3", "Median [kg/m\u00b3]", as_number),
+            ("greatest_density_kg_m3", "Greatest [kg/m\u00b3]", as_number),
+            ("allowed_from_kg_m3", "Allowed from", as_number),
+            ("allowed_to_kg_m3", "Allowed to", as_number),
         ),
     ),
     "export_verdicts": (

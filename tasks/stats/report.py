@@ -5,17 +5,20 @@ from __future__ import annotations
 import base64
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import pyarrow as pa
 
 from tasks.stats.grids import (
+    Cell,
     Format,
     Grid,
     as_box,
     as_count,
     as_number,
     as_percent,
+    as_share,
     as_text,
     grid,
     report_grids,
@@ -54,14 +57,30 @@ class ReportContent:
 
 
 @dataclasses.dataclass(frozen=True)
+class PicturePair:
+    """Two pictures from the same camera, as data addresses, each with its name and what is to be seen."""
+
+    title: str
+    names: tuple[str, str]
+    addresses: tuple[str, str]
+    alts: tuple[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
 class SceneCard:
-    """What the report says of one scene. Pictures are data addresses; `excuse` stands where there are none."""
+    """What the report says of one scene. `excuse` stands where there are no pictures.
+
+    curve: the loss curve's address and what is to be seen. remains: what the optimization could not put right.
+    """
 
     scene_id: str
     anchor: str
     facts: tuple[tuple[str, str], ...]
-    pictures: tuple[tuple[str, str, str, str, str], ...]
+    pictures: tuple[PicturePair, ...]
     excuse: str
+    curve: tuple[str, str] | None
+    certificate: Grid
+    remains: tuple[str, ...]
     objects: Grid
 
 
@@ -99,6 +118,8 @@ def _headline(rows: pa.Table) -> list[tuple[str, str]]:
         (as_count(row["categories"]), "categories"),
         (as_count(row["placed_objects"]), "placed assets"),
         (as_count(row["assets"]), "candidate assets"),
+        (f"{as_count(row['stable_5cm'])} of {as_count(row['free_objects'])}", "free objects stable at 5 cm"),
+        (as_count(row["deep_pairs"]), "pairs deeper than 2 mm"),
         (as_count(row["episodes"]), "episodes"),
         (f"{as_count(row['exports_passed'])} of {as_count(row['exports'])}", "exports pass all checks"),
         (as_count(row["failures"]), "failed stages"),
@@ -108,14 +129,6 @@ def _headline(rows: pa.Table) -> list[tuple[str, str]]:
 
 def _card(scene_id: str, pictures: ScenePictures | str, answers: Mapping[str, pa.Table]) -> SceneCard:
     """One scene's card."""
-    shown: list[tuple[str, str, str, str, str]] = []
-    if isinstance(pictures, ScenePictures):
-        for title, where, scan, replica in (
-            ("Corner view", "from above a corner, without the walls in front", pictures.corner_scan, pictures.corner_replica),
-            ("Top view", "from above, without the ceiling", pictures.top_scan, pictures.top_replica),
-        ):
-            alts = [f"{what} of {scene_id} seen {where}" for what in ("Scan", "Replica")]
-            shown.append((title, _data(scan, "image/jpeg"), alts[0], _data(replica, "image/jpeg"), alts[1]))
     objects = grid(
         f"Objects of {scene_id}",
         "scene_objects",
@@ -131,16 +144,80 @@ def _card(scene_id: str, pictures: ScenePictures | str, answers: Mapping[str, pa
             ("displacement_m", "Moved [m]", as_number),
             ("lift_m", "Lifted [m]", as_number),
             ("support", "Carried by", as_text),
+            ("settled_displacement_m", "Settles [m]", as_number),
         ],
     )
+    curve = pictures.loss_curve if isinstance(pictures, ScenePictures) else None
+    remains = _of_scene(answers["optimization_remains"], scene_id).to_pylist()
+    named = [" ".join(filter(None, (row["instance_id"], row["category"]))) for row in remains]
     return SceneCard(
         scene_id=scene_id,
         anchor="scene-" + re.sub(r"[^A-Za-z0-9_-]", "-", scene_id),
         facts=tuple(_facts(scene_id, answers)),
-        pictures=tuple(shown),
+        pictures=tuple(_pairs(scene_id, pictures, answers)) if isinstance(pictures, ScenePictures) else (),
         excuse=as_text(pictures) if isinstance(pictures, str) else "",
+        curve=(_data(curve.svg.encode(), "image/svg+xml"), curve.alt) if curve else None,
+        certificate=_certificate(scene_id, answers),
+        remains=tuple(as_text(f"{name}: {row['remains']}" if name else row["remains"]) for name, row in zip(named, remains, strict=True)),
         objects=objects,
     )
+
+
+def _pairs(scene_id: str, pictures: ScenePictures, answers: Mapping[str, pa.Table]) -> list[PicturePair]:
+    """The pairs of pictures of a scene's card."""
+    views = [
+        (
+            "Corner view",
+            "from above a corner, without the walls in front",
+            ("Scan", "Replica"),
+            pictures.corner_scan,
+            pictures.corner_replica,
+        ),
+        ("Top view", "from above, without the ceiling", ("Scan", "Replica"), pictures.top_scan, pictures.top_replica),
+    ]
+    if pictures.before is not None and pictures.after is not None:
+        rows = _of_scene(answers["collision_loss"], scene_id).to_pylist()
+        before, after = (rows[0][f"deep_pairs_{when}"] for when in ("before", "after")) if rows else (0, 0)
+        title = f"Pairs deeper than 2 mm: {as_count(before)} as proposed, {as_count(after)} as optimized"
+        views.append((title, "with what collides marked", ("Proposed", "Optimized"), pictures.before, pictures.after))
+    return [
+        PicturePair(
+            title,
+            names,
+            (_data(left, "image/jpeg"), _data(right, "image/jpeg")),
+            (f"{names[0]} of {scene_id} seen {where}", f"{names[1]} of {scene_id} seen {where}"),
+        )
+        for title, where, names, left, right in views
+    ]
+
+
+def _certificate(scene_id: str, answers: Mapping[str, pa.Table]) -> Grid:
+    """The certificate's figures of a scene, one column per engine."""
+    rows = _of_scene(answers["stability"], scene_id).to_pylist()
+    categories = {row["instance_id"]: row["category"] for row in _of_scene(answers["scene_objects"], scene_id).to_pylist()}
+
+    def share(count: int, of: int) -> str:
+        return f"{as_count(count)} of {as_count(of)}" + (f", {as_share(count / of)}" if of else "")
+
+    def worst(row: Mapping[str, Any]) -> str:
+        name = row["worst_instance_id"]
+        if name is None:
+            return "\u2013"
+        return f"{name} {categories.get(name) or ''}".strip() + f", {as_number(100 * row['worst_displacement_m'])} cm"
+
+    lines: list[tuple[str, Callable[[Mapping[str, Any]], str]]] = [
+        ("Free to move", lambda row: share(row["free"], row["objects"])),
+        ("Fixed", lambda row: share(row["fixed"], row["objects"])),
+        ("Free ones within 1 cm", lambda row: share(row["stable_1cm"], row["free"])),
+        ("Free ones within 5 cm and 5\u00b0", lambda row: share(row["stable_5cm"], row["free"])),
+        ("Moves most", worst),
+        ("Tilts most", lambda row: "\u2013" if row["worst_tilt_degrees"] is None else f"{as_number(row['worst_tilt_degrees'])}\u00b0"),
+        ("Deepest start penetration", lambda row: f"{as_number(1000 * row['deepest_start_penetration_m'])} mm"),
+        ("Without a certificate", lambda row: as_count(row["uncertified"])),
+    ]
+    headers = (Cell("Left alone under gravity", False), *(Cell(f"{row['engine']} {row['engine_version']}", True) for row in rows))
+    cells = tuple((Cell(name, False), *(Cell(form(row), True) for row in rows)) for name, form in lines) if rows else ()
+    return Grid(f"Certificate of {scene_id}", "stability", headers, cells, 0)
 
 
 def _facts(scene_id: str, answers: Mapping[str, pa.Table]) -> list[tuple[str, str]]:
@@ -157,10 +234,9 @@ def _facts(scene_id: str, answers: Mapping[str, pa.Table]) -> list[tuple[str, st
     add("objects_per_scene", "floor_area_m2", "Floor [m²]", as_number)
     add("objects_per_scene", "objects", "Objects", as_count)
     add("categories_per_scene", "categories", "Categories", as_count)
-    losses = [row for row in _of_scene(answers["collision_loss"], scene_id).to_pylist() if row["loss_before_m3"] is not None]
-    if losses:
-        before, after = (as_number(losses[0][f"loss_{when}_m3"] * 1000) for when in ("before", "after"))
-        facts.append(("Overlap [l]", f"{before} → {after}"))
+    for row in _of_scene(answers["collision_loss"], scene_id).to_pylist():
+        facts.append(("Deep pairs", f"{as_count(row['deep_pairs_before'])} \u2192 {as_count(row['deep_pairs_after'])}"))
+    add("stability", "stable_5cm_share", "Stable at 5 cm", as_share)
     add("navigability", "navigable_share", "Navigable", as_percent)
     add("navigability", "episodes", "Episodes", as_count)
     for row in _of_scene(answers["export_verdicts"], scene_id).to_pylist():
@@ -175,19 +251,16 @@ def _all_scenes(answers: Mapping[str, pa.Table]) -> Grid:
     rows = {row["scene_id"]: dict(row) for row in answers["objects_per_scene"].to_pylist()}
     for view, columns in (
         ("categories_per_scene", ("categories",)),
-        ("collision_loss", ("loss_before_m3", "loss_after_m3")),
+        ("collision_loss", ("deep_pairs_before", "deep_pairs_after")),
+        ("stability", ("fixed_share", "stable_1cm_share", "stable_5cm_share")),
         ("navigability", ("navigable_share", "episodes")),
         ("scene_timing", ("total_seconds",)),
     ):
-        for row in reversed(answers[view].to_pylist()):  # of several agents the first one stays
+        for row in reversed(answers[view].to_pylist()):  # of several agents or engines the first one stays
             if row["scene_id"] in rows:
                 rows[row["scene_id"]].update({column: row[column] for column in columns})
-    for row in rows.values():
-        for when in ("before", "after"):
-            loss = row.get(f"loss_{when}_m3")
-            row[f"loss_{when}_l"] = None if loss is None else 1000 * loss
-    names = ["scene_id", "room_type", "floor_area_m2", "objects", "categories", "loss_before_l", "loss_after_l"]
-    names += ["navigable_share", "episodes", "total_seconds"]
+    names = ["scene_id", "room_type", "floor_area_m2", "objects", "categories", "deep_pairs_before", "deep_pairs_after"]
+    names += ["fixed_share", "stable_1cm_share", "stable_5cm_share", "navigable_share", "episodes", "total_seconds"]
     table = pa.table({name: [row.get(name) for row in rows.values()] for name in names})
     return grid(
         "All scenes",
@@ -199,8 +272,11 @@ def _all_scenes(answers: Mapping[str, pa.Table]) -> Grid:
             ("floor_area_m2", "Floor [m²]", as_number),
             ("objects", "Objects", as_count),
             ("categories", "Categories", as_count),
-            ("loss_before_l", "Overlap before [l]", as_number),
-            ("loss_after_l", "Overlap after [l]", as_number),
+            ("deep_pairs_before", "Deep pairs before", as_count),
+            ("deep_pairs_after", "Deep pairs after", as_count),
+            ("fixed_share", "Fixed", as_percent),
+            ("stable_1cm_share", "Stable at 1 cm", as_share),
+            ("stable_5cm_share", "Stable at 5 cm", as_share),
             ("navigable_share", "Navigable", as_percent),
             ("episodes", "Episodes", as_count),
             ("total_seconds", "Computed [s]", as_number),

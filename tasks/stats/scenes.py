@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from schemas.capture import Room
+    from tasks.stats.style import Picture
 
 Array = NDArray[np.float64]
 
@@ -44,12 +45,19 @@ class PictureConfig:
 
 @dataclasses.dataclass(frozen=True)
 class ScenePictures:
-    """JPEG files of a scene: its scan and its replica, from a corner and from above."""
+    """JPEG files of a scene: its scan and its replica, from a corner and from above.
+
+    before, after: the replica as proposed and as optimized, with what collides marked. loss_curve: the optimization's
+    loss over its steps. Missing where there is nothing to show.
+    """
 
     corner_scan: bytes
     corner_replica: bytes
     top_scan: bytes
     top_replica: bytes
+    before: bytes | None = None
+    after: bytes | None = None
+    loss_curve: Picture | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,13 +101,14 @@ def picture_scene(
     The corner is the one from which most of the objects is seen; without objects, most of the scan.
     """
     config = config or PictureConfig()
-    corner = _best_corner(objects or [[part] for part in scan], shell, outline, config)
-    files = []
+    corner = best_corner(objects or [[part] for part in scan], shell, outline, config)
+    files: list[bytes] = []
     for camera in (corner, top_camera(outline, config)):
         replica = [*opened(shell, outline, camera, config), *shown(objects, outline, camera, config)]
         for parts in (opened(scan, outline, camera, config), replica):
             files.append(render(parts, camera, config))
-    return ScenePictures(*files)
+    corner_scan, corner_replica, top_scan, top_replica = files
+    return ScenePictures(corner_scan, corner_replica, top_scan, top_replica)
 
 
 def corner_camera(outline: Outline, corner: int, config: PictureConfig) -> Camera:
@@ -159,8 +168,11 @@ def shown(objects: Sequence[Sequence[trimesh.Trimesh]], outline: Outline, camera
 
 def render(parts: Sequence[trimesh.Trimesh], camera: Camera, config: PictureConfig) -> bytes:
     """JPEG of parts in the world frame from `camera`, softly lit from above and behind the camera."""
-    from PIL import Image
+    return developed(photograph(parts, camera, config)[0], config)
 
+
+def photograph(parts: Sequence[trimesh.Trimesh], camera: Camera, config: PictureConfig) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Colors from 0 to 255, shape (h, w, 3), and the part that is seen, -1 for none, shape (h, w), oversampled; softly lit."""
     factor = config.oversampling
     fine = Camera(
         camera.pose,
@@ -172,14 +184,22 @@ def render(parts: Sequence[trimesh.Trimesh], camera: Camera, config: PictureConf
         camera.height * factor,
     )
     if not parts:
-        image = Image.new("RGB", (camera.width, camera.height), config.background)
-    else:
-        view = RayScene(parts).render(fine, background=config.background, shade=False)
-        lit = _lit(view, fine)
-        small = lit.reshape(camera.height, factor, camera.width, factor, 3).mean(axis=(1, 3))
-        image = Image.fromarray(np.clip(np.round(small), 0, 255).astype(np.uint8))
+        empty = np.empty((fine.height, fine.width, 3), dtype=np.float32)
+        empty[:] = config.background
+        return empty, np.full((fine.height, fine.width), -1, dtype=np.int64)
+    view = RayScene(parts).render(fine, background=config.background, shade=False)
+    return _lit(view, fine).astype(np.float32), view.part
+
+
+def developed(image: NDArray[np.float32], config: PictureConfig) -> bytes:
+    """JPEG of an oversampled image, colors from 0 to 255, shape (h, w, 3)."""
+    from PIL import Image
+
+    factor = config.oversampling
+    height, width = image.shape[0] // factor, image.shape[1] // factor
+    small = image.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
     file = io.BytesIO()
-    image.save(file, "JPEG", quality=config.jpeg_quality, optimize=True)
+    Image.fromarray(np.clip(np.round(small), 0, 255).astype(np.uint8)).save(file, "JPEG", quality=config.jpeg_quality, optimize=True)
     return file.getvalue()
 
 
@@ -203,7 +223,7 @@ def _fitting_camera(points: Array, target: Array, direction: Array, config: Pict
     return Camera.with_fov(pose, config.width, config.height, config.horizontal_fov_radians)
 
 
-def _best_corner(
+def best_corner(
     objects: Sequence[Sequence[trimesh.Trimesh]], shell: Sequence[trimesh.Trimesh], outline: Outline, config: PictureConfig
 ) -> Camera:
     """Of the four corner cameras the one that sees most of the objects, not all on one spot: pixels weigh by square root."""

@@ -1,4 +1,5 @@
 -- What does the lake hold, in one row?
+-- Stability is MuJoCo's verdict on the objects that are free to move.
 SELECT
     (SELECT count(*) FROM scenes) AS scenes,
     (SELECT count(DISTINCT room_id) FROM scenes) AS rooms,
@@ -7,6 +8,10 @@ SELECT
     (SELECT count(DISTINCT category) FROM instances WHERE NOT is_structure) AS categories,
     (SELECT count(*) FROM placements) AS placed_objects,
     (SELECT count(*) FROM assets) AS assets,
+    (SELECT CAST(coalesce(sum(deep_pairs_after), 0) AS BIGINT) FROM collision_loss) AS deep_pairs,
+    (SELECT CAST(coalesce(sum(free), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS free_objects,
+    (SELECT CAST(coalesce(sum(stable_1cm), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS stable_1cm,
+    (SELECT CAST(coalesce(sum(stable_5cm), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS stable_5cm,
     (SELECT count(*) FROM episodes) AS episodes,
     (SELECT count(*) FROM export_verdicts) AS exports,
     (SELECT count(*) FROM export_verdicts WHERE passed) AS exports_passed,

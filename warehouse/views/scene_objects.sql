@@ -1,4 +1,5 @@
 -- What is each object of a scene, what stands for it, and how far was that moved?
+-- 'settled' is what MuJoCo says of the optimized pose.
 SELECT
     instances.scene_id,
     instances.instance_id,
@@ -16,7 +17,11 @@ SELECT
     placements.displacement_m,
     placements.lift_m,
     supports.relation AS support,
-    supports.parent_id
+    supports.parent_id,
+    supports.is_fixed,
+    certificates.displacement_m AS settled_displacement_m,
+    degrees(certificates.tilt_radians) AS settled_tilt_degrees,
+    placements.remains
 FROM instances
 LEFT JOIN captions USING (scene_id, instance_id)
 LEFT JOIN placements USING (scene_id, instance_id)
@@ -32,5 +37,9 @@ LEFT JOIN (
 LEFT JOIN supports
     ON supports.scene_id = instances.scene_id
     AND supports.instance_id = instances.instance_id
+LEFT JOIN certificates
+    ON certificates.scene_id = instances.scene_id
+    AND certificates.instance_id = instances.instance_id
+    AND certificates.engine = 'mujoco'
 WHERE NOT instances.is_structure
 ORDER BY instances.scene_id, instances.instance_id

@@ -1,0 +1,20 @@
+-- Which objects do not stay where they were put, and what carries them?
+-- All that moved by more than 1 cm; those that also fail at 5 cm or 5 degrees are marked.
+SELECT
+    certificates.scene_id,
+    certificates.instance_id,
+    certificates.engine,
+    instances.category,
+    supports.relation AS support,
+    supports.parent_id,
+    certificates.displacement_m,
+    degrees(certificates.tilt_radians) AS tilt_degrees,
+    certificates.start_penetration_m,
+    NOT certificates.is_stable_5cm AS fails_5cm,
+    placements.remains
+FROM certificates
+LEFT JOIN instances USING (scene_id, instance_id)
+LEFT JOIN supports USING (scene_id, instance_id)
+LEFT JOIN placements USING (scene_id, instance_id)
+WHERE NOT certificates.is_fixed AND NOT (certificates.is_stable_1cm AND certificates.is_stable_5cm)
+ORDER BY certificates.displacement_m DESC, certificates.scene_id, certificates.instance_id, certificates.engine
