@@ -57,11 +57,14 @@ BOUNCY_FROM, BOUNCY_MASS_KG = 0.5, 5.0
 
 @dataclasses.dataclass(frozen=True)
 class Material:
-    """A row of `materials.csv`. roughness: Typical variation of lightness as `tasks.captions.colors.roughness` measures it."""
+    """A row of `materials.csv`. density_min_kg_m3, density_max_kg_m3: What the material is found at, without hollows and
+    stuffing. roughness: Typical variation of lightness as `tasks.captions.colors.roughness` measures it."""
 
     name: str
     adjective: str
     density_kg_m3: float
+    density_min_kg_m3: float
+    density_max_kg_m3: float
     friction: float
     restitution: float
     roughness: float
@@ -100,7 +103,7 @@ def materials() -> Mapping[str, Material]:
     """Materials by name."""
     with open(_FOLDER / "materials.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    numbers = ("density_kg_m3", "friction", "restitution", "roughness")
+    numbers = ("density_kg_m3", "density_min_kg_m3", "density_max_kg_m3", "friction", "restitution", "roughness")
     return MappingProxyType(
         {
             r["material"]: Material(name=r["material"], adjective=r["adjective"], source=r["source"], **{n: float(r[n]) for n in numbers})

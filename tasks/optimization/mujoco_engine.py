@@ -1,0 +1,252 @@
+"""MuJoCo on the CPU: things under gravity on the floor z = 0, among the room's walls.
+
+Only convex pieces are looked at, each as a hull of its own, with the union's mass properties; nothing that MuJoCo would
+make of a mesh by itself is used.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.optimization.solids import Body, Solid
+from tasks.pieces import MassProperties, mass_properties
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Mujoco:
+    """How MuJoCo is set."""
+
+    timestep_s: float = 0.004  # verdicts on generated furniture equal those at 1 ms; at 8 ms balls roll off
+    impratio: float = 10.0  # friction 10 times as stiff as the contact, against creep on slopes
+    stiffness_s: float = 0.008  # time constant of a contact, two time steps, the least that is stable
+    impedance: tuple[float, float, float] = (0.95, 0.99, 0.001)  # things at rest sink in by less than 0.1 mm
+    iterations: int = 50  # of Newton's method, which needs 2 or 3 for things at rest
+    tolerance: float = 1e-8
+    friction_floor: float = 1e-3  # MuJoCo takes the greater friction of a pair, and a thing's is measured against floors: let it decide
+    memory_bytes: int = 2**28  # room for 10,000 contacts and more; what is not touched costs nothing
+    check_steps: int = 5  # how often the state is looked at for having gone astray
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulation:
+    """What an engine makes of things left alone.
+
+    settled: asset to world at the end [m], shape (n, 4, 4). start_penetration: deepest at the start [m], shape (n,).
+    problems: why a thing could not be simulated, or None. seconds: simulated time.
+    """
+
+    engine: str
+    version: str
+    seconds: float
+    settled: Array
+    start_penetration: Array
+    problems: tuple[str | None, ...]
+
+
+def simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], seconds: float, settings: Mujoco) -> Simulation:
+    """Things left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given.
+
+    A thing that MuJoCo refuses, or whose state diverges, has a problem: it is left out and stays where it is.
+    """
+    mujoco = _mujoco()
+    problems = [unfit(body) for body in bodies]
+    while True:
+        model = _model(bodies, poses, shell, problems, settings)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        depth = _start_penetration(model, data, len(bodies))
+        free = [i for i, body in enumerate(bodies) if not body.is_fixed and problems[i] is None]
+        failed, problem = _run(model, data, round(seconds / settings.timestep_s) if free else 0, settings)
+        if not failed:
+            break
+        for row in failed:
+            problems[free[row]] = problem
+    settled = np.array(poses, dtype=np.float64)
+    for row, i in enumerate(free):
+        settled[i] = _pose(data.qpos[7 * row : 7 * row + 7])
+    return Simulation("mujoco", mujoco.__version__, seconds, settled, depth, tuple(problems))
+
+
+def _run(model: Any, data: Any, steps: int, settings: Mujoco) -> tuple[list[int], str]:
+    """Simulate so many steps, or until it fails: the things, by number, that it fails for, and why."""
+    mujoco = _mujoco()
+    which = mujoco.mjtWarning
+    for done in range(0, steps, settings.check_steps):
+        mujoco.mj_step(model, data, min(settings.check_steps, steps - done))
+        if any(data.warning[w].number for w in (which.mjWARN_CONTACTFULL, which.mjWARN_CNSTRFULL)):
+            return list(range(model.njnt)), "MuJoCo has no room for the scene's contacts"
+        state = np.column_stack([data.qpos.reshape(-1, 7), data.qvel.reshape(-1, 6), data.qacc.reshape(-1, 6)])
+        bad = any(data.warning[w].number for w in (which.mjWARN_BADQPOS, which.mjWARN_BADQVEL, which.mjWARN_BADQACC))
+        if bad or not np.isfinite(state).all():
+            size = np.where(np.isfinite(state), np.abs(state), np.inf).max(axis=1)
+            worst = min(float(size.max()), mujoco.mjMAXVAL)
+            return np.flatnonzero(size >= worst).tolist(), f"its state diverges after {data.time:.3g} s"
+    return [], ""
+
+
+_memo: OrderedDict[bytes, MassProperties] = OrderedDict()
+_MEMO_SIZE = 4096  # 200 bytes each
+
+
+def solid_properties(solid: Solid) -> MassProperties:
+    """Mass properties of the union of a solid's pieces for unit density, remembered by content: a union takes milliseconds."""
+    key = hashlib.sha256(b"".join(part for hull in solid.hulls for part in (hull.vertices.tobytes(), b"|", hull.faces.tobytes()))).digest()
+    if key not in _memo:
+        _memo[key] = mass_properties(solid.hulls)
+        while len(_memo) > _MEMO_SIZE:
+            _memo.popitem(last=False)
+    _memo.move_to_end(key)
+    return _memo[key]
+
+
+def solid_volume(solid: Solid) -> float:
+    """Volume of the union of a solid's pieces [m3]; 0 when they are none."""
+    if not all(np.isfinite(hull.vertices).all() and hull.volume > 0.0 for hull in solid.hulls) or not solid.hulls:
+        return 0.0
+    volume = solid_properties(solid).volume
+    return volume if np.isfinite(volume) else 0.0
+
+
+def _mujoco() -> Any:
+    """MuJoCo without a window system, unless the user has chosen one."""
+    os.environ.setdefault("MUJOCO_GL", "disable")
+    import mujoco
+
+    mujoco.set_mju_user_warning(_quiet)  # else it writes a log file into the current folder
+    return mujoco
+
+
+def _quiet(warning: str) -> None:
+    """Take a warning of MuJoCo's, which counts it as well."""
+
+
+def unfit(body: Body) -> str | None:
+    """Why a body cannot be simulated by any engine, or None."""
+    if not body.solid.hulls:
+        return "it has no pieces"
+    for number, hull in enumerate(body.solid.hulls):
+        if not np.isfinite(hull.vertices).all():
+            return f"piece {number} has a vertex that is not finite"
+        if not hull.volume > 0.0:
+            return f"piece {number} has no volume"
+    if not (np.isfinite(body.mass_kg) and body.mass_kg > 0.0):
+        return f"its mass is {body.mass_kg:g} kg"
+    return None if solid_volume(body.solid) > 0.0 else "its pieces have no volume"
+
+
+def _model(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems: list[str | None], settings: Mujoco) -> Any:
+    """The compiled scene without the bodies that have problems; those that MuJoCo refuses are added to these."""
+    try:
+        return _spec(bodies, poses, shell, problems, settings).compile()
+    except ValueError:
+        for i, body in enumerate(bodies):  # each alone, to know whom it refuses
+            if problems[i] is None:
+                try:
+                    _spec([body], poses[i : i + 1], (), [None], settings).compile()
+                except ValueError as error:
+                    problems[i] = "MuJoCo refuses it: " + " ".join(str(error).split())
+        return _spec(bodies, poses, shell, problems, settings).compile()
+
+
+def _spec(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems: Sequence[str | None], settings: Mujoco) -> Any:
+    """The scene as MuJoCo's specification: body i has the name `b<i>`."""
+    mujoco = _mujoco()
+    spec = mujoco.MjSpec()
+    option = spec.option
+    option.timestep = settings.timestep_s
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = settings.impratio
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.iterations, option.tolerance = settings.iterations, settings.tolerance
+    option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that went astray must not look like the start
+    spec.compiler.usethread = False
+    spec.memory = settings.memory_bytes
+    contact = {"solref": [settings.stiffness_s, 1.0], "solimp": [*settings.impedance, 0.5, 2.0]}
+    small = [settings.friction_floor, 0.005, 0.0001]
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], friction=small, **contact)
+
+    def colliders(body: Any, solid: Solid, name: str, friction: Sequence[float]) -> None:
+        for number, hull in enumerate(solid.hulls):
+            mesh = f"{name}_{number}"
+            spec.add_mesh(
+                name=mesh, uservert=hull.vertices.ravel(), userface=hull.faces.ravel().astype(np.int32),
+                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+            )  # fmt: skip
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, friction=friction, **contact)
+
+    for number, wall in enumerate(shell):
+        colliders(spec.worldbody.add_body(name=f"s{number}"), wall, f"s{number}", small)
+    for i, body in enumerate(bodies):
+        if problems[i] is not None:
+            continue
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(poses[i][:3, :3]).ravel())
+        added = spec.worldbody.add_body(name=f"b{i}", pos=poses[i][:3, 3], quat=quaternion)
+        if not body.is_fixed:
+            added.add_freejoint()
+        properties = solid_properties(body.solid)
+        inertia = properties.inertia * (body.mass_kg / properties.volume)
+        added.explicitinertial, added.mass, added.ipos = True, body.mass_kg, properties.center
+        added.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+        colliders(added, body.solid, f"b{i}", [max(body.friction, settings.friction_floor), 0.005, 0.0001])
+    return spec
+
+
+def _start_penetration(model: Any, data: Any, count: int) -> Array:
+    """Deepest penetration of every thing with anything [m], shape (count,). Pairs of fixed things, which MuJoCo does not
+    collide, are measured one by one."""
+    mujoco = _mujoco()
+    depth = np.zeros(count)
+    names = [model.body(number).name for number in range(model.nbody)]
+    owner = np.array([int(name[1:]) if name.startswith("b") else -1 for name in names])[model.geom_bodyid]
+
+    def deepen(first: int, second: int, distance: float) -> None:
+        for geom in (first, second):
+            if owner[geom] >= 0:
+                depth[owner[geom]] = max(depth[owner[geom]], -distance)
+
+    for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
+        deepen(int(geoms[0]), int(geoms[1]), float(distance))
+    static = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] == 0]
+    fixed = [g for g in static if owner[g] >= 0]
+    reach = model.geom_rbound
+    for a in fixed:
+        lowest = float((_world_vertices(model, data, a)[:, 2]).min())
+        deepen(a, 0, min(lowest, 0.0))
+        for b in static:
+            if b == 0 or owner[a] == owner[b] or (owner[b] >= 0 and b < a):
+                continue
+            if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) < reach[a] + reach[b]:
+                deepen(a, b, min(float(mujoco.mj_geomDistance(model, data, a, b, 0.0, None)), 0.0))
+    return depth
+
+
+def _world_vertices(model: Any, data: Any, geom: int) -> Array:
+    """Vertices of a mesh geom in the world frame [m], shape (k, 3)."""
+    mesh = model.geom_dataid[geom]
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    turned: Array = model.mesh_vert[first : first + count].astype(np.float64) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    return turned
+
+
+def _pose(state: Array) -> Array:
+    """Pose, 4x4 [m], of a free joint's state: place and quaternion (w, x, y, z), shape (7,)."""
+    w, x, y, z = state[3:] / np.linalg.norm(state[3:])
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = state[:3]
+    return pose
