@@ -23,11 +23,12 @@ def encloses(parent: PlacedAsset, thing: PlacedAsset, gap: float, config: Suppor
     if (center < parent.low).any() or (center > parent.high).any():
         return False
     cells, _ = thing.footprint(config.cell_m)
-    over = plan_view(parent.surface, thing.low[:2], thing.high[:2], math.inf, config.cell_m).at(cells)
+    over = plan_view(parent.surface, thing.low[:2], thing.high[:2], math.inf, config.cell_m, False, parent.blocks).at(cells)
     if (over > center[2]).mean() >= 0.5:
         return True
     cell = float(np.clip((parent.high - parent.low)[:2].max() / 64, 0.005, 0.04))
-    sides = occupancy(parent.surface, parent.low[:2], parent.high[:2], rest + config.base_m, max(center[2], rest + 2 * config.base_m), cell)
+    top = max(float(center[2]), rest + 2 * config.base_m)
+    sides = occupancy(parent.surface, parent.low[:2], parent.high[:2], rest + config.base_m, top, cell, parent.blocks)
     points = (np.argwhere(np.isfinite(sides.heights)) + np.array(sides.first) + 0.5) * cell - center[:2]
     if not len(points):
         return False

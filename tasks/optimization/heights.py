@@ -14,6 +14,9 @@ from tasks.meshes import Surface
 
 Array = NDArray[np.float64]
 
+BLOCK = 64
+"""Faces that are left out together."""
+
 
 @dataclasses.dataclass(frozen=True)
 class PlanView:
@@ -36,21 +39,38 @@ class PlanView:
         return result
 
 
-def plan_view(surface: Surface, low: ArrayLike, high: ArrayLike, ceiling: float, cell: float, upward: bool = False) -> PlanView:
+def face_blocks(surface: Surface) -> Array:
+    """Boxes around every 64 consecutive faces [m], shape (n, 6), lowest corner first: neighbors in a mesh's order are
+    mostly neighbors in space, so that a window needs to look at few of a scan's 50,000 faces."""
+    count = -(-len(surface.faces) // BLOCK)
+    blocks = np.empty((count, 6))
+    _compiled()["bound"](*_triangles(surface), blocks)
+    return blocks
+
+
+def plan_view(
+    surface: Surface, low: ArrayLike, high: ArrayLike, ceiling: float, cell: float, upward: bool = False, blocks: Array | None = None
+) -> PlanView:
     """The highest point of a surface at or below `ceiling` in every cell of a window [m]; `low`, `high`: shape (2,).
+    `blocks`: the surface's `face_blocks`, where they are known.
 
     `upward`: only faces that look up count, which closed surfaces allow: a thing sunk into a block does not find the
     block's underside below it.
     """
+    blocks = face_blocks(surface) if blocks is None else blocks
     first, heights = _window(low, high, cell)
-    _compiled()["raster"](*_triangles(surface), first.astype(np.float64), float(cell), float(ceiling), bool(upward), heights)
+    _compiled()["raster"](*_triangles(surface), blocks, first.astype(np.float64), float(cell), float(ceiling), bool(upward), heights)
     return PlanView(heights, (int(first[0]), int(first[1])), cell)
 
 
-def occupancy(surface: Surface, low: ArrayLike, high: ArrayLike, bottom: float, top: float, cell: float) -> PlanView:
-    """Where a surface, upright faces too, passes between two heights [m]: 1 in such cells of a window, else minus infinity."""
+def occupancy(
+    surface: Surface, low: ArrayLike, high: ArrayLike, bottom: float, top: float, cell: float, blocks: Array | None = None
+) -> PlanView:
+    """Where a surface, upright faces too, passes between two heights [m]: 1 in such cells of a window, else minus infinity.
+    `blocks`: the surface's `face_blocks`, where they are known."""
+    blocks = face_blocks(surface) if blocks is None else blocks
     first, heights = _window(low, high, cell)
-    _compiled()["mark"](*_triangles(surface), first.astype(np.float64), float(cell), float(bottom), float(top), heights)
+    _compiled()["mark"](*_triangles(surface), blocks, first.astype(np.float64), float(cell), float(bottom), float(top), heights)
     return PlanView(heights, (int(first[0]), int(first[1])), cell)
 
 
@@ -84,105 +104,134 @@ def _window(low: ArrayLike, high: ArrayLike, cell: float) -> tuple[NDArray[np.in
 def _compiled() -> dict[str, Callable[..., Any]]:
     import numba
 
-    return {f.__name__.strip("_"): numba.njit(cache=True, nogil=True, error_model="numpy")(f) for f in (_raster, _mark)}
+    return {f.__name__.strip("_"): numba.njit(cache=True, nogil=True, error_model="numpy")(f) for f in (_raster, _mark, _bound)}
 
 
-def _mark(vertices: Array, faces: NDArray[np.int64], first: Array, cell: float, bottom: float, top: float, heights: Array) -> None:
+def _bound(vertices: Array, faces: NDArray[np.int64], blocks: Array) -> None:
+    """Box of every block of faces."""
+    for b in range(blocks.shape[0]):
+        for k in range(3):
+            least, most = np.inf, -np.inf
+            for t in range(b * BLOCK, min((b + 1) * BLOCK, faces.shape[0])):
+                for e in range(3):
+                    value = vertices[faces[t, e], k]
+                    least, most = min(least, value), max(most, value)
+            blocks[b, k], blocks[b, 3 + k] = least, most
+
+
+def _mark(
+    vertices: Array, faces: NDArray[np.int64], blocks: Array, first: Array, cell: float, bottom: float, top: float, heights: Array
+) -> None:
     """Mark the cells that triangles pass through between two heights: cells whose centers their slices cover, and cells
     along the slices' edges, which are all that upright faces have in plan."""
     nx, ny = heights.shape
     x0, y0 = first[0] * cell, first[1] * cell
     x1, y1 = x0 + nx * cell, y0 + ny * cell
     ring, cut = np.empty((8, 3)), np.empty((8, 3))
-    for t in range(faces.shape[0]):
-        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
-        if min(vertices[a, 2], vertices[b, 2], vertices[c, 2]) > top or max(vertices[a, 2], vertices[b, 2], vertices[c, 2]) < bottom:
+    for block in range(blocks.shape[0]):
+        if (
+            blocks[block, 0] > x1
+            or blocks[block, 3] < x0
+            or blocks[block, 1] > y1
+            or blocks[block, 4] < y0
+            or blocks[block, 2] > top
+            or blocks[block, 5] < bottom
+        ):
             continue
-        if min(vertices[a, 0], vertices[b, 0], vertices[c, 0]) > x1 or max(vertices[a, 0], vertices[b, 0], vertices[c, 0]) < x0:
-            continue
-        if min(vertices[a, 1], vertices[b, 1], vertices[c, 1]) > y1 or max(vertices[a, 1], vertices[b, 1], vertices[c, 1]) < y0:
-            continue
-        for k in range(3):
-            ring[0, k], ring[1, k], ring[2, k] = vertices[a, k], vertices[b, k], vertices[c, k]
-        n = 3
-        for side in range(2):  # cut off what lies below the bottom, then what lies above the top
-            m = 0
+        for t in range(block * BLOCK, min((block + 1) * BLOCK, faces.shape[0])):
+            a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+            if min(vertices[a, 2], vertices[b, 2], vertices[c, 2]) > top or max(vertices[a, 2], vertices[b, 2], vertices[c, 2]) < bottom:
+                continue
+            if min(vertices[a, 0], vertices[b, 0], vertices[c, 0]) > x1 or max(vertices[a, 0], vertices[b, 0], vertices[c, 0]) < x0:
+                continue
+            if min(vertices[a, 1], vertices[b, 1], vertices[c, 1]) > y1 or max(vertices[a, 1], vertices[b, 1], vertices[c, 1]) < y0:
+                continue
+            for k in range(3):
+                ring[0, k], ring[1, k], ring[2, k] = vertices[a, k], vertices[b, k], vertices[c, k]
+            n = 3
+            for side in range(2):  # cut off what lies below the bottom, then what lies above the top
+                m = 0
+                for e in range(n):
+                    f = (e + 1) % n
+                    one = ring[e, 2] - bottom if side == 0 else top - ring[e, 2]
+                    other = ring[f, 2] - bottom if side == 0 else top - ring[f, 2]
+                    if one >= 0:
+                        for k in range(3):
+                            cut[m, k] = ring[e, k]
+                        m += 1
+                    if (one > 0 and other < 0) or (one < 0 and other > 0):
+                        for k in range(3):
+                            cut[m, k] = ring[e, k] + one / (one - other) * (ring[f, k] - ring[e, k])
+                        m += 1
+                n = m
+                for e in range(n):
+                    for k in range(3):
+                        ring[e, k] = cut[e, k]
             for e in range(n):
                 f = (e + 1) % n
-                one = ring[e, 2] - bottom if side == 0 else top - ring[e, 2]
-                other = ring[f, 2] - bottom if side == 0 else top - ring[f, 2]
-                if one >= 0:
-                    for k in range(3):
-                        cut[m, k] = ring[e, k]
-                    m += 1
-                if (one > 0 and other < 0) or (one < 0 and other > 0):
-                    for k in range(3):
-                        cut[m, k] = ring[e, k] + one / (one - other) * (ring[f, k] - ring[e, k])
-                    m += 1
-            n = m
-            for e in range(n):
-                for k in range(3):
-                    ring[e, k] = cut[e, k]
-        for e in range(n):
-            f = (e + 1) % n
-            dx, dy = ring[f, 0] - ring[e, 0], ring[f, 1] - ring[e, 1]
-            parts = max(int(np.ceil(2 * np.sqrt(dx * dx + dy * dy) / cell)), 1)
-            for p in range(parts + 1):
-                i = int(np.floor((ring[e, 0] + dx * p / parts) / cell) - first[0])
-                j = int(np.floor((ring[e, 1] + dy * p / parts) / cell) - first[1])
-                if 0 <= i < nx and 0 <= j < ny:
-                    heights[i, j] = 1.0
-        for e in range(1, n - 1):
-            ax, ay, bx, by = ring[0, 0], ring[0, 1], ring[e, 0], ring[e, 1]
-            cx, cy = ring[e + 1, 0], ring[e + 1, 1]
-            area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-            if abs(area) < 1e-14:
+                dx, dy = ring[f, 0] - ring[e, 0], ring[f, 1] - ring[e, 1]
+                parts = max(int(np.ceil(2 * np.sqrt(dx * dx + dy * dy) / cell)), 1)
+                for p in range(parts + 1):
+                    i = int(np.floor((ring[e, 0] + dx * p / parts) / cell) - first[0])
+                    j = int(np.floor((ring[e, 1] + dy * p / parts) / cell) - first[1])
+                    if 0 <= i < nx and 0 <= j < ny:
+                        heights[i, j] = 1.0
+            for e in range(1, n - 1):
+                ax, ay, bx, by = ring[0, 0], ring[0, 1], ring[e, 0], ring[e, 1]
+                cx, cy = ring[e + 1, 0], ring[e + 1, 1]
+                area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+                if abs(area) < 1e-14:
+                    continue
+                i0 = max(int(np.ceil(min(ax, bx, cx) / cell - 0.5 - first[0])), 0)
+                i1 = min(int(np.floor(max(ax, bx, cx) / cell - 0.5 - first[0])), nx - 1)
+                j0 = max(int(np.ceil(min(ay, by, cy) / cell - 0.5 - first[1])), 0)
+                j1 = min(int(np.floor(max(ay, by, cy) / cell - 0.5 - first[1])), ny - 1)
+                for i in range(i0, i1 + 1):
+                    x = (first[0] + i + 0.5) * cell
+                    for j in range(j0, j1 + 1):
+                        y = (first[1] + j + 0.5) * cell
+                        v = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
+                        w = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
+                        if v >= -1e-9 and w >= -1e-9 and v + w <= 1 + 1e-9:
+                            heights[i, j] = 1.0
+
+
+def _raster(
+    vertices: Array, faces: NDArray[np.int64], blocks: Array, first: Array, cell: float, ceiling: float, upward: bool, heights: Array
+) -> None:
+    """Raise `heights` to every triangle at the centers of the cells that it covers."""
+    nx, ny = heights.shape
+    x0, y0 = first[0] * cell, first[1] * cell
+    x1, y1 = x0 + nx * cell, y0 + ny * cell
+    for block in range(blocks.shape[0]):
+        if blocks[block, 0] > x1 or blocks[block, 3] < x0 or blocks[block, 1] > y1 or blocks[block, 4] < y0 or blocks[block, 2] > ceiling:
+            continue
+        for t in range(block * BLOCK, min((block + 1) * BLOCK, faces.shape[0])):
+            a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+            ax, bx, cx = vertices[a, 0], vertices[b, 0], vertices[c, 0]
+            if min(ax, bx, cx) > x1 or max(ax, bx, cx) < x0:
                 continue
-            i0 = max(int(np.ceil(min(ax, bx, cx) / cell - 0.5 - first[0])), 0)
-            i1 = min(int(np.floor(max(ax, bx, cx) / cell - 0.5 - first[0])), nx - 1)
-            j0 = max(int(np.ceil(min(ay, by, cy) / cell - 0.5 - first[1])), 0)
-            j1 = min(int(np.floor(max(ay, by, cy) / cell - 0.5 - first[1])), ny - 1)
+            ay, by, cy = vertices[a, 1], vertices[b, 1], vertices[c, 1]
+            if min(ay, by, cy) > y1 or max(ay, by, cy) < y0:
+                continue
+            az, bz, cz = vertices[a, 2], vertices[b, 2], vertices[c, 2]
+            if min(az, bz, cz) > ceiling:
+                continue
+            area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+            if abs(area) < 1e-14 or (upward and area < 0):  # upright faces are seen edge-on from above
+                continue
+            i0 = max(int(np.ceil(min(ax, bx, cx) / cell - 0.5 - first[0] - 1e-9)), 0)
+            i1 = min(int(np.floor(max(ax, bx, cx) / cell - 0.5 - first[0] + 1e-9)), nx - 1)
+            j0 = max(int(np.ceil(min(ay, by, cy) / cell - 0.5 - first[1] - 1e-9)), 0)
+            j1 = min(int(np.floor(max(ay, by, cy) / cell - 0.5 - first[1] + 1e-9)), ny - 1)
             for i in range(i0, i1 + 1):
                 x = (first[0] + i + 0.5) * cell
                 for j in range(j0, j1 + 1):
                     y = (first[1] + j + 0.5) * cell
                     v = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
                     w = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
-                    if v >= -1e-9 and w >= -1e-9 and v + w <= 1 + 1e-9:
-                        heights[i, j] = 1.0
-
-
-def _raster(vertices: Array, faces: NDArray[np.int64], first: Array, cell: float, ceiling: float, upward: bool, heights: Array) -> None:
-    """Raise `heights` to every triangle at the centers of the cells that it covers."""
-    nx, ny = heights.shape
-    x0, y0 = first[0] * cell, first[1] * cell
-    x1, y1 = x0 + nx * cell, y0 + ny * cell
-    for t in range(faces.shape[0]):
-        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
-        ax, bx, cx = vertices[a, 0], vertices[b, 0], vertices[c, 0]
-        if min(ax, bx, cx) > x1 or max(ax, bx, cx) < x0:
-            continue
-        ay, by, cy = vertices[a, 1], vertices[b, 1], vertices[c, 1]
-        if min(ay, by, cy) > y1 or max(ay, by, cy) < y0:
-            continue
-        az, bz, cz = vertices[a, 2], vertices[b, 2], vertices[c, 2]
-        if min(az, bz, cz) > ceiling:
-            continue
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if abs(area) < 1e-14 or (upward and area < 0):  # upright faces are seen edge-on from above
-            continue
-        i0 = max(int(np.ceil(min(ax, bx, cx) / cell - 0.5 - first[0] - 1e-9)), 0)
-        i1 = min(int(np.floor(max(ax, bx, cx) / cell - 0.5 - first[0] + 1e-9)), nx - 1)
-        j0 = max(int(np.ceil(min(ay, by, cy) / cell - 0.5 - first[1] - 1e-9)), 0)
-        j1 = min(int(np.floor(max(ay, by, cy) / cell - 0.5 - first[1] + 1e-9)), ny - 1)
-        for i in range(i0, i1 + 1):
-            x = (first[0] + i + 0.5) * cell
-            for j in range(j0, j1 + 1):
-                y = (first[1] + j + 0.5) * cell
-                v = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
-                w = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
-                if v < -1e-9 or w < -1e-9 or v + w > 1 + 1e-9:
-                    continue
-                z = az + v * (bz - az) + w * (cz - az)
-                if z <= ceiling and z > heights[i, j]:
-                    heights[i, j] = z
+                    if v < -1e-9 or w < -1e-9 or v + w > 1 + 1e-9:
+                        continue
+                    z = az + v * (bz - az) + w * (cz - az)
+                    if z <= ceiling and z > heights[i, j]:
+                        heights[i, j] = z

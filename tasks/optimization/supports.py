@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from schemas.capture import Room
 from tasks.meshes import Surface
 from tasks.optimization.enclosures import encloses
-from tasks.optimization.heights import occupancy, plan_view, underside
+from tasks.optimization.heights import face_blocks, occupancy, plan_view, underside
 from tasks.optimization.mounting import mounting
 from tasks.optimization.standing import standing_map
 from tasks.optimization.walls import WallFace, stands_against, wall_contact, wall_faces
@@ -107,6 +107,11 @@ class PlacedAsset:
         if cell not in self._footprints:
             self._footprints[cell] = underside(self.surface, cell)
         return self._footprints[cell]
+
+    @cached_property
+    def blocks(self) -> Array:
+        """Boxes around its faces, for plan views [m], shape (n, 6)."""
+        return face_blocks(self.surface)
 
     @cached_property
     def _footprints(self) -> dict[float, tuple[Cells, Array]]:
@@ -229,17 +234,17 @@ def _standing(
     margin = reach * per_step * cell + cell
     low, high = thing.low[:2] - margin, thing.high[:2] + margin
     base, lowest = rise <= level, 0.0
-    floor = plan_view(carrier.surface, low, high, rest + level, cell, carrier.closed)
+    floor = plan_view(carrier.surface, low, high, rest + level, cell, carrier.closed, carrier.blocks)
     if (np.abs(floor.at(cells[base]) - rest) <= level).mean() < config.share:
         # its lowest part is past the carrier's edge: what stands is what touches
-        under = plan_view(carrier.surface, low, high, rest + float(rise.max()) + level, cell, carrier.closed).at(cells)
+        under = plan_view(carrier.surface, low, high, rest + float(rise.max()) + level, cell, carrier.closed, carrier.blocks).at(cells)
         touches = np.abs(under - rest - rise) <= level
         if touches.any():
             lowest = float(np.median(rise[touches]))
             base = np.abs(rise - lowest) <= level
-            floor = plan_view(carrier.surface, low, high, rest + lowest + level, cell, carrier.closed)
+            floor = plan_view(carrier.surface, low, high, rest + lowest + level, cell, carrier.closed, carrier.blocks)
     top = rest + max(thing.height - config.cell_m, lowest + level)
-    solid = occupancy(carrier.surface, low, high, rest + lowest + level, top, cell)
+    solid = occupancy(carrier.surface, low, high, rest + lowest + level, top, cell, carrier.blocks)
     stood, body = cells[base], cells[_kept(cells, 200)]
     return standing_map(floor, solid, rest + lowest, level, stood[_kept(stood, 200)], body, per_step, reach, config.carried_share)
 
@@ -319,7 +324,7 @@ def _most_carried(
     names: list[str | None] = [None] if has_floor else []
     top = low + float(rise.max()) + config.reach_m
     for other in near:
-        view = plan_view(other.surface, first, last, top, config.cell_m, other.closed)
+        view = plan_view(other.surface, first, last, top, config.cell_m, other.closed, other.blocks)
         if np.isfinite(view.heights).any():
             touching.append(view.at(base) - rise)
             names.append(other.instance_id)
@@ -350,7 +355,7 @@ def _rest_off(
         if not _may_carry(other, thing, config) or _rests_on(other.instance_id, thing.instance_id, rests):
             continue
         for top in (low + config.reach_m, low + config.sunk_m):
-            view = plan_view(other.surface, thing.low[:2], thing.high[:2], top, config.cell_m, other.closed)
+            view = plan_view(other.surface, thing.low[:2], thing.high[:2], top, config.cell_m, other.closed, other.blocks)
             gaps = low - (view.at(base) - rise)
             within = (gaps <= drop) & (gaps >= -config.sunk_m)
             if within.mean() >= config.share:
