@@ -498,6 +498,8 @@ def test_the_report_says_what_the_views_say(report: Path, lake: Lake) -> None:
     assert "28.8 m²" in page.text  # 12.8 + 16
     assert "1 → 0" in page.text  # pairs deeper than 2 mm before and after
     assert "4 of 5, 80%" in page.text  # free objects that stay within 5 cm; one of six is fixed
+    assert "80% (16.7% fixed)" in page.text
+    assert "free objects stable at 5 cm; 2 fixed" in page.text
     assert "0003 book, 50.0 cm" in page.text
     assert "<nothing> carries it" in page.text
     assert "3 of 4" in page.text  # exports

@@ -118,7 +118,10 @@ def _headline(rows: pa.Table) -> list[tuple[str, str]]:
         (as_count(row["categories"]), "categories"),
         (as_count(row["placed_objects"]), "placed assets"),
         (as_count(row["assets"]), "candidate assets"),
-        (f"{as_count(row['stable_5cm'])} of {as_count(row['free_objects'])}", "free objects stable at 5 cm"),
+        (
+            f"{as_count(row['stable_5cm'])} of {as_count(row['free_objects'])}",
+            f"free objects stable at 5 cm; {as_count(row['fixed_objects'])} fixed",
+        ),
         (as_count(row["deep_pairs"]), "pairs deeper than 2 mm"),
         (as_count(row["episodes"]), "episodes"),
         (f"{as_count(row['exports_passed'])} of {as_count(row['exports'])}", "exports pass all checks"),
@@ -236,7 +239,9 @@ def _facts(scene_id: str, answers: Mapping[str, pa.Table]) -> list[tuple[str, st
     add("categories_per_scene", "categories", "Categories", as_count)
     for row in _of_scene(answers["collision_loss"], scene_id).to_pylist():
         facts.append(("Deep pairs", f"{as_count(row['deep_pairs_before'])} \u2192 {as_count(row['deep_pairs_after'])}"))
-    add("stability", "stable_5cm_share", "Stable at 5 cm", as_share)
+    for row in _of_scene(answers["stability"], scene_id).to_pylist()[:1]:
+        if row["free"]:
+            facts.append(("Stable at 5 cm", f"{as_share(row['stable_5cm_share'])} ({as_share(row['fixed_share'])} fixed)"))
     add("navigability", "navigable_share", "Navigable", as_percent)
     add("navigability", "episodes", "Episodes", as_count)
     for row in _of_scene(answers["export_verdicts"], scene_id).to_pylist():

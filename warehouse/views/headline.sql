@@ -10,6 +10,7 @@ SELECT
     (SELECT count(*) FROM assets) AS assets,
     (SELECT CAST(coalesce(sum(deep_pairs_after), 0) AS BIGINT) FROM collision_loss) AS deep_pairs,
     (SELECT CAST(coalesce(sum(free), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS free_objects,
+    (SELECT CAST(coalesce(sum(fixed), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS fixed_objects,
     (SELECT CAST(coalesce(sum(stable_1cm), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS stable_1cm,
     (SELECT CAST(coalesce(sum(stable_5cm), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS stable_5cm,
     (SELECT count(*) FROM episodes) AS episodes,
