@@ -88,9 +88,12 @@ def descend(crowd: Crowd, step: float, max_steps: int, rng: np.random.Generator)
     directions = rng.integers(0, 4, max_steps).astype(np.int64)
     loss, smallest = np.empty(max_steps), np.empty(max_steps)
     outcome, moved = np.empty(max_steps, dtype=np.int64), np.zeros((len(crowd.low), 2), dtype=np.int64)
+    apart, apart_first = listed(~crowd.counted)
+    carried, carried_first = listed(crowd.carries)
     done, start, exhausted = compiled_descent()(
-        crowd.low, crowd.high, crowd.counted, int(crowd.movable.sum()), crowd.carries, crowd.outlines, crowd.corners, crowd.room,
-        crowd.carrier, crowd.shifts, MOVES, float(step), things, directions, loss, smallest, outcome, moved,
+        crowd.low, crowd.high, apart, apart_first, int(crowd.movable.sum()), carried, carried_first, crowd.outlines, crowd.corners,
+        crowd.room, room_borders(crowd.room), crowd.carrier, crowd.shifts, MOVES, float(step), things, directions, loss, smallest,
+        outcome, moved,
     )  # fmt: skip
     count = int(done)
     return Trace(
@@ -103,6 +106,12 @@ def descend(crowd: Crowd, step: float, max_steps: int, rng: np.random.Generator)
         start=float(start),
         exhausted=bool(exhausted),
     )
+
+
+def listed(chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The chosen columns of every row, shape (n, n), one row after the other, and where each row begins, shape (n + 1,)."""
+    row, column = np.divmod(np.flatnonzero(chosen), max(len(chosen), 1))
+    return column, np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(chosen)))]).astype(np.int64)
 
 
 def outline(points: Array, most: int = 32) -> Array:
@@ -145,3 +154,14 @@ def room_triangles(ring: Array, walls: Sequence[Array] = ()) -> Array:
     clockwise = first[:, 0] * second[:, 1] < first[:, 1] * second[:, 0]
     triangles[clockwise] = triangles[clockwise, ::-1]
     return triangles
+
+
+def room_borders(room: Array) -> Array:
+    """What bounds a room of triangles, shape (t, 3, 2): the sides that belong to one of them alone, shape (e, 2, 2)."""
+    borders: dict[frozenset[tuple[float, float]], tuple[tuple[float, float], tuple[float, float]]] = {}
+    for triangle in room.tolist():
+        for e in range(3):
+            one, other = tuple(triangle[e]), tuple(triangle[(e + 1) % 3])
+            if borders.pop(frozenset((one, other)), None) is None:
+                borders[frozenset((one, other))] = one, other
+    return np.array(list(borders.values()), dtype=np.float64).reshape(-1, 2, 2)

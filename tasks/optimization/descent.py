@@ -1,4 +1,9 @@
-"""The loop of Algorithm 1, compiled. `tasks.optimization.collisions` says what it does; arrays are as in its `Crowd`."""
+"""The loop of Algorithm 1, compiled. `tasks.optimization.collisions` says what it does; arrays are as in its `Crowd`.
+
+A move costs only what is near: every thing has a list of the things that it could overlap while all stay within `REACH`
+steps of their anchors, the places where they were listed. A thing that is about to go farther is listed anew. The loss
+is kept up to date by the differences of the listed pairs.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
+Lists = NDArray[np.int32]
 
 TOUCH_M = 1e-6
 """Sides that overlap by less [m] only touch: a micrometre is rounding."""
@@ -22,6 +28,9 @@ ROUNDING_M3 = 1e-12
 ROUNDING_M2 = 1e-9
 """An outline has left the room when more of it than this [m2] is outside that was not: the rounding of clipped areas."""
 
+REACH = 3
+"""Steps that a thing may be from its anchor: more make longer lists, fewer make lists more often."""
+
 KEPT, REVERTED, LEFT_ROOM, LEFT_SUPPORT = 1, 2, 3, 4
 
 
@@ -31,7 +40,7 @@ def compiled_descent() -> Callable[..., Any]:
     import numba
 
     compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
-    for function in (_area, _outside, _fill, _leaves, _shift, _descend):
+    for function in (_area, _outside, _is_clear, _volume, _add, _place, _slot, _widened, _link_all, _find, _list_anew, _leaves, _descend):
         globals()[function.__name__] = compiled(function)
     loop: Callable[..., Any] = globals()["_descend"]
     return loop
@@ -56,7 +65,15 @@ def _outside(outline: Array, corners: int, dx: float, dy: float, room: Array, ri
     for v in range(corners):
         ring[v, 0], ring[v, 1] = outline[v, 0] - ox, outline[v, 1] - oy
     left = _area(ring, corners)
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    for v in range(corners):
+        x0, x1 = min(x0, outline[v, 0] + dx), max(x1, outline[v, 0] + dx)
+        y0, y1 = min(y0, outline[v, 1] + dy), max(y1, outline[v, 1] + dy)
     for t in range(room.shape[0]):
+        if max(room[t, 0, 0], room[t, 1, 0], room[t, 2, 0]) < x0 or min(room[t, 0, 0], room[t, 1, 0], room[t, 2, 0]) > x1:
+            continue
+        if max(room[t, 0, 1], room[t, 1, 1], room[t, 2, 1]) < y0 or min(room[t, 0, 1], room[t, 1, 1], room[t, 2, 1]) > y1:
+            continue
         count = corners
         for v in range(corners):
             ring[v, 0], ring[v, 1] = outline[v, 0] - ox, outline[v, 1] - oy
@@ -82,31 +99,119 @@ def _outside(outline: Array, corners: int, dx: float, dy: float, room: Array, ri
     return left
 
 
-def _fill(volume: Array, group: Booleans, low: Array, high: Array, counted: Booleans, moved: Integers, step: float) -> float:
-    """Overlaps of the things in `group` with all others brought up to date; the sum over all pairs [m3]."""
-    n = low.shape[0]
-    for i in range(n):
-        if not group[i]:
-            continue
-        for j in range(n):
-            if not counted[i, j] or i == j:
-                continue
-            product = 1.0
-            for k in range(3):
-                a, b = low[i, k], low[j, k]
-                c, d = high[i, k], high[j, k]
-                if k < 2:
-                    a, c = a + moved[i, k] * step, c + moved[i, k] * step
-                    b, d = b + moved[j, k] * step, d + moved[j, k] * step
-                side = min(c, d) - max(a, b)
-                product = product * side if side > TOUCH_M else 0.0
-            volume[i, j] = product
-            volume[j, i] = product
-    total = 0.0
-    for i in range(n):
-        for j in range(i + 1, n):
-            total += volume[i, j]
-    return total
+def _is_clear(x0: float, y0: float, x1: float, y1: float, borders: Array) -> bool:
+    """Whether a rectangle lies inside the room and meets none of its borders, shape (e, 2, 2): nothing of it is outside."""
+    cx, cy = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    inside = False
+    for e in range(borders.shape[0]):
+        ax, ay, bx, by = borders[e, 0, 0], borders[e, 0, 1], borders[e, 1, 0], borders[e, 1, 1]
+        if max(ax, bx) >= x0 and min(ax, bx) <= x1 and max(ay, by) >= y0 and min(ay, by) <= y1:
+            side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+            if abs(side) <= 0.5 * (abs(bx - ax) * (y1 - y0) + abs(by - ay) * (x1 - x0)) * (1.0 + 1e-9):
+                return False
+        if (ay > cy) != (by > cy) and cx < ax + (cy - ay) / (by - ay) * (bx - ax):
+            inside = not inside
+    return inside
+
+
+def _volume(boxes: Array, i: int, j: int) -> float:
+    """Volume in which two boxes overlap [m3]. boxes: low and high corners where they are now, shape (n, 6)."""
+    x = min(boxes[i, 3], boxes[j, 3]) - max(boxes[i, 0], boxes[j, 0])
+    y = min(boxes[i, 4], boxes[j, 4]) - max(boxes[i, 1], boxes[j, 1])
+    z = min(boxes[i, 5], boxes[j, 5]) - max(boxes[i, 2], boxes[j, 2])
+    return x * y * z if x > TOUCH_M and y > TOUCH_M and z > TOUCH_M else 0.0
+
+
+def _add(total: float, rest: float, value: float) -> tuple[float, float]:
+    """A sum and its rounding error with one more value in them (Neumaier 1974)."""
+    result = total + value
+    if abs(total) >= abs(value):
+        return result, rest + ((total - result) + value)
+    return result, rest + ((value - result) + total)
+
+
+def _place(boxes: Array, low: Array, high: Array, moved: Integers, step: float, i: int) -> None:
+    """The box of thing i where its moves have brought it: computed from its first place, so that no rounding adds up."""
+    for k in range(2):
+        boxes[i, k], boxes[i, k + 3] = low[i, k] + moved[i, k] * step, high[i, k] + moved[i, k] * step
+
+
+def _slot(near: Lists, degree: Integers, i: int, j: int) -> int:
+    """Where thing j stands in thing i's list; -1: nowhere."""
+    for s in range(degree[i]):
+        if near[i, s] == j:
+            return s
+    return -1
+
+
+def _widened(near: Lists, volume: Array) -> tuple[Lists, Array]:
+    """The lists, shape (n, k), with space for twice as many."""
+    n, space = near.shape
+    wider, volumes = np.empty((n, 2 * space), dtype=near.dtype), np.empty((n, 2 * space))
+    wider[:, :space], volumes[:, :space] = near, volume
+    return wider, volumes
+
+
+def _link_all(hit: NDArray[np.uint8], near: Lists, volume: Array, degree: Integers, i: int) -> None:
+    """Put the things that are hit, none of which overlaps i, into i's list, and i into theirs."""
+    for j in range(hit.shape[0]):
+        if hit[j]:
+            for one, other in ((i, j), (j, i)):
+                near[one, degree[one]], volume[one, degree[one]] = other, 0.0
+                degree[one] += 1
+
+
+def _find(homes: Array, hit: NDArray[np.uint8], x0: float, x1: float, y0: float, y1: float, z0: float, z1: float) -> None:
+    """Mark the boxes, low and high corners of shape (6, n), that overlap a box."""
+    a, b, c, d, e, f = homes[0], homes[1], homes[2], homes[3], homes[4], homes[5]
+    for j in range(hit.shape[0]):  # bytes and no branches: several boxes at a time
+        plan = np.uint8(a[j] < x1) & np.uint8(d[j] > x0) & np.uint8(b[j] < y1) & np.uint8(e[j] > y0)
+        hit[j] = plan & np.uint8(c[j] < z1) & np.uint8(f[j] > z0)
+
+
+def _list_anew(
+    i: int, low: Array, high: Array, step: float, moved: Integers, anchor: Integers, homes: Array, hit: NDArray[np.uint8], apart: Integers,
+    apart_first: Integers, near: Lists, volume: Array, degree: Integers, mark: Integers, stamp: int,
+) -> tuple[Lists, Array]:  # fmt: skip
+    """Anchor thing i where it is, and list it with all that could overlap it while both stay within reach of their anchors.
+
+    Overlaps are untouched: who is dropped from a list or comes into it cannot overlap thing i where it is now. homes:
+    boxes at their anchors, low and high corners, shape (6, n), so that all can be looked through at once. mark, stamp:
+    i's partners that do not count, and those listed already, are marked with the stamp.
+    """
+    for k in range(2):
+        anchor[i, k] = moved[i, k]
+        homes[k, i], homes[k + 3, i] = low[i, k] + moved[i, k] * step, high[i, k] + moved[i, k] * step
+    reach = (2 * REACH + 1e-6) * step
+    x0, x1, y0, y1 = homes[0, i] - reach, homes[3, i] + reach, homes[1, i] - reach, homes[4, i] + reach
+    z0, z1 = homes[2, i] + 0.5 * TOUCH_M, homes[5, i] - 0.5 * TOUCH_M  # too long a list does no harm
+    _find(homes, hit, x0, x1, y0, y1, z0, z1)
+    mark[i] = stamp
+    for k in range(apart_first[i], apart_first[i + 1]):
+        mark[apart[k]] = stamp
+    kept = 0
+    for s in range(degree[i]):
+        j = near[i, s]
+        if hit[j]:
+            near[i, kept], volume[i, kept] = j, volume[i, s]
+            mark[j] = stamp
+            kept += 1
+        else:
+            t, last = _slot(near, degree, j, i), degree[j] - 1
+            near[j, t], volume[j, t] = near[j, last], volume[j, last]
+            degree[j] = last
+    degree[i] = kept
+    added, longest = 0, 0
+    for j in range(hit.shape[0]):
+        if hit[j] and mark[j] == stamp:
+            hit[j] = 0
+        elif hit[j]:
+            added += 1
+            longest = max(longest, degree[j] + 1)
+    while max(kept + added, longest) > near.shape[1]:
+        near, volume = _widened(near, volume)
+    _link_all(hit, near, volume, degree, i)
+    return near, volume
 
 
 def _leaves(thing: int, carrier: Integers, shifts: Booleans, moved: Integers) -> bool:
@@ -119,61 +224,115 @@ def _leaves(thing: int, carrier: Integers, shifts: Booleans, moved: Integers) ->
     return bool(sx < 0 or sy < 0 or sx > 2 * reach or sy > 2 * reach or not shifts[thing, sx, sy])
 
 
-def _shift(moved: Integers, group: Booleans, move: Integers, sign: int) -> None:
-    """Move the things in `group`, or take the move back."""
-    for i in range(moved.shape[0]):
-        if group[i]:
-            moved[i, 0] += sign * move[0]
-            moved[i, 1] += sign * move[1]
-
-
 def _descend(
-    low: Array, high: Array, counted: Booleans, movable_count: int, carries: Booleans, outlines: Array, corners: Integers, room: Array,
-    carrier: Integers, shifts: Booleans, table: Integers, step: float, things: Integers, directions: Integers, loss: Array,
-    smallest: Array, outcome: Integers, moved: Integers,
+    low: Array, high: Array, apart: Integers, apart_first: Integers, movable_count: int, carried: Integers, carried_first: Integers,
+    outlines: Array, corners: Integers, room: Array, borders: Array, carrier: Integers, shifts: Booleans, table: Integers, step: float,
+    things: Integers, directions: Integers, loss: Array, smallest: Array, outcome: Integers, moved: Integers,
 ) -> tuple[int, float, bool]:  # fmt: skip
-    """Fills loss, smallest, outcome and moved. Returns the steps done, the first loss, and whether no move can lower it."""
+    """Fills loss, smallest, outcome and moved. Returns the steps done, the first loss, and whether no move can lower it.
+
+    apart: the partners that do not count in the loss with each thing, carried: the things that each moves along; of thing
+    i from `first[i]` to `first[i + 1]`. borders: what bounds the room, shape (e, 2, 2).
+    """
     n, most = low.shape[0], outlines.shape[1] + 8
     ring, other = np.empty((most, 2)), np.empty((most, 2))
-    volume, outside, trial = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    tried = np.zeros((n, 4), dtype=np.bool_)
-    tried_count, done = 0, 0
-    if room.shape[0] > 0:
-        for i in range(n):
-            outside[i] = _outside(outlines[i], corners[i], 0.0, 0.0, room, ring, other)
-    start = _fill(volume, np.ones(n, dtype=np.bool_), low, high, counted, moved, step)
-    best = start
-    while done < things.shape[0] and best > 0.0 and tried_count < 4 * movable_count:
-        thing, move = things[done], table[directions[done]]
-        group = carries[thing]
-        _shift(moved, group, move, 1)
-        code, total = KEPT, best
+    outside, trial, plan, is_clear = np.zeros(n), np.zeros(n), np.empty((n, 4)), np.ones(n, dtype=np.bool_)
+    boxes, anchor, mark = np.concatenate((low, high), axis=1), np.zeros((n, 2), dtype=np.int64), np.full(n, -1, dtype=np.int64)
+    homes, hit = np.ascontiguousarray(boxes.T), np.empty(n, dtype=np.uint8)
+    near: Lists = np.empty((n, 16), dtype=np.int32)
+    volume: Array = np.empty((n, 16))
+    degree = np.zeros(n, dtype=np.int64)
+    margin, stamp = REACH * step, 0
+    for i in range(n):
+        ring_i = outlines[i, : corners[i]]
+        plan[i, 0], plan[i, 1] = ring_i[:, 0].min(), ring_i[:, 1].min()
+        plan[i, 2], plan[i, 3] = ring_i[:, 0].max(), ring_i[:, 1].max()
         if room.shape[0] > 0:
-            for i in range(n):
-                if group[i]:
-                    trial[i] = _outside(outlines[i], corners[i], moved[i, 0] * step, moved[i, 1] * step, room, ring, other)
-                    if trial[i] > outside[i] + ROUNDING_M2:
-                        code = LEFT_ROOM
+            is_clear[i] = _is_clear(plan[i, 0] - margin, plan[i, 1] - margin, plan[i, 2] + margin, plan[i, 3] + margin, borders)
+            outside[i] = 0.0 if is_clear[i] else _outside(outlines[i], corners[i], 0.0, 0.0, room, ring, other)
+    sum_high, sum_low, overlapping = 0.0, 0.0, 0
+    for i in range(n):
+        near, volume = _list_anew(
+            i, low, high, step, moved, anchor, homes, hit, apart, apart_first, near, volume, degree, mark, stamp
+        )  # fmt: skip
+        stamp += 1
+    for i in range(n):
+        for s in range(degree[i]):
+            volume[i, s] = _volume(boxes, i, near[i, s])
+            if near[i, s] > i and volume[i, s] > 0.0:
+                sum_high, sum_low = _add(sum_high, sum_low, volume[i, s])
+                overlapping += 1
+    start = best = sum_high + sum_low
+    tried, since, tried_count, done = np.full((n, 4), -1, dtype=np.int64), 0, 0, 0
+    while done < things.shape[0] and best > 0.0 and tried_count < 4 * movable_count:
+        thing, dx, dy = things[done], table[directions[done], 0], table[directions[done], 1]
+        begin, end = carried_first[thing], carried_first[thing + 1]
+        for e in range(begin, end):
+            i = carried[e]
+            if abs(moved[i, 0] + dx - anchor[i, 0]) > REACH or abs(moved[i, 1] + dy - anchor[i, 1]) > REACH:
+                near, volume = _list_anew(
+                    i, low, high, step, moved, anchor, homes, hit, apart, apart_first, near, volume, degree, mark, stamp
+                )  # fmt: skip
+                stamp += 1
+                if room.shape[0] > 0:
+                    x, y = moved[i, 0] * step, moved[i, 1] * step
+                    x0, y0, x1, y1 = plan[i, 0] + x, plan[i, 1] + y, plan[i, 2] + x, plan[i, 3] + y
+                    is_clear[i] = _is_clear(x0 - margin, y0 - margin, x1 + margin, y1 + margin, borders)
+        code, total = KEPT, best
+        for e in range(begin, end):
+            i = carried[e]
+            mark[i] = stamp
+            moved[i, 0] += dx
+            moved[i, 1] += dy
+            trial[i] = 0.0
+            if not is_clear[i]:
+                x, y = moved[i, 0] * step, moved[i, 1] * step
+                if not _is_clear(plan[i, 0] + x, plan[i, 1] + y, plan[i, 2] + x, plan[i, 3] + y, borders):
+                    trial[i] = _outside(outlines[i], corners[i], x, y, room, ring, other)
+                if trial[i] > outside[i] + ROUNDING_M2:
+                    code = LEFT_ROOM
         if code == KEPT and _leaves(thing, carrier, shifts, moved):
             code = LEFT_SUPPORT
         if code == KEPT:
-            total = _fill(volume, group, low, high, counted, moved, step)
+            new_high, new_low, new_overlapping = sum_high, sum_low, overlapping
+            for e in range(begin, end):
+                _place(boxes, low, high, moved, step, carried[e])
+            for e in range(begin, end):
+                i = carried[e]
+                for s in range(degree[i]):
+                    j = near[i, s]
+                    if j < i and mark[j] == stamp:  # both move: the pair is met once
+                        continue
+                    now, was = _volume(boxes, i, j), volume[i, s]
+                    if now != was:
+                        new_high, new_low = _add(new_high, new_low, now)
+                        new_high, new_low = _add(new_high, new_low, -was)
+                        new_overlapping += (now > 0.0) - (was > 0.0)
+            total = new_high + new_low if new_overlapping > 0 else 0.0
             if total >= best - ROUNDING_M3:
                 code = REVERTED
         loss[done] = total
         if code == KEPT:
             best, tried_count = total, 0
-            tried[:] = False
-            for i in range(n):
-                if group[i]:
-                    outside[i] = trial[i]
+            since += 1
+            sum_high, sum_low, overlapping = new_high, new_low, new_overlapping
+            for e in range(begin, end):
+                i = carried[e]
+                outside[i] = trial[i]
+                for s in range(degree[i]):
+                    j = near[i, s]
+                    volume[i, s] = _volume(boxes, i, j)
+                    volume[j, _slot(near, degree, j, i)] = volume[i, s]
         else:
-            _shift(moved, group, move, -1)
-            if code == REVERTED:
-                _fill(volume, group, low, high, counted, moved, step)
-            if not tried[thing, directions[done]]:
-                tried[thing, directions[done]] = True
+            for e in range(begin, end):
+                moved[carried[e], 0] -= dx
+                moved[carried[e], 1] -= dy
+                if code == REVERTED:
+                    _place(boxes, low, high, moved, step, carried[e])
+            if tried[thing, directions[done]] != since:
+                tried[thing, directions[done]] = since
                 tried_count += 1
+        stamp += 1
         smallest[done], outcome[done] = best, code
         done += 1
     return done, start, best > 0.0 and tried_count >= 4 * movable_count
