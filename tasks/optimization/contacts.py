@@ -1,7 +1,7 @@
 """Contacts: which convex pieces of placed solids penetrate, how deep, and which way parts them.
 
 FCL says whether two pieces overlap; that is right. The depth that its solvers give for convex polyhedra is not: libccd's
-is one upper bound among many (twice the depth when one piece is deep in the other), the other solver's is no bound at
+is one upper bound among many (up to thrice the depth when one piece is deep in the other), the other solver's is no bound at
 all. So the depth is computed here, exactly: the least shift that parts two convex polyhedra is
 along a normal of the boundary of their Minkowski difference, which is a face of the one, of the other, or spanned by an
 edge of each whose arcs cross on the sphere of normals (Gregorius, "The Separating Axis Test between Convex Polyhedra",
@@ -23,7 +23,6 @@ from tasks.optimization.solids import Solid
 from tasks.pieces import Hull
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 FLOOR = "floor"
 """Name of the floor, the half-space below z = 0."""
@@ -71,7 +70,7 @@ class Colliders:
             self._shape[i] = known[key]
         self._distinct = distinct
         self._geometries: dict[int, Any] = {}
-        self._shapes = _stacked_shapes(distinct)
+        self._shapes: dict[int, tuple[Array, Array, Array]] = {}
         self._points = np.concatenate([hull.vertices for hull in pieces]) if pieces else np.zeros((0, 3))
         sizes = np.array([len(hull.vertices) for hull in pieces], dtype=np.int64)
         self._point_first = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
@@ -104,7 +103,7 @@ class Colliders:
                 continue
             rotation = placed[a, :3, :3].T @ placed[b, :3, :3]
             shift = placed[a, :3, :3].T @ (placed[b, :3, 3] - placed[a, :3, 3])
-            deep, x, y, z = depth(*self._shapes, self._shape[p], self._shape[q], rotation, shift)
+            deep, x, y, z = depth(*self._shape_of(p), *self._shape_of(q), rotation, shift)
             if deep > found.get((a, b), (TOUCH_M,))[0]:
                 found[a, b] = (deep, placed[a, :3, :3] @ np.array([x, y, z]))
         for i in range(movable):
@@ -144,6 +143,13 @@ class Colliders:
         order = np.lexsort((q, p, -bound))
         return list(zip(p[order].tolist(), q[order].tolist(), bound[order].tolist(), strict=True))
 
+    def _shape_of(self, piece: int) -> tuple[Array, Array, Array]:
+        """Vertices, normals and edges of a piece, at the first need: most pieces never come near another thing's."""
+        shape = int(self._shape[piece])
+        if shape not in self._shapes:
+            self._shapes[shape] = _shape(self._distinct[shape])
+        return self._shapes[shape]
+
     def _overlap(self, p: int, q: int, poses: Array, objects: dict[int, Any]) -> bool:
         """Whether two pieces overlap, by FCL. libccd's solver: the other one misses some."""
         import fcl
@@ -151,7 +157,7 @@ class Colliders:
         for piece in (p, q):
             if piece not in objects:
                 pose, shape = poses[self._owner[piece]], int(self._shape[piece])
-                if shape not in self._geometries:  # at the first need: most pieces never come near another thing's
+                if shape not in self._geometries:
                     self._geometries[shape] = _fcl_convex(self._distinct[shape])
                 objects[piece] = fcl.CollisionObject(self._geometries[shape], fcl.Transform(pose[:3, :3], pose[:3, 3]))
         request = fcl.CollisionRequest(gjk_solver_type=fcl.GJKSolverType.GST_LIBCCD)
@@ -171,23 +177,12 @@ def _fcl_convex(hull: Hull) -> Any:
     return fcl.Convex(np.ascontiguousarray(hull.vertices), len(hull.faces), faces.astype(np.int32))
 
 
-def _stacked_shapes(hulls: Sequence[Hull]) -> tuple[Array, Integers, Array, Integers, Array, Integers]:
-    """Vertices (v, 3), outward unit normals of the faces (f, 3), and edges, with the first of each hull's, shape (m + 1,).
+def _shape(hull: Hull) -> tuple[Array, Array, Array]:
+    """Vertices (v, 3), outward unit normals of the faces (f, 3), and edges of one hull.
 
     Edges: one end, the other end, and the normals of the two faces that meet there, shape (e, 4, 3). Triangles of one
-    plane are one face, and lines between them are no edges.
+    plane are one face, and lines between them are no edges. The planes are qhull's: those of its slivers are exact, too.
     """
-    shapes = [_shape(hull) for hull in hulls]
-    arrays: list[Any] = []
-    for k, empty in enumerate((np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4, 3)))):
-        parts = [shape[k] for shape in shapes]
-        arrays.append(np.ascontiguousarray(np.concatenate([empty, *parts])))
-        arrays.append(np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64))
-    return arrays[0], arrays[1], arrays[2], arrays[3], arrays[4], arrays[5]
-
-
-def _shape(hull: Hull) -> tuple[Array, Array, Array]:
-    """Vertices, normals and edges of one hull. The planes are qhull's: those of its slivers are exact, too."""
     from scipy.spatial import ConvexHull
 
     found = ConvexHull(hull.vertices, qhull_options="Qt Pp")
@@ -198,7 +193,7 @@ def _shape(hull: Hull) -> tuple[Array, Array, Array]:
         bent = (here < there) & (np.linalg.norm(np.cross(planes, planes[there]), axis=1) > 1e-12)
         ends = np.delete(found.simplices, k, axis=1)[bent]
         edges.append(np.stack([hull.vertices[ends[:, 0]], hull.vertices[ends[:, 1]], planes[bent], planes[there[bent]]], axis=1))
-    return hull.vertices, np.unique(planes, axis=0), np.concatenate(edges)
+    return np.ascontiguousarray(hull.vertices), np.unique(planes, axis=0), np.concatenate(edges)
 
 
 @cache
@@ -224,41 +219,40 @@ def _width(a: Array, b: Array, x: float, y: float, z: float) -> float:
 
 
 def _depth(
-    vertices: Array, vertex_first: Integers, normals: Array, normal_first: Integers, edges: Array, edge_first: Integers,
-    i: int, j: int, rotation: Array, shift: Array,
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """Penetration depth of hulls i and j [m], and the direction in i's frame along which i moves out of j; 0 when apart.
+    a: Array, normals: Array, edges: Array, local: Array, other_normals: Array, other_edges: Array, rotation: Array, shift: Array
+) -> tuple[float, float, float, float]:
+    """Penetration depth of two hulls' vertices, normals and edges [m], and the direction in the first one's frame along
+    which it moves out of the other; 0 when they are apart.
 
-    rotation (3, 3), shift (3,): hull j's frame to hull i's. Every direction gives an upper bound, so a wrong one cannot
-    harm; among all faces and all crossing pairs of edges is the least.
+    rotation (3, 3), shift (3,): the second hull's frame to the first's. Every direction gives an upper bound, so a wrong
+    one cannot harm; among all faces and all crossing pairs of edges is the least.
     """
-    a, local = vertices[vertex_first[i] : vertex_first[i + 1]], vertices[vertex_first[j] : vertex_first[j + 1]]
     b = np.empty_like(local)
     for v in range(local.shape[0]):
         for k in range(3):
             b[v, k] = rotation[k, 0] * local[v, 0] + rotation[k, 1] * local[v, 1] + rotation[k, 2] * local[v, 2] + shift[k]
     best, bx, by, bz = np.inf, 0.0, 0.0, 0.0
-    for f in range(normal_first[i], normal_first[i + 1]):
+    for f in range(normals.shape[0]):
         x, y, z = normals[f, 0], normals[f, 1], normals[f, 2]
         width = _width(a, b, x, y, z)
         if width < best:
             best, bx, by, bz = width, x, y, z
-    for f in range(normal_first[j], normal_first[j + 1]):
-        n = normals[f]
+    for f in range(other_normals.shape[0]):
+        n = other_normals[f]
         x = -(rotation[0, 0] * n[0] + rotation[0, 1] * n[1] + rotation[0, 2] * n[2])
         y = -(rotation[1, 0] * n[0] + rotation[1, 1] * n[1] + rotation[1, 2] * n[2])
         z = -(rotation[2, 0] * n[0] + rotation[2, 1] * n[1] + rotation[2, 2] * n[2])
         width = _width(a, b, x, y, z)
         if width < best:
             best, bx, by, bz = width, x, y, z
-    others = np.empty((edge_first[j + 1] - edge_first[j], 4, 3))
+    others: Array = np.empty(other_edges.shape)
     for e in range(others.shape[0]):
         for row in range(4):
-            p = edges[edge_first[j] + e, row]
+            p = other_edges[e, row]
             for k in range(3):
                 turned = rotation[k, 0] * p[0] + rotation[k, 1] * p[1] + rotation[k, 2] * p[2]
                 others[e, row, k] = turned + shift[k] if row < 2 else -turned
-    for e in range(edge_first[i], edge_first[i + 1]):
+    for e in range(edges.shape[0]):
         if best <= 0.0:
             break
         p, q, m, n = edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]
