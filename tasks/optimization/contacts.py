@@ -1,11 +1,10 @@
 """Contacts: which convex pieces of placed solids penetrate, how deep, and which way parts them.
 
 FCL says whether two pieces overlap; that is right. The depth that its solvers give for convex polyhedra is not: libccd's
-is one upper bound among many (up to thrice the depth when one piece is deep in the other), the other solver's is no bound at
-all. So the depth is computed here, exactly: the least shift that parts two convex polyhedra is
-along a normal of the boundary of their Minkowski difference, which is a face of the one, of the other, or spanned by an
-edge of each whose arcs cross on the sphere of normals (Gregorius, "The Separating Axis Test between Convex Polyhedra",
-GDC 2013).
+is one upper bound among many (up to thrice the depth when one piece is deep in the other), the other solver's is no bound at all. So
+the depth is computed here, exactly: the least shift that parts two convex polyhedra is along a normal of the boundary of
+their Minkowski difference, which is a face of the one, of the other, or spanned by an edge of each whose arcs cross on
+the sphere of normals (Gregorius, "The Separating Axis Test between Convex Polyhedra", GDC 2013).
 """
 
 from __future__ import annotations
