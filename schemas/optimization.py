@@ -10,7 +10,7 @@ BODY_PATTERN = r"[0-9]{4,}|floor|ceiling|(wall|inner)_[0-9]{2,}"
 RELATIONS = ("floor", "on", "inside", "wall", "ceiling", "none")
 """How a thing can be carried."""
 
-APPLIED = ("pulled_in", "hung", "rested", "kept")
+APPLIED = ("pulled_in", "hung", "rested", "kept", "tipped")
 """Outcomes of steps that moved something: replaying these steps gives the optimized poses."""
 
 
@@ -74,14 +74,16 @@ class OptimizationStep:
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     step: int = column("Step, 0 is the proposed state; the default method leaves out moves that it took back", minimum=0)
     instance_id: str | None = column("Moved instance, with all it carries; missing for step 0", pattern=INSTANCE_PATTERN)
-    dx_m: float = column("Move along x", unit="m")
-    dy_m: float = column("Move along y", unit="m")
-    dz_m: float = column("Move along z", unit="m")
-    dyaw_radians: float = column("Turn about the upright axis through the proposed pose's origin", unit="rad")
+    dx_m: float = column("Move of the thing's origin along x", unit="m")
+    dy_m: float = column("Move of the thing's origin along y", unit="m")
+    dz_m: float = column("Move of the thing's origin along z", unit="m")
+    turn_x_radians: float = column("Turn about the thing's origin before that move: rotation vector in the world frame, along x", unit="rad")
+    turn_y_radians: float = column("The same along y", unit="rad")
+    turn_z_radians: float = column("The same along z: the yaw where x and y are 0", unit="rad")
     loss: float = column("Collision loss after the move: overlap volume in m3 (paper, equation A1) or penetration depth in m (default)", minimum=0)
     smallest_loss: float = column("Smallest loss so far, this step included, in the unit of the loss", minimum=0)
     outcome: str = column(
-        "What became of the move; 'pulled_in', 'hung', 'rested' and 'kept' moved something",
+        "What became of the move; 'pulled_in', 'hung', 'rested', 'kept' and 'tipped' moved something",
         values=("start", *APPLIED, "reverted", "left_room", "left_support"),
     )
 

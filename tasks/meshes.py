@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -160,6 +160,24 @@ def surface_of(parts: Sequence[trimesh.Trimesh]) -> Surface:
         colors.append(vertex_colors(part))
         offset += len(part.vertices)
     return Surface(np.concatenate(vertices), np.concatenate(faces), np.concatenate(colors))
+
+
+def asset_surface(blob: str, blobs: Mapping[str, bytes], file: str, cache: MutableMapping[str, bytes]) -> Surface:
+    """The parts of a GLB merged into one surface, in its own frame, remembered in `cache` by the blob's name.
+
+    Raises:
+        InputError: the file is no GLB, holds no triangles, or holds coordinates that are not finite.
+    """
+    if blob not in cache:
+        surface = surface_of(load_glb(blobs[blob], file))
+        counts = np.array([len(surface.vertices), len(surface.faces)], dtype="<i8")
+        columns = (counts, surface.vertices.astype("<f8"), surface.faces.astype("<i8"), surface.colors)
+        cache[blob] = b"".join(np.ascontiguousarray(column).tobytes() for column in columns)
+    data = cache[blob]
+    n, m = (int(v) for v in np.frombuffer(data, dtype="<i8", count=2))
+    vertices = np.frombuffer(data, dtype="<f8", offset=16, count=3 * n).reshape(n, 3)
+    faces = np.frombuffer(data, dtype="<i8", offset=16 + 24 * n, count=3 * m).reshape(m, 3)
+    return Surface(vertices, faces, np.frombuffer(data, dtype=np.uint8, offset=16 + 24 * (n + m)).reshape(n, 3))
 
 
 def vertex_colors(part: trimesh.Trimesh) -> NDArray[np.uint8]:

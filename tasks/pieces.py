@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 from collections import OrderedDict
-from collections.abc import MutableMapping, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -59,14 +58,6 @@ class Hull:
 
 
 @dataclasses.dataclass(frozen=True)
-class Pieces:
-    """Convex pieces of one asset in its own frame, and how they were made."""
-
-    hulls: tuple[Hull, ...]
-    method: Method
-
-
-@dataclasses.dataclass(frozen=True)
 class MassProperties:
     """Of a uniform solid: volume [m3], center of mass [m] (3,), inertia about it for unit density [kg m2], shape (3, 3)."""
 
@@ -74,60 +65,111 @@ class MassProperties:
     center: NDArray[np.float64]
     inertia: NDArray[np.float64]
 
+    def scaled(self, scale: ArrayLike) -> MassProperties:
+        """Those of the solid stretched along its axes by positive factors, shape (3,)."""
+        s = np.asarray(scale, dtype=np.float64)
+        grown = float(np.prod(s))
+        second = 0.5 * np.trace(self.inertia) * np.eye(3) - self.inertia  # integral of x x^T
+        stretched = grown * second * np.outer(s, s)
+        return MassProperties(grown * self.volume, self.center * s, np.trace(stretched) * np.eye(3) - stretched)
 
-_memo: OrderedDict[tuple[str, PieceConfig], Pieces] = OrderedDict()
+
+@dataclasses.dataclass(frozen=True)
+class Pieces:
+    """Convex pieces of one asset in its own frame, how they were made, and the mass properties of their union."""
+
+    hulls: tuple[Hull, ...]
+    method: Method
+    properties: MassProperties
+
+
+_memo: OrderedDict[tuple[str, bool, PieceConfig], Pieces] = OrderedDict()
 _MEMO_SIZE = 512  # assets; a few hundred kB each at most
 
 
 def asset_pieces(
     asset_id: str,
-    parts: Sequence[trimesh.Trimesh],
-    known: Sequence[trimesh.Trimesh] | None,
+    parts: Callable[[], Sequence[trimesh.Trimesh]],
+    known: Callable[[], Sequence[trimesh.Trimesh]] | None,
     config: PieceConfig,
     cache: MutableMapping[str, bytes] | None = None,
 ) -> Pieces:
     """Convex pieces of an unscaled asset, computed once per process for each asset, and once per `cache`.
 
-    parts: what is seen. known: pieces from construction, or None. Both in the asset's frame [m]. Pieces never reach
-    outside the box of the parts, so an object that rests on what is seen of it rests on its pieces.
+    parts: gives what is seen. known: gives the pieces from construction; None when there are none. Both in the asset's
+    frame [m], and called only when the pieces are not known yet. Pieces never reach outside the box of the parts, so an
+    object that rests on what is seen of it rests on its pieces.
     """
-    key = (asset_id, config)
+    key = (asset_id, known is not None, config)
     if key not in _memo:
-        _memo[key] = pieces(parts, known, config) if known or cache is None else _cached(asset_id, parts, config, cache)
+        _memo[key] = _cached(asset_id, parts, known, config, {} if cache is None else cache)
         while len(_memo) > _MEMO_SIZE:
             _memo.popitem(last=False)
     _memo.move_to_end(key)
     return _memo[key]
 
 
-def _cached(asset_id: str, parts: Sequence[trimesh.Trimesh], config: PieceConfig, cache: MutableMapping[str, bytes]) -> Pieces:
+def _cached(
+    asset_id: str, parts: Callable[[], Sequence[trimesh.Trimesh]], known: Callable[[], Sequence[trimesh.Trimesh]] | None,
+    config: PieceConfig, cache: MutableMapping[str, bytes],
+) -> Pieces:  # fmt: skip
     """Pieces out of the cache, put there when they are not; a library's models are decomposed once, not once per run."""
-    key = hashlib.sha256(f"pieces {asset_id} {config!r}".encode()).hexdigest()
+    key = hashlib.sha256(f"pieces {asset_id} {known is not None} {config!r}".encode()).hexdigest()
     if key not in cache:
-        made = pieces(parts, None, config)
-        hulls = [[hull.vertices.tolist(), hull.faces.tolist()] for hull in made.hulls]
-        cache[key] = json.dumps([made.method, hulls]).encode()
-    method, hulls = json.loads(cache[key])
-    return Pieces(tuple(Hull(np.array(v, dtype=np.float64), np.array(f, dtype=np.int64)) for v, f in hulls), method)
+        cache[key] = _packed(pieces(parts(), known() if known is not None else None, config))
+    return _unpacked(cache[key])
+
+
+def _packed(made: Pieces) -> bytes:
+    """Pieces as bytes: the method, mass properties, counts of vertices and faces, then all vertices and all faces."""
+    counts = np.array([[len(hull.vertices), len(hull.faces)] for hull in made.hulls], dtype="<i8")
+    head = f"{made.method} {len(counts)}\n".encode()
+    vertices = np.concatenate([hull.vertices for hull in made.hulls]).astype("<f8")
+    faces = np.concatenate([hull.faces for hull in made.hulls]).astype("<i8")
+    mass = np.concatenate([[made.properties.volume], made.properties.center, made.properties.inertia.ravel()]).astype("<f8")
+    return head + mass.tobytes() + counts.tobytes() + vertices.tobytes() + faces.tobytes()
+
+
+def _unpacked(data: bytes) -> Pieces:
+    """Pieces from bytes of `_packed`."""
+    head, body = data.split(b"\n", 1)
+    method, count = head.decode().split()
+    mass = np.frombuffer(body, dtype="<f8", count=13)
+    body = body[mass.nbytes :]
+    counts = np.frombuffer(body, dtype="<i8", count=2 * int(count)).reshape(-1, 2)
+    stops = np.cumsum(counts, axis=0)
+    vertices = np.frombuffer(body, dtype="<f8", offset=counts.nbytes, count=3 * int(stops[-1, 0])).reshape(-1, 3)
+    faces = np.frombuffer(body, dtype="<i8", offset=counts.nbytes + vertices.nbytes).reshape(-1, 3)
+    hulls = [Hull(v, f) for v, f in zip(np.split(vertices, stops[:-1, 0]), np.split(faces, stops[:-1, 1]), strict=True)]
+    properties = MassProperties(float(mass[0]), mass[1:4].copy(), mass[4:].reshape(3, 3).copy())
+    return Pieces(tuple(hulls), method, properties)  # type: ignore[arg-type]
 
 
 def pieces(parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] | None, config: PieceConfig) -> Pieces:
     """`asset_pieces` without its memory."""
+    hulls, method = _hulls(parts, known, config)
+    return Pieces(hulls, method, mass_properties(hulls))
+
+
+def _hulls(
+    parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] | None, config: PieceConfig
+) -> tuple[tuple[Hull, ...], Method]:
+    """Convex pieces, and how they were made."""
     points = np.concatenate([np.asarray(part.vertices, dtype=np.float64) for part in parts])
     bounds = np.array([points.min(axis=0), points.max(axis=0)])
     if known:
         clouds = [np.asarray(piece.vertices, dtype=np.float64) for piece in known]
-        return Pieces(_boxed(clouds, bounds, config), "generator")
+        return _boxed(clouds, bounds, config), "generator"
     surface = _merged(parts)
     components = _components(surface)
     dented = [c for c in components if not _is_convex(c, config)]
     if len(components) - len(dented) > config.max_components:
-        return Pieces(_boxed(_coacd(surface, config), bounds, config), "coacd")
+        return _boxed(_coacd(surface, config), bounds, config), "coacd"
     whole = {id(c) for c in dented}
     clouds = [np.asarray(c.vertices) for c in components if id(c) not in whole]
     if dented:  # together, so that the threshold is measured against the object, not against each of its parts
         clouds += _coacd(_merged(dented), config)
-    return Pieces(_boxed(clouds, bounds, config), "coacd" if dented else "hulls")
+    return _boxed(clouds, bounds, config), "coacd" if dented else "hulls"
 
 
 def mass_properties(hulls: Sequence[Hull]) -> MassProperties:

@@ -18,7 +18,7 @@ from schemas.errors import InputError
 from schemas.optimization import Placement, Support
 from tasks.exports.config import ExportsConfig
 from tasks.meshes import load_glb
-from tasks.pieces import Hull, MassProperties, Method, asset_pieces, mass_properties
+from tasks.pieces import Hull, MassProperties, Method, asset_pieces
 from tasks.transforms import is_rigid, matrix
 
 if TYPE_CHECKING:
@@ -149,14 +149,15 @@ def _shape(
         raise InputError("assets", f"asset_id {placement.asset_id}", "is not among the scene's assets", "run candidates again")
     glb = blobs[asset.mesh_blob]
     parts = load_glb(glb, f"{asset.name}.glb")
-    known = load_glb(blobs[asset.pieces_blob], f"{asset.name} pieces.glb") if asset.pieces_blob else None
-    made = asset_pieces(asset.asset_id, parts, known, config.pieces, cache)
+    pieces_blob, name = asset.pieces_blob, asset.name
+    known = (lambda: load_glb(blobs[pieces_blob], f"{name} pieces.glb")) if pieces_blob else None
+    made = asset_pieces(asset.asset_id, lambda: parts, known, config.pieces, cache)
     for part in parts:
         part.apply_transform(np.diag([*placement.scale, 1.0]))
     hulls = tuple(hull.transformed(np.eye(4), placement.scale) for hull in made.hulls)
     size = ",".join(f"{value:.9g}" for value in placement.scale)
     name = f"{identifier(asset.category)}_{digest(f'{asset.asset_id} {size}', 8)}"
-    return Shape(name, asset, placement.scale, glb, parts, hulls, made.method, mass_properties(hulls))
+    return Shape(name, asset, placement.scale, glb, parts, hulls, made.method, made.properties.scaled(placement.scale))
 
 
 def _body(

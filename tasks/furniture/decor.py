@@ -259,9 +259,10 @@ def ball(d: Draft) -> None:
 
 @category("backpack", (0.2, 0.32, 0.46), "school bag", "rucksack")
 def backpack(d: Draft) -> None:
-    """A rounded bag with a front pocket, a loop and two straps at its back."""
+    """A rounded bag with a stiff base, a front pocket, a loop and two straps at its back."""
     color = d.main(FABRICS + PLASTICS)
     d.cushion("bag", color, (-0.6 * d.hx, 0.7 * d.hx), (-d.hy, d.hy), (0, 0.94 * d.Z), 0.3 * d.X)
+    d.box("base", shade(color, 0.6), (-0.55 * d.hx, 0.8 * d.hx), (-0.85 * d.hy, 0.85 * d.hy), (0, 0.03 * d.Z))  # stiff, so that it stands
     d.cushion("pocket", shade(color, 0.85), (0.3 * d.hx, d.hx), (-0.7 * d.hy, 0.7 * d.hy), (0.06 * d.Z, 0.5 * d.Z), 0.1 * d.X)
     d.box("zip", (40, 40, 42), (0.6 * d.hx, 0.72 * d.hx), (-0.8 * d.hy, 0.8 * d.hy), (0.6 * d.Z, 0.612 * d.Z))
     _loop(d, shade(color, 0.7), 0.25 * d.hy, 0.9 * d.Z, d.Z)

@@ -96,7 +96,7 @@ def mouse(d: Draft) -> None:
     """A low rounded body with a wheel."""
     color = d.main(DARKS + WHITES)
     d.add("body", color, ellipsoid((0, 0, 0.36 * d.Z), (d.hx, d.hy, 0.62 * d.Z), 14, 8))
-    d.cushion("body", color, (-0.75 * d.hx, 0.75 * d.hx), (-0.7 * d.hy, 0.7 * d.hy), (0, 0.4 * d.Z), 0.004)
+    d.cushion("body", color, (-0.75 * d.hx, 0.75 * d.hx), (-0.7 * d.hy, 0.7 * d.hy), (-0.27 * d.Z, 0.4 * d.Z), 0.004)
     d.add(
         "wheel",
         shade(color, 0.5),

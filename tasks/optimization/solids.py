@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+from collections import OrderedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Room
-from tasks.pieces import Hull
+from tasks.pieces import Hull, MassProperties, mass_properties
 from tasks.replica import ShellConfig, room_shell
 
 Array = NDArray[np.float64]
@@ -17,10 +19,12 @@ Array = NDArray[np.float64]
 @dataclasses.dataclass(frozen=True)
 class Solid:
     """Convex pieces of one thing. name: instance id, or the part of the room's shell. hulls: scaled, in the asset's own
-    frame (+Z up, origin at the bottom center), in the world frame for the shell [m]."""
+    frame (+Z up, origin at the bottom center), in the world frame for the shell [m]. properties: mass properties of the
+    pieces' union, where they are known already."""
 
     name: str
     hulls: tuple[Hull, ...]
+    properties: MassProperties | None = None
 
     def placed(self, pose: Array) -> tuple[Hull, ...]:
         """The pieces moved by a rigid pose, 4x4 [m]."""
@@ -37,6 +41,23 @@ class Body:
     friction: float
     materials: tuple[str, ...]
     is_fixed: bool
+
+
+def mass_properties_of(solid: Solid) -> MassProperties:
+    """Mass properties of the union of a solid's pieces for unit density, remembered by content: a union takes milliseconds."""
+    if solid.properties is not None:
+        return solid.properties
+    key = hashlib.sha256(b"".join(part for hull in solid.hulls for part in (hull.vertices.tobytes(), b"|", hull.faces.tobytes()))).digest()
+    if key not in _memo:
+        _memo[key] = mass_properties(solid.hulls)
+        while len(_memo) > _MEMO_SIZE:
+            _memo.popitem(last=False)
+    _memo.move_to_end(key)
+    return _memo[key]
+
+
+_memo: OrderedDict[bytes, MassProperties] = OrderedDict()
+_MEMO_SIZE = 4096  # 200 bytes each
 
 
 def shell_solids(room: Room, thickness_m: float = ShellConfig.thickness_m) -> tuple[Solid, ...]:

@@ -1,0 +1,267 @@
+"""Simulated annealing of a furnished room (Metropolis et al., 1953; Kirkpatrick et al., 1983), compiled.
+
+Energy [m] of a state: the penetration depths of all counted pairs of pieces, plus a small price for every metre that
+a thing was moved or turned away. A move shifts or turns one thing with all it carries; it is drawn from a symmetric
+distribution and taken with probability min(1, exp(-change / temperature)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.optimization import arrangement
+from tasks.optimization.arrangement import (
+    FIXED,
+    HANGING,
+    STANDING,
+    Arrangement,
+    compose,
+    displacement,
+    evaluate,
+    is_near,
+    move_group,
+    near_pairs,
+    off_carrier,
+    overlaps,
+    restore,
+)
+from tasks.optimization.shapes import Stand, pair_depth
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+
+class Schedule(NamedTuple):
+    """How a chain runs. slop [m]: depth that only touches. step [m], turn [rad]: spread of moves at first. least_step,
+    most_step [m]: bounds of the adapted spread. turn_share: share of turns among moves. most_turn [rad]: farthest turn.
+    price: of a metre of displacement, in metres of depth. temperature [m]: at first. cooling: factor per sweep.
+    coldest [m]: then it is warmed up again. warmer: factor on the temperature each time. sweep: moves per active body.
+    adapts: whether the spread of moves follows their acceptance. returns: whether things are brought back towards
+    their places once nothing overlaps."""
+
+    slop: float
+    step: float
+    turn: float
+    least_step: float
+    most_step: float
+    turn_share: float
+    most_turn: float
+    price: float
+    temperature: float
+    cooling: float
+    coldest: float
+    warmer: float
+    sweep: int
+    adapts: bool
+    returns: bool
+
+
+class Record(NamedTuple):
+    """Space for the moves that a chain keeps: body, move (dx, dy, dz, dyaw), loss [m] and smallest loss so far [m] after
+    it, number of the move."""
+
+    bodies: Integers
+    moves: Array
+    loss: Array
+    smallest: Array
+    numbers: Integers
+
+
+@cache
+def compiled() -> dict[str, Callable[..., Any]]:
+    """The functions below and those of `arrangement` as machine code, by name."""
+    import numba
+
+    known = dict(arrangement.compiled())
+    globals().update(known)
+    made = numba.njit(cache=True, nogil=True, error_model="numpy")
+    for function in (bring_back, widen, draw, anneal):
+        globals()[function.__name__] = known[function.__name__] = made(function)
+    return known
+
+
+def bring_back(
+    room: Arrangement, plan: Schedule, stand: Stand, kept: Stand, offset: Array, mark: Integers, record: Record, done: int, number: int
+) -> int:
+    """Bring every thing back towards its place as far as nothing overlaps, farthest first. Returns the moves recorded."""
+    move, before = np.zeros(4), np.zeros(4)
+    for _ in range(2):
+        far = -np.sqrt(offset[:, 0] ** 2 + offset[:, 1] ** 2 + offset[:, 2] ** 2) - 0.1 * np.abs(offset[:, 3])
+        for thing in np.argsort(far):
+            if far[thing] > -1e-4 or done >= len(record.bodies):
+                break
+            before[:] = offset[thing]
+            low, high = 0.0, 1.0  # shares of the offset: known not to do, known to do
+            for trip in range(7):
+                share = 0.0 if trip == 0 else 0.5 * (low + high)
+                for k in range(4):
+                    move[k] = (share - 1.0) * before[k]
+                move_group(room, stand, kept, offset, thing, move)
+                if off_carrier(room, offset, thing, plan.most_turn) or overlaps(room, stand, thing, plan.slop, mark):
+                    low = share
+                else:
+                    high = share
+                offset[thing] = before
+                restore(room, stand, kept, thing)
+                if high == 0.0:
+                    break
+            if high < 1.0:
+                for k in range(4):
+                    move[k] = (high - 1.0) * before[k]
+                move_group(room, stand, kept, offset, thing, move)
+                record.bodies[done], record.numbers[done] = thing, number
+                record.moves[done] = move
+                record.loss[done], record.smallest[done] = 0.0, 0.0
+                done += 1
+    return done
+
+
+def widen(room: Arrangement, active: Booleans, pairs: Integers, loss: Array, neighbors: bool) -> int:
+    """Mark the bodies that may be moved: those of overlapping pairs; with `neighbors` what is near them and carries them too."""
+    n = len(room.parent)
+    seed = active.copy()
+    for pair in range(len(pairs)):
+        if loss[pair] > 0.0:
+            seed[pairs[pair, 0]] = seed[pairs[pair, 1]] = True
+    for body in range(n):
+        active[body] = active[body] or seed[body]
+    if neighbors:
+        for pair in range(len(pairs)):
+            if seed[pairs[pair, 0]] or seed[pairs[pair, 1]]:
+                active[pairs[pair, 0]] = active[pairs[pair, 1]] = True
+        for body in range(n):
+            if seed[body] and room.parent[body] >= 0:
+                active[room.parent[body]] = True
+    count = 0
+    for body in range(n):
+        active[body] = active[body] and room.kind[body] != FIXED
+        count += int(active[body])
+    return count
+
+
+def draw(room: Arrangement, plan: Schedule, thing: int, step: float, rng: Any, move: Array) -> None:
+    """A move of a thing, from a distribution that is the same forwards and backwards."""
+    move[:] = 0.0
+    far = 4.0 if rng.random() < 0.1 else 1.0  # now and then a leap
+    kind = room.kind[thing]
+    if kind == HANGING:
+        along = far * step * rng.normal()
+        move[0], move[1] = along * room.along[thing, 0], along * room.along[thing, 1]
+        move[2] = step * rng.normal()
+    elif kind == STANDING and rng.random() < plan.turn_share:
+        move[3] = far * step / plan.step * plan.turn * rng.normal()
+    else:
+        move[0], move[1] = far * step * rng.normal(), far * step * rng.normal()
+
+
+def anneal(
+    room: Arrangement, plan: Schedule, stand: Stand, kept: Stand, offset: Array, moves: int, rng: Any, record: Record
+) -> tuple[int, int, float, float]:
+    """Run a chain of at most so many moves, from no offsets. Fills `record` and `offset`, and leaves the state of the
+    smallest loss. Returns the moves recorded, the moves tried, the loss at first [m] and the smallest [m]."""
+    n = len(room.parent)
+    mark, active, step = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.bool_), np.full(n, plan.step)
+    tries, taken, move, before = np.zeros(n), np.zeros(n), np.zeros(4), np.zeros(4)
+    price = np.zeros(n)
+    for body in range(n):
+        price[body] = displacement(room, stand, body)
+    pairs, first, which = near_pairs(room, stand)
+    built_low, built_high = stand.low.copy(), stand.high.copy()
+    loss, trial, changed = np.zeros(len(pairs)), np.zeros(len(pairs)), np.zeros(len(pairs) + 1, dtype=np.int64)
+    total, overlapping = 0.0, 0
+    for pair in range(len(pairs)):
+        loss[pair], _ = pair_depth(room.shapes, stand, pairs[pair, 0], pairs[pair, 1], plan.slop)
+        total += loss[pair]
+        overlapping += int(loss[pair] > 0.0)
+    start, smallest, best, done, number, warmings = total, total, 0, 0, 0, 0
+    count = widen(room, active, pairs, loss, False)
+    if count == 0:
+        count = widen(room, active, pairs, loss, True)
+    temperature, in_sweep = plan.temperature, 0
+    chosen = np.flatnonzero(active)
+    while number < moves and overlapping > 0 and count > 0 and done < len(record.bodies):
+        if in_sweep == plan.sweep * count:
+            in_sweep = 0
+            temperature *= plan.cooling
+            if temperature < plan.coldest:
+                warmings += 1
+                temperature = plan.temperature * plan.warmer**warmings
+                count = widen(room, active, pairs, loss, True)
+            else:
+                count = widen(room, active, pairs, loss, False)
+            chosen = np.flatnonzero(active)
+            total = 0.0
+            for pair in range(len(pairs)):
+                total += loss[pair]
+        in_sweep += 1
+        number += 1
+        thing = chosen[rng.integers(0, count)]
+        draw(room, plan, thing, step[thing], rng, move)
+        before[:] = offset[thing]
+        move_group(room, stand, kept, offset, thing, move)
+        tries[thing] += 1.0
+        accepted = not off_carrier(room, offset, thing, plan.most_turn)
+        begin, end = room.first_carried[thing], room.first_carried[thing + 1]
+        near = True
+        for g in range(begin, end):
+            near = near and is_near(stand, built_low, built_high, room.carried[g])
+        if accepted and not near:  # new lists around the state before the move, then the move again
+            offset[thing] = before
+            restore(room, stand, kept, thing)
+            pairs, first, which = near_pairs(room, stand)
+            built_low[:], built_high[:] = stand.low, stand.high
+            loss, trial, changed = np.zeros(len(pairs)), np.zeros(len(pairs)), np.zeros(len(pairs) + 1, dtype=np.int64)
+            for pair in range(len(pairs)):
+                loss[pair], _ = pair_depth(room.shapes, stand, pairs[pair, 0], pairs[pair, 1], plan.slop)
+            move_group(room, stand, kept, offset, thing, move)
+            for g in range(begin, end):
+                accepted = accepted and is_near(stand, built_low, built_high, room.carried[g])
+        change, more, many, dearer = 0.0, 0, 0, 0.0
+        if accepted:
+            change, more, many = evaluate(room, stand, thing, plan.slop, pairs, first, which, loss, trial, mark, changed)
+            for g in range(begin, end):
+                dearer += displacement(room, stand, room.carried[g]) - price[room.carried[g]]
+            energy = change + plan.price * dearer
+            accepted = energy <= 0.0 or rng.random() < np.exp(-energy / temperature)
+        if accepted:
+            taken[thing] += 1.0
+            for w in range(many):
+                loss[changed[w]] = trial[changed[w]]
+            for g in range(begin, end):
+                price[room.carried[g]] = displacement(room, stand, room.carried[g])
+            total, overlapping = max(total + change, 0.0), overlapping + more
+            if overlapping == 0:
+                total = 0.0
+            record.bodies[done], record.numbers[done] = thing, number
+            record.moves[done] = move
+            done += 1
+            if total < smallest - 1e-12 or overlapping == 0:
+                smallest, best = total, done
+            record.loss[done - 1], record.smallest[done - 1] = total, smallest
+        else:
+            offset[thing] = before
+            restore(room, stand, kept, thing)
+        if plan.adapts and tries[thing] >= 40.0:
+            share = taken[thing] / tries[thing]
+            if share > 0.4:
+                step[thing] = min(1.3 * step[thing], plan.most_step)
+            elif share < 0.2:
+                step[thing] = max(step[thing] / 1.3, plan.least_step)
+            tries[thing] = taken[thing] = 0.0
+    if overlapping > 0 and plan.returns:  # back to the best state: its moves once more, in order
+        offset[:] = 0.0
+        done = best
+        for k in range(done):
+            for c in range(4):
+                offset[record.bodies[k], c] += record.moves[k, c]
+        for body in range(n):
+            compose(room, stand, offset, body)
+    elif overlapping == 0 and plan.returns:
+        done = bring_back(room, plan, stand, kept, offset, mark, record, done, number)
+    return done, number, start, smallest

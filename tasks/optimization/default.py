@@ -1,0 +1,210 @@
+"""The default method: simulated annealing on convex pieces, between exact vertical placements."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.optimization.annealing import Schedule
+from tasks.optimization.arrangement import FIXED, HANGING, OVERHEAD, STANDING, Arrangement, compiled
+from tasks.optimization.boundary import outside_share, way_in
+from tasks.optimization.chains import Chain, anneal
+from tasks.optimization.collisions import outline
+from tasks.optimization.interior import Interior
+from tasks.optimization.resting import COVERING_M, gap_to_carrier, let_down, put_to_rest, shift
+from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
+from tasks.optimization.solids import Solid, shell_solids
+from tasks.optimization.supports import SupportConfig, support_map
+from tasks.optimization.trace import Move, Resolution, Step, rotation_vector
+from tasks.optimization.walls import wall_faces, wall_snap
+
+Array = NDArray[np.float64]
+
+WALL_M = 1.0
+"""Thickness that walls get while things are moved [m]: what was scanned through one is pushed back, not out behind it."""
+
+MAP_CELL_M = 0.02
+"""Cells in which it is known where a carried thing may stand: a fifth of a mug."""
+
+MAP_REACH = 30
+"""Cells that a carried thing may stray on its carrier: 60 cm, most of a desk's depth."""
+
+OUTSIDE_SHARE = 0.02
+"""A thing of which less lies outside of the floor, seen from above, only touches a wall that was estimated."""
+
+KEPT_M = 0.005
+"""A thing is still carried by what carried it when it stands this near above it [m]."""
+
+LEVER = 0.25
+"""What a turn by one radian counts as displacement, in longest sides: the mean way of a box's corners."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Default:
+    """Simulated annealing on convex pieces: Metropolis acceptance, several chains, adaptive moves along x, y, z and yaw.
+
+    The loss is the sum of the penetration depths of all pairs of pieces of different things, and of things and walls.
+    What a thing carries moves along; a carried thing stays on its carrier, a hanging one at its wall. A chain ends when
+    nothing overlaps; then things are brought back towards their places as far as nothing overlaps again.
+    """
+
+    chains: int = 4  # the best of four moves things a third less far than one alone, in crowded rooms
+    max_moves: int = 30_000  # of a chain; a solvable room of 40 things takes some thousands
+    max_kept: int = 20_000  # moves that a chain may keep: the length of its trace
+    slop_m: float = 0.0002  # what rests on something else touches it by rounding; a tenth of the depth that counts as deep
+    step_m: float = 0.02  # the spread of moves at first: the size of a usual overlap
+    turn_radians: float = 0.05  # the same for turns: 3 degrees move a chair's corner by 2 cm
+    least_step_m: float = 0.001  # below a millimetre nothing is won
+    most_step_m: float = 0.2  # farther moves throw things about
+    turn_share: float = 0.2  # of the moves are turns: shifting parts most pairs
+    most_turn_radians: float = 0.35  # 20 degrees: more, and the thing faces elsewhere than the scanned one
+    most_tilt_radians: float = 0.45  # 26 degrees: what would tip farther was not meant to stand so
+    price: float = 0.05  # metres of depth that a metre of displacement costs: things move no farther than they must
+    temperature_m: float = 0.0003  # cold at first, so that easy rooms are solved without detours
+    cooling: float = 0.8  # per sweep: seven sweeps down to the coldest
+    coldest_m: float = 0.00005  # below it no worse state is taken any more
+    warmer: float = 2.0  # each time a cold chain is stuck, it starts again twice as warm
+    sweep: int = 60  # moves per thing that may move, at each temperature
+
+    def __post_init__(self) -> None:
+        for name in ("step_m", "turn_radians", "least_step_m", "most_step_m", "temperature_m", "coldest_m"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
+        for name in ("slop_m", "price", "most_turn_radians", "most_tilt_radians"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
+        for name in ("chains", "max_moves", "max_kept", "sweep"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
+        if not 0 < self.cooling < 1 or not self.warmer >= 1 or not 0 <= self.turn_share <= 1:
+            raise ValueError("cooling: above 0 and below 1; warmer: at least 1; turn_share: 0 to 1")
+
+    def schedule(self) -> Schedule:
+        """The same for compiled code."""
+        return Schedule(
+            slop=self.slop_m, step=self.step_m, turn=self.turn_radians, least_step=self.least_step_m, most_step=self.most_step_m,
+            turn_share=self.turn_share, most_turn=self.most_turn_radians, price=self.price, temperature=self.temperature_m,
+            cooling=self.cooling, coldest=self.coldest_m, warmer=self.warmer, sweep=self.sweep, adapts=True, returns=True,
+        )  # fmt: skip
+
+
+def resolve(
+    interior: Interior, method: Default, supports: SupportConfig, rng: Callable[..., np.random.Generator],
+    spread: Callable[[Any, Sequence[Any]], list[Any]],
+) -> Resolution:  # fmt: skip
+    """Things pulled into the room, hung on their walls, put to rest, moved apart, and let down onto what is below them."""
+    walls = shell_solids(interior.room, WALL_M) if interior.room is not None else ()
+    solids = (*interior.solids, *walls)
+    poses = np.concatenate([interior.poses, np.tile(np.eye(4), (len(walls), 1, 1))])
+    shapes = shapes_of(solids, poses)
+    stand = stand_of(shapes, poses[:, :3, 3])
+    names = interior.names
+    steps: list[tuple[int, Move, str]] = []
+    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand)]
+    steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
+    room = arrangement_of(interior, solids, shapes, stand, supports)
+    generators = [rng("chain", number) for number in range(method.chains)]
+    chain, tried = anneal(room, method.schedule(), method.max_moves, method.max_kept, generators, spread)
+    trace = [Step(names[i], move, chain.start, chain.start, outcome) for i, move, outcome in steps]
+    trace += _chain_steps(names, room, stand, chain)
+    settling = let_down(interior, shapes, stand, method.most_tilt_radians)
+    for i, move, rotation in settling.moves:
+        turn, outcome = rotation_vector(rotation), "tipped" if np.abs(rotation - np.eye(3)).max() > 0 else "rested"
+        dx, dy, dz = move.tolist()
+        trace.append(Step(names[i], (dx, dy, dz, *turn), chain.final, chain.final, outcome))
+    said, ended = [], "nothing_to_do" if chain.start == 0.0 else "zero_loss" if chain.final == 0.0 else "out_of_moves"
+    if chain.final > 0:
+        said.append(f"penetrations of {chain.final:.3g} m of {chain.start:.3g} m are left after {tried} moves")
+    problems = {names[i]: f"it hangs {gap:.2f} m above anything" for i, gap in settling.hanging.items()}
+    lost = {names[i] for i in range(len(names)) if i in settling.hanging or _is_lost(interior, shapes, stand, i)}
+    for name in lost:
+        problems.setdefault(name, "what carried it carries it no more")
+    for i in settling.toppling:
+        problems.setdefault(names[i], "it cannot stand so: its center of mass lies beyond what it stands on")
+    chains = method.chains if chain.start > 0 else 1
+    return Resolution(tuple(trace), chain.start, chain.final, tried, chains, ended, tuple(said), problems, frozenset(lost))
+
+
+def _is_lost(interior: Interior, shapes: Shapes, stand: Stand, thing: int) -> bool:
+    """Whether a thing stands on its carrier, or the floor, no more. A rug may lie between."""
+    if interior.carriers[thing].relation not in ("floor", "on", "inside"):
+        return False
+    gap, to_cloth = gap_to_carrier(interior, shapes, stand, thing)
+    return gap > KEPT_M and not (gap <= COVERING_M and to_cloth <= KEPT_M)
+
+
+def arrangement_of(interior: Interior, solids: Sequence[Solid], shapes: Shapes, stand: Stand, supports: SupportConfig) -> Arrangement:
+    """The room as the chains take it: things at rest, and the walls after them."""
+    n, bodies = len(interior.things), len(solids)
+    parent = np.full(bodies, -1, dtype=np.int64)
+    parent[:n] = interior.parent
+    groups = [*interior.groups(), *([i] for i in range(n, bodies))]
+    first = np.concatenate([[0], np.cumsum([len(group) for group in groups])]).astype(np.int64)
+    kind, along = np.zeros(bodies, dtype=np.int64), np.zeros((bodies, 2))
+    directions = {face.name: face.along for face in wall_faces(interior.room)} if interior.room is not None else {}
+    counted = ~np.eye(bodies, dtype=np.bool_)
+    counted[n:, n:] = False
+    maps: list[NDArray[np.bool_]] = []
+    map_of, lever = np.full(bodies, -1, dtype=np.int64), np.zeros(bodies)
+    for i, (thing, carrier) in enumerate(zip(interior.things, interior.carriers, strict=True)):
+        lever[i] = LEVER * float((thing.high - thing.low)[:2].max())
+        kind[i] = {"wall": HANGING, "ceiling": OVERHEAD}.get(carrier.relation, STANDING)
+        if kind[i] == HANGING:
+            along[i] = directions.get(carrier.against, np.zeros(2)) if carrier.against else 0.0
+        if interior.covering[i]:
+            kind[i] = FIXED
+            counted[i], counted[:, i] = False, False
+        if interior.fixed[i]:  # let into a wall or set against it: the room's shell is only an estimate there
+            counted[i, n:], counted[n:, i] = False, False
+        if parent[i] >= 0:
+            map_of[i] = len(maps)
+            carrying = interior.things[parent[i]]
+            maps.append(support_map(thing, carrying, carrier.gap, MAP_CELL_M, MAP_REACH, supports))
+    side = 2 * MAP_REACH + 1
+    return Arrangement(
+        shapes=shapes, pivots=stand.place.copy(), counted=counted, parent=parent, first_carried=first,
+        carried=np.concatenate([*map(np.asarray, groups), []]).astype(np.int64), kind=kind, along=along, map_of=map_of,
+        maps=np.array(maps, dtype=np.bool_).reshape(-1, side, side), cell=MAP_CELL_M, lever=lever,
+    )  # fmt: skip
+
+
+def _brought_in(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[int, tuple[float, float], str]]:
+    """What hangs is put onto its wall, and what stands outside of the room pulled in, the shortest way. Moves `stand`."""
+    if interior.room is None or interior.ring is None:
+        return []
+    moves = []
+    groups = interior.groups()
+    for i, (thing, carrier) in enumerate(zip(interior.things, interior.carriers, strict=True)):
+        outcome, way = "", None
+        if carrier.relation == "wall":
+            outcome, way = "hung", wall_snap(thing, interior.room, carrier)
+        elif interior.parent[i] < 0 and carrier.relation != "ceiling" and not interior.fixed[i]:
+            ring = outline(thing.surface.vertices[np.unique(thing.surface.faces), :2])
+            if outside_share(ring, interior.ring) > OUTSIDE_SHARE:
+                outcome, way = "pulled_in", way_in(ring, interior.ring)
+        if way is not None and math.hypot(*way) > 1e-6:
+            shift(shapes, stand, groups[i], (*way, 0.0))
+            moves.append((i, way, outcome))
+    return moves
+
+
+def _chain_steps(names: Sequence[str], room: Arrangement, stand: Stand, chain: Chain) -> list[Step]:
+    """The moves of a chain in the world frame; leaves the bodies in `stand` where they lead."""
+    offset = np.zeros((len(room.parent), 4))
+    steps = []
+    columns = (chain.bodies.tolist(), chain.moves, chain.loss.tolist(), chain.smallest.tolist(), chain.numbers.tolist())
+    for body, move, loss, smallest, number in zip(*columns, strict=True):
+        # a carried thing's own moves are along the axes of its carrier
+        carrier = int(room.parent[body])
+        c, s = stand.turn[carrier].tolist() if carrier >= 0 else (1.0, 0.0)
+        dx, dy, dz, dyaw = move.tolist()
+        offset[body] += move
+        for other in room.carried[room.first_carried[body] : room.first_carried[body + 1]]:
+            compiled()["compose"](room, stand, offset, other)
+        steps.append(Step(names[body], (c * dx - s * dy, s * dx + c * dy, dz, 0.0, 0.0, dyaw), loss, smallest, "kept", number))
+    return steps

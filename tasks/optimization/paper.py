@@ -1,0 +1,108 @@
+"""The paper's method: Algorithm 1 on the axis-aligned boxes of the placed assets."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from schemas.errors import InputError
+from tasks.optimization.collisions import OUTCOMES, Crowd, descend, outline, room_triangles, stacked
+from tasks.optimization.interior import Interior
+from tasks.optimization.supports import SupportConfig, allowed_shifts
+from tasks.optimization.trace import Resolution, Step
+from tasks.replica import interior_footprints
+
+
+@dataclasses.dataclass(frozen=True)
+class Paper:
+    """Algorithm 1 of the supplementary: one thing, one of four directions, 5 cm, kept when the loss falls.
+
+    As printed: the loss is the volume in which the axis-aligned boxes of two assets overlap, summed over all pairs;
+    a random thing is moved along x or y; a move out of the room is undone; a move that does not bring the loss below
+    the smallest so far is undone; it ends at a loss of zero or after a number of steps.
+
+    Where the text leaves room, or the result would float, our reading:
+
+    - Walls, floor and ceiling take no part. What hangs on them counts in the loss but is not moved: off its wall it
+      would hang in the air.
+    - What stands on or in another thing does not collide with that thing: the box of a shelf holds its books. Nor does
+      anything collide with a rug, which stays where it is.
+    - What a thing carries moves along with it. A carried thing may move on its carrier, not off it.
+    - A thing that reaches out of the room from the start (rooms are estimated) may move unless more of it gets outside.
+    - The loop also ends once every possible move was tried since the last kept one. It changes nothing but the time.
+    """
+
+    step_m: float = 0.05  # as printed
+    max_steps: int = 10_000  # the loop ends itself long before, when no move helps; 40 things need about 5000
+    shift_reach: int = 12  # steps that a carried thing may stray on its carrier: 60 cm, most of a desk's depth
+
+    def __post_init__(self) -> None:
+        if not 0 < self.step_m < math.inf:
+            raise ValueError(f"step_m: must be above 0, is {self.step_m:g}")
+        for name in ("max_steps", "shift_reach"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name)}")
+
+
+def resolve(interior: Interior, method: Paper, supports: SupportConfig, rng: Callable[..., np.random.Generator]) -> Resolution:
+    """Things put to rest on what carries them, then Algorithm 1. Only moves along x and y follow."""
+    steps = []
+    for i, carrier in enumerate(interior.carriers):
+        parent = int(interior.parent[i])
+        lift = carrier.lift - (interior.carriers[parent].lift if parent >= 0 else 0.0)
+        if lift != 0.0:
+            steps.append((i, lift))
+    crowd, problem = crowd_of(interior, method, supports)
+    trace = descend(crowd, method.step_m, method.max_steps, rng("moves"))
+    names = interior.names
+    rows = [Step(names[i], (0.0, 0.0, lift, 0.0, 0.0, 0.0), trace.start, trace.start, "rested") for i, lift in steps]
+    columns = (trace.things.tolist(), (trace.moves * method.step_m).tolist(), trace.loss.tolist(), trace.smallest.tolist())
+    for number, (thing, (dx, dy), loss, smallest, code) in enumerate(zip(*columns, trace.outcome.tolist(), strict=True), start=1):
+        rows.append(Step(names[thing], (dx, dy, 0.0, 0.0, 0.0, 0.0), loss, smallest, OUTCOMES[code], number))
+    said = [problem] if problem else []
+    if trace.final > 0:
+        why = "no single move lowers it" if trace.exhausted else f"{len(trace.loss)} steps were not enough"
+        said.append(f"collision loss {trace.final:.3g} m3 of {trace.start:.3g} m3 is left: {why}")
+    if trace.start == 0.0:
+        ended = "nothing_to_do"
+    else:
+        ended = "zero_loss" if trace.final == 0.0 else "no_move_helps" if trace.exhausted else "out_of_moves"
+    return Resolution(tuple(rows), trace.start, trace.final, len(trace.loss), 1, ended, tuple(said), {})
+
+
+def crowd_of(interior: Interior, method: Paper, supports: SupportConfig) -> tuple[Crowd, str | None]:
+    """The boxes at rest, which pairs of them count, and what limits their moves; and what is wrong with the room."""
+    n, reach, things = len(interior.things), method.shift_reach, interior.things
+    carries = np.zeros((n, n), dtype=np.bool_)
+    for i, group in enumerate(interior.groups()):
+        carries[i, group] = True
+    counted = ~(carries | carries.T | interior.covering[:, None] | interior.covering[None])
+    shifts = np.zeros((n, 2 * reach + 1, 2 * reach + 1), dtype=np.bool_)
+    for i, carrier in enumerate(interior.carriers):
+        if interior.parent[i] >= 0:
+            shifts[i] = allowed_shifts(things[i], things[interior.parent[i]], carrier.gap, method.step_m, reach, supports)
+    lifts = np.array([[0.0, 0.0, carrier.lift] for carrier in interior.carriers]).reshape(-1, 3)
+    outlines, corners = stacked([outline(thing.surface.vertices[np.unique(thing.surface.faces), :2]) for thing in things])
+    floor, problem = np.zeros((0, 3, 2)), None
+    if interior.room is not None and interior.ring is not None:
+        try:
+            floor = room_triangles(interior.ring, interior_footprints(interior.room))
+        except InputError as error:
+            problem = f"nothing keeps the assets inside the room: {error}"
+    crowd = Crowd(
+        low=np.array([thing.low for thing in things]).reshape(-1, 3) + lifts,
+        high=np.array([thing.high for thing in things]).reshape(-1, 3) + lifts,
+        counted=counted,
+        movable=np.array([carrier.relation not in ("wall", "ceiling") for carrier in interior.carriers], dtype=np.bool_)
+        & ~interior.covering,
+        carries=carries,
+        outlines=outlines,
+        corners=corners,
+        room=floor,
+        carrier=interior.parent.copy(),
+        shifts=shifts,
+    )
+    return crowd, problem

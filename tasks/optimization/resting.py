@@ -1,0 +1,142 @@
+"""Vertical placement, exact on convex pieces: a thing is lowered or raised until it touches what carries it, and tipped
+until it rests there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.optimization.interior import Interior
+from tasks.optimization.shapes import Shapes, Stand, compiled
+from tasks.optimization.solids import mass_properties_of
+from tasks.optimization.tipping import tip, turn_along
+
+Array = NDArray[np.float64]
+
+NEAR_M = 0.05
+"""How far a surface and its convex pieces may differ in height [m]: pieces of CoACD stand out by 2 to 3 cm."""
+
+SUNK_M = 0.004
+"""In the end, things overlap what carries them by less [m]; what they overlap deeper stands beside them."""
+
+COVERING_M = 0.06
+"""Height of the highest floor covering [m], with a centimetre for its place: things that reach onto one are raised by it."""
+
+FALL_M = 0.15
+"""A thing that would fall farther in the end [m] has lost what carried it, which is said instead of hidden."""
+
+ROUNDING_M = 1e-7
+"""Lifts below this are none."""
+
+
+def shift(shapes: Shapes, stand: Stand, group: Sequence[int], move: Sequence[float]) -> None:
+    """Move bodies by dx, dy, dz [m]."""
+    for body in group:
+        stand.place[body] += move
+        compiled()["bound"](shapes, stand, body)
+
+
+def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[int, float]]:
+    """Lower or raise every thing onto its own carrier, or the floor. Returns (thing, dz [m]), carriers first.
+
+    The surfaces say which part of the carrier is meant (a board of a shelf); its pieces say where exactly.
+    """
+    lifts = []
+    groups = interior.groups()
+    for i, carrier in enumerate(interior.carriers):
+        parent = int(interior.parent[i])
+        if carrier.relation == "floor":
+            dz = -float(stand.low[i, 2])
+        elif parent >= 0:
+            dz = carrier.lift - interior.carriers[parent].lift
+            shift(shapes, stand, groups[i], (0.0, 0.0, dz))
+            among = np.zeros(len(stand.low), dtype=np.bool_)
+            among[parent] = True
+            gap, _ = compiled()["least_gap"](shapes, stand, i, among, NEAR_M)
+            shift(shapes, stand, groups[i], (0.0, 0.0, -dz))
+            dz -= gap if abs(gap) <= NEAR_M else 0.0
+        else:
+            continue
+        if abs(dz) > ROUNDING_M:
+            shift(shapes, stand, groups[i], (0.0, 0.0, dz))
+            lifts.append((i, dz))
+    return lifts
+
+
+@dataclasses.dataclass(frozen=True)
+class Settling:
+    """What was done to let things down. moves: (thing, shift (3,) [m], rotation (3, 3) about its origin), in order.
+    hanging: things that would fall too far, with how far [m]. toppling: things that cannot stand as they are."""
+
+    moves: list[tuple[int, Array, Array]]
+    hanging: dict[int, float]
+    toppling: list[int]
+
+
+def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float) -> Settling:
+    """Lower or raise every standing thing until it touches anything, lowest first, and tip what leans over its contacts.
+
+    What would fall too far, or tip by more than `most_tilt` [rad], stays as it is.
+    """
+    done = Settling([], {}, [])
+    groups = interior.groups()
+    n, bodies = len(interior.things), len(stand.low)
+    covering = np.zeros(bodies, dtype=np.bool_)
+    covering[:n] = interior.covering
+    standing = [i for i, carrier in enumerate(interior.carriers) if carrier.relation in ("floor", "on", "inside")]
+    for i in sorted(standing, key=lambda i: (_depth(interior, i), not covering[i], float(stand.low[i, 2]), i)):
+        others = np.ones(bodies, dtype=np.bool_)
+        others[groups[i]] = False
+        for last in (False, False, False, True):
+            solid, _ = compiled()["least_gap"](shapes, stand, i, others & ~covering, SUNK_M)
+            cloth, _ = compiled()["least_gap"](shapes, stand, i, others & covering, COVERING_M)
+            gap = min(solid, cloth, float(stand.low[i, 2]))
+            if gap > FALL_M:
+                done.hanging[i] = gap
+                break
+            if abs(gap) > ROUNDING_M:
+                shift(shapes, stand, groups[i], (0.0, 0.0, -gap))
+                done.moves.append((i, np.array([0.0, 0.0, -gap]), np.eye(3)))
+            if interior.fixed[i] or covering[i] or last:
+                break
+            origin = stand.place[i].copy()
+            tipped = tip(shapes, stand, i, _center(interior, i), others, most_tilt)
+            if tipped is None:
+                done.toppling.append(i)
+                break
+            if not np.abs(tipped.rotation - np.eye(3)).max() > 1e-6:
+                break
+            for body in groups[i][1:]:
+                turn_along(shapes, stand, body, tipped, origin)
+            done.moves.append((i, tipped.shift, tipped.rotation))
+    return done
+
+
+def _center(interior: Interior, thing: int) -> Array:
+    """Center of mass of a thing from its origin, along the world's axes as proposed [m], shape (3,)."""
+    return np.asarray(interior.poses[thing][:3, :3] @ mass_properties_of(interior.solids[thing]).center)
+
+
+def gap_to_carrier(interior: Interior, shapes: Shapes, stand: Stand, thing: int) -> tuple[float, float]:
+    """Height of a thing over its own carrier, or the floor, where it stands, and over rugs and cloths [m]; infinite where
+    it is not over any."""
+    parent = int(interior.parent[thing])
+    among, cloths = np.zeros((2, len(stand.low)), dtype=np.bool_)
+    cloths[: len(interior.things)] = interior.covering
+    gap = float(stand.low[thing, 2])
+    if parent >= 0:
+        among[parent] = True
+        gap, _ = compiled()["least_gap"](shapes, stand, thing, among, SUNK_M)
+    to_cloth, _ = compiled()["least_gap"](shapes, stand, thing, cloths, SUNK_M)
+    return float(gap), float(to_cloth)
+
+
+def _depth(interior: Interior, thing: int) -> int:
+    """How many things are below a thing, one on the other."""
+    depth, above = 0, int(interior.parent[thing])
+    while above >= 0:
+        depth, above = depth + 1, int(interior.parent[above])
+    return depth

@@ -1,0 +1,162 @@
+"""Rows of the optimization stage, from what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.optimization import Contact, Optimization, Placement, Support
+from tasks.boxes import aabb_overlaps
+from tasks.optimization.boundary import outside_share
+from tasks.optimization.certificates import Certified
+from tasks.optimization.collisions import outline
+from tasks.optimization.contacts import Penetration
+from tasks.optimization.descent import TOUCH_M
+from tasks.optimization.interior import Interior
+from tasks.optimization.supports import SupportConfig
+from tasks.optimization.trace import Resolution
+from tasks.transforms import flat
+
+Array = NDArray[np.float64]
+
+DEEP_M = 0.002
+"""A penetration deeper than this is one that a simulator answers with a jolt [m]."""
+
+OUTSIDE = 0.05
+"""Share of a thing outside of the floor, seen from above, from which on it is said to be outside."""
+
+
+def placement_rows(
+    scene_id: str, interior: Interior, poses: Array, certified: Sequence[Certified], method: str, remains: Mapping[str, str]
+) -> list[Placement]:
+    """Placements, by instance."""
+    settled = {row.name: row.settled_pose for row in certified if row.engine == "mujoco"}
+    rows = []
+    for proposal, pose in zip(interior.proposals, poses, strict=True):
+        name = proposal.instance.instance_id
+        moved = pose[:3, 3] - proposal.pose[:3, 3]
+        rows.append(
+            Placement(
+                scene_id=scene_id,
+                instance_id=name,
+                asset_id=proposal.asset_id,
+                origin=proposal.origin,
+                annotator=proposal.annotator,
+                annotation_match=proposal.annotation_match,
+                scale=tuple(float(v) for v in proposal.scale),
+                proposed_pose=flat(proposal.pose),
+                optimized_pose=flat(pose),
+                settled_pose=flat(settled[name]) if name in settled else None,
+                displacement_m=float(np.hypot(moved[0], moved[1])),
+                lift_m=float(moved[2]) + 0.0,
+                method=method,
+                remains=remains.get(name),
+            )
+        )
+    return sorted(rows, key=lambda row: row.instance_id)
+
+
+def support_rows(scene_id: str, interior: Interior, resolution: Resolution) -> list[Support]:
+    """What carries each thing, by instance."""
+    rows = [
+        Support(
+            scene_id=scene_id,
+            instance_id=name,
+            relation=carrier.relation,
+            parent_id=carrier.parent_id,
+            against=carrier.against,
+            gap_m=carrier.gap + 0.0,
+            is_fixed=fixed,
+            is_kept=name not in resolution.lost,
+        )
+        for name, carrier, fixed in zip(interior.names, interior.carriers, interior.fixed.tolist(), strict=True)
+    ]
+    return sorted(rows, key=lambda row: row.instance_id)
+
+
+def contact_rows(scene_id: str, interior: Interior, poses: Array, found: Sequence[Penetration], phase: str) -> list[Contact]:
+    """Every pair whose boxes overlap or whose pieces penetrate, and what sticks in the room's shell, at poses (n, 4, 4)."""
+    n, names = len(interior.things), interior.names
+    if not n:
+        return []
+    corners = [np.concatenate([hull.vertices for hull in solid.placed(pose)]) for solid, pose in zip(interior.solids, poses, strict=True)]
+    low, high = np.array([c.min(axis=0) for c in corners]), np.array([c.max(axis=0) for c in corners])
+    volumes = aabb_overlaps(low, high)
+    sides = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])
+    deep = {(p.a, p.b): p.depth_m for p in found}
+    boxes = {(names[i], names[j]): float(volumes[i, j]) for i, j in np.argwhere(np.triu((sides > TOUCH_M).all(axis=2), 1)).tolist()}
+    fixed = {name for name, carrier in zip(names, interior.carriers, strict=True) if carrier.is_fixed}
+    known = set(names)
+    rows = []
+    for a, b in {*deep, *boxes}:
+        is_room = b not in known
+        first, second = (a, b) if is_room else sorted((a, b))
+        rows.append(
+            Contact(
+                scene_id=scene_id,
+                phase=phase,
+                instance_a=first,
+                body_b=second,
+                box_overlap_m3=boxes.get((a, b), 0.0),
+                penetration_m=deep.get((a, b), 0.0),
+                is_allowed=is_room and a in fixed,
+            )
+        )
+    return sorted(rows, key=lambda row: (row.instance_a, row.body_b))
+
+
+def remains_of(interior: Interior, poses: Array, after: Sequence[Penetration], resolution: Resolution) -> dict[str, str]:
+    """What is still wrong with things at their optimized poses, by instance, one line each."""
+    fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
+    known = set(interior.names)
+    lines: dict[str, list[str]] = {name: [] for name in interior.names}
+    for name, text in resolution.problems.items():
+        lines[name].append(text)
+    for name, carrier in zip(interior.names, interior.carriers, strict=True):
+        if carrier.relation == "none":
+            lines[name].append(f"nothing carries it; it hangs {carrier.gap:.2f} m above the floor")
+    for found in sorted(after, key=lambda p: -p.depth_m):
+        if found.depth_m > DEEP_M and (found.b in known or found.a not in fixed):
+            lines[found.a].append(f"{100 * found.depth_m:.1f} cm in {found.b}")
+            if found.b in known:
+                lines[found.b].append(f"{100 * found.depth_m:.1f} cm in {found.a}")
+    if interior.ring is not None:
+        for i, (thing, solid) in enumerate(zip(interior.things, interior.solids, strict=True)):
+            if thing.instance_id in fixed:
+                continue
+            ring = outline(np.concatenate([hull.vertices for hull in solid.placed(poses[i])])[:, :2])
+            share = outside_share(ring, interior.ring)
+            if share > OUTSIDE:
+                lines[thing.instance_id].append(f"{100 * share:.0f} % of it lies outside of the room")
+    return {name: "; ".join(texts) for name, texts in sorted(lines.items()) if texts}
+
+
+def set_down(interior: Interior, config: SupportConfig) -> list[str]:
+    """Things that nothing carried within reach and that were set down onto what lies below them, a line each."""
+    said = []
+    for name, carrier in zip(interior.names, interior.carriers, strict=True):
+        if carrier.relation in ("floor", "on", "inside") and carrier.gap > config.reach_m:
+            said.append(f"{name}: nothing carried it; it was set down {carrier.gap:.2f} m onto {carrier.parent_id or 'the floor'}")
+    return sorted(said)
+
+
+def optimization_row(
+    scene_id: str, interior: Interior, resolution: Resolution, contacts: Sequence[Contact], method: str, remains: Mapping[str, str],
+    left_out: Sequence[str],
+) -> Optimization:  # fmt: skip
+    """What it came to, in one row."""
+    return Optimization(
+        scene_id=scene_id,
+        method=method,
+        object_count=len(interior.things),
+        loss_start=resolution.start,
+        loss_final=resolution.final,
+        moves=resolution.tried,
+        chains=resolution.chains,
+        ended=resolution.ended,
+        fixed_count=int(interior.fixed.sum()),
+        deep_pairs=sum(c.phase == "optimized" and c.penetration_m > DEEP_M and not c.is_allowed for c in contacts),
+        remains=(*left_out, *(f"{name}: {text}" for name, text in remains.items())),
+    )

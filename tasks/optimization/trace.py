@@ -1,0 +1,134 @@
+"""Traces: every step of an optimization, and how the optimized poses follow from them, bit for bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.optimization import APPLIED, OptimizationStep, Placement, Support
+from tasks.optimization.supports import descendants
+
+Array = NDArray[np.float64]
+
+
+Move = tuple[float, float, float, float, float, float]
+"""A shift [m] and a turn about the thing's own origin as a rotation vector [rad], both along the world's axes."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """One step. move: how the thing, with all it carries, was moved. loss, smallest: after it, in the method's unit.
+    number: of the move; 0 before the first and after the last."""
+
+    name: str
+    move: Move
+    loss: float
+    smallest: float
+    outcome: str
+    number: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Resolution:
+    """What a method came to: its steps, the loss at rest and in the end in the method's unit, how many moves were tried
+    by how many chains, why it ended (as `optimizations.ended` has it), what could not be put right, a line each, the
+    same by thing, and the things that what carried them carries no more."""
+
+    steps: tuple[Step, ...]
+    start: float
+    final: float
+    tried: int
+    chains: int
+    ended: str
+    said: tuple[str, ...]
+    problems: Mapping[str, str]
+    lost: frozenset[str] = frozenset()
+
+
+def step_rows(scene_id: str, start: float, steps: Sequence[Step]) -> list[OptimizationStep]:
+    """Step 0 for the proposed state, then a row per step, numbered without a gap where no moves were left out."""
+    rows = [
+        OptimizationStep(
+            scene_id=scene_id, step=0, instance_id=None, dx_m=0.0, dy_m=0.0, dz_m=0.0, turn_x_radians=0.0, turn_y_radians=0.0,
+            turn_z_radians=0.0, loss=start, smallest_loss=start, outcome="start",
+        )
+    ]  # fmt: skip
+    ahead, last = 0, 0
+    for step in steps:
+        # steps before the first move and after the last have numbers of their own
+        if step.number == 0:
+            last += 1
+            ahead = last
+        else:
+            last = max(last + 1, ahead + step.number)
+        dx, dy, dz, tx, ty, tz = (value + 0.0 for value in step.move)
+        rows.append(
+            OptimizationStep(
+                scene_id=scene_id, step=last, instance_id=step.name, dx_m=dx, dy_m=dy, dz_m=dz,
+                turn_x_radians=tx, turn_y_radians=ty, turn_z_radians=tz, loss=step.loss, smallest_loss=step.smallest, outcome=step.outcome,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def replay(placements: Sequence[Placement], supports: Sequence[Support], steps: Sequence[OptimizationStep]) -> dict[str, Array]:
+    """Optimized poses [m], 4x4 by instance id, from the proposed ones, what carries what, and the steps: bit for bit
+    those of the placements. What a thing carries moves along."""
+    moves = [
+        (row.instance_id, (row.dx_m, row.dy_m, row.dz_m, row.turn_x_radians, row.turn_y_radians, row.turn_z_radians))
+        for row in sorted(steps, key=lambda s: s.step)
+        if row.outcome in APPLIED and row.instance_id is not None
+    ]
+    poses = {row.instance_id: np.reshape(np.asarray(row.proposed_pose, dtype=np.float64), (4, 4)) for row in placements}
+    return moved_poses(poses, {row.instance_id: row.parent_id for row in supports}, moves)
+
+
+def moved_poses(poses: Mapping[str, Array], parents: Mapping[str, str | None], moves: Sequence[tuple[str, Move]]) -> dict[str, Array]:
+    """Poses [m], 4x4 by name, after moves of single things, in order; what a thing carries moves along rigidly.
+
+    A move turns about the thing's own origin by a rotation vector [rad], then shifts [m], both in the world frame.
+    """
+    below = descendants(parents)
+    turned = {name: np.array(pose[:3, :3], dtype=np.float64) for name, pose in poses.items()}
+    place = {name: [float(v) for v in pose[:3, 3]] for name, pose in poses.items()}
+    for name, (dx, dy, dz, *turn) in moves:
+        group = [name, *sorted(below.get(name, ()))]
+        if any(turn):
+            rotation, (ox, oy, oz) = rotation_of(turn), place[name]
+            for other in group:
+                x, y, z = rotation @ np.array([place[other][0] - ox, place[other][1] - oy, place[other][2] - oz])
+                place[other] = [ox + float(x), oy + float(y), oz + float(z)]
+                turned[other] = rotation @ turned[other]
+        for other in group:
+            own = place[other]
+            own[0], own[1], own[2] = own[0] + dx, own[1] + dy, own[2] + dz
+    moved = {}
+    for name in poses:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turned[name], place[name]
+        moved[name] = pose
+    return moved
+
+
+def rotation_of(turn: Sequence[float]) -> Array:
+    """Rotation, shape (3, 3), of a rotation vector [rad] (Rodrigues)."""
+    x, y, z = (float(v) for v in turn)
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle == 0.0:
+        return np.eye(3)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross))
+
+
+def rotation_vector(rotation: Array) -> tuple[float, float, float]:
+    """Rotation vector [rad] of a rotation by less than half a turn, shape (3, 3)."""
+    axis = 0.5 * np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        return 0.0, 0.0, 0.0
+    x, y, z = axis / sine * math.atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))
+    return float(x), float(y), float(z)
