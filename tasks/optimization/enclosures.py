@@ -22,9 +22,10 @@ def encloses(parent: PlacedAsset, thing: PlacedAsset, gap: float, config: Suppor
     center = np.array([*(0.5 * (thing.low + thing.high)[:2]), rest + 0.5 * thing.height])
     if (center < parent.low).any() or (center > parent.high).any():
         return False
-    cells, _ = thing.footprint(config.cell_m)
+    cells, under = thing.footprint(config.cell_m)
     over = plan_view(parent.surface, thing.low[:2], thing.high[:2], math.inf, config.cell_m, False, parent.blocks).at(cells)
-    if (over > center[2]).mean() >= 0.5:
+    # a tablecloth hangs down past the table, but its top lies over it
+    if (over > np.maximum(center[2], under - gap + config.base_m)).mean() >= 0.5:
         return True
     cell = float(np.clip((parent.high - parent.low)[:2].max() / 64, 0.005, 0.04))
     top = max(float(center[2]), rest + 2 * config.base_m)

@@ -80,12 +80,15 @@ def underside(surface: Surface, cell: float) -> tuple[NDArray[np.int64], Array]:
     A thing smaller than a cell covers the cell of its center.
     """
     low, high = surface.bounds
-    mirrored = dataclasses.replace(surface, vertices=surface.vertices * np.array([1.0, 1.0, -1.0]))
-    view = plan_view(mirrored, low, high, np.inf, cell)
-    cells = np.argwhere(np.isfinite(view.heights))
+    first, heights = _window(low, high, cell)
+    vertices, faces = _triangles(surface)
+    everywhere = np.tile([-np.inf] * 3 + [np.inf] * 3, (-(-len(faces) // BLOCK), 1))
+    mirrored = vertices * np.array([1.0, 1.0, -1.0])
+    _compiled()["raster"](mirrored, faces, everywhere, first.astype(np.float64), float(cell), np.inf, False, heights)
+    cells = np.argwhere(np.isfinite(heights))
     if not len(cells):
         return np.floor(0.5 * (low + high)[None, :2] / cell).astype(np.int64), np.array([low[2]])
-    return cells + np.array(view.first), -view.heights[cells[:, 0], cells[:, 1]]
+    return cells + first, -heights[cells[:, 0], cells[:, 1]]
 
 
 def _triangles(surface: Surface) -> tuple[Array, NDArray[np.int64]]:

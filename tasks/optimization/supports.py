@@ -39,6 +39,7 @@ class SupportConfig:
     against_m: float = 0.05  # baseboards and cables keep furniture this far off the wall that it stands against
     ceiling_m: float = 0.15  # the ceiling's height is known less well than a wall's place
     cable_m: float = 1.2  # a hanging lamp's cable is too thin for a scan
+    rail_m: float = 1.5  # curtains that reach this high and have no wall hang on a rail across the room
     hung_gap_m: float = 0.02  # what is usually hung and ends this near a surface stands on it all the same
     desk_frame_m: float = 0.3  # frames smaller than this stand on furniture as often as they hang
     hung_depth_m: float = 0.5  # things of no known kind that stick out farther from a wall are not hung on it
@@ -48,8 +49,7 @@ class SupportConfig:
     cell_m: float = 0.01  # grid of the plan views: a mug's foot covers forty cells
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value, name = getattr(self, field.name), field.name
+        for name, value in dataclasses.asdict(self).items():
             if name in ("share", "carried_share", "enclosed_share", "rest_quantile"):
                 if not 0 <= value <= 1:
                     raise ValueError(f"{name}: must be 0 to 1, is {value:g}")
@@ -263,7 +263,7 @@ def _carrier(
     if kind in ("let_in", "wall"):
         if wall is not None:
             return wall
-        if kind == "wall" and is_high:  # on a rail across the room
+        if kind == "wall" and float(thing.high[2]) > config.rail_m:
             return ceiling
     rest = _rest_within(thing, order, rests, config)
     if kind == "frame" and wall is not None:
