@@ -1,0 +1,129 @@
+"""Measures of placed things that share nothing with the optimization: what is below each by rays, and what is out of the room.
+
+Things are their convex pieces, as in every simulator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.optimization.mounting import mounting
+from tasks.optimization.solids import Solid
+from tasks.rendering import RayScene
+from tasks.transforms import inverse
+
+Array = NDArray[np.float64]
+
+FLOOR = "floor"
+
+TOUCH_M = 0.01
+"""A gap below this is contact: a simulator closes it without anything to be seen."""
+
+SUNK_M = 0.03
+"""How deep a thing may be in what carries it and still count as carried by it [m]."""
+
+BASE_M = 0.02
+"""What of a thing lies within this of its lowest point is what it stands on [m]."""
+
+SAMPLES_PER_M2 = 4000.0
+"""Rays per area of surface: one for every 1.6 cm square."""
+
+OUTSIDE_M = 0.01
+"""What reaches less far over the floor's edge is rounding and baseboards [m]."""
+
+OFF_WALL_M = 0.05
+"""A back nearer to the wall than this hangs on it: mirrors and cabinets have brackets [m]."""
+
+
+class Measures:
+    """A scene's solids in their own frames [m], ready to be measured at any poses. categories: by name."""
+
+    def __init__(self, solids: Sequence[Solid], categories: Mapping[str, str], polygon: Array, height: float) -> None:
+        import trimesh
+        from shapely.geometry import Polygon
+
+        self.names = [solid.name for solid in solids]
+        self.floor, self.height = Polygon(polygon) if len(polygon) > 2 else None, height
+        self._points: dict[str, Array] = {}
+        self._casts: dict[str, RayScene] = {}
+        self._coverings = {name for name in self.names if mounting(categories.get(name, "")).kind == "covering"}
+        for solid in solids:
+            meshes = [trimesh.Trimesh(hull.vertices, hull.faces, process=False) for hull in solid.hulls]
+            self._casts[solid.name] = RayScene(meshes)
+            self._points[solid.name] = np.concatenate([_scattered(mesh) for mesh in meshes])
+
+    def gaps(self, name: str, poses: Mapping[str, Array]) -> dict[str, float]:
+        """Height of a thing's base above each thing below it, and above the floor [m]; negative where it sinks in.
+
+        The least over its base. Only what lies at most `SUNK_M` above the base counts.
+        """
+        world = self._world(name, poses)
+        base = world[world[:, 2] <= world[:, 2].min() + BASE_M]
+        found = {FLOOR: float(base[:, 2].min())}
+        low, high = base.min(axis=0), base.max(axis=0)
+        origins = base + np.array([0.0, 0.0, SUNK_M])
+        for other in self.names:
+            if other == name:
+                continue
+            around = self._world(other, poses)
+            least, most = around.min(axis=0), around.max(axis=0)
+            if (most[:2] < low[:2]).any() or (least[:2] > high[:2]).any() or least[2] > high[2] + SUNK_M:
+                continue
+            into = inverse(poses[other])
+            start, way = origins @ into[:3, :3].T + into[:3, 3], into[:3, :3] @ [0.0, 0.0, -1.0]
+            hits = self._casts[other].cast(np.column_stack([start, np.tile(way, (len(start), 1))]).astype(np.float32))
+            upward = hits["primitive_normals"] @ -way > 0.05
+            gap = hits["t_hit"][upward & np.isfinite(hits["t_hit"])]
+            if len(gap):
+                found[other] = float(gap.min()) - SUNK_M
+        return found
+
+    def carriers(self, name: str, poses: Mapping[str, Array]) -> tuple[set[str], float]:
+        """What a thing touches with its base, and the gap to the nearest thing below it [m]. A rug counts as the floor."""
+        gaps = self.gaps(name, poses)
+        touched = {other for other, gap in gaps.items() if gap <= TOUCH_M}
+        if touched & self._coverings:
+            touched.add(FLOOR)
+        return touched, min(gaps.values())
+
+    def reach_outside(self, name: str, poses: Mapping[str, Array]) -> float:
+        """How far a thing reaches over the floor's edge [m]; 0 inside and where no floor is known."""
+        import shapely
+
+        if self.floor is None:
+            return 0.0
+        return float(shapely.distance(shapely.points(self._world(name, poses)[:, :2]), self.floor).max())
+
+    def off_wall(self, name: str, poses: Mapping[str, Array]) -> float:
+        """Distance of a thing from the nearest wall of the room [m]."""
+        import shapely
+
+        if self.floor is None:
+            return 0.0
+        return float(shapely.distance(shapely.points(self._world(name, poses)[:, :2]), self.floor.boundary).min())
+
+    def below_ceiling(self, name: str, poses: Mapping[str, Array]) -> float:
+        """Distance of a thing's top from the ceiling [m]."""
+        return abs(self.height - float(self._world(name, poses)[:, 2].max()))
+
+    def _world(self, name: str, poses: Mapping[str, Array]) -> Array:
+        pose = poses[name]
+        return np.asarray(self._points[name] @ pose[:3, :3].T + pose[:3, 3], dtype=np.float64)
+
+
+def _scattered(mesh: object) -> Array:
+    """Corners of a convex piece, and points spread over its surface, drawn by one fixed rule; shape (n, 3) [m]."""
+    import trimesh
+
+    assert isinstance(mesh, trimesh.Trimesh)
+    vertices, count = np.asarray(mesh.vertices), int(np.ceil(SAMPLES_PER_M2 * float(mesh.area)))
+    rng = np.random.default_rng(0)
+    areas = np.asarray(mesh.area_faces)
+    corners = vertices[np.asarray(mesh.faces)[rng.choice(len(areas), count, p=areas / areas.sum())]]
+    u, v = rng.random((2, count, 1))
+    over = u + v > 1
+    u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
+    return np.concatenate([vertices, corners[:, 0] + u * (corners[:, 1] - corners[:, 0]) + v * (corners[:, 2] - corners[:, 0])])

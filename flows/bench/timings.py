@@ -1,0 +1,102 @@
+"""Timings of the optimization: per move against plain Python, of a whole scene, of convex pieces, of chains on processes."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import platform
+import time
+from collections import defaultdict
+from collections.abc import Callable, MutableMapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from flows.bench.plain import compare, compiled_seconds
+from flows.bench.rooms import plain_asset, scene_of_count
+from flows.bench.verdicts import config_of, context_of, judge, optimized
+from tasks.meshes import dump_glb, load_glb
+from tasks.optimization import OptimizationConfig
+from tasks.pieces import asset_pieces
+
+COUNTS = (39, 100, 300, 1000)
+"""Things in the rooms that moves are timed in; 39 is the mean of the paper's scenes."""
+
+PACKAGES = ("numpy", "numba", "mujoco", "python-fcl", "coacd", "metascenes")
+
+
+def machine() -> dict[str, Any]:
+    """What was measured on: processor, cores that may be used, Python, versions of packages that count."""
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        lines = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+        name = lines[0] if lines else name
+    return {
+        "processor": name,
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "versions": {package: version(package) for package in PACKAGES},
+    }
+
+
+def time_moves(seed: int, counts: Sequence[int] = COUNTS) -> dict[str, Any]:
+    """Algorithm 1 in plain Python and compiled on the same moves in a room of 39 things; time per move by number of things [s]."""
+    return {**compare(COUNTS[0], seed), "seconds_per_move": {str(count): compiled_seconds(count, seed) for count in counts}}
+
+
+def time_pieces(category: str) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Cold time of the convex pieces of the asset of a category that has none [s], and what a cache remembers of it."""
+    glb = dump_glb(plain_asset(category))
+    cache: dict[str, bytes] = {}
+    clock = time.perf_counter()
+    made = asset_pieces(hashlib.sha256(glb).hexdigest(), lambda: load_glb(glb), None, OptimizationConfig().pieces, cache)
+    seconds = time.perf_counter() - clock
+    return {"category": category, "method": made.method, "pieces": len(made.hulls), "seconds": seconds}, cache
+
+
+def time_scene(count: int, seed: int, methods: Sequence[str], remembered: MutableMapping[str, bytes]) -> dict[str, Any]:
+    """Seconds of the stage on a scene of `count` things by method, twice in one process: convex pieces come from a cache.
+
+    The first run compiles, or reads what is compiled from the disk; the second is warm.
+    """
+    scene = scene_of_count(count, seed)
+    caches: defaultdict[str, MutableMapping[str, bytes]] = defaultdict(dict, {"tasks.pieces": remembered})
+    context = context_of(scene, seed, caches)
+    found: dict[str, Any] = {"count": count}
+    clock = time.perf_counter()
+    judge(scene, methods[-1:], seed, caches)  # makes the pieces; not counted
+    found["first_seconds"] = time.perf_counter() - clock
+    for method in methods:
+        runs = []
+        for _ in range(3):
+            clock = time.perf_counter()
+            optimized(scene, config_of(method), context)
+            runs.append(time.perf_counter() - clock)
+        found[method] = min(runs[1:])
+    return found
+
+
+def time_chains(count: int, seed: int, remembered: MutableMapping[str, bytes], call: Callable[..., Any], processes: int) -> dict[str, Any]:
+    """Seconds of the default method on a scene of `count` things, its chains in turn and spread over processes by `call`.
+
+    is_same: both give the same rows.
+    """
+    scene = scene_of_count(count, seed)
+    alone = context_of(scene, seed, defaultdict(dict, {"tasks.pieces": remembered}))
+
+    def spread(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        with ThreadPoolExecutor(max(1, processes)) as threads:
+            return list(threads.map(lambda item: call(function, item), items))
+
+    together = dataclasses.replace(alone, spread=spread)
+    seconds, rows = {}, []
+    for name, context in (("1", alone), (str(processes), together)):
+        optimized(scene, config_of("default"), context)
+        clock = time.perf_counter()
+        rows.append(optimized(scene, config_of("default"), context).rows)
+        seconds[name] = time.perf_counter() - clock
+    return {"count": count, "seconds_by_processes": seconds, "is_same": rows[0] == rows[1]}

@@ -1,0 +1,280 @@
+"""Verdicts: what is right and wrong with the states of a scene, before and after each method of optimization."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flows.bench.measures import FLOOR, OFF_WALL_M, OUTSIDE_M, TOUCH_M, Measures
+from flows.bench.rooms import BenchScene, Carried
+from tasks import optimization
+from tasks.meshes import load_glb
+from tasks.optimization import OptimizationConfig
+from tasks.optimization.certificates import certify
+from tasks.optimization.contacts import Colliders
+from tasks.optimization.solids import Body, Solid, shell_solids
+from tasks.pieces import asset_pieces, mass_properties
+from tasks.stage import Context, Outcome
+from tasks.transforms import matrix
+
+Array = NDArray[np.float64]
+
+DEEP_M = 0.002
+"""Pairs that penetrate deeper than this count."""
+
+DRAWN, INPUT = "drawn", "input"
+"""States before any optimization: as the generator furnished it, and disturbed."""
+
+METHODS = ("paper", "default")
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """What is wrong with one state of one scene; things by instance id, sorted.
+
+    deep, allowed: pairs deeper than `DEEP_M`, and their depth [m]; allowed ones are of fixed things with the room.
+    free: things that may move. fixed_wrongly: fixed, though they were not drawn as fixed. unstable_1cm, unstable_5cm:
+    free things that moved farther in the certificate, displacement [m] and tilt [rad]. displaced: horizontal distance
+    from the input of every thing [m]. floating: free things above nothing nearer than 1 cm, and the gap [m]. outside:
+    free things and how far they reach over the floor's edge [m]. lost_reported, lost_silently: things that what carried
+    them carries no more; the optimization says so, or does not. carried: things whose carrier was looked at.
+    misjudged: things for which the optimization took something else as carrier than what carried them. disagreeing:
+    pairs whose depth in the rows differs from the depth measured here by more than 0.1 mm.
+    """
+
+    scene_id: str
+    state: str
+    things: int
+    free: tuple[str, ...]
+    fixed_wrongly: tuple[str, ...]
+    deep: tuple[tuple[str, str, float], ...]
+    allowed: tuple[tuple[str, str, float], ...]
+    unstable_1cm: tuple[tuple[str, float, float], ...]
+    unstable_5cm: tuple[tuple[str, float, float], ...]
+    displaced: tuple[tuple[str, float], ...]
+    floating: tuple[tuple[str, float], ...]
+    outside: tuple[tuple[str, float], ...]
+    carried: int
+    lost_reported: tuple[str, ...]
+    lost_silently: tuple[str, ...]
+    misjudged: tuple[str, ...]
+    disagreeing: tuple[tuple[str, str, float], ...]
+    remaining: tuple[str, ...]
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Results:
+    """Verdicts of a scene's states, in order; how many things were disturbed; seconds until all convex pieces were there."""
+
+    scene_id: str
+    categories: Mapping[str, str]
+    verdicts: tuple[Verdict, ...]
+    disturbances: int
+    piece_seconds: float
+
+
+def config_of(method: str) -> OptimizationConfig:
+    """The config of a method, everything else as it is by default."""
+    names = {"paper": optimization.Paper, "default": optimization.Default}
+    return OptimizationConfig(method=names[method]())
+
+
+def context_of(scene: BenchScene, seed: int, caches: Mapping[str, MutableMapping[str, bytes]]) -> Context:
+    """What the stage may know beside the rows."""
+    return Context(scene.scene_id, "optimization", seed, scene.blobs, caches)
+
+
+def optimized(scene: BenchScene, config: OptimizationConfig, context: Context) -> Outcome:
+    """The stage's rows for a scene."""
+    stage = optimization.STAGE
+    return stage.run(**{table: scene.rows[table] for table in (*stage.reads, *stage.history)}, context=context, config=config)
+
+
+def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Mapping[str, MutableMapping[str, bytes]]) -> Results:
+    """Every method on a scene, and the states before, measured in the same way."""
+    config, context = OptimizationConfig(), context_of(scene, seed, caches)
+    clock = time.perf_counter()
+    hulls = _hulls(scene, config, context)
+    piece_seconds = time.perf_counter() - clock
+    outcomes: dict[str, tuple[Outcome, float]] = {}
+    for method in methods:
+        clock = time.perf_counter()
+        outcome = optimized(scene, config_of(method), context)
+        outcomes[method] = outcome, time.perf_counter() - clock
+    instances = {row.instance_id: row for row in scene.rows["instances"]}
+    categories = {name: row.category for name, row in instances.items()}
+    placements = {row.instance_id: row for row in outcomes[methods[-1]][0].rows["placements"]}
+    proposed = {name: matrix(row.proposed_pose) for name, row in placements.items()}
+    solids = {
+        name: Solid(name, tuple(hull.transformed(np.eye(4), row.scale) for hull in hulls[row.asset_id]))
+        for name, row in placements.items()
+    }  # fmt: skip
+    room = scene.rows["rooms"][0] if scene.rows["rooms"] else None
+    polygon = np.array(room.floor_polygon, dtype=np.float64).reshape(-1, 2) if room else np.zeros((0, 2))
+    measures = Measures(list(solids.values()), categories, polygon, room.height_m if room else np.inf)
+    shell = list(shell_solids(room)) if room else []
+    colliders = Colliders(list(solids.values()), shell)
+    last = outcomes[methods[-1]][0]
+    fixed = {row.instance_id for row in last.rows["supports"] if row.is_fixed}
+    carried = scene.carried or {row.instance_id: Carried(row.relation, row.parent_id) for row in last.rows["supports"]}
+    laboratory = _Laboratory(scene, solids, categories, measures, colliders, shell, carried, proposed, config)
+    verdicts = []
+    if scene.drawn_poses is not None:
+        poses = {name: scene.drawn_poses[name] for name in solids}
+        verdicts.append(laboratory.verdict(DRAWN, poses, fixed, None, 0.0))
+    verdicts.append(laboratory.verdict(INPUT, proposed, fixed, None, 0.0))
+    for method, (outcome, seconds) in outcomes.items():
+        poses = {row.instance_id: matrix(row.optimized_pose) for row in outcome.rows["placements"]}
+        own = {row.instance_id for row in outcome.rows["supports"] if row.is_fixed}
+        verdicts.append(laboratory.verdict(method, poses, own, outcome, seconds))
+    return Results(scene.scene_id, categories, tuple(verdicts), len(scene.disturbances), piece_seconds)
+
+
+def _hulls(scene: BenchScene, config: OptimizationConfig, context: Context) -> dict[str, Any]:
+    """Convex pieces by asset, as the stage has them; from here on they are remembered."""
+    found = {}
+
+    def parts(blob: str) -> Callable[[], Sequence[Any]]:
+        return lambda: load_glb(context.blobs[blob])
+
+    for asset in scene.rows["assets"]:
+        known = parts(asset.pieces_blob) if asset.pieces_blob else None
+        made = asset_pieces(asset.asset_id, parts(asset.mesh_blob), known, config.pieces, context.caches["tasks.pieces"])
+        found[asset.asset_id] = made.hulls
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class _Laboratory:
+    """All that is needed to judge the states of one scene."""
+
+    scene: BenchScene
+    solids: Mapping[str, Solid]
+    categories: Mapping[str, str]
+    measures: Measures
+    colliders: Colliders
+    shell: Sequence[Solid]
+    was_carried: Mapping[str, Carried]
+    proposed: Mapping[str, Array]
+    config: OptimizationConfig
+
+    def verdict(self, state: str, poses: Mapping[str, Array], fixed: set[str], outcome: Outcome | None, seconds: float) -> Verdict:
+        """The verdict on one state: poses by name, which things are fixed, and the stage's rows where it made the state."""
+        free = tuple(name for name in self.solids if name not in fixed)
+        pairs = [(p.a, p.b, p.depth_m) for p in self.colliders.penetrations(np.array([poses[name] for name in self.solids]))]
+        room = {wall.name for wall in self.shell} | {FLOOR}
+        deep = [pair for pair in pairs if pair[2] > DEEP_M]
+        allowed = [pair for pair in deep if pair[0] in fixed and pair[1] in room]
+        moved_1cm, moved_5cm = self._unstable(poses, fixed, outcome)
+        carriers = {name: self.measures.carriers(name, poses) for name in free}
+        lost = self._lost(poses, carriers)
+        said = _reported(outcome) if outcome is not None else set()
+        drawn_fixed = {name for name, c in self.was_carried.items() if c.relation in ("wall", "ceiling")}
+        outside = [(name, self.measures.reach_outside(name, poses)) for name in free]
+        return Verdict(
+            scene_id=self.scene.scene_id,
+            state=state,
+            things=len(self.solids),
+            free=free,
+            fixed_wrongly=tuple(sorted(fixed - drawn_fixed)) if self.scene.carried is not None else (),
+            deep=tuple(pair for pair in deep if pair not in allowed),
+            allowed=tuple(allowed),
+            unstable_1cm=moved_1cm,
+            unstable_5cm=moved_5cm,
+            displaced=tuple((name, float(np.hypot(*(poses[name] - self.proposed[name])[:2, 3]))) for name in self.solids),
+            floating=tuple((name, gap) for name, (_, gap) in carriers.items() if gap > TOUCH_M),
+            outside=tuple((name, reach) for name, reach in outside if reach > OUTSIDE_M),
+            carried=len(self.was_carried),
+            lost_reported=tuple(name for name in lost if name in said),
+            lost_silently=tuple(name for name in lost if name not in said),
+            misjudged=self._misjudged(outcome) if outcome is not None else (),
+            disagreeing=_disagreeing(pairs, outcome, "optimized") if outcome is not None else (),
+            remaining=tuple(outcome.degradations) if outcome is not None else (),
+            seconds=seconds,
+        )
+
+    def _unstable(
+        self, poses: Mapping[str, Array], fixed: set[str], outcome: Outcome | None
+    ) -> tuple[tuple[tuple[str, float, float], ...], tuple[tuple[str, float, float], ...]]:
+        """Free things that do not stay within 1 cm, and within 5 cm and 5 degrees: by the stage's own certificates, where it
+        made the state, else by one made here."""
+        if outcome is not None:
+            found = [(r.instance_id, r) for r in outcome.rows["certificates"]]
+        else:
+            bodies = [self._body(name, name in fixed) for name in self.solids]
+            stacked = np.array([poses[name] for name in self.solids])
+            found = [(c.name, c) for c in certify(bodies, stacked, self.shell, self.config.certificate)]
+        moved = [(name, c.displacement_m, c.tilt_radians, c) for name, c in sorted(found, key=lambda f: f[0]) if name not in fixed]
+        missing = tuple((name, np.inf, np.inf) for name in self.solids if name not in fixed and name not in {n for n, _ in found})
+        near = tuple((name, far, tilt) for name, far, tilt, c in moved if not c.is_stable_1cm) + missing
+        return near, tuple((name, far, tilt) for name, far, tilt, c in moved if not c.is_stable_5cm) + missing
+
+    def _body(self, name: str, is_fixed: bool) -> Body:
+        """A solid with the mass and friction of its caption."""
+        solid, bodies = self.solids[name], self.config.bodies
+        for caption in self.scene.rows["captions"]:
+            if caption.instance_id == name:
+                return Body(solid, caption.mass_kg, caption.friction, caption.materials, is_fixed)
+        return Body(solid, max(bodies.density_kg_m3 * mass_properties(solid.hulls).volume, 0.001), bodies.friction, (), is_fixed)
+
+    def _lost(self, poses: Mapping[str, Array], carriers: Mapping[str, tuple[set[str], float]]) -> list[str]:
+        """Things that are not carried any more by what carried them: measured at their poses, whatever the stage says."""
+        lost = []
+        for name, was in sorted(self.was_carried.items()):
+            if name not in self.solids or self._is_let_in(name):
+                continue
+            if was.relation == "wall":
+                held = self.measures.off_wall(name, poses) <= OFF_WALL_M
+            elif was.relation == "ceiling":
+                held = self.measures.below_ceiling(name, poses) <= OFF_WALL_M
+            else:
+                touched = carriers[name][0] if name in carriers else self.measures.carriers(name, poses)[0]
+                held = was.relation == "none" or (was.parent_id or FLOOR) in touched
+            if not held:
+                lost.append(name)
+        return lost
+
+    def _is_let_in(self, name: str) -> bool:
+        from tasks.optimization.mounting import mounting
+
+        return mounting(self.categories[name]).kind == "let_in"
+
+    def _misjudged(self, outcome: Outcome) -> tuple[str, ...]:
+        """Things for which the stage took another carrier than the one that they had when they were drawn."""
+        if self.scene.carried is None:
+            return ()
+        rugs = {name for name, category in self.categories.items() if "rug" in category}
+        wrong = []
+        for row in outcome.rows["supports"]:
+            was = self.scene.carried[row.instance_id]
+            parent = None if row.parent_id in rugs else row.parent_id
+            hangs, hung = row.relation in ("wall", "ceiling"), was.relation in ("wall", "ceiling")
+            if hangs != hung or (not hung and parent != was.parent_id):
+                wrong.append(row.instance_id)
+        return tuple(wrong)
+
+
+def _reported(outcome: Outcome) -> set[str]:
+    """Instances of which the stage says that something is wrong, or that another thing carries them."""
+    said = {row.instance_id for row in outcome.rows["placements"] if row.remains}
+    said |= {row.instance_id for row in outcome.rows["supports"] if not row.is_kept}
+    return said | {line.split(":", 1)[0] for line in outcome.degradations if ":" in line}
+
+
+def _disagreeing(pairs: Sequence[tuple[str, str, float]], outcome: Outcome, phase: str) -> tuple[tuple[str, str, float], ...]:
+    """Pairs of which the rows of `contacts` say another depth than was measured, and the difference [m]."""
+    here = {frozenset((a, b)): depth for a, b, depth in pairs}
+    rows = {frozenset((r.instance_a, r.body_b)): r.penetration_m for r in outcome.rows["contacts"] if r.phase == phase}
+    wrong = []
+    for pair in sorted({*here, *rows}, key=sorted):
+        difference = abs(here.get(pair, 0.0) - rows.get(pair, 0.0))
+        if difference > 1e-4:
+            a, b = sorted(pair)
+            wrong.append((a, b, difference))
+    return tuple(wrong)
