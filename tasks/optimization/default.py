@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tasks.optimization.annealing import Schedule
 from tasks.optimization.arrangement import FIXED, HANGING, OVERHEAD, STANDING, Arrangement, compiled
+from tasks.optimization.balance import draw_back
 from tasks.optimization.boundary import outside_share, way_in
 from tasks.optimization.chains import Chain, anneal
 from tasks.optimization.collisions import outline
@@ -19,9 +20,10 @@ from tasks.optimization.interior import Interior
 from tasks.optimization.resting import COVERING_M, gap_to_carrier, let_down, put_to_rest, shift
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import Solid, shell_solids
-from tasks.optimization.supports import SupportConfig, support_map
+from tasks.optimization.supports import PlacedAsset, SupportConfig, support_map
 from tasks.optimization.trace import Move, Resolution, Step, rotation_vector
 from tasks.optimization.walls import wall_faces, wall_snap
+from tasks.transforms import translation
 
 Array = NDArray[np.float64]
 
@@ -107,7 +109,9 @@ def resolve(
     steps: list[tuple[int, Move, str]] = []
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand)]
     steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
-    room = arrangement_of(interior, solids, shapes, stand, supports)
+    drawn = draw_back(interior, shapes, stand)
+    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), "pulled_in") for i, way in drawn]
+    room = arrangement_of(interior, solids, shapes, stand, supports, dict(drawn))
     generators = [rng("chain", number) for number in range(method.chains)]
     chain, tried = anneal(room, method.schedule(), method.max_moves, method.max_kept, generators, spread)
     trace = [Step(names[i], move, chain.start, chain.start, outcome) for i, move, outcome in steps]
@@ -138,8 +142,12 @@ def _is_lost(interior: Interior, shapes: Shapes, stand: Stand, thing: int) -> bo
     return gap > KEPT_M and not (gap <= COVERING_M and to_cloth <= KEPT_M)
 
 
-def arrangement_of(interior: Interior, solids: Sequence[Solid], shapes: Shapes, stand: Stand, supports: SupportConfig) -> Arrangement:
-    """The room as the chains take it: things at rest, and the walls after them."""
+def arrangement_of(
+    interior: Interior, solids: Sequence[Solid], shapes: Shapes, stand: Stand, supports: SupportConfig,
+    drawn: Mapping[int, tuple[float, float]] | None = None,
+) -> Arrangement:  # fmt: skip
+    """The room as the chains take it: things at rest, and the walls after them. `drawn`: shifts (dx, dy) [m] that things
+    were given on their carriers."""
     n, bodies = len(interior.things), len(solids)
     parent = np.full(bodies, -1, dtype=np.int64)
     parent[:n] = interior.parent
@@ -164,6 +172,8 @@ def arrangement_of(interior: Interior, solids: Sequence[Solid], shapes: Shapes, 
         if parent[i] >= 0:
             map_of[i] = len(maps)
             carrying = interior.things[parent[i]]
+            if drawn and i in drawn:
+                thing = _shifted(thing, *drawn[i])
             maps.append(support_map(thing, carrying, carrier.gap, MAP_CELL_M, MAP_REACH, supports))
     side = 2 * MAP_REACH + 1
     return Arrangement(
@@ -171,6 +181,13 @@ def arrangement_of(interior: Interior, solids: Sequence[Solid], shapes: Shapes, 
         carried=np.concatenate([*map(np.asarray, groups), []]).astype(np.int64), kind=kind, along=along, map_of=map_of,
         maps=np.array(maps, dtype=np.bool_).reshape(-1, side, side), cell=MAP_CELL_M, lever=lever,
     )  # fmt: skip
+
+
+def _shifted(thing: PlacedAsset, dx: float, dy: float) -> PlacedAsset:
+    """A thing somewhere else [m]."""
+    move = np.array([dx, dy, 0.0])
+    surface = thing.surface.transformed(translation(move))
+    return dataclasses.replace(thing, surface=surface, low=thing.low + move, high=thing.high + move)
 
 
 def _brought_in(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[int, tuple[float, float], str]]:

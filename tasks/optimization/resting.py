@@ -103,7 +103,7 @@ def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float)
             if interior.fixed[i] or covering[i] or last:
                 break
             origin = stand.place[i].copy()
-            tipped = tip(shapes, stand, i, _center(interior, i), others, most_tilt)
+            tipped = tip(shapes, stand, i, center_of_mass(interior, i), others, most_tilt)
             if tipped is None:
                 done.toppling.append(i)
                 break
@@ -115,7 +115,7 @@ def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float)
     return done
 
 
-def _center(interior: Interior, thing: int) -> Array:
+def center_of_mass(interior: Interior, thing: int) -> Array:
     """Center of mass of a thing from its origin, along the world's axes as proposed [m], shape (3,)."""
     return np.asarray(interior.poses[thing][:3, :3] @ mass_properties_of(interior.solids[thing]).center)
 
