@@ -642,3 +642,28 @@ def test_supports_that_cannot_be_are_refused(values: dict[str, float]) -> None:
     (field,) = values
     with pytest.raises(ValueError, match=f"^{field}: must be "):
         SupportConfig(**values)
+
+
+def test_what_has_the_wrong_unit_takes_no_more_memory_than_a_hall() -> None:
+    """A house of a kilometre and a box on it."""
+    things = [at(1, block(1000, 800, 3), 0, 0, 0), at(2, block(500, 500, 3), 0, 0, 3.05)]
+    found = find_carriers(things, room(), CONFIG)
+    assert (found["0002"].relation, found["0002"].parent_id) == ("on", "0001")
+    allowed = support_map(things[1], things[0], found["0002"].gap, 0.02, 30, CONFIG)
+    assert allowed.shape == (61, 61)
+    assert np.argwhere(allowed).tolist() == [[30, 30]]
+
+
+def test_things_without_volume_are_carried_like_others() -> None:
+    """A sheet lies on a table, an upright sheet stands on it, a point lies on the floor."""
+    parts = []
+    for corners in (
+        [[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0], [0, 0.3, 0]],
+        [[0, 0, 0], [0.3, 0, 0], [0.3, 0, 0.3], [0, 0, 0.3]],
+        [[0, 0, 0]] * 4,
+    ):
+        parts.append([trimesh.Trimesh(np.array(corners, dtype=float), [[0, 1, 2], [0, 2, 3]], process=False)])
+    things = [at(0, parts[0], 0, 0, 0.77), BELOW, at(2, parts[1], -0.3, 0, 0.74), at(3, parts[2], 1, 1, 0.03)]
+    found = find_carriers(things, room(), CONFIG)
+    assert [found[f"{i:04d}"].parent_id for i in range(4)] == ["0001", None, "0001", None]
+    assert found["0003"].relation == "floor"

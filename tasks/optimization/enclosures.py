@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tasks.optimization.heights import occupancy, plan_view
+from tasks.optimization.standing import MOST_CELLS
 
 if TYPE_CHECKING:
     from tasks.optimization.supports import PlacedAsset, SupportConfig
@@ -27,7 +28,8 @@ def encloses(parent: PlacedAsset, thing: PlacedAsset, gap: float, config: Suppor
     # a tablecloth hangs down past the table, but its top lies over it
     if (over > np.maximum(center[2], under - gap + config.base_m)).mean() >= 0.5:
         return True
-    cell = float(np.clip((parent.high - parent.low)[:2].max() / 64, 0.005, 0.04))
+    span = float((parent.high - parent.low)[:2].max())
+    cell = max(min(max(span / 64, 0.005), 0.04), span / MOST_CELLS)
     top = max(float(center[2]), rest + 2 * config.base_m)
     sides = occupancy(parent.surface, parent.low[:2], parent.high[:2], rest + config.base_m, top, cell, parent.blocks)
     points = (np.argwhere(np.isfinite(sides.heights)) + np.array(sides.first) + 0.5) * cell - center[:2]

@@ -4,34 +4,71 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.optimization.heights import PlanView
+from tasks.optimization.heights import occupancy, plan_view
+
+if TYPE_CHECKING:
+    from tasks.optimization.supports import PlacedAsset, SupportConfig
 
 Cells = NDArray[np.int64]
+
+MOST_CELLS = 2500
+"""Along a side of a grid: 25 m at a centimetre."""
+
+MOST_TESTED = 200
+"""Cells of a thing that are tried at every shift."""
 
 BLOCKED_SHARE = 0.02
 """As much more of a thing may meet its carrier than at its place: cells at the edge of a side are marked by chance."""
 
 
 def standing_map(
-    carrying: PlanView, blocking: PlanView, height: float, level: float, base: Cells, body: Cells, per_step: int, reach: int, share: float
+    thing: PlacedAsset, carrier: PlacedAsset, gap: float, cell: float, per_step: int, reach: int, config: SupportConfig
 ) -> NDArray[np.bool_]:
-    """Where a thing may be shifted to, in steps of `per_step` cells along x and y: shape (2 reach + 1, 2 reach + 1).
+    """Where a carried thing may be shifted to, in steps of `per_step` cells [m] along x and y: shape (2 reach + 1,
+    2 reach + 1).
 
-    It may where `share` of its `base`, or as much as at its place, has the carrying surface within `level` of `height`
-    [m] below it, and where no more of its `body` meets a blocked cell than at its place. Cells: shape (n, 2). Both views
-    have one window.
+    It may where `carried_share` of its base, or as much as at its place, has its carrier's surface below it at the height
+    at which it stands, and where no more of it meets the carrier than at its place. A thing whose grid would be
+    unreasonably large may stand where it is.
     """
-    carries = np.abs(carrying.heights - height) <= level
-    blocks = np.isfinite(blocking.heights)
-    first = np.array(carrying.first)
+    if float((thing.high - thing.low)[:2].max()) > MOST_CELLS * cell:
+        return np.pad(np.ones((1, 1), dtype=np.bool_), reach)
+    rest, level = float(thing.low[2]) - gap, config.base_m
+    cells, heights = thing.footprint(cell)
+    rise = heights - thing.low[2]
+    margin = reach * per_step * cell + cell
+    low, high = thing.low[:2] - margin, thing.high[:2] + margin
+    base, lowest = rise <= level, 0.0
+    floor = plan_view(carrier.surface, low, high, rest + level, cell, carrier.closed, carrier.blocks)
+    if not base.any() or (np.abs(floor.at(cells[base]) - rest) <= level).mean() < config.share:
+        # its lowest part is past the carrier's edge: what stands is what touches
+        under = plan_view(carrier.surface, low, high, rest + float(rise.max()) + level, cell, carrier.closed, carrier.blocks).at(cells)
+        touches = np.abs(under - rest - rise) <= level
+        if touches.any():
+            lowest = float(np.median(rise[touches]))
+            base = np.abs(rise - lowest) <= level
+            floor = plan_view(carrier.surface, low, high, rest + lowest + level, cell, carrier.closed, carrier.blocks)
+    top = rest + max(thing.height - config.cell_m, lowest + level)
+    blocking = occupancy(carrier.surface, low, high, rest + lowest + level, top, cell, carrier.blocks)
+    stood, body = (some[kept_cells(some, MOST_TESTED)] - np.array(floor.first) for some in (cells[base], cells))
     allowed = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.bool_)
-    _compiled()["fill"](carries, blocks, base - first, body - first, per_step, reach, share, BLOCKED_SHARE, allowed)
+    carries, blocks = np.abs(floor.heights - rest - lowest) <= level, np.isfinite(blocking.heights)
+    _compiled()["fill"](carries, blocks, stood, body, per_step, reach, config.carried_share, BLOCKED_SHARE, allowed)
     return allowed
+
+
+def kept_cells(cells: Cells, most: int) -> NDArray[np.int64]:
+    """Places of about `most` cells in a list of cells, scattered over the grid: shares are needed to a percent."""
+    parts = -(-len(cells) // most)
+    if parts <= 1:
+        return np.arange(len(cells))
+    scattered = np.flatnonzero((cells[:, 0] * 73856093 ^ cells[:, 1] * 19349663) % 9973 * parts < 9973)
+    return scattered if 2 * len(scattered) > most else np.arange(0, len(cells), parts)
 
 
 @cache

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from schemas.capture import Room
 from tasks.meshes import Surface
 from tasks.optimization.enclosures import encloses
-from tasks.optimization.heights import face_blocks, occupancy, plan_view, underside
+from tasks.optimization.heights import face_blocks, plan_view, underside
 from tasks.optimization.mounting import mounting
-from tasks.optimization.standing import standing_map
+from tasks.optimization.standing import MOST_CELLS, kept_cells, standing_map
 from tasks.optimization.walls import WallFace, stands_against, wall_contact, wall_faces
 
 Array = NDArray[np.float64]
@@ -149,6 +149,9 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: Supp
     edge. What hangs keeps its height, its gap and lift are zero; what nothing carries is set down onto what is below it
     from `drop_m` at most (`stand_drop_m` what never hangs), and else keeps its height above the floor as its gap.
     """
+    span = max((float((p.high - p.low)[:2].max()) for p in placed), default=0.0)
+    # what is larger than a hall has the wrong unit: its grid must still fit into memory
+    config = dataclasses.replace(config, cell_m=max(config.cell_m, span / MOST_CELLS))
     order = sorted(placed, key=lambda p: (p.low[2], p.high[2], p.instance_id))
     faces = wall_faces(room) if room is not None else []
     rests: dict[str, _Rest | None] = {}
@@ -211,7 +214,7 @@ def allowed_shifts(
     """Where a carried thing may stand, in steps [m] along x and y from its place on its carrier: shape (2 reach + 1,
     2 reach + 1). The same as `support_map`, in steps longer than a cell."""
     per_step = max(1, round(step / config.cell_m))
-    return _standing(thing, carrier, gap, step / per_step, per_step, reach, config)
+    return standing_map(thing, carrier, gap, step / per_step, per_step, reach, config)
 
 
 def support_map(thing: PlacedAsset, carrier: PlacedAsset, gap: float, cell: float, reach: int, config: SupportConfig) -> NDArray[np.bool_]:
@@ -221,32 +224,7 @@ def support_map(thing: PlacedAsset, carrier: PlacedAsset, gap: float, cell: floa
     It may where as much of its base, or at least `carried_share` of it, is carried at the same height, and where no
     more of the carrier (the side of a compartment) is in its way than at its place. `gap`: as in its `Carrier`.
     """
-    return _standing(thing, carrier, gap, cell, 1, reach, config)
-
-
-def _standing(
-    thing: PlacedAsset, carrier: PlacedAsset, gap: float, cell: float, per_step: int, reach: int, config: SupportConfig
-) -> NDArray[np.bool_]:
-    """The map of `support_map` in steps of `per_step` cells."""
-    rest, level = float(thing.low[2]) - gap, config.base_m
-    cells, heights = thing.footprint(cell)
-    rise = heights - thing.low[2]
-    margin = reach * per_step * cell + cell
-    low, high = thing.low[:2] - margin, thing.high[:2] + margin
-    base, lowest = rise <= level, 0.0
-    floor = plan_view(carrier.surface, low, high, rest + level, cell, carrier.closed, carrier.blocks)
-    if (np.abs(floor.at(cells[base]) - rest) <= level).mean() < config.share:
-        # its lowest part is past the carrier's edge: what stands is what touches
-        under = plan_view(carrier.surface, low, high, rest + float(rise.max()) + level, cell, carrier.closed, carrier.blocks).at(cells)
-        touches = np.abs(under - rest - rise) <= level
-        if touches.any():
-            lowest = float(np.median(rise[touches]))
-            base = np.abs(rise - lowest) <= level
-            floor = plan_view(carrier.surface, low, high, rest + lowest + level, cell, carrier.closed, carrier.blocks)
-    top = rest + max(thing.height - config.cell_m, lowest + level)
-    solid = occupancy(carrier.surface, low, high, rest + lowest + level, top, cell, carrier.blocks)
-    stood, body = cells[base], cells[_kept(cells, 200)]
-    return standing_map(floor, solid, rest + lowest, level, stood[_kept(stood, 200)], body, per_step, reach, config.carried_share)
+    return standing_map(thing, carrier, gap, cell, 1, reach, config)
 
 
 def _carrier(
@@ -316,7 +294,7 @@ def _most_carried(
     """Whose surface is the highest within reach under most of a base; `rise` of its cells over the thing's bottom [m]."""
     if not len(base):  # nothing of it near its lowest point is wide enough to stand on
         return None
-    low, kept = float(thing.low[2]), _kept(base, 2000)
+    low, kept = float(thing.low[2]), kept_cells(base, 2000)
     base, rise = base[kept], rise[kept]
     first, last = base.min(axis=0) * config.cell_m, (base.max(axis=0) + 0.5) * config.cell_m
     # how high the bottom would be with each part of the base touching what is below it
@@ -348,7 +326,7 @@ def _rest_off(
     cells, heights = thing.footprint(config.cell_m)
     low = float(thing.low[2])
     on_base = heights <= low + config.base_m
-    kept = _kept(cells[on_base], 2000)
+    kept = kept_cells(cells[on_base], 2000)
     base, rise = cells[on_base][kept], heights[on_base][kept] - low
     found = [_Rest(None, low)] if low <= drop else []
     for other in others if len(base) else ():
@@ -362,15 +340,6 @@ def _rest_off(
                 found.append(_Rest(other.instance_id, float(np.quantile(gaps[within], 1 - config.rest_quantile))))
                 break
     return min(found, key=lambda r: (abs(r.gap), r.parent is not None, r.parent or ""), default=None)
-
-
-def _kept(cells: Cells, most: int) -> NDArray[np.int64]:
-    """Places of about `most` cells in a list of cells, scattered over the grid: shares are needed to a percent."""
-    parts = -(-len(cells) // most)
-    if parts <= 1:
-        return np.arange(len(cells))
-    scattered = np.flatnonzero((cells[:, 0] * 73856093 ^ cells[:, 1] * 19349663) % 9973 * parts < 9973)
-    return scattered if 2 * len(scattered) > most else np.arange(0, len(cells), parts)
 
 
 def _may_carry(carrier: PlacedAsset, thing: PlacedAsset, config: SupportConfig) -> bool:
