@@ -201,7 +201,7 @@ def scene() -> list[tuple[Body, Array]]:
 def test_verdicts_do_not_hang_on_numerics(name: str, furniture: list[Certified]) -> None:
     finer = {"timestep_s": 0.001, "sleep_m_s": 0.0}
     placed = collection()
-    again = of(*placed, config=CertificateConfig(engine=dataclasses.replace(Mujoco(), **{name: finer[name]})))
+    again = of(*placed, config=CertificateConfig(mujoco=dataclasses.replace(Mujoco(), **{name: finer[name]})))
     for category, a, b in zip(CATEGORIES, furniture, again, strict=True):
         if abs(a.displacement_m - CONFIG.near_m) > 5e-3 and abs(a.tilt_radians - CONFIG.far_tilt_radians) > 0.02:
             assert (a.is_stable_1cm, a.is_stable_5cm) == (b.is_stable_1cm, b.is_stable_5cm), category
@@ -303,7 +303,7 @@ def test_thin_and_tiny_things_are_no_trouble(thin: float) -> None:
 def test_a_state_that_diverges_is_no_rest(steps: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     lost = translation([1e11, 0.0, 0.0])
-    config = CertificateConfig(engine=Mujoco(check_steps=steps))
+    config = CertificateConfig(mujoco=Mujoco(check_steps=steps))
     near, far = of((cube("0001"), np.eye(4)), (cube("0002"), lost), config=config)
     assert far.problem
     assert "diverges" in far.problem

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from schemas.optimization import Certificate
 from tasks.captions.physics import materials
-from tasks.optimization import mujoco_engine
+from tasks.optimization import mujoco_engine, newton_engine
 from tasks.optimization.mujoco_engine import Mujoco, Simulation
+from tasks.optimization.newton_engine import Newton
 from tasks.optimization.solids import Body, Solid
 from tasks.transforms import flat, is_rigid
 
@@ -26,7 +27,8 @@ SOFT: frozenset[str] = frozenset({"fabric", "foliage"})
 class CertificateConfig:
     """What a certificate asks."""
 
-    engine: Mujoco = dataclasses.field(default_factory=Mujoco)
+    mujoco: Mujoco = dataclasses.field(default_factory=Mujoco)
+    newton: Newton = dataclasses.field(default_factory=Newton)  # asked as well when its interpreter is named
     seconds: float = 2.0  # a fall from a table takes 0.4 s; tipping begins slowly and takes longer
     near_m: float = 0.01  # a robot's grasp planned at the old place still succeeds
     far_m: float = 0.05  # still recognizably where the scan saw it: the noise of a scan's boxes
@@ -63,14 +65,15 @@ class Certified:
 
 
 def certify(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config: CertificateConfig) -> list[Certified]:
-    """Certificates of things at `poses`, asset to world [m], shape (n, 4, 4), in the order given.
+    """Certificates of things at `poses`, asset to world [m], shape (n, 4, 4), in the order given; MuJoCo's first, then
+    Newton's when it is asked.
 
     They are left alone for `config.seconds` under gravity on the floor z = 0, among the walls `shell`. Fixed things do
-    not move. The order of the bodies does not matter. A thing that the engine refuses is reported, not stable, and left
+    not move. The order of the bodies does not matter. A thing that an engine refuses is reported, not stable, and left
     out: what it carries falls.
 
     Raises:
-        InputError: a pose is not rigid, two bodies have one name, or a material is unknown.
+        InputError: a pose is not rigid, two bodies have one name, a material is unknown, or Newton is not there.
     """
     poses = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
     names = [body.solid.name for body in bodies]
@@ -80,15 +83,19 @@ def certify(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config
         if not is_rigid(pose):
             raise InputError("placements", f"{body.solid.name} optimized_pose", "is no rigid pose", "run the optimization again")
     order = sorted(range(len(bodies)), key=lambda i: names[i])  # engines depend on it, certificates shall not
-    simulation = _simulate([bodies[i] for i in order], poses[order], shell, config)
     rank = np.argsort(order)
-    return [_certified(body, poses[i], simulation, int(rank[i]), config) for i, body in enumerate(bodies)]
+    engines: list[Mujoco | Newton] = [config.mujoco, *([config.newton] if config.newton.python else [])]
+    certified = []
+    for engine in engines:
+        simulation = _simulate([bodies[i] for i in order], poses[order], shell, config.seconds, engine)
+        certified += [_certified(body, poses[i], simulation, int(rank[i]), config) for i, body in enumerate(bodies)]
+    return certified
 
 
 def certificate_rows(scene_id: str, certified: Sequence[Certified]) -> list[Certificate]:
-    """Rows of the table `certificates`, by instance."""
+    """Rows of the table `certificates`, by instance and engine."""
     rows = []
-    for one in sorted(certified, key=lambda c: c.name):
+    for one in sorted(certified, key=lambda c: (c.name, c.engine)):
         values = dataclasses.asdict(one)
         del values["problem"]
         name, settled = values.pop("name"), flat(values.pop("settled_pose"))
@@ -115,11 +122,13 @@ def density_bounds(words: Sequence[str], config: CertificateConfig) -> tuple[flo
     return low, max(known[word].density_max_kg_m3 for word in words)
 
 
-def _simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config: CertificateConfig) -> Simulation:
-    """What the chosen engine makes of it."""
-    match config.engine:
+def _simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], seconds: float, engine: Mujoco | Newton) -> Simulation:
+    """What an engine makes of it."""
+    match engine:
         case Mujoco():
-            return mujoco_engine.simulate(bodies, poses, shell, config.seconds, config.engine)
+            return mujoco_engine.simulate(bodies, poses, shell, seconds, engine)
+        case Newton():
+            return newton_engine.simulate(bodies, poses, shell, seconds, engine)
 
 
 def _certified(body: Body, pose: Array, simulation: Simulation, index: int, config: CertificateConfig) -> Certified:
