@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import os
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,6 +25,7 @@ from tasks.optimization.mujoco_engine import Mujoco
 from tasks.optimization.solids import Body, Solid, shell_solids
 from tasks.pieces import Hull, PieceConfig, convex_hull, pieces
 from tasks.transforms import inverse, translation, yaw_pose
+from tests.conftest import REPOSITORY
 from tests.replicas import room_of
 
 Array = np.ndarray
@@ -195,6 +200,22 @@ def scene() -> list[tuple[Body, Array]]:
     placed = [(table(), np.eye(4)), (cube("0002"), translation([-0.3, 0.4, 0.75])), (cube("0003"), translation([0.3, -0.5, 0.73]))]
     placed += [(cube(f"{i:04d}", 0.2), yaw_pose(i, [1.5, 0.0, 0.21 * (i - 4)])) for i in range(4, 9)]
     return [*placed, (dataclasses.replace(cube("0009"), is_fixed=True), translation([0, 0, 2.0]))]
+
+
+ELSEWHERE = """
+import hashlib, os, sys
+from tests.test_certificates import in_bytes, of, scene
+found = of(*scene())
+assert not {"OpenGL", "glfw"} & sys.modules.keys() and "prefect" not in sys.modules
+print(os.environ["MUJOCO_GL"], hashlib.sha256(b"".join(map(in_bytes, found))).hexdigest())
+"""
+
+
+@pytest.mark.parametrize(("chosen", "taken"), [(None, "disable"), ("off", "off")])
+def test_every_process_finds_the_same_and_needs_no_window_system(chosen: str | None, taken: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"} | ({"MUJOCO_GL": chosen} if chosen else {})
+    done = subprocess.run([sys.executable, "-c", ELSEWHERE], cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [taken, hashlib.sha256(b"".join(map(in_bytes, of(*scene())))).hexdigest()]
 
 
 @pytest.mark.parametrize("name", ["timestep_s", "sleep_m_s"])
