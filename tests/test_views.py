@@ -379,7 +379,7 @@ def test_stability_counts_the_free_and_names_those_that_fail(database: Database,
             stable_1cm=one, stable_5cm=five, stable_1cm_share=one / len(free) if free else None,
             stable_5cm_share=five / len(free) if free else None, worst_displacement_m=worst,
             worst_tilt_degrees=math.degrees(max(c.tilt_radians for c in free)) if free else None,
-            deepest_start_penetration_m=max(c.start_penetration_m for c in group),
+            deepest_start_penetration_m=max((c.start_penetration_m for c in free), default=None),
             uncertified=sum(p.scene_id == key[0] for p in of(rows, Placement)) - len(group),
         )  # fmt: skip
         assert not free or answer[key]["worst_instance_id"] in {c.instance_id for c in free if c.displacement_m == worst}

@@ -284,7 +284,7 @@ def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
     axes.set_title(title)
     axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.4)
     alt = (
-        f"Collision loss of {scene_id} over {len(rows) - 1} steps: {loss[0]:.3g} {unit} at the start, {smallest[-1]:.3g} {unit} in the end."
+        f"Collision loss of {scene_id} over {step[-1]:.0f} steps: {loss[0]:.3g} {unit} at the start, {smallest[-1]:.3g} {unit} in the end."
     )
     return picture(figure, f"loss_{scene_id}", title, alt)
 

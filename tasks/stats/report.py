@@ -202,6 +202,9 @@ def _certificate(scene_id: str, answers: Mapping[str, pa.Table]) -> Grid:
     def share(count: int, of: int) -> str:
         return f"{as_count(count)} of {as_count(of)}" + (f", {as_share(count / of)}" if of else "")
 
+    def depth(value: float | None) -> str:
+        return "\u2013" if value is None else f"{as_number(1000 * value)} mm"
+
     def worst(row: Mapping[str, Any]) -> str:
         name = row["worst_instance_id"]
         if name is None:
@@ -215,7 +218,7 @@ def _certificate(scene_id: str, answers: Mapping[str, pa.Table]) -> Grid:
         ("Free ones within 5 cm and 5\u00b0", lambda row: share(row["stable_5cm"], row["free"])),
         ("Moves most", worst),
         ("Tilts most", lambda row: "\u2013" if row["worst_tilt_degrees"] is None else f"{as_number(row['worst_tilt_degrees'])}\u00b0"),
-        ("Deepest start penetration", lambda row: f"{as_number(1000 * row['deepest_start_penetration_m'])} mm"),
+        ("Deepest start of a free one", lambda row: depth(row["deepest_start_penetration_m"])),
         ("Without a certificate", lambda row: as_count(row["uncertified"])),
     ]
     headers = (Cell("Left alone under gravity", False), *(Cell(f"{row['engine']} {row['engine_version']}", True) for row in rows))

@@ -1,6 +1,6 @@
 -- How many objects of each scene stay where they were put, left alone under gravity?
--- Shares are of the free objects; those that hang or are built in cannot fail, so their share is given beside. An object that was placed
--- but has no certificate of that engine is uncertified.
+-- Shares, the worst and the deepest are of the free objects; those that hang or are built in cannot fail, so their share is given beside.
+-- An object that was placed but has no certificate of that engine is uncertified.
 WITH judged AS (
     SELECT
         scene_id,
@@ -14,7 +14,7 @@ WITH judged AS (
         max(displacement_m) FILTER (NOT is_fixed) AS worst_displacement_m,
         degrees(max(tilt_radians) FILTER (NOT is_fixed)) AS worst_tilt_degrees,
         arg_max(instance_id, displacement_m) FILTER (NOT is_fixed) AS worst_instance_id,
-        max(start_penetration_m) AS deepest_start_penetration_m
+        max(start_penetration_m) FILTER (NOT is_fixed) AS deepest_start_penetration_m
     FROM certificates
     GROUP BY scene_id, engine
 ),
