@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.bench.perturbation import Disturbance, Thing, disturb
+from flows.bench.perturbation import SHARES, Disturbance, Kind, Thing, disturb
 from schemas.candidates import Asset
 from schemas.capture import Instance, Room
 from schemas.selection import Selection
@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 COUNTS = (10, 80)
 """Fewest and most things that a room is asked for."""
 
-PLAIN: tuple[str, ...] = ("armchair", "plant", "trash can", "basket")
+PLAIN: tuple[str, ...] = ("armchair", "ottoman", "trash can", "kettle", "backpack")
 """Categories of which a room gets some as meshes without known pieces, which the stage decomposes itself. One asset
-each, stretched to size, since a decomposition takes seconds."""
+each, stretched to size, since a decomposition takes seconds. Two fall into convex parts, three are for CoACD."""
 
 PLAIN_SHARE = 0.5
 """Share of the things of those categories."""
@@ -107,8 +107,17 @@ def scene_of_count(count: int, seed: int) -> BenchScene:
     raise ValueError(f"count: no living room of {count} things was found")
 
 
-def disturbed_scene(scene_id: str, furnished: FurnishedRoom, rng: np.random.Generator, plain_share: float = PLAIN_SHARE) -> BenchScene:
-    """The rows of a furnished room whose things were disturbed. plain_share: of the categories of `PLAIN`, without pieces."""
+def disturbed_scene(
+    scene_id: str,
+    furnished: FurnishedRoom,
+    rng: np.random.Generator,
+    plain_share: float = PLAIN_SHARE,
+    shares: Sequence[tuple[Kind, float]] = SHARES,
+) -> BenchScene:
+    """The rows of a furnished room whose things were disturbed, `shares` of them each way.
+
+    plain_share: of the things of the categories `PLAIN`, which come without known pieces.
+    """
     room = _room_row(scene_id, furnished)
     names = {thing.name: f"{i:04d}" for i, thing in enumerate(furnished.objects)}
     blobs = Blobs()
@@ -130,7 +139,7 @@ def disturbed_scene(scene_id: str, furnished: FurnishedRoom, rng: np.random.Gene
         let_in = mounting(item.category).kind in _WOULD_NOT_MOVE
         things.append(Thing(names[item.name], Solid(names[item.name], hulls), item.pose, relation, parent, let_in))
         used.append((item.category, asset.asset_id, scale))
-    poses, done = disturb(things, shell_solids(room), rng)
+    poses, done = disturb(things, shell_solids(room), rng, shares)
     instances, selections = [], []
     for thing, item, (category, asset_id, scale) in zip(things, furnished.objects, used, strict=True):
         pose = poses[thing.name]
