@@ -161,6 +161,8 @@ def _hulls(
         clouds = [np.asarray(piece.vertices, dtype=np.float64) for piece in known]
         return _boxed(clouds, bounds, config), "generator"
     surface = _merged(parts)
+    if not len(surface.faces):  # smaller than what is told apart: a point or a line
+        return _boxed([points], bounds, config), "hulls"
     components = _components(surface)
     dented = [c for c in components if not _is_convex(c, config)]
     if len(components) - len(dented) > config.max_components:

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from schemas.errors import InputError
 from tasks.exports.glb import close_glb, node_textures, open_glb, scaled_glb
-from tasks.pieces import PieceConfig, _cached, asset_pieces, convex_hull, mass_properties, pieces
 from tasks.exports.shading import corner_normals, linear_colors
 from tasks.furniture import generate
 from tasks.meshes import canonical, dump_glb, load_glb, surface_of
+from tasks.pieces import PieceConfig, _cached, asset_pieces, convex_hull, mass_properties, pieces
 from tasks.replica import floor_ring, room_shell, scaled_parts
 from tests.replicas import ROOM, room_of
 
@@ -89,6 +89,10 @@ def test_a_flat_picture_gets_a_body_that_does_not_reach_down() -> None:
     assert np.ptp(heights) > 0.0
 
 
+def unasked() -> list[trimesh.Trimesh]:
+    raise AssertionError("the mesh was asked for though its pieces are known")
+
+
 def test_dented_things_are_decomposed_the_same_way_every_time() -> None:
     ell = trimesh.creation.extrude_polygon(__import__("shapely").Polygon([(0, 0), (1, 0), (1, 0.2), (0.2, 0.2), (0.2, 1), (0, 1)]), 0.3)
     first, second = pieces([ell], None, CONFIG), pieces([ell], None, CONFIG)
@@ -96,7 +100,8 @@ def test_dented_things_are_decomposed_the_same_way_every_time() -> None:
     assert 2 <= len(first.hulls) <= 4
     assert all(np.array_equal(a.vertices, b.vertices) for a, b in zip(first.hulls, second.hulls, strict=True))
     assert mass_properties(first.hulls).volume == pytest.approx(ell.volume, rel=0.03)
-    assert asset_pieces("x" * 64, [ell], None, CONFIG) is asset_pieces("x" * 64, [], None, CONFIG), "the second time from memory"
+    once = asset_pieces("x" * 64, lambda: [ell], None, CONFIG)
+    assert asset_pieces("x" * 64, unasked, None, CONFIG) is once, "the second time from memory"
 
 
 def test_overlapping_hulls_count_once() -> None:
@@ -235,11 +240,38 @@ def test_the_direction_of_the_polygon_does_not_matter() -> None:
 def test_pieces_out_of_the_cache_are_those_that_went_in() -> None:
     ell = trimesh.util.concatenate([trimesh.creation.box((1, 0.2, 0.2)), trimesh.creation.box((0.2, 0.2, 1))])
     cache: dict[str, bytes] = {}
-    first = _cached("y" * 64, [ell], CONFIG, cache)
+    first = _cached("y" * 64, lambda: [ell], None, CONFIG, cache)
     assert len(cache) == 1
-    again = _cached("y" * 64, [], CONFIG, cache)
+    again = _cached("y" * 64, unasked, None, CONFIG, cache)
     assert first.method == again.method == pieces([ell], None, CONFIG).method
+    assert first.properties.volume == again.properties.volume
+    assert np.array_equal(first.properties.center, again.properties.center)
+    assert np.array_equal(first.properties.inertia, again.properties.inertia)
+    _cached("y" * 64, lambda: [ell], lambda: [ell], CONFIG, cache)
+    assert len(cache) == 2, "pieces from construction are others"
     for a, b, c in zip(first.hulls, again.hulls, pieces([ell], None, CONFIG).hulls, strict=True):
         assert np.array_equal(a.vertices, b.vertices)
         assert np.array_equal(a.vertices, c.vertices)
         assert np.array_equal(a.faces, c.faces)
+
+
+@pytest.mark.parametrize("points", [[[0, 0, 0]] * 3, [[0, 0, 0], [1e-7, 0, 0], [0, 1e-7, 0]], [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]]])
+def test_what_has_no_surface_gets_a_body(points: list[list[float]]) -> None:
+    made = pieces([trimesh.Trimesh(points, [[0, 1, 2]], process=False)], None, CONFIG)
+    cloud = np.concatenate([hull.vertices for hull in made.hulls])
+    reach = np.maximum(np.ptp(np.asarray(points, dtype=float), axis=0), CONFIG.thickness_m)
+    assert (np.ptp(cloud, axis=0) <= reach + 1e-9).all()
+    assert cloud[:, 2].min() >= 0.0
+    assert 0.0 < made.properties.volume <= reach.prod() * (1 + 1e-6)
+
+
+@given(scale=st.tuples(*[st.floats(0.2, 5.0)] * 3), seed=st.integers(0, 10**6))
+@settings(max_examples=40, deadline=None)
+def test_stretched_mass_properties_are_those_of_the_stretched_solid(scale: tuple[float, float, float], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    hulls = [convex_hull(rng.normal(size=(12, 3)) * 0.3 + rng.uniform(-0.2, 0.2, 3), CONFIG) for _ in range(2)]
+    found = mass_properties(hulls).scaled(scale)
+    expected = mass_properties([hull.transformed(np.eye(4), scale) for hull in hulls])
+    assert found.volume == pytest.approx(expected.volume, rel=1e-6)
+    assert np.allclose(found.center, expected.center, atol=1e-6)
+    assert np.allclose(found.inertia, expected.inertia, rtol=1e-5, atol=1e-7)
