@@ -47,18 +47,18 @@ def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
 def test_seed_and_library_may_stand_in_the_file_and_arguments_win(tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
-    file = toml(tmp_path, f"seed = 7\nlibrary = '{tmp_path / 'one'}'\n[optimization.method]\nmax_steps = 5\n")
+    file = toml(tmp_path, f"seed = 7\nlibrary = '{tmp_path / 'one'}'\n[optimization.method]\nmax_moves = 5\n")
     told = configure(file)
-    assert (told.seed, told.library, told.stages["optimization"].method.max_steps) == (7, tmp_path / "one", 5)
+    assert (told.seed, told.library, told.stages["optimization"].method.max_moves) == (7, tmp_path / "one", 5)
     told = configure(file, library=tmp_path / "two", seed=3)
     assert (told.seed, told.library) == (3, tmp_path / "two")
     assert configure(file, seed=0).seed == 0, "a seed of 0 that was given is not the same as none"
 
 
 def test_a_setting_reaches_nested_fields_and_wins_over_the_file(tmp_path: Path) -> None:
-    file = toml(tmp_path, "[optimization.method]\nmax_steps = 5\nstep_m = 0.1\n")
-    method = configure(file, ["optimization.method.max_steps=9"]).stages["optimization"].method
-    assert (method.max_steps, method.step_m) == (9, 0.1)
+    file = toml(tmp_path, "[optimization.method]\nmax_moves = 5\nstep_m = 0.1\n")
+    method = configure(file, ["optimization.method.max_moves=9"]).stages["optimization"].method
+    assert (method.max_moves, method.step_m) == (9, 0.1)
     settings = [
         "navigation.agent.name=cart",
         "navigation.agent.height_m=0.5",

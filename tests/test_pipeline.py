@@ -123,7 +123,7 @@ def test_the_same_run_again_does_nothing_quickly_and_without_prefect(home: dict[
 
 @pytest.mark.parametrize(
     ("setting", "stage"),
-    [("optimization.method.max_steps=77", "optimization"), ("navigation.max_steps=123", "navigation"), ("seed", "capture")],
+    [("optimization.method.max_moves=77", "optimization"), ("navigation.max_steps=123", "navigation"), ("seed", "capture")],
 )
 def test_one_changed_value_redoes_exactly_what_depends_on_it(
     home: dict[str, str], lake: Path, scans: Path, setting: str, stage: str
