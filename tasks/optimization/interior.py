@@ -69,7 +69,8 @@ def furnish(
         try:
             found.append(_placed(proposal, assets[proposal.asset_id], blobs, pieces, caches))
         except (InputError, KeyError, ValueError) as error:
-            said.append(f"{name}: nothing stands for it: asset {proposal.asset_id[:12]} cannot be placed: {' '.join(str(error).split())}")
+            why = f"blob {error.args[0]} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
+            said.append(f"{name}: nothing stands for it: asset {proposal.asset_id[:12]} cannot be placed: {why}")
     ring: Array | None = None
     shell: tuple[Solid, ...] = ()
     if room is None:
