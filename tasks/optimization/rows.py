@@ -27,6 +27,9 @@ DEEP_M = 0.002
 OUTSIDE = 0.05
 """Share of a thing outside of the floor, seen from above, from which on it is said to be outside."""
 
+UPSIDE_DOWN = -0.5
+"""Height of the tip of a thing's upright axis below which it stands on its head; lying on its side it is at 0."""
+
 
 def placement_rows(
     scene_id: str, interior: Interior, poses: Array, certified: Sequence[Certified], method: str, remains: Mapping[str, str]
@@ -114,7 +117,9 @@ def remains_of(interior: Interior, poses: Array, after: Sequence[Penetration], r
     lines: dict[str, list[str]] = {name: [] for name in interior.names}
     for name, text in resolution.problems.items():
         lines[name].append(text)
-    for name, carrier in zip(interior.names, interior.carriers, strict=True):
+    for i, (name, carrier) in enumerate(zip(interior.names, interior.carriers, strict=True)):
+        if interior.proposals[i].pose[2, 2] < UPSIDE_DOWN:
+            lines[name].append("it stands upside down, as it was proposed")
         if carrier.relation == "none":
             lines[name].append(f"nothing carries it; it hangs {carrier.gap:.2f} m above the floor")
     for found in sorted(after, key=lambda p: -p.depth_m):
