@@ -24,6 +24,8 @@ from flows.bench.perturbation import HUNG_MOST_M, LEAST_M, MOST_M, MOST_TURN, Th
 from flows.bench.rooms import BenchScene, Carried, disturbed_scene, generated_scene, scene_of_count
 from flows.bench.tables import FIGURES, ONLY_OPTIMIZED, as_text, print_report
 from flows.bench.verdicts import Results, Verdict, judge
+from schemas.capture import Scene
+from schemas.optimization import Placement
 from tasks.furniture import generate
 from tasks.furniture.furnishing import Furnishing
 from tasks.furniture.rooms import ROOM_TYPES, FurnishedRoom, furnish
@@ -33,6 +35,7 @@ from tasks.pieces import PieceConfig, pieces
 from tasks.transforms import inverse, matrix, translation, yaw_of, yaw_pose
 from tests.replicas import room_of
 from tests.test_contacts import exact_depth
+from tests.test_export_folder import built
 from tests.test_pipeline import metascenes
 
 SQUARE = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]])
@@ -319,6 +322,23 @@ def test_the_report_renders_as_tables(report: dict[str, Any]) -> None:
     for goal in report["goals"]:
         assert goal["goal"] in said
     assert all(case["scene_id"] in said for case in report["worst"])
+
+
+def test_scenes_of_a_lake_are_read_as_the_stage_reads_them(tmp_path_factory: pytest.TempPathFactory) -> None:
+    from flows.bench.optimization import BenchConfig, jobs_of, judge_job
+    from warehouse.lake import Lake
+
+    address = str(built(tmp_path_factory)[2])
+    reader = Lake.open(address).snapshot()
+    jobs = jobs_of(BenchConfig(("paper", "default"), lake=address), {})
+    assert [job.scene_id for job in jobs] == [row.scene_id for row in reader.rows(Scene)]
+    for job in jobs:
+        result = judge_job(job)
+        assert [v.state for v in result.verdicts] == ["input", "paper", "default"]
+        rows = {row.instance_id: row for row in reader.rows(Placement, job.scene_id)}
+        assert {name for name, _ in result.verdicts[-1].displaced} == set(rows)
+        for name, far in result.verdicts[-1].displaced:
+            assert far == pytest.approx(rows[name].displacement_m, abs=1e-9), "the run gave what the benchmark measures"
 
 
 def test_moves_alone_are_timed_without_rooms() -> None:

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from flows.bench.measures import FLOOR, OFF_WALL_M, OUTSIDE_M, TOUCH_M, Measures
 from flows.bench.rooms import BenchScene, Carried
 from tasks import optimization
+from tasks.mass import mass_properties
 from tasks.meshes import load_glb
 from tasks.optimization import OptimizationConfig
 from tasks.optimization.certificates import certify
 from tasks.optimization.contacts import Colliders
 from tasks.optimization.solids import Body, Solid, shell_solids
-from tasks.pieces import asset_pieces, mass_properties
+from tasks.pieces import asset_pieces
 from tasks.stage import Context, Outcome
 from tasks.transforms import matrix
 

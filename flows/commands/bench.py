@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
+from typing import Any
 
 import click
 
@@ -51,8 +53,17 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
     with Progress("measured", steps_of(config)) as progress:
         report = run_bench(config, progress.advance)
     if as_json:
-        print(json.dumps(report, allow_nan=False))
+        print(json.dumps(_finite(report), allow_nan=False))
         return
     from rich.console import Console
 
     print_report(report, Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else 120))
+
+
+def _finite(value: Any) -> Any:
+    """The same with null for numbers that are none: a thing without a certificate moved by nobody knows how much."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
