@@ -12,9 +12,9 @@ import pytest
 
 from tasks import exports
 from tasks.exports.bodies import Replica, gather
-from tasks.pieces import principal_axes, solid_properties
 from tasks.exports.usd import write_usd
 from tasks.exports.usd_rules import RULES, check_usd
+from tasks.mass import principal_axes, solid_properties
 from tasks.replica import placed_parts, room_shell
 from tests.replicas import furnished, rows_of
 

@@ -16,8 +16,9 @@ from schemas.errors import InputError
 from tasks.exports.glb import close_glb, node_textures, open_glb, scaled_glb
 from tasks.exports.shading import corner_normals, linear_colors
 from tasks.furniture import generate
+from tasks.mass import mass_properties
 from tasks.meshes import canonical, dump_glb, load_glb, surface_of
-from tasks.pieces import PieceConfig, _cached, asset_pieces, convex_hull, mass_properties, pieces
+from tasks.pieces import PieceConfig, _cached, asset_pieces, convex_hull, pieces
 from tasks.replica import floor_ring, room_shell, scaled_parts
 from tests.replicas import ROOM, room_of
 

@@ -36,7 +36,8 @@ def run(
     Raises:
         InputError: the scene has no room.
     """
-    replica, missed = gather(scenes, rooms, instances, captions, assets, placements, supports, context.blobs, config, context.caches["tasks.pieces"])
+    known = context.caches["tasks.pieces"]
+    replica, missed = gather(scenes, rooms, instances, captions, assets, placements, supports, context.blobs, config, known)
     blobs = Blobs()
     files: list[ExportFile] = []
     checks: list[ExportCheck] = []

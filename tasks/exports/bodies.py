@@ -17,8 +17,9 @@ from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError
 from schemas.optimization import Placement, Support
 from tasks.exports.config import ExportsConfig
+from tasks.mass import MassProperties
 from tasks.meshes import load_glb
-from tasks.pieces import Hull, MassProperties, Method, asset_pieces
+from tasks.pieces import Hull, Method, asset_pieces
 from tasks.transforms import is_rigid, matrix
 
 if TYPE_CHECKING:

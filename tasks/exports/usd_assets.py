@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from tasks.exports.bodies import Body, Shape, digest
 from tasks.exports.config import UsdConfig
 from tasks.exports.glb import node_textures
-from tasks.pieces import Hull, principal_axes
 from tasks.exports.shading import corner_normals, face_normals, linear_colors
+from tasks.mass import principal_axes
 from tasks.meshes import material_of, vertex_colors
+from tasks.pieces import Hull
 
 if TYPE_CHECKING:
     import trimesh

@@ -7,17 +7,14 @@ make of a mesh by itself is used.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import os
-from collections import OrderedDict
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.optimization.solids import Body, Solid
-from tasks.pieces import MassProperties, mass_properties
+from tasks.optimization.solids import Body, Solid, mass_properties_of
 
 Array = NDArray[np.float64]
 
@@ -95,26 +92,11 @@ def _run(model: Any, data: Any, steps: int, settings: Mujoco) -> tuple[list[int]
     return [], ""
 
 
-_memo: OrderedDict[bytes, MassProperties] = OrderedDict()
-_MEMO_SIZE = 4096  # 200 bytes each
-
-
-def solid_properties(solid: Solid) -> MassProperties:
-    """Mass properties of the union of a solid's pieces for unit density, remembered by content: a union takes milliseconds."""
-    key = hashlib.sha256(b"".join(part for hull in solid.hulls for part in (hull.vertices.tobytes(), b"|", hull.faces.tobytes()))).digest()
-    if key not in _memo:
-        _memo[key] = mass_properties(solid.hulls)
-        while len(_memo) > _MEMO_SIZE:
-            _memo.popitem(last=False)
-    _memo.move_to_end(key)
-    return _memo[key]
-
-
 def solid_volume(solid: Solid) -> float:
     """Volume of the union of a solid's pieces [m3]; 0 when they are none."""
     if not all(np.isfinite(hull.vertices).all() and hull.volume > 0.0 for hull in solid.hulls) or not solid.hulls:
         return 0.0
-    volume = solid_properties(solid).volume
+    volume = mass_properties_of(solid).volume
     return volume if np.isfinite(volume) else 0.0
 
 
@@ -197,7 +179,7 @@ def _spec(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems
         added = spec.worldbody.add_body(name=f"b{i}", pos=poses[i][:3, 3], quat=quaternion)
         if not body.is_fixed:
             added.add_freejoint()
-        properties = solid_properties(body.solid)
+        properties = mass_properties_of(body.solid)
         inertia = properties.inertia * (body.mass_kg / properties.volume)
         added.explicitinertial, added.mass, added.ipos = True, body.mass_kg, properties.center
         added.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]

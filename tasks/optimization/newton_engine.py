@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.optimization.mujoco_engine import Simulation, solid_properties, unfit
-from tasks.optimization.solids import Body, Solid
+from tasks.optimization.mujoco_engine import Simulation, unfit
+from tasks.optimization.solids import Body, Solid, mass_properties_of
 from tasks.transforms import pose_from_quaternion_wxyz, quaternion_xyzw
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ def _scene(
     taken = [(body, pose) for body, pose, problem in zip(bodies, poses, problems, strict=True) if problem is None]
     solids = [body.solid for body, _ in taken] + list(shell)
     walls = len(shell)
-    masses = [solid_properties(body.solid) for body, _ in taken]
+    masses = [mass_properties_of(body.solid) for body, _ in taken]
     inertias = [found.inertia * (body.mass_kg / found.volume) for found, (body, _) in zip(masses, taken, strict=True)]
     frames = [[*pose[:3, 3], *quaternion_xyzw(pose)] for _, pose in taken] + [[0, 0, 0, 0, 0, 0, 1]] * walls
     hulls = [(owner, hull) for owner, solid in enumerate(solids) for hull in solid.hulls]

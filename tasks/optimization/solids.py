@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Room
-from tasks.pieces import Hull, MassProperties, mass_properties
+from tasks.mass import MassProperties, mass_properties
+from tasks.pieces import Hull
 from tasks.replica import ShellConfig, room_shell
 
 Array = NDArray[np.float64]
