@@ -615,6 +615,25 @@ def test_new_column_reads_as_missing_in_old_rows(lake: Lake, monkeypatch: pytest
     assert [row.parent_id for row in lake.snapshot().rows(table.record)] == ["0007", "0009"]
 
 
+def test_a_column_may_be_described_anew(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lake that older code wrote takes rows whose columns are described in other words now."""
+    import schemas.record as record_module
+
+    table = TABLES["supports"]
+    columns = tuple(dataclasses.replace(c, description=f"formerly: {c.description}") for c in table.columns)
+    older = dataclasses.replace(table, columns=columns)
+    real = record_module.table_of
+    with monkeypatch.context() as patch:
+        patch.setitem(TABLES, "supports", older)
+        patch.setattr(record_module, "table_of", lambda kind: older if kind is table.record else real(kind))
+        stage(lake, A, "optimization", fingerprint(1), supports=[sample(table.record, scene_id=A, parent_id="0009")])
+        lake.commit()
+    for number, scene in ((2, B), (3, A)):  # added, and put in the place of old rows
+        stage(lake, scene, "optimization", fingerprint(number), at=number, supports=[sample(table.record, scene_id=scene, parent_id="0007")])
+        lake.commit()
+    assert [row.parent_id for row in lake.snapshot().rows(table.record)] == ["0007", "0007"]
+
+
 def test_column_that_the_schema_has_no_more_is_not_shown(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     table = TABLES["supports"]
     stage(lake, A, "optimization", fingerprint(1), supports=[sample(table.record, scene_id=A)])

@@ -179,7 +179,7 @@ class TableWriter:
         address = self._storage.delta_address(f"{FOLDER}/{self._table.name}")
         write_deltalake(
             address if self._opened is None else self._opened,
-            data.cast(nullable(data.schema)),
+            data.cast(self._described(nullable(data.schema), schema_mode)),
             mode=mode,
             schema_mode=schema_mode,
             predicate=predicate,
@@ -192,6 +192,14 @@ class TableWriter:
         )
         if self._opened is None:
             self._opened = DeltaTable(address, version=0, storage_options=options)
+
+    def _described(self, schema: pa.Schema, schema_mode: Any) -> pa.Schema:
+        """The schema with the stored descriptions of the columns that are stored already: Delta merges no two of them."""
+        if self._opened is None or schema_mode != "merge":
+            return schema
+        stored = {field.name: {key: str(value) for key, value in field.metadata.items()} for field in self._opened.schema().fields}
+        fields = [field.with_metadata(stored[field.name]) if field.name in stored else field for field in schema]
+        return pa.schema(fields, metadata=schema.metadata)
 
     @staticmethod
     def _unretried(facts: dict[str, str] | None = None) -> Any:
