@@ -316,6 +316,8 @@ def _most_carried(
         return None
     shares = np.bincount(heights.argmax(axis=0)[carried], minlength=len(names))
     best = int(shares.argmax())  # the floor where it carries as much
+    if names[best] is None:  # the floor has no bumps: the lowest part stands on it, however small
+        return _Rest(None, low)
     return _Rest(names[best], low - float(np.quantile(heights[best, within[best]], config.rest_quantile)))
 
 
