@@ -1,39 +1,44 @@
-"""Optimization: boxes, what carries what, Algorithm 1 against a plain reading of it, and placements that follow."""
+"""Optimization: placements that rest, stay apart and follow from their steps, by both methods, whatever comes in."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import multiprocessing
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from scipy.spatial import ConvexHull, QhullError
 
 from schemas.annotation import Annotation
 from schemas.candidates import Asset
+from schemas.captions import Caption
 from schemas.capture import Instance, Room
-from schemas.optimization import Contact, OptimizationStep, Placement, Support
-from schemas.record import check
+from schemas.optimization import APPLIED, Certificate, Contact, Optimization, OptimizationStep, Placement, Support
+from schemas.record import arrow_to_rows, check, rows_to_arrow
 from schemas.selection import Selection
-from tasks.boxes import aabb_iou, aabb_overlaps, aabb_penetrations, oriented_iou, oriented_overlap
 from tasks.furniture import generate
 from tasks.meshes import dump_glb, load_glb, surface_of
-from tasks.optimization import MOVES, OptimizationConfig, Paper, collision_loss, replay, run
-from tasks.optimization.collisions import Crowd, descend, outline, room_triangles, stacked
-from tasks.optimization.heights import plan_view, underside
-from tasks.optimization.supports import PlacedAsset, SupportConfig, allowed_shifts, find_carriers
-from tasks.stage import Blobs, Context, Outcome
+from tasks.optimization import STAGE, Default, OptimizationConfig, Paper, SupportConfig, replay, run
+from tasks.pieces import Hull, PieceConfig, pieces
+from tasks.replica import room_shell
+from tasks.stage import Blobs, Context, Outcome, in_turn
 from tasks.transforms import flat, matrix, translation, yaw_pose
 from tests.samples import START, sample
 
 SCENE = "demo/room_a"
 SQUARE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
-L_SHAPE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 0.0), (0.0, 0.0), (0.0, 2.0), (-2.0, 2.0))
+DEEP_M, TOUCH_M = 0.002, 1e-6
+RECORDS = {
+    "placements": Placement, "supports": Support, "contacts": Contact, "optimization_steps": OptimizationStep,
+    "optimizations": Optimization, "certificates": Certificate,
+}  # fmt: skip
+METHODS = pytest.mark.parametrize("method", [Paper(), Default()], ids=["paper", "default"])
 
 
 def solid(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> list[trimesh.Trimesh]:
@@ -53,400 +58,136 @@ def block(x: float, y: float, z: float) -> list[trimesh.Trimesh]:
 
 TABLE = solid(((1.2, 0.8, 0.04), (0, 0, 0.71)), *[((0.06, 0.06, 0.71), (x, y, 0)) for x in (-0.55, 0.55) for y in (-0.35, 0.35)])
 SHELF = solid(*[((0.3, 0.8, 0.02), (0, 0, z)) for z in (0.02, 0.5, 1.0, 1.48)], *[((0.3, 0.02, 1.5), (0, y, 0)) for y in (-0.41, 0.41)])
+CHAIR = solid(
+    ((0.42, 0.42, 0.04), (0, 0, 0.41)), ((0.04, 0.42, 0.4), (-0.19, 0, 0.45)),
+    *[((0.04, 0.04, 0.41), (x, y, 0)) for x in (-0.19, 0.19) for y in (-0.19, 0.19)],
+)  # fmt: skip
+SOFA = solid(((0.9, 2.0, 0.45), (0, 0, 0)), ((0.2, 2.0, 0.4), (-0.35, 0, 0.45)))
 
 
 class Scene:
-    """A scene under construction: every object is an instance, an asset and its selection."""
+    """A scene under construction: every object is an instance, its caption, an asset and its selection."""
 
     def __init__(self, polygon: tuple[tuple[float, float], ...] = SQUARE) -> None:
         self.blobs = Blobs()
         self.instances: list[Instance] = []
+        self.captions: list[Caption] = []
         self.selections: list[Selection] = []
         self.assets: dict[str, Asset] = {}
         self.annotations: list[Annotation] = []
         self.rooms = [sample(Room, scene_id=SCENE, floor_polygon=polygon, walls=(), interior_walls=(), height_m=2.5)]
 
-    def asset(self, parts: Sequence[trimesh.Trimesh]) -> str:
+    def asset(self, parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] = ()) -> str:
+        """An asset's id. known: the convex pieces that it was made of."""
         data = dump_glb(parts)
         asset_id = hashlib.sha256(data).hexdigest()
         self.assets[asset_id] = sample(
-            Asset, asset_id=asset_id, mesh_blob=self.blobs.add(data, "glb"), is_watertight=all(p.is_watertight for p in parts)
-        )
+            Asset, asset_id=asset_id, mesh_blob=self.blobs.add(data, "glb"), is_watertight=all(p.is_watertight for p in parts),
+            pieces_blob=self.blobs.add(dump_glb(known), "glb") if known else None,
+        )  # fmt: skip
         return asset_id
 
     def add(
-        self, parts: Sequence[trimesh.Trimesh], pose: np.ndarray, category: str = "thing", scale: tuple[float, ...] = (1.0, 1.0, 1.0)
-    ) -> str:
+        self, parts: Sequence[trimesh.Trimesh], pose: np.ndarray, category: str = "thing", scale: tuple[float, ...] = (1.0, 1.0, 1.0),
+        known: Sequence[trimesh.Trimesh] = (),
+    ) -> str:  # fmt: skip
         name = f"{len(self.instances):04d}"
         low, high = surface_of(parts).transformed(np.eye(4), scale).bounds
-        box = pose @ translation((low + high) / 2)
+        of = {"scene_id": SCENE, "instance_id": name}
         self.instances.append(
             sample(
-                Instance,
-                scene_id=SCENE,
-                instance_id=name,
-                category=category,
-                is_structure=False,
-                box_pose=flat(box),
+                Instance, **of, category=category, is_structure=False, box_pose=flat(pose @ translation((low + high) / 2)),
                 box_size=tuple(map(float, high - low)),
             )
-        )
-        self.selections.append(
-            sample(Selection, scene_id=SCENE, instance_id=name, rank=1, slot=1, asset_id=self.asset(parts), pose=flat(pose), scale=scale)
-        )
+        )  # fmt: skip
+        mass = max(150.0 * float(np.prod(high - low)), 0.05)
+        self.captions.append(sample(Caption, **of, materials=("wood",), mass_kg=mass, friction=0.6))
+        self.selections.append(sample(Selection, **of, rank=1, slot=1, asset_id=self.asset(parts, known), pose=flat(pose), scale=scale))
         return name
 
-    def run(self, seed: int = 0, **method: Any) -> Outcome:
-        context = Context(scene_id=SCENE, stage="optimization", seed=seed, blobs=self.blobs)
+    def reversed(self) -> Scene:
+        for rows in (self.instances, self.captions, self.selections):
+            rows.reverse()
+        self.assets = dict(reversed(self.assets.items()))
+        return self
+
+    def run(self, method: Paper | Default | None = None, seed: int = 0, spread: Callable[..., list[Any]] = in_turn) -> Outcome:
+        """What the stage gives; every row passes its schema, and the tables agree with each other."""
+        context = Context(scene_id=SCENE, stage="optimization", seed=seed, blobs=self.blobs, spread=spread)
         outcome = run(
-            instances=self.instances, selections=self.selections, rooms=self.rooms, assets=list(self.assets.values()),
-            annotations=self.annotations, context=context, config=OptimizationConfig(method=Paper(**method)),
+            instances=self.instances, captions=self.captions, selections=self.selections, rooms=self.rooms,
+            assets=list(self.assets.values()), annotations=self.annotations, context=context,
+            config=OptimizationConfig(method=method or Default()),
         )  # fmt: skip
-        for table, record in (
-            ("placements", Placement),
-            ("supports", Support),
-            ("contacts", Contact),
-            ("optimization_steps", OptimizationStep),
-        ):
+        assert tuple(outcome.rows) == STAGE.writes
+        for table, record in RECORDS.items():
             check(outcome.rows[table], record)
+        agree(outcome)
         return outcome
 
 
-def placed(name: str, parts: Sequence[trimesh.Trimesh], pose: np.ndarray, category: str = "thing") -> PlacedAsset:
-    return PlacedAsset.of(name, category, surface_of(parts).transformed(pose), watertight=True)
+def agree(outcome: Outcome) -> None:
+    """What must hold of the rows of any scene: loss and contacts say the same, and what is wrong is said."""
+    (summary,) = outcome.rows["optimizations"]
+    steps, contacts = outcome.rows["optimization_steps"], outcome.rows["contacts"]
+    placements = {row.instance_id: row for row in outcome.rows["placements"]}
+    assert {row.instance_id for row in outcome.rows["supports"]} == set(placements)
+    assert {row.instance_id for row in outcome.rows["certificates"]} == set(placements)
+    assert (summary.object_count, summary.loss_start) == (len(placements), steps[0].loss)
+    assert [step.step for step in steps] == sorted({step.step for step in steps})
+    losses = [step.smallest_loss for step in steps]
+    assert losses == sorted(losses, reverse=True)
+    deep = [c for c in contacts if c.phase == "optimized" and c.penetration_m > DEEP_M and not c.is_allowed]
+    assert summary.deep_pairs == len(deep)
+    if summary.method == "default":
+        assert (summary.loss_final == 0.0) == (summary.ended in ("zero_loss", "nothing_to_do"))
+        assert not (summary.loss_final == 0.0 and deep), deep
+    for contact in deep:
+        for name in {contact.instance_a, contact.body_b} & set(placements):
+            other = contact.body_b if name == contact.instance_a else contact.instance_a
+            assert f" cm in {other}" in (placements[name].remains or ""), contact
+    for name, row in placements.items():
+        assert row.remains is None or f"{name}: {row.remains}" in summary.remains
+    assert all(text in outcome.degradations for text in summary.remains)
+    settled = {row.instance_id: row for row in outcome.rows["certificates"] if row.engine == "mujoco"}
+    for name, row in placements.items():
+        assert row.settled_pose == settled[name].settled_pose
+        moved = np.linalg.norm(matrix(row.settled_pose)[:3, 3] - matrix(row.optimized_pose)[:3, 3])
+        assert settled[name].displacement_m == pytest.approx(moved, abs=1e-9)
 
 
-def bounds(outcome: Outcome, scene: Scene, phase: str) -> dict[str, np.ndarray]:
-    """World boxes of the placed assets, from their GLBs and rows alone."""
-    boxes = {}
+def poses_of(outcome: Outcome, phase: str = "optimized") -> dict[str, np.ndarray]:
+    return {row.instance_id: matrix(getattr(row, f"{phase}_pose")) for row in outcome.rows["placements"]}
+
+
+def hulls_of(outcome: Outcome, scene: Scene, phase: str) -> dict[str, list[Hull]]:
+    """Convex pieces of the placed assets in the world frame, made anew from their GLBs and the rows."""
+    poses = poses_of(outcome, phase)
+    made = {}
     for row in outcome.rows["placements"]:
-        pose = matrix(row.optimized_pose if phase == "optimized" else row.proposed_pose)
-        boxes[row.instance_id] = surface_of(load_glb(scene.blobs[scene.assets[row.asset_id].mesh_blob])).transformed(pose, row.scale).bounds
+        parts = load_glb(scene.blobs[scene.assets[row.asset_id].mesh_blob])
+        hulls = pieces(parts, None, PieceConfig()).hulls
+        made[row.instance_id] = [hull.transformed(np.eye(4), row.scale).transformed(poses[row.instance_id]) for hull in hulls]
+    return made
+
+
+def bounds(outcome: Outcome, scene: Scene, phase: str = "optimized") -> dict[str, np.ndarray]:
+    """World boxes of the placed assets, from their GLBs and rows alone."""
+    boxes, poses = {}, poses_of(outcome, phase)
+    for row in outcome.rows["placements"]:
+        surface = surface_of(load_glb(scene.blobs[scene.assets[row.asset_id].mesh_blob]))
+        boxes[row.instance_id] = surface.transformed(poses[row.instance_id], row.scale).bounds
     return boxes
 
 
-# boxes
-
-
-turns, sides, places = st.floats(-4, 4), st.floats(0.05, 3), st.floats(-1.5, 1.5)
-oriented = st.tuples(turns, st.tuples(places, places, places), st.tuples(sides, sides, sides)).map(
-    lambda b: (yaw_pose(b[0], b[1]), np.array(b[2]))
-)
-
-
-@given(a=oriented, b=oriented)
-@settings(max_examples=150, deadline=None)
-def test_oriented_iou_equals_clipping_by_another_library(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> None:
-    from shapely import Polygon
-
-    def ring(pose: np.ndarray, size: np.ndarray) -> Polygon:
-        half = size[:2] / 2
-        return Polygon([(pose @ [sx * half[0], sy * half[1], 0, 1])[:2] for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-
-    (pose_a, size_a), (pose_b, size_b) = a, b
-    tops, bottoms = ([p[2, 3] + s * z[2] / 2 for p, z in (a, b)] for s in (1, -1))
-    shared = ring(*a).intersection(ring(*b)).area * max(min(tops) - max(bottoms), 0)
-    expected = shared / (size_a.prod() + size_b.prod() - shared)
-    found = oriented_iou(pose_a, size_a, pose_b, size_b)
-    assert found == pytest.approx(expected, abs=1e-9)
-    assert found == pytest.approx(oriented_iou(pose_b, size_b, pose_a, size_a), abs=1e-12)
-    assert 0.0 <= found <= 1.0
-    assert oriented_iou(pose_a, size_a, pose_a, size_a) == pytest.approx(1.0)
-    far = translation([300.0, -200.0, 10.0])
-    assert oriented_iou(far @ pose_a, size_a, far @ pose_b, size_b) == pytest.approx(found, abs=1e-9)
-
-
-@given(a=oriented, b=oriented)
-@settings(max_examples=50, deadline=None)
-def test_boxes_without_turn_have_the_same_overlap_as_axis_aligned_ones(a: Any, b: Any) -> None:
-    flat_boxes = [(translation(pose[:3, 3]), size) for pose, size in (a, b)]
-    corners = [(pose[:3, 3] - size / 2, pose[:3, 3] + size / 2) for pose, size in flat_boxes]
-    low, high = (np.array([c[i] for c in corners]) for i in (0, 1))
-    volume = oriented_overlap(*flat_boxes[0], *flat_boxes[1])
-    assert aabb_overlaps(low, high)[0, 1] == pytest.approx(volume, abs=1e-9)
-    assert oriented_iou(*flat_boxes[0], *flat_boxes[1]) == pytest.approx(aabb_iou(low[0], high[0], low[1], high[1]), abs=1e-9)
-    depth = aabb_penetrations(low, high)[0, 1]
-    assert (depth > 0) == (volume > 0)
-    # moving one box by the penetration along the right axis parts them
-    parted = [aabb_overlaps(np.array([low[0], low[1] + s * step]), np.array([high[0], high[1] + s * step]))[0, 1]
-              for step in np.eye(3) * (depth + 1e-9) for s in (1, -1)]  # fmt: skip
-    assert min(parted) == 0.0
-
-
-def test_a_leaning_box_is_refused() -> None:
-    leaning = matrix([1, 0, 0, 0, 0, 0.8, -0.6, 0, 0, 0.6, 0.8, 0, 0, 0, 0, 1])
-    with pytest.raises(ValueError, match="about \\+Z"):
-        oriented_iou(leaning, (1, 1, 1), np.eye(4), (1, 1, 1))
-
-
-# Algorithm 1
-
-
-def crowd_of(rng: np.random.Generator, n: int, polygon: tuple[tuple[float, float], ...] = (), spread: float = 1.8) -> Crowd:
-    center, size = rng.uniform(-spread, spread, (n, 3)), rng.uniform(0.2, 1.0, (n, 3))
-    center[:, 2] = size[:, 2] / 2
-    low, high = center - size / 2, center + size / 2
-    rings = [np.array([[a[0], a[1]], [b[0], a[1]], [b[0], b[1]], [a[0], b[1]]]) for a, b in zip(low, high, strict=True)]
-    outlines, corners = stacked(rings)
-    room = room_triangles(np.array(polygon)) if polygon else np.zeros((0, 3, 2))
-    return Crowd(
-        low=low, high=high, counted=~np.eye(n, dtype=bool), movable=np.ones(n, dtype=bool), carries=np.eye(n, dtype=bool),
-        outlines=outlines, corners=corners, room=room, carrier=np.full(n, -1), shifts=np.ones((n, 1, 1), dtype=bool),
-    )  # fmt: skip
-
-
-def plain_descent(crowd: Crowd, polygon: Any, step: float, max_steps: int, rng: np.random.Generator) -> list[tuple[int, float, float, str]]:
-    """Algorithm 1 as a person would write it down, with the whole loss computed anew at every step."""
-    from shapely import Polygon
-
-    room = Polygon(polygon) if polygon else None
-    boxes = [(low.copy(), high.copy()) for low, high in zip(crowd.low, crowd.high, strict=True)]
-
-    def loss() -> float:
-        total = 0.0
-        for i in range(len(boxes)):
-            for j in range(i + 1, len(boxes)):
-                overlap = [min(boxes[i][1][k], boxes[j][1][k]) - max(boxes[i][0][k], boxes[j][0][k]) for k in range(3)]
-                if crowd.counted[i, j] and min(overlap) > 1e-6:
-                    total += overlap[0] * overlap[1] * overlap[2]
-        return total
-
-    def outside(i: int) -> float:
-        (x0, y0, _), (x1, y1, _) = boxes[i]
-        return Polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]).difference(room).area if room else 0.0
-
-    movable = np.flatnonzero(crowd.movable)
-    things, directions = movable[rng.integers(0, len(movable), max_steps)], rng.integers(0, 4, max_steps)
-    smallest, trace = loss(), []
-    for thing, direction in zip(things, directions, strict=True):
-        if smallest == 0:
-            break
-        before = [(low.copy(), high.copy()) for low, high in boxes]
-        was_outside = [outside(j) for j in range(len(boxes))]
-        for j in np.flatnonzero(crowd.carries[thing]):
-            boxes[j][0][:2] += MOVES[direction] * step
-            boxes[j][1][:2] += MOVES[direction] * step
-        if any(outside(j) > was_outside[j] + 1e-9 for j in np.flatnonzero(crowd.carries[thing])):
-            boxes, outcome, now = before, "left_room", smallest
-        else:
-            now = loss()
-            outcome = "kept" if now < smallest - 1e-12 else "reverted"
-            boxes = boxes if outcome == "kept" else before
-        smallest = min(smallest, now) if outcome == "kept" else smallest
-        trace.append((int(thing), now, smallest, outcome))
-    return trace
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("polygon", [(), SQUARE, L_SHAPE])
-def test_the_compiled_loop_does_what_the_plain_one_does(seed: int, polygon: Any) -> None:
-    rng = np.random.default_rng(seed)
-    crowd = crowd_of(rng, 9, polygon)
-    crowd.carries[0, 1] = crowd.carries[0, 2] = True  # thing 0 carries things 1 and 2
-    crowd.counted[0, 1] = crowd.counted[1, 0] = False
-    crowd.movable[3] = False
-    trace = descend(crowd, 0.05, 400, np.random.default_rng(seed))
-    plain = plain_descent(crowd, polygon, 0.05, 400, np.random.default_rng(seed))
-    names = ("start", "kept", "reverted", "left_room", "left_support")
-    found = list(zip(trace.things.tolist(), trace.loss.tolist(), trace.smallest.tolist(), [names[c] for c in trace.outcome], strict=True))
-    assert len(found) > 20
-    assert len(found) == len(plain) or trace.exhausted
-    for one, other in zip(found, plain, strict=False):
-        assert one[0] == other[0]
-        assert one[3] == other[3]
-        assert one[1:3] == pytest.approx(other[1:3], abs=1e-9)
-    # what the compiled loop leaves out would have changed nothing
-    assert all(outcome != "kept" for *_, outcome in plain[len(found) :])
-
-
-@given(seed=st.integers(0, 10**6), n=st.integers(2, 15))
-@settings(max_examples=40, deadline=None)
-def test_the_loss_falls_and_is_that_of_the_poses(seed: int, n: int) -> None:
-    crowd = crowd_of(np.random.default_rng(seed), n, L_SHAPE, spread=1.0)
-    trace = descend(crowd, 0.05, 3000, np.random.default_rng(seed))
-    levels = np.concatenate([[trace.start], trace.smallest])
-    assert (np.diff(levels) <= 0).all()
-    assert (np.diff(levels)[trace.outcome == 1] < 0).all()
-    assert (np.diff(levels)[trace.outcome != 1] == 0).all()
-    offset = np.column_stack([trace.moved * 0.05, np.zeros(n)])
-    assert collision_loss(crowd.low + offset, crowd.high + offset, crowd.counted) == pytest.approx(trace.final, abs=1e-9)
-    assert trace.final == 0 or trace.exhausted or len(trace.loss) == 3000
-    if trace.exhausted:
-        for i in range(n):
-            for move in MOVES:
-                tried = offset.copy()
-                tried[i, :2] += move * 0.05
-                low, high = crowd.low + tried, crowd.high + tried
-                inside = _outside(low[i], high[i]) <= _outside(crowd.low[i] + offset[i], crowd.high[i] + offset[i]) + 1e-9
-                assert not inside or collision_loss(low, high, crowd.counted) >= trace.final - 1e-9
-
-
-def _outside(low: np.ndarray, high: np.ndarray) -> float:
-    from shapely import Polygon, box
-
-    return float(box(*low[:2], *high[:2]).difference(Polygon(L_SHAPE)).area)
-
-
-@given(seed=st.integers(0, 10**6))
-@settings(max_examples=30, deadline=None)
-def test_nothing_gets_farther_out_of_the_room(seed: int) -> None:
-    crowd = crowd_of(np.random.default_rng(seed), 8, L_SHAPE)
-    trace = descend(crowd, 0.05, 3000, np.random.default_rng(seed))
-    for i, shift in enumerate(trace.moved * 0.05):
-        before, after = _outside(crowd.low[i], crowd.high[i]), _outside(crowd.low[i] + [*shift, 0], crowd.high[i] + [*shift, 0])
-        assert after <= before + 1e-8
-
-
-def test_it_stops_at_zero_and_does_not_start_there() -> None:
-    two = crowd_of(np.random.default_rng(0), 2)
-    apart = dataclasses.replace(two, low=np.array([[0.0, 0, 0], [1, 0, 0]]), high=np.array([[1.0, 1, 1], [2, 1, 1]]))
-    assert len(descend(apart, 0.05, 100, np.random.default_rng(0)).loss) == 0  # they only touch
-    close = dataclasses.replace(apart, low=np.array([[0.0, 0, 0], [0.93, 0, 0]]))
-    trace = descend(close, 0.05, 1000, np.random.default_rng(0))
-    assert trace.loss[-1] == 0.0
-    assert trace.final == 0.0
-    assert (trace.loss[:-1] > 0).all()
-    assert (trace.outcome == 1).sum() >= 2
-
-
-@given(st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=3, max_size=60))
-@settings(max_examples=40, deadline=None)
-def test_outlines_are_hulls(points: list[tuple[float, float]]) -> None:
-    from shapely import MultiPoint, Polygon
-
-    ring = outline(np.array(points))
-    hull = MultiPoint(points).convex_hull
-    assert 3 <= len(ring) <= 32
-    if hull.area > 1e-3:
-        assert Polygon(ring).area == pytest.approx(hull.area, rel=0.02)
-        assert Polygon(ring).exterior.is_ccw
-    assert sum(np.linalg.det([t[1] - t[0], t[2] - t[0]]) / 2 for t in room_triangles(np.array(L_SHAPE))) == pytest.approx(12.0)
-
-
-def test_a_full_room_takes_milliseconds() -> None:
-    crowd = crowd_of(np.random.default_rng(3), 39, L_SHAPE, spread=2.5)
-    descend(crowd, 0.05, 10, np.random.default_rng(0))
-    clock = time.process_time()
-    trace = descend(crowd, 0.05, 10_000, np.random.default_rng(0))
-    assert len(trace.loss) > 1000
-    assert time.process_time() - clock < 0.25  # 10 to 20 ms where nothing else runs
-
-
-# plan views and supports
-
-
-@given(x=st.floats(-0.5, 0.5), y=st.floats(-0.3, 0.3), ceiling=st.floats(-0.1, 2.0))
-@settings(max_examples=40, deadline=None)
-def test_a_plan_view_equals_rays_from_above(x: float, y: float, ceiling: float) -> None:
-    """The highest surface below the ceiling, board by board."""
-    surface = surface_of(SHELF)
-    view = plan_view(surface, [x - 0.02, y - 0.02], [x + 0.02, y + 0.02], ceiling, 0.01)
-    cells = np.argwhere(np.ones(view.heights.shape)) + np.array(view.first)
-    for cell, height in zip(cells, view.at(cells), strict=True):
-        cx, cy = (cell + 0.5) * 0.01
-        on_board, on_side = abs(cx) < 0.15 and abs(cy) < 0.4, abs(cx) < 0.15 and abs(abs(cy) - 0.41) < 0.01
-        if min(abs(abs(cx) - 0.15), abs(abs(cy) - 0.4), abs(abs(cy) - 0.42)) < 1e-6:
-            continue
-        levels = [z for b in (0.02, 0.5, 1.0, 1.48) for z in (b, b + 0.02)] if on_board else [0.0, 1.5] if on_side else []
-        assert (
-            height == pytest.approx(max([z for z in levels if z <= ceiling], default=-np.inf), abs=1e-9)
-            or min(abs(z - ceiling) for z in levels) < 1e-6
-        )
-
-
-def test_the_underside_of_a_table_is_its_feet_and_its_top() -> None:
-    _, heights = underside(surface_of(TABLE), 0.01)
-    assert (heights < 0.01).sum() == pytest.approx(4 * 36, abs=30)
-    assert (np.abs(heights - 0.71) < 0.01).sum() == pytest.approx(120 * 80 - 4 * 36, rel=0.03)
-    assert len(underside(surface_of(block(0.001, 0.001, 0.001)), 0.01)[0]) == 1
-
-
-SMALL, STOOL, MAT, FRAME = block(0.1, 0.1, 0.1), block(0.4, 0.4, 0.5), block(1.5, 1, 0.02), block(0.04, 0.5, 0.5)
-SOFA = placed("0001", block(0.9, 2, 0.8), translation([-1.5, 0, 0]))
-BELOW = placed("0001", TABLE, np.eye(4))
-
-
-def small(x: float, y: float, z: float, parts: Sequence[trimesh.Trimesh] = SMALL, category: str = "thing") -> PlacedAsset:
-    return placed("0000", parts, translation([x, y, z]), category)
-
-
-CARRIED: dict[str, tuple[list[PlacedAsset], tuple[str, str | None, float]]] = {
-    "on the floor, a little above it": ([small(0, 0, 0.04, TABLE)], ("floor", None, 0.04)),
-    "in the floor": ([small(0, 0, -0.06, TABLE)], ("floor", None, -0.06)),
-    "on a table": ([small(0.3, 0, 0.8), BELOW], ("on", "0001", 0.05)),
-    "sunk into a table": ([small(0.3, 0, 0.7), BELOW], ("on", "0001", -0.05)),
-    "on a board of a shelf": ([small(0, 0.2, 1.05), placed("0001", SHELF, np.eye(4))], ("on", "0001", 0.03)),
-    "over the edge of a table": ([small(0.64, 0, 0.75), BELOW], ("none", None, 0.75)),
-    "on a table that is too high": ([small(0, 0, 0.83), placed("0001", TABLE, translation([0, 0, 0.05]))], ("on", "0001", 0.03)),
-    "under a table": ([small(0, 0, 0, STOOL), BELOW], ("floor", None, 0.0)),
-    "on a rug with all feet": ([small(0, 0, 0, STOOL), placed("0001", MAT, np.eye(4))], ("on", "0001", -0.02)),
-    "on a rug with a third": ([small(0.82, 0, 0, STOOL), placed("0001", MAT, np.eye(4))], ("floor", None, 0.0)),
-    "the larger of two flat things carries": (
-        [small(0, 0, 0.01, block(0.4, 0.3, 0.03)), placed("0001", block(0.6, 0.5, 0.03), np.eye(4))],
-        ("on", "0001", -0.02),
-    ),
-    "deep in a block": ([small(0, 0, 0.9), placed("0001", block(1, 1, 0.6), translation([0, 0, 0.8]))], ("none", None, 0.9)),
-    "on legs that were not scanned": ([small(0, 0, 0.3)], ("floor", None, 0.3)),
-    "on the wall": ([small(-1.95, 0, 1.2, FRAME, "picture")], ("wall", None, 0.0)),
-    "on the wall above a sofa's back": ([small(-1.95, 0, 0.85, FRAME, "picture"), SOFA], ("wall", None, 0.0)),
-    "a picture that stands": ([small(-1.95, 0, 0.81, FRAME, "picture"), SOFA], ("on", "0001", 0.01)),
-    "under the ceiling": ([small(0, 0, 2.15, block(0.4, 0.4, 0.3), "lamp")], ("ceiling", None, 0.0)),
-    "in the air": ([small(0, 0, 1.0, block(0.4, 0.4, 0.3))], ("none", None, 1.0)),
-}
-
-
-@pytest.mark.parametrize("name", CARRIED)
-def test_what_carries_a_thing(name: str) -> None:
-    things, (relation, parent, gap) = CARRIED[name]
-    room = sample(Room, scene_id=SCENE, floor_polygon=SQUARE, walls=(), interior_walls=(), height_m=2.5)
-    for order in (things, things[::-1]):
-        found = find_carriers(order, room, SupportConfig())["0000"]
-        assert (found.relation, found.parent_id) == (relation, parent)
-        assert found.gap == pytest.approx(gap, abs=1e-6)
-    below = find_carriers(things, room, SupportConfig()).get(parent or "")
-    expected = (-gap if relation in ("on", "floor") else 0.0) + (below.lift if below else 0.0)
-    assert find_carriers(things, room, SupportConfig())["0000"].lift == pytest.approx(expected, abs=1e-6)
-
-
-@given(seed=st.integers(0, 10**6), n=st.integers(1, 8))
-@settings(max_examples=40, deadline=None)
-def test_nothing_carries_itself_and_what_is_carried_rests(seed: int, n: int) -> None:
-    """Piles of flat blocks, thrown together: no circle, and every rested bottom is at its carrier's top or on the floor."""
-    rng = np.random.default_rng(seed)
-    pile = []
-    for i in range(n):
-        pose = yaw_pose(rng.uniform(0, 3), [*rng.uniform(-0.3, 0.3, 2), rng.uniform(0, 0.3)])
-        pile.append(placed(f"{i:04d}", block(*rng.uniform(0.1, 0.6, 2), rng.uniform(0.02, 0.15)), pose))
-    carriers = find_carriers(pile, None, SupportConfig())
-    by_id = {p.instance_id: p for p in pile}
-    for name, carrier in carriers.items():
-        seen, above = {name}, carrier.parent_id
-        while above is not None:
-            assert above not in seen
-            seen.add(above)
-            above = carriers[above].parent_id
-        rested = by_id[name].low[2] + carrier.lift
-        if carrier.relation == "floor":
-            assert rested == pytest.approx(0.0, abs=1e-9)
-        if carrier.relation == "on":
-            assert rested == pytest.approx(by_id[carrier.parent_id].high[2] + carriers[carrier.parent_id].lift, abs=1e-9)
-
-
-def test_a_carried_thing_may_go_where_its_carrier_is_and_nowhere_else() -> None:
-    mug, table = placed("0000", block(0.1, 0.1, 0.1), translation([0, 0, 0.75])), placed("0001", TABLE, np.eye(4))
-    allowed = allowed_shifts(mug, table, 0.0, 0.05, 16, SupportConfig())
-    for i, j in np.ndindex(allowed.shape):
-        x, y = (i - 16) * 0.05, (j - 16) * 0.05
-        if min(abs(abs(x) - 0.6), abs(abs(y) - 0.4)) > 0.06:
-            assert allowed[i, j] == (abs(x) < 0.6 and abs(y) < 0.4)
-    book, shelf = placed("0000", block(0.1, 0.1, 0.2), translation([0, 0.1, 1.02])), placed("0001", SHELF, np.eye(4))
-    inside = allowed_shifts(book, shelf, 0.0, 0.05, 16, SupportConfig())
-    assert inside[16, 16 - 8 : 16 + 5].all()  # along the board, up to its sides
-    assert not inside[16, 16 + 6]  # not into the side
-    assert not inside[16 + 5].any()  # not off the board
-
-
-# the stage
+def penetration_depth(a: np.ndarray, b: np.ndarray) -> float:
+    """Depth of two convex point sets in each other [m]: how far the origin lies inside of their Minkowski difference."""
+    if (np.minimum(a.max(axis=0), b.max(axis=0)) <= np.maximum(a.min(axis=0), b.min(axis=0))).any():
+        return 0.0
+    try:
+        return max(0.0, float((-ConvexHull((a[:, None] - b[None]).reshape(-1, 3)).equations[:, 3]).min()))
+    except QhullError:
+        return 0.0
 
 
 def room_scene() -> Scene:
@@ -462,103 +203,259 @@ def room_scene() -> Scene:
     return scene
 
 
-def test_a_room_is_put_to_rest_and_apart() -> None:
+def crowded_scene() -> Scene:
+    """The same with a second table in the first one."""
     scene = room_scene()
-    outcome = scene.run()
+    scene.add(TABLE, yaw_pose(0.1, [0.1, 0.0, 0.0]), "table")
+    return scene
+
+
+# at rest and apart
+
+
+@METHODS
+def test_a_room_is_put_to_rest_and_apart(method: Paper | Default) -> None:
+    scene = room_scene()
+    outcome = scene.run(method)
     rows = {row.instance_id: row for row in outcome.rows["placements"]}
-    supports = {row.instance_id: (row.relation, row.parent_id) for row in outcome.rows["supports"]}
+    supports = {row.instance_id: row for row in outcome.rows["supports"]}
     table, mug, cabinet, shelf, book, picture, rug = sorted(rows)
-    assert supports[mug] == ("on", table)
-    assert supports[book] == ("on", shelf)
-    assert supports[picture] == ("wall", None)
-    assert supports[cabinet][0] == "floor"
-    assert supports[rug] == ("floor", None)
-    boxes = bounds(outcome, scene, "optimized")
-    assert boxes[mug][0, 2] == pytest.approx(boxes[table][1, 2], abs=1e-6)
-    assert boxes[book][0, 2] == pytest.approx(0.52, abs=1e-6)
-    assert boxes[cabinet][0, 2] == pytest.approx(0.0, abs=1e-9)
-    assert boxes[table][0, 2] == pytest.approx(0.0, abs=1e-9)
-    assert rows[picture].lift_m == rows[picture].displacement_m == rows[rug].displacement_m == 0.0
-    assert outcome.rows["optimization_steps"][-1].smallest_loss == 0.0
-    assert not [text for text in outcome.degradations if "loss" in text]
-    moves = {name: matrix(row.optimized_pose)[:2, 3] - matrix(row.proposed_pose)[:2, 3] for name, row in rows.items()}
-    relative = moves[mug] - moves[table]
-    assert np.allclose(relative, np.round(relative / 0.05) * 0.05, atol=1e-9)
+    carried = {name: (row.relation, row.parent_id) for name, row in supports.items()}
+    assert carried == {
+        table: ("floor", None), mug: ("on", table), cabinet: ("floor", None), shelf: ("floor", None), book: ("inside", shelf),
+        picture: ("wall", None), rug: ("floor", None),
+    }  # fmt: skip
+    assert {name for name, row in supports.items() if row.is_fixed} == {picture}
+    assert all(row.is_kept for row in supports.values())
+    boxes = bounds(outcome, scene)
+    for name, height in ((mug, 0.75), (book, 0.52), (cabinet, 0.0), (table, 0.0), (shelf, 0.0), (rug, 0.0)):
+        assert boxes[name][0, 2] == pytest.approx(height, abs=2e-4), name
+    assert not [row for row in rows.values() if row.remains]
+    (summary,) = outcome.rows["optimizations"]
+    assert (summary.ended, summary.loss_final, summary.deep_pairs, summary.remains) == ("zero_loss", 0.0, 0, ())
+    assert all(row.is_stable_5cm and row.start_penetration_m < DEEP_M for row in outcome.rows["certificates"])
+    assert max(row.displacement_m for row in rows.values()) < 0.4
+    assert rows[rug].displacement_m == 0.0
+    assert rows[picture].lift_m == 0.0
+    if isinstance(method, Paper):
+        assert rows[picture].displacement_m == 0.0
+        moves = {name: matrix(row.optimized_pose)[:2, 3] - matrix(row.proposed_pose)[:2, 3] for name, row in rows.items()}
+        assert all(np.allclose(move, np.round(move / method.step_m) * method.step_m, atol=1e-9) for move in moves.values())
+    else:
+        assert boxes[picture][1, 0] == pytest.approx(2.0, abs=2e-3), "hung on its wall"
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_replaying_the_kept_moves_gives_the_optimized_poses(seed: int) -> None:
-    scene = room_scene()
-    scene.add(TABLE, yaw_pose(0.1, [0.1, 0.0, 0.0]), "table")
-    outcome = scene.run(seed)
-    poses = replay(outcome.rows["placements"], outcome.rows["supports"], outcome.rows["optimization_steps"])
-    assert any(row.outcome == "kept" for row in outcome.rows["optimization_steps"])
-    for row in outcome.rows["placements"]:
-        assert np.allclose(poses[row.instance_id], matrix(row.optimized_pose), atol=1e-9)
-        moved = matrix(row.optimized_pose)[:3, 3] - matrix(row.proposed_pose)[:3, 3]
-        assert row.displacement_m == pytest.approx(np.hypot(*moved[:2]), abs=1e-9)
-        assert row.lift_m == pytest.approx(moved[2], abs=1e-9)
+@pytest.mark.parametrize("seed", range(2))
+def test_the_default_moves_things_less_than_the_paper(seed: int) -> None:
+    scene = crowded_scene()
+    away = [np.mean([row.displacement_m for row in scene.run(method, seed).rows["placements"]]) for method in (Paper(), Default())]
+    assert away[1] <= away[0] + 0.01
 
 
-def test_contacts_are_the_overlaps_of_the_boxes_before_and_after() -> None:
-    scene = room_scene()
+@METHODS
+@pytest.mark.parametrize("height", [0.0, 0.02, 0.1])
+def test_what_floats_comes_down_onto_what_carries_it(method: Paper | Default, height: float) -> None:
+    scene = Scene()
+    scene.add(TABLE, yaw_pose(0.2, [0.0, 0.0, height]), "table")
+    scene.add(block(0.1, 0.1, 0.1), translation([0.2, 0.0, 0.75 + height]), "mug")
+    scene.add(block(0.3, 0.2, 0.04), translation([-0.3, 0.0, 0.75 + 2 * height]), "book")
+    scene.add(CHAIR, yaw_pose(1.0, [-1.3, 1.0, height]), "chair")
+    scene.add(block(0.4, 0.4, 0.4), translation([1.3, 1.0, -height]), "box")
+    outcome = scene.run(method)
+    boxes = bounds(outcome, scene)
+    for name, floor in (("0000", 0.0), ("0001", 0.75), ("0002", 0.75), ("0003", 0.0), ("0004", 0.0)):
+        assert boxes[name][0, 2] == pytest.approx(floor, abs=2e-4), name
+    gaps = {row.instance_id: row.gap_m for row in outcome.rows["supports"]}
+    assert [gaps[name] for name in sorted(gaps)] == pytest.approx([height, 0.0, height, height, -height], abs=1e-6)
+    assert all(row.displacement_m == 0.0 for row in outcome.rows["placements"])
+    assert all(row.is_stable_1cm for row in outcome.rows["certificates"])
+
+
+def test_a_chair_under_a_table_stays_under_it() -> None:
+    scene = Scene()
+    scene.add(TABLE, np.eye(4), "table")
+    scene.add(CHAIR, yaw_pose(np.pi / 2, [0.1, -0.25, 0.01]), "chair")
+    scene.add(CHAIR, yaw_pose(-np.pi / 2, [-0.1, 0.21, 0.0]), "chair")  # its back is in the table's edge
     outcome = scene.run()
-    for phase in ("proposed", "optimized"):
-        boxes = bounds(outcome, scene, phase)
-        names = sorted(boxes)
-        expected = {}
-        for i, a in enumerate(names):
-            for b in names[i + 1 :]:
-                reach = np.minimum(boxes[a][1], boxes[b][1]) - np.maximum(boxes[a][0], boxes[b][0])
-                if reach.min() > 2e-6:
-                    expected[a, b] = reach.prod()
-        found = {(c.instance_a, c.instance_b): c.overlap_m3 for c in outcome.rows["contacts"] if c.phase == phase}
-        assert set(found) == set(expected)
-        assert all(found[pair] == pytest.approx(volume, rel=1e-3, abs=1e-6) for pair, volume in expected.items())
+    boxes = bounds(outcome, scene)
+    (summary,) = outcome.rows["optimizations"]
+    assert summary.loss_start > 0.0
+    assert summary.loss_final == 0.0
+    for row in outcome.rows["placements"]:
+        assert row.displacement_m < 0.1
+        assert row.remains is None
+    for name in ("0001", "0002"):
+        under = np.minimum(boxes[name][1], boxes["0000"][1]) - np.maximum(boxes[name][0], boxes["0000"][0])
+        assert under.min() > 0.1, "still within the table's box"
+        assert {r.instance_id: r.relation for r in outcome.rows["supports"]}[name] == "floor"
 
 
-def test_the_same_scene_gives_the_same_rows_in_any_order_and_other_seeds_others() -> None:
+def test_what_was_scanned_through_a_wall_is_pulled_in_with_all_it_carries() -> None:
+    scene = Scene()
+    scene.add(TABLE, yaw_pose(0.3, [1.7, 0.0, 0.0]), "table")
+    scene.add(block(0.1, 0.1, 0.1), yaw_pose(1.0, [1.5, 0.1, 0.77]), "mug")
+    scene.add(block(0.5, 0.5, 0.9), translation([-0.5, -2.4, 0.0]), "cabinet")
+    outcome = scene.run()
+    boxes, before, after = bounds(outcome, scene), poses_of(outcome, "proposed"), poses_of(outcome)
+    for name, box in boxes.items():
+        assert (box[:, :2] > -2.0 - 1e-6).all(), name
+        assert (box[:, :2] < 2.0 + 1e-6).all(), name
+    ways = {name: after[name][:3, 3] - before[name][:3, 3] for name in after}
+    first = bounds(outcome, scene, "proposed")
+    assert ways["0000"][:2] == pytest.approx([2.0 - first["0000"][1, 0], 0.0], abs=1e-6), "the shortest way in"
+    assert ways["0002"][:2] == pytest.approx([0.0, -2.0 - first["0002"][0, 1]], abs=1e-6)
+    assert ways["0001"][:2] == pytest.approx(ways["0000"][:2], abs=1e-9), "the mug came along"
+    assert all(row.remains is None for row in outcome.rows["placements"])
+    assert {s.instance_id for s in outcome.rows["optimization_steps"] if s.outcome == "pulled_in"} == {"0000", "0002"}
+
+
+@METHODS
+def test_what_is_carried_moves_along(method: Paper | Default) -> None:
+    """Replaying the carriers' own moves alone takes what they carry with them, rigidly."""
+    outcome = crowded_scene().run(method)
+    rows = outcome.rows["placements"], outcome.rows["supports"]
+    parents = {row.instance_id: row.parent_id for row in rows[1] if row.parent_id is not None}
+    steps = [step for step in outcome.rows["optimization_steps"] if step.instance_id not in parents]
+    before, after = poses_of(outcome, "proposed"), replay(*rows, steps)
+    assert any(not np.array_equal(before[parent], after[parent]) for parent in parents.values())
+    for child, parent in parents.items():
+        relative = [np.linalg.inv(poses[parent]) @ poses[child] for poses in (before, after)]
+        assert np.allclose(*relative, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_generated_furniture_comes_to_rest_without_collisions(seed: int) -> None:
+    """A desk with things on it, chairs and cabinets, scanned a few centimetres off."""
+    rng = np.random.default_rng(seed)
+    scene = Scene(((-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0)))
+    desk = generate("desk", (0.7, 1.4, 0.75), rng)
+    scene.add(desk.parts, yaw_pose(0.0, [-2.0, 0.0, 0.02]), "desk", known=desk.pieces)
+    for category, y in (("monitor", 0.1), ("mug", -0.5), ("keyboard", 0.6)):
+        model = generate(category, None, rng)
+        pose = yaw_pose(rng.uniform(-0.2, 0.2), [-2.0, y, 0.75 + rng.uniform(-0.04, 0.06)])
+        scene.add(model.parts, pose, category, known=model.pieces)
+    for category in ("chair", "cabinet", "bookshelf", "sofa", "stool", "bed", "nightstand"):
+        model = generate(category, None, rng)
+        pose = yaw_pose(rng.uniform(-3, 3), [*rng.uniform(-1.5, 1.5, 2), rng.uniform(-0.05, 0.05)])
+        scene.add(model.parts, pose, category, known=model.pieces)
+    outcome = scene.run(seed=seed)
+    relations = {row.instance_id: (row.relation, row.parent_id) for row in outcome.rows["supports"]}
+    assert all(relations[f"{i:04d}"] == ("on", "0000") for i in (1, 2, 3)), relations
+    assert all(relations[f"{i:04d}"][0] in ("floor", "on") for i in range(4, 11)), relations
+    (summary,) = outcome.rows["optimizations"]
+    assert summary.loss_start > 0.1
+    assert (summary.loss_final, summary.deep_pairs) == (0.0, 0)
+    boxes = bounds(outcome, scene)
+    for name in ("0001", "0002", "0003"):
+        assert (boxes[name][0, :2] + boxes[name][1, :2] >= 2 * boxes["0000"][0, :2]).all()
+        assert (boxes[name][0, :2] + boxes[name][1, :2] <= 2 * boxes["0000"][1, :2]).all()
+        assert boxes[name][0, 2] == pytest.approx(boxes["0000"][1, 2], abs=0.03)
+
+
+# steps, contacts, bytes
+
+
+@METHODS
+@pytest.mark.parametrize("seed", range(3))
+def test_replaying_the_steps_gives_the_optimized_poses_bit_for_bit(method: Paper | Default, seed: int) -> None:
+    outcome = crowded_scene().run(method, seed)
+    assert {"start", "rested", "kept"} <= {row.outcome for row in outcome.rows["optimization_steps"]}
+    tables = ("placements", "supports", "optimization_steps")
+    kept = [arrow_to_rows(rows_to_arrow(outcome.rows[table], RECORDS[table]), RECORDS[table]) for table in tables]
+    for given in ([outcome.rows[table] for table in tables], kept, [rows[::-1] for rows in kept]):
+        poses = replay(*given)
+        for row in given[0]:
+            assert np.array_equal(poses[row.instance_id], matrix(row.optimized_pose))
+    moved_by_steps = {row.instance_id for row in kept[2] if row.outcome in APPLIED}
+    for row in kept[0]:
+        way = matrix(row.optimized_pose)[:3, 3] - matrix(row.proposed_pose)[:3, 3]
+        assert row.displacement_m == pytest.approx(np.hypot(*way[:2]), abs=1e-12)
+        assert row.lift_m == pytest.approx(way[2], abs=1e-12)
+        assert not way.any() or moved_by_steps, row
+    # every step counts: without the last one that moved something, something stands elsewhere
+    last = max(row.step for row in kept[2] if row.outcome in APPLIED)
+    fewer = replay(kept[0], kept[1], [row for row in kept[2] if row.step != last])
+    assert any(not np.array_equal(fewer[row.instance_id], matrix(row.optimized_pose)) for row in kept[0])
+
+
+@METHODS
+def test_contacts_are_the_penetrations_of_the_meshes_before_and_after(method: Paper | Default) -> None:
+    """Pieces made anew from the GLBs, put where the rows say; depths from Minkowski differences."""
     scene = room_scene()
-    scene.add(TABLE, yaw_pose(0.1, [0.1, 0.0, 0.0]), "table")
-    first = scene.run(1)
-    for rows in (scene.instances, scene.selections):
-        rows.reverse()
-    scene.assets = dict(reversed(scene.assets.items()))
-    second = scene.run(1)
+    scene.add(TABLE, yaw_pose(0.1, [0.6, 0.3, 0.0]), "table")
+    scene.add(block(0.4, 0.3, 0.5), yaw_pose(0.5, [1.9, -1.0, -0.01]), "box")
+    outcome = scene.run(method)
+    room = {name: [mesh.vertices] for name, mesh in room_shell(scene.rooms[0]) if name != "floor"}
+    for phase in ("proposed", "optimized"):
+        things = {name: [hull.vertices for hull in hulls] for name, hulls in hulls_of(outcome, scene, phase).items()}
+        corners = {name: np.concatenate(clouds) for name, clouds in things.items()}
+        expected: dict[tuple[str, str], tuple[float, float]] = {}
+        names = sorted(things)
+        for i, a in enumerate(names):
+            for b in [*names[i + 1 :], *room]:
+                others = things.get(b) or room[b]
+                depth = max(penetration_depth(p, q) for p in things[a] for q in others)
+                sides = np.zeros(3)
+                if b in things:
+                    sides = np.minimum(corners[a].max(0), corners[b].max(0)) - np.maximum(corners[a].min(0), corners[b].min(0))
+                if depth > TOUCH_M or (sides > TOUCH_M).all():
+                    expected[a, b] = depth, float(sides.prod()) if (sides > TOUCH_M).all() else 0.0
+            if -corners[a][:, 2].min() > TOUCH_M:
+                expected[a, "floor"] = float(-corners[a][:, 2].min()), 0.0
+        found = {(c.instance_a, c.body_b): c for c in outcome.rows["contacts"] if c.phase == phase}
+        # what only touches may be a hair's breadth on either side
+        for pair in set(found) ^ set(expected):
+            depth, volume = (found[pair].penetration_m, found[pair].box_overlap_m3) if pair in found else expected[pair]
+            assert depth < 2 * TOUCH_M, pair
+            assert volume < 4 * 2 * TOUCH_M, pair
+        for pair in set(found) & set(expected):
+            assert found[pair].penetration_m == pytest.approx(expected[pair][0], abs=2 * TOUCH_M), pair
+            assert found[pair].box_overlap_m3 == pytest.approx(expected[pair][1], abs=1e-5), pair
+        assert max(c.penetration_m for c in found.values()) > 0.1 or phase == "optimized"
+
+
+def on_two_processes(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return list(pool.map(function, items))
+
+
+@METHODS
+def test_the_same_scene_gives_the_same_rows_in_any_order_and_in_any_process(method: Paper | Default) -> None:
+    first = crowded_scene().run(method, 1)
+    spread = on_two_processes if isinstance(method, Default) else in_turn
+    second = crowded_scene().reversed().run(method, 1, spread)
     assert first.rows == second.rows
     assert first.degradations == second.degradations
-    assert scene.run(2).rows["optimization_steps"] != first.rows["optimization_steps"]
+    for table, record in RECORDS.items():
+        assert rows_to_arrow(first.rows[table], record).equals(rows_to_arrow(second.rows[table], record))
+    assert crowded_scene().run(method, 2).rows["optimization_steps"] != first.rows["optimization_steps"]
 
 
-def test_step_zero_is_the_state_at_rest() -> None:
-    scene = room_scene()
-    steps = scene.run(max_steps=0).rows["optimization_steps"]
-    assert [(s.step, s.outcome, s.instance_id) for s in steps] == [(0, "start", None)]
-    assert steps[0].loss == scene.run().rows["optimization_steps"][0].loss > 0
+def test_step_zero_of_the_paper_is_the_state_at_rest() -> None:
+    outcome = room_scene().run(Paper(max_steps=0))
+    steps = outcome.rows["optimization_steps"]
+    assert (steps[0].step, steps[0].outcome, steps[0].instance_id) == (0, "start", None)
+    assert {step.outcome for step in steps[1:]} == {"rested"}
+    assert {step.loss for step in steps} == {steps[0].loss}
+    assert steps[0].loss == room_scene().run(Paper()).rows["optimization_steps"][0].loss > 0
+    assert outcome.rows["optimizations"][0].ended == "out_of_moves"
 
 
-def test_nothing_gives_way_to_a_rug_or_to_what_it_stands_in() -> None:
+@METHODS
+def test_nothing_gives_way_to_a_rug_or_to_what_it_stands_in(method: Paper | Default) -> None:
     scene = Scene()
     scene.add(block(1.5, 1.0, 0.02), np.eye(4), "rug")
     scene.add(block(0.4, 0.4, 0.5), translation([0.85, 0.0, 0.0]), "stool")  # a quarter of it on the rug
     scene.add(SHELF, translation([-1.5, 0.0, 0.0]), "shelf")
     scene.add(block(0.1, 0.2, 0.2), translation([-1.5, 0.1, 0.52]), "book")
-    outcome = scene.run()
-    assert [step.loss for step in outcome.rows["optimization_steps"]] == [0.0]
-    assert {(c.instance_a, c.instance_b) for c in outcome.rows["contacts"]} == {("0000", "0001"), ("0002", "0003")}
+    outcome = scene.run(method)
+    assert {step.loss for step in outcome.rows["optimization_steps"]} == {0.0}
+    assert all(row.displacement_m < 0.01 for row in outcome.rows["placements"])
+    boxes = {(c.instance_a, c.body_b) for c in outcome.rows["contacts"] if c.box_overlap_m3 > 0 and c.phase == "proposed"}
+    assert boxes == {("0000", "0001"), ("0002", "0003")}
 
 
-def test_what_cannot_be_parted_is_said() -> None:
-    scene = Scene(((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)))
-    for _ in range(2):
-        scene.add(block(0.9, 0.9, 0.5), np.eye(4))
-    assert any("no single move lowers it" in text for text in scene.run().degradations)
-    assert any("3 steps were not enough" in text for text in scene.run(max_steps=3).degradations)
-
-
-def test_an_empty_scene_is_no_error() -> None:
-    outcome = Scene().run()
-    assert [len(rows) for rows in outcome.rows.values()] == [0, 0, 0, 1]
+# annotations
 
 
 def annotated(scene: Scene, name: str, parts: Sequence[trimesh.Trimesh] | None, **values: Any) -> Annotation:
@@ -638,43 +535,219 @@ def test_what_stands_in_is_said() -> None:
         (kept, "no candidate fits"),
         (gone, "no candidate any more"),
         (bare, "no candidate could be used"),
-        (broken, "cannot be read"),
+        (broken, "not a readable GLB"),
     ):
         assert any(text.startswith(name) and word in text for text in outcome.degradations), (name, outcome.degradations)
 
 
-def test_without_a_room_it_is_said_and_done_all_the_same() -> None:
+# what cannot be put right is said
+
+SECONDS = 20.0
+"""Processor time that a small scene may take, whatever is wrong with it: ten times what it takes."""
+
+
+def timed(scene: Scene, method: Paper | Default) -> tuple[Outcome, Optimization]:
+    clock = time.process_time()
+    outcome = scene.run(method)
+    assert time.process_time() - clock < SECONDS
+    return outcome, outcome.rows["optimizations"][0]
+
+
+def remains(outcome: Outcome) -> dict[str, str | None]:
+    return {row.instance_id: row.remains for row in outcome.rows["placements"]}
+
+
+def box(x: float, y: float) -> tuple[tuple[float, float], ...]:
+    return (-x / 2, -y / 2), (x / 2, -y / 2), (x / 2, y / 2), (-x / 2, y / 2)
+
+
+@METHODS
+def test_two_sofas_in_a_closet(method: Paper | Default) -> None:
+    scene = Scene(box(1.2, 2.2))
+    for x in (-0.05, 0.05):
+        scene.add(SOFA, yaw_pose(0.0, [x, 0.0, 0.0]), "sofa")
+    outcome, summary = timed(scene, method)
+    assert summary.ended in ("no_move_helps", "out_of_moves")
+    assert 0.0 < summary.loss_final <= summary.loss_start
+    assert summary.deep_pairs > 0
+    assert summary.remains
+    assert any(remains(outcome).values())
+    assert any(f"{summary.loss_final:.3g} m" in text and "left" in text for text in outcome.degradations)
+    assert min(step.loss for step in outcome.rows["optimization_steps"]) == pytest.approx(summary.loss_final, abs=1e-9), "the best state"
+
+
+@METHODS
+def test_a_thing_larger_than_the_room(method: Paper | Default) -> None:
+    scene = Scene()
+    big = scene.add(block(6.0, 5.0, 1.0), np.eye(4), "cabinet")
+    scene.add(block(0.4, 0.4, 0.4), translation([0.5, 0.5, 0.0]), "box")
+    outcome, summary = timed(scene, method)
+    assert summary.loss_final > 0.0
+    assert summary.deep_pairs > 0
+    text = remains(outcome)[big] or ""
+    assert "outside of the room" in text
+    assert "cm in wall_" in text
+
+
+@METHODS
+def test_too_few_steps_are_said(method: Paper | Default) -> None:
+    few = dataclasses.replace(method, **({"max_steps": 3} if isinstance(method, Paper) else {"max_moves": 3, "chains": 2}))  # type: ignore[arg-type]
+    scene = Scene()
+    for x in (0.0, 0.1):
+        scene.add(block(0.9, 0.9, 0.5), translation([x, 0.0, 0.0]))
+    outcome, summary = timed(scene, few)
+    assert summary.ended == "out_of_moves"
+    assert summary.moves == 3 * summary.chains
+    assert summary.loss_final > 0.0
+    assert all(text and " cm in 000" in text for text in remains(outcome).values())
+
+
+@METHODS
+def test_a_table_scanned_upside_down(method: Paper | Default) -> None:
+    scene = Scene()
+    table = scene.add(TABLE, np.diag([1.0, -1.0, -1.0, 1.0]) + translation([0.0, 0.0, 0.75]) - np.eye(4), "table")
+    mug = scene.add(block(0.1, 0.1, 0.1), translation([0.0, 0.0, 0.76]), "mug")
+    outcome, summary = timed(scene, method)
+    assert "upside down" in (remains(outcome)[table] or "")
+    assert bounds(outcome, scene)[table][0, 2] == pytest.approx(0.0, abs=1e-6)
+    assert bounds(outcome, scene)[mug][0, 2] == pytest.approx(0.04, abs=1e-6), "down onto its underside"
+    assert any(mug in text and "set down" in text for text in outcome.degradations)
+    assert summary.remains
+
+
+def surface(vertices: Any, faces: Any) -> trimesh.Trimesh:
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def cube() -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((0.5, 0.5, 0.5))
+    mesh.apply_translation([0.0, 0.0, 0.25])
+    return mesh
+
+
+def open_box() -> trimesh.Trimesh:
+    mesh = cube()
+    return surface(mesh.vertices, mesh.faces[mesh.face_normals[:, 2] < 0.5])
+
+
+MESHES = {
+    "a triangle": surface([[0, 0, 0], [0.5, 0, 0], [0, 0.5, 0]], [[0, 1, 2]]),
+    "a plane": surface([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]], [[0, 1, 2], [0, 2, 3]]),
+    "an upright plane": surface([[-0.5, 0, 0], [0.5, 0, 0], [0.5, 0, 1], [-0.5, 0, 1]], [[0, 1, 2], [0, 2, 3]]),
+    "duplicate faces": surface(cube().vertices, np.concatenate([cube().faces, cube().faces, cube().faces[:, ::-1]])),
+    "inside out": surface(cube().vertices, cube().faces[:, ::-1]),
+    "a line": surface([[-0.5, 0, 0], [0.5, 0, 0], [0, 0, 0]], [[0, 1, 2]]),
+    "a point": surface([[0, 0, 0]] * 3, [[0, 1, 2]]),
+    "an open box": pytest.param(open_box(), marks=pytest.mark.slow),
+}
+
+
+@METHODS
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+def test_meshes_without_volume_or_with_holes(method: Paper | Default, mesh: trimesh.Trimesh) -> None:
+    """They stand, collide and are moved like any other."""
+    scene = Scene()
+    mesh.visual.vertex_colors = np.full((len(mesh.vertices), 4), 200, dtype=np.uint8)
+    scene.add([mesh], translation([0.0, 0.0, 0.02]))
+    scene.add(block(0.5, 0.5, 0.5), translation([0.1, 0.0, 0.0]), "box")
+    hulls = pieces([mesh], None, PieceConfig())  # what it takes to decompose it is not this stage's time
+    assert hulls.properties.volume > 0.0
+    scene.run(method)
+    outcome, summary = timed(scene, method)
+    assert summary.object_count == 2
+    assert bounds(outcome, scene)["0000"][0, 2] == pytest.approx(0.0, abs=1e-3)
+    if isinstance(method, Default):
+        assert (summary.loss_final, summary.deep_pairs) == (0.0, 0)
+    else:  # of boxes without volume it sees nothing; the contacts do
+        assert (summary.deep_pairs > 0) == any(c.penetration_m > DEEP_M for c in outcome.rows["contacts"] if c.phase == "optimized")
+
+
+def wrong_poses() -> dict[str, np.ndarray]:
+    nowhere, endless = translation([np.nan, 0.0, 0.0]), translation([0.0, 0.0, np.inf])
+    sheared, long = np.eye(4), np.diag([2.0, 1.0, 1.0, 1.0])
+    sheared[0, 1] = 0.3
+    return {
+        "nan": nowhere, "infinite": endless, "sheared": sheared, "stretched": long, "mirrored": np.diag([-1.0, 1.0, 1.0, 1.0]),
+        "zero": np.zeros((4, 4)),
+    }  # fmt: skip
+
+
+WRONG = [(pose, (1.0, 1.0, 1.0)) for pose in wrong_poses().values()]
+WRONG += [(np.eye(4), scale) for scale in ((0.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, np.nan, 1.0), (1.0, 1.0, np.inf))]
+
+
+@METHODS
+@pytest.mark.parametrize(("pose", "scale"), WRONG, ids=[*wrong_poses(), "zero scale", "negative scale", "nan scale", "infinite scale"])
+def test_poses_and_scales_that_are_none(method: Paper | Default, pose: np.ndarray, scale: tuple[float, ...]) -> None:
+    """The thing is left out, with a word; the others are placed as if it had not been there."""
+    scene, without = Scene(), Scene()
+    name = scene.add(block(0.5, 0.5, 0.5), np.eye(4), "box")
+    scene.selections[0] = dataclasses.replace(scene.selections[0], pose=flat(pose), scale=scale)
+    for other in (scene, without):
+        for x in (0.1, 0.3):
+            other.add(block(0.5, 0.5, 0.5), translation([x, 0.0, 0.0]), "box")
+    outcome, summary = timed(scene, method)
+    (text,) = summary.remains
+    assert text.startswith(f"{name}: nothing stands for it")
+    assert "pose, scale" in text
+    assert text in outcome.degradations
+    expected = without.run(method)
+    assert [row.optimized_pose for row in outcome.rows["placements"]] == [row.optimized_pose for row in expected.rows["placements"]]
+
+
+@METHODS
+def test_a_blob_that_is_missing_or_none(method: Paper | Default) -> None:
+    scene = Scene()
+    gone, broken, _ = (scene.add(block(0.3, 0.3, 0.3 + i / 10), translation([i - 1.0, 0, 0])) for i in range(3))
+    for name, blob in ((gone, "e" * 64 + ".glb"), (broken, scene.blobs.add(b"no mesh", "glb"))):
+        asset = next(s.asset_id for s in scene.selections if s.instance_id == name)
+        scene.assets[asset] = dataclasses.replace(scene.assets[asset], mesh_blob=blob)
+    outcome, summary = timed(scene, method)
+    assert [row.instance_id for row in outcome.rows["placements"]] == ["0002"]
+    assert summary.remains[0].startswith(f"{gone}: ")
+    assert f"blob {'e' * 64}.glb is missing" in summary.remains[0]
+    assert summary.remains[1].startswith(f"{broken}: ")
+    assert "not a readable GLB" in summary.remains[1]
+
+
+@METHODS
+def test_an_empty_scene_is_no_error(method: Paper | Default) -> None:
+    outcome, summary = timed(Scene(), method)
+    assert {table: len(rows) for table, rows in outcome.rows.items()} == {
+        "placements": 0, "supports": 0, "contacts": 0, "optimization_steps": 1, "optimizations": 1, "certificates": 0,
+    }  # fmt: skip
+    assert (summary.ended, summary.object_count, summary.remains) == ("nothing_to_do", 0, ())
+
+
+@METHODS
+def test_without_a_room_it_is_said_and_done_all_the_same(method: Paper | Default) -> None:
     scene = room_scene()
     scene.rooms = []
-    outcome = scene.run()
+    outcome, summary = timed(scene, method)
     assert len(outcome.rows["placements"]) == 7
-    assert any("no room is known" in text for text in outcome.degradations)
+    assert any("no room is known" in text for text in summary.remains)
+    assert summary.loss_final == 0.0
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_generated_furniture_comes_to_rest_without_collisions(seed: int) -> None:
-    """A desk with things on it, chairs and cabinets, scanned a few centimetres off."""
-    rng = np.random.default_rng(seed)
-    scene = Scene(((-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0)))
-    desk = generate("desk", (0.7, 1.4, 0.75), rng)
-    scene.add(desk.parts, yaw_pose(0.0, [-2.0, 0.0, 0.02]), "desk")
-    for category, y in (("monitor", 0.1), ("mug", -0.5), ("keyboard", 0.6)):
-        model = generate(category, None, rng)
-        scene.add(model.parts, yaw_pose(rng.uniform(-0.2, 0.2), [-2.0, y, 0.75 + rng.uniform(-0.04, 0.06)]), category)
-    for category in ("chair", "cabinet", "bookshelf", "sofa", "stool", "bed", "nightstand"):
-        model = generate(category, None, rng)
-        scene.add(model.parts, yaw_pose(rng.uniform(-3, 3), [*rng.uniform(-1.5, 1.5, 2), rng.uniform(-0.05, 0.05)]), category)
-    outcome = scene.run(seed)
-    relations = {row.instance_id: (row.relation, row.parent_id) for row in outcome.rows["supports"]}
-    assert all(relations[f"{i:04d}"] == ("on", "0000") for i in (1, 2, 3)), relations
-    assert all(relations[f"{i:04d}"][0] in ("floor", "on") for i in range(4, 11)), relations
-    steps = outcome.rows["optimization_steps"]
-    assert steps[-1].smallest_loss < 0.25 * steps[0].loss
-    boxes = bounds(outcome, scene, "optimized")
-    for name in ("0001", "0002", "0003"):
-        assert (boxes[name][0, :2] + boxes[name][1, :2] >= 2 * boxes["0000"][0, :2]).all()
-        assert (boxes[name][0, :2] + boxes[name][1, :2] <= 2 * boxes["0000"][1, :2]).all()
-        assert boxes[name][0, 2] == pytest.approx(boxes["0000"][1, 2], abs=0.03)
+@METHODS
+@pytest.mark.parametrize("polygon", [((-2, -2), (2, 2), (2, -2), (-2, 2)), ((0, 0), (1, 0), (2, 0)), ((0, 0), (0, 0), (0, 0))])
+def test_a_room_that_crosses_itself_or_has_no_area_is_said(method: Paper | Default, polygon: Any) -> None:
+    scene = Scene(tuple((float(x), float(y)) for x, y in polygon))
+    for x in (0.0, 0.3):
+        scene.add(block(0.5, 0.5, 0.5), translation([x, 0.0, 0.0]))
+    outcome, summary = timed(scene, method)
+    (text,) = summary.remains
+    assert "floor_polygon" in text
+    assert text in outcome.degradations
+    assert (summary.ended, summary.loss_final) == ("zero_loss", 0.0)
+
+
+def test_what_is_far_outside_comes_in() -> None:
+    scene = Scene()
+    scene.add(block(0.5, 0.5, 0.5), translation([1e6, -1e6, 0.3]))
+    outcome, summary = timed(scene, Default())
+    assert bounds(outcome, scene)["0000"] == pytest.approx(np.array([[1.5, -2.0, 0.0], [2.0, -1.5, 0.5]]), abs=1e-6)
+    assert summary.remains == ()
 
 
 @pytest.mark.parametrize("values", [{"step_m": 0.0}, {"step_m": -0.05}, {"step_m": float("nan")}, {"max_steps": -1}, {"shift_reach": -1}])
