@@ -263,11 +263,11 @@ def test_gaps_are_measured_at_any_turn_and_in_any_order(yaw: float, gap: float, 
     solids = [Solid(name, pieces([mesh], [mesh], PieceConfig()).hulls) for name, mesh in (("0000", top), ("0001", thing))]
     poses = {"0000": yaw_pose(0.3, [1, 2, 0.7]), "0001": yaw_pose(yaw, [1 + x, 2, 0.7 + 0.02 + 0.05 + gap])}
     for ordered in (solids, solids[::-1]):
-        measures = Measures(ordered, {}, SQUARE, 2.5)
-        gaps = measures.gaps("0001", poses)
+        posed = Measures(ordered, {}, SQUARE, 2.5).at(poses)
+        gaps = posed.gaps("0001")
         assert gaps["0000"] == pytest.approx(gap, abs=1e-5)
         assert gaps["floor"] == pytest.approx(0.72 + gap, abs=1e-9)
-        assert measures.gaps("0000", poses) == {"floor": pytest.approx(0.68, abs=1e-9)}
+        assert posed.gaps("0000") == {"floor": pytest.approx(0.68, abs=1e-9)}
 
 
 def test_judging_twice_gives_the_same_but_for_the_times() -> None:

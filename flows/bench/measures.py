@@ -42,76 +42,88 @@ class Measures:
     """A scene's solids in their own frames [m], ready to be measured at any poses. categories: by name."""
 
     def __init__(self, solids: Sequence[Solid], categories: Mapping[str, str], polygon: Array, height: float) -> None:
+        import shapely
         import trimesh
-        from shapely.geometry import Polygon
 
         self.names = [solid.name for solid in solids]
-        self.floor, self.height = Polygon(polygon) if len(polygon) > 2 else None, height
-        self._points: dict[str, Array] = {}
-        self._casts: dict[str, RayScene] = {}
-        self._coverings = {name for name in self.names if mounting(categories.get(name, "")).kind == "covering"}
+        self.floor, self.height = shapely.Polygon(polygon) if len(polygon) > 2 else None, height
+        shapely.prepare(self.floor)
+        self.points: dict[str, Array] = {}
+        self.casts: dict[str, RayScene] = {}
+        self.coverings = {name for name in self.names if mounting(categories.get(name, "")).kind == "covering"}
         for solid in solids:
             meshes = [trimesh.Trimesh(hull.vertices, hull.faces, process=False) for hull in solid.hulls]
-            self._casts[solid.name] = RayScene(meshes)
-            self._points[solid.name] = np.concatenate([_scattered(mesh) for mesh in meshes])
+            self.casts[solid.name] = RayScene(meshes)
+            self.points[solid.name] = np.concatenate([_scattered(mesh) for mesh in meshes])
 
-    def gaps(self, name: str, poses: Mapping[str, Array]) -> dict[str, float]:
+    def at(self, poses: Mapping[str, Array]) -> Posed:
+        """The solids at poses, to the world, 4x4 by name [m]."""
+        return Posed(self, poses)
+
+
+class Posed:
+    """The solids of a scene at some poses."""
+
+    def __init__(self, measures: Measures, poses: Mapping[str, Array]) -> None:
+        self._of, self._poses = measures, poses
+        self._world = {name: measures.points[name] @ poses[name][:3, :3].T + poses[name][:3, 3] for name in measures.names}
+        self._low = np.array([self._world[name].min(axis=0) for name in measures.names]).reshape(-1, 3)
+        self._high = np.array([self._world[name].max(axis=0) for name in measures.names]).reshape(-1, 3)
+
+    def gaps(self, name: str) -> dict[str, float]:
         """Height of a thing's base above each thing below it, and above the floor [m]; negative where it sinks in.
 
         The least over its base. Only what lies at most `SUNK_M` above the base counts.
         """
-        world = self._world(name, poses)
+        world = self._world[name]
         base = world[world[:, 2] <= world[:, 2].min() + BASE_M]
         found = {FLOOR: float(base[:, 2].min())}
         low, high = base.min(axis=0), base.max(axis=0)
+        above = (self._high[:, :2] >= low[:2]).all(axis=1) & (self._low[:, :2] <= high[:2]).all(axis=1)
+        near = above & (self._low[:, 2] <= high[2] + SUNK_M)
         origins = base + np.array([0.0, 0.0, SUNK_M])
-        for other in self.names:
+        for index in np.flatnonzero(near):
+            other = self._of.names[index]
             if other == name:
                 continue
-            around = self._world(other, poses)
-            least, most = around.min(axis=0), around.max(axis=0)
-            if (most[:2] < low[:2]).any() or (least[:2] > high[:2]).any() or least[2] > high[2] + SUNK_M:
-                continue
-            into = inverse(poses[other])
+            into = inverse(self._poses[other])
             start, way = origins @ into[:3, :3].T + into[:3, 3], into[:3, :3] @ [0.0, 0.0, -1.0]
-            hits = self._casts[other].cast(np.column_stack([start, np.tile(way, (len(start), 1))]).astype(np.float32))
+            hits = self._of.casts[other].cast(np.column_stack([start, np.tile(way, (len(start), 1))]).astype(np.float32))
             upward = hits["primitive_normals"] @ -way > 0.05
             gap = hits["t_hit"][upward & np.isfinite(hits["t_hit"])]
             if len(gap):
                 found[other] = float(gap.min()) - SUNK_M
         return found
 
-    def carriers(self, name: str, poses: Mapping[str, Array]) -> tuple[set[str], float]:
+    def carriers(self, name: str) -> tuple[set[str], float]:
         """What a thing touches with its base, and the gap to the nearest thing below it [m]. A rug counts as the floor."""
-        gaps = self.gaps(name, poses)
+        gaps = self.gaps(name)
         touched = {other for other, gap in gaps.items() if gap <= TOUCH_M}
-        if touched & self._coverings:
+        if touched & self._of.coverings:
             touched.add(FLOOR)
         return touched, min(gaps.values())
 
-    def reach_outside(self, name: str, poses: Mapping[str, Array]) -> float:
+    def reach_outside(self, name: str) -> float:
         """How far a thing reaches over the floor's edge [m]; 0 inside and where no floor is known."""
         import shapely
 
-        if self.floor is None:
+        if self._of.floor is None:
             return 0.0
-        return float(shapely.distance(shapely.points(self._world(name, poses)[:, :2]), self.floor).max())
+        plan = self._world[name][:, :2]
+        beyond = plan[~shapely.contains_xy(self._of.floor, plan)]
+        return float(shapely.distance(shapely.points(beyond), self._of.floor).max(initial=0.0))
 
-    def off_wall(self, name: str, poses: Mapping[str, Array]) -> float:
+    def off_wall(self, name: str) -> float:
         """Distance of a thing from the nearest wall of the room [m]."""
         import shapely
 
-        if self.floor is None:
+        if self._of.floor is None:
             return 0.0
-        return float(shapely.distance(shapely.points(self._world(name, poses)[:, :2]), self.floor.boundary).min())
+        return float(shapely.distance(shapely.points(self._world[name][:, :2]), self._of.floor.boundary).min())
 
-    def below_ceiling(self, name: str, poses: Mapping[str, Array]) -> float:
+    def below_ceiling(self, name: str) -> float:
         """Distance of a thing's top from the ceiling [m]."""
-        return abs(self.height - float(self._world(name, poses)[:, 2].max()))
-
-    def _world(self, name: str, poses: Mapping[str, Array]) -> Array:
-        pose = poses[name]
-        return np.asarray(self._points[name] @ pose[:3, :3].T + pose[:3, 3], dtype=np.float64)
+        return abs(self._of.height - float(self._world[name][:, 2].max()))
 
 
 def _scattered(mesh: object) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.bench.measures import FLOOR, OFF_WALL_M, OUTSIDE_M, TOUCH_M, Measures
+from flows.bench.measures import FLOOR, OFF_WALL_M, OUTSIDE_M, TOUCH_M, Measures, Posed
 from flows.bench.rooms import BenchScene, Carried
 from tasks import optimization
 from tasks.mass import mass_properties
@@ -173,11 +173,12 @@ class _Laboratory:
         deep = [pair for pair in pairs if pair[2] > DEEP_M]
         allowed = [pair for pair in deep if pair[0] in fixed and pair[1] in room]
         moved_1cm, moved_5cm = self._unstable(poses, fixed, outcome)
-        carriers = {name: self.measures.carriers(name, poses) for name in free}
-        lost = self._lost(poses, carriers)
+        posed = self.measures.at(poses)
+        carriers = {name: posed.carriers(name) for name in self.solids}
+        lost = self._lost(posed, carriers)
         said = _reported(outcome) if outcome is not None else set()
         drawn_fixed = {name for name, c in self.was_carried.items() if c.relation in ("wall", "ceiling")}
-        outside = [(name, self.measures.reach_outside(name, poses)) for name in free]
+        outside = [(name, posed.reach_outside(name)) for name in free]
         return Verdict(
             scene_id=self.scene.scene_id,
             state=state,
@@ -189,7 +190,7 @@ class _Laboratory:
             unstable_1cm=moved_1cm,
             unstable_5cm=moved_5cm,
             displaced=tuple((name, float(np.hypot(*(poses[name] - self.proposed[name])[:2, 3]))) for name in self.solids),
-            floating=tuple((name, gap) for name, (_, gap) in carriers.items() if gap > TOUCH_M),
+            floating=tuple((name, carriers[name][1]) for name in free if carriers[name][1] > TOUCH_M),
             outside=tuple((name, reach) for name, reach in outside if reach > OUTSIDE_M),
             carried=len(self.was_carried),
             lost_reported=tuple(name for name in lost if name in said),
@@ -224,19 +225,18 @@ class _Laboratory:
                 return Body(solid, caption.mass_kg, caption.friction, caption.materials, is_fixed)
         return Body(solid, max(bodies.density_kg_m3 * mass_properties(solid.hulls).volume, 0.001), bodies.friction, (), is_fixed)
 
-    def _lost(self, poses: Mapping[str, Array], carriers: Mapping[str, tuple[set[str], float]]) -> list[str]:
+    def _lost(self, posed: Posed, carriers: Mapping[str, tuple[set[str], float]]) -> list[str]:
         """Things that are not carried any more by what carried them: measured at their poses, whatever the stage says."""
         lost = []
         for name, was in sorted(self.was_carried.items()):
             if name not in self.solids or self._is_let_in(name):
                 continue
             if was.relation == "wall":
-                held = self.measures.off_wall(name, poses) <= OFF_WALL_M
+                held = posed.off_wall(name) <= OFF_WALL_M
             elif was.relation == "ceiling":
-                held = self.measures.below_ceiling(name, poses) <= OFF_WALL_M
+                held = posed.below_ceiling(name) <= OFF_WALL_M
             else:
-                touched = carriers[name][0] if name in carriers else self.measures.carriers(name, poses)[0]
-                held = was.relation == "none" or (was.parent_id or FLOOR) in touched
+                held = was.relation == "none" or (was.parent_id or FLOOR) in carriers[name][0]
             if not held:
                 lost.append(name)
         return lost
