@@ -72,6 +72,7 @@ def run(
             resolution, word = paper.resolve(interior, method, config.supports, context.rng), "paper"
         case Default() as method:
             resolution, word = default.resolve(interior, method, config.supports, context.rng, context.spread), "default"
+    interior = resolution.interior or interior
     names, scene_id = interior.names, context.scene_id
     steps = step_rows(scene_id, resolution.start, resolution.steps)
     parents = {name: carrier.parent_id for name, carrier in zip(names, interior.carriers, strict=True)}

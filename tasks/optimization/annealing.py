@@ -39,7 +39,8 @@ Booleans = NDArray[np.bool_]
 
 class Schedule(NamedTuple):
     """How a chain runs. slop [m]: depth that only touches. step [m], turn [rad]: spread of moves at first. least_step,
-    most_step [m]: bounds of the adapted spread. turn_share: share of turns among moves. most_turn [rad]: farthest turn.
+    most_step [m]: bounds of the adapted spread. turn_share: share of turns among moves; rise_share: of moves up and down
+    among the others, for what is carried. most_turn [rad]: farthest turn. most_rise [m]: highest rise over the carrier.
     price: of a metre of displacement, in metres of depth. temperature [m]: at first. cooling: factor per sweep.
     coldest [m]: then it is warmed up again. warmer: factor on the temperature each time. sweep: moves per active body.
     adapts: whether the spread of moves follows their acceptance. returns: whether things are brought back towards
@@ -51,7 +52,9 @@ class Schedule(NamedTuple):
     least_step: float
     most_step: float
     turn_share: float
+    rise_share: float
     most_turn: float
+    most_rise: float
     price: float
     temperature: float
     cooling: float
@@ -103,7 +106,7 @@ def bring_back(
                 for k in range(4):
                     move[k] = (share - 1.0) * before[k]
                 move_group(room, stand, kept, offset, thing, move)
-                if off_carrier(room, offset, thing, plan.most_turn) or overlaps(room, stand, thing, plan.slop, mark):
+                if off_carrier(room, offset, thing, plan.most_turn, plan.most_rise) or overlaps(room, stand, thing, plan.slop, mark):
                     low = share
                 else:
                     high = share
@@ -156,6 +159,8 @@ def draw(room: Arrangement, plan: Schedule, thing: int, step: float, rng: Any, m
         move[2] = step * rng.normal()
     elif kind == STANDING and rng.random() < plan.turn_share:
         move[3] = far * step / plan.step * plan.turn * rng.normal()
+    elif room.parent[thing] >= 0 and rng.random() < plan.rise_share:
+        move[2] = 0.5 * step * rng.normal()
     else:
         move[0], move[1] = far * step * rng.normal(), far * step * rng.normal()
 
@@ -206,7 +211,7 @@ def anneal(
         before[:] = offset[thing]
         move_group(room, stand, kept, offset, thing, move)
         tries[thing] += 1.0
-        accepted = not off_carrier(room, offset, thing, plan.most_turn)
+        accepted = not off_carrier(room, offset, thing, plan.most_turn, plan.most_rise)
         begin, end = room.first_carried[thing], room.first_carried[thing + 1]
         near = True
         for g in range(begin, end):

@@ -102,13 +102,15 @@ def displacement(room: Arrangement, stand: Stand, body: int) -> float:
     return float(np.sqrt(dx * dx + dy * dy + dz * dz) + room.lever[body] * np.sqrt(dc * dc + ds * ds))
 
 
-def off_carrier(room: Arrangement, offset: Array, body: int, most_turn: float) -> bool:
-    """Whether a thing stands where its carrier does not carry it, or is turned too far."""
+def off_carrier(room: Arrangement, offset: Array, body: int, most_turn: float, most_rise: float) -> bool:
+    """Whether a thing stands where its carrier does not carry it, or is turned too far, or raised too high."""
     if abs(offset[body, 3]) > most_turn:
         return True
     which = room.map_of[body]
     if which < 0:
         return False
+    if offset[body, 2] < 0.0 or offset[body, 2] > most_rise:
+        return True
     reach = (room.maps.shape[1] - 1) // 2
     i = int(np.floor(offset[body, 0] / room.cell + 0.5)) + reach
     j = int(np.floor(offset[body, 1] / room.cell + 0.5)) + reach

@@ -17,7 +17,7 @@ from tasks.optimization.boundary import outside_share, way_in
 from tasks.optimization.chains import Chain, anneal
 from tasks.optimization.collisions import outline
 from tasks.optimization.interior import Interior
-from tasks.optimization.resting import COVERING_M, gap_to_carrier, let_down, put_to_rest, shift
+from tasks.optimization.resting import COVERING_M, beside, gap_to_carrier, let_down, put_to_rest, shift
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import Solid, shell_solids
 from tasks.optimization.supports import PlacedAsset, SupportConfig, support_map
@@ -56,7 +56,7 @@ class Default:
     """
 
     chains: int = 4  # the best of four moves things a third less far than one alone, in crowded rooms
-    max_moves: int = 30_000  # of a chain; a solvable room of 40 things takes some thousands
+    max_moves: int = 15_000  # of a chain; a solvable room of 40 things takes some hundreds to thousands
     max_kept: int = 20_000  # moves that a chain may keep: the length of its trace
     slop_m: float = 0.0002  # what rests on something else touches it by rounding; a tenth of the depth that counts as deep
     step_m: float = 0.02  # the spread of moves at first: the size of a usual overlap
@@ -64,6 +64,8 @@ class Default:
     least_step_m: float = 0.001  # below a millimetre nothing is won
     most_step_m: float = 0.2  # farther moves throw things about
     turn_share: float = 0.2  # of the moves are turns: shifting parts most pairs
+    rise_share: float = 0.15  # of the other moves of a carried thing go up or down: a pillow climbs onto the one beside it
+    most_rise_m: float = 0.1  # higher, and it stands on something else
     most_turn_radians: float = 0.35  # 20 degrees: more, and the thing faces elsewhere than the scanned one
     most_tilt_radians: float = 0.45  # 26 degrees: what would tip farther was not meant to stand so
     price: float = 0.05  # metres of depth that a metre of displacement costs: things move no farther than they must
@@ -77,20 +79,21 @@ class Default:
         for name in ("step_m", "turn_radians", "least_step_m", "most_step_m", "temperature_m", "coldest_m"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
-        for name in ("slop_m", "price", "most_turn_radians", "most_tilt_radians"):
+        for name in ("slop_m", "price", "most_turn_radians", "most_tilt_radians", "most_rise_m"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
         for name in ("chains", "max_moves", "max_kept", "sweep"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
-        if not 0 < self.cooling < 1 or not self.warmer >= 1 or not 0 <= self.turn_share <= 1:
-            raise ValueError("cooling: above 0 and below 1; warmer: at least 1; turn_share: 0 to 1")
+        if not 0 < self.cooling < 1 or not self.warmer >= 1 or not 0 <= self.turn_share <= 1 or not 0 <= self.rise_share <= 1:
+            raise ValueError("cooling: above 0 and below 1; warmer: at least 1; turn_share, rise_share: 0 to 1")
 
     def schedule(self) -> Schedule:
         """The same for compiled code."""
         return Schedule(
             slop=self.slop_m, step=self.step_m, turn=self.turn_radians, least_step=self.least_step_m, most_step=self.most_step_m,
-            turn_share=self.turn_share, most_turn=self.most_turn_radians, price=self.price, temperature=self.temperature_m,
+            turn_share=self.turn_share, rise_share=self.rise_share, most_rise=self.most_rise_m, most_turn=self.most_turn_radians,
+            price=self.price, temperature=self.temperature_m,
             cooling=self.cooling, coldest=self.coldest_m, warmer=self.warmer, sweep=self.sweep, adapts=True, returns=True,
         )  # fmt: skip
 
@@ -108,6 +111,7 @@ def resolve(
     names = interior.names
     steps: list[tuple[int, Move, str]] = []
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand)]
+    interior = beside(interior, shapes, stand)
     steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
     drawn = draw_back(interior, shapes, stand)
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), "pulled_in") for i, way in drawn]
@@ -131,7 +135,7 @@ def resolve(
     for i in settling.toppling:
         problems.setdefault(names[i], "it cannot stand so: its center of mass lies beyond what it stands on")
     chains = method.chains if chain.start > 0 else 1
-    return Resolution(tuple(trace), chain.start, chain.final, tried, chains, ended, tuple(said), problems, frozenset(lost))
+    return Resolution(tuple(trace), chain.start, chain.final, tried, chains, ended, tuple(said), problems, frozenset(lost), interior)
 
 
 def _is_lost(interior: Interior, shapes: Shapes, stand: Stand, thing: int) -> bool:

@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from tasks.optimization.interior import Interior
 from tasks.optimization.shapes import Shapes, Stand, compiled
 from tasks.optimization.solids import mass_properties_of
-from tasks.optimization.tipping import tip, turn_along
+from tasks.optimization.tipping import SUNK_M, tip, turn_along
 
 Array = NDArray[np.float64]
 
 NEAR_M = 0.05
 """How far a surface and its convex pieces may differ in height [m]: pieces of CoACD stand out by 2 to 3 cm."""
 
-SUNK_M = 0.004
-"""In the end, things overlap what carries them by less [m]; what they overlap deeper stands beside them."""
+BESIDE_M = 0.006
+"""What overlaps its carrier deeper than this, even at rest on it, was beside it [m]: less is a bump of either."""
+
+REACH_M = 0.12
+"""How far above or in something a thing may be for that to carry it [m]."""
 
 COVERING_M = 0.06
 """Height of the highest floor covering [m], with a centimetre for its place: things that reach onto one are raised by it."""
@@ -37,6 +40,41 @@ def shift(shapes: Shapes, stand: Stand, group: Sequence[int], move: Sequence[flo
     for body in group:
         stand.place[body] += move
         compiled()["bound"](shapes, stand, body)
+
+
+def beside(interior: Interior, shapes: Shapes, stand: Stand) -> Interior:
+    """The interior, in which what would be deep in its carrier even at rest on it stands beside it: on what carries that.
+
+    A can that was scanned, or pushed, into a sculpture is carried by the cabinet below both.
+    """
+    parents, carriers = interior.parent.copy(), list(interior.carriers)
+    for i, carrier in enumerate(carriers):
+        parent = int(parents[i])
+        if parent < 0 or interior.covering[parent]:
+            continue
+        own_lift = carrier.lift - carriers[parent].lift
+        shift(shapes, stand, [i], (0.0, 0.0, own_lift))
+        _, deep = compiled()["pair_depth"](shapes, stand, i, parent, BESIDE_M)
+        shift(shapes, stand, [i], (0.0, 0.0, -own_lift))
+        if deep <= BESIDE_M:
+            continue
+        below = int(parents[parent])
+        gap = float(stand.low[i, 2])
+        if below >= 0:
+            among = np.zeros(len(stand.low), dtype=np.bool_)
+            among[below] = True
+            gap, _ = compiled()["least_gap"](shapes, stand, i, among, REACH_M)
+        if abs(gap) > REACH_M:
+            continue
+        parents[i] = below
+        name = interior.names[below] if below >= 0 else None
+        lift = -gap + (carriers[below].lift if below >= 0 else 0.0)
+        carriers[i] = dataclasses.replace(
+            carrier, relation=carriers[parent].relation, parent_id=name, gap=float(gap), lift=float(lift), is_fixed=False
+        )
+    if (parents == interior.parent).all():
+        return interior
+    return dataclasses.replace(interior, parent=parents, carriers=tuple(carriers))
 
 
 def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[int, float]]:
@@ -90,25 +128,22 @@ def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float)
     for i in sorted(standing, key=lambda i: (_depth(interior, i), not covering[i], float(stand.low[i, 2]), i)):
         others = np.ones(bodies, dtype=np.bool_)
         others[groups[i]] = False
-        for last in (False, False, False, True):
-            solid, _ = compiled()["least_gap"](shapes, stand, i, others & ~covering, SUNK_M)
-            cloth, _ = compiled()["least_gap"](shapes, stand, i, others & covering, COVERING_M)
-            gap = min(solid, cloth, float(stand.low[i, 2]))
-            if gap > FALL_M:
-                done.hanging[i] = gap
-                break
-            if abs(gap) > ROUNDING_M:
-                shift(shapes, stand, groups[i], (0.0, 0.0, -gap))
-                done.moves.append((i, np.array([0.0, 0.0, -gap]), np.eye(3)))
-            if interior.fixed[i] or covering[i] or last:
-                break
-            origin = stand.place[i].copy()
-            tipped = tip(shapes, stand, i, center_of_mass(interior, i), others, most_tilt)
-            if tipped is None:
-                done.toppling.append(i)
-                break
-            if not np.abs(tipped.rotation - np.eye(3)).max() > 1e-6:
-                break
+        solid, _ = compiled()["least_gap"](shapes, stand, i, others & ~covering, SUNK_M)
+        cloth, _ = compiled()["least_gap"](shapes, stand, i, others & covering, COVERING_M)
+        gap = min(solid, cloth, float(stand.low[i, 2]))
+        if gap > FALL_M:
+            done.hanging[i] = gap
+            continue
+        if abs(gap) > ROUNDING_M:
+            shift(shapes, stand, groups[i], (0.0, 0.0, -gap))
+            done.moves.append((i, np.array([0.0, 0.0, -gap]), np.eye(3)))
+        if interior.fixed[i] or covering[i]:
+            continue
+        origin = stand.place[i].copy()
+        tipped = tip(shapes, stand, i, center_of_mass(interior, i), others, most_tilt)
+        if tipped is None:
+            done.toppling.append(i)
+        elif np.abs(tipped.rotation - np.eye(3)).max() > 1e-6 or np.abs(tipped.shift).max() > ROUNDING_M:
             for body in groups[i][1:]:
                 turn_along(shapes, stand, body, tipped, origin)
             done.moves.append((i, tipped.shift, tipped.rotation))

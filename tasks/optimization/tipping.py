@@ -23,6 +23,9 @@ Booleans = NDArray[np.bool_]
 CONTACT_M = 0.0003
 """Points this near to what is below them carry [m]: a sheet of paper does not rock a table."""
 
+TOUCH_M = 0.00003
+"""A turned body touches what is below it when it is this deep in it [m]: a tenth of what still counts as a contact."""
+
 BALANCE_M = 0.0005
 """The center of mass may lie this far beyond the hull of the contacts [m]: rounding."""
 
@@ -31,6 +34,21 @@ SPOT_M2 = 1e-6
 
 MOST_POINTS = 2048
 """Contacts that are looked at: more say nothing new about their hull."""
+
+ASIDE_M = (0.001, 0.002, 0.004)
+"""How far a thing that leans on something slides for room to tip [m]."""
+
+MOST_ASIDE_M = 0.012
+"""Farther it does not slide [m]: friction holds it."""
+
+SUNK_M = 0.004
+"""Things overlap what carries them by less [m]; what they overlap deeper stands beside them."""
+
+MOST_DROP_M = 0.05
+"""A thing that would fall farther while it tips has left what carried it [m]."""
+
+LEAST_GAIN = 0.002
+"""A turn smaller than this is none [rad]: a tenth of a degree."""
 
 FIRST_TURN, LEAST_TURN = 0.004, 0.00002
 """The first turn that is tried, and how exactly the touching one is found [rad]."""
@@ -53,7 +71,12 @@ def tip(shapes: Shapes, stand: Stand, body: int, center: Array, among: Booleans,
     rotation, start = np.eye(3), stand.place[body].copy()
     vertices, normals = _kept(shapes, body)
     points = np.empty((MOST_POINTS, 3))
-    for _ in range(24):
+    for _ in range(40):
+        gap, _ = compiled()["least_gap"](shapes, stand, body, among, SUNK_M)
+        gap = min(gap, float(stand.low[body, 2]))
+        if gap > MOST_DROP_M:
+            break
+        _move(stand, shapes, body, np.array([0.0, 0.0, -gap]))
         count = compiled()["contact_points"](shapes, stand, body, among, CONTACT_M, points)
         c, s = stand.turn[body]
         balance = np.array([c * center[0] - s * center[1], s * center[0] + c * center[1], center[2]])
@@ -62,14 +85,20 @@ def tip(shapes: Shapes, stand: Stand, body: int, center: Array, among: Booleans,
             return Tip(rotation, stand.place[body] - start)
         pivot, axis = lean
         angle = _free_turn(shapes, stand, body, among, pivot, axis, most)
-        if angle <= 0.0:
-            return Tip(rotation, stand.place[body] - start)  # wedged: what it leans on holds it
+        if angle < LEAST_GAIN:
+            aside = _aside(shapes, stand, body, among, pivot, axis, most)
+            if aside is None or np.hypot(*(stand.place[body] + aside - start)[:2]) > MOST_ASIDE_M:
+                return Tip(rotation, stand.place[body] - start)  # wedged: what it leans on holds it
+            _move(stand, shapes, body, aside)
+            continue
         turned = _rotation(axis, angle)
         rotation = turned @ rotation
         _turn(shapes, stand, body, turned, pivot)
         if rotation[2, 2] < np.cos(most):
             break
-    # fell over: back to where it was
+    else:
+        return Tip(rotation, stand.place[body] - start)  # it rocks on, by less and less
+    # fell over, or off: back to where it was
     _put_back(shapes, stand, body, vertices, normals, start)
     return None
 
@@ -123,14 +152,18 @@ def _lean(points: Array, center: Array) -> tuple[Array, Array] | None:
 
 
 def _free_turn(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: Array, axis: Array, most: float) -> float:
-    """How far a body may be turned about an axis until it touches [rad], at most a little more than `most`."""
+    """How far a body may be turned about an axis until it touches [rad], at most a little more than `most`.
+
+    What is below is measured exactly; what is beside only counts from a depth on that the test of faces cannot make up.
+    """
     held = 2.0 * CONTACT_M
 
     def fits(angle: float) -> bool:
         vertices, normals = _kept(shapes, body)
         start = stand.place[body].copy()
         _turn(shapes, stand, body, _rotation(axis, angle), pivot)
-        deep = compiled()["deepest"](shapes, stand, body, among, held)
+        gap, _ = compiled()["least_gap"](shapes, stand, body, among, SUNK_M)
+        deep = compiled()["deepest"](shapes, stand, body, among, held) if min(gap, stand.low[body, 2]) >= -TOUCH_M else np.inf
         _put_back(shapes, stand, body, vertices, normals, start)
         return bool(deep <= held)
 
@@ -149,6 +182,27 @@ def _free_turn(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: 
         else:
             high = middle
     return low
+
+
+def _aside(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: Array, axis: Array, most: float) -> Array | None:
+    """Of some small level shifts [m], shape (3,), the one after which a wedged body can be turned farthest; None when none helps."""
+    best, farthest = None, LEAST_GAIN
+    for reach in ASIDE_M:
+        for way in range(8):
+            move = reach * np.array([np.cos(0.25 * np.pi * way), np.sin(0.25 * np.pi * way), 0.0])
+            _move(stand, shapes, body, move)
+            if compiled()["deepest"](shapes, stand, body, among, 2.0 * CONTACT_M) <= 2.0 * CONTACT_M:
+                angle = _free_turn(shapes, stand, body, among, pivot + move, axis, most)
+                if angle > farthest:
+                    best, farthest = move, angle
+            _move(stand, shapes, body, -move)
+    return best
+
+
+def _move(stand: Stand, shapes: Shapes, body: int, move: Array) -> None:
+    """Shift a body [m]."""
+    stand.place[body] += move
+    compiled()["bound"](shapes, stand, body)
 
 
 def _rotation(axis: Array, angle: float) -> Array:

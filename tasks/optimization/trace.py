@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.optimization import APPLIED, OptimizationStep, Placement, Support
+from tasks.optimization.interior import Interior
 from tasks.optimization.supports import descendants
 
 Array = NDArray[np.float64]
@@ -36,7 +37,8 @@ class Step:
 class Resolution:
     """What a method came to: its steps, the loss at rest and in the end in the method's unit, how many moves were tried
     by how many chains, why it ended (as `optimizations.ended` has it), what could not be put right, a line each, the
-    same by thing, and the things that what carried them carries no more."""
+    same by thing, the things that what carried them carries no more, and the interior
+    when it was found that other things carry some than was thought."""
 
     steps: tuple[Step, ...]
     start: float
@@ -47,6 +49,7 @@ class Resolution:
     said: tuple[str, ...]
     problems: Mapping[str, str]
     lost: frozenset[str] = frozenset()
+    interior: Interior | None = None
 
 
 def step_rows(scene_id: str, start: float, steps: Sequence[Step]) -> list[OptimizationStep]:
