@@ -71,6 +71,13 @@ def _table(title: str, *columns: tuple[str, bool]) -> Any:
     return table
 
 
+def _add(table: Any, *cells: str) -> None:
+    """A row whose cells are shown as they are: "[m]" is no markup."""
+    from rich.text import Text
+
+    table.add_row(*[Text(cell) for cell in cells])
+
+
 def _states(report: Mapping[str, Any]) -> Any:
     if "states" not in report:
         return None
@@ -78,14 +85,14 @@ def _states(report: Mapping[str, Any]) -> Any:
     table = _table(f"{scenes} scenes ({report['source']})", ("", False), *((state, True) for state in states))
     for key, words, unit in FIGURES:
         cells = ["" if key in ONLY_OPTIMIZED and name in BEFORE else as_text(state[key], unit) for name, state in states.items()]
-        table.add_row(words, *cells)
+        _add(table, words, *cells)
     return table
 
 
 def _goals(report: Mapping[str, Any]) -> Any:
     table = _table("goals", ("", False), ("found", True), ("wanted", True), ("", False))
     for goal in report["goals"]:
-        table.add_row(goal["goal"], f"{goal['found']:.5g}", goal["wanted"], "met" if goal["met"] else "MISSED")
+        _add(table, goal["goal"], f"{goal['found']:.5g}", goal["wanted"], "met" if goal["met"] else "MISSED")
     return table
 
 
@@ -96,30 +103,32 @@ def _worst(report: Mapping[str, Any]) -> Any:
     for case in report["worst"]:
         pairs = zip(case["instances"], case["categories"], strict=True)
         names = ", ".join(name if name == category else f"{name} {category}" for name, category in pairs)
-        table.add_row(case["scene_id"], names, case["what"], f"{case['amount']:.3f}")
+        _add(table, case["scene_id"], names, case["what"], "" if case["amount"] is None else f"{case['amount']:.3f}")
     return table
 
 
 def _timings(report: Mapping[str, Any]) -> Any:
     table = _table("times", ("", False), ("", True))
     moves = report["moves"]
-    table.add_row(f"a move of Algorithm 1 at {moves['count']} things, plain Python", f"{1e6 * moves['plain_seconds']:.1f} us")
-    table.add_row("the same compiled", f"{1e6 * moves['compiled_seconds']:.3f} us")
-    table.add_row("times faster", f"{moves['speedup']:,.0f}")
-    table.add_row("greatest difference of losses over the same moves", f"{moves['largest_difference_m3']:.1e} m3")
+    _add(table, f"a move of Algorithm 1 at {moves['count']} things, plain Python", f"{1e6 * moves['plain_seconds']:.1f} us")
+    _add(table, "the same compiled", f"{1e6 * moves['compiled_seconds']:.3f} us")
+    _add(table, "times faster", f"{moves['speedup']:,.0f}")
+    _add(table, "greatest difference of losses over the same moves", f"{moves['largest_difference_m3']:.1e} m3")
     for count, seconds in moves["seconds_per_move"].items():
-        table.add_row(f"a compiled move at {count} things", f"{1e6 * seconds:.3f} us")
+        _add(table, f"a compiled move at {count} things", f"{1e6 * seconds:.3f} us")
     if "scene" in report:
         for method in report["methods"]:
-            table.add_row(
-                f"a scene of {report['scene']['count']} things, {method}, pieces from the cache", f"{report['scene'][method]:.2f} s"
+            _add(
+                table, f"a scene of {report['scene']['count']} things, {method}, pieces from the cache", f"{report['scene'][method]:.2f} s"
             )
     if "chains" in report:
         same = "same rows" if report["chains"]["is_same"] else "DIFFERENT ROWS"
         for processes, seconds in report["chains"]["seconds_by_processes"].items():
-            table.add_row(f"the same, chains on {processes} processes ({same})", f"{seconds:.2f} s")
+            _add(table, f"the same, chains on {processes} processes ({same})", f"{seconds:.2f} s")
     for row in report.get("pieces", ()):
-        table.add_row(
-            f"convex pieces of a mesh without any, cold: {row['category']} ({row['method']}, {row['pieces']})", f"{row['seconds']:.2f} s"
+        _add(
+            table,
+            f"convex pieces of a mesh without any, cold: {row['category']} ({row['method']}, {row['pieces']})",
+            f"{row['seconds']:.2f} s",
         )
     return table
