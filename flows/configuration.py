@@ -6,7 +6,7 @@ import dataclasses
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from schemas.errors import InputError
 from tasks.pipeline import STAGES
@@ -68,7 +68,10 @@ def _value(text: str) -> Any:
 
 
 def _with(config: Any, fields: Sequence[str], value: Any, origin: str, path: str) -> Any:
-    """`config` with one field, named by its path, set to `value`, checked against the type of the present one."""
+    """`config` with one field, named by its path, set to `value`, checked against the type of the present one.
+
+    Where several configs may stand in a field, a word names one (`method = "paper"`), alone or as `kind` of a table.
+    """
     field, *rest = fields
     known = [f.name for f in dataclasses.fields(config)]
     if field not in known:
@@ -78,6 +81,12 @@ def _with(config: Any, fields: Sequence[str], value: Any, origin: str, path: str
         if not dataclasses.is_dataclass(present):
             raise InputError(origin, path, f"{field} has no fields of its own", "shorten the path")
         return dataclasses.replace(config, **{field: _with(present, rest, value, origin, path)})
+    kinds = _kinds(config, field)
+    if kinds and (isinstance(value, str) or (isinstance(value, dict) and "kind" in value)):
+        kind, value = (value, {}) if isinstance(value, str) else (value["kind"], {k: v for k, v in value.items() if k != "kind"})
+        if kind not in kinds:
+            raise InputError(origin, path, f"there is no {kind!r}", f"it is one of {', '.join(kinds)}")
+        present = kinds[kind]()
     if isinstance(value, dict) and dataclasses.is_dataclass(present):
         for name, inner in value.items():
             present = _with(present, [name], inner, origin, f"{path}.{name}")
@@ -86,6 +95,12 @@ def _with(config: Any, fields: Sequence[str], value: Any, origin: str, path: str
         return dataclasses.replace(config, **{field: _coerce(present, value)})
     except (TypeError, ValueError) as error:
         raise InputError(origin, path, str(error), f"the default is {present!r}") from error
+
+
+def _kinds(config: Any, field: str) -> dict[str, type]:
+    """The configs that a field may hold, by name in lower case, where its type is a union of configs."""
+    held = get_args(get_type_hints(type(config))[field])
+    return {kind.__name__.lower(): kind for kind in held} if held and all(map(dataclasses.is_dataclass, held)) else {}
 
 
 def _coerce(present: Any, value: Any) -> Any:

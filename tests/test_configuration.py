@@ -9,6 +9,7 @@ import pytest
 
 from flows.configuration import Configuration, configure
 from schemas.errors import InputError
+from tasks.optimization import Default, Paper
 from tasks.pipeline import STAGES
 
 
@@ -72,6 +73,19 @@ def test_a_setting_reaches_nested_fields_and_wins_over_the_file(tmp_path: Path) 
     assert stages["exports"].formats == ("habitat",)
 
 
+def test_a_word_chooses_among_the_methods_of_a_stage(tmp_path: Path) -> None:
+    assert configure().stages["optimization"].method == Default()
+    told = configure(None, ["optimization.method=paper", "optimization.method.step_m=0.1"])
+    assert told.stages["optimization"].method == Paper(step_m=0.1)
+    assert configure(None, ["optimization.method=paper", "optimization.method=default"]) == configure()
+    for text in ("[optimization]\nmethod = 'paper'\n", "[optimization.method]\nkind = 'paper'\nmax_steps = 7\n"):
+        method = configure(toml(tmp_path, text)).stages["optimization"].method
+        assert method == Paper(max_steps=7 if "max_steps" in text else Paper.max_steps)
+    assert "paper, default" in refusal(None, ["optimization.method=best"])
+    assert "kind" in refusal(None, ["optimization.method.kind=paper"])
+    assert "kind" in refusal(toml(tmp_path, "[navigation.agent]\nkind = 'cart'\n"))
+
+
 @pytest.mark.parametrize(
     ("setting", "named"),
     [
@@ -89,6 +103,8 @@ def test_a_setting_reaches_nested_fields_and_wins_over_the_file(tmp_path: Path) 
         ("navigation.agent.radius_m=-1", "radius"),
         ("navigation.stop_m=5", "stop_m"),
         ("navigation.turn_degrees=7", "turn_degrees"),
+        ("optimization.method=best", "optimization.method"),
+        ("optimization.method=3", "optimization.method"),
         ("exports.formats='usd'", "exports.formats"),
         ("exports.formats=['usd', 3]", "exports.formats"),
         ("candidates.slots=[1, 2]", "candidates.slots"),
@@ -115,6 +131,7 @@ def test_a_setting_that_cannot_be_is_one_line_that_names_it(tmp_path: Path, sett
         ("[navigation.max_steps]\nmore = 1\n", "max_steps"),
         ("[navigation]\nturn_degrees = 7\n", "turn_degrees"),
         ("[navigation]\nmax_steps = 2026-01-02\n", "navigation.max_steps"),
+        ("[optimization.method]\nkind = 'best'\n", "optimization.method"),
         ("seed = 'seven'\n", "seed"),
         ("seed = true\n", "seed"),
         ("seed = 1.5\n", "seed"),
