@@ -87,10 +87,11 @@ def tip(shapes: Shapes, stand: Stand, body: int, center: Array, among: Booleans,
         angle = _free_turn(shapes, stand, body, among, pivot, axis, most)
         if angle < LEAST_GAIN:
             aside = _aside(shapes, stand, body, among, pivot, axis, most)
-            if aside is None or np.hypot(*(stand.place[body] + aside - start)[:2]) > MOST_ASIDE_M:
+            if aside is not None and np.hypot(*(stand.place[body] + aside - start)[:2]) <= MOST_ASIDE_M:
+                _move(stand, shapes, body, aside)
+                continue
+            if angle < 2.0 * LEAST_TURN:
                 return Tip(rotation, stand.place[body] - start)  # wedged: what it leans on holds it
-            _move(stand, shapes, body, aside)
-            continue
         turned = _rotation(axis, angle)
         rotation = turned @ rotation
         _turn(shapes, stand, body, turned, pivot)
