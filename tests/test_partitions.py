@@ -25,6 +25,7 @@ from tasks.meshes import Surface, vertex_colors
 from tasks.navigation.obstacles import free_space
 from tasks.navigation.planar import PlanarPathFinder
 from tasks.navigation.targets import view_points
+from tasks.optimization import Default, Paper
 from tasks.optimization.collisions import room_triangles
 from tasks.replica import interior_footprints, room_shell
 from tasks.transforms import yaw_pose
@@ -375,10 +376,13 @@ def test_no_move_pushes_an_asset_into_a_wall(seed: int) -> None:
     wall = (0.5, -2.0, 0.5, 2.0, 0.1, 2.5)
     scene.add(block(0.5, 0.5, 0.5), yaw_pose(0, [0.19, 0.0, 0.0]))  # up to 1 cm before the wall
     scene.add(block(0.5, 0.5, 0.5), yaw_pose(0, [0.05, 0.0, 0.0]))
-    free = bounds(scene.run(seed), scene, "optimized")
+    free = bounds(scene.run(Paper(), seed), scene, "optimized")
     assert any(box[1, 0] > 0.46 for box in free.values()), "without the wall it would be pushed there"
     scene.rooms = [with_walls(scene.rooms[0], [wall])]
-    kept = scene.run(seed)
-    for box in bounds(kept, scene, "optimized").values():
-        assert box[1, 0] <= 0.45 + 1e-9
-    assert kept.rows["optimization_steps"][-1].smallest_loss < kept.rows["optimization_steps"][0].loss
+    for method in (Paper(), Default()):
+        kept = scene.run(method, seed)
+        for box in bounds(kept, scene, "optimized").values():
+            assert box[1, 0] <= 0.45 + (1e-9 if isinstance(method, Paper) else method.slop_m)
+        (summary,) = kept.rows["optimizations"]
+        assert summary.loss_final < summary.loss_start
+        assert summary.loss_final == 0.0 or isinstance(method, Paper)
