@@ -131,3 +131,19 @@ def test_rays_give_depth_identity_and_color() -> None:
     assert np.isinf(view.depth[0, 0])
     with pytest.raises(ValueError, match="face names a vertex"):
         meshes.Surface(np.zeros((1, 3)), np.array([[0, 1, 2]]), np.zeros((1, 3), np.uint8))
+
+
+def test_a_surface_out_of_the_cache_is_the_one_that_went_in() -> None:
+    data = meshes.dump_glb([colored_box(), colored_box((0.5, 0.5, 0.5), (1, 2, 3))])
+    cache: dict[str, bytes] = {}
+    first = meshes.asset_surface("a.glb", {"a.glb": data}, "a.glb", cache)
+    expected = meshes.surface_of(meshes.load_glb(data))
+    again = meshes.asset_surface("a.glb", {}, "a.glb", cache)
+    for surface in (first, again):
+        for name in ("vertices", "faces", "colors"):
+            column = getattr(surface, name)
+            assert np.array_equal(column, getattr(expected, name))
+            assert column.dtype == getattr(expected, name).dtype
+    with pytest.raises(InputError, match=r"b\.glb"):
+        meshes.asset_surface("b.glb", {"b.glb": b"no mesh"}, "b.glb", cache)
+    assert list(cache) == ["a.glb"], "what cannot be read is not remembered"
