@@ -135,8 +135,13 @@ def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float)
             done.hanging[i] = gap
             continue
         if abs(gap) > ROUNDING_M:
+            held = [(int(j), _held_up(shapes, stand, groups[j], others, gap)) for j in np.flatnonzero(interior.parent == i)]
             shift(shapes, stand, groups[i], (0.0, 0.0, -gap))
             done.moves.append((i, np.array([0.0, 0.0, -gap]), np.eye(3)))
+            for j, height in held:
+                if height > ROUNDING_M:
+                    shift(shapes, stand, groups[j], (0.0, 0.0, height))
+                    done.moves.append((j, np.array([0.0, 0.0, height]), np.eye(3)))
         if interior.fixed[i] or covering[i]:
             continue
         origin = stand.place[i].copy()
@@ -148,6 +153,12 @@ def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float)
                 turn_along(shapes, stand, body, tipped, origin)
             done.moves.append((i, tipped.shift, tipped.rotation))
     return done
+
+
+def _held_up(shapes: Shapes, stand: Stand, group: Sequence[int], others: NDArray[np.bool_], way: float) -> float:
+    """How much of its carrier's way down a group stays behind [m], because some of it comes to stand on others first."""
+    free = min(float(compiled()["least_gap"](shapes, stand, body, others, SUNK_M)[0]) for body in group)
+    return max(way - max(free, 0.0), 0.0)
 
 
 def center_of_mass(interior: Interior, thing: int) -> Array:
