@@ -42,6 +42,7 @@ class _Work:
     lake: Lake
     configuration: Configuration
     pool: WorkerPool
+    processes: int
 
 
 _WORK: dict[str, _Work] = {}
@@ -51,7 +52,7 @@ _WORK: dict[str, _Work] = {}
 def replicate_scene(scene_id: str, run: str) -> SceneResult:
     """One scene through its stages."""
     work = _WORK[run]
-    return run_scene(work.lake, work.plans[scene_id], work.configuration, work.pool)
+    return run_scene(work.lake, work.plans[scene_id], work.configuration, work.pool, work.processes)
 
 
 @flow(name="replicate", persist_result=False, task_runner=_RUNNER)
@@ -97,7 +98,8 @@ def carry_out(plan: Plan, lake: Lake, configuration: Configuration, workers: int
     results: list[SceneResult] = []
     if plan.todo:
         with WorkerPool(workers) as pool:
-            results = _fan_out(plan, _Work({s.scan.scene_id: s for s in plan.scenes}, lake, configuration, pool))
+            spare = max(1, workers // len(plan.todo))  # with fewer scenes than workers, a scene may use more than one
+            results = _fan_out(plan, _Work({s.scan.scene_id: s for s in plan.scenes}, lake, configuration, pool, spare))
     settle(lake, plan)
     return report_of(plan, results)
 

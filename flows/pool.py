@@ -6,9 +6,12 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
 from types import TracebackType
 from typing import Any, TypeVar
+
+from tasks.stage import in_turn
 
 T = TypeVar("T")
 
@@ -109,6 +112,31 @@ class WorkerPool:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def spread_over(processes: int) -> Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]:
+    """A map for work inside a worker: over so many processes of its own, kept warm; in turn when there is only one.
+
+    The results are in the order of the items either way.
+    """
+    if processes < 2:
+        return in_turn
+
+    def spread(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        return in_turn(function, items) if len(items) < 2 else list(_own_processes(processes).map(function, items))
+
+    return spread
+
+
+@cache
+def _own_processes(processes: int) -> Any:
+    """Processes of a worker's own; they end soon after it, however it ends."""
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    multiprocessing.current_process().daemon = False  # else it may have no processes of its own
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(processes, mp_context=context, initializer=start_worker, initargs=(os.getpid(),))
 
 
 def start_worker(parent: int) -> None:

@@ -34,22 +34,22 @@ class SceneResult:
     degradations: tuple[str, ...]
 
 
-def run_scene(lake: Lake, plan: ScenePlan, configuration: Configuration, pool: WorkerPool) -> SceneResult:
-    """Compute what the plan says for one scene. A failure ends the scene, never the run."""
+def run_scene(lake: Lake, plan: ScenePlan, configuration: Configuration, pool: WorkerPool, processes: int = 1) -> SceneResult:
+    """Compute what the plan says for one scene, each stage over at most `processes`. A failure ends the scene, never the run."""
     try:
-        return _run_scene(lake, plan, configuration, pool)
+        return _run_scene(lake, plan, configuration, pool, processes)
     except Exception as error:  # a full disk, a lake that went away: this scene's, until others say the same
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
         return SceneResult(plan.scan.scene_id, (), plan.todo[0].stage, text, ())
 
 
-def _run_scene(lake: Lake, plan: ScenePlan, configuration: Configuration, pool: WorkerPool) -> SceneResult:
+def _run_scene(lake: Lake, plan: ScenePlan, configuration: Configuration, pool: WorkerPool, processes: int) -> SceneResult:
     """The steps of one scene, in order."""
     progress = current()
     ran: list[str] = []
     degradations: list[str] = []
     for step in plan.todo:
-        run = _run_step(lake, job_of(lake, plan, step, configuration), pool)
+        run = _run_step(lake, dataclasses.replace(job_of(lake, plan, step, configuration), processes=processes), pool)
         progress.advance(f"{plan.scan.scene_id} {step.stage}")
         degradations += [f"{plan.scan.scene_id}: {step.stage}: {text}" for text in run.degradations]
         if run.outcome != "done":

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.fingerprints import ModuleCaches
+from flows.pool import spread_over
 from schemas.errors import InputError, LakeError, RecordError
 from schemas.record import check
 from schemas.runs import StageRun
@@ -27,7 +28,7 @@ from warehouse.lake import Lake
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """One stage to run on one scene (or annotation batch). Travels to a worker process."""
+    """One stage to run on one scene (or annotation batch). Travels to a worker process, which may use `processes` of its own."""
 
     lake: str
     scene_id: str
@@ -40,6 +41,7 @@ class Job:
     upstream: tuple[str, ...]
     attempt: int
     outside: tuple[tuple[str, Any], ...] = ()
+    processes: int = 1
 
 
 def execute(job: Job) -> StageRun:
@@ -120,7 +122,9 @@ def _run(stage: Stage, job: Job, lake: Lake) -> Outcome:
         inputs[table] = _rows(lake, table, job.scene_id, None if table in stage.history else fingerprints.get(TABLES[table].stage))
     for table in stage.history:
         inputs[table] = _rows(lake, table, job.scene_id, None)
-    context = Context(scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches())
+    context = Context(
+        scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches(), spread=spread_over(job.processes)
+    )
     outcome = stage.run(**inputs, context=context, config=job.config)
     if set(outcome.rows) != set(stage.writes):
         raise LakeError(f"stage {stage.name} declares {', '.join(stage.writes)} and returned {', '.join(outcome.rows)}")

@@ -22,8 +22,8 @@ from schemas.navigation import Episode, Navmesh
 from tasks.exports.bodies import Body, Replica, digest, stem
 from tasks.exports.config import ExportsConfig, HabitatConfig
 from tasks.exports.glb import scaled_glb
-from tasks.pieces import Hull
 from tasks.meshes import dump_glb
+from tasks.pieces import Hull
 from tasks.replica import room_shell
 from tasks.transforms import Z_UP_TO_Y_UP, quaternion_wxyz, quaternion_xyzw, to_y_up, transform_points, yaw_pose
 

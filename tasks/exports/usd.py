@@ -15,7 +15,6 @@ import numpy as np
 
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
-from tasks.pieces import Hull, convex_hull
 from tasks.exports.shading import corner_normals
 from tasks.exports.usd_assets import (
     add_collider,
@@ -32,6 +31,7 @@ from tasks.exports.usd_assets import (
     write_asset,
 )
 from tasks.meshes import vertex_colors
+from tasks.pieces import Hull, convex_hull
 from tasks.replica import room_shell
 
 

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+JOIN_M = 1e-6
+"""Grid on which shapes are joined [m]: without one, slivers of scanned geometry make the union fail."""
+
 SEAM_M = 0.002
 """Footprints grow by this [m]: it closes the outline of faces that stand upright and meet at rounded coordinates."""
 
@@ -72,13 +75,13 @@ def footprint(surface: Surface, low: float = -np.inf, high: float = np.inf) -> s
         corners = corners[(corners[:, :, 2].max(axis=1) > low) & (corners[:, :, 2].min(axis=1) < high)]
         dense = len(corners) > _MANY_TRIANGLES
         points = _snapped(corners) if dense else _band_points(corners, low, high)
-        drawn = shapely.union_all(_drawn(points))
+        drawn = shapely.union_all(_drawn(points), grid_size=JOIN_M)
         pieces.append(shapely.buffer(drawn, GRID_M, quad_segs=2) if dense else drawn)
     if not pieces:
         return shapely.Polygon()
-    grown = shapely.buffer(shapely.union_all(pieces), SEAM_M / 2, quad_segs=2, join_style="mitre", mitre_limit=2.0)
+    grown = shapely.buffer(shapely.union_all(pieces, grid_size=JOIN_M), SEAM_M / 2, quad_segs=2, join_style="mitre", mitre_limit=2.0)
     filled = [shapely.Polygon(part.exterior) for part in shapely.get_parts(grown) if not part.is_empty]
-    return shapely.union_all(filled)
+    return shapely.union_all(filled, grid_size=JOIN_M)
 
 
 def free_space(floor: ArrayLike, footprints: Sequence[shapely.Geometry], radius: float, smallest_m2: float = 0.0) -> shapely.MultiPolygon:

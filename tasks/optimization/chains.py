@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tasks.optimization.annealing import Record, Schedule, compiled
 from tasks.optimization.arrangement import Arrangement
 from tasks.optimization.shapes import stand_of
+from tasks.stage import in_turn
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,7 @@ def anneal(
     first = run_chain(jobs[0])
     if first.start == 0.0:  # nothing overlaps: all chains would say so
         return first, 0
-    chains = [first, *spread(run_chain, jobs[1:])]
+    # where the first one has found a way, the others are over before a process has started
+    chains = [first, *(in_turn if first.final == 0.0 else spread)(run_chain, jobs[1:])]
     best = min(range(len(chains)), key=lambda c: (chains[c].final, chains[c].displacement, c))
     return chains[best], sum(chain.tried for chain in chains)
