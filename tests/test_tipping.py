@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -104,6 +104,7 @@ def test_a_ball_of_triangles_comes_to_rest_on_one(seed: int) -> None:
 
 
 @given(seeds)
+@example(131072)  # a last turn of less than a tenth of a degree brings the second corner down
 @settings(max_examples=25, deadline=None)
 def test_whatever_leans_a_little_rests_flat_after(seed: int) -> None:
     """Boxes that were scanned a few degrees off lie on their face again, over which their mass is."""
