@@ -77,10 +77,14 @@ class OptimizationStep:
     dx_m: float = column("Move of the thing's origin along x", unit="m")
     dy_m: float = column("Move of the thing's origin along y", unit="m")
     dz_m: float = column("Move of the thing's origin along z", unit="m")
-    turn_x_radians: float = column("Turn about the thing's origin before that move: rotation vector in the world frame, along x", unit="rad")
+    turn_x_radians: float = column(
+        "Turn about the thing's origin before that move: rotation vector in the world frame, along x", unit="rad"
+    )
     turn_y_radians: float = column("The same along y", unit="rad")
     turn_z_radians: float = column("The same along z: the yaw where x and y are 0", unit="rad")
-    loss: float = column("Collision loss after the move: overlap volume in m3 (paper, equation A1) or penetration depth in m (default)", minimum=0)
+    loss: float = column(
+        "Collision loss after the move: overlap volume in m3 (paper, equation A1) or penetration depth in m (default)", minimum=0
+    )
     smallest_loss: float = column("Smallest loss so far, this step included, in the unit of the loss", minimum=0)
     outcome: str = column(
         "What became of the move; 'pulled_in', 'hung', 'rested', 'kept' and 'tipped' moved something",

@@ -10,20 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.optimization.interior import Interior
-from tasks.optimization.shapes import Shapes, Stand, compiled
+from tasks.optimization.shapes import Shapes, Stand
 from tasks.optimization.solids import mass_properties_of
-from tasks.optimization.tipping import SUNK_M, tip, turn_along
+from tasks.optimization.tipping import SUNK_M, compiled, kept_shape, put_back, tip, turn_along
 
 Array = NDArray[np.float64]
 
 NEAR_M = 0.05
 """How far a surface and its convex pieces may differ in height [m]: pieces of CoACD stand out by 2 to 3 cm."""
 
-BESIDE_M = 0.006
-"""What overlaps its carrier deeper than this, even at rest on it, was beside it [m]: less is a bump of either."""
+SUNKEN_M = 0.03
+"""A thing whose carrier's top is farther off than this may rather stand beside it [m]."""
 
-REACH_M = 0.12
-"""How far above or in something a thing may be for that to carry it [m]."""
+DEEP_M = 0.002
+"""A penetration deeper than this is one that a simulator answers with a jolt [m]."""
+
+RIGHT_M = 0.01
+"""A thing this near to a surface stands right on it [m]."""
 
 COVERING_M = 0.06
 """Height of the highest floor covering [m], with a centimetre for its place: things that reach onto one are raised by it."""
@@ -43,38 +46,38 @@ def shift(shapes: Shapes, stand: Stand, group: Sequence[int], move: Sequence[flo
 
 
 def beside(interior: Interior, shapes: Shapes, stand: Stand) -> Interior:
-    """The interior, in which what would be deep in its carrier even at rest on it stands beside it: on what carries that.
+    """The interior, in which what stands right on the carrier of its carrier is carried by that, beside the other.
 
-    A can that was scanned, or pushed, into a sculpture is carried by the cabinet below both.
+    A can that was scanned, or pushed, into a sculpture is found far below its top, but right on the cabinet below both.
     """
     parents, carriers = interior.parent.copy(), list(interior.carriers)
     for i, carrier in enumerate(carriers):
         parent = int(parents[i])
-        if parent < 0 or interior.covering[parent]:
-            continue
-        own_lift = carrier.lift - carriers[parent].lift
-        shift(shapes, stand, [i], (0.0, 0.0, own_lift))
-        _, deep = compiled()["pair_depth"](shapes, stand, i, parent, BESIDE_M)
-        shift(shapes, stand, [i], (0.0, 0.0, -own_lift))
-        if deep <= BESIDE_M:
+        if parent < 0 or abs(carrier.gap) < SUNKEN_M or (carrier.relation == "inside" and _is_amid(stand, i, parent)):
             continue
         below = int(parents[parent])
         gap = float(stand.low[i, 2])
         if below >= 0:
             among = np.zeros(len(stand.low), dtype=np.bool_)
             among[below] = True
-            gap, _ = compiled()["least_gap"](shapes, stand, i, among, REACH_M)
-        if abs(gap) > REACH_M:
+            gap, _ = compiled()["least_gap"](shapes, stand, i, among, RIGHT_M)
+        if abs(gap) > RIGHT_M:
             continue
         parents[i] = below
         name = interior.names[below] if below >= 0 else None
         lift = -gap + (carriers[below].lift if below >= 0 else 0.0)
-        carriers[i] = dataclasses.replace(
-            carrier, relation=carriers[parent].relation, parent_id=name, gap=float(gap), lift=float(lift), is_fixed=False
-        )
+        relation = carriers[parent].relation if below >= 0 else "floor"
+        carriers[i] = dataclasses.replace(carrier, relation=relation, parent_id=name, gap=float(gap), lift=float(lift))
     if (parents == interior.parent).all():
         return interior
     return dataclasses.replace(interior, parent=parents, carriers=tuple(carriers))
+
+
+def _is_amid(stand: Stand, thing: int, carrier: int) -> bool:
+    """Whether a thing lies wholly within the box of its carrier in plan: in a shelf, not beside a sculpture."""
+    low, high = stand.low[:, :2], stand.high[:, :2]
+    way_out = np.minimum(high[thing] - low[carrier], high[carrier] - low[thing]).min()
+    return bool(way_out > (high[thing] - low[thing]).min())
 
 
 def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[int, float]]:
@@ -145,13 +148,19 @@ def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float)
         if interior.fixed[i] or covering[i]:
             continue
         origin = stand.place[i].copy()
+        before = [(body, *kept_shape(shapes, body), stand.place[body].copy()) for body in groups[i]]
         tipped = tip(shapes, stand, i, center_of_mass(interior, i), others, most_tilt)
         if tipped is None:
             done.toppling.append(i)
         elif np.abs(tipped.rotation - np.eye(3)).max() > 1e-6 or np.abs(tipped.shift).max() > ROUNDING_M:
             for body in groups[i][1:]:
                 turn_along(shapes, stand, body, tipped, origin)
-            done.moves.append((i, tipped.shift, tipped.rotation))
+            if max((compiled()["deepest"](shapes, stand, body, others, DEEP_M) for body in groups[i][1:]), default=0.0) > DEEP_M:
+                for body, vertices, normals, place in before:  # what it carries would be in something else
+                    put_back(shapes, stand, body, vertices, normals, place)
+                done.toppling.append(i)
+            else:
+                done.moves.append((i, tipped.shift, tipped.rotation))
     return done
 
 

@@ -15,14 +15,12 @@ from tasks.optimization.collisions import outline
 from tasks.optimization.contacts import Penetration
 from tasks.optimization.descent import TOUCH_M
 from tasks.optimization.interior import Interior
+from tasks.optimization.resting import DEEP_M
 from tasks.optimization.supports import SupportConfig
 from tasks.optimization.trace import Resolution
 from tasks.transforms import flat
 
 Array = NDArray[np.float64]
-
-DEEP_M = 0.002
-"""A penetration deeper than this is one that a simulator answers with a jolt [m]."""
 
 OUTSIDE = 0.05
 """Share of a thing outside of the floor, seen from above, from which on it is said to be outside."""

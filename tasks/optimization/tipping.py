@@ -69,7 +69,7 @@ def tip(shapes: Shapes, stand: Stand, body: int, center: Array, among: Booleans,
     a thing that would tip farther stays as it is, and None is returned.
     """
     rotation, start = np.eye(3), stand.place[body].copy()
-    vertices, normals = _kept(shapes, body)
+    vertices, normals = kept_shape(shapes, body)
     points = np.empty((MOST_POINTS, 3))
     for _ in range(40):
         gap, _ = compiled()["least_gap"](shapes, stand, body, among, SUNK_M)
@@ -100,7 +100,7 @@ def tip(shapes: Shapes, stand: Stand, body: int, center: Array, among: Booleans,
     else:
         return Tip(rotation, stand.place[body] - start)  # it rocks on, by less and less
     # fell over, or off: back to where it was
-    _put_back(shapes, stand, body, vertices, normals, start)
+    put_back(shapes, stand, body, vertices, normals, start)
     return None
 
 
@@ -160,12 +160,12 @@ def _free_turn(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: 
     held = 2.0 * CONTACT_M
 
     def fits(angle: float) -> bool:
-        vertices, normals = _kept(shapes, body)
+        vertices, normals = kept_shape(shapes, body)
         start = stand.place[body].copy()
         _turn(shapes, stand, body, _rotation(axis, angle), pivot)
         gap, _ = compiled()["least_gap"](shapes, stand, body, among, SUNK_M)
         deep = compiled()["deepest"](shapes, stand, body, among, held) if min(gap, stand.low[body, 2]) >= -TOUCH_M else np.inf
-        _put_back(shapes, stand, body, vertices, normals, start)
+        put_back(shapes, stand, body, vertices, normals, start)
         return bool(deep <= held)
 
     low, step = 0.0, FIRST_TURN
@@ -227,14 +227,14 @@ def _turn(shapes: Shapes, stand: Stand, body: int, rotation: Array, pivot: Array
     compiled()["bound"](shapes, stand, body)
 
 
-def _kept(shapes: Shapes, body: int) -> tuple[Array, Array]:
+def kept_shape(shapes: Shapes, body: int) -> tuple[Array, Array]:
     """Vertices and normals of a body, to put back."""
     first, last = shapes.first_piece[body], shapes.first_piece[body + 1]
     vertices = shapes.vertices[shapes.first_vertex[first] : shapes.first_vertex[last]].copy()
     return vertices, shapes.normals[shapes.first_plane[first] : shapes.first_plane[last]].copy()
 
 
-def _put_back(shapes: Shapes, stand: Stand, body: int, vertices: Array, normals: Array, place: Array) -> None:
+def put_back(shapes: Shapes, stand: Stand, body: int, vertices: Array, normals: Array, place: Array) -> None:
     """Undo turns of a body."""
     first, last = shapes.first_piece[body], shapes.first_piece[body + 1]
     shapes.vertices[shapes.first_vertex[first] : shapes.first_vertex[last]] = vertices
@@ -353,4 +353,4 @@ def deepest(shapes: Shapes, stand: Stand, body: int, among: Any, slop: float) ->
     return found
 
 
-__all__ = ["Tip", "bound", "tip", "turn_along"]
+__all__ = ["Tip", "bound", "kept_shape", "put_back", "tip", "turn_along"]
