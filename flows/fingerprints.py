@@ -15,7 +15,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, MutableMapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -209,19 +209,13 @@ class FileCache(MutableMapping[str, bytes]):
         return sum(1 for _ in self)
 
 
-class ModuleCaches(Mapping[str, FileCache]):
-    """A cache for every module of ours, `caches["tasks.pieces"]`: all stages share it, and a change of its code empties it."""
+class ModuleCaches:
+    """A cache for every module of ours, `caches["tasks.pieces"]`: all stages share it, and a change of its code begins a new one."""
 
     def __getitem__(self, module: str) -> FileCache:
         if _module_file(module) is None:
             raise KeyError(module)
         return FileCache(cache_folder() / "modules" / f"{module}-{code_fingerprint(module)[:16]}")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(())
-
-    def __len__(self) -> int:
-        return 0
 
 
 def cache_folder() -> Path:

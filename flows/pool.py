@@ -123,7 +123,15 @@ def spread_over(processes: int) -> Callable[[Callable[[Any], Any], Sequence[Any]
         return in_turn
 
     def spread(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
-        return in_turn(function, items) if len(items) < 2 else list(_own_processes(processes).map(function, items))
+        from concurrent.futures.process import BrokenProcessPool
+
+        if len(items) < 2:
+            return in_turn(function, items)
+        try:
+            return list(_own_processes(processes).map(function, items))
+        except BrokenProcessPool:  # one of them was killed; the next scene gets new ones, this one does without
+            _own_processes.cache_clear()
+            return in_turn(function, items)
 
     return spread
 

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -44,6 +44,19 @@ def in_turn(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
     return [function(item) for item in items]
 
 
+class Caches(Protocol):
+    """A memory for every module, by the module's name."""
+
+    def __getitem__(self, module: str, /) -> MutableMapping[str, bytes]:
+        """What the module remembers."""
+
+
+def _forgetful() -> Caches:
+    """Memories that last as long as the context."""
+    memories: defaultdict[str, dict[str, bytes]] = defaultdict(dict)
+    return memories
+
+
 @dataclasses.dataclass(frozen=True)
 class Context:
     """What a run may know besides its inputs: whose it is, the seed, and the blobs that its input rows name.
@@ -58,7 +71,7 @@ class Context:
     stage: str
     seed: int
     blobs: Mapping[str, bytes]
-    caches: Mapping[str, MutableMapping[str, bytes]] = dataclasses.field(default_factory=lambda: defaultdict(dict))
+    caches: Caches = dataclasses.field(default_factory=_forgetful)
     spread: Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]] = in_turn
 
     def rng(self, *words: object) -> np.random.Generator:

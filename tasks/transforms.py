@@ -137,3 +137,23 @@ def look_at(eye: ArrayLike, target: ArrayLike) -> Array:
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, eye_
     return pose
+
+
+def rotation_of(turn: ArrayLike) -> Array:
+    """Rotation, shape (3, 3), of a rotation vector [rad] (Rodrigues)."""
+    x, y, z = (float(v) for v in np.asarray(turn, dtype=np.float64))
+    angle = np.sqrt(x * x + y * y + z * z)
+    if angle == 0.0:
+        return np.eye(3)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross))
+
+
+def rotation_vector(rotation: Array) -> tuple[float, float, float]:
+    """Rotation vector [rad] of a rotation by less than half a turn, shape (3, 3)."""
+    axis = 0.5 * np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        return 0.0, 0.0, 0.0
+    x, y, z = axis / sine * np.arctan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))
+    return float(x), float(y), float(z)

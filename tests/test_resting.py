@@ -22,8 +22,8 @@ from tasks.optimization.interior import Interior
 from tasks.optimization.resting import ROUNDING_M, Settling, center_of_mass, gap_to_carrier, let_down, put_to_rest, shift
 from tasks.optimization.shapes import Shapes, Stand
 from tasks.optimization.supports import SupportConfig
-from tasks.optimization.trace import Move, rotation_vector
-from tasks.transforms import translation, yaw_pose
+from tasks.optimization.trace import Move
+from tasks.transforms import rotation_vector, translation, yaw_pose
 from tests.interiors import Thing, block, bodies_of, interior_of, poses_after, world_vertices
 
 Array = np.ndarray

@@ -15,9 +15,9 @@ from tasks.optimization.contacts import penetrations
 from tasks.optimization.shapes import Shapes, Stand, compiled, shapes_of, stand_of
 from tasks.optimization.solids import Solid
 from tasks.optimization.tipping import Tip, tip, turn_along
-from tasks.optimization.trace import Move, moved_poses, rotation_of, rotation_vector
+from tasks.optimization.trace import Move, moved_poses
 from tasks.pieces import Hull, PieceConfig, convex_hull
-from tasks.transforms import translation, yaw_pose
+from tasks.transforms import rotation_of, rotation_vector, translation, yaw_pose
 from tests.interiors import block, hull, world_vertices
 
 Array = np.ndarray

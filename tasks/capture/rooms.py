@@ -80,7 +80,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
         return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
     outline, missed = _with_furniture(outline, cloud, kinds)
     if missed > 0.0:
-        notes.append(f"the floor was hardly seen: {missed:.1f} m2 under and around furniture are added to its polygon")
+        notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
     lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
     shape, is_snapped = _snapped(plan, outline, lines)
     if plan.left_out_m2 > 1.0:
@@ -243,6 +243,8 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) ->
         if low[2] < _STANDING_M:
             within = ((points[:, :2] >= low[:2]) & (points[:, :2] <= high[:2])).all(axis=1)
             hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(_CELL_M))
+    walls = cloud.points[kinds == WALL, :2]
+    hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
     furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
     if furniture.difference(outline).area < _MISSED_SHARE * outline.area:
         return outline, 0.0
@@ -254,6 +256,19 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) ->
             whole = shapely.union_all([whole, shapely.union_all([part, near]).convex_hull])
     found = _largest(_closed(whole, 0.15))
     return (found, float(found.area - outline.area)) if found is not None else (outline, 0.0)
+
+
+def _is_behind_wall(hull: Polygon, outline: Polygon, walls: Array) -> bool:
+    """Whether wall points, shape (n, 2), lie where furniture leaves the outline, or between the two."""
+    import shapely
+
+    outside = hull.difference(outline)
+    if outside.is_empty:
+        return False
+    away = float(hull.distance(outline))
+    near = shapely.intersection(outline, hull.buffer(away + 0.1))
+    between = shapely.union_all([outside, near]).convex_hull.difference(outline.buffer(-0.05)).difference(hull.buffer(-0.1))
+    return bool(shapely.contains_xy(between, walls[:, 0], walls[:, 1]).sum() >= _FEW_POINTS)
 
 
 def _raster(points: Array, origin: Array, shape: NDArray[np.int64]) -> NDArray[np.int64]:

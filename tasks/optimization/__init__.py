@@ -22,7 +22,8 @@ from tasks.optimization.default import Default
 from tasks.optimization.interior import furnish
 from tasks.optimization.paper import Paper
 from tasks.optimization.proposals import propose
-from tasks.optimization.rows import contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
+from tasks.optimization.resting import lost_supports
+from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
 from tasks.optimization.supports import SupportConfig
 from tasks.optimization.trace import moved_poses, replay, step_rows
 from tasks.pieces import PieceConfig
@@ -83,17 +84,19 @@ def run(
     before, after = colliders.penetrations(interior.poses), colliders.penetrations(poses)
     bodies, unknown = bodies_of(interior, captions, config.bodies)
     certified = certify(bodies, poses, interior.shell, config.certificate)
-    remains = remains_of(interior, poses, after, resolution)
-    contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed")
-    contacts += contact_rows(scene_id, interior, poses, after, "optimized")
-    said += [*unknown, *resolution.said, *set_down(interior, config.supports), *(f"{name}: {text}" for name, text in remains.items())]
-    said += [f"{one.name}: no certificate: {one.problem}" for one in certified if one.problem is not None]
+    lost, allowed = lost_supports(interior, poses), allowed_depths(interior, before)
+    remains = remains_of(interior, poses, after, resolution, lost, allowed)
+    contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)
+    contacts += contact_rows(scene_id, interior, poses, after, "optimized", allowed)
+    undone = [*said, *resolution.said, *(f"{one.name}: no certificate: {one.problem}" for one in certified if one.problem is not None)]
+    said = [*undone, *unknown, *resolution.noted, *set_down(interior, config.supports)]
+    said += [f"{name}: {text}" for name, text in remains.items()]
     return Outcome(
         placements=placement_rows(scene_id, interior, poses, certified, word, remains),
-        supports=support_rows(scene_id, interior, resolution),
+        supports=support_rows(scene_id, interior, lost),
         contacts=contacts,
         optimization_steps=steps,
-        optimizations=[optimization_row(scene_id, interior, resolution, contacts, word, remains, left_out)],
+        optimizations=[optimization_row(scene_id, interior, resolution, contacts, word, remains, undone)],
         certificates=certificate_rows(scene_id, certified),
         degradations=said,
     )

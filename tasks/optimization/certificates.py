@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,8 +20,23 @@ from tasks.transforms import flat, is_rigid
 
 Array = NDArray[np.float64]
 
+NEAR_M = 0.01
+"""What moved no farther has not moved [m]: a robot's grasp planned at the old place still succeeds. `is_stable_1cm` names it."""
+
+FAR_M = 0.05
+"""What moved no farther is where the scan saw it [m]: the noise of a scan's boxes. `is_stable_5cm` names it."""
+
+FAR_TILT_RADIANS = float(np.deg2rad(5.0))
+"""What tilted farther spills its coffee [rad]."""
+
 SOFT: frozenset[str] = frozenset({"fabric", "foliage"})
 """Materials that are mostly air as they are used: stuffing, folds, leaves."""
+
+SOLID_SHARE = 0.01
+"""Share of a hollow thing's volume that its material fills: a box of 60 cm with walls of 1 mm."""
+
+SOFT_SHARE = 0.004
+"""The same for stuffed and leafy things: down at 5 kg/m3, of fiber at 1300."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,18 +46,22 @@ class CertificateConfig:
     mujoco: Mujoco = dataclasses.field(default_factory=Mujoco)
     newton: Newton = dataclasses.field(default_factory=Newton)  # asked as well when its interpreter is named
     seconds: float = 2.0  # a fall from a table takes 0.4 s; tipping begins slowly and takes longer
-    near_m: float = 0.01  # a robot's grasp planned at the old place still succeeds
-    far_m: float = 0.05  # still recognizably where the scan saw it: the noise of a scan's boxes
-    far_tilt_radians: float = float(np.deg2rad(5.0))  # more, and a cup spills
-    solid_share: float = 0.01  # of a hollow thing's volume: a box of 60 cm with walls of 1 mm
-    soft_share: float = 0.004  # the same for stuffed and leafy things: down at 5 kg/m3, of fiber at 1300
+
+    def __post_init__(self) -> None:
+        if not 0 < self.seconds < math.inf:
+            raise ValueError(f"seconds: must be above 0, is {self.seconds:g}")
+        for name in ("mujoco", "newton"):
+            if self.seconds < getattr(self, name).timestep_s:
+                raise ValueError(f"seconds: must be at least {name}.timestep_s, is {self.seconds:g}")
 
 
 @dataclasses.dataclass(frozen=True)
 class Certified:
-    """What an engine says of a thing. settled_pose: asset to world at the end, 4x4 [m]. density_low, density_high [kg/m3].
+    """What an engine says of a thing: fields as in the table `certificates`.
 
-    problem: why it could not be simulated, or None. With a problem it is not stable, and settled_pose is where it was put.
+    settled_pose: asset to world at the end, 4x4 [m]. displacement_m: of the asset's origin. tilt_radians: angle between the
+    upright axes before and after; turning about that axis does not count. problem: why the engine could not simulate it;
+    then these and start_penetration_m are None, and it is not stable.
     """
 
     name: str
@@ -49,19 +69,19 @@ class Certified:
     engine_version: str
     simulated_seconds: float
     is_fixed: bool
-    settled_pose: Array
-    displacement_m: float
-    tilt_radians: float
-    start_penetration_m: float
+    problem: str | None
+    settled_pose: Array | None
+    displacement_m: float | None
+    tilt_radians: float | None
+    start_penetration_m: float | None
     is_stable_1cm: bool
     is_stable_5cm: bool
     mass_kg: float
     solid_volume_m3: float
     density_kg_m3: float
-    density_low_kg_m3: float
-    density_high_kg_m3: float
-    is_density_plausible: bool
-    problem: str | None
+    density_low_kg_m3: float | None
+    density_high_kg_m3: float | None
+    is_density_plausible: bool | None
 
 
 def certify(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config: CertificateConfig) -> list[Certified]:
@@ -69,8 +89,8 @@ def certify(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config
     Newton's when it is asked.
 
     They are left alone for `config.seconds` under gravity on the floor z = 0, among the walls `shell`. Fixed things do
-    not move. The order of the bodies does not matter. A thing that an engine refuses is reported, not stable, and left
-    out: what it carries falls.
+    not move. The order of the bodies does not matter. A thing that an engine refuses has a problem, no settled pose, is not
+    stable, and is left out: what it carries falls.
 
     Raises:
         InputError: a pose is not rigid, two bodies have one name, a material is unknown, or Newton is not there.
@@ -88,7 +108,7 @@ def certify(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config
     certified = []
     for engine in engines:
         simulation = _simulate([bodies[i] for i in order], poses[order], shell, config.seconds, engine)
-        certified += [_certified(body, poses[i], simulation, int(rank[i]), config) for i, body in enumerate(bodies)]
+        certified += [_certified(body, poses[i], simulation, int(rank[i])) for i, body in enumerate(bodies)]
     return certified
 
 
@@ -97,17 +117,16 @@ def certificate_rows(scene_id: str, certified: Sequence[Certified]) -> list[Cert
     rows = []
     for one in sorted(certified, key=lambda c: (c.name, c.engine)):
         values = dataclasses.asdict(one)
-        del values["problem"]
-        name, settled = values.pop("name"), flat(values.pop("settled_pose"))
-        rows.append(Certificate(scene_id=scene_id, instance_id=name, settled_pose=settled, **values))
+        name, settled = values.pop("name"), values.pop("settled_pose")
+        rows.append(Certificate(scene_id=scene_id, instance_id=name, settled_pose=None if settled is None else flat(settled), **values))
     return rows
 
 
-def density_bounds(words: Sequence[str], config: CertificateConfig) -> tuple[float, float]:
-    """Least and greatest mass over volume of pieces [kg/m3] that materials allow; `words` of `materials.csv`.
+def density_bounds(words: Sequence[str]) -> tuple[float, float] | None:
+    """Least and greatest plausible mass over volume of pieces [kg/m3]; `words` of `materials.csv`. None without words.
 
-    The greatest is firm: nothing is denser than its densest material. The least is not: pieces are solid where things
-    are hollow, stuffed or folded, so of the lightest material only a share has to be there.
+    The greatest is firm: nothing is denser than its densest material. The least is a guess: pieces are solid where things
+    are hollow, stuffed or folded, so it is a share, `SOLID_SHARE` or `SOFT_SHARE`, of the least density of a material.
 
     Raises:
         InputError: a material is unknown.
@@ -117,8 +136,8 @@ def density_bounds(words: Sequence[str], config: CertificateConfig) -> tuple[flo
         if word not in known:
             raise InputError("captions", "materials", f"{word!r} is no known material", f"use one of {', '.join(known)}")
     if not words:
-        words = tuple(known)
-    low = min(known[word].density_min_kg_m3 * (config.soft_share if word in SOFT else config.solid_share) for word in words)
+        return None
+    low = min(known[word].density_min_kg_m3 * (SOFT_SHARE if word in SOFT else SOLID_SHARE) for word in words)
     return low, max(known[word].density_max_kg_m3 for word in words)
 
 
@@ -131,22 +150,25 @@ def _simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], seco
             return newton_engine.simulate(bodies, poses, shell, seconds, engine)
 
 
-def _certified(body: Body, pose: Array, simulation: Simulation, index: int, config: CertificateConfig) -> Certified:
+def _certified(body: Body, pose: Array, simulation: Simulation, index: int) -> Certified:
     """The certificate of one body."""
-    settled, problem = simulation.settled[index], simulation.problems[index]
+    problem, settled = simulation.problems[index], simulation.settled[index]
     displacement = float(np.linalg.norm(settled[:3, 3] - pose[:3, 3]))
     before, after = pose[:3, 2], settled[:3, 2]
-    tilt = float(np.arctan2(np.linalg.norm(np.cross(before, after)), before @ after))
+    tilt = 0.0 if body.is_fixed else float(np.arctan2(np.linalg.norm(np.cross(before, after)), before @ after))
+    is_known = problem is None
     mass = body.mass_kg if np.isfinite(body.mass_kg) and body.mass_kg > 0.0 else 0.0
     volume = mujoco_engine.solid_volume(body.solid)
     density = mass / volume if volume > 0.0 else 0.0
-    low, high = density_bounds(body.materials, config)
+    bounds = density_bounds(body.materials)
     return Certified(
         name=body.solid.name, engine=simulation.engine, engine_version=simulation.version,
-        simulated_seconds=simulation.seconds, is_fixed=body.is_fixed, settled_pose=settled, displacement_m=displacement,
-        tilt_radians=0.0 if body.is_fixed else tilt, start_penetration_m=float(simulation.start_penetration[index]),
-        is_stable_1cm=problem is None and displacement <= config.near_m,
-        is_stable_5cm=problem is None and displacement <= config.far_m and tilt <= config.far_tilt_radians,
-        mass_kg=mass, solid_volume_m3=volume, density_kg_m3=density, density_low_kg_m3=low, density_high_kg_m3=high,
-        is_density_plausible=low <= density <= high, problem=problem,
+        simulated_seconds=simulation.seconds, is_fixed=body.is_fixed, problem=problem, settled_pose=settled if is_known else None,
+        displacement_m=displacement if is_known else None, tilt_radians=tilt if is_known else None,
+        start_penetration_m=float(simulation.start_penetration[index]) if is_known else None,
+        is_stable_1cm=is_known and displacement <= NEAR_M,
+        is_stable_5cm=is_known and displacement <= FAR_M and tilt <= FAR_TILT_RADIANS,
+        mass_kg=mass, solid_volume_m3=volume, density_kg_m3=density, density_low_kg_m3=None if bounds is None else bounds[0],
+        density_high_kg_m3=None if bounds is None else bounds[1],
+        is_density_plausible=None if bounds is None or density == 0.0 else bounds[0] <= density <= bounds[1],
     )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,14 @@ from tasks.optimization.boundary import outside_share, way_in
 from tasks.optimization.chains import Chain, anneal
 from tasks.optimization.collisions import outline
 from tasks.optimization.interior import Interior
-from tasks.optimization.resting import COVERING_M, beside, gap_to_carrier, let_down, put_to_rest, shift
+from tasks.optimization.mounting import mounting
+from tasks.optimization.resting import DEEP_M, beside, let_down, put_to_rest, shift
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import Solid, shell_solids
 from tasks.optimization.supports import PlacedAsset, SupportConfig, support_map
-from tasks.optimization.trace import Move, Resolution, Step, rotation_vector
+from tasks.optimization.trace import Move, Resolution, Step
 from tasks.optimization.walls import wall_faces, wall_snap
-from tasks.transforms import translation
+from tasks.transforms import rotation_vector, translation
 
 Array = NDArray[np.float64]
 
@@ -38,9 +39,6 @@ MAP_REACH = 30
 
 OUTSIDE_SHARE = 0.02
 """A thing of which less lies outside of the floor, seen from above, only touches a wall that was estimated."""
-
-KEPT_M = 0.005
-"""A thing is still carried by what carried it when it stands this near above it [m]."""
 
 LEVER = 0.25
 """What a turn by one radian counts as displacement, in longest sides: the mean way of a box's corners."""
@@ -100,18 +98,23 @@ class Default:
 
 def resolve(
     interior: Interior, method: Default, supports: SupportConfig, rng: Callable[..., np.random.Generator],
-    spread: Callable[[Any, Sequence[Any]], list[Any]],
+    spread: Callable[[Any, Sequence[Any]], list[Any]], wedged: Collection[int] = (),
 ) -> Resolution:  # fmt: skip
-    """Things pulled into the room, hung on their walls, put to rest, moved apart, and let down onto what is below them."""
+    """Things pulled into the room, hung on their walls, put to rest, moved apart, and let down onto what is below them.
+
+    `wedged`: things that fit nowhere on or in what was taken for their carrier, as a first attempt has shown.
+    """
     walls = shell_solids(interior.room, WALL_M) if interior.room is not None else ()
     solids = (*interior.solids, *walls)
     poses = np.concatenate([interior.poses, np.tile(np.eye(4), (len(walls), 1, 1))])
     shapes = shapes_of(solids, poses)
     stand = stand_of(shapes, poses[:, :3, 3])
     names = interior.names
+    proposed = interior
+    interior, noted = beside(interior, shapes, stand, wedged)
+    said: list[str] = []
     steps: list[tuple[int, Move, str]] = []
-    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand)]
-    interior = beside(interior, shapes, stand)
+    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports)]
     steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
     drawn = draw_back(interior, shapes, stand)
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), "pulled_in") for i, way in drawn]
@@ -121,29 +124,38 @@ def resolve(
     trace = [Step(names[i], move, chain.start, chain.start, outcome) for i, move, outcome in steps]
     trace += _chain_steps(names, room, stand, chain)
     settling = let_down(interior, shapes, stand, method.most_tilt_radians)
+    final = _loss(room, stand, DEEP_M) if chain.final == 0.0 else _loss(room, stand, method.slop_m)
     for i, move, rotation in settling.moves:
         turn, outcome = rotation_vector(rotation), "tipped" if np.abs(rotation - np.eye(3)).max() > 0 else "rested"
         dx, dy, dz = move.tolist()
-        trace.append(Step(names[i], (dx, dy, dz, *turn), chain.final, chain.final, outcome))
-    said, ended = [], "nothing_to_do" if chain.start == 0.0 else "zero_loss" if chain.final == 0.0 else "out_of_moves"
-    if chain.final > 0:
-        said.append(f"penetrations of {chain.final:.3g} m of {chain.start:.3g} m are left after {tried} moves")
+        trace.append(Step(names[i], (dx, dy, dz, *turn), final, min(final, chain.final), outcome))
+    stuck = _wedged(interior, shapes, stand) if final > 0.0 and not wedged else []
+    if stuck and beside(proposed, shapes_of(solids, poses), stand_of(shapes, poses[:, :3, 3]), stuck)[1] != noted:
+        other = resolve(proposed, method, supports, rng, spread, stuck)
+        if other.final < final:
+            return other
+    if final == 0.0:
+        ended = "nothing_to_do" if chain.start == 0.0 else "zero_loss"
+    else:
+        ended = "out_of_moves" if tried > 0 else "no_move_helps"
+        said.append(f"penetrations of {final:.3g} m of {chain.start:.3g} m are left after {tried} moves")
     problems = {names[i]: f"it hangs {gap:.2f} m above anything" for i, gap in settling.hanging.items()}
-    lost = {names[i] for i in range(len(names)) if i in settling.hanging or _is_lost(interior, shapes, stand, i)}
-    for name in lost:
-        problems.setdefault(name, "what carried it carries it no more")
     for i in settling.toppling:
         problems.setdefault(names[i], "it cannot stand so: its center of mass lies beyond what it stands on")
     chains = method.chains if chain.start > 0 else 1
-    return Resolution(tuple(trace), chain.start, chain.final, tried, chains, ended, tuple(said), problems, frozenset(lost), interior)
+    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(said), problems, interior, tuple(noted))
 
 
-def _is_lost(interior: Interior, shapes: Shapes, stand: Stand, thing: int) -> bool:
-    """Whether a thing stands on its carrier, or the floor, no more. A rug may lie between."""
-    if interior.carriers[thing].relation not in ("floor", "on", "inside"):
-        return False
-    gap, to_cloth = gap_to_carrier(interior, shapes, stand, thing)
-    return gap > KEPT_M and not (gap <= COVERING_M and to_cloth <= KEPT_M)
+def _wedged(interior: Interior, shapes: Shapes, stand: Stand) -> list[int]:
+    """Things that overlap their own carrier where they stand."""
+    carried = [(i, int(parent)) for i, parent in enumerate(interior.parent) if parent >= 0]
+    return [i for i, parent in carried if compiled()["pair_depth"](shapes, stand, i, parent, DEEP_M)[1] > 0.0]
+
+
+def _loss(room: Arrangement, stand: Stand, slop: float) -> float:
+    """Sum of the penetration depths of all counted pairs of pieces beyond `slop`, where the bodies stand [m]."""
+    pairs = np.argwhere(np.triu(room.counted, 1)).tolist()
+    return float(sum(compiled()["pair_depth"](room.shapes, stand, a, b, slop)[0] for a, b in pairs))
 
 
 def arrangement_of(
@@ -168,11 +180,16 @@ def arrangement_of(
         kind[i] = {"wall": HANGING, "ceiling": OVERHEAD}.get(carrier.relation, STANDING)
         if kind[i] == HANGING:
             along[i] = directions.get(carrier.against, np.zeros(2)) if carrier.against else 0.0
-        if interior.covering[i]:
+        if interior.covering[i] or mounting(thing.category).kind == "let_in":
             kind[i] = FIXED
+        if interior.covering[i]:
             counted[i], counted[:, i] = False, False
-        if interior.fixed[i]:  # let into a wall or set against it: the room's shell is only an estimate there
-            counted[i, n:], counted[n:, i] = False, False
+        if interior.fixed[i]:
+            if kind[i] == STANDING:  # built in
+                kind[i] = FIXED
+            for wall in range(n, bodies):  # let into a wall or set against it: the room's shell is only an estimate there
+                if compiled()["pair_depth"](shapes, stand, i, wall, 0.0)[1] > 0.0:
+                    counted[i, wall] = counted[wall, i] = False
         if parent[i] >= 0:
             map_of[i] = len(maps)
             carrying = interior.things[parent[i]]
@@ -194,7 +211,7 @@ def _shifted(thing: PlacedAsset, dx: float, dy: float) -> PlacedAsset:
     return dataclasses.replace(thing, surface=surface, low=thing.low + move, high=thing.high + move)
 
 
-def _brought_in(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[int, tuple[float, float], str]]:
+def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: SupportConfig) -> list[tuple[int, tuple[float, float], str]]:
     """What hangs is put onto its wall, and what stands outside of the room pulled in, the shortest way. Moves `stand`."""
     if interior.room is None or interior.ring is None:
         return []
@@ -203,7 +220,7 @@ def _brought_in(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[
     for i, (thing, carrier) in enumerate(zip(interior.things, interior.carriers, strict=True)):
         outcome, way = "", None
         if carrier.relation == "wall":
-            outcome, way = "hung", wall_snap(thing, interior.room, carrier)
+            outcome, way = "hung", wall_snap(thing, interior.room, carrier, supports.wall_m)
         elif interior.parent[i] < 0 and carrier.relation != "ceiling" and not interior.fixed[i]:
             ring = outline(thing.surface.vertices[np.unique(thing.surface.faces), :2])
             if outside_share(ring, interior.ring) > OUTSIDE_SHARE:

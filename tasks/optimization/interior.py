@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from tasks.optimization.solids import Solid, shell_solids
 from tasks.optimization.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering, is_fixed
 from tasks.pieces import PieceConfig, asset_pieces
 from tasks.replica import floor_ring
+from tasks.stage import Caches
 from tasks.transforms import is_rigid
 
 Array = NDArray[np.float64]
@@ -59,7 +60,7 @@ class Interior:
 
 def furnish(
     proposals: Sequence[Proposal], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], room: Room | None,
-    supports: SupportConfig, pieces: PieceConfig, caches: Mapping[str, MutableMapping[str, bytes]],
+    supports: SupportConfig, pieces: PieceConfig, caches: Caches,
 ) -> tuple[Interior, list[str]]:  # fmt: skip
     """The proposed assets in their room, and what had to be left out of it, a line each."""
     said: list[str] = []
@@ -103,7 +104,7 @@ def furnish(
 
 
 def _placed(
-    proposal: Proposal, asset: Asset, blobs: Mapping[str, bytes], config: PieceConfig, caches: Mapping[str, MutableMapping[str, bytes]]
+    proposal: Proposal, asset: Asset, blobs: Mapping[str, bytes], config: PieceConfig, caches: Caches
 ) -> tuple[PlacedAsset, Proposal, Solid]:
     """A proposal's surface in the world frame, and its convex pieces in its own, scaled.
 

@@ -7,6 +7,7 @@ make of a mesh by itself is used.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -15,8 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.optimization.solids import Body, Solid, mass_properties_of
+from tasks.transforms import pose_from_quaternion_wxyz, quaternion_wxyz
 
 Array = NDArray[np.float64]
+LONGEST_TIMESTEP_S = 0.02
+"""From here on a fall of one step goes deeper than things are thick [s]: contacts are missed or shoot things away."""
+
+
+def check_timestep(seconds: float) -> None:
+    """Refuse a timestep that no engine's contacts are stable at [s].
+
+    Raises:
+        ValueError: it is not above 0 and below `LONGEST_TIMESTEP_S`.
+    """
+    if not 0 < seconds < LONGEST_TIMESTEP_S:
+        raise ValueError(f"timestep_s: must be above 0 and below {LONGEST_TIMESTEP_S:g}, is {seconds:g}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +47,20 @@ class Mujoco:
     friction_floor: float = 1e-3  # MuJoCo takes the greater friction of a pair, and a thing's is measured against floors: let it decide
     memory_bytes: int = 2**28  # room for 10,000 contacts and more; what is not touched costs nothing
     check_steps: int = 5  # how often the state is looked at for having gone astray
+
+    def __post_init__(self) -> None:
+        check_timestep(self.timestep_s)
+        for name in ("impratio", "stiffness_s", "friction_floor"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
+        for name in ("tolerance", "sleep_m_s"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
+        for name in ("iterations", "memory_bytes", "check_steps"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
+        if len(self.impedance) != 3 or not all(0 < share < 1 for share in self.impedance[:2]) or not 0 < self.impedance[2] < math.inf:
+            raise ValueError("impedance: two shares above 0 and below 1, then a width above 0")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +99,8 @@ def simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], secon
             problems[free[row]] = problem
     settled = np.array(poses, dtype=np.float64)
     for row, i in enumerate(free):
-        settled[i] = _pose(data.qpos[7 * row : 7 * row + 7])
+        state = data.qpos[7 * row : 7 * row + 7]  # place, then quaternion (w, x, y, z)
+        settled[i] = pose_from_quaternion_wxyz(state[3:], state[:3])
     return Simulation("mujoco", mujoco.__version__, seconds, settled, depth, tuple(problems))
 
 
@@ -174,9 +203,7 @@ def _spec(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems
     for i, body in enumerate(bodies):
         if problems[i] is not None:
             continue
-        quaternion = np.zeros(4)
-        mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(poses[i][:3, :3]).ravel())
-        added = spec.worldbody.add_body(name=f"b{i}", pos=poses[i][:3, 3], quat=quaternion)
+        added = spec.worldbody.add_body(name=f"b{i}", pos=poses[i][:3, 3], quat=quaternion_wxyz(poses[i]))
         if not body.is_fixed:
             added.add_freejoint()
         properties = mass_properties_of(body.solid)
@@ -222,16 +249,3 @@ def _world_vertices(model: Any, data: Any, geom: int) -> Array:
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     turned: Array = model.mesh_vert[first : first + count].astype(np.float64) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
     return turned
-
-
-def _pose(state: Array) -> Array:
-    """Pose, 4x4 [m], of a free joint's state: place and quaternion (w, x, y, z), shape (7,)."""
-    w, x, y, z = state[3:] / np.linalg.norm(state[3:])
-    pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    pose[:3, 3] = state[:3]
-    return pose

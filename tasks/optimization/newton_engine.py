@@ -1,5 +1,8 @@
 """Newton as a second engine, in an environment of its own: it pins packages that the project has in other versions.
 
+It runs Newton's MuJoCo solver on the CPU: another model of the scene, other settings and another version of MuJoCo, but the
+same contact solver. Where both engines agree, that is a check of the model, no second opinion on the physics.
+
 Make one with `python -m venv FOLDER` and `FOLDER/bin/pip install -r requirements/newton.lock`, then name
 `FOLDER/bin/python`.
 """
@@ -7,6 +10,7 @@ Make one with `python -m venv FOLDER` and `FOLDER/bin/pip install -r requirement
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import shutil
 import subprocess
@@ -19,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.optimization.mujoco_engine import Simulation, unfit
+from tasks.optimization.mujoco_engine import Simulation, check_timestep, unfit
 from tasks.optimization.solids import Body, Solid, mass_properties_of
 from tasks.transforms import pose_from_quaternion_wxyz, quaternion_xyzw
 
@@ -43,12 +47,22 @@ class Newton:
     friction_floor: float = 1e-3  # the greater friction of a pair counts, and a thing's is measured against floors: let it decide
     timeout_s: float = 900.0  # the first run on a machine compiles kernels, up to two minutes on two cores
 
+    def __post_init__(self) -> None:
+        check_timestep(self.timestep_s)
+        for name in ("stiffness", "impratio", "friction_floor", "timeout_s"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
+        if not 0 <= self.damping < math.inf:
+            raise ValueError(f"damping: must be at least 0, is {self.damping:g}")
+        if self.iterations < 1:
+            raise ValueError(f"iterations: must be at least 1, is {self.iterations}")
+
 
 def simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], seconds: float, settings: Newton) -> Simulation:
     """Things left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given.
 
     A thing that no engine can take, or whose state diverges, has a problem and stays where it is. Penetration between two
-    fixed things is not measured.
+    fixed things is not measured. The version names Newton's and that of the solver: `1.8.0, solver MuJoCo 3.17.0`.
 
     Raises:
         InputError: the interpreter or the package is not there, or Newton fails.

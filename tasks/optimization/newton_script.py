@@ -79,7 +79,8 @@ def main(source: str, target: str) -> None:
     found = now.body_q.numpy().astype(np.float64) if links else np.zeros((0, 7))
     for number, link in links.items():
         settled[number] = found[link]
-    np.savez(target, settled=settled, depth=depth, version=np.array(newton.__version__))
+    version = f"{newton.__version__}, solver MuJoCo {mujoco.__version__}"
+    np.savez(target, settled=settled, depth=depth, version=np.array(version))
 
 
 if __name__ == "__main__":

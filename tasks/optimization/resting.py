@@ -4,13 +4,13 @@ until it rests there."""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tasks.optimization.interior import Interior
-from tasks.optimization.shapes import Shapes, Stand
+from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import mass_properties_of
 from tasks.optimization.tipping import SUNK_M, compiled, kept_shape, put_back, tip, turn_along
 
@@ -21,6 +21,9 @@ NEAR_M = 0.05
 
 SUNKEN_M = 0.03
 """A thing whose carrier's top is farther off than this may rather stand beside it [m]."""
+
+KEPT_M = 0.005
+"""A thing is still carried by what carried it when it stands this near above it [m]."""
 
 DEEP_M = 0.002
 """A penetration deeper than this is one that a simulator answers with a jolt [m]."""
@@ -45,15 +48,19 @@ def shift(shapes: Shapes, stand: Stand, group: Sequence[int], move: Sequence[flo
         compiled()["bound"](shapes, stand, body)
 
 
-def beside(interior: Interior, shapes: Shapes, stand: Stand) -> Interior:
-    """The interior, in which what stands right on the carrier of its carrier is carried by that, beside the other.
+def beside(interior: Interior, shapes: Shapes, stand: Stand, wedged: Collection[int] = ()) -> tuple[Interior, list[str]]:
+    """The interior, in which what stands right on the carrier of its carrier is carried by that, beside the other; and
+    which things those are, a line each.
 
     A can that was scanned, or pushed, into a sculpture is found far below its top, but right on the cabinet below both.
+    `wedged`: things that were found to fit nowhere on or in their carrier, whatever their height says.
     """
-    parents, carriers = interior.parent.copy(), list(interior.carriers)
+    parents, carriers, said = interior.parent.copy(), list(interior.carriers), []
+    own = [c.lift - (carriers[p].lift if p >= 0 else 0.0) for c, p in zip(carriers, parents.tolist(), strict=True)]
     for i, carrier in enumerate(carriers):
         parent = int(parents[i])
-        if parent < 0 or abs(carrier.gap) < SUNKEN_M or (carrier.relation == "inside" and _is_amid(stand, i, parent)):
+        is_on = abs(carrier.gap) < SUNKEN_M or (carrier.relation == "inside" and _is_amid(stand, i, parent))
+        if parent < 0 or (is_on and i not in wedged):
             continue
         below = int(parents[parent])
         gap = float(stand.low[i, 2])
@@ -63,14 +70,14 @@ def beside(interior: Interior, shapes: Shapes, stand: Stand) -> Interior:
             gap, _ = compiled()["least_gap"](shapes, stand, i, among, RIGHT_M)
         if abs(gap) > RIGHT_M:
             continue
-        parents[i] = below
+        parents[i], own[i] = below, -float(gap)
         name = interior.names[below] if below >= 0 else None
-        lift = -gap + (carriers[below].lift if below >= 0 else 0.0)
         relation = carriers[parent].relation if below >= 0 else "floor"
-        carriers[i] = dataclasses.replace(carrier, relation=relation, parent_id=name, gap=float(gap), lift=float(lift))
-    if (parents == interior.parent).all():
-        return interior
-    return dataclasses.replace(interior, parent=parents, carriers=tuple(carriers))
+        carriers[i] = dataclasses.replace(carrier, relation=relation, parent_id=name, gap=float(gap))
+        said.append(f"{interior.names[i]}: it stands beside {interior.names[parent]}, on {name or 'the floor'}")
+    for i, parent in enumerate(parents.tolist()):  # carriers come first, so theirs is known
+        carriers[i] = dataclasses.replace(carriers[i], lift=own[i] + (carriers[parent].lift if parent >= 0 else 0.0))
+    return dataclasses.replace(interior, parent=parents, carriers=tuple(carriers)), said
 
 
 def _is_amid(stand: Stand, thing: int, carrier: int) -> bool:
@@ -173,6 +180,19 @@ def _held_up(shapes: Shapes, stand: Stand, group: Sequence[int], others: NDArray
 def center_of_mass(interior: Interior, thing: int) -> Array:
     """Center of mass of a thing from its origin, along the world's axes as proposed [m], shape (3,)."""
     return np.asarray(interior.poses[thing][:3, :3] @ mass_properties_of(interior.solids[thing]).center)
+
+
+def lost_supports(interior: Interior, poses: Array) -> set[str]:
+    """Things that stand on what carried them, or on the floor, no more at `poses` [m], shape (n, 4, 4). A rug may lie between."""
+    shapes = shapes_of(interior.solids, poses)
+    stand = stand_of(shapes, poses[:, :3, 3])
+    lost = set()
+    for i, (name, carrier) in enumerate(zip(interior.names, interior.carriers, strict=True)):
+        if carrier.relation in ("floor", "on", "inside"):
+            gap, to_cloth = gap_to_carrier(interior, shapes, stand, i)
+            if gap > KEPT_M and not (gap <= COVERING_M and to_cloth <= KEPT_M):
+                lost.add(name)
+    return lost
 
 
 def gap_to_carrier(interior: Interior, shapes: Shapes, stand: Stand, thing: int) -> tuple[float, float]:

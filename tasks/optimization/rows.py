@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from tasks.transforms import flat
 
 Array = NDArray[np.float64]
 
+ABOVE_M = 0.15
+"""A thing may reach this far above the ceiling [m]: its height is known no better."""
+
 OUTSIDE = 0.05
 """Share of a thing outside of the floor, seen from above, from which on it is said to be outside."""
 
@@ -33,7 +36,7 @@ def placement_rows(
     scene_id: str, interior: Interior, poses: Array, certified: Sequence[Certified], method: str, remains: Mapping[str, str]
 ) -> list[Placement]:
     """Placements, by instance."""
-    settled = {row.name: row.settled_pose for row in certified if row.engine == "mujoco"}
+    settled = {row.name: row.settled_pose for row in certified if row.engine == "mujoco" and row.settled_pose is not None}
     rows = []
     for proposal, pose in zip(interior.proposals, poses, strict=True):
         name = proposal.instance.instance_id
@@ -59,8 +62,8 @@ def placement_rows(
     return sorted(rows, key=lambda row: row.instance_id)
 
 
-def support_rows(scene_id: str, interior: Interior, resolution: Resolution) -> list[Support]:
-    """What carries each thing, by instance."""
+def support_rows(scene_id: str, interior: Interior, lost: Collection[str]) -> list[Support]:
+    """What carries each thing, by instance. `lost`: the things that it carries no more at the optimized poses."""
     rows = [
         Support(
             scene_id=scene_id,
@@ -70,15 +73,20 @@ def support_rows(scene_id: str, interior: Interior, resolution: Resolution) -> l
             against=carrier.against,
             gap_m=carrier.gap + 0.0,
             is_fixed=fixed,
-            is_kept=name not in resolution.lost,
+            is_kept=name not in lost,
         )
         for name, carrier, fixed in zip(interior.names, interior.carriers, interior.fixed.tolist(), strict=True)
     ]
     return sorted(rows, key=lambda row: row.instance_id)
 
 
-def contact_rows(scene_id: str, interior: Interior, poses: Array, found: Sequence[Penetration], phase: str) -> list[Contact]:
-    """Every pair whose boxes overlap or whose pieces penetrate, and what sticks in the room's shell, at poses (n, 4, 4)."""
+def contact_rows(
+    scene_id: str, interior: Interior, poses: Array, found: Sequence[Penetration], phase: str, allowed: Mapping[tuple[str, str], float]
+) -> list[Contact]:
+    """Every pair whose boxes overlap or whose pieces penetrate, and what sticks in the room's shell, at poses (n, 4, 4).
+
+    `allowed`: depths to which things may be in parts of the room [m] (`allowed_depths`).
+    """
     n, names = len(interior.things), interior.names
     if not n:
         return []
@@ -88,7 +96,6 @@ def contact_rows(scene_id: str, interior: Interior, poses: Array, found: Sequenc
     sides = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])
     deep = {(p.a, p.b): p.depth_m for p in found}
     boxes = {(names[i], names[j]): float(volumes[i, j]) for i, j in np.argwhere(np.triu((sides > TOUCH_M).all(axis=2), 1)).tolist()}
-    fixed = {name for name, carrier in zip(names, interior.carriers, strict=True) if carrier.is_fixed}
     known = set(names)
     rows = []
     for a, b in {*deep, *boxes}:
@@ -102,26 +109,41 @@ def contact_rows(scene_id: str, interior: Interior, poses: Array, found: Sequenc
                 body_b=second,
                 box_overlap_m3=boxes.get((a, b), 0.0),
                 penetration_m=deep.get((a, b), 0.0),
-                is_allowed=is_room and a in fixed,
+                is_allowed=deep.get((a, b), 0.0) <= allowed.get((a, b), -1.0) + DEEP_M,
             )
         )
     return sorted(rows, key=lambda row: (row.instance_a, row.body_b))
 
 
-def remains_of(interior: Interior, poses: Array, after: Sequence[Penetration], resolution: Resolution) -> dict[str, str]:
+def allowed_depths(interior: Interior, before: Sequence[Penetration]) -> dict[tuple[str, str], float]:
+    """How deep fixed things, which hang or are built in, were in parts of the room as proposed [m], by (thing, part).
+
+    So deep they may stay: they are let into a wall or set against it, and the room's shell is only an estimate.
+    """
+    known = set(interior.names)
+    fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
+    return {(p.a, p.b): p.depth_m for p in before if p.a in fixed and p.b not in known}
+
+
+def remains_of(
+    interior: Interior, poses: Array, after: Sequence[Penetration], resolution: Resolution, lost: Collection[str],
+    allowed: Mapping[tuple[str, str], float],
+) -> dict[str, str]:  # fmt: skip
     """What is still wrong with things at their optimized poses, by instance, one line each."""
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     known = set(interior.names)
     lines: dict[str, list[str]] = {name: [] for name in interior.names}
     for name, text in resolution.problems.items():
         lines[name].append(text)
+    for name in sorted(set(lost) - set(resolution.problems)):
+        lines[name].append("what carried it carries it no more")
     for i, (name, carrier) in enumerate(zip(interior.names, interior.carriers, strict=True)):
         if interior.proposals[i].pose[2, 2] < UPSIDE_DOWN:
             lines[name].append("it stands upside down, as it was proposed")
         if carrier.relation == "none":
             lines[name].append(f"nothing carries it; it hangs {carrier.gap:.2f} m above the floor")
     for found in sorted(after, key=lambda p: -p.depth_m):
-        if found.depth_m > DEEP_M and (found.b in known or found.a not in fixed):
+        if found.depth_m > DEEP_M and found.depth_m > allowed.get((found.a, found.b), -1.0) + DEEP_M:
             lines[found.a].append(f"{100 * found.depth_m:.1f} cm in {found.b}")
             if found.b in known:
                 lines[found.b].append(f"{100 * found.depth_m:.1f} cm in {found.a}")
@@ -133,6 +155,11 @@ def remains_of(interior: Interior, poses: Array, after: Sequence[Penetration], r
             share = outside_share(ring, interior.ring)
             if share > OUTSIDE:
                 lines[thing.instance_id].append(f"{100 * share:.0f} % of it lies outside of the room")
+    if interior.room is not None:
+        for i, solid in enumerate(interior.solids):
+            top = max(float(hull.vertices[:, 2].max()) for hull in solid.placed(poses[i]))
+            if top > interior.room.height_m + ABOVE_M and solid.name not in fixed:
+                lines[solid.name].append(f"it reaches {top - interior.room.height_m:.2f} m above the ceiling")
     return {name: "; ".join(texts) for name, texts in sorted(lines.items()) if texts}
 
 

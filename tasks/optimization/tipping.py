@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.optimization import shapes as geometry
-from tasks.optimization.shapes import Shapes, Stand, bound, pair_depth, piece_gap, span
+from tasks.optimization.shapes import Shapes, Stand, pair_depth, piece_gap, span
+from tasks.transforms import rotation_of
 
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -92,7 +93,7 @@ def tip(shapes: Shapes, stand: Stand, body: int, center: Array, among: Booleans,
                 continue
             if angle < 2.0 * LEAST_TURN:
                 return Tip(rotation, stand.place[body] - start)  # wedged: what it leans on holds it
-        turned = _rotation(axis, angle)
+        turned = rotation_of(angle * axis)
         rotation = turned @ rotation
         _turn(shapes, stand, body, turned, pivot)
         if rotation[2, 2] < np.cos(most):
@@ -162,7 +163,7 @@ def _free_turn(shapes: Shapes, stand: Stand, body: int, among: Booleans, pivot: 
     def fits(angle: float) -> bool:
         vertices, normals = kept_shape(shapes, body)
         start = stand.place[body].copy()
-        _turn(shapes, stand, body, _rotation(axis, angle), pivot)
+        _turn(shapes, stand, body, rotation_of(angle * axis), pivot)
         gap, _ = compiled()["least_gap"](shapes, stand, body, among, SUNK_M)
         deep = compiled()["deepest"](shapes, stand, body, among, held) if min(gap, stand.low[body, 2]) >= -TOUCH_M else np.inf
         put_back(shapes, stand, body, vertices, normals, start)
@@ -204,13 +205,6 @@ def _move(stand: Stand, shapes: Shapes, body: int, move: Array) -> None:
     """Shift a body [m]."""
     stand.place[body] += move
     compiled()["bound"](shapes, stand, body)
-
-
-def _rotation(axis: Array, angle: float) -> Array:
-    """Rotation about a unit axis (Rodrigues), shape (3, 3)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross))
 
 
 def _turn(shapes: Shapes, stand: Stand, body: int, rotation: Array, pivot: Array) -> None:
@@ -353,4 +347,4 @@ def deepest(shapes: Shapes, stand: Stand, body: int, among: Any, slop: float) ->
     return found
 
 
-__all__ = ["Tip", "bound", "kept_shape", "put_back", "tip", "turn_along"]
+__all__ = ["Tip", "kept_shape", "put_back", "tip", "turn_along"]

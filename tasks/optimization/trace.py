@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from schemas.optimization import APPLIED, OptimizationStep, Placement, Support
 from tasks.optimization.interior import Interior
 from tasks.optimization.supports import descendants
+from tasks.transforms import rotation_of
 
 Array = NDArray[np.float64]
 
@@ -37,8 +37,7 @@ class Step:
 class Resolution:
     """What a method came to: its steps, the loss at rest and in the end in the method's unit, how many moves were tried
     by how many chains, why it ended (as `optimizations.ended` has it), what could not be put right, a line each, the
-    same by thing, the things that what carried them carries no more, and the interior
-    when it was found that other things carry some than was thought."""
+    same by thing, the interior where it was found that other things carry some than was thought, and those, a line each."""
 
     steps: tuple[Step, ...]
     start: float
@@ -48,8 +47,8 @@ class Resolution:
     ended: str
     said: tuple[str, ...]
     problems: Mapping[str, str]
-    lost: frozenset[str] = frozenset()
     interior: Interior | None = None
+    noted: tuple[str, ...] = ()
 
 
 def step_rows(scene_id: str, start: float, steps: Sequence[Step]) -> list[OptimizationStep]:
@@ -115,23 +114,3 @@ def moved_poses(poses: Mapping[str, Array], parents: Mapping[str, str | None], m
         pose[:3, :3], pose[:3, 3] = turned[name], place[name]
         moved[name] = pose
     return moved
-
-
-def rotation_of(turn: Sequence[float]) -> Array:
-    """Rotation, shape (3, 3), of a rotation vector [rad] (Rodrigues)."""
-    x, y, z = (float(v) for v in turn)
-    angle = math.sqrt(x * x + y * y + z * z)
-    if angle == 0.0:
-        return np.eye(3)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross))
-
-
-def rotation_vector(rotation: Array) -> tuple[float, float, float]:
-    """Rotation vector [rad] of a rotation by less than half a turn, shape (3, 3)."""
-    axis = 0.5 * np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        return 0.0, 0.0, 0.0
-    x, y, z = axis / sine * math.atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))
-    return float(x), float(y), float(z)
