@@ -28,7 +28,10 @@ class Placement:
     proposed_pose: tuple[float, ...] = column("Asset to world frame as proposed, 4x4 row by row", unit="m", length=16)
     optimized_pose: tuple[float, ...] = column("Asset to world frame after optimization, 4x4 row by row", unit="m", length=16)
     settled_pose: tuple[float, ...] | None = column(
-        "Asset to world frame after 2 s under gravity in MuJoCo, 4x4 row by row; missing when no certificate was made", unit="m", length=16
+        "Asset to world frame after the certificate's simulated time under gravity in MuJoCo, 4x4 row by row; missing when MuJoCo did not "
+        "simulate it",
+        unit="m",
+        length=16,
     )
     displacement_m: float = column("Horizontal distance between the proposed and the optimized pose", unit="m", minimum=0)
     lift_m: float = column("Optimized height minus proposed height", unit="m")
@@ -116,18 +119,39 @@ class Certificate:
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
     engine: str = column("Physics engine", values=("mujoco", "newton"))
-    engine_version: str = column("Version of the engine")
+    engine_version: str = column(
+        "Version of the engine; Newton's says which solver it ran, MuJoCo's own, so that the two engines are no independent opinions"
+    )
     simulated_seconds: float = column("Simulated time", unit="s", minimum=0)
     is_fixed: bool = column("It could not move: it hangs on a wall or ceiling, or is built in")
-    displacement_m: float = column("Distance between the optimized and the settled place of the asset's origin", unit="m", minimum=0)
-    tilt_radians: float = column("Angle between the upright axes before and after", unit="rad", minimum=0)
-    start_penetration_m: float = column("Deepest penetration with anything at the optimized pose, by the engine", unit="m", minimum=0)
-    is_stable_1cm: bool = column("Moved by no more than 1 cm")
-    is_stable_5cm: bool = column("Moved by no more than 5 cm and tilted by no more than 5 degrees")
-    settled_pose: tuple[float, ...] = column("Asset to world frame at the end, 4x4 row by row", unit="m", length=16)
-    mass_kg: float = column("Mass", unit="kg", minimum=0)
-    solid_volume_m3: float = column("Volume of the union of the convex pieces", unit="m3", minimum=0)
-    density_kg_m3: float = column("Mass over solid volume", unit="kg/m3", minimum=0)
-    density_low_kg_m3: float = column("Least density that its material allows", unit="kg/m3", minimum=0)
-    density_high_kg_m3: float = column("Greatest density that its material allows", unit="kg/m3", minimum=0)
-    is_density_plausible: bool = column("The density lies between those bounds")
+    problem: str | None = column("Why the engine could not simulate it; then where it goes is not known, and both verdicts are false")
+    displacement_m: float | None = column(
+        "Distance between the optimized and the settled place of the asset's origin; missing with a problem", unit="m", minimum=0
+    )
+    tilt_radians: float | None = column(
+        "Angle between the upright axes before and after; turning about that axis counts neither here nor in the verdicts; missing with "
+        "a problem",
+        unit="rad",
+        minimum=0,
+    )
+    start_penetration_m: float | None = column(
+        "Deepest penetration with anything at the optimized pose, by the engine; missing with a problem", unit="m", minimum=0
+    )
+    is_stable_1cm: bool = column("The asset's origin moved by no more than 1 cm; the tilt is not looked at")
+    is_stable_5cm: bool = column("The asset's origin moved by no more than 5 cm, and it tilted by no more than 5 degrees")
+    settled_pose: tuple[float, ...] | None = column(
+        "Asset to world frame at the end, 4x4 row by row; missing with a problem", unit="m", length=16
+    )
+    mass_kg: float = column("Mass; 0 when it is not known", unit="kg", minimum=0)
+    solid_volume_m3: float = column("Volume of the union of the convex pieces; 0 when they enclose none", unit="m3", minimum=0)
+    density_kg_m3: float = column("Mass over solid volume; 0 when either is 0", unit="kg/m3", minimum=0)
+    density_low_kg_m3: float | None = column(
+        "1 % of the least density of its lightest material, 0.4 % for fabric and foliage: things are hollow where their pieces are solid; "
+        "missing when no material is known",
+        unit="kg/m3",
+        minimum=0,
+    )
+    density_high_kg_m3: float | None = column(
+        "Greatest density of its densest material; missing when no material is known", unit="kg/m3", minimum=0
+    )
+    is_density_plausible: bool | None = column("The density lies between those bounds; missing when it or they are not known")

@@ -158,10 +158,13 @@ def _stage_object(lake: Lake, rows: dict[str, list[Any]], scene_id: str, index: 
     rows["placements"].append(placement)
     rows["supports"].append(sample(Support, **of, relation="floor", gap_m=0.0, is_fixed=index == 0, is_kept=True))
     moved = 0.5 if index == 3 else 0.001
+    problem = "its pieces have no volume" if index == 0 else None
     rows["certificates"].append(
         sample(
-            Certificate, **of, engine="mujoco", engine_version="4.0.0", is_fixed=index == 0, displacement_m=moved, tilt_radians=0.1 * moved,
-            start_penetration_m=0.0, is_stable_1cm=moved <= 0.01, is_stable_5cm=moved <= 0.05, is_density_plausible=True,
+            Certificate, **of, engine="mujoco", engine_version="4.0.0", is_fixed=index == 0, problem=problem,
+            displacement_m=None if problem else moved, tilt_radians=None if problem else 0.1 * moved,
+            start_penetration_m=None if problem else 0.0, is_stable_1cm=problem is None and moved <= 0.01,
+            is_stable_5cm=problem is None and moved <= 0.05, is_density_plausible=True,
         )
     )  # fmt: skip
     return placed_parts(placement, glb)

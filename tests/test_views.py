@@ -133,6 +133,10 @@ def runs(draw: st.DrawFn) -> list[StageRun]:
     return rows
 
 
+def degrees(radians: float | None) -> float | None:
+    return None if radians is None else math.degrees(radians)
+
+
 def of(rows: Sequence[Any], record: type) -> list[Any]:
     return [row for row in rows if type(row) is record]
 
@@ -285,6 +289,7 @@ def test_runs_and_times_agree_with_the_history_of_the_lake(database: Database, h
     assert {(row["stage"], row["degradation"]): row["times"] for row in database.ask("degradation_counts")} == dict(degraded)
 
 
+OUTCOMES = next(column.values for column in table_of(OptimizationStep).columns if column.name == "outcome")
 PAIRS = [("0000", "0001"), ("0000", "wall_00"), ("0001", "floor")]
 
 
@@ -293,7 +298,7 @@ def physics(draw: st.DrawFn) -> list[Any]:
     """What the optimization wrote of some scenes: steps, contacts, placements, supports, certificates."""
     rows: list[Any] = []
     for scene in SCENES[:2]:
-        steps = draw(st.lists(st.sampled_from(["kept", "rested", "reverted", "left_room"]), max_size=5))
+        steps = draw(st.lists(st.sampled_from(OUTCOMES[1:]), max_size=9))
         for step, outcome in enumerate(["start", *steps]):
             rows.append(sample(OptimizationStep, scene_id=scene, step=step, outcome=outcome))
         for phase, (first, second) in draw(
@@ -315,14 +320,17 @@ def physics(draw: st.DrawFn) -> list[Any]:
                 )
             )  # fmt: skip
             for engine in draw(st.lists(st.sampled_from(["mujoco", "newton"]), unique=True)):
-                density, low = draw(EXACT), draw(EXACT)
-                high = low + draw(EXACT)
+                density, bounds = draw(EXACT), draw(st.none() | st.tuples(EXACT, EXACT))
+                low, high = (None, None) if bounds is None else (bounds[0], sum(bounds))
+                problem = draw(st.sampled_from([None, None, None, "its state diverges"]))
+                far, tilt, depth = (None if problem else draw(EXACT) for _ in range(3))
                 rows.append(
                     sample(
-                        Certificate, **place, engine=engine, displacement_m=draw(EXACT), tilt_radians=draw(EXACT),
-                        start_penetration_m=draw(EXACT), is_fixed=draw(st.booleans()), is_stable_1cm=draw(st.booleans()),
-                        is_stable_5cm=draw(st.booleans()), density_kg_m3=density, density_low_kg_m3=low, density_high_kg_m3=high,
-                        is_density_plausible=low <= density <= high,
+                        Certificate, **place, engine=engine, problem=problem, displacement_m=far, tilt_radians=tilt,
+                        start_penetration_m=depth, is_fixed=draw(st.booleans()), is_stable_1cm=problem is None and draw(st.booleans()),
+                        is_stable_5cm=problem is None and draw(st.booleans()), density_kg_m3=density, density_low_kg_m3=low,
+                        density_high_kg_m3=high,
+                        is_density_plausible=None if low is None or high is None or not density else low <= density <= high,
                     )
                 )  # fmt: skip
         if draw(st.booleans()):
@@ -373,17 +381,21 @@ def test_stability_counts_the_free_and_names_those_that_fail(database: Database,
     for key, group in groups.items():
         free = [c for c in group if not c.is_fixed]
         one, five = sum(c.is_stable_1cm for c in free), sum(c.is_stable_5cm for c in free)
-        worst = max((c.displacement_m for c in free), default=None)
+        known = [c for c in free if c.problem is None]
+        worst = max((c.displacement_m for c in known), default=None)
         same(
             answer[key], objects=len(group), free=len(free), fixed=len(group) - len(free), fixed_share=1 - len(free) / len(group),
             stable_1cm=one, stable_5cm=five, stable_1cm_share=one / len(free) if free else None,
             stable_5cm_share=five / len(free) if free else None, worst_displacement_m=worst,
-            worst_tilt_degrees=math.degrees(max(c.tilt_radians for c in free)) if free else None,
-            deepest_start_penetration_m=max((c.start_penetration_m for c in free), default=None),
-            uncertified=sum(p.scene_id == key[0] for p in of(rows, Placement)) - len(group),
+            worst_tilt_degrees=math.degrees(max(c.tilt_radians for c in known)) if known else None,
+            deepest_start_penetration_m=max((c.start_penetration_m for c in known), default=None),
+            refused=sum(c.problem is not None for c in group),
+            uncertified=sum(p.scene_id == key[0] for p in of(rows, Placement)) - sum(c.problem is None for c in group),
         )  # fmt: skip
-        assert not free or answer[key]["worst_instance_id"] in {c.instance_id for c in free if c.displacement_m == worst}
-    failing = {(c.scene_id, c.instance_id, c.engine): c for group in groups.values() for c in group if not c.is_fixed}
+        assert answer[key]["worst_instance_id"] in {c.instance_id for c in known if c.displacement_m == worst} | (
+            {None} if not known else set()
+        )
+    failing = {(c.scene_id, c.instance_id, c.engine): c for group in groups.values() for c in group if c.problem or not c.is_fixed}
     failing = {key: c for key, c in failing.items() if not (c.is_stable_1cm and c.is_stable_5cm)}
     named = by_key(database.ask("unstable_objects"), "scene_id", "instance_id", "engine")
     assert named.keys() == failing.keys()
@@ -394,10 +406,11 @@ def test_stability_counts_the_free_and_names_those_that_fail(database: Database,
     for key, row in named.items():
         same(
             row, category=category[key[:2]], support=support[key[:2]], remains=placed[key[:2]], fails_5cm=not failing[key].is_stable_5cm,
-            displacement_m=failing[key].displacement_m, tilt_degrees=math.degrees(failing[key].tilt_radians),
+            displacement_m=failing[key].displacement_m, problem=failing[key].problem,
+            tilt_degrees=degrees(failing[key].tilt_radians),
         )  # fmt: skip
     assert [row["displacement_m"] for row in database.ask("unstable_objects")] == sorted(
-        (c.displacement_m for c in failing.values()), reverse=True
+        (c.displacement_m for c in failing.values()), key=lambda far: (far is not None, -(far or 0.0))
     )
     mujoco = [c for (_, engine), group in groups.items() if engine == "mujoco" for c in group if not c.is_fixed]
     pairs = sum(depth > 0.002 for scene in SCENES for depth in deep(rows, scene, "optimized"))
@@ -421,13 +434,14 @@ def test_a_scene_is_plausible_when_nothing_speaks_against_it(database: Database,
         for engine in sorted({c.engine for c in certificates if c.scene_id == scene}) or [None]:
             expected.add((scene, engine))
             held = {c.instance_id: c for c in certificates if (c.scene_id, c.engine) == (scene, engine)}
+            simulated = {name for name, c in held.items() if c.problem is None}
             fallen = sum(not c.is_fixed and not c.is_stable_5cm for c in held.values())
             pairs = sum(d > 0.002 for d in deep(rows, scene, "optimized"))
             same(
-                answer[scene, engine], uncertified=len(placed - held.keys()), deep_pairs=pairs, unstable_5cm=fallen if engine else None,
+                answer[scene, engine], uncertified=len(placed - simulated), deep_pairs=pairs, unstable_5cm=fallen if engine else None,
                 lost_supports=sum(s.scene_id == scene and not s.is_kept for s in of(rows, Support)),
-                implausible_densities=sum(not c.is_density_plausible for c in held.values()), remains=len(made.remains),
-                is_plausible=engine is not None and not pairs and not fallen and held.keys() == placed,
+                implausible_densities=sum(c.is_density_plausible is False for c in held.values()), remains=len(made.remains),
+                is_plausible=engine is not None and not pairs and not fallen and simulated == placed,
             )  # fmt: skip
     assert answer.keys() == expected
 
@@ -445,9 +459,12 @@ def test_densities_supports_and_what_remains(database: Database, rows: list[Any]
     for name, row in densities.items():
         having = [c for key, c in weighed.items() if category[key] == name]
         same(
-            row, objects=len(having), implausible=sum(not c.is_density_plausible for c in having),
-            median_density_kg_m3=float(np.median([c.density_kg_m3 for c in having])),
-            allowed_from_kg_m3=min(c.density_low_kg_m3 for c in having), allowed_to_kg_m3=max(c.density_high_kg_m3 for c in having),
+            row, objects=len(having), implausible=sum(c.is_density_plausible is False for c in having),
+            without_verdict=sum(c.is_density_plausible is None for c in having),
+            median_density_kg_m3=float(np.median(known)) if (known := [c.density_kg_m3 for c in having if c.density_kg_m3]) else None,
+            least_density_kg_m3=min(known, default=None), greatest_density_kg_m3=max(known, default=None),
+            allowed_from_kg_m3=min((c.density_low_kg_m3 for c in having if c.density_low_kg_m3 is not None), default=None),
+            allowed_to_kg_m3=max((c.density_high_kg_m3 for c in having if c.density_high_kg_m3 is not None), default=None),
         )  # fmt: skip
         assert row["too_light"] + row["too_heavy"] == row["implausible"]
     supports = of(rows, Support)
@@ -503,7 +520,9 @@ def choices(draw: st.DrawFn) -> list[Any]:
                 rows.append(sample(Placement, **place, asset_id=asset, displacement_m=draw(EXACT), lift_m=-draw(EXACT)))
                 rows.append(sample(Support, **place, relation=draw(st.sampled_from(RELATIONS)), is_fixed=draw(st.booleans())))
                 for engine in draw(st.lists(st.sampled_from(["mujoco", "newton"]), unique=True)):
-                    rows.append(sample(Certificate, **place, engine=engine, displacement_m=draw(EXACT), tilt_radians=draw(EXACT)))
+                    moved = draw(st.none() | EXACT)
+                    turned = None if moved is None else draw(EXACT)
+                    rows.append(sample(Certificate, **place, engine=engine, displacement_m=moved, tilt_radians=turned))
             for batch in range(draw(st.integers(0, 2))):
                 choice = draw(st.sampled_from([None, *ASSETS]))
                 when = START + timedelta(days=batch)
@@ -564,7 +583,7 @@ def test_one_row_per_object_and_what_is_known_of_it(database: Database, rows: li
             displacement_m=placement.displacement_m if placement else None, score=scores[(*key, placement.asset_id)] if placement else None,
             support=supports[key].relation if key in supports else None, is_fixed=supports[key].is_fixed if key in supports else None,
             settled_displacement_m=certified[key].displacement_m if key in certified else None,
-            settled_tilt_degrees=math.degrees(certified[key].tilt_radians) if key in certified else None,
+            settled_tilt_degrees=degrees(certified[key].tilt_radians) if key in certified else None,
         )  # fmt: skip
     for row in database.ask("mass_by_category"):
         masses = [captions[key].mass_kg for key, one in answer.items() if one["category"] == row["category"] and key in captions]

@@ -1,12 +1,14 @@
 -- How many objects of each scene stay where they were put, left alone under gravity?
 -- Shares, the worst and the deepest are of the free objects; those that hang or are built in cannot fail, so their share is given beside.
--- An object that was placed but has no certificate of that engine is uncertified.
+-- An object that was placed but has no certificate of that engine is uncertified; so is one that the engine could not simulate, which,
+-- if it is free, is not stable either.
 WITH judged AS (
     SELECT
         scene_id,
         engine,
         min(engine_version) AS engine_version,
         count(*) AS objects,
+        count(*) FILTER (problem IS NOT NULL) AS refused,
         count(*) FILTER (NOT is_fixed) AS free,
         count(*) FILTER (is_fixed) AS fixed,
         count(*) FILTER (NOT is_fixed AND is_stable_1cm) AS stable_1cm,
@@ -39,7 +41,8 @@ SELECT
     judged.worst_displacement_m,
     judged.worst_tilt_degrees,
     judged.deepest_start_penetration_m,
-    greatest(coalesce(placed.objects, 0) - judged.objects, 0) AS uncertified
+    judged.refused,
+    greatest(coalesce(placed.objects, 0) - judged.objects, 0) + judged.refused AS uncertified
 FROM judged
 LEFT JOIN placed USING (scene_id)
 ORDER BY judged.scene_id, judged.engine

@@ -1,5 +1,6 @@
--- Which objects do not stay where they were put, and what carries them?
--- All that moved by more than 1 cm; those that also fail at 5 cm or 5 degrees are marked.
+-- Which objects are not known to stay where they were put, and what carries them?
+-- First all that the engine could not simulate, then the free ones that moved by more than 1 cm or tilted by more than 5 degrees; those
+-- that fail at 5 cm or 5 degrees are marked.
 SELECT
     certificates.scene_id,
     certificates.instance_id,
@@ -11,10 +12,12 @@ SELECT
     degrees(certificates.tilt_radians) AS tilt_degrees,
     certificates.start_penetration_m,
     NOT certificates.is_stable_5cm AS fails_5cm,
+    certificates.problem,
     placements.remains
 FROM certificates
 LEFT JOIN instances USING (scene_id, instance_id)
 LEFT JOIN supports USING (scene_id, instance_id)
 LEFT JOIN placements USING (scene_id, instance_id)
-WHERE NOT certificates.is_fixed AND NOT (certificates.is_stable_1cm AND certificates.is_stable_5cm)
-ORDER BY certificates.displacement_m DESC, certificates.scene_id, certificates.instance_id, certificates.engine
+WHERE certificates.problem IS NOT NULL
+    OR (NOT certificates.is_fixed AND NOT (certificates.is_stable_1cm AND certificates.is_stable_5cm))
+ORDER BY certificates.displacement_m DESC NULLS FIRST, certificates.scene_id, certificates.instance_id, certificates.engine
