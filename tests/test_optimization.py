@@ -590,6 +590,42 @@ def test_a_thing_larger_than_the_room(method: Paper | Default) -> None:
 
 
 @METHODS
+def test_a_thing_higher_than_the_room_is_said(method: Paper | Default) -> None:
+    scene = Scene()
+    high = scene.add(block(0.6, 1.0, 5.0), np.eye(4), "wardrobe")
+    outcome, summary = timed(scene, method)
+    assert "2.50 m above the ceiling" in (remains(outcome)[high] or "")
+    assert any(line.startswith(high) for line in summary.remains)
+
+
+def test_what_is_built_in_stays_where_it_is_and_others_give_way() -> None:
+    scene = Scene()
+    toilet = scene.add(block(0.5, 0.4, 0.7), translation([0.3, 1.0, 0.0]), "toilet")
+    sofa = scene.add(block(0.8, 1.6, 0.8), translation([0.9, 1.0, 0.0]), "sofa")
+    outcome, summary = timed(scene, Default())
+    after, before = poses_of(outcome), poses_of(outcome, "proposed")
+    assert np.array_equal(after[toilet], before[toilet])
+    assert after[sofa][0, 3] - before[sofa][0, 3] == pytest.approx(0.05, abs=0.02), "beside the toilet, and no farther"
+    assert summary.ended == "zero_loss"
+    assert summary.deep_pairs == 0
+
+
+def test_what_was_pushed_into_another_thing_stands_beside_it() -> None:
+    scene = Scene()
+    table = scene.add(TABLE, np.eye(4), "table")
+    pedestal = scene.add(block(0.2, 0.2, 0.08), translation([0.2, 0.0, 0.75]), "sculpture")
+    can = scene.add(block(0.07, 0.07, 0.12), translation([0.28, 0.0, 0.75]), "can")
+    outcome, summary = timed(scene, Default())
+    supports = {row.instance_id: row for row in outcome.rows["supports"]}
+    assert supports[can].parent_id == table
+    assert supports[can].is_kept
+    assert f"{can}: it stands beside {pedestal}, on {table}" in outcome.degradations
+    assert summary.deep_pairs == 0
+    moved = {name: np.linalg.norm((poses_of(outcome)[name] - poses_of(outcome, "proposed")[name])[:2, 3]) for name in (can, pedestal)}
+    assert sum(moved.values()) == pytest.approx(0.055, abs=0.02), "as far as they overlapped"
+
+
+@METHODS
 def test_too_few_steps_are_said(method: Paper | Default) -> None:
     few = dataclasses.replace(method, **({"max_steps": 3} if isinstance(method, Paper) else {"max_moves": 3, "chains": 2}))  # type: ignore[arg-type]
     scene = Scene()

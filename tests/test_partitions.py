@@ -386,3 +386,20 @@ def test_no_move_pushes_an_asset_into_a_wall(seed: int) -> None:
         (summary,) = kept.rows["optimizations"]
         assert summary.loss_final < summary.loss_start
         assert summary.loss_final == 0.0 or isinstance(method, Paper)
+
+
+def test_furniture_across_floor_that_was_seen_in_patches_belongs_to_the_room() -> None:
+    """Two patches of floor, a bed between them that reaches over both, and nothing else."""
+    patches = [("floor", plate([0, 0, 0], [1.5, 0, 0], [0, 3.0, 0])), ("floor", plate([3.0, 0, 0], [1.0, 0, 0], [0, 3.0, 0]))]
+    shape = estimated([*patches, solid_piece("bed", (1.6, 0.5, 0.0), (2.9, 2.5, 0.6))])
+    room = shapely.Polygon(shape.polygon)
+    assert room.covers(shapely.box(1.7, 0.6, 2.8, 2.4))
+    assert room.covers(shapely.box(0.1, 0.1, 1.4, 2.9))
+
+
+def test_furniture_behind_a_wall_belongs_to_another_room() -> None:
+    """A wardrobe of the next room, seen through the door, 70 cm behind a wall."""
+    behind = solid_piece("wardrobe", (WIDTH + 0.7, 1.0, 0.0), (WIDTH + 2.2, 3.4, 2.0))
+    alone, both = estimated(shell()), estimated([*shell(), behind])
+    assert both.area == pytest.approx(alone.area, rel=0.01)
+    assert not any("furniture" in note for note in both.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from flows.pool import ONE_THREAD, WorkerLost, WorkerPool, WorkerTimeout
+from flows.pool import ONE_THREAD, WorkerLost, WorkerPool, WorkerTimeout, spread_over
 from tests.conftest import REPOSITORY
 
 LIMIT = 60.0
@@ -49,6 +50,35 @@ def end_with(code: int) -> None:
 
 def kill_yourself() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def squared(number: int) -> tuple[int, int]:
+    return number**2, os.getpid()
+
+
+def die_once(path: str) -> str:
+    """Dies at the first call, wherever that is but in the worker itself."""
+    if multiprocessing.parent_process() is not None and not Path(path).exists():
+        Path(path).touch()
+        kill_yourself()
+    return path
+
+
+def spread_twice(path: str) -> tuple[int, list[tuple[int, int]], list[str], list[tuple[int, int]]]:
+    """What a worker gets from processes of its own: before one of them dies, when it does, and after."""
+    spread = spread_over(2)
+    return os.getpid(), spread(squared, range(6)), spread(die_once, [path, path]), spread(squared, range(4))
+
+
+def test_a_worker_spreads_work_over_its_own_processes_and_survives_the_loss_of_one(pool: WorkerPool, tmp_path: Path) -> None:
+    path = str(tmp_path / "died")
+    own, first, lost, again = pool.call(spread_twice, path, timeout=2 * LIMIT)
+    assert [value for value, _ in first] == [n**2 for n in range(6)]
+    assert own not in {process for _, process in first}
+    assert lost == [path, path], "done in turn by the worker"
+    assert [value for value, _ in again] == [n**2 for n in range(4)]
+    assert own not in {process for _, process in again}, "new processes"
+    assert spread_over(1)(squared, [3]) == [(9, os.getpid())]
 
 
 def test_a_worker_that_dies_is_reported_and_the_pool_goes_on(pool: WorkerPool) -> None:
