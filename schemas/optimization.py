@@ -120,7 +120,7 @@ class Certificate:
     instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
     engine: str = column("Physics engine", values=("mujoco", "newton"))
     engine_version: str = column(
-        "Version of the engine; Newton's says which solver it ran, MuJoCo's own, so that the two engines are no independent opinions"
+        "Version of the engine; Newton's names the solver that it ran: with MuJoCo's own, the two engines are no independent opinions"
     )
     simulated_seconds: float = column("Simulated time", unit="s", minimum=0)
     is_fixed: bool = column("It could not move: it hangs on a wall or ceiling, or is built in")

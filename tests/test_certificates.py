@@ -412,7 +412,7 @@ def test_zero_is_refused_where_it_means_nothing() -> None:
     for name in ("timestep_s", "impratio", "stiffness_s", "friction_floor", "iterations", "memory_bytes", "check_steps"):
         with pytest.raises(ValueError, match=f"^{name}: "):
             Mujoco(**{name: 0})
-    for name in ("timestep_s", "impratio", "stiffness", "friction_floor", "iterations", "timeout_s"):
+    for name in ("timestep_s", "impratio", "stiffness", "friction_floor", "iterations", "xpbd_iterations", "timeout_s"):
         with pytest.raises(ValueError, match=f"^{name}: "):
             Newton(**{name: 0})
     for impedance in ((0.9, 0.99), (0.9, 1.0, 0.001), (0.0, 0.99, 0.001), (0.9, 0.99, 0.0)):
@@ -421,6 +421,8 @@ def test_zero_is_refused_where_it_means_nothing() -> None:
     for seconds in (0.0, 0.003):
         with pytest.raises(ValueError, match=r"^seconds: must be "):
             CertificateConfig(seconds=seconds)
+    with pytest.raises(ValueError, match=r"^solver: must be mujoco or xpbd, is 'bullet'$"):
+        Newton(solver="bullet")  # type: ignore[arg-type]
     assert Mujoco(sleep_m_s=0.0, tolerance=0.0).sleep_m_s == 0.0
     assert not {"near_m", "far_m", "far_tilt_radians"} & {field.name for field in dataclasses.fields(CertificateConfig)}
 

@@ -6,6 +6,7 @@ import dataclasses
 import os
 import sys
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -89,8 +90,8 @@ def python() -> str:
     return path
 
 
-@pytest.fixture(scope="module")
-def both(python: str) -> list[tuple[Certified, Certified]]:
+@pytest.fixture(scope="module", params=["mujoco", "xpbd"])
+def both(python: str, request: pytest.FixtureRequest) -> list[tuple[Certified, Certified]]:
     """What MuJoCo and Newton say of things at rest, in the air, on an edge, fixed, refused."""
     placed: list[tuple[object, Array]] = [
         (table(), np.eye(4)), (cube("0002"), translation([-0.3, 0.4, 0.74])), (cube("0003"), translation([0.3, -0.3, 0.77])),
@@ -99,7 +100,7 @@ def both(python: str) -> list[tuple[Certified, Certified]]:
         (cube("0008"), translation([2.8495, -1.2, 0.0])), (cube("0009"), translation([-2.851, -1.0, 0.0])),
         (body("0010", FLAT), translation([1.0, 1.0, 0.1])), (body("0011", box((0.3, 0.3, 0.3))), yaw_pose(0.2, [-1.5, -1.5, 0.0])),
     ]  # fmt: skip
-    config = CertificateConfig(newton=Newton(python=python))
+    config = CertificateConfig(newton=Newton(python=python, solver=request.param))
     found = certify([b for b, _ in placed], np.array([p for _, p in placed]), shell_solids(room_of()), config)  # type: ignore[misc]
     half = len(placed)
     assert [one.engine for one in found] == ["mujoco"] * half + ["newton"] * half
@@ -115,9 +116,12 @@ def test_the_engines_agree(both: list[tuple[Certified, Certified]]) -> None:
         if ours.problem is not None:
             continue
         assert theirs.start_penetration_m == pytest.approx(ours.start_penetration_m, abs=5e-4), ours.name
+        is_xpbd = theirs.engine_version.endswith("XPBD")
+        if is_xpbd and ours.start_penetration_m > 5e-4:
+            continue  # it drives overlaps apart faster than it stops what it drove
         assert (theirs.is_stable_1cm, theirs.is_stable_5cm) == (ours.is_stable_1cm, ours.is_stable_5cm), (ours.name, ours, theirs)
         if ours.is_stable_1cm:
-            assert theirs.settled_pose == pytest.approx(ours.settled_pose, abs=3e-3), ours.name
+            assert theirs.settled_pose == pytest.approx(ours.settled_pose, abs=6e-3 if is_xpbd else 3e-3), ours.name
     by_name = {theirs.name: theirs for _, theirs in both}
     assert by_name["0007"].displacement_m == pytest.approx(0.5, abs=1e-3)
     assert by_name["0003"].displacement_m == pytest.approx(0.03, abs=1e-3)
@@ -127,14 +131,15 @@ def test_the_engines_agree(both: list[tuple[Certified, Certified]]) -> None:
     check(rows, Certificate)
     versions = {row.engine: row.engine_version for row in rows}
     pins = pinned()
-    assert versions["newton"] == f"{pins['newton']}, solver MuJoCo {pins['mujoco']}"
+    assert versions["newton"] in [f"{pins['newton']}, solver {used}" for used in (f"MuJoCo {pins['mujoco']}", "XPBD")]
     assert versions["mujoco"] != versions["newton"]
 
 
 @pytest.mark.slow
-def test_newton_gives_the_same_bytes_again(python: str) -> None:
+@pytest.mark.parametrize("solver", ["mujoco", "xpbd"])
+def test_newton_gives_the_same_bytes_again(python: str, solver: Literal["mujoco", "xpbd"]) -> None:
     things = [cube("0001"), cube("0002", 0.2)]
     poses = np.array([translation([0, 0, 0.1]), yaw_pose(0.3, [0.05, 0.02, 0.45])])
-    config = CertificateConfig(newton=Newton(python=python))
+    config = CertificateConfig(newton=Newton(python=python, solver=solver))
     first, again = (certify(things, poses, (), config) for _ in range(2))
     assert [in_bytes(one) for one in first] == [in_bytes(one) for one in again]

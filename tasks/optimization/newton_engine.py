@@ -1,7 +1,8 @@
 """Newton as a second engine, in an environment of its own: it pins packages that the project has in other versions.
 
-It runs Newton's MuJoCo solver on the CPU: another model of the scene, other settings and another version of MuJoCo, but the
-same contact solver. Where both engines agree, that is a check of the model, no second opinion on the physics.
+By default it runs Newton's MuJoCo solver on the CPU: another model of the scene, other settings and another version of
+MuJoCo, but the same contact solver. Where the engines agree, that is a check of the model, no second opinion on the physics.
+Newton's XPBD solver with Newton's own contacts is one; it drives apart by centimeters what overlaps by a millimeter.
 
 Make one with `python -m venv FOLDER` and `FOLDER/bin/pip install -r requirements/newton.lock`, then name
 `FOLDER/bin/python`.
@@ -17,7 +18,7 @@ import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +37,16 @@ SCRIPT = Path(__file__).with_name("newton_script.py")
 
 @dataclasses.dataclass(frozen=True)
 class Newton:
-    """Where Newton is and how its MuJoCo solver is set; with the solver's own defaults chairs slide and books sink in."""
+    """Where Newton is and how its solvers are set; with the MuJoCo solver's own defaults chairs slide and books sink in."""
 
     python: str = ""  # interpreter of the environment that Newton is installed in; without one, Newton is not asked
+    solver: Literal["mujoco", "xpbd"] = "mujoco"  # xpbd shares no contact solver with MuJoCo, and looks at neither stiffness nor impratio
     timestep_s: float = 1 / 480  # what its examples take for contacts
     stiffness: float = 2e5  # of contacts [N/m]; with the default of 2500 things sink in by centimeters
     damping: float = 1e3  # [N s/m], nearly critical for household masses
     impratio: float = 10.0  # friction 10 times as stiff as the contact, against creep on slopes
     iterations: int = 100  # cut off earlier, piles explode
+    xpbd_iterations: int = 20  # per step; stacks of five rest to half a millimeter
     friction_floor: float = 1e-3  # the greater friction of a pair counts, and a thing's is measured against floors: let it decide
     timeout_s: float = 900.0  # the first run on a machine compiles kernels, up to two minutes on two cores
 
@@ -54,15 +57,19 @@ class Newton:
                 raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
         if not 0 <= self.damping < math.inf:
             raise ValueError(f"damping: must be at least 0, is {self.damping:g}")
-        if self.iterations < 1:
-            raise ValueError(f"iterations: must be at least 1, is {self.iterations}")
+        for name in ("iterations", "xpbd_iterations"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
+        if self.solver not in ("mujoco", "xpbd"):
+            raise ValueError(f"solver: must be mujoco or xpbd, is {self.solver!r}")
 
 
 def simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], seconds: float, settings: Newton) -> Simulation:
     """Things left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given.
 
     A thing that no engine can take, or whose state diverges, has a problem and stays where it is. Penetration between two
-    fixed things is not measured. The version names Newton's and that of the solver: `1.8.0, solver MuJoCo 3.17.0`.
+    fixed things is not measured. The version names Newton's and that of the solver: `1.8.0, solver MuJoCo 3.17.0`
+    or `1.8.0, solver XPBD`.
 
     Raises:
         InputError: the interpreter or the package is not there, or Newton fails.
@@ -115,6 +122,7 @@ def _scene(
         "faces": np.concatenate([np.zeros((0, 3), dtype=np.int64), *(hull.faces for _, hull in hulls)]),
         "contact": np.array([settings.stiffness, settings.damping]),
         "room_friction": floor, "impratio": settings.impratio, "iterations": settings.iterations,
+        "solver": settings.solver, "xpbd_iterations": settings.xpbd_iterations,
         "timestep": settings.timestep_s, "steps": steps,
     }  # fmt: skip
 

@@ -53,6 +53,30 @@ def start_penetration(solver: Any, scene: Any) -> np.ndarray:
     return depth
 
 
+def contact_penetration(model: Any, state: Any, contacts: Any, scene: Any) -> np.ndarray:
+    """The same by Newton's own contacts, which XPBD takes. Shape 0 is the ground, then come the pieces."""
+    count = int(contacts.rigid_contact_count.numpy()[0])
+    bodies, poses = model.shape_body.numpy(), state.body_q.numpy() if model.body_count else np.zeros((0, 7))
+    ends = []
+    for side in "01":
+        shapes = getattr(contacts, f"rigid_contact_shape{side}").numpy()[:count]
+        points = getattr(contacts, f"rigid_contact_point{side}").numpy()[:count].astype(np.float64)
+        for row, body in enumerate(bodies[shapes]):
+            if body >= 0:
+                place, axis, w = poses[body, :3], poses[body, 3:6], poses[body, 6]
+                points[row] += 2.0 * np.cross(axis, np.cross(axis, points[row]) + w * points[row]) + place
+        ends.append((shapes, points, getattr(contacts, f"rigid_contact_margin{side}").numpy()[:count]))
+    (first, start, near), (second, end, far) = ends
+    distances = ((end - start) * contacts.rigid_contact_normal.numpy()[:count]).sum(axis=1) - near - far
+    depth = np.zeros(len(scene["poses"]))
+    for a, b, distance in zip(first, second, distances, strict=True):
+        for shape in (a, b):
+            if shape > 0:
+                owner = int(scene["owners"][shape - 1])
+                depth[owner] = max(depth[owner], -float(distance))
+    return depth
+
+
 def main(source: str, target: str) -> None:
     """Simulate the scene in `source` and write what became of it to `target`."""
     import newton
@@ -61,25 +85,31 @@ def main(source: str, target: str) -> None:
     wp.config.quiet = True
     scene = np.load(source)
     model, links = model_of(scene, newton, wp)
-    solver = newton.solvers.SolverMuJoCo(
-        model, use_mujoco_cpu=True, enable_multiccd=True, cone="elliptic", impratio=float(scene["impratio"]), solver="newton",
-        iterations=int(scene["iterations"]),
-    )  # fmt: skip
-    import mujoco
-
-    solver.mj_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that went astray must not look like the start
-    depth = start_penetration(solver, scene)
     now, following, control = model.state(), model.state(), model.control()
     newton.eval_fk(model, model.joint_q, model.joint_qd, now)
+    is_xpbd = str(scene["solver"]) == "xpbd"
+    if is_xpbd:
+        solver = newton.solvers.SolverXPBD(model, iterations=int(scene["xpbd_iterations"]))
+        depth, used = contact_penetration(model, now, model.collide(now), scene), "XPBD"
+    else:
+        import mujoco
+
+        solver = newton.solvers.SolverMuJoCo(
+            model, use_mujoco_cpu=True, enable_multiccd=True, cone="elliptic", impratio=float(scene["impratio"]), solver="newton",
+            iterations=int(scene["iterations"]),
+        )  # fmt: skip
+        solver.mj_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that went astray must not look like the start
+        depth, used = start_penetration(solver, scene), f"MuJoCo {mujoco.__version__}"
     steps = int(scene["steps"])
     for _ in range(steps):
-        solver.step(now, following, control, None, float(scene["timestep"]))
+        now.clear_forces()
+        solver.step(now, following, control, model.collide(now) if is_xpbd else None, float(scene["timestep"]))
         now, following = following, now
     settled = np.array(scene["poses"], dtype=np.float64)
     found = now.body_q.numpy().astype(np.float64) if links else np.zeros((0, 7))
     for number, link in links.items():
         settled[number] = found[link]
-    version = f"{newton.__version__}, solver MuJoCo {mujoco.__version__}"
+    version = f"{newton.__version__}, solver {used}"
     np.savez(target, settled=settled, depth=depth, version=np.array(version))
 
 
