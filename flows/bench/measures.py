@@ -1,6 +1,7 @@
-"""Measures of placed things that share nothing with the optimization: what is below each by rays, and what is out of the room.
+"""Measures of placed things by other means than the optimization's: what is below each by rays, and what is out of the room.
 
-Things are their convex pieces, as in every simulator.
+Shared with it are the convex pieces that things are, as in every simulator, the rays' library, and the table of what hangs,
+stands and covers. Not shared are its search for carriers, its gaps, its depths and its outlines.
 """
 
 from __future__ import annotations

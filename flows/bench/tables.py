@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
 
 FIGURES: tuple[tuple[str, str, str], ...] = (
     ("things", "things", "count"),
+    ("unplaced", "instances that nothing was placed for", "count"),
     ("fixed_share", "fixed share", "percent"),
     ("fixed_wrongly", "fixed, though free when drawn", "count"),
     ("deep_pairs", "pairs deeper than 2 mm", "count"),
@@ -22,17 +24,22 @@ FIGURES: tuple[tuple[str, str, str], ...] = (
     ("displacement_p95_m", "horizontal displacement, 95th percentile", "mm"),
     ("floating", "free things that float", "count"),
     ("outside", "free things that reach out of the room", "count"),
+    ("outside_silently", "of these not reported", "count"),
     ("supports_kept", "supports kept", "count"),
     ("supports_lost_reported", "supports lost and reported", "count"),
     ("supports_lost_silently", "supports lost and not reported", "count"),
     ("supports_misjudged", "carriers taken for others", "count"),
     ("rows_disagreeing", "depths that the rows have otherwise", "count"),
+    ("depths_checked", "pairs whose depth was measured by every axis", "count"),
     ("seconds_mean", "seconds per scene, mean", "seconds"),
     ("seconds_max", "seconds per scene, most", "seconds"),
 )
 """Key of a figure, what a person reads, and its unit."""
 
-ONLY_OPTIMIZED = ("fixed_wrongly", "supports_lost_reported", "supports_misjudged", "rows_disagreeing", "seconds_mean", "seconds_max")
+ONLY_OPTIMIZED = (
+    "unplaced", "fixed_wrongly", "outside_silently", "supports_lost_reported", "supports_misjudged", "rows_disagreeing",
+    "depths_checked", "seconds_mean", "seconds_max",
+)  # fmt: skip
 """Figures that a state before any optimization does not have."""
 
 BEFORE = ("drawn", "input")
@@ -51,8 +58,10 @@ def print_report(report: Mapping[str, Any], console: Console) -> None:
             console.print(table)
 
 
-def as_text(value: float | int, unit: str) -> str:
-    """A figure as a person reads it."""
+def as_text(value: float | int | None, unit: str) -> str:
+    """A figure as a person reads it; n/a for what nothing is known of."""
+    if value is None or math.isnan(value):
+        return "n/a"
     if unit == "percent":
         return f"{100 * value:.2f} %"
     if unit == "mm":
@@ -92,7 +101,8 @@ def _states(report: Mapping[str, Any]) -> Any:
 def _goals(report: Mapping[str, Any]) -> Any:
     table = _table("goals", ("", False), ("found", True), ("wanted", True), ("", False))
     for goal in report["goals"]:
-        _add(table, goal["goal"], f"{goal['found']:.5g}", goal["wanted"], "met" if goal["met"] else "MISSED")
+        said = "n/a" if goal["met"] is None else "met" if goal["met"] else "MISSED"
+        _add(table, goal["goal"], "n/a" if goal["found"] is None else f"{goal['found']:.5g}", goal["wanted"], said)
     return table
 
 
@@ -118,13 +128,17 @@ def _timings(report: Mapping[str, Any]) -> Any:
         _add(table, f"a compiled move at {count} things", f"{1e6 * seconds:.3f} us")
     if "scene" in report:
         for method in report["methods"]:
-            _add(
-                table, f"a scene of {report['scene']['count']} things, {method}, pieces from the cache", f"{report['scene'][method]:.2f} s"
-            )
+            scene, words = report["scene"], f"a scene of {report['scene']['count']} things, {method}, pieces from the cache"
+            _add(table, f"{words}, first run of a process", f"{scene['first_seconds'][method]:.2f} s")
+            _add(table, f"{words}, warm", f"{scene[method]:.2f} s")
     if "chains" in report:
         same = "same rows" if report["chains"]["is_same"] else "DIFFERENT ROWS"
         for processes, seconds in report["chains"]["seconds_by_processes"].items():
-            _add(table, f"the same, chains on {processes} processes ({same})", f"{seconds:.2f} s")
+            _add(
+                table,
+                f"a scene of {report['chains']['count']} things, default, chains on {processes} processes ({same})",
+                f"{seconds:.2f} s",
+            )
     for row in report.get("pieces", ()):
         _add(
             table,

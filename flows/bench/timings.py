@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import os
 import platform
+import statistics
 import time
 from collections import defaultdict
 from collections.abc import Callable, MutableMapping, Sequence
@@ -23,6 +24,9 @@ from tasks.pieces import asset_pieces
 
 COUNTS = (39, 100, 300, 1000)
 """Things in the rooms that moves are timed in; 39 is the mean of the paper's scenes."""
+
+RUNS = 3
+"""Runs of a warm scene; their median counts."""
 
 PACKAGES = ("numpy", "numba", "mujoco", "python-fcl", "coacd", "metascenes")
 
@@ -44,7 +48,10 @@ def machine() -> dict[str, Any]:
 
 
 def time_moves(seed: int, counts: Sequence[int] = COUNTS) -> dict[str, Any]:
-    """Algorithm 1 in plain Python and compiled on the same moves in a room of 39 things; time per move by number of things [s]."""
+    """Algorithm 1 in plain Python and compiled on the same moves in a room of 39 things; time per move by number of things [s].
+
+    All times are medians of as many runs.
+    """
     return {**compare(COUNTS[0], seed), "seconds_per_move": {str(count): compiled_seconds(count, seed) for count in counts}}
 
 
@@ -59,20 +66,21 @@ def time_pieces(category: str) -> tuple[dict[str, Any], dict[str, bytes]]:
 
 
 def time_scene(count: int, seed: int, methods: Sequence[str], remembered: MutableMapping[str, bytes]) -> dict[str, Any]:
-    """Seconds of the stage on a scene of `count` things by method, its convex pieces remembered, in a warm process.
+    """Seconds of the stage on a scene of `count` things by method, its convex pieces remembered.
 
-    first_seconds: of each method's first run, which compiles, or reads from the disk what is compiled.
+    By method the median of `RUNS` runs in a warm process. first_seconds: of the run before those. It reads from the disk
+    what is compiled, or compiles it; to be the first for a method, it has to be in a process that has done nothing yet.
     """
     scene = scene_of_count(count, seed)
     context = context_of(scene, seed, defaultdict(dict, {"tasks.pieces": remembered}))
     found: dict[str, Any] = {"count": count, "first_seconds": {}}
     for method in methods:
         runs = []
-        for _ in range(3):
+        for _ in range(1 + RUNS):
             clock = time.perf_counter()
             optimized(scene, config_of(method), context)
             runs.append(time.perf_counter() - clock)
-        found[method], found["first_seconds"][method] = min(runs[1:]), runs[0]
+        found["first_seconds"][method], found[method] = runs[0], statistics.median(runs[1:])
     return found
 
 

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flows.bench.depths import TOLERANCE_M, disagreeing
 from flows.bench.measures import FLOOR, OFF_WALL_M, OUTSIDE_M, TOUCH_M, Measures, Posed
+from flows.bench.reports import reported_losses, reported_outside
 from flows.bench.rooms import BenchScene, Carried
+from schemas.errors import InputError
+from schemas.optimization import Placement
 from tasks import optimization
 from tasks.mass import mass_properties
-from tasks.meshes import load_glb
+from tasks.meshes import asset_surface, load_glb
 from tasks.optimization import OptimizationConfig
 from tasks.optimization.certificates import certify
 from tasks.optimization.contacts import Colliders
 from tasks.optimization.solids import Body, Solid, shell_solids
-from tasks.pieces import asset_pieces
-from tasks.stage import Context, Outcome
+from tasks.optimization.supports import PlacedAsset, find_carriers
+from tasks.pieces import Pieces, asset_pieces, pieces
+from tasks.stage import Caches, Context, Outcome
 from tasks.transforms import matrix
 
 Array = NDArray[np.float64]
@@ -31,28 +37,31 @@ DEEP_M = 0.002
 DRAWN, INPUT = "drawn", "input"
 """States before any optimization: as the generator furnished it, and disturbed."""
 
-METHODS = ("paper", "default")
-
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
     """What is wrong with one state of one scene; things by instance id, sorted.
 
-    deep, allowed: pairs deeper than `DEEP_M`, and their depth [m]; allowed ones are of fixed things with the room.
-    free: things that may move. fixed_wrongly: fixed, though they were not drawn as fixed. unstable_1cm, unstable_5cm:
-    free things that moved farther in the certificate, displacement [m] and tilt [rad]. displaced: horizontal distance
-    from the input of every thing [m]. floating: free things above nothing nearer than 1 cm, and the gap [m]. outside:
-    free things and how far they reach over the floor's edge [m]. lost_reported, lost_silently: things that what carried
-    them carries no more; the optimization says so, or does not. carried: things whose carrier was looked at.
-    misjudged: things for which the optimization took something else as carrier than what carried them. disagreeing:
-    pairs whose depth in the rows differs from the depth measured here by more than 0.1 mm.
+    deep, allowed: pairs deeper than `DEEP_M`, and their depth [m]; allowed ones are of fixed things with the room, no deeper
+    than in the input: a door is in its wall.
+    free: things that may move. unplaced: instances for which the stage placed nothing. fixed_wrongly: fixed, though they
+    were not drawn as fixed; None where nobody knows how they were drawn. unstable_1cm, unstable_5cm: free things that
+    moved farther in the certificate, displacement [m] and tilt [rad]. displaced: horizontal distance from the input of
+    every thing [m]. floating: free things above nothing nearer than 1 cm, and the gap [m]. outside: free things and how
+    far they reach over the floor's edge [m]; outside_silently: those of which the optimization does not say so.
+    lost_reported, lost_silently: things that what carried them carries no more; the optimization says that very thing, or
+    does not. carried: things whose carrier was looked at. misjudged: things for which the optimization took something else
+    as carrier than what carried them when they were drawn; None where nobody knows. disagreeing: pairs whose depth in the
+    rows differs by more than 0.1 mm from what the optimization's own colliders find at these poses (all pairs), or from the
+    depth by every axis (a sample of `depths_checked` pairs), and the difference [m].
     """
 
     scene_id: str
     state: str
     things: int
     free: tuple[str, ...]
-    fixed_wrongly: tuple[str, ...]
+    unplaced: tuple[str, ...]
+    fixed_wrongly: tuple[str, ...] | None
     deep: tuple[tuple[str, str, float], ...]
     allowed: tuple[tuple[str, str, float], ...]
     unstable_1cm: tuple[tuple[str, float, float], ...]
@@ -60,12 +69,13 @@ class Verdict:
     displaced: tuple[tuple[str, float], ...]
     floating: tuple[tuple[str, float], ...]
     outside: tuple[tuple[str, float], ...]
+    outside_silently: tuple[str, ...]
     carried: int
     lost_reported: tuple[str, ...]
     lost_silently: tuple[str, ...]
-    misjudged: tuple[str, ...]
+    misjudged: tuple[str, ...] | None
     disagreeing: tuple[tuple[str, str, float], ...]
-    remaining: tuple[str, ...]
+    depths_checked: int
     seconds: float
 
 
@@ -86,7 +96,7 @@ def config_of(method: str) -> OptimizationConfig:
     return OptimizationConfig(method=names[method]())
 
 
-def context_of(scene: BenchScene, seed: int, caches: Mapping[str, MutableMapping[str, bytes]]) -> Context:
+def context_of(scene: BenchScene, seed: int, caches: Caches) -> Context:
     """What the stage may know beside the rows."""
     return Context(scene.scene_id, "optimization", seed, scene.blobs, caches)
 
@@ -97,11 +107,11 @@ def optimized(scene: BenchScene, config: OptimizationConfig, context: Context) -
     return stage.run(**{table: scene.rows[table] for table in (*stage.reads, *stage.history)}, context=context, config=config)
 
 
-def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Mapping[str, MutableMapping[str, bytes]]) -> Results:
+def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Caches) -> Results:
     """Every method on a scene, and the states before, measured in the same way."""
     config, context = OptimizationConfig(), context_of(scene, seed, caches)
     clock = time.perf_counter()
-    hulls = _hulls(scene, config, context)
+    known = _pieces(scene, config, context)
     piece_seconds = time.perf_counter() - clock
     outcomes: dict[str, tuple[Outcome, float]] = {}
     for method in methods:
@@ -109,11 +119,12 @@ def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Mapping[
         outcome = optimized(scene, config_of(method), context)
         outcomes[method] = outcome, time.perf_counter() - clock
     instances = {row.instance_id: row for row in scene.rows["instances"]}
+    to_place = {name for name, row in instances.items() if not row.is_structure}
     categories = {name: row.category for name, row in instances.items()}
     placements = {row.instance_id: row for row in outcomes[methods[-1]][0].rows["placements"]}
     proposed = {name: matrix(row.proposed_pose) for name, row in placements.items()}
     solids = {
-        name: Solid(name, tuple(hull.transformed(np.eye(4), row.scale) for hull in hulls[row.asset_id]))
+        name: Solid(name, tuple(hull.transformed(np.eye(4), row.scale) for hull in known[row.asset_id].hulls))
         for name, row in placements.items()
     }  # fmt: skip
     room = scene.rows["rooms"][0] if scene.rows["rooms"] else None
@@ -121,10 +132,13 @@ def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Mapping[
     measures = Measures(list(solids.values()), categories, polygon, room.height_m if room else np.inf)
     shell = list(shell_solids(room)) if room else []
     colliders = Colliders(list(solids.values()), shell)
+    depths = {(p.a, p.b): p.depth_m for p in colliders.penetrations(np.array([proposed[name] for name in solids]))}
     last = outcomes[methods[-1]][0]
     fixed = {row.instance_id for row in last.rows["supports"] if row.is_fixed}
-    carried = scene.carried or {row.instance_id: Carried(row.relation, row.parent_id) for row in last.rows["supports"]}
-    laboratory = _Laboratory(scene, solids, categories, measures, colliders, shell, carried, proposed, config)
+    carried = scene.carried if scene.carried is not None else _carried_as_proposed(scene, placements, config, context)
+    used = {name: (row.asset_id, row.scale) for name, row in placements.items()}
+    rebuilt = _Rebuilt(scene, used, solids, config, {asset for asset, made in known.items() if made.method == "coacd"}, {})
+    laboratory = _Laboratory(scene, solids, categories, measures, colliders, shell, carried, proposed, config, to_place, depths, rebuilt)
     verdicts = []
     if scene.drawn_poses is not None:
         poses = {name: scene.drawn_poses[name] for name in solids}
@@ -137,8 +151,28 @@ def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Mapping[
     return Results(scene.scene_id, categories, tuple(verdicts), len(scene.disturbances), piece_seconds)
 
 
-def _hulls(scene: BenchScene, config: OptimizationConfig, context: Context) -> dict[str, Any]:
-    """Convex pieces by asset, as the stage has them; from here on they are remembered."""
+def _carried_as_proposed(
+    scene: BenchScene, placements: Mapping[str, Placement], config: OptimizationConfig, context: Context
+) -> dict[str, Carried]:
+    """What carries each thing at its proposed pose, by the geometry of its surface there: for scans, which nobody drew.
+
+    The stage may find others while it works; those are in its own rows, which are not asked here.
+    """
+    assets = {row.asset_id: row for row in scene.rows["assets"]}
+    categories = {row.instance_id: row.category for row in scene.rows["instances"]}
+    placed = []
+    for name, row in sorted(placements.items()):
+        asset = assets[row.asset_id]
+        surface = asset_surface(asset.mesh_blob, context.blobs, f"{asset.name}.glb", context.caches["tasks.meshes"])
+        world = surface.transformed(matrix(row.proposed_pose), np.array(row.scale))
+        placed.append(PlacedAsset.of(name, categories[name], world, asset.is_watertight))
+    room = scene.rows["rooms"][0] if scene.rows["rooms"] else None
+    return {name: Carried(c.relation, c.parent_id) for name, c in find_carriers(placed, room, config.supports).items()}
+
+
+def _pieces(scene: BenchScene, config: OptimizationConfig, context: Context) -> dict[str, Pieces]:
+    """Convex pieces by asset, as the stage has them; from here on they are remembered. Assets that cannot be read have
+    none: the stage places nothing for them, which is counted."""
     found = {}
 
     def parts(blob: str) -> Callable[[], Sequence[Any]]:
@@ -146,9 +180,39 @@ def _hulls(scene: BenchScene, config: OptimizationConfig, context: Context) -> d
 
     for asset in scene.rows["assets"]:
         known = parts(asset.pieces_blob) if asset.pieces_blob else None
-        made = asset_pieces(asset.asset_id, parts(asset.mesh_blob), known, config.pieces, context.caches["tasks.pieces"])
-        found[asset.asset_id] = made.hulls
+        with contextlib.suppress(InputError, KeyError, ValueError):
+            found[asset.asset_id] = asset_pieces(
+                asset.asset_id, parts(asset.mesh_blob), known, config.pieces, context.caches["tasks.pieces"]
+            )
     return found
+
+
+@dataclasses.dataclass(frozen=True)
+class _Rebuilt:
+    """Convex pieces made anew from the GLBs, past every memory: asset and scale of each thing, and the pieces that the
+    other measures use. decomposed: assets whose pieces are CoACD's. made: by asset, filled at need."""
+
+    scene: BenchScene
+    used: Mapping[str, tuple[str, tuple[float, ...]]]
+    solids: Mapping[str, Solid]
+    config: OptimizationConfig
+    decomposed: set[str]
+    made: dict[str, Pieces | None]
+
+    def vertices(self, name: str) -> list[Array]:
+        """Vertices of a thing's pieces in its own frame [m], shape (n, 3) each."""
+        asset_id, scale = self.used[name]
+        if asset_id not in self.made:
+            asset = next(row for row in self.scene.rows["assets"] if row.asset_id == asset_id)
+            blobs, config = self.scene.blobs, self.config.pieces
+            known = load_glb(blobs[asset.pieces_blob]) if asset.pieces_blob else None
+            parts = load_glb(blobs[asset.mesh_blob])
+            # CoACD takes seconds, and is none of what is checked here
+            self.made[asset_id] = None if asset_id in self.decomposed else pieces(parts, known, config)
+        made = self.made[asset_id]
+        if made is None:
+            return [hull.vertices for hull in self.solids[name].hulls]
+        return [hull.vertices * np.array(scale) for hull in made.hulls]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,6 +228,9 @@ class _Laboratory:
     was_carried: Mapping[str, Carried]
     proposed: Mapping[str, Array]
     config: OptimizationConfig
+    to_place: set[str]
+    proposed_depths: Mapping[tuple[str, str], float]
+    rebuilt: _Rebuilt
 
     def verdict(self, state: str, poses: Mapping[str, Array], fixed: set[str], outcome: Outcome | None, seconds: float) -> Verdict:
         """The verdict on one state: poses by name, which things are fixed, and the stage's rows where it made the state."""
@@ -171,33 +238,38 @@ class _Laboratory:
         pairs = [(p.a, p.b, p.depth_m) for p in self.colliders.penetrations(np.array([poses[name] for name in self.solids]))]
         room = {wall.name for wall in self.shell} | {FLOOR}
         deep = [pair for pair in pairs if pair[2] > DEEP_M]
-        allowed = [pair for pair in deep if pair[0] in fixed and pair[1] in room]
+        allowed = [p for p in deep if p[0] in fixed and p[1] in room and p[2] <= self.proposed_depths.get(p[:2], 0.0) + DEEP_M]
         moved_1cm, moved_5cm = self._unstable(poses, fixed, outcome)
         posed = self.measures.at(poses)
         carriers = {name: posed.carriers(name) for name in self.solids}
         lost = self._lost(posed, carriers)
-        said = _reported(outcome) if outcome is not None else set()
+        said = reported_losses(outcome, self.was_carried) if outcome is not None else set()
+        said_outside = reported_outside(outcome) if outcome is not None else set()
+        disagreeing, checked = self._disagreeing(pairs, poses, outcome) if outcome is not None else ((), 0)
         drawn_fixed = {name for name, c in self.was_carried.items() if c.relation in ("wall", "ceiling")}
-        outside = [(name, posed.reach_outside(name)) for name in free]
+        reaches = [(name, posed.reach_outside(name)) for name in free]
+        outside = tuple((name, reach) for name, reach in reaches if reach > OUTSIDE_M)
         return Verdict(
             scene_id=self.scene.scene_id,
             state=state,
             things=len(self.solids),
             free=free,
-            fixed_wrongly=tuple(sorted(fixed - drawn_fixed)) if self.scene.carried is not None else (),
+            unplaced=tuple(sorted(self.to_place - set(poses))) if outcome is not None else (),
+            fixed_wrongly=tuple(sorted(fixed - drawn_fixed)) if self.scene.carried is not None else None,
             deep=tuple(pair for pair in deep if pair not in allowed),
             allowed=tuple(allowed),
             unstable_1cm=moved_1cm,
             unstable_5cm=moved_5cm,
             displaced=tuple((name, float(np.hypot(*(poses[name] - self.proposed[name])[:2, 3]))) for name in self.solids),
             floating=tuple((name, carriers[name][1]) for name in free if carriers[name][1] > TOUCH_M),
-            outside=tuple((name, reach) for name, reach in outside if reach > OUTSIDE_M),
+            outside=outside,
+            outside_silently=tuple(name for name, _ in outside if name not in said_outside),
             carried=len(self.was_carried),
             lost_reported=tuple(name for name in lost if name in said),
             lost_silently=tuple(name for name in lost if name not in said),
-            misjudged=self._misjudged(outcome) if outcome is not None else (),
-            disagreeing=_disagreeing(pairs, outcome, "optimized") if outcome is not None else (),
-            remaining=tuple(outcome.degradations) if outcome is not None else (),
+            misjudged=self._misjudged(outcome) if outcome is not None else None,
+            disagreeing=disagreeing,
+            depths_checked=checked,
             seconds=seconds,
         )
 
@@ -212,7 +284,9 @@ class _Laboratory:
             bodies = [self._body(name, name in fixed) for name in self.solids]
             stacked = np.array([poses[name] for name in self.solids])
             found = [(c.name, c) for c in certify(bodies, stacked, self.shell, self.config.certificate)]
-        moved = [(name, c.displacement_m, c.tilt_radians, c) for name, c in sorted(found, key=lambda f: f[0]) if name not in fixed]
+        moved = [
+            (name, _far(c.displacement_m), _far(c.tilt_radians), c) for name, c in sorted(found, key=lambda f: f[0]) if name not in fixed
+        ]
         missing = tuple((name, np.inf, np.inf) for name in self.solids if name not in fixed and name not in {n for n, _ in found})
         near = tuple((name, far, tilt) for name, far, tilt, c in moved if not c.is_stable_1cm) + missing
         return near, tuple((name, far, tilt) for name, far, tilt, c in moved if not c.is_stable_5cm) + missing
@@ -246,10 +320,28 @@ class _Laboratory:
 
         return mounting(self.categories[name]).kind == "let_in"
 
-    def _misjudged(self, outcome: Outcome) -> tuple[str, ...]:
+    def _disagreeing(
+        self, pairs: Sequence[tuple[str, str, float]], poses: Mapping[str, Array], outcome: Outcome
+    ) -> tuple[tuple[tuple[str, str, float], ...], int]:
+        """Pairs of which the rows of `contacts` say another depth than is measured here, the difference [m], and how many
+        pairs of things were measured by every axis."""
+        rows = {(r.instance_a, r.body_b): r.penetration_m for r in outcome.rows["contacts"] if r.phase == "optimized"}
+        walls = {wall.name: [hull.vertices for hull in wall.hulls] for wall in self.shell}
+        found, checked = disagreeing(
+            rows, list(self.solids.values()), self.shell, poses, lambda name: walls[name] if name in walls else self.rebuilt.vertices(name)
+        )
+        here = {(a, b) if b not in self.solids else (min(a, b), max(a, b)): depth for a, b, depth in pairs}
+        wrong = {(a, b): difference for a, b, difference in found}
+        for pair in {*here, *rows}:
+            difference = abs(here.get(pair, 0.0) - rows.get(pair, 0.0))
+            if difference > TOLERANCE_M:
+                wrong.setdefault(pair, difference)
+        return tuple((a, b, wrong[a, b]) for a, b in sorted(wrong)), checked
+
+    def _misjudged(self, outcome: Outcome) -> tuple[str, ...] | None:
         """Things for which the stage took another carrier than the one that they had when they were drawn."""
         if self.scene.carried is None:
-            return ()
+            return None
         rugs = {name for name, category in self.categories.items() if "rug" in category}
         wrong = []
         for row in outcome.rows["supports"]:
@@ -261,21 +353,6 @@ class _Laboratory:
         return tuple(wrong)
 
 
-def _reported(outcome: Outcome) -> set[str]:
-    """Instances of which the stage says that something is wrong, or that another thing carries them."""
-    said = {row.instance_id for row in outcome.rows["placements"] if row.remains}
-    said |= {row.instance_id for row in outcome.rows["supports"] if not row.is_kept}
-    return said | {line.split(":", 1)[0] for line in outcome.degradations if ":" in line}
-
-
-def _disagreeing(pairs: Sequence[tuple[str, str, float]], outcome: Outcome, phase: str) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of which the rows of `contacts` say another depth than was measured, and the difference [m]."""
-    here = {frozenset((a, b)): depth for a, b, depth in pairs}
-    rows = {frozenset((r.instance_a, r.body_b)): r.penetration_m for r in outcome.rows["contacts"] if r.phase == phase}
-    wrong = []
-    for pair in sorted({*here, *rows}, key=sorted):
-        difference = abs(here.get(pair, 0.0) - rows.get(pair, 0.0))
-        if difference > 1e-4:
-            a, b = sorted(pair)
-            wrong.append((a, b, difference))
-    return tuple(wrong)
+def _far(value: float | None) -> float:
+    """How far a thing went; without an end where the engine could not simulate it."""
+    return np.inf if value is None else value

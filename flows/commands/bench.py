@@ -9,10 +9,13 @@ import sys
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from flows.commands.options import json_option
 
 METHODS = ("paper", "default")
+
+_OPTIONS = {"rooms": "--rooms", "address": "--lake", "moves_only": "--moves-only"}
 
 
 @click.group("bench", short_help="Measure quality and speed on this machine.")
@@ -39,8 +42,14 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
     Rooms are furnished by the generator, then disturbed by a rule that no method knows. `drawn` is a room before that,
     `input` after it.
 
+    The exit code is 1 when a goal is missed, 2 when nothing could be measured, and else 0.
+
     Example: metascenes bench optimization --rooms 5
     """
+    context = click.get_current_context()
+    for one, other in (("rooms", "address"), ("moves_only", "rooms"), ("moves_only", "address")):
+        if all(context.get_parameter_source(name) == ParameterSource.COMMANDLINE for name in (one, other)):
+            raise click.UsageError(f"{_OPTIONS[one]} together with {_OPTIONS[other]}: only one of them can be measured; leave one out")
     from flows.bench.optimization import BenchConfig, run_bench, steps_of
     from flows.bench.tables import print_report
     from flows.progress import Progress
@@ -54,10 +63,12 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
         report = run_bench(config, progress.advance)
     if as_json:
         print(json.dumps(_finite(report), allow_nan=False))
-        return
-    from rich.console import Console
+    else:
+        from rich.console import Console
 
-    print_report(report, Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else 120))
+        print_report(report, Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else 120))
+    if any(goal["met"] is False for goal in report["goals"]):
+        context.exit(1)
 
 
 def _finite(value: Any) -> Any:

@@ -1,0 +1,55 @@
+"""Reports: what the optimization itself says went wrong with which thing, read from its rows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+
+from flows.bench.measures import FLOOR
+from flows.bench.rooms import Carried
+from tasks.stage import Outcome
+
+STANDS_BESIDE = re.compile(r"\bit stands beside (?P<lost>\d{4,}), on ")
+"""It was taken to be carried by the one and is carried by another."""
+
+SET_DOWN = re.compile(r"\bnothing carried it; it was set down [\d.]+ m onto (?P<now>\d{4,}|the floor)")
+"""It was taken to be carried by nothing and is carried by another now."""
+
+CARRIED_BY_NOTHING = re.compile(r"\bnothing carries it\b")
+
+OUTSIDE = re.compile(r"\blies outside of the room\b")
+
+
+def reported_losses(outcome: Outcome, was_carried: Mapping[str, Carried]) -> set[str]:
+    """Things of which the rows say that what carried them, `was_carried`, carries them no more.
+
+    Either `supports.is_kept` is false, or a line says that nothing carries the thing, that it stands beside that very
+    carrier, or that it was set down onto something else. No other complaint about a thing counts.
+    """
+    said = {row.instance_id for row in outcome.rows["supports"] if not row.is_kept}
+    for name, text in _lines(outcome):
+        was = was_carried.get(name)
+        if was is None:
+            continue
+        carrier = was.parent_id or (FLOOR if was.relation == "floor" else None)
+        beside, down = STANDS_BESIDE.search(text), SET_DOWN.search(text)
+        now = down["now"].removeprefix("the ") if down else None
+        if CARRIED_BY_NOTHING.search(text) or (beside and beside["lost"] == carrier) or (down and now != carrier):
+            said.add(name)
+    return said
+
+
+def reported_outside(outcome: Outcome) -> set[str]:
+    """Things of which the rows say that they lie outside of the room."""
+    return {name for name, text in _lines(outcome) if OUTSIDE.search(text)}
+
+
+def _lines(outcome: Outcome) -> Iterator[tuple[str, str]]:
+    """What is said of each thing: its instance id and the text."""
+    for row in outcome.rows["placements"]:
+        if row.remains:
+            yield row.instance_id, row.remains
+    for line in outcome.degradations:
+        name, colon, text = line.partition(": ")
+        if colon:
+            yield name, text
