@@ -629,7 +629,9 @@ def test_a_column_may_be_described_anew(lake: Lake, monkeypatch: pytest.MonkeyPa
         stage(lake, A, "optimization", fingerprint(1), supports=[sample(table.record, scene_id=A, parent_id="0009")])
         lake.commit()
     for number, scene in ((2, B), (3, A)):  # added, and put in the place of old rows
-        stage(lake, scene, "optimization", fingerprint(number), at=number, supports=[sample(table.record, scene_id=scene, parent_id="0007")])
+        stage(
+            lake, scene, "optimization", fingerprint(number), at=number, supports=[sample(table.record, scene_id=scene, parent_id="0007")]
+        )
         lake.commit()
     assert [row.parent_id for row in lake.snapshot().rows(table.record)] == ["0007", "0007"]
 

@@ -52,6 +52,11 @@ _KINDS: tuple[tuple[Kind, str, str], ...] = (
 )  # fmt: skip
 """Kind, why, and its categories."""
 
+HOLDS_NOTHING: frozenset[str] = frozenset(
+    {"plant", "sculpture", "statue", "lamp", "desk lamp", "floor lamp", "wine glass", "candle", "fan"}
+)
+"""Things that others are never in: what is found among their leaves or arms stands beside them."""
+
 BUILT_IN: tuple[str, ...] = (
     "toilet", "urinal", "bathtub", "sink",  # pipes and sealant hold them
     "shower", "radiator", "fireplace", "stairs", "pillar", "column", "rail", "banister",  # parts of the house

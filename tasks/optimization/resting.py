@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.optimization.interior import Interior
+from tasks.optimization.mounting import HOLDS_NOTHING
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import mass_properties_of
 from tasks.optimization.tipping import SUNK_M, compiled, kept_shape, put_back, tip, turn_along
@@ -59,8 +60,10 @@ def beside(interior: Interior, shapes: Shapes, stand: Stand, wedged: Collection[
     own = [c.lift - (carriers[p].lift if p >= 0 else 0.0) for c, p in zip(carriers, parents.tolist(), strict=True)]
     for i, carrier in enumerate(carriers):
         parent = int(parents[i])
-        is_on = abs(carrier.gap) < SUNKEN_M or (carrier.relation == "inside" and _is_amid(stand, i, parent))
-        if parent < 0 or (is_on and i not in wedged):
+        if parent < 0:
+            continue
+        is_in = carrier.relation == "inside" and interior.things[parent].category not in HOLDS_NOTHING and _is_amid(stand, i, parent)
+        if (abs(carrier.gap) < SUNKEN_M or is_in) and i not in wedged:
             continue
         below = int(parents[parent])
         gap = float(stand.low[i, 2])
