@@ -40,7 +40,8 @@ Booleans = NDArray[np.bool_]
 class Schedule(NamedTuple):
     """How a chain runs. slop [m]: depth that only touches. step [m], turn [rad]: spread of moves at first. least_step,
     most_step [m]: bounds of the adapted spread. turn_share: share of turns among moves; rise_share: of moves up and down
-    among the others, for what is carried. most_turn [rad]: farthest turn. most_rise [m]: highest rise over the carrier.
+    among the others, for what is carried. most_turn [rad]: farthest turn. most_rise [m]: highest rise over the carrier, or move
+    up or down a wall. most_aside [m]: farthest slide along a wall.
     price: of a metre of displacement, in metres of depth. temperature [m]: at first. cooling: factor per sweep.
     coldest [m]: then it is warmed up again. warmer: factor on the temperature each time. sweep: moves per active body.
     adapts: whether the spread of moves follows their acceptance. returns: whether things are brought back towards
@@ -55,6 +56,7 @@ class Schedule(NamedTuple):
     rise_share: float
     most_turn: float
     most_rise: float
+    most_aside: float
     price: float
     temperature: float
     cooling: float
@@ -106,7 +108,9 @@ def bring_back(
                 for k in range(4):
                     move[k] = (share - 1.0) * before[k]
                 move_group(room, stand, kept, offset, thing, move)
-                if off_carrier(room, offset, thing, plan.most_turn, plan.most_rise) or overlaps(room, stand, thing, plan.slop, mark):
+                if off_carrier(room, offset, thing, plan.most_turn, plan.most_rise, plan.most_aside) or overlaps(
+                    room, stand, thing, plan.slop, mark
+                ):
                     low = share
                 else:
                     high = share
@@ -211,7 +215,7 @@ def anneal(
         before[:] = offset[thing]
         move_group(room, stand, kept, offset, thing, move)
         tries[thing] += 1.0
-        accepted = not off_carrier(room, offset, thing, plan.most_turn, plan.most_rise)
+        accepted = not off_carrier(room, offset, thing, plan.most_turn, plan.most_rise, plan.most_aside)
         begin, end = room.first_carried[thing], room.first_carried[thing + 1]
         near = True
         for g in range(begin, end):

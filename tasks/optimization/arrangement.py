@@ -44,9 +44,6 @@ class Arrangement(NamedTuple):
     lever: Array
 
 
-HUNG_ASIDE_M = 0.4
-"""What hangs slides along its wall no farther than this [m], the width of a picture."""
-
 REACH_M = 0.3
 """Pairs whose boxes are farther apart than this are not looked at until one has come nearer [m]."""
 
@@ -105,13 +102,13 @@ def displacement(room: Arrangement, stand: Stand, body: int) -> float:
     return float(np.sqrt(dx * dx + dy * dy + dz * dz) + room.lever[body] * np.sqrt(dc * dc + ds * ds))
 
 
-def off_carrier(room: Arrangement, offset: Array, body: int, most_turn: float, most_rise: float) -> bool:
-    """Whether a thing stands where its carrier does not carry it, or is turned too far, or raised too high."""
+def off_carrier(room: Arrangement, offset: Array, body: int, most_turn: float, most_rise: float, most_aside: float) -> bool:
+    """Whether a thing stands where its carrier does not carry it, or is turned, raised or slid along its wall too far."""
     if abs(offset[body, 3]) > most_turn:
         return True
     if room.kind[body] == HANGING:
         aside = np.sqrt(offset[body, 0] ** 2 + offset[body, 1] ** 2)
-        return bool(aside > HUNG_ASIDE_M or abs(offset[body, 2]) > most_rise)
+        return bool(aside > most_aside or abs(offset[body, 2]) > most_rise)
     which = room.map_of[body]
     if which < 0:
         return False

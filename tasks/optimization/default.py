@@ -64,6 +64,7 @@ class Default:
     turn_share: float = 0.2  # of the moves are turns: shifting parts most pairs
     rise_share: float = 0.15  # of the other moves of a carried thing go up or down: a pillow climbs onto the one beside it
     most_rise_m: float = 0.1  # higher, and it stands on something else
+    most_aside_m: float = 0.4  # along its wall: the width of a picture
     most_turn_radians: float = 0.35  # 20 degrees: more, and the thing faces elsewhere than the scanned one
     most_tilt_radians: float = 0.45  # 26 degrees: what would tip farther was not meant to stand so
     price: float = 0.05  # metres of depth that a metre of displacement costs: things move no farther than they must
@@ -77,7 +78,7 @@ class Default:
         for name in ("step_m", "turn_radians", "least_step_m", "most_step_m", "temperature_m", "coldest_m"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
-        for name in ("slop_m", "price", "most_turn_radians", "most_tilt_radians", "most_rise_m"):
+        for name in ("slop_m", "price", "most_turn_radians", "most_tilt_radians", "most_rise_m", "most_aside_m"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
         for name in ("chains", "max_moves", "max_kept", "sweep"):
@@ -90,7 +91,8 @@ class Default:
         """The same for compiled code."""
         return Schedule(
             slop=self.slop_m, step=self.step_m, turn=self.turn_radians, least_step=self.least_step_m, most_step=self.most_step_m,
-            turn_share=self.turn_share, rise_share=self.rise_share, most_rise=self.most_rise_m, most_turn=self.most_turn_radians,
+            turn_share=self.turn_share, rise_share=self.rise_share, most_rise=self.most_rise_m, most_aside=self.most_aside_m,
+            most_turn=self.most_turn_radians,
             price=self.price, temperature=self.temperature_m,
             cooling=self.cooling, coldest=self.coldest_m, warmer=self.warmer, sweep=self.sweep, adapts=True, returns=True,
         )  # fmt: skip
