@@ -132,10 +132,12 @@ def resolve(
         dx, dy, dz = move.tolist()
         trace.append(Step(names[i], (dx, dy, dz, *turn), final, min(final, chain.final), outcome))
     stuck = _wedged(interior, shapes, stand) if final > 0.0 and not wedged else []
-    if stuck and beside(proposed, shapes_of(solids, poses), stand_of(shapes, poses[:, :3, 3]), stuck)[1] != noted:
-        other = resolve(proposed, method, supports, rng, spread, stuck)
-        if other.final < final:
-            return other
+    if stuck:
+        untouched = shapes_of(solids, poses)  # letting things down has turned some of the others
+        if beside(proposed, untouched, stand_of(untouched, poses[:, :3, 3]), stuck)[1] != noted:
+            other = resolve(proposed, method, supports, rng, spread, stuck)
+            if other.final < final:
+                return other
     if final == 0.0:
         ended = "nothing_to_do" if chain.start == 0.0 else "zero_loss"
     else:

@@ -262,7 +262,8 @@ def put_point(stand: Stand, body: int, x: float, y: float, z: float, points: Arr
 
 
 def pair_points(shapes: Shapes, stand: Stand, a: int, b: int, p: int, q: int, near: float, points: Array, count: int) -> int:
-    """Add the points where piece p of body a is within `near` [m] above piece q of body b: vertices of either."""
+    """Add the points where piece p of body a is within `near` [m] above piece q of body b: vertices of either, and where edges
+    cross in plan. The number of points."""
     for side in range(2):
         i, j, first, second = (a, b, p, q) if side == 0 else (b, a, q, p)
         ca, sa, cb, sb = stand.turn[i, 0], stand.turn[i, 1], stand.turn[j, 0], stand.turn[j, 1]
