@@ -41,7 +41,8 @@ class Schedule(NamedTuple):
     """How a chain runs. slop [m]: depth that only touches. step [m], turn [rad]: spread of moves at first. least_step,
     most_step [m]: bounds of the adapted spread. turn_share: share of turns among moves; rise_share: of moves up and down
     among the others, for what is carried. most_turn [rad]: farthest turn. most_rise [m]: highest rise over the carrier, or
-    move up or down a wall. most_aside [m]: farthest slide along a wall. price: of a metre of displacement, in metres of depth. temperature [m]: at first. cooling: factor per sweep.
+    move up or down a wall. most_aside [m]: farthest slide along a wall.
+    price: of a metre of displacement, in metres of depth. temperature [m]: at first. cooling: factor per sweep.
     coldest [m]: then it is warmed up again. warmer: factor on the temperature each time. sweep: moves per active body.
     adapts: whether the spread of moves follows their acceptance. returns: whether things are brought back towards
     their places once nothing overlaps."""
