@@ -27,7 +27,8 @@ def configure(
     """Configs of all stages: their defaults, then a TOML file's tables, then `stage.field=value` settings.
 
     Raises:
-        InputError: names a stage or field that does not exist, or a value of the wrong type.
+        InputError: names a stage or field that does not exist, or a value of the wrong type; or exports would take
+            other convex pieces than certificates.
     """
     told: dict[str, Any] = {}
     origin = "defaults"
@@ -56,6 +57,9 @@ def configure(
         if not sign or stage not in configs or not fields:
             raise InputError("--set", setting, "is not stage.field=value", f"stages are {', '.join(configs)}")
         configs[stage] = _with(configs[stage], fields, _value(text), "--set", path)
+    if configs["exports"].pieces != configs["optimization"].pieces:
+        problem = "differ from optimization.pieces: what is exported would not be what is certified"
+        raise InputError(origin if told else "--set", "exports.pieces", problem, "set both alike")
     return Configuration(configs, library, seed)
 
 

@@ -173,3 +173,11 @@ def test_every_plain_default_given_back_as_a_setting_changes_nothing() -> None:
                 settings.append(f"{stage.name}.{field.name}={value!r}")
     assert len(settings) > 20
     assert configure(None, settings) == configure()
+
+
+def test_what_is_exported_is_what_is_certified() -> None:
+    with pytest.raises(InputError, match=r"exports\.pieces: differ from optimization\.pieces"):
+        configure(None, ["exports.pieces.threshold=0.05"])
+    both = configure(None, ["exports.pieces.threshold=0.05", "optimization.pieces.threshold=0.05"])
+    assert both.stages["exports"].pieces == both.stages["optimization"].pieces
+    assert both.stages["exports"].pieces.threshold == 0.05
