@@ -15,7 +15,7 @@ demo: $(VENV)/.run-ready  ## Raw scans in, replica scenes out, in ./demo.
 	$(BIN)/metascenes demo --out $(OUT)
 
 test: $(VENV)/.test-ready check  ## Lint, types and the tests that run in minutes.
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" --hypothesis-profile same
 
 test-all: $(VENV)/.test-ready check  ## The same and the slow ones.
 	$(BIN)/python -m pytest -n 2 --dist loadfile

@@ -7,11 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 os.environ.setdefault("DO_NOT_TRACK", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# `make test` draws the same examples every time, so that what it says is about the change; `make test-all` draws new ones.
+settings.register_profile("same", derandomize=True)
 
 
 @pytest.fixture(scope="session")

@@ -104,8 +104,10 @@ def test_what_rests_on_a_board_is_as_deep_as_it_sinks(seed: int, sink: float) ->
     board, thing = box((1.2, 0.8, float(rng.choice([0.03, 0.5])))), box(tuple(rng.uniform(0.05, 0.3, 3)))
     at = [*rng.uniform(-0.3, 0.3, 2), 10 + board.vertices[:, 2].max() + thing.vertices[:, 2].max() - sink]
     found = of_two(board, thing, None, yaw_pose(rng.uniform(-3, 3), at))
-    assert depth_of(found) == pytest.approx(sink if sink > 2e-6 else 0.0, abs=2e-6 if sink <= 2e-6 else 1e-12)
+    # What is no deeper than what counts as touching may be found or not, and is as deep as it sinks where it is.
+    assert found is not None or sink <= 2.1e-6
     if found:
+        assert found.depth_m == pytest.approx(sink, abs=1e-12)
         assert found.direction == pytest.approx((0.0, 0.0, -1.0), abs=1e-12)
 
 
