@@ -19,6 +19,7 @@ class ExportFile:
     role: str = column(
         "What it is", values=("root", "scene", "stage", "object", "asset", "collision", "navmesh", "semantic", "episodes", "texture")
     )
+    passed: bool = column("Verdict of the gate on the scene's export in this format; `export_checks` has it by rule")
 
 
 @record("export_checks", key=("scene_id", "format", "rule"), stage="exports")

@@ -5,9 +5,10 @@ Nothing is exported unseen: every export is read back and checked, and `export_c
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from schemas.candidates import Asset
@@ -18,6 +19,8 @@ from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement, Support
 from tasks.exports.bodies import Replica, gather
 from tasks.exports.config import ExportsConfig, HabitatConfig, UsdConfig
+from tasks.exports.files import Export, File, files_below
+from tasks.exports.findings import verdicts
 from tasks.pieces import PieceConfig
 from tasks.stage import Blobs, Context, Outcome, Stage
 
@@ -41,33 +44,39 @@ def run(
     blobs = Blobs()
     files: list[ExportFile] = []
     checks: list[ExportCheck] = []
+    scene = _Scene(replica, navmeshes, episodes, context.blobs, config)
     for format_ in config.formats:
-        made, verdict, lost = (
-            _usd(replica, blobs, config) if format_ == "usd" else _habitat(replica, navmeshes, episodes, blobs, context, config)
-        )
-        files += made
-        checks += verdict
-        missed += lost
+        made = _MAKERS[format_](scene)
+        passed = not any(finding.is_error for finding in made.findings)
+        files += [_row(replica.scene_id, format_, file, passed, blobs) for file in made.files]
+        checks += verdicts(replica.scene_id, format_, made.rules, made.findings)
+        missed += made.missed
         complete = len(replica.bodies) == len(placements)
         message = None if complete else f"{len(replica.bodies)} of {len(placements)} objects"
         checks.append(ExportCheck(scene_id=replica.scene_id, format=format_, rule="complete", passed=complete, message=message))
     return Outcome(export_files=files, export_checks=checks, blobs=blobs, degradations=missed)
 
 
-def _usd(replica: Replica, blobs: Blobs, config: ExportsConfig) -> tuple[list[ExportFile], list[ExportCheck], list[str]]:
+@dataclasses.dataclass(frozen=True)
+class _Scene:
+    """What a format is made of."""
+
+    replica: Replica
+    navmeshes: Sequence[Navmesh]
+    episodes: Sequence[Episode]
+    blobs: Mapping[str, bytes]
+    config: ExportsConfig
+
+
+def _usd(scene: _Scene) -> Export:
     """The USD scene: written to a temporary folder, checked there, read back."""
-    from tasks.exports.findings import verdicts
     from tasks.exports.usd import write_usd
     from tasks.exports.usd_rules import RULES, check_usd
 
-    files = []
     with tempfile.TemporaryDirectory(prefix="usd-") as place:
         root = Path(place).resolve()
-        findings = check_usd(write_usd(root, replica, config))
-        for path in sorted(path for path in root.rglob("*") if path.is_file()):
-            name = path.relative_to(root).as_posix()
-            files.append(_row(replica.scene_id, "usd", name, path.read_bytes(), _usd_role(name), blobs))
-    return files, verdicts(replica.scene_id, "usd", RULES, findings), []
+        findings = check_usd(write_usd(root, scene.replica, scene.config))
+        return Export(files_below(root, _usd_role), RULES, findings)
 
 
 def _usd_role(name: str) -> str:
@@ -76,26 +85,25 @@ def _usd_role(name: str) -> str:
     return next((role for part, role in _USD_ROLES.items() if part in parts), "asset")
 
 
-def _habitat(
-    replica: Replica, navmeshes: Sequence[Navmesh], episodes: Sequence[Episode], blobs: Blobs, context: Context, config: ExportsConfig
-) -> tuple[list[ExportFile], list[ExportCheck], list[str]]:
+def _habitat(scene: _Scene) -> Export:
     """The scene's part of the Habitat dataset, checked as a dataset of this one scene."""
-    from tasks.exports.findings import verdicts
     from tasks.exports.habitat import habitat_files
     from tasks.exports.habitat_rules import RULES, check_habitat
-    from tasks.exports.layout import layout, shared_files
+    from tasks.exports.layout import dataset_of
 
-    navmesh = _navmesh(navmeshes, episodes, config)
+    config, replica = scene.config, scene.replica
+    navmesh = _navmesh(scene.navmeshes, scene.episodes, config)
     missed = [] if navmesh is not None else ["no navmesh: the Habitat scene has neither navmesh nor episodes"]
-    others = sorted(row.agent for row in navmeshes if navmesh is not None and row.agent != navmesh.agent)
+    others = sorted(row.agent for row in scene.navmeshes if navmesh is not None and row.agent != navmesh.agent)
     missed += [f"navmesh and episodes of agent {agent!r} are left out: a Habitat scene has one navmesh" for agent in others]
-    made, lost = habitat_files(replica, None if navmesh is None else (navmesh, context.blobs[navmesh.navmesh_blob]), episodes, config)
-    files = [_row(replica.scene_id, "habitat", file.path, file.data, file.role, blobs) for file in made]
+    made, lost = habitat_files(
+        replica, None if navmesh is None else (navmesh, scene.blobs[navmesh.navmesh_blob]), scene.episodes, config
+    )  # fmt: skip
+    files = [File(file.path, file.data, file.role) for file in made]
     with tempfile.TemporaryDirectory(prefix="dataset-") as place:
         root = Path(place).resolve() / "habitat"
-        write_folder(root.parent, {path: blobs[name] for path, name in layout(files).items()} | shared_files(files, blobs, config.habitat))
-        findings = check_habitat(root)
-    return files, verdicts(replica.scene_id, "habitat", RULES, findings), missed + lost
+        write_folder(root, {file.path: file.data for file in files} | dataset_of(files, config.habitat))
+        return Export(files, RULES, check_habitat(root), [*missed, *lost])
 
 
 def write_folder(root: Path, files: Mapping[str, bytes]) -> None:
@@ -114,11 +122,16 @@ def _navmesh(navmeshes: Sequence[Navmesh], episodes: Sequence[Episode], config: 
     return min(found, key=lambda row: (-count[row.agent], row.agent), default=None)
 
 
-def _row(scene_id: str, format_: str, path: str, data: bytes, role: str, blobs: Blobs) -> ExportFile:
+def _row(scene_id: str, format_: str, file: File, passed: bool, blobs: Blobs) -> ExportFile:
     """The row of a file, whose contents are kept as a blob."""
-    name = blobs.add(data, PurePosixPath(path).suffix.lstrip("."))
-    return ExportFile(scene_id=scene_id, format=format_, path=path, file_blob=name, size_bytes=len(data), role=role)
+    name = blobs.add(file.data, PurePosixPath(file.path).suffix.lstrip("."))
+    return ExportFile(
+        scene_id=scene_id, format=format_, path=file.path, file_blob=name, size_bytes=len(file.data), role=file.role, passed=passed
+    )  # fmt: skip
 
+
+_MAKERS: Mapping[str, Callable[[_Scene], Export]] = {"usd": _usd, "habitat": _habitat}
+"""How each of `schemas.exports.FORMATS` is made."""
 
 STAGE = Stage(
     name="exports",

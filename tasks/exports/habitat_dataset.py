@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 import gzip
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
-from schemas.exports import ExportFile
 from tasks.capture.labels import NYU40
 from tasks.exports.config import HabitatConfig
 from tasks.exports.habitat import dump_json, dump_json_gz
@@ -35,27 +34,26 @@ class HabitatScene:
     navmesh: Mapping[str, float]
 
 
-def describe(rows: Sequence[ExportFile], blobs: Mapping[str, bytes]) -> HabitatScene:
-    """What the dataset needs to know of a scene, from its exported files (format `habitat`, one scene)."""
-    files = {row.path: row.file_blob for row in rows}
-    scene_path = next(row.path for row in rows if row.role == "scene")
-    scene = json.loads(blobs[files[scene_path]])
+def describe(roles: Mapping[str, str], read: Callable[[str], bytes]) -> HabitatScene:
+    """What the dataset needs to know of a scene, from the roles of its files by path; `read` gives the contents of a path."""
+    scene_path = next(path for path, role in roles.items() if role == "scene")
+    scene = json.loads(read(scene_path))
     classes = {item["user_defined"]["category"]: item["user_defined"]["nyu40_id"] for item in scene["object_instances"]}
     goals: set[str] = set()
     splits: set[str] = set()
     navmesh: dict[str, float] = {}
-    for path, blob in files.items():
+    for path in roles:
         parts = PurePosixPath(path).parts
         if parts[0] == "objectnav":
             splits.add(parts[1])
-            goals |= {episode["object_category"] for episode in json.loads(gzip.decompress(blobs[blob]))["episodes"]}
+            goals |= {episode["object_category"] for episode in json.loads(gzip.decompress(read(path)))["episodes"]}
         elif parts[0] == "navmeshes":
-            navmesh = read_navmesh(blobs[blob]).settings or {}
+            navmesh = read_navmesh(read(path)).settings or {}
     return HabitatScene(
         scene_id=scene["user_defined"]["scene_id"],
         handle=PurePosixPath(scene_path).name.removesuffix(".scene_instance.json"),
         license=scene["user_defined"]["license"],
-        paths=tuple(sorted(files)),
+        paths=tuple(sorted(roles)),
         splits=tuple(sorted(splits)),
         categories={category: classes.get(category, 0) for category in sorted(goals)},
         navmesh=navmesh,
