@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, NoReturn
+from typing import Any
 
 from schemas.errors import InputError
+from tasks.batches import BatchSchema, parse_json, read_limited
 from tasks.transforms import flat, pose_from_quaternion_wxyz, yaw_pose
 
 SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 """The published JSON Schema of a batch file."""
+
+SCHEMA = BatchSchema(SCHEMA_FILE)
 
 MAX_FILE_BYTES = 64 * 2**20
 """A hundred thousand answers take about 40 MB; a larger file is no batch that people filled in."""
@@ -81,7 +82,8 @@ def read_batch(path: Path) -> AnnotationBatch:
         file = queue.pop(0)
         name = file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
         seen.add(file)
-        document = _document(file, name)
+        document = parse_json(read_limited(file, name, MAX_FILE_BYTES), name)
+        SCHEMA.check(document, name)
         if batch_id and document["batch_id"] != batch_id:
             raise InputError(
                 name, "batch_id", f"is {document['batch_id']!r}, the batch is {batch_id!r}", "give all files of a batch one batch_id"
@@ -106,108 +108,13 @@ def parse_batch(document: Any, name: str = "batch.json") -> AnnotationBatch:
     Raises:
         InputError: as `read_batch`.
     """
-    _check(document, name)
+    SCHEMA.check(document, name)
     if document.get("files"):
         raise InputError(name, "files", "names further files", "send their annotations in the same document")
     answers = [_answer(item, name, f"annotations[{i}]") for i, item in enumerate(document.get("annotations", ()))]
     _refuse_none(answers, name)
     _refuse_repeats(answers)
     return AnnotationBatch(document["batch_id"], tuple(answers))
-
-
-def _document(file: Path, name: str) -> Any:
-    """The JSON document in a file, checked against the schema."""
-    try:
-        if file.stat().st_size > MAX_FILE_BYTES:
-            raise InputError(name, "", f"is larger than {MAX_FILE_BYTES >> 20} MB", "split the batch into files")
-        text = file.read_bytes().decode("utf-8-sig")
-        document = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_repeated_key)
-    except OSError as error:
-        raise InputError(name, "", f"cannot be read ({error.strerror})", "check the path and its permissions") from error
-    except UnicodeDecodeError as error:
-        raise InputError(name, f"byte {error.start}", "is not UTF-8", "save the file as UTF-8") from error
-    except json.JSONDecodeError as error:
-        raise InputError(name, f"line {error.lineno} column {error.colno}", f"is not JSON ({error.msg})", "correct the file") from error
-    except RecursionError as error:
-        raise InputError(name, "", "is nested too deeply", "correct the file") from error
-    except ValueError as error:
-        raise InputError(name, "", str(error), "correct the file") from error
-    _check(document, name)
-    return document
-
-
-def _no_constant(text: str) -> NoReturn:
-    raise ValueError(f"holds the number {text}, which JSON does not have")
-
-
-def _no_repeated_key(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    result = dict(pairs)
-    if len(result) != len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"gives {next(k for k in keys if keys.count(k) > 1)!r} twice in one object")
-    return result
-
-
-@cache
-def _validator() -> Any:
-    import jsonschema
-
-    return jsonschema.Draft202012Validator(json.loads(SCHEMA_FILE.read_text(encoding="utf-8")))
-
-
-def _check(document: Any, name: str) -> None:
-    """Hold a document against the schema; the first problem in the order of the file is the one that is told."""
-    problems = sorted(
-        _validator().iter_errors(document), key=lambda e: ([(isinstance(p, int), str(p).zfill(9)) for p in e.absolute_path], e.validator)
-    )
-    if problems:
-        first = problems[0]
-        raise InputError(name, _json_path(first.absolute_path) or "document", _problem(first), _remedy(first))
-
-
-def _json_path(parts: Iterable[str | int]) -> str:
-    """Path in the notation `annotations[3].transform.scale`."""
-    text = ""
-    for part in parts:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return text
-
-
-def _problem(error: Any) -> str:
-    """What a person did wrong, in place of the validator's words."""
-    value, rule = error.instance, error.validator_value
-    shown = json.dumps(value, ensure_ascii=False)
-    shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
-    match error.validator:
-        case "required":
-            return f"lacks {next(field for field in rule if field not in value)!r}"
-        case "additionalProperties":
-            known = error.schema.get("properties", {})
-            return f"has an unknown field {next(field for field in value if field not in known)!r}"
-        case "type":
-            return f"must be {' or '.join(_TYPES[t] for t in ([rule] if isinstance(rule, str) else rule))}, is {shown}"
-        case "minItems" | "maxItems":
-            return f"must have {rule} values, has {len(value)}"
-        case "minimum":
-            return f"must be at least {rule}, is {shown}"
-        case "maximum":
-            return f"must be at most {rule}, is {shown}"
-        case "minLength":
-            return "must not be empty"
-        case "maxLength":
-            return f"must have at most {rule} characters, has {len(value)}"
-        case _:
-            return f"is not allowed: {shown}"
-
-
-_TYPES = {"object": "an object", "array": "a list", "string": "text", "number": "a number", "integer": "a whole number", "null": "null"}
-
-
-def _remedy(error: Any) -> str:
-    description = error.schema.get("description", "")
-    if error.validator in ("required", "additionalProperties"):
-        return f"allowed are {', '.join(error.schema.get('properties', {}))}"
-    return f"give {description}" if description else ""
 
 
 def _inside(folder: Path, relative: str, name: str, where: str) -> Path:
