@@ -2,49 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.exports.bodies import Body, Shape, digest
+from tasks.exports.bodies import Body, Shape
 from tasks.exports.config import UsdConfig
-from tasks.exports.glb import node_textures
 from tasks.exports.shading import corner_normals, face_normals, linear_colors
+from tasks.exports.visuals import Texture, Visual, visuals_of
 from tasks.mass import principal_axes
-from tasks.meshes import material_of, vertex_colors
 from tasks.pieces import Hull
-
-if TYPE_CHECKING:
-    import trimesh
-
-
-@dataclasses.dataclass(frozen=True)
-class _Texture:
-    """An image file: its name in the folder `textures`, its bytes, and the factor [0..1] (3,) that it is multiplied by."""
-
-    file: str
-    data: bytes
-    factor: tuple[float, ...]
-    alpha: str
-
-
-@dataclasses.dataclass(frozen=True)
-class _Visual:
-    """Parts drawn with one material: positions [m] (n, 3), triangles (m, 3), and colors or texture coordinates per vertex."""
-
-    name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    colors: NDArray[np.uint8] | None
-    uv: NDArray[np.float64] | None
-    texture: _Texture | None
-    two_sided: bool
 
 
 def write_asset(folder: Path, body: Body, config: UsdConfig) -> str:
@@ -56,7 +26,7 @@ def write_asset(folder: Path, body: Body, config: UsdConfig) -> str:
     name = asset_name(body)
     root = folder / name
     root.mkdir(parents=True)
-    visuals = _visuals(body.shape)
+    visuals = visuals_of(body.shape)
     _write_geometry(root / f"{name}_geometry.usdc", name, visuals, body.shape.hulls, config)
     _write_looks(root / f"{name}_looks.usda", name, visuals)
     _write_physics(root / f"{name}_physics.usda", name, body)
@@ -215,7 +185,7 @@ def _preview_material(stage: Any, path: str) -> tuple[Any, Any]:
     return material, surface
 
 
-def _add_texture_material(stage: Any, path: str, texture: _Texture) -> Any:
+def _add_texture_material(stage: Any, path: str, texture: Texture) -> Any:
     """A preview material that takes its color from an image through texture coordinates `st`."""
     from pxr import Gf, Sdf, UsdShade
 
@@ -239,7 +209,7 @@ def _add_texture_material(stage: Any, path: str, texture: _Texture) -> Any:
     return material
 
 
-def _write_geometry(path: Path, name: str, visuals: Sequence[_Visual], hulls: Sequence[Hull], config: UsdConfig) -> None:
+def _write_geometry(path: Path, name: str, visuals: Sequence[Visual], hulls: Sequence[Hull], config: UsdConfig) -> None:
     """Positions, triangles, normals, colors and texture coordinates, in USD's binary form."""
     from pxr import Sdf, UsdGeom, Vt
 
@@ -260,7 +230,7 @@ def _write_geometry(path: Path, name: str, visuals: Sequence[_Visual], hulls: Se
     stage.GetRootLayer().Save()
 
 
-def _write_looks(path: Path, name: str, visuals: Sequence[_Visual]) -> None:
+def _write_looks(path: Path, name: str, visuals: Sequence[Visual]) -> None:
     """Preview materials and what they are bound to."""
     from pxr import UsdGeom, UsdShade
 
@@ -315,67 +285,3 @@ def asset_provenance(shape: Shape) -> dict[str, str]:
         "asset_id": asset.asset_id, "provider": asset.provider, "source": asset.source, "license": asset.license,
         "author": asset.author or "unknown", "colliders": shape.method,
     }  # fmt: skip
-
-
-def _visuals(shape: Shape) -> list[_Visual]:
-    """Parts of a shape grouped by texture; all parts without one go together."""
-    images = node_textures(shape.glb, f"{shape.asset.name}.glb")
-    plain: list[trimesh.Trimesh] = []
-    textured: dict[_Texture, list[trimesh.Trimesh]] = {}
-    for part in shape.parts:
-        texture = _texture_of(part, images.get(part.metadata.get("name", "")))
-        if texture is None:
-            plain.append(part)
-        else:
-            textured.setdefault(texture, []).append(part)
-    groups: list[tuple[_Texture | None, list[trimesh.Trimesh]]] = [(None, plain)] if plain else []
-    groups += list(textured.items())
-    return [_visual(index, texture, parts) for index, (texture, parts) in enumerate(groups)]
-
-
-def _visual(index: int, texture: _Texture | None, parts: list[trimesh.Trimesh]) -> _Visual:
-    """One group of parts as arrays."""
-    offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    uv = None if texture is None else np.concatenate([np.nan_to_num(np.asarray(_look(part).uv, dtype=np.float64)) for part in parts])
-    return _Visual(
-        name=f"Part_{index:02d}",
-        vertices=np.concatenate([np.asarray(part.vertices, dtype=np.float64) for part in parts]),
-        faces=np.concatenate([np.asarray(part.faces, dtype=np.int64) + offset for part, offset in zip(parts, offsets, strict=True)]),
-        colors=np.concatenate([vertex_colors(part) for part in parts]) if texture is None else None,
-        uv=uv,
-        texture=texture,
-        two_sided=not all(part.is_watertight for part in parts),
-    )
-
-
-def _texture_of(part: trimesh.Trimesh, encoded: tuple[bytes, str] | None) -> _Texture | None:
-    """The image that a part is drawn with, or None: as it lies in the file, else encoded again."""
-    visual = _look(part)
-    if visual.kind != "texture" or visual.uv is None or len(visual.uv) != len(part.vertices):
-        return None
-    image, factor = material_of(part)
-    if image is None:
-        return None
-    if encoded is None:
-        encoded = _png(image), "png"
-    data, extension = encoded
-    return _Texture(
-        file=f"{digest(hashlib.sha256(data).hexdigest(), 12)}.{extension}",
-        data=data,
-        factor=tuple(float(value) for value in factor),
-        alpha=str(getattr(visual.material, "alphaMode", None) or "OPAQUE"),
-    )
-
-
-def _look(part: trimesh.Trimesh) -> Any:
-    """How a part looks: its colors, or its material and texture coordinates."""
-    return part.visual
-
-
-def _png(image: NDArray[np.uint8]) -> bytes:
-    """An image, shape (h, w, 3), as PNG."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, format="PNG")
-    return buffer.getvalue()
