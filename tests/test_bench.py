@@ -20,15 +20,16 @@ from hypothesis import strategies as st
 from rich.console import Console
 from scipy.spatial import ConvexHull
 
-from flows.bench import plain
-from flows.bench.depths import Polyhedron, depth_of_pair, depth_of_things, disagreeing
-from flows.bench.figures import figures, goals, worst_cases
-from flows.bench.measures import TOUCH_M, Measures
+from flows.bench.optimization import plain
+from flows.bench.optimization.depths import Polyhedron, depth_of_pair, depth_of_things, disagreeing
+from flows.bench.optimization.figures import figures, goals, worst_cases
+from flows.bench.optimization.measures import TOUCH_M, Measures
+from flows.bench.optimization.reports import reported_losses, reported_outside
+from flows.bench.optimization.tables import FIGURES, ONLY_OPTIMIZED, print_report
+from flows.bench.optimization.verdicts import Results, Verdict, config_of, context_of, judge, optimized
 from flows.bench.perturbation import HUNG_MOST_M, LEAST_M, MOST_M, MOST_TURN, Thing, disturb
-from flows.bench.reports import reported_losses, reported_outside
 from flows.bench.rooms import BenchScene, Carried, disturbed_scene, generated_scene, scene_of_count
-from flows.bench.tables import FIGURES, ONLY_OPTIMIZED, as_text, print_report
-from flows.bench.verdicts import Results, Verdict, config_of, context_of, judge, optimized
+from flows.bench.tables import as_text
 from flows.commands.bench import command
 from schemas.capture import Scene
 from schemas.optimization import Placement

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flows.bench.plain import compare, compiled_seconds, crowd_of, descend_plainly, loss_of
+from flows.bench.optimization.plain import compare, compiled_seconds, crowd_of, descend_plainly, loss_of
 from tasks.optimization.collisions import Crowd, Trace, collision_loss, descend, listed, room_borders, room_triangles
 from tasks.optimization.descent import REACH, compiled_descent
 

@@ -51,7 +51,7 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
         if all(context.get_parameter_source(name) == ParameterSource.COMMANDLINE for name in (one, other)):
             raise click.UsageError(f"{_OPTIONS[one]} together with {_OPTIONS[other]}: only one of them can be measured; leave one out")
     from flows.bench.optimization import BenchConfig, run_bench, steps_of
-    from flows.bench.tables import print_report
+    from flows.bench.optimization.tables import print_report
     from flows.progress import Progress
 
     chosen = tuple(dict.fromkeys(word.strip() for word in methods.split(",")))

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import os
-import platform
 import statistics
 import time
 from collections import defaultdict
 from collections.abc import Callable, MutableMapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
-from flows.bench.plain import compare, compiled_seconds
+from flows.bench.optimization.plain import compare, compiled_seconds
+from flows.bench.optimization.verdicts import config_of, context_of, optimized
 from flows.bench.rooms import plain_asset, scene_of_count
-from flows.bench.verdicts import config_of, context_of, optimized
 from tasks.meshes import dump_glb, load_glb
 from tasks.optimization import OptimizationConfig
 from tasks.pieces import asset_pieces
@@ -27,24 +23,6 @@ COUNTS = (39, 100, 300, 1000)
 
 RUNS = 3
 """Runs of a warm scene; their median counts."""
-
-PACKAGES = ("numpy", "numba", "mujoco", "python-fcl", "coacd", "metascenes")
-
-
-def machine() -> dict[str, Any]:
-    """What was measured on: processor, cores that may be used, Python, versions of packages that count."""
-    name = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        lines = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
-        name = lines[0] if lines else name
-    return {
-        "processor": name,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        "versions": {package: version(package) for package in PACKAGES},
-    }
 
 
 def time_moves(seed: int, counts: Sequence[int] = COUNTS) -> dict[str, Any]:

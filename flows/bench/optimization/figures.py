@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from flows.bench.verdicts import INPUT, Results, Verdict
+from flows.bench.optimization.verdicts import INPUT, Results, Verdict
 
 WORST = 20
 """Worst cases that are listed."""

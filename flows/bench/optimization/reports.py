@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 
-from flows.bench.measures import FLOOR
+from flows.bench.optimization.measures import FLOOR
 from flows.bench.rooms import Carried
 from tasks.stage import Outcome
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.bench.depths import TOLERANCE_M, disagreeing
-from flows.bench.measures import FLOOR, OFF_WALL_M, OUTSIDE_M, TOUCH_M, Measures, Posed
-from flows.bench.reports import reported_losses, reported_outside
+from flows.bench.optimization.depths import TOLERANCE_M, disagreeing
+from flows.bench.optimization.measures import FLOOR, OFF_WALL_M, OUTSIDE_M, TOUCH_M, Measures, Posed
+from flows.bench.optimization.reports import reported_losses, reported_outside
 from flows.bench.rooms import BenchScene, Carried
 from schemas.errors import InputError
 from schemas.optimization import Placement

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flows.bench.figures import by_scene, by_state, goals, worst_cases
+from flows.bench.machine import machine
+from flows.bench.optimization.figures import by_scene, by_state, goals, worst_cases
+from flows.bench.optimization.timings import COUNTS, time_chains, time_moves, time_pieces, time_scene
+from flows.bench.optimization.verdicts import Results, judge
 from flows.bench.rooms import PLAIN, BenchScene, disturbed_scene, generated_scene
-from flows.bench.timings import COUNTS, machine, time_chains, time_moves, time_pieces, time_scene
-from flows.bench.verdicts import Results, judge
 from flows.fingerprints import ModuleCaches
 from flows.pool import WorkerPool
 from schemas.record import table_of

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.bench.measures import FLOOR
+from flows.bench.optimization.measures import FLOOR
 from tasks.optimization.solids import Solid
 
 Array = NDArray[np.float64]
