@@ -84,7 +84,7 @@ def simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], secon
 
     A thing that MuJoCo refuses, or whose state diverges, has a problem: it is left out and stays where it is.
     """
-    mujoco = _mujoco()
+    mujoco = mujoco_module()
     problems = [unfit(body) for body in bodies]
     while True:
         model = _model(bodies, poses, shell, problems, settings)
@@ -106,7 +106,7 @@ def simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], secon
 
 def _run(model: Any, data: Any, steps: int, settings: Mujoco) -> tuple[list[int], str]:
     """Simulate so many steps, or until it fails: the things, by number, that it fails for, and why."""
-    mujoco = _mujoco()
+    mujoco = mujoco_module()
     which = mujoco.mjtWarning
     for done in range(0, steps, settings.check_steps):
         mujoco.mj_step(model, data, min(settings.check_steps, steps - done))
@@ -129,7 +129,7 @@ def solid_volume(solid: Solid) -> float:
     return volume if np.isfinite(volume) else 0.0
 
 
-def _mujoco() -> Any:
+def mujoco_module() -> Any:
     """MuJoCo without a window system, unless the user has chosen one."""
     os.environ.setdefault("MUJOCO_GL", "disable")
     import mujoco
@@ -140,6 +140,16 @@ def _mujoco() -> Any:
 
 def _quiet(warning: str) -> None:
     """Take a warning of MuJoCo's, which counts it as well."""
+
+
+def contact_of(settings: Mujoco) -> dict[str, list[float]]:
+    """Attributes of a geom that say how its contacts give way."""
+    return {"solref": [settings.stiffness_s, 1.0], "solimp": [*settings.impedance, 0.5, 2.0]}
+
+
+def friction_of(friction: float, settings: Mujoco) -> list[float]:
+    """Sliding, torsional and rolling friction of a geom; of a pair of geoms MuJoCo takes the greater."""
+    return [max(friction, settings.friction_floor), 0.005, 0.0001]
 
 
 def unfit(body: Body) -> str | None:
@@ -172,7 +182,7 @@ def _model(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problem
 
 def _spec(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems: Sequence[str | None], settings: Mujoco) -> Any:
     """The scene as MuJoCo's specification: body i has the name `b<i>`."""
-    mujoco = _mujoco()
+    mujoco = mujoco_module()
     spec = mujoco.MjSpec()
     option = spec.option
     option.timestep = settings.timestep_s
@@ -185,8 +195,7 @@ def _spec(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems
         option.enableflags, option.sleep_tolerance = mujoco.mjtEnableBit.mjENBL_SLEEP, settings.sleep_m_s
     spec.compiler.usethread = False
     spec.memory = settings.memory_bytes
-    contact = {"solref": [settings.stiffness_s, 1.0], "solimp": [*settings.impedance, 0.5, 2.0]}
-    small = [settings.friction_floor, 0.005, 0.0001]
+    contact, small = contact_of(settings), friction_of(0.0, settings)
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], friction=small, **contact)
 
     def colliders(body: Any, solid: Solid, name: str, friction: Sequence[float]) -> None:
@@ -210,14 +219,14 @@ def _spec(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems
         inertia = properties.inertia * (body.mass_kg / properties.volume)
         added.explicitinertial, added.mass, added.ipos = True, body.mass_kg, properties.center
         added.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-        colliders(added, body.solid, f"b{i}", [max(body.friction, settings.friction_floor), 0.005, 0.0001])
+        colliders(added, body.solid, f"b{i}", friction_of(body.friction, settings))
     return spec
 
 
 def _start_penetration(model: Any, data: Any, count: int) -> Array:
     """Deepest penetration of every thing with anything [m], shape (count,). Pairs of fixed things, which MuJoCo does not
     collide, are measured one by one."""
-    mujoco = _mujoco()
+    mujoco = mujoco_module()
     depth = np.zeros(count)
     names = [model.body(number).name for number in range(model.nbody)]
     owner = np.array([int(name[1:]) if name.startswith("b") else -1 for name in names])[model.geom_bodyid]
