@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from flows.bench.goals import goal
 from flows.bench.optimization.verdicts import INPUT, Results, Verdict
 
 WORST = 20
@@ -102,11 +102,7 @@ def goals(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     found.append(("times faster per move than plain Python", moves["speedup"], ">=", 1000.0))
     (few, at_few), *_, (many, at_many) = sorted((int(count), seconds) for count, seconds in moves["seconds_per_move"].items())
     found.append((f"times as long per move at {many} things as at {few}", at_many / at_few, "<", many / few))
-    met = {"<=": operator.le, ">=": operator.ge, "<": operator.lt}
-    return [
-        {"goal": name, "found": value, "wanted": f"{sign} {limit:g}", "met": None if value is None else bool(met[sign](value, limit))}
-        for name, value, sign, limit in found
-    ]
+    return [goal(name, value, sign, limit) for name, value, sign, limit in found]
 
 
 def worst_cases(results: Sequence[Results], state: str, most: int = WORST) -> list[dict[str, Any]]:
