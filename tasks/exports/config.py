@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from schemas.exports import FORMATS
+from tasks.optimization.mujoco_engine import Mujoco
 from tasks.pieces import PieceConfig
 from tasks.replica import ShellConfig
 
@@ -34,6 +35,14 @@ class HabitatConfig:
 
 
 @dataclasses.dataclass(frozen=True)
+class MjcfConfig:
+    """MuJoCo's own format."""
+
+    engine: Mujoco = dataclasses.field(default_factory=Mujoco)  # what certificates are made with: the same things stay in place
+    gravity_m_s2: float = 9.81  # MuJoCo's own default, and the certificates'
+
+
+@dataclasses.dataclass(frozen=True)
 class ExportsConfig:
     """The exports stage."""
 
@@ -42,6 +51,7 @@ class ExportsConfig:
     shell: ShellConfig = dataclasses.field(default_factory=ShellConfig)
     usd: UsdConfig = dataclasses.field(default_factory=UsdConfig)
     habitat: HabitatConfig = dataclasses.field(default_factory=HabitatConfig)
+    mjcf: MjcfConfig = dataclasses.field(default_factory=MjcfConfig)
     room_friction: float = 0.8  # painted plaster and varnished wood against furniture; between the tables' 0.5 and rubber's 1
     room_restitution: float = 0.05  # a room does not bounce
     default_density_kg_m3: float = 300.0  # of an object without a caption: light wood with hollows

@@ -1,0 +1,204 @@
+"""A replica as a MuJoCo model: `<stem>/scene.xml` and the meshes and images in `<stem>/assets/`.
+
+Physics is that of the certificates: the same options, hulls, mass properties, friction and contacts, in the same order.
+Hulls stand in the XML itself, because MuJoCo reads numbers there in double precision and files in single; what is only
+seen is an OBJ file beside it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tasks.exports.bodies import Body, Replica, Shape
+from tasks.exports.config import ExportsConfig
+from tasks.exports.files import File
+from tasks.exports.wavefront import Painted, as_png, dump_obj, painted_part, painted_shape
+from tasks.optimization.mujoco_engine import Mujoco, contact_of, friction_of
+from tasks.pieces import Hull
+from tasks.replica import room_shell
+from tasks.transforms import quaternion_wxyz
+
+Element = ElementTree.Element
+
+ABOUT = (
+    " Metres, kilograms, seconds, radians; +Z up, floor at z = 0. Geoms of group 3 collide, geoms of group 2 are seen. "
+    "MuJoCo takes the greater friction of two geoms: the room's is small, so that the object's decides. "
+    "Texts under custom say where every body comes from. "
+)
+
+
+def mjcf_files(replica: Replica, config: ExportsConfig) -> list[File]:
+    """Files of one scene, sorted by path."""
+    settings = config.mjcf.engine
+    root = Element("mujoco", model=replica.stem)
+    root.append(ElementTree.Comment(ABOUT))
+    ElementTree.SubElement(root, "compiler", angle="radian", meshdir="assets", texturedir="assets", usethread="false")
+    _options(root, settings, config)
+    custom = ElementTree.SubElement(root, "custom")
+    _defaults(root, settings)
+    assets = ElementTree.SubElement(root, "asset")
+    world = ElementTree.SubElement(root, "worldbody")
+    files: dict[str, bytes] = {}
+    _text(custom, "scene", {"scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type})
+    _room(world, assets, files, replica, settings, config)
+    known: dict[str, list[dict[str, str]]] = {}
+    for body in replica.bodies:
+        if body.shape.name not in known:
+            known[body.shape.name] = _shape(assets, files, body.shape)
+        _body(world, body, known[body.shape.name], settings)
+        _text(custom, body.name, described(body))
+    state = [value for body in replica.bodies if not body.is_fixed for value in (*body.pose[:3, 3], *quaternion_wxyz(body.pose))]
+    frames = ElementTree.SubElement(root, "keyframe")
+    ElementTree.SubElement(frames, "key", {"name": "start", **({"qpos": _numbers(state)} if state else {})})
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode") + "\n"
+    made = [File(f"{replica.stem}/scene.xml", text.encode(), "scene")]
+    made += [File(f"{replica.stem}/assets/{name}", data, _role(name)) for name, data in files.items()]
+    return sorted(made, key=lambda file: file.path)
+
+
+def described(body: Body) -> dict[str, str | int | bool]:
+    """What a body is and where it comes from."""
+    about: dict[str, str | int | bool] = {
+        "category": body.category, "nyu40_id": body.nyu40_id, "nyu40_label": body.nyu40_label, "is_fixed": body.is_fixed,
+    }  # fmt: skip
+    return about | dict(body.provenance)
+
+
+def _options(root: Element, settings: Mujoco, config: ExportsConfig) -> None:
+    """Options of the simulation: those of `tasks.optimization.mujoco_engine`."""
+    option = ElementTree.SubElement(
+        root, "option", timestep=repr(settings.timestep_s), cone="elliptic", impratio=repr(settings.impratio), integrator="implicitfast",
+        iterations=str(settings.iterations), tolerance=repr(settings.tolerance), gravity=_numbers([0.0, 0.0, -config.mjcf.gravity_m_s2]),
+    )  # fmt: skip
+    flags = {"autoreset": "disable"}  # a state that went astray must not look like the start
+    if settings.sleep_m_s > 0.0:
+        option.set("sleep_tolerance", repr(settings.sleep_m_s))
+        flags["sleep"] = "enable"
+    ElementTree.SubElement(option, "flag", flags)
+    ElementTree.SubElement(root, "size", memory=str(settings.memory_bytes))
+
+
+def _defaults(root: Element, settings: Mujoco) -> None:
+    """What all geoms of a kind have in common."""
+    top = ElementTree.SubElement(root, "default")
+    ElementTree.SubElement(top, "mesh", inertia="shell")  # masses are stated; this one asks nothing of a mesh but an area
+    collision = ElementTree.SubElement(top, "default", {"class": "collision"})
+    contact = {key: _numbers(values) for key, values in contact_of(settings).items()}
+    ElementTree.SubElement(collision, "geom", {"type": "mesh", "group": "3", "rgba": "0.4 0.7 0.4 0.4", **contact})
+    visual = ElementTree.SubElement(top, "default", {"class": "visual"})
+    ElementTree.SubElement(visual, "geom", type="mesh", group="2", contype="0", conaffinity="0", mass="0")
+
+
+def _room(
+    world: Element, assets: Element, files: dict[str, bytes], replica: Replica, settings: Mujoco, config: ExportsConfig
+) -> None:  # fmt: skip
+    """The floor as a plane, the walls as static bodies. A plane has no edge and no depth to fall through."""
+    rubs = _numbers(friction_of(0.0, settings))
+    ElementTree.SubElement(world, "geom", {"name": "room_floor", "class": "collision", "type": "plane", "size": "0 0 1", "friction": rubs})
+    for name, part in room_shell(replica.room, config.shell):
+        seen = _visuals(assets, files, f"room_{name}", painted_part(part))
+        if name == "floor":
+            _add_visuals(world, f"room_{name}", seen)
+            continue
+        body = ElementTree.SubElement(world, "body", name=f"room_{name}")
+        hull = Hull(np.asarray(part.vertices, dtype=np.float64), np.asarray(part.faces, dtype=np.int64))
+        _mesh(assets, f"room_{name}_hull_00", hull)
+        _collide(body, f"room_{name}", f"room_{name}", 1, rubs)
+        _add_visuals(body, f"room_{name}", seen)
+
+
+def _shape(assets: Element, files: dict[str, bytes], shape: Shape) -> list[dict[str, str]]:
+    """Meshes of a shape, which all bodies of that shape share; attributes of the geoms that show them."""
+    for index, hull in enumerate(shape.hulls):
+        _mesh(assets, f"{shape.name}_hull_{index:02d}", hull)
+    return _visuals(assets, files, shape.name, painted_shape(shape))
+
+
+def _mesh(assets: Element, name: str, hull: Hull) -> None:
+    """A hull in the XML itself."""
+    faces = " ".join(str(value) for value in hull.faces.reshape(-1).tolist())
+    ElementTree.SubElement(assets, "mesh", name=name, vertex=_numbers(hull.vertices), face=faces)
+
+
+def _visuals(assets: Element, files: dict[str, bytes], name: str, meshes: Sequence[Painted]) -> list[dict[str, str]]:
+    """Meshes to be seen, as OBJ files, and attributes of the geoms that show them."""
+    shown = []
+    for index, mesh in enumerate(meshes):
+        part = f"{name}_part_{index:02d}"
+        vertices = mesh.vertices if len(mesh.vertices) > 3 else np.concatenate([mesh.vertices, mesh.vertices[-1:]])  # MuJoCo wants four
+        uv = None if mesh.uv is None else np.concatenate([mesh.uv, mesh.uv[-1:]])[: len(vertices)]
+        files[f"{part}.obj"] = dump_obj(vertices, mesh.faces, uv)
+        ElementTree.SubElement(assets, "mesh", name=part, file=f"{part}.obj")
+        look = {"mesh": part, "rgba": _numbers([*mesh.color, 1.0])}
+        if mesh.texture is not None:
+            look = {"mesh": part, "material": _material(assets, files, mesh)}
+        shown.append(look)
+    return shown
+
+
+def _material(assets: Element, files: dict[str, bytes], mesh: Painted) -> str:
+    """Name of the material that draws a mesh with its image; MuJoCo reads PNG only."""
+    assert mesh.texture is not None
+    image = f"{mesh.texture.file.rsplit('.', 1)[0]}.png"
+    color = _numbers([*mesh.color, 1.0])
+    texture = f"image_{image.removesuffix('.png')}"
+    if image not in files:
+        files[image] = as_png(mesh.texture)[1]
+        ElementTree.SubElement(assets, "texture", name=texture, type="2d", file=image)
+    found = next((m for m in assets.iterfind("material") if (m.get("texture"), m.get("rgba")) == (texture, color)), None)
+    if found is None:
+        name = f"look_{sum(1 for _ in assets.iterfind('material')):03d}"
+        found = ElementTree.SubElement(assets, "material", name=name, texture=texture, rgba=color, specular="0", shininess="0")
+    return found.attrib["name"]
+
+
+def _body(world: Element, body: Body, seen: Sequence[Mapping[str, str]], settings: Mujoco) -> None:
+    """A body with its joint, its mass properties and its geoms."""
+    place, turn = body.pose[:3, 3], quaternion_wxyz(body.pose)
+    element = ElementTree.SubElement(world, "body", name=body.name, pos=_numbers(place), quat=_numbers(turn))
+    if not body.is_fixed:
+        ElementTree.SubElement(element, "freejoint", name=body.name)
+    properties = body.shape.properties
+    inertia = properties.inertia * (body.mass_kg / properties.volume)
+    upper = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+    ElementTree.SubElement(
+        element, "inertial", pos=_numbers(properties.center), mass=repr(float(body.mass_kg)), fullinertia=_numbers(upper)
+    )  # fmt: skip
+    _collide(element, body.name, body.shape.name, len(body.shape.hulls), _numbers(friction_of(body.friction, settings)))
+    _add_visuals(element, body.name, seen)
+
+
+def _collide(element: Element, name: str, mesh: str, count: int, friction: str) -> None:
+    """One geom per hull."""
+    for index in range(count):
+        hull = f"hull_{index:02d}"
+        ElementTree.SubElement(
+            element, "geom", {"name": f"{name}_{hull}", "class": "collision", "mesh": f"{mesh}_{hull}", "friction": friction}
+        )  # fmt: skip
+
+
+def _add_visuals(element: Element, name: str, seen: Iterable[Mapping[str, str]]) -> None:
+    """Geoms that are seen and touch nothing."""
+    for index, look in enumerate(seen):
+        ElementTree.SubElement(element, "geom", {"name": f"{name}_part_{index:02d}", "class": "visual", **look})
+
+
+def _text(custom: Element, name: str, about: Mapping[str, str | int | bool]) -> None:
+    """A text of the model that MuJoCo carries along: JSON in ASCII, so that no character is one that XML forbids."""
+    ElementTree.SubElement(custom, "text", name=name, data=json.dumps(about, sort_keys=True))
+
+
+def _numbers(values: ArrayLike) -> str:
+    """Numbers as the shortest text that reads back as the same doubles; no negative zeros."""
+    return " ".join(repr(value if value != 0.0 else 0.0) for value in np.asarray(values, dtype=np.float64).reshape(-1).tolist())
+
+
+def _role(name: str) -> str:
+    """Role of a file beside the scene."""
+    return "texture" if name.endswith(".png") else "stage" if name.startswith("room_") else "asset"

@@ -1,0 +1,128 @@
+"""Meshes as Wavefront OBJ files, for formats that know one color or one image per mesh.
+
+Positions are written to a nanometre: readers that keep them in single precision lose more than the file does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tasks.exports.bodies import Shape
+from tasks.exports.visuals import Texture, Visual, visuals_of
+from tasks.meshes import vertex_colors
+
+if TYPE_CHECKING:
+    import trimesh
+
+COLORS = 16
+"""A mesh without an image is split into this many of one color each at most: enough for furniture, few enough to draw."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Painted:
+    """A mesh of one color or one image.
+
+    vertices: [m], shape (n, 3), in the frame that the holder states. faces: triangles, shape (m, 3). uv: texture coordinates,
+    origin at the lower left, shape (n, 2), with a texture only. color: sRGB in 0..1; with a texture, what it is multiplied by.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float64] | None
+    color: tuple[float, ...]
+    texture: Texture | None
+
+
+def painted_shape(shape: Shape) -> list[Painted]:
+    """What is seen of a shape, in its own frame; what has no area cannot be seen."""
+    return [mesh for visual in visuals_of(shape) for mesh in _painted(visual) if _area(mesh) > 1e-12]
+
+
+def painted_part(part: trimesh.Trimesh) -> list[Painted]:
+    """A part of the room's shell."""
+    vertices, faces = np.asarray(part.vertices, dtype=np.float64), np.asarray(part.faces, dtype=np.int64)
+    return _painted(Visual("part", vertices, faces, vertex_colors(part), None, None, False))
+
+
+def dump_obj(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike | None = None, library: str | None = None) -> bytes:
+    """An OBJ file of triangles: positions [m], shape (n, 3); faces, shape (m, 3); texture coordinates, shape (n, 2).
+
+    `library`: MTL file beside it, whose only material is `look`.
+    """
+    lines = [f"mtllib {library}\nusemtl look"] if library else []
+    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in _rounded(vertices)]
+    if uv is not None:
+        lines += [f"vt {u!r} {v!r}" for u, v in _rounded(uv)]
+        lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in (np.asarray(faces) + 1).tolist()]
+    else:
+        lines += [f"f {a} {b} {c}" for a, b, c in (np.asarray(faces) + 1).tolist()]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def dump_mtl(color: Sequence[float], image: str | None = None) -> bytes:
+    """An MTL file with the material `look`: color in 0..1, shape (3,), and an image beside it."""
+    r, g, b = (round(float(value), 6) for value in color)
+    lines = ["newmtl look", f"Kd {r!r} {g!r} {b!r}", "Ka 0.0 0.0 0.0", "Ks 0.0 0.0 0.0", "d 1.0", "illum 1"]
+    return ("\n".join([*lines, f"map_Kd {image}"] if image else lines) + "\n").encode()
+
+
+def as_png(texture: Texture) -> tuple[str, bytes]:
+    """Name and bytes of a texture as PNG; one that is PNG already stays as it is."""
+    if texture.file.endswith(".png"):
+        return texture.file, texture.data
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.open(io.BytesIO(texture.data)).convert("RGB").save(buffer, format="PNG")
+    return f"{texture.file.rsplit('.', 1)[0]}.png", buffer.getvalue()
+
+
+def _rounded(values: ArrayLike) -> list[list[float]]:
+    """Rows of numbers, rounded to a nanometre; no negative zeros."""
+    rows: list[list[float]] = (np.round(np.asarray(values, dtype=np.float64), 9) + 0.0).tolist()
+    return rows
+
+
+def _painted(visual: Visual) -> list[Painted]:
+    """A group of parts, split by color."""
+    if visual.texture is not None:
+        return [Painted(visual.vertices, visual.faces, visual.uv, visual.texture.factor, visual.texture)]
+    assert visual.colors is not None
+    if (visual.colors == visual.colors[0]).all():
+        return [Painted(visual.vertices, visual.faces, None, _unit(visual.colors[0]), None)]
+    of_faces = np.round(visual.colors[visual.faces].astype(np.float64).mean(axis=1)).astype(np.uint8)
+    colors, which = np.unique(of_faces, axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    if len(colors) > COLORS:
+        colors, which = _fewer(of_faces)
+    found = []
+    for index in np.unique(which).tolist():
+        used, faces = np.unique(visual.faces[which == index], return_inverse=True)
+        found.append(Painted(visual.vertices[used], faces.reshape(-1, 3).astype(np.int64), None, _unit(colors[index]), None))
+    return found
+
+
+def _fewer(colors: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Few colors that stand for many, shape (k, 3), and which stands for each, shape (n,) (Heckbert 1982: median cut)."""
+    from PIL import Image
+
+    image = Image.fromarray(colors[None]).quantize(COLORS, method=Image.Quantize.MEDIANCUT)
+    palette = np.array(image.getpalette() or [], dtype=np.uint8).reshape(-1, 3)
+    return palette, np.asarray(image, dtype=np.int64).reshape(-1)
+
+
+def _unit(color: NDArray[np.uint8]) -> tuple[float, ...]:
+    """A color of bytes as values in 0..1."""
+    return tuple(round(float(value) / 255.0, 6) for value in color)
+
+
+def _area(mesh: Painted) -> float:
+    """Area of a mesh's triangles [m2]."""
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
