@@ -16,6 +16,9 @@ from tasks.exports.navmesh_file import read_navmesh
 
 TASKS = ("objectnav", "pointnav")
 
+SUCCESS_M = 0.2
+"""How near to a goal an episode's actions end [m]: steps of 0.25 m cannot always end within habitat-lab's 0.1 m for objects."""
+
 
 @dataclasses.dataclass(frozen=True)
 class HabitatScene:
@@ -75,7 +78,7 @@ def dataset_files(scenes: Sequence[HabitatScene], config: HabitatConfig | None =
     }
     agent = next((scene.navmesh for scene in ordered if scene.navmesh), None)
     if agent is not None:
-        files["metadata/agent.json"] = dump_json(agent_settings(agent))
+        files["metadata/agent.json"] = dump_json(agent_settings(agent, options))
     categories: dict[str, int] = {}
     for scene in ordered:
         for category, number in scene.categories.items():
@@ -89,14 +92,17 @@ def dataset_files(scenes: Sequence[HabitatScene], config: HabitatConfig | None =
     return dict(sorted(files.items()))
 
 
-def agent_settings(navmesh: Mapping[str, float]) -> dict[str, Any]:
-    """The agent that a navmesh was made for, in the words of habitat-lab's config."""
+def agent_settings(navmesh: Mapping[str, float], config: HabitatConfig) -> dict[str, Any]:
+    """The agent that a navmesh and its episodes were made for, in the words of habitat-lab's config."""
     return {
         "radius": round(navmesh["agentRadius"], 6),
         "height": round(navmesh["agentHeight"], 6),
         "max_climb": round(navmesh["agentMaxClimb"], 6),
         "max_slope": round(navmesh["agentMaxSlope"], 6),
         "navmesh_include_static_objects": bool(navmesh["includeStaticObjects"]),
+        "forward_step_size": config.forward_m,
+        "turn_angle": config.turn_degrees,
+        "success_distance": SUCCESS_M,
     }
 
 
@@ -138,14 +144,14 @@ def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
     ]
     agent = next((scene.navmesh for scene in scenes if scene.navmesh), None)
     if agent is not None:
-        settings = agent_settings(agent)
+        settings = agent_settings(agent, config)
         names = ("radius", "height", "max_climb", "max_slope")
         lines += [f"habitat.simulator.agents.main_agent.{name}={settings[name]:g}" for name in names]
         lines += [f"habitat.simulator.navmesh_include_static_objects={settings['navmesh_include_static_objects']}"]
     lines += [
         f"habitat.simulator.forward_step_size={config.forward_m:g}",
         f"habitat.simulator.turn_angle={config.turn_degrees:g}",
-        "habitat.task.measurements.success.success_distance=0.2",
+        f"habitat.task.measurements.success.success_distance={SUCCESS_M:g}",
         "```",
         "",
         "The agent's settings matter: habitat-sim compares them with the header of every navmesh and, where one differs, bakes",

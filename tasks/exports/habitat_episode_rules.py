@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -11,7 +12,9 @@ import numpy as np
 
 from tasks.exports import habitat_shapes
 from tasks.exports.findings import Finding
+from tasks.exports.habitat_ground import NEAR, Ground
 from tasks.exports.habitat_library import Library, read_json
+from tasks.exports.habitat_replay import Steps, Trip, check_trips, heading_of, steps_of
 from tasks.exports.navmesh_file import NavmeshFile
 
 EPISODE_RULES: dict[str, str] = {
@@ -27,7 +30,10 @@ EPISODE_RULES: dict[str, str] = {
     "view_points": "goals of ObjectNav have view points with position, rotation and iou, on the navmesh",
     "goal_object": "goals of ObjectNav name an object of their scene",
     "shortest_paths": "shortest paths of PointNav are lists of states, not of bare actions",
-    "geodesic": "geodesic distances are finite and not shorter than the straight line",
+    "geodesic": "geodesic distances are finite and those of the shortest path over the navmesh's polygons, exactly or as Detour finds it",
+    "reachable": "a goal of every episode is connected to its start on the navmesh",
+    "replay": "actions of shortest paths, replayed with the documented steps, follow their own states and never leave the navmesh",
+    "replay_end": "and end, with stop, within the documented distance (0.2 m) of a goal's position or a target's view point",
 }
 
 _COMMON = {"episode_id", "scene_id", "scene_dataset_config", "additional_obj_config_paths", "start_position", "start_rotation", "info"}
@@ -36,30 +42,54 @@ _OBJECT_EPISODE = {*_EPISODE, "object_category"}
 _NEEDED = {"episode_id", "scene_id", "start_position", "start_rotation", "goals"}
 _GOAL = {"position", "radius"}
 _OBJECT_GOAL = {*_GOAL, "object_id", "object_name", "object_name_id", "object_category", "room_id", "room_name", "view_points"}
-_ON_NAVMESH = 0.05  # metres beside the mesh, half a cell of the usual bake each way
 _ABOVE_NAVMESH = 0.5  # metres; habitat-lab's own sampler allows as much between start and goal
 
 
-def check_episodes(library: Library, navmeshes: Mapping[str, NavmeshFile | None]) -> list[Finding]:
-    """Everything that is wrong with the episodes of a dataset. `navmeshes`: by scene, None for a scene without one."""
+@dataclasses.dataclass(frozen=True)
+class _World:
+    """What episodes are held against: templates by name, navmeshes by scene (None without one), the agent's steps if stated."""
+
+    library: Library
+    navmeshes: Mapping[str, NavmeshFile | None]
+    grounds: Mapping[str, Ground]
+    steps: Steps | None
+
+
+def check_episodes(library: Library, navmeshes: Mapping[str, NavmeshFile | None], agent: Mapping[str, Any] | None) -> list[Finding]:
+    """Everything that is wrong with the episodes of a dataset.
+
+    Args:
+        library: The dataset.
+        navmeshes: By scene, None for a scene without one.
+        agent: What `metadata/agent.json` says, None without one.
+    """
     findings: list[Finding] = []
+    grounds = {scene: Ground(navmesh) for scene, navmesh in navmeshes.items() if navmesh is not None}
+    world = _World(library, navmeshes, grounds, steps_of(agent))
     for task in ("objectnav", "pointnav"):
         for folder in sorted((library.root / task).glob("*")):
             if folder.is_dir():
-                _split(library, folder, task, navmeshes, findings)
+                _split(world, folder, task, findings)
     return findings
 
 
-def _split(library: Library, folder: Path, task: str, navmeshes: Mapping[str, NavmeshFile | None], findings: list[Finding]) -> None:
+def _split(world: _World, folder: Path, task: str, findings: list[Finding]) -> None:
     """One split of one task."""
+    library = world.library
     header_path = folder / f"{folder.name}.json.gz"
     header = read_json(header_path, library.root, findings, habitat_shapes.SPLIT) or {}
     where = header_path.relative_to(library.root).as_posix()
     if "episodes" not in header:
-        findings.append(Finding("split_file", where, "has no list of episodes"))
+        findings.append(Finding("split_file", where, "episodes are missing"))
     maps = _maps(header)
     if task == "objectnav" and maps is None:
-        findings.append(Finding("category_maps", where, "a category map is missing, or the two have different keys"))
+        findings.append(
+            Finding(
+                "category_maps",
+                where,
+                "category_to_task_category_id or category_to_scene_annotation_category_id is missing, or their keys differ",
+            )
+        )
     total = len(header.get("episodes") or [])
     for path in sorted((folder / "content").glob("*.json.gz")):
         content = read_json(path, library.root, findings, habitat_shapes.CONTENT)
@@ -68,15 +98,16 @@ def _split(library: Library, folder: Path, task: str, navmeshes: Mapping[str, Na
         name = path.relative_to(library.root).as_posix()
         own = _maps(content)
         if any("category_to" in key for key in content) and own != maps:
-            findings.append(Finding("category_maps", name, "differ from those of the split"))
+            findings.append(Finding("category_maps", name, "category_to_..._category_id differ from those of the split"))
         episodes = content.get("episodes")
         if not episodes:
-            findings.append(Finding("split_file", name, "has no episodes"))
+            findings.append(Finding("split_file", name, "episodes are none"))
             continue
         total += len(episodes)
-        findings += _content(library, content, task, name, navmeshes, maps)
+        findings += _content(world, content, task, name, maps)
+        findings += _replayed(world, content, task, name)
     if total == 0:
-        findings.append(Finding("split_file", where, "there are no episodes in all: habitat-lab stops"))
+        findings.append(Finding("split_file", where, "episodes are none in all scenes: habitat-lab stops"))
 
 
 def _maps(document: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -88,11 +119,9 @@ def _maps(document: Mapping[str, Any]) -> dict[str, Any] | None:
     return {"task": tasks, "scene": scenes}
 
 
-def _content(
-    library: Library, content: Mapping[str, Any], task: str, name: str,
-    navmeshes: Mapping[str, NavmeshFile | None], maps: dict[str, Any] | None,
-) -> Iterator[Finding]:  # fmt: skip
+def _content(world: _World, content: Mapping[str, Any], task: str, name: str, maps: dict[str, Any] | None) -> Iterator[Finding]:
     """The episodes of one scene."""
+    library, navmeshes = world.library, world.navmeshes
     goals = content.get("goals_by_category", {})
     seen: set[Any] = set()
     for index, episode in enumerate(content["episodes"]):
@@ -100,7 +129,7 @@ def _content(
         yield from _keys(episode, _OBJECT_EPISODE if task == "objectnav" else _EPISODE, _NEEDED, "episode_keys", where)
         episode_id = episode.get("episode_id")
         if not isinstance(episode_id, str) or episode_id in seen:
-            yield Finding("episode_id", where, f"{episode_id!r} is no text, or is there twice")
+            yield Finding("episode_id", where, f"episode_id {episode_id!r} is no text, or is there twice")
         seen.add(str(episode_id))
         yield from _scene(library, episode, where)
         navmesh = navmeshes.get(str(episode.get("scene_id")))
@@ -112,14 +141,51 @@ def _content(
                 yield Finding("goals", where, f"goals_by_category has no {key!r}")
             states = [state for path in episode.get("shortest_paths") or [] for state in path if isinstance(state, dict)]
             if habitat_shapes.mismatch(states, [habitat_shapes.STATE]):
-                yield Finding("shortest_paths", where, "a step has a position, rotation or action of another kind")
+                yield Finding("shortest_paths", where, "shortest_paths: a step has a position, rotation or action of another kind")
             if maps is not None and category not in maps["task"]:
-                yield Finding("category_maps", where, f"category {category!r} is in no map")
+                yield Finding("category_maps", where, f"object_category {category!r} is in no map")
         else:
             yield from _point_goals(episode, where, navmesh)
     if task == "objectnav":
         for key, items in goals.items():
             yield from _object_goals(library, key, items, name, navmeshes)
+
+
+def _replayed(world: _World, content: Mapping[str, Any], task: str, name: str) -> Iterator[Finding]:
+    """The episodes of one scene, carried out on its navmesh."""
+    trips: dict[str, list[Trip]] = {}
+    walked = 0
+    for index, episode in enumerate(content["episodes"]):
+        scene, paths = str(episode.get("scene_id")), episode.get("shortest_paths") or []
+        walked += bool(paths)
+        start = _numbers(episode.get("start_position"), 3)
+        goals = _object_places(content, episode) if task == "objectnav" else _places(episode.get("goals") or [])
+        if scene in world.grounds and start is not None and len(goals) and _heading(episode.get("start_rotation")) is None:
+            heading = heading_of(episode["start_rotation"])
+            trip = Trip(f"{name} episodes[{index}]", start[[0, 2]], heading, goals, paths, episode.get("info") or {})
+            trips.setdefault(scene, []).append(trip)
+    for scene, found in trips.items():
+        yield from check_trips(found, world.grounds[scene], world.steps)
+    if walked and world.steps is None:
+        said = "metadata/agent.json states no forward_step_size and turn_angle: shortest_paths cannot be replayed"
+        yield Finding("replay", name, said, world.library.is_ours)
+    if walked < len(content["episodes"]):
+        yield Finding("replay", name, f"{len(content['episodes']) - walked} episodes have no shortest_paths to replay", is_error=False)
+
+
+def _object_places(content: Mapping[str, Any], episode: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """View points (x, z) of the object that an ObjectNav episode was made for, or of all of its category, shape (n, 2)."""
+    key = f"{PurePosixPath(str(episode.get('scene_id'))).name}_{episode.get('object_category')}"
+    goals = content.get("goals_by_category", {}).get(key) or []
+    target = (episode.get("info") or {}).get("target_object_id")
+    chosen = [goal for goal in goals if goal.get("object_id") == target] or goals
+    return _places([view.get("agent_state") or {} for goal in chosen for view in goal.get("view_points") or []])
+
+
+def _places(goals: Iterable[Mapping[str, Any]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Positions (x, z) of goals or agent states that have one, shape (n, 2)."""
+    found = [position[[0, 2]] for goal in goals if (position := _numbers(goal.get("position"), 3)) is not None]
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
 def _keys(item: Mapping[str, Any], allowed: set[str], needed: set[str], rule: str, where: str) -> Iterator[Finding]:
@@ -150,7 +216,7 @@ def _standing(value: Any, navmesh: NavmeshFile | None) -> str | None:
     if navmesh is None:
         return "the scene has no navmesh"
     beside, above = navmesh.distance(place)
-    if beside > _ON_NAVMESH or above > _ABOVE_NAVMESH:
+    if beside > NEAR or above > _ABOVE_NAVMESH:
         return f"{value} lies {beside:.2f} m beside the navmesh and {above:.2f} m above or below it"
     return None
 
@@ -174,7 +240,7 @@ def _start(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | None) 
         yield Finding("start", where, f"start_position {wrong}")
     wrong = _heading(episode.get("start_rotation"))
     if wrong:
-        yield Finding("start_rotation", where, wrong)
+        yield Finding("start_rotation", where, f"start_rotation {wrong}")
     info = episode.get("info") or {}
     distance, straight = info.get("geodesic_distance"), info.get("euclidean_distance", 0.0)
     if habitat_shapes.number(distance) or habitat_shapes.number(straight) or distance < straight - 1e-3:
@@ -185,17 +251,17 @@ def _point_goals(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | 
     """Goals and shortest paths of a PointNav episode."""
     goals = episode.get("goals")
     if not goals:
-        yield Finding("goals", where, "has no goals")
+        yield Finding("goals", where, "goals are none")
         return
     for goal in goals:
         yield from _keys(goal, _GOAL, {"position"}, "goal_keys", where)
         wrong = _standing(goal.get("position"), navmesh)
         if wrong:
-            yield Finding("goals", where, f"position {wrong}")
+            yield Finding("goals", where, f"goals: position {wrong}")
     for path in episode.get("shortest_paths") or []:
         states = all(isinstance(state, dict) and set(state) == {"position", "rotation", "action"} for state in path)
         if not states or habitat_shapes.mismatch(path, [habitat_shapes.STATE]):
-            yield Finding("shortest_paths", where, "a step is no object with position, rotation and action")
+            yield Finding("shortest_paths", where, "shortest_paths: a step is no object with position, rotation and action")
 
 
 def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: Mapping[str, NavmeshFile | None]) -> Iterator[Finding]:
@@ -215,7 +281,7 @@ def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: 
             yield Finding("goals", where, f"position {goal.get('position')} is not three finite numbers")
         views = goal.get("view_points")
         if not views:
-            yield Finding("view_points", where, "has none")
+            yield Finding("view_points", where, "view_points are none")
             continue
         for view in views:
             yield from _view(view, where, navmeshes.get(scene))
@@ -224,12 +290,12 @@ def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: 
 def _view(view: Any, where: str, navmesh: NavmeshFile | None) -> Iterator[Finding]:
     """One view point."""
     if set(view) != {"agent_state", "iou"}:
-        yield Finding("view_points", where, "a view point needs agent_state and iou, and nothing else")
+        yield Finding("view_points", where, "view_points: one needs agent_state and iou, and nothing else")
         return
     iou = view["iou"]
     if not isinstance(iou, int | float) or isinstance(iou, bool) or not math.isfinite(iou) or iou < 0:
-        yield Finding("view_points", where, f"iou is {iou!r}")
+        yield Finding("view_points", where, f"view_points: iou is {iou!r}")
     state = view["agent_state"]
     wrong = _standing(state.get("position"), navmesh) or _heading(state.get("rotation"))
     if wrong or set(state) != {"position", "rotation"}:
-        yield Finding("view_points", where, wrong or "agent_state needs position and rotation, and nothing else")
+        yield Finding("view_points", where, f"view_points: {wrong or 'agent_state needs position and rotation, and nothing else'}")

@@ -37,13 +37,19 @@ class Library:
     semantics: Mapping[str, str]
     findings: tuple[Finding, ...]
 
+    @property
+    def is_ours(self) -> bool:
+        """Whether this project wrote the dataset, as its scenes say; in those of others what is a matter of taste is a warning."""
+        scenes = self.sections["scene_instances"].values()
+        return (self.root / "metadata" / "agent.json").is_file() or any("scene_id" in (s.values.get("user_defined") or {}) for s in scenes)
+
 
 def read_library(root: Path) -> Library:
     """Read the one scene dataset config of a folder and all that it lists."""
     findings: list[Finding] = []
     configs = sorted(root.glob("*.scene_dataset_config.json"))
     if len(configs) != 1:
-        findings.append(Finding("dataset_config", ".", f"{len(configs)} scene dataset configs, not one"))
+        findings.append(Finding("dataset_config", ".", f"*.scene_dataset_config.json: there are {len(configs)}, not one"))
     if not configs:
         return Library(root, "", {name: {} for name in ENDINGS}, {}, {}, tuple(findings))
     document = read_json(configs[0], root, findings, habitat_shapes.CONFIG) or {}

@@ -2,7 +2,8 @@
 
 habitat-sim and habitat-lab let most mistakes pass without a word: a missing object becomes another one with a similar
 name, a missing navmesh becomes none, one whose header differs from the agent's settings is baked anew without the
-furniture, a stage without an up axis is tipped over. Every such trap is a rule here.
+furniture, a stage without an up axis is tipped over. Every such trap is a rule here. What another author may have meant
+so, as positions of box centers, is a warning in a dataset that this project did not write.
 """
 
 from __future__ import annotations
@@ -62,17 +63,17 @@ def check_habitat(root: Path) -> list[Finding]:
     findings += _names(library)
     for kind in ("stages", "objects"):
         for template in library.sections[kind].values():
-            findings += _asset(root, template, kind)
+            findings += _asset(library, template, kind)
     agent = _agent(root, findings)
     navmeshes = _navmeshes(library, agent, findings)
     lexicons = _lexicons(library, findings)
     for scene in library.sections["scene_instances"].values():
         findings += _scene(library, scene, navmeshes, lexicons)
     if not library.sections["scene_instances"]:
-        findings.append(Finding("dataset_config", library.config, "has no scenes"))
+        findings.append(Finding("dataset_config", library.config, "scene_instances: there are none"))
     scenes = library.sections["scene_instances"]
     named = {handle: str(scene.values.get("navmesh_instance", "")) for handle, scene in scenes.items()}
-    findings += check_episodes(library, {handle: navmeshes.get(name) for handle, name in named.items()})
+    findings += check_episodes(library, {handle: navmeshes.get(name) for handle, name in named.items()}, agent)
     return sorted(set(findings))
 
 
@@ -86,40 +87,42 @@ def _names(library: Library) -> Iterator[Finding]:
         for name in names:
             if text.count(name.lower()) > 1:
                 other = next((n for n in names if n != name and name.lower() in n.lower()), name)
-                yield Finding("handle_contained", kind, f"{name!r} is part of {other!r}")
+                yield Finding("handle_contained", library.config, f"{kind}: {name!r} is part of {other!r}", library.is_ours)
             if kind in library.sections and len(names) > 1 and name.lower() in above:
-                yield Finding("handle_contained", kind, f"{name!r} is part of the path of the dataset's folder")
+                said = f"{kind}: {name!r} is part of the path of the dataset's folder"
+                yield Finding("handle_contained", library.config, said, library.is_ours)
 
 
-def _asset(root: Path, template: Template, kind: str) -> Iterator[Finding]:
+def _asset(library: Library, template: Template, kind: str) -> Iterator[Finding]:
     """A stage's or an object's own settings and files."""
-    values, where = template.values, template.file
+    values, where, ours = template.values, template.file, library.is_ours
     if not values.get("render_asset"):
         yield Finding("files_exist", where, "render_asset is not named")
     for key in ("render_asset", "collision_asset", "semantic_asset", "nav_asset"):
         if values.get(key) and not (key == "collision_asset" and _PRIMITIVE.fullmatch(Path(str(values[key])).name)):
-            yield from _glb(root, template.folder / str(values[key]), where, key)
+            yield from _glb(library.root, template.folder / str(values[key]), where, key)
     up, front = (_vector(values.get(key), 3) for key in ("up", "front"))
     if up is None or front is None:
-        yield Finding("upright", where, "up or front is not stated; a stage without them is taken to be +Z up")
+        said = "a stage without them is taken to be +Z up" if kind == "stages" else "an object without them is taken to be +Y up"
+        yield Finding("upright", where, f"up or front is not stated; {said}", ours or kind == "stages")
     elif abs(np.linalg.norm(up) - 1) > 1e-6 or abs(np.linalg.norm(front) - 1) > 1e-6:
         yield Finding("upright", where, "up or front is not of length 1")
     elif np.linalg.norm(np.cross(up, front)) < 1e-3:
         yield Finding("upright", where, "up and front are parallel")
     gravity = _vector(values.get("gravity", [0, -9.8, 0]), 3)
     if kind == "stages" and (gravity is None or gravity[1] >= 0 or abs(gravity[0]) + abs(gravity[2]) > 1e-6):
-        yield Finding("gravity", where, f"gravity is {values.get('gravity')}")
+        yield Finding("gravity", where, f"gravity is {values.get('gravity')}, not down (-Y)", ours)
     if values.get("units_to_meters", 1) != 1:
-        yield Finding("gravity", where, f"units_to_meters is {values['units_to_meters']}")
+        yield Finding("gravity", where, f"units_to_meters is {values['units_to_meters']}, not 1", ours)
     for key, least in (("mass", 1e-9), ("friction_coefficient", 0.0), ("restitution_coefficient", 0.0)):
         value = values.get(key, 1.0)
         if value < least:
-            yield Finding("physics", where, f"{key} is {value}")
+            yield Finding("physics", where, f"{key} is {value}, which no body has")
     apart = values.get("collision_asset") not in (None, values.get("render_asset"))
     if kind == "objects" and apart and values.get("join_collision_meshes", True):
-        yield Finding("collider", where, "join_collision_meshes makes one hull of all pieces")
+        yield Finding("collider", where, "join_collision_meshes makes one hull of all pieces", ours)
     if kind == "objects" and apart and values.get("use_bounding_box_for_collision"):
-        yield Finding("collider", where, "use_bounding_box_for_collision puts a box in the place of the pieces")
+        yield Finding("collider", where, "use_bounding_box_for_collision puts a box in the place of the pieces", ours)
 
 
 def _glb(root: Path, path: Path, where: str, key: str) -> Iterator[Finding]:
@@ -158,7 +161,8 @@ def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list
     for name, path in sorted(library.navmeshes.items()):
         file = library.root / str(path)
         if not file.is_file():
-            findings.append(Finding("files_exist", library.config, f"navmesh {path} does not exist; the scene would have none"))
+            said = f"navmesh_instances: {name}: {path} does not exist; the scene would have no navmesh"
+            findings.append(Finding("files_exist", library.config, said))
             continue
         try:
             navmesh = read_navmesh(file.read_bytes())
@@ -167,17 +171,19 @@ def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list
             continue
         found[name] = navmesh
         if not navmesh.polygons:
-            findings.append(Finding("navmesh", str(path), "has no walkable polygon"))
+            findings.append(Finding("navmesh", str(path), "polygons: none is walkable"))
         if navmesh.settings is None:
-            findings.append(Finding("navmesh", str(path), "is of version 1, without settings: habitat-lab would bake another one"))
+            said = "version is 1, without settings: habitat-lab would bake another one"
+            findings.append(Finding("navmesh", str(path), said, library.is_ours))
         else:
-            findings += _settings(str(path), navmesh.settings, agent)
+            findings += _settings(str(path), navmesh.settings, agent, library.is_ours)
     if library.navmeshes and agent is None:
-        findings.append(Finding("navmesh_settings", library.config, "metadata/agent.json does not say which agent the navmeshes are for"))
+        said = "navmesh_instances: no metadata/agent.json says which agent the navmeshes are for"
+        findings.append(Finding("navmesh_settings", library.config, said, library.is_ours))
     return found
 
 
-def _settings(path: str, settings: Mapping[str, float], agent: Mapping[str, Any] | None) -> Iterator[Finding]:
+def _settings(path: str, settings: Mapping[str, float], agent: Mapping[str, Any] | None, ours: bool) -> Iterator[Finding]:
     """Settings of a navmesh against those that habitat-lab would ask for with the documented agent."""
     expected = dict(DEFAULTS)
     for name, key in (("radius", "agentRadius"), ("height", "agentHeight"), ("max_climb", "agentMaxClimb"), ("max_slope", "agentMaxSlope")):
@@ -186,9 +192,9 @@ def _settings(path: str, settings: Mapping[str, float], agent: Mapping[str, Any]
     for key, value in expected.items():
         if abs(settings[key] - value) > _SHORTEST:
             message = f"{key} is {settings[key]:g} in the file, {value:g} for the agent: it would be baked anew"
-            yield Finding("navmesh_settings", path, message)
+            yield Finding("navmesh_settings", path, message, ours)
     if not settings["includeStaticObjects"]:
-        yield Finding("navmesh_settings", path, "includeStaticObjects is off: the navmesh would be baked without furniture")
+        yield Finding("navmesh_settings", path, "includeStaticObjects is off: the navmesh would be baked without furniture", ours)
 
 
 def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
@@ -198,12 +204,12 @@ def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
         document = read_json(library.root / path, library.root, findings, habitat_shapes.LEXICON)
         if document is None or "classes" not in document:
             if document is not None and not str(path).endswith(".semantic_config.json"):
-                findings.append(Finding("semantics", str(path), "has no list of classes"))
+                findings.append(Finding("semantics", str(path), "classes are missing"))
             continue
         ids = [item.get("id") for item in document["classes"]]
         wrong = [i for i in ids if not 0 <= i <= 10000]
         if wrong or len(set(ids)) != len(ids):
-            findings.append(Finding("semantics", str(path), f"ids must be unique numbers from 0 to 10000 (wrong: {wrong[:3]})"))
+            findings.append(Finding("semantics", str(path), f"classes: ids must be unique numbers from 0 to 10000 (wrong: {wrong[:3]})"))
         found[name] = set(ids)
     return found
 
@@ -213,21 +219,23 @@ def _scene(library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFil
     values, where = scene.values, scene.file
     stage = values.get("stage_instance")
     if not isinstance(stage, dict):
-        yield Finding("stage_instance", where, "has none: habitat-sim stops")
+        yield Finding("stage_instance", where, "stage_instance is missing: habitat-sim stops")
     else:
         if stage.get("template_name") not in library.sections["stages"]:
-            yield Finding("handle_exact", where, f"stage {stage.get('template_name')!r} is no stage's name: habitat-sim crashes")
+            yield Finding(
+                "handle_exact", where, f"stage_instance: template_name {stage.get('template_name')!r} is no stage's: habitat-sim crashes"
+            )
         yield from _placed(stage, where, "stage_instance")
     navmesh = values.get("navmesh_instance")
     if navmesh is not None and navmesh not in library.navmeshes:
-        yield Finding("handle_exact", where, f"navmesh {navmesh!r} is not in the dataset config: the scene would have none")
+        yield Finding("handle_exact", where, f"navmesh_instance {navmesh!r} is not in the dataset config: the scene would have none")
     semantic = values.get("semantic_scene_instance")
     if semantic is not None and "%%" not in str(semantic) and semantic not in library.semantics:
-        yield Finding("handle_exact", where, f"lexicon {semantic!r} is not in the dataset config: habitat-sim stops")
+        yield Finding("handle_exact", where, f"semantic_scene_instance {semantic!r} is not in the dataset config: habitat-sim stops")
     objects = values.get("object_instances", [])
     count = (values.get("user_defined") or {}).get("object_count")
     if count is not None and count != len(objects):
-        yield Finding("object_count", where, f"has {len(objects)} objects, not {count}")
+        yield Finding("object_count", where, f"object_instances are {len(objects)}, object_count is {count}")
     found = navmeshes.get(str(navmesh))
     baked = found is not None and bool((found.settings or {}).get("includeStaticObjects"))
     for index, item in enumerate(objects):
@@ -240,20 +248,25 @@ def _object(
     """One object of a scene."""
     template = library.sections["objects"].get(str(item.get("template_name")))
     if template is None:
-        yield Finding("handle_exact", where, f"{place}: {item.get('template_name')!r} is no object's name: a similar one would be shown")
+        yield Finding(
+            "handle_exact", where, f"{place}: template_name {item.get('template_name')!r} is no object's: a similar one would be shown"
+        )
     elif lexicon is not None and template.values.get("semantic_id", 0) not in lexicon:
         yield Finding("semantics", template.file, f"semantic_id {template.values.get('semantic_id')} is not in the lexicon")
     yield from _placed(item, where, place)
     rotation = _vector(item.get("rotation", [1, 0, 0, 0]), 4)
     if rotation is not None and abs(rotation[0]) < 1e-9 and abs(rotation[2]) < 1e-9:
-        yield Finding("rotation_order", where, f"{place}: rotation {item['rotation']} turns the object upside down; is it (x, y, z, w)?")
+        said = f"{place}: rotation {item['rotation']} turns the object upside down; is it (x, y, z, w)?"
+        yield Finding("rotation_order", where, said, library.is_ours)
     if str(item.get("translation_origin", scene.get("translation_origin", ""))).lower() != "asset_local":
-        yield Finding("translation_origin", where, f"{place}: the position would be taken as that of the center of the object's box")
+        said = f"{place}: translation_origin is not asset_local: the translation would be taken as that of the center of the object's box"
+        yield Finding("translation_origin", where, said, library.is_ours)
     motion = str(item.get("motion_type", "dynamic")).lower()
     if motion not in _MOTIONS:
-        yield Finding("motion_type", where, f"{place}: {item.get('motion_type')!r} is ignored")
+        yield Finding("motion_type", where, f"{place}: motion_type {item.get('motion_type')!r} is ignored")
     elif baked and motion != "static":
-        yield Finding("motion_type", where, f"{place}: is {motion}, but the navmesh goes around it; only static objects are baked")
+        said = f"{place}: motion_type is {motion}, but the navmesh goes around it; only static objects are baked"
+        yield Finding("motion_type", where, said, library.is_ours)
 
 
 def _placed(item: Mapping[str, Any], where: str, place: str) -> Iterator[Finding]:

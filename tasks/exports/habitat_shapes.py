@@ -116,6 +116,7 @@ CONFIG: Mapping[str, Any] = {
 LEXICON: Mapping[str, Any] = {"classes?": [{"id": whole, "name": text}]}
 AGENT: Mapping[str, Any] = {
     "radius": number, "height": number, "max_climb": number, "max_slope": number, "navmesh_include_static_objects": truth,
+    "forward_step_size?": number, "turn_angle?": number, "success_distance?": number,
 }  # fmt: skip
 _MAPS = {
     "category_to_task_category_id?": {"*": whole}, "category_to_scene_annotation_category_id?": {"*": whole},

@@ -24,14 +24,22 @@ DEFAULTS: dict[str, float] = dict(
 )
 """habitat-sim's defaults. habitat-lab changes those of the agent and includeStaticObjects, and bakes anew unless all are equal."""
 
+_OTHER_TILE = 0x8000  # from here on a neighbor lies in another tile
+_TOUCHING = 1e-3  # metres in plan
+_FAR = 1e5  # metres: 32-bit numbers no longer tell centimetres apart there
+
 
 @dataclasses.dataclass(frozen=True)
 class NavmeshFile:
-    """Settings (None in version 1) and walkable polygons, corners in the glTF frame [m], shape (k, 3) each."""
+    """Settings (None in version 1) and walkable polygons, corners in the glTF frame [m], shape (k, 3) each.
+
+    islands: Connected part of every polygon, over the neighbors that the file names, shape (n,).
+    """
 
     version: int
     settings: dict[str, float] | None
     polygons: list[NDArray[np.float64]]
+    islands: NDArray[np.int64]
 
     def distance(self, point: NDArray[np.float64]) -> tuple[float, float]:
         """Horizontal distance [m] from a point (3,) to the walkable area, and how far [m] it lies above or below there."""
@@ -74,22 +82,43 @@ def read_navmesh(data: bytes) -> NavmeshFile:
             settings = {name: float(value) for name, value in zip(SETTINGS, values, strict=True)}
             offset += 56
         polygons: list[NDArray[np.float64]] = []
+        links: list[tuple[int, int]] = []
         for _ in range(tiles):
             _, size = struct.unpack_from("<Ii", data, offset)
             offset += 8
             if size < 100 or offset + size > len(data):
                 raise ValueError(f"a tile of {size} bytes does not fit into the {len(data)} bytes of the file")
-            polygons += _tile(data[offset : offset + size])
+            _tile(data[offset : offset + size], polygons, links)
             offset += size
     except struct.error as error:
         raise ValueError(f"is cut off ({error})") from error
     if offset != len(data):
         raise ValueError(f"has {len(data) - offset} bytes too many")
-    return NavmeshFile(version, settings, polygons)
+    return NavmeshFile(version, settings, polygons, _parts(polygons, links + (_across(polygons) if tiles > 1 else [])))
 
 
-def _tile(data: bytes) -> list[NDArray[np.float64]]:
-    """Corners of the walkable polygons of a Detour tile."""
+def _parts(polygons: list[NDArray[np.float64]], links: list[tuple[int, int]]) -> NDArray[np.int64]:
+    """Number of the connected part of every polygon."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(polygons)
+    pairs = np.array(links, dtype=np.int64).reshape(-1, 2)
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _across(polygons: list[NDArray[np.float64]]) -> list[tuple[int, int]]:
+    """Pairs of polygons that touch in plan. Detour links tiles by their borders when it loads them; no file names such links."""
+    import shapely
+
+    flat = [shapely.Polygon(corners[:, [0, 2]]) for corners in polygons]
+    found = shapely.STRtree(flat).query(flat, predicate="dwithin", distance=_TOUCHING)
+    return [(int(a), int(b)) for a, b in found.T]
+
+
+def _tile(data: bytes, found: list[NDArray[np.float64]], links: list[tuple[int, int]]) -> None:
+    """Append the corners of the walkable polygons of a Detour tile, and pairs of neighbors among them by position in `found`."""
     magic, version = struct.unpack_from("<ii", data, 0)
     if magic != 0x444E4156 or version != 7:
         raise ValueError(f"a tile has magic {magic:#x} and version {version}, not Detour's 0x444e4156 and 7")
@@ -97,9 +126,10 @@ def _tile(data: bytes) -> list[NDArray[np.float64]]:
     if min(polygon_count, vertex_count) < 0 or 100 + 12 * vertex_count + 32 * polygon_count > len(data):
         raise ValueError(f"a tile of {len(data)} bytes cannot hold {vertex_count} vertices and {polygon_count} polygons")
     vertices = np.frombuffer(data, "<f4", 3 * vertex_count, 100).reshape(-1, 3).astype(np.float64)
-    if not np.isfinite(vertices).all():
-        raise ValueError("a vertex is not finite")
-    found = []
+    if not (np.abs(vertices) < _FAR).all():
+        raise ValueError(f"a vertex is not finite or lies {_FAR:g} m away")
+    place: dict[int, int] = {}
+    named: list[tuple[int, int]] = []
     for index in range(polygon_count):
         start = 100 + 12 * vertex_count + 32 * index
         corners = struct.unpack_from("<6H", data, start + 4)
@@ -107,5 +137,10 @@ def _tile(data: bytes) -> list[NDArray[np.float64]]:
         if not 3 <= count <= 6 or max(corners[:count]) >= vertex_count:
             raise ValueError(f"polygon {index} names vertices that do not exist")
         if flags & 1 and area_and_type >> 6 == 0:
+            place[index] = len(found)
             found.append(vertices[list(corners[:count])])
-    return found
+            beyond = struct.unpack_from("<6H", data, start + 16)[:count]
+            named += [(index, other - 1) for other in beyond if 0 < other < _OTHER_TILE]
+    if any(other >= polygon_count for _, other in named):
+        raise ValueError("a polygon names a neighbor that does not exist")
+    links += [(place[a], place[b]) for a, b in named if b in place]

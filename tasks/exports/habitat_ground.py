@@ -1,0 +1,105 @@
+"""The walkable area of a navmesh seen from above: what a replayed step may cross, and how far it is to walk.
+
+Points are x and z of Habitat's frame [m], shape (n, 2). A point may lie `NEAR` beside a polygon and still count as on it.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.exports.navmesh_file import NavmeshFile
+
+if TYPE_CHECKING:
+    import shapely
+
+    from tasks.navigation.planar import PlanarField, PlanarPathFinder
+
+Array = NDArray[np.float64]
+
+NEAR = 0.05
+"""Half a cell of habitat-sim's default bake each way [m]: it moves a start or goal to the navmesh from as far away."""
+
+STRAY = 1e-3
+"""A step that leaves the navmesh by less than this stays on it [m]: corners in the file are rounded to 32 bits."""
+
+_GRID = 1e-6  # polygons are united on a grid of this size [m], so that rounded corners leave no slits between them
+_OVERLAP = 0.01  # share of the area that may be there twice; more of it means floors above one another
+_MOST_CORNERS = 3000  # of one connected part; the visibility graph of more takes longer than a minute
+
+
+class Ground:
+    """The walkable polygons of one navmesh, by connected part."""
+
+    def __init__(self, navmesh: NavmeshFile) -> None:
+        self._navmesh = navmesh
+        self._islands: dict[int, Island] = {}
+
+    @cached_property
+    def _tree(self) -> shapely.STRtree:
+        import shapely
+
+        return shapely.STRtree([shapely.Polygon(corners[:, [0, 2]]) for corners in self._navmesh.polygons])
+
+    def island_of(self, points: Array) -> NDArray[np.int64]:
+        """Connected part of each point, shape (n, 2) to (n,); -1 where none is near."""
+        import shapely
+
+        numbers = np.full(len(points), -1, dtype=np.int64)
+        if len(points) and self._navmesh.polygons:
+            which, nearest = self._tree.query_nearest(shapely.points(points), max_distance=NEAR, all_matches=False)
+            numbers[which] = self._navmesh.islands[nearest]
+        return numbers
+
+    def island(self, number: int) -> Island:
+        """One connected part."""
+        if number not in self._islands:
+            self._islands[number] = Island([self._tree.geometries[i] for i in np.flatnonzero(self._navmesh.islands == number)])
+        return self._islands[number]
+
+
+class Island:
+    """A connected part of a navmesh."""
+
+    def __init__(self, polygons: list[shapely.Polygon]) -> None:
+        import shapely
+
+        self._shape = shapely.union_all(shapely.make_valid(polygons), grid_size=_GRID)
+        self._reach = shapely.buffer(self._shape, STRAY)
+        shapely.prepare(self._reach)
+        self._area = float(shapely.area(polygons).sum())
+        self._fields: dict[bytes, PlanarField] = {}
+
+    def contains_moves(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
+        """Whether each straight move, shape (n, 2) each, stays on the part, shape (n,)."""
+        import shapely
+
+        return np.asarray(shapely.covers(self._reach, shapely.linestrings(np.stack([starts, ends], axis=1))), dtype=np.bool_)
+
+    def geodesic(self, start: Array, goals: Array) -> tuple[float, float]:
+        """Least and largest length [m] that the shortest path from a point, shape (2,), to the nearest goal, shape (n, 2), can have.
+
+        Both are the length itself on a part that lies in one plane and can be searched; else it is only known to be no
+        shorter than the straight line.
+        """
+        if self._finder is None:
+            return float(np.hypot(*(goals - start).T).min()), np.inf
+        key = goals.tobytes()
+        if key not in self._fields:
+            self._fields[key] = self._finder.field(self._finder.snap(goals))
+        length = float(self._fields[key].distances(self._finder.snap(start[None]))[0])
+        return length, length
+
+    @cached_property
+    def _finder(self) -> PlanarPathFinder | None:
+        """Exact shortest paths, or None where there is no area, floors lie above one another or have too many corners."""
+        import shapely
+
+        from tasks.navigation.planar import PlanarPathFinder
+
+        if not 0 < self._area <= (1 + _OVERLAP) * self._shape.area or shapely.get_num_coordinates(self._shape) > _MOST_CORNERS:
+            return None
+        return PlanarPathFinder(self._shape)
