@@ -6,7 +6,9 @@ BIN := $(VENV)/bin
 PIP := PIP_REQUIRE_VIRTUALENV=1 $(BIN)/python -m pip --disable-pip-version-check --no-input
 OUT ?= demo
 
-.PHONY: help demo test test-all check format docs lock clean
+RECAST := native/build/libmetascenes_recast.so
+
+.PHONY: help demo test test-all check format docs native lock clean
 
 help:  ## Say what there is to make.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -32,6 +34,15 @@ format: $(VENV)/.test-ready  ## Format the code.
 docs: $(VENV)/.run-ready  ## Write the table pages of the documentation from the schemas.
 	$(BIN)/python -m warehouse.documentation
 
+native: $(RECAST)  ## Build the path finder that bakes as habitat-sim; wants Debian's librecast-dev and g++.
+
+$(RECAST): native/recast.cpp
+	@echo '#include <recastnavigation/Recast.h>' | g++ -x c++ -fsyntax-only - || \
+		{ echo "make native: install g++ and librecast-dev first (apt-get install g++ librecast-dev)" >&2; exit 1; }
+	mkdir -p $(@D)
+	g++ -std=c++17 -O2 -Wall -Wextra -fPIC -shared -Wl,--no-undefined $< -o $@.new -lDetour -lRecast
+	mv $@.new $@
+
 # The lock files name versions, no host; --no-deps: nothing that they do not name is installed.
 $(VENV)/.made:
 	rm -rf $(VENV)
@@ -52,4 +63,4 @@ lock:  ## Resolve the dependencies anew and pin them.
 	$(PYTHON) requirements/lock.py
 
 clean:  ## Remove the environment and what the demo made.
-	rm -rf $(VENV) $(OUT)
+	rm -rf $(VENV) $(OUT) native/build

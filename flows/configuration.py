@@ -102,9 +102,11 @@ def _with(config: Any, fields: Sequence[str], value: Any, origin: str, path: str
 
 
 def _kinds(config: Any, field: str) -> dict[str, type]:
-    """The configs that a field may hold, by name in lower case, where its type is a union of configs."""
+    """The configs that a field may hold, by name in lower case without `Config`, where its type is a union of configs."""
     held = get_args(get_type_hints(type(config))[field])
-    return {kind.__name__.lower(): kind for kind in held} if held and all(map(dataclasses.is_dataclass, held)) else {}
+    return (
+        {kind.__name__.removesuffix("Config").lower(): kind for kind in held} if held and all(map(dataclasses.is_dataclass, held)) else {}
+    )
 
 
 def _coerce(present: Any, value: Any) -> Any:

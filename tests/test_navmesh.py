@@ -102,7 +102,8 @@ def test_free_floor_of_the_same_boxes_agrees_with_the_simulators_up_to_its_voxel
     region, slack = region_of(tile), 3 * cell
     # What Recast calls free is free for a slightly thinner agent, and what is free for a thicker one it calls free.
     assert region.difference(free_space(floor, prints, radius - slack)).area < 0.01 * region.area
-    assert free_space(floor, prints, radius + slack).difference(region).area < 0.01 * region.area
+    # It drops parts of less than 20 x 20 cells.
+    assert free_space(floor, prints, radius + slack, (20 * cell) ** 2).difference(region).area < 0.01 * region.area
 
 
 @given(free=rooms)

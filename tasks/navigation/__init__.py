@@ -13,7 +13,7 @@ from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh, Split, UnreachableTarget
 from schemas.optimization import Placement
-from tasks.navigation.configuration import Agent, NavigationConfig, PathFinderConfig, PlanarConfig
+from tasks.navigation.configuration import Agent, HabitatConfig, NavigationConfig, PathFinderConfig, PlanarConfig, RecastConfig
 from tasks.navigation.episodes import Route, sample_routes
 from tasks.navigation.protocol import PathFinder
 from tasks.navigation.targets import Target, target_of
@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
     from tasks.meshes import Surface
 
-__all__ = ["STAGE", "Agent", "NavigationConfig", "PathFinderConfig", "PlanarConfig", "placed_surfaces", "run", "split_of"]
+__all__ = [
+    "STAGE", "Agent", "HabitatConfig", "NavigationConfig", "PathFinderConfig", "PlanarConfig", "RecastConfig", "placed_surfaces", "run",
+    "split_of",
+]  # fmt: skip
 
 
 def split_of(room_id: str, test_share: float) -> str:
@@ -76,7 +79,6 @@ def run(
     """
     import shapely
 
-    from tasks.navigation.obstacles import footprint
     from tasks.replica import interior_footprints
 
     if not scenes or not rooms:
@@ -89,9 +91,8 @@ def run(
     furniture = [p for p in placements if not by_id[p.instance_id].is_structure]
     surfaces = placed_surfaces(furniture, assets, context.blobs)
     agent = config.agent
-    footprints = {i: footprint(s, agent.max_climb_m, agent.height_m) for i, s in surfaces.items()}
     walls = [shapely.Polygon(corners) for corners in interior_footprints(rooms[0])]
-    finder = _path_finder(rooms[0], [*footprints.values(), *walls], config)
+    finder = _path_finder(rooms[0], list(surfaces.values()), walls, config)
     blobs, degradations = Blobs(), []
     reasons = {i.instance_id: "no asset was placed for it" for i in instances if not i.is_structure and i.instance_id not in surfaces}
     targets: list[Target] = []
@@ -122,22 +123,37 @@ def run(
     )
 
 
-def _path_finder(room: Room, footprints: list[shapely.Geometry], config: NavigationConfig) -> PathFinder:
-    """The path finder that the config names."""
+def _path_finder(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> PathFinder:
+    """The path finder that the config names.
+
+    Raises:
+        InputError: what it needs is not installed; there is no silent fallback.
+    """
     match config.path_finder:
         case PlanarConfig(smallest_island_m2=smallest):
-            from tasks.navigation.obstacles import free_space
+            from tasks.navigation.obstacles import footprint, free_space
             from tasks.navigation.planar import PlanarPathFinder
 
-            return PlanarPathFinder(free_space(room.floor_polygon, footprints, config.agent.radius_m, smallest))
+            agent = config.agent
+            prints = [footprint(surface, agent.max_climb_m, agent.height_m) for surface in surfaces]
+            return PlanarPathFinder(free_space(room.floor_polygon, [*prints, *walls], agent.radius_m, smallest))
+        case RecastConfig():
+            from tasks.navigation import recast
+            from tasks.navigation.triangles import scene_triangles
+
+            return recast.RecastPathFinder(recast.bake(*scene_triangles(room, surfaces, config.settings), config.settings))
+        case HabitatConfig():
+            from tasks.navigation import habitat
+            from tasks.navigation.triangles import scene_triangles
+
+            return habitat.HabitatPathFinder(habitat.bake(*scene_triangles(room, surfaces, config.settings), config.settings))
 
 
 def _navmesh(finder: PathFinder, blobs: Blobs, context: Context, config: NavigationConfig) -> Navmesh:
-    from tasks.navigation.navmesh import Settings, dump_navmesh
+    from tasks.navigation.navmesh import dump_navmesh
 
     agent = config.agent
-    settings = Settings(agent_height=agent.height_m, agent_radius=agent.radius_m, agent_max_climb=agent.max_climb_m)
-    data = dump_navmesh(finder.navmesh(settings))
+    data = dump_navmesh(finder.navmesh(config.settings))
     return Navmesh(
         scene_id=context.scene_id,
         agent=agent.name,

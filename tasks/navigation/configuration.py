@@ -7,6 +7,7 @@ import math
 from typing import TypeAlias
 
 from tasks.navigation.follower import Motion
+from tasks.navigation.navmesh import Settings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +35,42 @@ class PlanarConfig:
             raise ValueError(f"smallest_island_m2: must be at least 0, is {self.smallest_island_m2:g}")
 
 
-PathFinderConfig: TypeAlias = PlanarConfig
+@dataclasses.dataclass(frozen=True)
+class Voxels:
+    """How a navmesh is baked. Lengths are habitat-sim's own: habitat-lab asks for them, and any other makes it bake anew, silently."""
+
+    cell_size_m: float = 0.05  # habitat-sim's default; walls and furniture grow by the agent's radius, rounded up to cells
+    cell_height_m: float = 0.2  # the same, and the agent's climb: one layer of voxels is climbed
+    max_slope_degrees: float = 45.0  # the same
+    region_min_cells: float = 20.0  # the same: parts of less than 20 x 20 cells (1 m2) are dropped
+    region_merge_cells: float = 20.0  # the same
+    edge_max_length_m: float = 12.0  # the same: longer outlines are cut, which no room's is
+    edge_max_error_cells: float = 1.3  # the same: an outline may cut corners by 6.5 cm
+    detail_sample_cells: float = 6.0  # the same; heights only
+    detail_max_error_cells: float = 1.0  # the same; heights only
+
+    def __post_init__(self) -> None:
+        for name in ("cell_size_m", "cell_height_m", "edge_max_length_m"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
+        for name in ("region_min_cells", "region_merge_cells", "edge_max_error_cells", "detail_sample_cells", "detail_max_error_cells"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
+        if not 0 <= self.max_slope_degrees < 90:
+            raise ValueError(f"max_slope_degrees: must be 0 to 90, is {self.max_slope_degrees:g}")
+
+
+@dataclasses.dataclass(frozen=True)
+class RecastConfig(Voxels):
+    """Navmesh and paths as habitat-sim makes them, by the library that `make native` builds."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HabitatConfig(Voxels):
+    """Navmesh and paths by habitat-sim itself, where it is installed: the paper's path finder."""
+
+
+PathFinderConfig: TypeAlias = PlanarConfig | RecastConfig | HabitatConfig
 """The path finders there are, one config each; a run picks one by the type of its config."""
 
 
@@ -81,6 +117,25 @@ class NavigationConfig:
             raise ValueError("stop_m: must be positive and at most success_m")
         if not 0 < self.shortest_geodesic_m <= self.min_geodesic_m:
             raise ValueError("shortest_geodesic_m: must be positive and at most min_geodesic_m")
+
+    @property
+    def settings(self) -> Settings:
+        """Header of the navmesh: what habitat-lab asks for with this agent, unless voxels were changed."""
+        agent, voxels = self.agent, self.path_finder if isinstance(self.path_finder, Voxels) else Voxels()
+        return Settings(
+            cell_size=voxels.cell_size_m,
+            cell_height=voxels.cell_height_m,
+            agent_height=agent.height_m,
+            agent_radius=agent.radius_m,
+            agent_max_climb=agent.max_climb_m,
+            agent_max_slope=voxels.max_slope_degrees,
+            region_min_size=voxels.region_min_cells,
+            region_merge_size=voxels.region_merge_cells,
+            edge_max_length=voxels.edge_max_length_m,
+            edge_max_error=voxels.edge_max_error_cells,
+            detail_sample_distance=voxels.detail_sample_cells,
+            detail_sample_max_error=voxels.detail_max_error_cells,
+        )
 
     @property
     def motion(self) -> Motion:

@@ -22,6 +22,7 @@ def draw_plan(
     floor: ArrayLike | None = None,
     most_paths: int = 40,
     inches: float = 7.0,
+    walls: Sequence[shapely.Geometry] = (),
 ) -> bytes:
     """PNG of a floor plan, world frame, x to the right, y up. The same input gives the same bytes.
 
@@ -32,6 +33,7 @@ def draw_plan(
         floor: Corners of the floor polygon [m], shape (n, 2), when the room's outline is wanted.
         most_paths: Paths that a reader can still tell apart.
         inches: Width and height at 110 pixels per inch.
+        walls: Interior walls [m].
     """
     import shapely
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -54,6 +56,8 @@ def draw_plan(
             axes.add_patch(PathPatch(Outline.make_compound_path(*rings), **style))
 
     paint(free, facecolor="#d5e8d4", edgecolor="#82b366", linewidth=0.8)
+    for wall in walls:
+        paint(wall, facecolor="#4a4a4a", edgecolor="#4a4a4a", linewidth=0.8)
     for name, shape in footprints.items():
         if shape.is_empty:
             continue

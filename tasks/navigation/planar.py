@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tasks.navigation.obstacles import JOIN_M
 from tasks.navigation.protocol import NO_PATH, Path
-from tasks.navigation.visibility import ON_BOUNDARY, Boundary, boundary_of, clear, first_clear
+from tasks.navigation.visibility import ON_BOUNDARY, Boundary, boundary_of, clear, first_clear, joined
 
 if TYPE_CHECKING:
     import shapely
@@ -42,11 +43,44 @@ class PlanarPathFinder:
         import shapely
 
         parts = [part for part in shapely.get_parts(free) if part.geom_type == "Polygon" and part.area > 0]
-        order = sorted(parts, key=lambda part: (-part.area, part.bounds))
-        self.free: shapely.Geometry = shapely.MultiPolygon(order)
-        self._parts = order
-        shapely.prepare(self.free)
-        self.boundary: Boundary = boundary_of(order)
+        self._set_parts([shapely.MultiPolygon([part]) for part in sorted(parts, key=lambda part: (-part.area, part.bounds))])
+
+    @classmethod
+    def from_navmesh(cls, navmesh: NavmeshFile, floor_only: bool = False) -> PlanarPathFinder:
+        """Exact shortest paths on the walkable polygons of a .navmesh, in plan.
+
+        An island is what the file's own links connect: parts that only touch, or lie above each other, stay apart.
+        Where islands lie above each other, a point belongs to the largest.
+
+        Args:
+            navmesh: A file of one tile.
+            floor_only: Leave out what no agent on the floor can climb to.
+
+        Raises:
+            InputError: the file has several tiles.
+        """
+        import shapely
+
+        from tasks.navigation.regions import walkable_region
+
+        region = walkable_region(navmesh, floor_only)
+        polygons = np.array([shapely.Polygon(ring) for ring in region.rings], dtype=object)
+        made = cls(shapely.MultiPolygon())
+        united = [shapely.union_all(polygons[region.islands == island], grid_size=JOIN_M) for island in range(len(region.areas))]
+        made._set_parts([shapely.MultiPolygon([p for p in shapely.get_parts(part) if p.geom_type == "Polygon"]) for part in united])
+        return made
+
+    def _set_parts(self, parts: list[shapely.MultiPolygon]) -> None:
+        """Islands, largest first. The parts of one island touch at corners at most."""
+        import shapely
+
+        self._parts = parts
+        # Sights are tested against the edges of one island: others may lie above it, or touch it.
+        self._edges = [boundary_of(list(part.geoms)) for part in parts]
+        self.boundary: Boundary = joined(self._edges)
+        self.free: shapely.Geometry = shapely.MultiPolygon([polygon for part in parts for polygon in part.geoms])
+        for part in (*parts, self.free):
+            shapely.prepare(part)
 
     @cached_property
     def islands(self) -> tuple[float, ...]:
@@ -136,7 +170,10 @@ class PlanarPathFinder:
             rows.append(np.full(len(others), i))
             columns.append(others)
         a, b = np.concatenate(rows), np.concatenate(columns)
-        seen = clear(self.boundary, at[a], at[b])
+        seen = np.zeros(len(a), dtype=np.bool_)
+        for number, edges in enumerate(self._edges):
+            pairs = np.flatnonzero(island[a] == number)
+            seen[pairs] = clear(edges, at[a[pairs]], at[b[pairs]])
         a, b = a[seen], b[seen]
         # Corners that coincide keep an edge: a weight of zero would read as no edge.
         weights = np.maximum(np.hypot(*(at[a] - at[b]).T), 1e-12)
@@ -171,7 +208,8 @@ class PlanarPathFinder:
 
     def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
         """Whether a straight move from a navigable point to anywhere, shape (2,) each, stays in the free polygon."""
-        return bool(clear(self.boundary, _rows(start), _rows(end))[0])
+        island = 0 if len(self._parts) == 1 else int(self.island_of(start)[0])
+        return island >= 0 and bool(clear(self._edges[island], _rows(start), _rows(end))[0])
 
     def try_step(self, position: ArrayLike, offset: ArrayLike) -> Array:
         """Where a straight move of `offset` from a navigable point ends, shape (2,): short of the first obstacle; no sliding."""
@@ -181,8 +219,11 @@ class PlanarPathFinder:
         end = start + np.asarray(offset, dtype=np.float64)
         if self.is_clear(start, end):
             return np.asarray(end)
+        island = int(self.island_of(start)[0])
+        if island < 0:
+            return start
         length, reach = float(np.hypot(*(end - start))), 0.0
-        inside = shapely.intersection(self.free, shapely.LineString([start, end]))
+        inside = shapely.intersection(self._parts[island], shapely.LineString([start, end]))
         for part in shapely.get_parts(shapely.line_merge(inside) if inside.geom_type == "MultiLineString" else inside):
             along = np.hypot(*(shapely.get_coordinates(part) - start).T)
             if along.min() <= _SAFETY:
@@ -221,7 +262,7 @@ class PlanarField:
             if island < 0:
                 continue
             nodes = finder._candidates(goal, int(island))
-            nodes = nodes[clear(finder.boundary, np.broadcast_to(goal, (len(nodes), 2)), self._at[nodes])]
+            nodes = nodes[clear(finder._edges[island], np.broadcast_to(goal, (len(nodes), 2)), self._at[nodes])]
             distance = np.maximum(np.hypot(*(self._at[nodes] - goal).T), 1e-12)
             closer = distance < nearest[nodes]
             nearest[nodes[closer]] = distance[closer]
@@ -272,14 +313,14 @@ class PlanarField:
             return best, -1, -1
         direct = np.hypot(*(self._goals[goals] - point).T)
         order = np.argsort(direct, kind="stable")
-        seen = first_clear(finder.boundary, point, self._goals[goals[order]])
+        seen = first_clear(finder._edges[island], point, self._goals[goals[order]])
         if seen >= 0:
             best, straight = float(direct[order[seen]]), int(goals[order[seen]])
         nodes = finder._candidates(point, island)
         total = np.hypot(*(self._at[nodes] - point).T) + self._distance[nodes]
         hopeful = np.flatnonzero(total < best)
         hopeful = hopeful[np.argsort(total[hopeful], kind="stable")]
-        seen = first_clear(finder.boundary, point, self._at[nodes[hopeful]])
+        seen = first_clear(finder._edges[island], point, self._at[nodes[hopeful]])
         if seen < 0:
             return best, -1, straight
         return float(total[hopeful[seen]]), int(nodes[hopeful[seen]]), -1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -84,6 +84,15 @@ def boundary_of(parts: list[shapely.Polygon]) -> Boundary:
         leaving=np.concatenate(leaving),
         island=np.concatenate(island),
     )
+
+
+def joined(boundaries: Sequence[Boundary]) -> Boundary:
+    """Boundaries one after another, each an island of its own."""
+    if not boundaries:
+        return boundary_of([])
+    island = np.repeat(np.arange(len(boundaries)), [len(b.starts) for b in boundaries])
+    starts, ends, arriving, leaving = (np.concatenate(arrays) for arrays in zip(*(b.rings for b in boundaries), strict=True))
+    return Boundary(starts, ends, arriving, leaving, island)
 
 
 def clear(boundary: Boundary, starts: Array, ends: Array) -> NDArray[np.bool_]:

@@ -1,0 +1,105 @@
+"""The walkable polygons of a .navmesh seen from above, and the parts that they are connected to by the file's own links."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import InputError
+from tasks.navigation.navmesh import NavmeshFile, Settings, Tile
+
+Array = NDArray[np.float64]
+
+WALKABLE, CLOSED = 1, 4
+"""habitat-sim's polygon flags."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Region:
+    """Walkable polygons, world frame, counter-clockwise, by connected part.
+
+    numbers: Place of each polygon in the file, shape (n,). rings: Its corners [m], shape (k, 2) each.
+    islands: Its connected part, shape (n,), numbered by area, largest first. areas: Area of every part [m2].
+    """
+
+    numbers: NDArray[np.int64]
+    rings: tuple[Array, ...]
+    islands: NDArray[np.int64]
+    areas: tuple[float, ...]
+
+
+def walkable_region(navmesh: NavmeshFile, floor_only: bool = False) -> Region:
+    """Polygons that an agent may walk on.
+
+    Args:
+        navmesh: A file of one tile, as habitat-sim bakes them.
+        floor_only: Leave out the parts that no agent on the floor (z = 0) can climb to: tops of tables and cupboards.
+
+    Raises:
+        InputError: the file has several tiles.
+    """
+    if len(navmesh.tiles) != 1:
+        raise InputError("scene.navmesh", "tiles", f"are {len(navmesh.tiles)}, habitat-sim bakes one", "bake the whole scene as one tile")
+    (tile,) = navmesh.tiles
+    polygons = tile.polygons
+    label = _connected(tile)
+    lowest = np.array([tile.vertices[p["vertices"][: p["count"]], 1].min(initial=np.inf) for p in polygons], dtype=np.float64)
+    rings = [tile.vertices[p["vertices"][: p["count"]]][:, [0, 2]].astype(np.float64) * (1.0, -1.0) for p in polygons]
+    sizes = np.array([_area(ring) for ring in rings])
+    kept = []
+    for part in range(int(label.max(initial=-1)) + 1):
+        members = np.flatnonzero(label == part)
+        if not floor_only or lowest[members].min() <= _reach(navmesh, tile):
+            kept.append((-float(sizes[members].sum()), int(members[0]), members))
+    kept.sort(key=lambda island: island[:2])
+    numbers = np.concatenate([members for _, _, members in kept]) if kept else np.zeros(0, dtype=np.int64)
+    return Region(
+        numbers=numbers,
+        rings=tuple(rings[number] for number in numbers),
+        islands=np.repeat(np.arange(len(kept)), [len(members) for _, _, members in kept]),
+        areas=tuple(-area for area, _, _ in kept),
+    )
+
+
+def closed_but_for(navmesh: NavmeshFile, region: Region) -> NavmeshFile:
+    """The same navmesh with every polygon outside the region closed to agents."""
+    (tile,) = navmesh.tiles
+    polygons = tile.polygons.copy()
+    outside = np.ones(len(polygons), dtype=np.bool_)
+    outside[region.numbers] = False
+    polygons["flags"][outside] = CLOSED
+    return dataclasses.replace(navmesh, tiles=(dataclasses.replace(tile, polygons=polygons),))
+
+
+def _connected(tile: Tile) -> NDArray[np.int64]:
+    """Connected part of every walkable polygon, shape (n,), -1 for the others."""
+    polygons = tile.polygons
+    walkable = (polygons["flags"] & WALKABLE) > 0
+    label = np.full(len(polygons), -1, dtype=np.int64)
+    for seed in np.flatnonzero(walkable):
+        if label[seed] >= 0:
+            continue
+        label[seed], front = label.max() + 1, [int(seed)]
+        while front:
+            polygon = polygons[front.pop()]
+            for beyond in polygon["neighbors"][: polygon["count"]].astype(int) - 1:
+                if 0 <= beyond < len(label) and walkable[beyond] and label[beyond] < 0:
+                    label[beyond] = label[seed]
+                    front.append(beyond)
+    return label
+
+
+def _reach(navmesh: NavmeshFile, tile: Tile) -> float:
+    """Height that an agent on the floor climbs to in one go, glTF frame [m]: one climb above the top of the floor's voxel."""
+    settings = navmesh.settings or Settings()
+    bottom, step = tile.bounds[1], settings.cell_height
+    floor = bottom + step * max(1, math.ceil(-bottom / step - 1e-4))
+    return floor + settings.agent_max_climb + 0.25 * step
+
+
+def _area(ring: Array) -> float:
+    x, y = ring.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
