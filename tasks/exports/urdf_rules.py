@@ -1,0 +1,275 @@
+"""Whether URDF files, and the `poses.json` beside them, can be simulated as they are. Works on anybody's URDF."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.exports.findings import Finding
+from tasks.exports.urdf import POSES
+from tasks.exports.usd_prims import dent
+
+RULES: dict[str, str] = {
+    "xml": "the file is XML whose root is robot",
+    "names": "the robot, its links and its joints have names of their own",
+    "tree": "joints make one tree out of all links",
+    "numbers": "numbers are finite and as many as they should be",
+    "closed_paths": "every file that is named is named by a relative path inside the folder, and is there",
+    "mesh": "every mesh can be read, has triangles, finite positions and a scale above zero",
+    "mass": "every link that is not the room's has a mass above zero",
+    "inertia": "inertias are those that a solid can have",
+    "center_of_mass": "the center of mass lies inside the colliders' box",
+    "collider": "every link with a mass collides",
+    "explicit_hulls": "meshes that collide are convex as they are",
+    "visual": "every link with a mass can be seen",
+    "poses": "poses.json names every file once, with a rigid pose and the mass that the file says",
+}
+"""Every rule, and what holds when it passes."""
+
+_HULL_TOLERANCE = 2e-3  # metres; as for USD
+_PRODUCTS = 20_000_000  # vertices times triangles that are compared: 160 MB
+_COUNTS = {"xyz": 3, "rpy": 3, "rgba": 4, "scale": 3, "size": 3}
+_NUMBERS = {"value", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "radius", "length", "lower", "upper", "effort", "velocity"}
+
+Element = ElementTree.Element
+
+
+def check_urdf(path: Path) -> list[Finding]:
+    """Everything that is wrong with a URDF file, or with all of a folder and its `poses.json`, sorted."""
+    if path.is_dir():
+        files = sorted(path.glob("*.urdf"))
+        known: dict[Path, Any] = {}
+        findings = [finding for file in files for finding in _check(file, known)]
+        findings += _poses(path, [file.name for file in files])
+        return sorted(set(findings))
+    return sorted(set(_check(path, {})))
+
+
+def _check(path: Path, known: dict[Path, Any]) -> list[Finding]:
+    """Findings about one file."""
+    try:
+        robot = ElementTree.fromstring(path.read_bytes())
+    except (ElementTree.ParseError, OSError, ValueError, LookupError) as error:
+        return [Finding("xml", path.name, f"cannot be read ({error})")]
+    if robot.tag != "robot":
+        return [Finding("xml", path.name, f"root is {robot.tag}, not robot")]
+    return [*_structure(path, robot), *_numeric(path, robot), *_links(path, robot, known)]
+
+
+def _structure(path: Path, robot: Element) -> Iterator[Finding]:
+    """Names, and the tree that links and joints make."""
+    links, joints = robot.findall("link"), robot.findall("joint")
+    if not robot.get("name"):
+        yield Finding("names", path.name, "the robot has no name")
+    for kind, elements in (("link", links), ("joint", joints)):
+        for name, count in Counter(element.get("name", "") for element in elements).items():
+            if not name:
+                yield Finding("names", path.name, f"a {kind} has no name")
+            elif count > 1:
+                yield Finding("names", f"{path.name} {kind} {name}", f"{count} have this name")
+    names = {link.get("name", "") for link in links}
+    parent: dict[str, str] = {}
+    for joint in joints:
+        where = f"{path.name} joint {joint.get('name', '')}"
+        above, below = (_attribute(joint, kind, "link") for kind in ("parent", "child"))
+        for kind, name in (("parent", above), ("child", below)):
+            if name not in names:
+                yield Finding("tree", where, f"{kind} link {name!r} does not exist")
+        if below in parent:
+            yield Finding("tree", where, f"link {below!r} hangs on two joints")
+        parent[below] = above
+    if not links:
+        yield Finding("tree", path.name, "has no link")
+        return
+    roots = sorted(names - set(parent))
+    if len(roots) != 1:
+        yield Finding("tree", path.name, f"{len(roots)} links hang on nothing, not one: {', '.join(roots[:3])}")
+    for name in sorted(parent):
+        seen, at = set(), name
+        while at in parent and at not in seen:
+            seen.add(at)
+            at = parent[at]
+        if at in seen:
+            yield Finding("tree", f"{path.name} link {name}", "hangs on itself")
+            return
+
+
+def _attribute(element: Element, tag: str, key: str) -> str:
+    """An attribute of a child, empty when there is none."""
+    child = element.find(tag)
+    return child.get(key, "") if child is not None else ""
+
+
+def _floats(text: str | None) -> NDArray[np.float64] | None:
+    """Finite numbers of an attribute, or None."""
+    try:
+        values = np.array([float(word) for word in (text or "").split()])
+    except ValueError:
+        return None
+    return values if np.isfinite(values).all() else None
+
+
+def _numeric(path: Path, robot: Element) -> Iterator[Finding]:
+    for link in [*robot.findall("link"), *robot.findall("joint")]:
+        for element in link.iter():
+            for key, text in element.attrib.items():
+                count = _COUNTS.get(key, 1 if key in _NUMBERS else 0)
+                values = _floats(text) if count else None
+                if count and (values is None or len(values) != count):
+                    where = f"{path.name} {link.tag} {link.get('name', '')}"
+                    yield Finding("numbers", where, f"{element.tag} {key} is not {count} finite numbers: {text[:60]}")
+
+
+def _links(path: Path, robot: Element, known: dict[Path, Any]) -> Iterator[Finding]:
+    """Geometry and mass of every link."""
+    for link in robot.findall("link"):
+        where = f"{path.name} link {link.get('name', '')}"
+        boxes = []
+        for kind in ("visual", "collision"):
+            for shape in link.findall(kind):
+                for mesh in shape.iterfind("geometry/mesh"):
+                    name = mesh.get("filename", "")
+                    findings, loaded = _mesh(path, where, name, known)
+                    yield from findings
+                    scale = _floats(mesh.get("scale", "1 1 1"))
+                    if scale is not None and not (scale > 0.0).all():
+                        yield Finding("mesh", where, f"scale of {name} is {mesh.get('scale')}")
+                    if kind == "collision" and loaded is not None:
+                        boxes.append(loaded if _plain(shape, scale) else None)
+                        every = -(-len(loaded[0]) * len(loaded[1]) // _PRODUCTS)
+                        gap = dent((loaded[0], loaded[1][::every]))
+                        if gap > _HULL_TOLERANCE:
+                            yield Finding("explicit_hulls", where, f"{name} lies up to {gap * 1000:.1f} mm inside its own hull")
+        inertial = link.find("inertial")
+        if inertial is None:
+            if link.find("collision") is not None and len(robot.findall("link")) == 1:
+                yield Finding("mass", where, "is not stated")
+            continue
+        yield from _mass(where, inertial)
+        if link.find("collision") is None:
+            yield Finding("collider", where, "has a mass, but no collision")
+        if link.find("visual") is None:
+            yield Finding("visual", where, "has a mass, but nothing of it can be seen")
+        center = _floats(_attribute(inertial, "origin", "xyz") or "0 0 0")
+        if boxes and all(box is not None for box in boxes) and center is not None and len(center) == 3:
+            points = np.concatenate([box[0] for box in boxes if box is not None])
+            if ((center < points.min(axis=0) - 1e-3) | (center > points.max(axis=0) + 1e-3)).any():
+                yield Finding("center_of_mass", where, f"{center.tolist()} lies outside the link's colliders")
+
+
+def _plain(shape: Element, scale: NDArray[np.float64] | None) -> bool:
+    """Whether a mesh stands in the link's frame as it is."""
+    moved = [_floats(_attribute(shape, "origin", key) or "0 0 0") for key in ("xyz", "rpy")]
+    return scale is not None and bool((scale == 1.0).all()) and all(value is not None and not value.any() for value in moved)
+
+
+def _mesh(path: Path, where: str, name: str, known: dict[Path, Any]) -> tuple[list[Finding], Any]:
+    """What is wrong with a mesh file, and its positions and triangles where nothing is."""
+    if re.match(r"package://|model://", name):
+        return [Finding("closed_paths", where, f"{name} is found by ROS only", False)], None
+    pure = PurePosixPath(name)
+    if not name or pure.is_absolute() or ".." in pure.parts or ":" in name or "\\" in name:
+        return [Finding("closed_paths", where, f"mesh {pure.name!r} is absolute or leaves the folder")], None
+    target = path.parent / name
+    if not target.is_file():
+        return [Finding("closed_paths", where, f"mesh {name!r} does not exist")], None
+    if target not in known:
+        known[target] = _read(target)
+    loaded = known[target]
+    if isinstance(loaded, str):
+        return [Finding("mesh", where, f"{name} {loaded}")], None
+    findings = []
+    for library in re.findall(rb"^mtllib +(\S+)", target.read_bytes(), re.M) if target.suffix.lower() == ".obj" else ():
+        material = target.parent / library.decode(errors="replace")
+        if not material.is_file():
+            findings.append(Finding("closed_paths", where, f"{name} names {material.name!r}, which does not exist"))
+            continue
+        for image in re.findall(rb"^map_Kd +(\S+)", material.read_bytes(), re.M):
+            picture = target.parent / image.decode(errors="replace")
+            if not picture.is_file():
+                findings.append(Finding("closed_paths", where, f"{material.name} names {picture.name!r}, which does not exist"))
+    return findings, loaded
+
+
+def _read(path: Path) -> Any:
+    """Positions [m], shape (n, 3), and triangles, shape (m, 3), of a mesh file, or what is wrong with it."""
+    import trimesh
+
+    try:
+        mesh: Any = trimesh.load_mesh(path, process=False, skip_materials=True)
+        mesh = mesh.to_mesh() if isinstance(mesh, trimesh.Scene) else mesh
+        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    except Exception as error:  # the loader raises whatever the bytes lead it to
+        return f"cannot be read ({type(error).__name__})"
+    if not len(faces):
+        return "has no triangles"
+    if not np.isfinite(vertices).all():
+        return "has positions that are not finite"
+    return (vertices, faces) if faces.min() >= 0 and faces.max() < len(vertices) else "has triangles of no vertices"
+
+
+def _mass(where: str, inertial: Element) -> Iterator[Finding]:
+    mass = _floats(_attribute(inertial, "mass", "value"))
+    if mass is None or len(mass) != 1 or not mass[0] > 0.0:
+        yield Finding("mass", where, f"is {_attribute(inertial, 'mass', 'value') or 'not stated'}")
+    element = inertial.find("inertia")
+    if element is None:
+        yield Finding("inertia", where, "is not stated: every engine makes its own")
+        return
+    entries = [_floats(element.get(key)) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
+    if any(entry is None or len(entry) != 1 for entry in entries):
+        yield Finding("inertia", where, "is not six finite numbers")
+        return
+    xx, xy, xz, yy, yz, zz = (float(entry[0]) for entry in entries if entry is not None)
+    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not moments[0] > 0.0:
+        yield Finding("inertia", where, f"principal moments are {moments.tolist()}")
+    elif moments[2] > (moments[0] + moments[1]) * (1 + 1e-6):
+        yield Finding("inertia", where, f"{moments.tolist()}: one moment exceeds the sum of the others")
+
+
+def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
+    """The file that says where the objects stand."""
+    path = folder / POSES
+    try:
+        told = json.loads(path.read_text())
+        objects = list(told["objects"])
+        named = [str(dict(item)["file"]) for item in objects] + [str(told["room"])]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        yield Finding("poses", POSES, f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:100]})")
+        return
+    for name in sorted(set(named) | set(files)):
+        if named.count(name) != 1 or name not in files:
+            yield Finding("poses", f"{POSES} {name}", f"is named {named.count(name)} times, and {'' if name in files else 'not '}there")
+    for item in objects:
+        where = f"{POSES} {item.get('name', '')}"
+        try:
+            place, turn = np.array(item["position_m"], dtype=np.float64), np.array(item["rotation_wxyz"], dtype=np.float64)
+            mass = float(item["mass_kg"])
+        except (KeyError, ValueError, TypeError) as error:
+            yield Finding("poses", where, f"has no pose or mass ({type(error).__name__}: {error})")
+            continue
+        if place.shape != (3,) or not np.isfinite(place).all():
+            yield Finding("poses", where, f"position_m is {item['position_m']}, not three finite numbers")
+        if turn.shape != (4,) or not abs(np.linalg.norm(turn) - 1.0) < 1e-6:
+            yield Finding("poses", where, f"rotation_wxyz is {item['rotation_wxyz']}, no quaternion of length 1")
+        stated = _stated_mass(folder / str(item["file"]))
+        if stated is not None and not abs(stated - mass) <= 1e-6 * abs(stated):
+            yield Finding("poses", where, f"mass_kg is {mass:g}, in the file {stated:g}")
+
+
+def _stated_mass(path: Path) -> float | None:
+    """Mass of all links of a file [kg]."""
+    try:
+        values = [float(element.get("value", "")) for element in ElementTree.fromstring(path.read_bytes()).iterfind("link/inertial/mass")]
+    except (ElementTree.ParseError, OSError, ValueError):
+        return None
+    return sum(values)
