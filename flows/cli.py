@@ -17,6 +17,7 @@ COMMANDS = {
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD and as a Habitat dataset into a folder.",
     "annotate": "Import what annotators chose.",
+    "evaluate": "Measure how well agents navigate the episodes.",
     "status": "Say what is done and what failed, from the lake alone.",
     "doctor": "Check a USD file, a Habitat dataset or the lake.",
     "bench": "Measure quality and speed on this machine.",

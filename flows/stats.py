@@ -198,7 +198,7 @@ def _picture_or_reason(
 
 
 def _of_scenes(answers: Mapping[str, pa.Table]) -> pa.Table:
-    """Runs of scenes, without those of annotation batches."""
+    """Runs of scenes, without those of batches."""
     import pyarrow.compute as pc
 
     runs = answers["current_runs"]

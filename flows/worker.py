@@ -12,6 +12,7 @@ import socket
 import sys
 import time
 import traceback
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from warehouse.lake import Lake
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """One stage to run on one scene (or annotation batch). Travels to a worker process, which may use `processes` of its own."""
+    """One stage to run on one scene (or batch). Travels to a worker process, which may use `processes` of its own."""
 
     lake: str
     scene_id: str
@@ -44,8 +45,15 @@ class Job:
     processes: int = 1
 
 
-def execute(job: Job) -> StageRun:
-    """Run a stage and stage its rows; a failure is staged as a row too. Returns the row of `stage_runs`."""
+Spread = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
+"""A map over items, as `Context.spread`."""
+
+
+def execute(job: Job, spread: Spread | None = None) -> StageRun:
+    """Run a stage and stage its rows; a failure is staged as a row too. Returns the row of `stage_runs`.
+
+    `spread` stands in for the worker's own map over parts of the work, to show how far it is.
+    """
     from tasks.pipeline import STAGES
 
     stage = next(s for s in STAGES if s.name == job.stage)
@@ -56,7 +64,7 @@ def execute(job: Job) -> StageRun:
     kind: str | None = None
     degradations: tuple[str, ...] = ()
     try:
-        outcome = _run(stage, job, lake)
+        outcome = _run(stage, job, lake, spread or spread_over(job.processes))
         rows, degradations = outcome.rows, outcome.degradations
     except InputError as problem:
         error, kind = str(problem), "input"
@@ -112,7 +120,7 @@ def lost_run(job: Job, kind: str, message: str, seconds: float) -> StageRun:
     )
 
 
-def _run(stage: Stage, job: Job, lake: Lake) -> Outcome:
+def _run(stage: Stage, job: Job, lake: Lake, spread: Spread) -> Outcome:
     """Inputs in, `run`, and the result held against the declaration and the schemas."""
     fingerprints = dict(part.split("=", 1) for part in job.upstream)
     inputs: dict[str, Any] = dict(job.outside)
@@ -122,9 +130,7 @@ def _run(stage: Stage, job: Job, lake: Lake) -> Outcome:
         inputs[table] = _rows(lake, table, job.scene_id, None if table in stage.history else fingerprints.get(TABLES[table].stage))
     for table in stage.history:
         inputs[table] = _rows(lake, table, job.scene_id, None)
-    context = Context(
-        scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches(), spread=spread_over(job.processes)
-    )
+    context = Context(scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches(), spread=spread)
     outcome = stage.run(**inputs, context=context, config=job.config)
     if set(outcome.rows) != set(stage.writes):
         raise LakeError(f"stage {stage.name} declares {', '.join(stage.writes)} and returned {', '.join(outcome.rows)}")
@@ -146,7 +152,7 @@ def _run(stage: Stage, job: Job, lake: Lake) -> Outcome:
 
 def _check_owner(table: str, rows: list[Any], job: Job) -> None:
     """A stage may write rows of its own scene only; a batch writes rows that name it."""
-    column = {"scene": "scene_id", "annotation_batch": "batch_id"}.get(TABLES[table].grain)
+    column = {"scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id"}.get(TABLES[table].grain)
     for index, row in enumerate(rows):
         if column and getattr(row, column) != job.scene_id:
             raise RecordError(table, str(index), column, f"must be {job.scene_id}, got {getattr(row, column)!r}")

@@ -9,9 +9,9 @@ from schemas.record import column, record
 
 @record("stage_runs", key=("scene_id", "stage", "fingerprint", "attempt"), stage="", rule="append", grain="lake")
 class StageRun:
-    """One execution of a stage on a scene (on an annotation batch: scene_id holds the batch)."""
+    """One execution of a stage on a scene (on a batch: scene_id holds it)."""
 
-    scene_id: str = column("Scene, or annotation batch for stages of that grain")
+    scene_id: str = column("Scene, or batch for stages that work on batches")
     stage: str = column("Stage")
     fingerprint: str = column("Hash of inputs, config, code and model versions", pattern=r"[0-9a-f]{64}")
     attempt: int = column("Attempt at this fingerprint, from 1", minimum=1, volatile=True)

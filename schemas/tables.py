@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas import annotation, candidates, captions, capture, exports, navigation, optimization, runs, selection
+from schemas import annotation, candidates, captions, capture, evaluation, exports, navigation, optimization, runs, selection
 from schemas.record import Table, table_of
 
 RECORDS: tuple[type, ...] = (
@@ -28,6 +28,7 @@ RECORDS: tuple[type, ...] = (
     navigation.Split,
     exports.ExportFile,
     exports.ExportCheck,
+    evaluation.Trajectory,
     runs.StageRun,
     runs.Snapshot,
 )

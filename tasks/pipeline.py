@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tasks import annotation, candidates, captions, capture, exports, navigation, optimization, selection
+from tasks import annotation, candidates, captions, capture, evaluation, exports, navigation, optimization, selection
 from tasks.stage import Stage
 
 STAGES: tuple[Stage, ...] = (
@@ -14,6 +14,7 @@ STAGES: tuple[Stage, ...] = (
     optimization.STAGE,
     navigation.STAGE,
     exports.STAGE,
+    evaluation.STAGE,
 )
 
 SCENE_STAGES: tuple[Stage, ...] = tuple(stage for stage in STAGES if stage.grain == "scene")

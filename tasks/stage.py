@@ -61,7 +61,7 @@ def _forgetful() -> Caches:
 class Context:
     """What a run may know besides its inputs: whose it is, the seed, and the blobs that its input rows name.
 
-    `scene_id` is the annotation batch for stages of that grain. `caches` remember, between runs and stages, what costs
+    `scene_id` is the batch for stages that work on batches. `caches` remember, between runs and stages, what costs
     much and follows from content alone, one for every module that computes such values (`caches["tasks.pieces"]`): a
     key must name everything that its value depends on but the module's own code. `spread(function, items)` is the list
     of the function's values, in the order of the items, computed in other processes where cores are free.
@@ -92,7 +92,7 @@ class Outcome:
         self.degradations = tuple(degradations)
 
 
-OutsideInput = Literal["scan", "library", "annotation_batch"]
+OutsideInput = Literal["scan", "library", "annotation_batch", "trajectory_batch"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Stage:
     writes: tuple[str, ...]
     config: type
     run: Callable[..., Outcome]
-    grain: Literal["scene", "annotation_batch", "dataset"] = "scene"
+    grain: Literal["scene", "annotation_batch", "trajectory_batch", "dataset"] = "scene"
     outside: tuple[OutsideInput, ...] = ()
     history: tuple[str, ...] = ()
 

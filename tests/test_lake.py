@@ -757,6 +757,6 @@ def _check_consistent(lake: Lake, content: Mapping[tuple[str, str], str], upstre
 
 
 def test_order_of_stages_is_that_of_the_tables() -> None:
-    expected = ("capture", "captions", "candidates", "selection", "annotation", "optimization", "navigation", "exports")
+    expected = ("capture", "captions", "candidates", "selection", "annotation", "optimization", "navigation", "exports", "evaluation")
     assert expected == adoption.STAGES
-    assert tuple(name for name in expected if name != "annotation") == adoption.SCENE_STAGES
+    assert tuple(name for name in expected if name not in ("annotation", "evaluation")) == adoption.SCENE_STAGES

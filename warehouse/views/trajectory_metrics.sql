@@ -1,0 +1,68 @@
+-- How well did each trajectory do?
+-- success: stop was called and the geodesic distance to the nearest view point is below success_distance_m (Anderson et al., On
+-- Evaluation of Embodied Navigation Agents, 2018; Habitat's Success). episode_length: all executed actions, the terminating one
+-- included (SPOC's eps_len). spl: success * l / max(p, l), l the geodesic distance at the start and p the travelled length
+-- (Anderson et al. 2018; 1 where both are 0). sel: success * w / max(e, w), w the expert's actions and e the episode length
+-- (success weighted by episode length as SPOC computes it, Ehsani et al., CVPR 2024; where w is 0, 1 if e is 0 and else 0).
+-- is_newest: no newer batch of the same policy and run has this episode; the views navigation_metrics* count these. is_outdated:
+-- the lake's episode of that name starts elsewhere or has another target by now, or is gone; the metrics are still those of the
+-- episode as it was.
+WITH order_of_batches AS (
+    SELECT scene_id AS batch_id, max(snapshot_id) AS snapshot_id
+    FROM stage_runs
+    WHERE stage = 'evaluation' AND outcome = 'done'
+    GROUP BY scene_id
+),
+judged AS (
+    SELECT
+        trajectories.*,
+        called_stop AND final_distance_m IS NOT NULL AND final_distance_m < success_distance_m AS success,
+        len(actions) AS episode_length,
+        row_number() OVER (
+            PARTITION BY policy, run_name, scene_id, episode_id
+            ORDER BY order_of_batches.snapshot_id DESC NULLS LAST, batch_id DESC
+        ) = 1 AS is_newest
+    FROM trajectories
+    LEFT JOIN order_of_batches USING (batch_id)
+)
+SELECT
+    judged.batch_id,
+    judged.scene_id,
+    judged.episode_id,
+    judged.policy,
+    judged.run_name,
+    judged.agent,
+    judged.split,
+    judged.category,
+    judged.success,
+    judged.episode_length,
+    CASE
+        WHEN NOT judged.success THEN 0.0
+        WHEN judged.start_distance_m = 0 AND judged.travelled_m = 0 THEN 1.0
+        ELSE judged.start_distance_m / greatest(judged.travelled_m, judged.start_distance_m)
+    END AS spl,
+    CASE
+        WHEN NOT judged.success THEN 0.0
+        WHEN judged.expert_actions = 0 THEN CASE WHEN judged.episode_length = 0 THEN 1.0 ELSE 0.0 END
+        ELSE judged.expert_actions / greatest(judged.episode_length, judged.expert_actions)
+    END AS sel,
+    trajectory_curvature.curvature_finite_differences,
+    trajectory_curvature.curvature_turning_angle,
+    judged.called_stop,
+    judged.collisions,
+    judged.travelled_m,
+    judged.start_distance_m,
+    judged.final_distance_m,
+    judged.expert_actions,
+    judged.problem,
+    judged.is_newest,
+    episodes.scene_id IS NULL AS is_outdated
+FROM judged
+JOIN trajectory_curvature USING (batch_id, scene_id, episode_id)
+LEFT JOIN episodes
+    ON episodes.scene_id = judged.scene_id
+    AND episodes.episode_id = judged.episode_id
+    AND episodes.instance_id = judged.instance_id
+    AND episodes.start_position = judged.start_position
+    AND episodes.start_yaw_radians = judged.start_yaw_radians
+ORDER BY judged.batch_id, judged.scene_id, judged.episode_id
