@@ -125,33 +125,39 @@ def _dataset_config(scenes: Sequence[HabitatScene], config: HabitatConfig) -> di
 
 def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
     """How to use the dataset."""
+    splits = sorted({split for scene in scenes for split in scene.splits})
+    settings = {
+        "habitat.dataset.data_path": f'"{config.dataset_folder}/objectnav/{{split}}/{{split}}.json.gz"',
+        "habitat.dataset.split": "train" if not splits or "train" in splits else splits[0],
+        "habitat.dataset.scenes_dir": '""',
+        "habitat.simulator.scene_dataset": f'"{config.dataset_folder}/{config.dataset}.scene_dataset_config.json"',
+    }
+    agent = next((scene.navmesh for scene in scenes if scene.navmesh), None)
+    if agent is not None:
+        about = agent_settings(agent, config)
+        names = ("radius", "height", "max_climb", "max_slope")
+        settings |= {f"habitat.simulator.agents.main_agent.{name}": f"{about[name]:g}" for name in names}
+        settings["habitat.simulator.navmesh_include_static_objects"] = str(about["navmesh_include_static_objects"])
+    settings["habitat.simulator.forward_step_size"] = f"{config.forward_m:g}"
+    settings["habitat.simulator.turn_angle"] = f"{config.turn_degrees:g}"
+    settings["habitat.task.measurements.success.success_distance"] = f"{SUCCESS_M:g}"
     lines = [
         f"# {config.dataset}: a Habitat dataset",
         "",
         f"{len(scenes)} scenes. Put this folder at `{config.dataset_folder}`, seen from where habitat-lab is started; episodes name it so.",
         "",
-        "Scenes are opened by their name in the dataset (the table below), not by a file path, so habitat-lab needs an empty `scenes_dir`:",
+        "Scenes are opened by their name in the dataset (the table below), not by a file path, so habitat-lab needs an empty `scenes_dir`.",
+        "For PointNav take `pointnav/pointnav_habitat_test` as the base, and `pointnav` for `objectnav` in `data_path`.",
         "",
-        "```",
-    ]
-    splits = sorted({split for scene in scenes for split in scene.splits})
-    split = splits[0] if splits else "train"
-    lines += [
-        f"habitat.dataset.data_path={config.dataset_folder}/objectnav/{{split}}/{{split}}.json.gz",
-        f"habitat.dataset.split={split}",
-        'habitat.dataset.scenes_dir=""',
-        f"habitat.simulator.scene_dataset={config.dataset_folder}/{config.dataset}.scene_dataset_config.json",
-    ]
-    agent = next((scene.navmesh for scene in scenes if scene.navmesh), None)
-    if agent is not None:
-        settings = agent_settings(agent, config)
-        names = ("radius", "height", "max_climb", "max_slope")
-        lines += [f"habitat.simulator.agents.main_agent.{name}={settings[name]:g}" for name in names]
-        lines += [f"habitat.simulator.navmesh_include_static_objects={settings['navmesh_include_static_objects']}"]
-    lines += [
-        f"habitat.simulator.forward_step_size={config.forward_m:g}",
-        f"habitat.simulator.turn_angle={config.turn_degrees:g}",
-        f"habitat.task.measurements.success.success_distance={SUCCESS_M:g}",
+        "```python",
+        "from habitat import get_config",
+        "",
+        "config = get_config(",
+        '    "benchmark/nav/objectnav/objectnav_hssd-hab.yaml",',
+        "    overrides=[",
+        *(f"        '{name}={value}'," for name, value in settings.items()),
+        "    ],",
+        ")",
         "```",
         "",
         "The agent's settings matter: habitat-sim compares them with the header of every navmesh and, where one differs, bakes",
