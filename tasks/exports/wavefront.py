@@ -79,7 +79,7 @@ def as_png(texture: Texture) -> tuple[str, bytes]:
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.open(io.BytesIO(texture.data)).convert("RGB").save(buffer, format="PNG")
+    Image.open(io.BytesIO(texture.data)).convert("RGB").save(buffer, format="PNG", compress_level=1)  # five times as fast, a quarter larger
     return f"{texture.file.rsplit('.', 1)[0]}.png", buffer.getvalue()
 
 
