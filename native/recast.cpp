@@ -234,6 +234,7 @@ int bake(const Settings& s, const float* vertices, int vertex_count, const int* 
   rcCalcBounds(vertices, vertex_count, low, high);
   int columns = 0, rows = 0;
   rcCalcGridSize(low, high, s.cell_size, &columns, &rows);
+  if (columns < 1 || rows < 1) return kEmpty;
 
   Owned<rcHeightfield, rcFreeHeightField> solid(rcAllocHeightfield());
   if (!solid || !rcCreateHeightfield(&context, *solid, columns, rows, low, high, s.cell_size, s.cell_height)) return kFailed;
@@ -434,14 +435,17 @@ void recast_snap(const RecastMesh* mesh, const double* points, int count, double
   }
 }
 
-// Length in space of the path between two points [m], as habitat-sim gives it; infinite without a path.
-double recast_distance(const RecastMesh* mesh, const float* start, const float* goal) {
+// Length in space of the path between two points [m], as habitat-sim gives it, and its up to 256 corners; infinite without.
+double recast_path(const RecastMesh* mesh, const float* start, const float* goal, float* corners, int* count) {
   const Place from = mesh->snap(start), to = mesh->snap(goal);
+  *count = 0;
   if (!from.polygon || !to.polygon) return kInfinite;
-  const std::vector<Point> corners = mesh->path(start, from, goal, to);
-  if (corners.empty()) return kInfinite;
+  const std::vector<Point> found = mesh->path(start, from, goal, to);
+  if (found.empty()) return kInfinite;
+  *count = static_cast<int>(found.size());
+  std::memcpy(corners, found.data(), found.size() * sizeof(Point));
   float length = 0;
-  for (size_t k = 1; k < corners.size(); ++k) length += distance(corners[k - 1].at, corners[k].at);
+  for (size_t k = 1; k < found.size(); ++k) length += distance(found[k - 1].at, found[k].at);
   return length;
 }
 

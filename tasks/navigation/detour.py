@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 ON_MESH_M = 1e-4
 """Points nearer than this to a polygon lie on it [m]: a hundred times what single precision rounds in a room."""
 
+SNAP_M = 2.0
+"""How far aside habitat-sim looks for a polygon [m]: of what is farther it may find one, but not the nearest."""
+
 _SAME = 1e-5
 """habitat-sim's tolerance when it compares the settings of navmeshes."""
 
@@ -62,7 +65,9 @@ class DetourPathFinder:
             raise ValueError("navmesh: is empty, there is no point to snap to")
         p = rows(points)
         places, polygons = self._places(p)
-        for index in np.flatnonzero(polygons < 0):  # Detour looks no farther than 2 m
+        with np.errstate(invalid="ignore"):
+            sure = (polygons >= 0) & (np.hypot(*(places - p).T) <= SNAP_M)
+        for index in np.flatnonzero(~sure):
             places[index] = self._nearest(p[index])
         there = np.hypot(*(places - p).T) <= ON_MESH_M
         return np.where(there[:, None], p, places)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.navigation.obstacles import JOIN_M
 from tasks.navigation.protocol import NO_PATH, Path
 from tasks.navigation.visibility import ON_BOUNDARY, Boundary, boundary_of, clear, first_clear, joined
 
@@ -66,7 +65,8 @@ class PlanarPathFinder:
         region = walkable_region(navmesh, floor_only)
         polygons = np.array([shapely.Polygon(ring) for ring in region.rings], dtype=object)
         made = cls(shapely.MultiPolygon())
-        united = [shapely.union_all(polygons[region.islands == island], grid_size=JOIN_M) for island in range(len(region.areas))]
+        # Neighbors share corners to the last bit: on a grid, an edge could part from the one it lies on.
+        united = [shapely.union_all(polygons[region.islands == island]) for island in range(len(region.areas))]
         made._set_parts([shapely.MultiPolygon([p for p in shapely.get_parts(part) if p.geom_type == "Polygon"]) for part in united])
         return made
 

@@ -30,6 +30,9 @@ _LONGEST = 256
 _FAILED, _EMPTY = 1, 2
 """What a bake says when there is no navmesh."""
 
+_MOST_CELLS = 5e7
+"""Cells seen from above that a bake may have: 350 m square at 5 cm, a gigabyte."""
+
 _SAFETY_M = 1e-4
 """A blocked step ends this far before the edge [m]: farther than single precision rounds."""
 
@@ -52,6 +55,10 @@ def bake(vertices: ArrayLike, faces: ArrayLike, settings: Settings) -> bytes:
         return b""
     if corners.min() < 0 or corners.max() >= len(points) or not np.isfinite(points).all():
         raise InputError("navmesh", "triangles", "name vertices that are not there or not finite", "mend the geometry")
+    wide, _, deep = np.ptp(points[corners], axis=(0, 1)) / settings.cell_size
+    if wide * deep > _MOST_CELLS:
+        problem = f"{wide:.0f} x {deep:.0f} cells are too many"
+        raise InputError("navmesh", "cell_size", problem, "check the geometry's units, or give larger cells")
     header = struct.pack("<13f4B", *dataclasses.astuple(settings))
     status = ctypes.c_int()
     handle = library.recast_bake(header, _pointer(points), len(points), _pointer(corners), len(corners), ctypes.byref(status))
@@ -105,10 +112,15 @@ class RecastMesh:
         self._library.recast_snap(self.handle, _pointer(p), len(p), _pointer(places), _pointer(polygons))
         return places, polygons
 
-    def distance(self, start: ArrayLike, goal: ArrayLike) -> float:
-        """Length in space of the path between two points, shape (3,) each [m]: habitat-sim's geodesic distance; infinite without one."""
+    def path(self, start: ArrayLike, goal: ArrayLike) -> tuple[float, NDArray[np.float32]]:
+        """Length in space of the path between two points, shape (3,) each [m], and its corners, shape (n, 3).
+
+        The length is habitat-sim's geodesic distance to the last bit. Without a path it is infinite, and there are no corners.
+        """
         a, b = (np.ascontiguousarray(p, dtype=np.float32).reshape(3) for p in (start, goal))
-        return float(self._library.recast_distance(self.handle, _pointer(a), _pointer(b)))
+        corners, count = np.zeros((_LONGEST, 3), dtype=np.float32), ctypes.c_int()
+        length = self._library.recast_path(self.handle, _pointer(a), _pointer(b), _pointer(corners), ctypes.byref(count))
+        return float(length), corners[: count.value]
 
     def clear_share(self, start: Array, end: Array) -> float:
         """Share of a straight move between points, shape (3,) each, that meets no edge: 0 to 1."""
@@ -217,7 +229,7 @@ def _library() -> ctypes.CDLL:
         ("polygon_count", whole, (pointer,)),
         ("islands", None, (pointer, pointer)),
         ("snap", None, (pointer, pointer, whole, pointer, pointer)),
-        ("distance", ctypes.c_double, (pointer, pointer, pointer)),
+        ("path", ctypes.c_double, (pointer, pointer, pointer, pointer, pointer)),
         ("clear_share", ctypes.c_double, (pointer, pointer, pointer)),
         ("goals", pointer, (pointer, pointer, whole, ctypes.c_double)),
         ("free_goals", None, (pointer,)),
