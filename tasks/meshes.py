@@ -65,7 +65,8 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     Every part's `metadata["name"]` is its node's name. Textures and vertex colors stay.
 
     Raises:
-        InputError: the file is no GLB, holds no triangles, or holds coordinates that are not finite.
+        InputError: the file is no GLB, holds no triangles, triangles of vertices that are not there, or coordinates that are
+            not finite.
     """
     import trimesh
 
@@ -85,6 +86,8 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
         geometry = scene.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
             continue
+        if geometry.faces.min() < 0 or geometry.faces.max() >= len(geometry.vertices):
+            raise InputError(file, f"node {node}", "has triangles of vertices that are not there", "export it again")
         part = geometry.copy()
         part.apply_transform(Y_UP_TO_Z_UP @ pose)
         part.metadata["name"] = node
