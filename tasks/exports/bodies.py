@@ -51,7 +51,10 @@ class Shape:
 
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """An object of the replica. `pose`: shape's frame to world, rigid 4x4 [m]. `is_fixed`: fastened to the room."""
+    """An object of the replica. `pose`: shape's frame to world, rigid 4x4 [m]. `is_fixed`: fastened to the room.
+
+    `body_type` (`rigid`, `cloth` or `soft`) and `materials`, most likely first, are its caption's.
+    """
 
     instance_id: str
     name: str
@@ -65,6 +68,8 @@ class Body:
     restitution: float
     is_fixed: bool
     provenance: Mapping[str, str]
+    body_type: str = "rigid"
+    materials: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,4 +190,6 @@ def _body(
         restitution=caption.restitution if caption is not None else config.default_restitution,
         is_fixed=fixed,
         provenance=provenance,
+        body_type=provenance["body_type"],
+        materials=caption.materials if caption is not None else (),
     )

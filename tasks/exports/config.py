@@ -15,6 +15,7 @@ class UsdConfig:
     """USD with physics."""
 
     instanceable: bool = False  # instances share memory, but Isaac tools cannot edit a collider or material under them
+    deformables: bool = True  # cloth and soft bodies get a variant `physics` = `deformable`; `rigid` stays selected
     crease_radians: float = 0.6  # about 35 degrees: edges sharper than this stay sharp when shaded
     gravity_m_s2: float = 9.81  # standard gravity, rounded as engines do
 

@@ -7,7 +7,6 @@ a ceiling is a static collider without a rigid body, like the room.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +15,19 @@ import numpy as np
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
 from tasks.exports.shading import corner_normals
-from tasks.exports.usd_assets import (
+from tasks.exports.usd_assets import asset_name, write_asset
+from tasks.exports.usd_layers import (
     add_collider,
     add_color_material,
     add_display_color,
     add_mesh,
     add_physics_material,
-    asset_name,
     bind_physics,
+    label,
     make_collider,
     new_stage,
     quaternion,
     set_mass,
-    write_asset,
 )
 from tasks.meshes import vertex_colors
 from tasks.pieces import Hull, convex_hull
@@ -42,8 +41,8 @@ def write_usd(root: Path, replica: Replica, config: ExportsConfig) -> Path:
     _write_room(folder / "room", replica, config)
     first: dict[str, Body] = {}
     for body in replica.bodies:
-        if asset_name(body) not in first:
-            first[asset_name(body)] = body
+        if asset_name(body, config.usd) not in first:
+            first[asset_name(body, config.usd)] = body
             write_asset(folder / "assets", body, config.usd)
     _write_scene(folder / "scene.usda", replica, first, config)
     return folder / "scene.usda"
@@ -87,9 +86,9 @@ def _write_scene(path: Path, replica: Replica, first: dict[str, Body], config: E
     stage = new_stage(path, "World")
     world = stage.GetDefaultPrim()
     Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
-    stage.GetRootLayer().customLayerData = {
-        "metascenes": {"scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type}
-    }
+    origin = {"scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type}
+    stage.GetRootLayer().customLayerData = {"metascenes": origin}
+    world.SetCustomDataByKey("metascenes", origin)
     physics = UsdPhysics.Scene.Define(stage, "/World/PhysicsScene")
     physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
     physics.CreateGravityMagnitudeAttr(config.usd.gravity_m_s2)
@@ -100,7 +99,7 @@ def _write_scene(path: Path, replica: Replica, first: dict[str, Body], config: E
     Usd.ModelAPI(objects.GetPrim()).SetKind(Kind.Tokens.group)
     materials: dict[tuple[float, float], Any] = {}
     for body in replica.bodies:
-        _add_body(stage, body, first[asset_name(body)], materials, config)
+        _add_body(stage, body, first[asset_name(body, config.usd)], materials, config)
     stage.GetRootLayer().Save()
 
 
@@ -108,7 +107,7 @@ def _add_body(stage: Any, body: Body, first: Body, materials: dict[tuple[float, 
     """One body: a reference, a pose, labels, where it comes from, and what its asset's file says otherwise."""
     from pxr import Gf, UsdGeom
 
-    name = asset_name(body)
+    name = asset_name(body, config.usd)
     prim = stage.DefinePrim(f"/World/Objects/{body.name}")
     prim.GetReferences().AddReference(f"./assets/{name}/{name}.usda")
     if config.usd.instanceable:
@@ -128,9 +127,23 @@ def _add_body(stage: Any, body: Body, first: Body, materials: dict[tuple[float, 
         bind_physics(prim, materials[surface], stronger=True)
 
 
-def label(prim: Any, labels: dict[str, Sequence[str]]) -> None:
-    """Semantic labels on a prim, by taxonomy."""
-    from pxr import UsdSemantics
+def with_release(scene: bytes, snapshot_id: int, release: str | None) -> bytes:
+    """A `scene.usda` that says which snapshot of the lake it was exported from, and the release's name if it has one.
 
-    for taxonomy, values in labels.items():
-        UsdSemantics.LabelsAPI.Apply(prim, taxonomy).CreateLabelsAttr(list(values))
+    Both are in the layer's `customLayerData` and in `customData` of its default prim, beside what was there.
+    """
+    from pxr import Sdf
+
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString(scene.decode())
+    stated: dict[str, Any] = {"snapshot_id": snapshot_id} | ({} if release is None else {"release": release})
+    layer.customLayerData = _joined(layer.customLayerData, stated)
+    prim = layer.GetPrimAtPath(f"/{layer.defaultPrim}")
+    prim.customData = _joined(prim.customData, stated)
+    return bytes(layer.ExportToString().encode())
+
+
+def _joined(known: Any, stated: dict[str, Any]) -> dict[str, Any]:
+    """A dictionary of a layer or prim with more said under this project's name."""
+    values = dict(known)
+    return values | {"metascenes": dict(values.get("metascenes", {})) | stated}

@@ -1,4 +1,8 @@
-"""One asset as a USD folder: an interface, and behind a payload its physics, its looks and its geometry."""
+"""One asset as a USD folder: an interface, and behind a payload its physics, its looks and its geometry.
+
+Cloth and soft bodies have a variant set `physics`: `rigid`, which is selected, is what every other asset is; `deformable`
+is another payload, in which a simulation mesh is deformed and the visuals follow it. Neither composes prims of the other.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from tasks.exports.bodies import Body, Shape
+from tasks.exports.bodies import Body, Shape, digest
 from tasks.exports.config import UsdConfig
-from tasks.exports.shading import corner_normals, face_normals, linear_colors
+from tasks.exports.shading import corner_normals
+from tasks.exports.usd_deformables import Deformable, deformable_of, write_deformable, write_simulation
+from tasks.exports.usd_layers import (
+    add_collider,
+    add_color_material,
+    add_display_color,
+    add_mesh,
+    add_physics_material,
+    bind_physics,
+    extent,
+    label,
+    make_collider,
+    new_stage,
+    preview_material,
+    set_mass,
+)
 from tasks.exports.visuals import Texture, Visual, visuals_of
-from tasks.mass import principal_axes
 from tasks.pieces import Hull
 
 
@@ -23,14 +40,21 @@ def write_asset(folder: Path, body: Body, config: UsdConfig) -> str:
     Friction, restitution, mass and whether it moves are those of `body`; another body with the same shape may differ
     in the first three, which the scene then overrides.
     """
-    name = asset_name(body)
+    name = asset_name(body, config)
     root = folder / name
     root.mkdir(parents=True)
     visuals = visuals_of(body.shape)
     _write_geometry(root / f"{name}_geometry.usdc", name, visuals, body.shape.hulls, config)
     _write_looks(root / f"{name}_looks.usda", name, visuals)
     _write_physics(root / f"{name}_physics.usda", name, body)
-    _write_interface(root, name, body)
+    _write_payload(root / f"{name}_payload.usda", name, ("physics.usda", "looks.usda", "geometry.usdc"))
+    deformable = deformable_of(body) if config.deformables else None
+    if deformable is not None:
+        write_simulation(root / f"{name}_simulation.usdc", name, deformable, visuals)
+        write_deformable(root / f"{name}_deformable.usda", name, body, deformable)
+        layers = ("deformable.usda", "looks.usda", "simulation.usdc", "geometry.usdc")
+        _write_payload(root / f"{name}_deformable_payload.usda", name, layers)
+    _write_interface(root / f"{name}.usda", name, body, deformable)
     for visual in visuals:
         if visual.texture is not None:
             target = root / "textures" / visual.texture.file
@@ -39,157 +63,24 @@ def write_asset(folder: Path, body: Body, config: UsdConfig) -> str:
     return name
 
 
-def asset_name(body: Body) -> str:
-    """Name of a body's asset: bodies of one shape share it, but not fixed ones with moving ones."""
-    return f"{body.shape.name}_fixed" if body.is_fixed else body.shape.name
+def asset_name(body: Body, config: UsdConfig) -> str:
+    """Name of a body's asset: bodies of one shape share it, but not fixed ones with moving ones.
 
-
-def new_stage(path: Path, root: str, kind: str = "Xform") -> Any:
-    """A new USD stage with +Z up, metres, kilograms and a default prim `root`; the caller saves it."""
-    from pxr import Usd, UsdGeom, UsdPhysics
-
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    prim = stage.DefinePrim(f"/{root}", kind) if kind else stage.OverridePrim(f"/{root}")
-    stage.SetDefaultPrim(prim)
-    return stage
-
-
-def add_mesh(stage: Any, path: str, vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike) -> Any:
-    """A triangle mesh: positions [m] (n, 3), triangles (m, 3), a normal per corner (m, 3, 3). Returns the UsdGeom.Mesh."""
-    from pxr import UsdGeom, Vt
-
-    points = np.ascontiguousarray(vertices, dtype=np.float32)
-    triangles = np.ascontiguousarray(faces, dtype=np.int32)
-    mesh = UsdGeom.Mesh.Define(stage, path)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(triangles), 3, dtype=np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.reshape(-1)))
-    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(np.asarray(normals, dtype=np.float32).reshape(-1, 3))))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateExtentAttr(extent(points))
-    return mesh
-
-
-def extent(points: ArrayLike) -> Any:
-    """Lowest and highest corner of points, shape (n, 3), as USD's extent."""
-    from pxr import Vt
-
-    array = np.asarray(points, dtype=np.float32)
-    return Vt.Vec3fArray.FromNumpy(np.array([array.min(axis=0), array.max(axis=0)], dtype=np.float32))
-
-
-def add_collider(stage: Any, path: str, hull: Hull) -> Any:
-    """The geometry of a convex piece, drawn only as a guide; physics is added by `make_collider`."""
-    from pxr import UsdGeom
-
-    flat = np.repeat(face_normals(hull.vertices, hull.faces)[:, None], 3, axis=1)
-    mesh = add_mesh(stage, path, hull.vertices, hull.faces, flat)
-    mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
-    return mesh
-
-
-def make_collider(prim: Any) -> None:
-    """Make a mesh prim a collider that is its own convex hull."""
-    from pxr import UsdPhysics
-
-    UsdPhysics.CollisionAPI.Apply(prim)
-    UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
-
-
-def add_physics_material(stage: Any, path: str, friction: float, restitution: float) -> Any:
-    """A physics material; static and dynamic friction are the same."""
-    from pxr import UsdPhysics, UsdShade
-
-    material = UsdShade.Material.Define(stage, path)
-    api = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
-    api.CreateStaticFrictionAttr(friction)
-    api.CreateDynamicFrictionAttr(friction)
-    api.CreateRestitutionAttr(restitution)
-    return material
-
-
-def bind_physics(prim: Any, material: Any, stronger: bool = False) -> None:
-    """Bind a physics material to a prim and what is below it."""
-    from pxr import UsdShade
-
-    tokens = UsdShade.Tokens
-    strength = tokens.strongerThanDescendants if stronger else tokens.weakerThanDescendants
-    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material, strength, "physics")
-
-
-def set_mass(prim: Any, body: Body) -> None:
-    """Mass, center of mass and inertia of a body on its root prim."""
-    from pxr import Gf, UsdPhysics
-
-    properties = body.shape.properties
-    moments, axes = principal_axes(properties.inertia * (body.mass_kg / properties.volume))
-    mass = UsdPhysics.MassAPI.Apply(prim)
-    mass.CreateMassAttr(body.mass_kg)
-    mass.CreateCenterOfMassAttr(Gf.Vec3f(*map(float, properties.center)))
-    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*map(float, moments)))
-    mass.CreatePrincipalAxesAttr(quaternion(axes))
-
-
-def quaternion(rotation: ArrayLike) -> Any:
-    """A rotation, shape (3, 3), as USD's single precision quaternion."""
-    from pxr import Gf
-
-    from tasks.transforms import quaternion_wxyz
-
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    w, x, y, z = quaternion_wxyz(pose)
-    return Gf.Quatf(w, x, y, z)
-
-
-def add_color_material(stage: Any, path: str) -> Any:
-    """A preview material that takes its color from the mesh's vertex colors."""
-    from pxr import Sdf, UsdShade
-
-    material, surface = _preview_material(stage, path)
-    reader = UsdShade.Shader.Define(stage, f"{path}/Color")
-    reader.CreateIdAttr("UsdPrimvarReader_float3")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
-    output = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
-    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(output)
-    return material
-
-
-def add_display_color(mesh: Any, colors: NDArray[np.uint8]) -> None:
-    """Vertex colors, shape (n, 3) sRGB, as the mesh's display color."""
-    from pxr import UsdGeom, Vt
-
-    values = np.ascontiguousarray(linear_colors(colors), dtype=np.float32)
-    if (values == values[0]).all():
-        primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant)
-        values = values[:1]
-    else:
-        primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-    primvar.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values)))
-
-
-def _preview_material(stage: Any, path: str) -> tuple[Any, Any]:
-    """A material with a UsdPreviewSurface, and that surface."""
-    from pxr import Sdf, UsdShade
-
-    material = UsdShade.Material.Define(stage, path)
-    surface = UsdShade.Shader.Define(stage, f"{path}/Surface")
-    surface.CreateIdAttr("UsdPreviewSurface")
-    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.7)
-    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
-    return material, surface
+    Cloth and soft bodies share it only where mass and material are the same too: those are part of what is deformed.
+    """
+    if body.is_fixed:
+        return f"{body.shape.name}_fixed"
+    if body.body_type == "rigid" or not config.deformables:
+        return body.shape.name
+    made_of = f"{body.mass_kg!r} {body.friction!r} {body.restitution!r} {body.body_type} {body.category} {body.materials}"
+    return f"{body.shape.name}_{digest(made_of)}"
 
 
 def _add_texture_material(stage: Any, path: str, texture: Texture) -> Any:
     """A preview material that takes its color from an image through texture coordinates `st`."""
     from pxr import Gf, Sdf, UsdShade
 
-    material, surface = _preview_material(stage, path)
+    material, surface = preview_material(stage, path)
     reader = UsdShade.Shader.Define(stage, f"{path}/Coordinates")
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
@@ -259,22 +150,38 @@ def _write_physics(path: Path, name: str, body: Body) -> None:
     stage.GetRootLayer().Save()
 
 
-def _write_interface(root: Path, name: str, body: Body) -> None:
-    """The file that a scene refers to, and the payload behind it."""
-    from pxr import Kind, Sdf, Usd, UsdGeom, UsdSemantics
-
-    payload = new_stage(root / f"{name}_payload.usda", name, kind="")
-    for layer in ("physics.usda", "looks.usda", "geometry.usdc"):
+def _write_payload(path: Path, name: str, layers: Sequence[str]) -> None:
+    """Layers of the asset `name`, strongest first, as one."""
+    payload = new_stage(path, name, kind="")
+    for layer in layers:
         payload.GetRootLayer().subLayerPaths.append(f"./{name}_{layer}")
     payload.GetRootLayer().Save()
-    stage = new_stage(root / f"{name}.usda", name)
+
+
+def _write_interface(path: Path, name: str, body: Body, deformable: Deformable | None) -> None:
+    """The file that a scene refers to, and the payload behind it, or the two behind its variants."""
+    from pxr import Kind, Sdf, Usd, UsdGeom
+
+    stage = new_stage(path, name)
     prim = stage.GetDefaultPrim()
-    Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
-    Usd.ModelAPI(prim).SetAssetName(name)
+    model = Usd.ModelAPI(prim)
+    model.SetKind(Kind.Tokens.component)
+    model.SetAssetName(name)
+    model.SetAssetIdentifier(Sdf.AssetPath(f"./{name}.usda"))
+    model.SetAssetVersion(body.shape.asset.asset_id[:12])  # an asset is named by its content
     UsdGeom.ModelAPI.Apply(prim).SetExtentsHint(extent(body.shape.bounds))
-    UsdSemantics.LabelsAPI.Apply(prim, "class").CreateLabelsAttr([body.shape.asset.category])
+    label(prim, {"class": [body.shape.asset.category]})
     prim.SetCustomDataByKey("metascenes", asset_provenance(body.shape))
-    prim.GetPayloads().AddPayload(Sdf.Payload(f"./{name}_payload.usda"))
+    if deformable is None:
+        prim.GetPayloads().AddPayload(Sdf.Payload(f"./{name}_payload.usda"))
+    else:
+        variants = prim.GetVariantSets().AddVariantSet("physics")
+        for variant, file in (("rigid", "payload"), ("deformable", "deformable_payload")):
+            variants.AddVariant(variant)
+            variants.SetVariantSelection(variant)
+            with variants.GetVariantEditContext():
+                prim.GetPayloads().AddPayload(Sdf.Payload(f"./{name}_{file}.usda"))
+        variants.SetVariantSelection("rigid")
     stage.GetRootLayer().Save()
 
 

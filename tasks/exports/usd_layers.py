@@ -1,0 +1,164 @@
+"""What USD files of this project are made of: stages, meshes, colliders, materials, mass and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tasks.exports.bodies import Body
+from tasks.exports.shading import face_normals, linear_colors
+from tasks.mass import principal_axes
+from tasks.pieces import Hull
+
+
+def new_stage(path: Path, root: str, kind: str = "Xform") -> Any:
+    """A new USD stage with +Z up, metres, kilograms and a default prim `root`; the caller saves it."""
+    from pxr import Usd, UsdGeom, UsdPhysics
+
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    prim = stage.DefinePrim(f"/{root}", kind) if kind else stage.OverridePrim(f"/{root}")
+    stage.SetDefaultPrim(prim)
+    return stage
+
+
+def add_mesh(stage: Any, path: str, vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike) -> Any:
+    """A triangle mesh: positions [m] (n, 3), triangles (m, 3), a normal per corner (m, 3, 3). Returns the UsdGeom.Mesh."""
+    from pxr import UsdGeom, Vt
+
+    points = np.ascontiguousarray(vertices, dtype=np.float32)
+    triangles = np.ascontiguousarray(faces, dtype=np.int32)
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(triangles), 3, dtype=np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.reshape(-1)))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(np.asarray(normals, dtype=np.float32).reshape(-1, 3))))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateExtentAttr(extent(points))
+    return mesh
+
+
+def extent(points: ArrayLike) -> Any:
+    """Lowest and highest corner of points, shape (n, 3), as USD's extent."""
+    from pxr import Vt
+
+    array = np.asarray(points, dtype=np.float32)
+    return Vt.Vec3fArray.FromNumpy(np.array([array.min(axis=0), array.max(axis=0)], dtype=np.float32))
+
+
+def add_collider(stage: Any, path: str, hull: Hull) -> Any:
+    """The geometry of a convex piece, drawn only as a guide; physics is added by `make_collider`."""
+    from pxr import UsdGeom
+
+    flat = np.repeat(face_normals(hull.vertices, hull.faces)[:, None], 3, axis=1)
+    mesh = add_mesh(stage, path, hull.vertices, hull.faces, flat)
+    mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    return mesh
+
+
+def make_collider(prim: Any) -> None:
+    """Make a mesh prim a collider that is its own convex hull."""
+    from pxr import UsdPhysics
+
+    UsdPhysics.CollisionAPI.Apply(prim)
+    UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+
+
+def add_physics_material(stage: Any, path: str, friction: float, restitution: float) -> Any:
+    """A physics material; static and dynamic friction are the same."""
+    from pxr import UsdPhysics, UsdShade
+
+    material = UsdShade.Material.Define(stage, path)
+    api = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+    api.CreateStaticFrictionAttr(friction)
+    api.CreateDynamicFrictionAttr(friction)
+    api.CreateRestitutionAttr(restitution)
+    return material
+
+
+def bind_physics(prim: Any, material: Any, stronger: bool = False) -> None:
+    """Bind a physics material to a prim and what is below it."""
+    from pxr import UsdShade
+
+    tokens = UsdShade.Tokens
+    strength = tokens.strongerThanDescendants if stronger else tokens.weakerThanDescendants
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material, strength, "physics")
+
+
+def set_mass(prim: Any, body: Body) -> None:
+    """Mass, center of mass and inertia of a body on its root prim."""
+    from pxr import Gf, UsdPhysics
+
+    properties = body.shape.properties
+    moments, axes = principal_axes(properties.inertia * (body.mass_kg / properties.volume))
+    mass = UsdPhysics.MassAPI.Apply(prim)
+    mass.CreateMassAttr(body.mass_kg)
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*map(float, properties.center)))
+    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*map(float, moments)))
+    mass.CreatePrincipalAxesAttr(quaternion(axes))
+
+
+def quaternion(rotation: ArrayLike) -> Any:
+    """A rotation, shape (3, 3), as USD's single precision quaternion."""
+    from pxr import Gf
+
+    from tasks.transforms import quaternion_wxyz
+
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    w, x, y, z = quaternion_wxyz(pose)
+    return Gf.Quatf(w, x, y, z)
+
+
+def add_color_material(stage: Any, path: str) -> Any:
+    """A preview material that takes its color from the mesh's vertex colors."""
+    from pxr import Sdf, UsdShade
+
+    material, surface = preview_material(stage, path)
+    reader = UsdShade.Shader.Define(stage, f"{path}/Color")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    output = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(output)
+    return material
+
+
+def add_display_color(mesh: Any, colors: NDArray[np.uint8]) -> None:
+    """Vertex colors, shape (n, 3) sRGB, as the mesh's display color."""
+    from pxr import UsdGeom, Vt
+
+    values = np.ascontiguousarray(linear_colors(colors), dtype=np.float32)
+    if (values == values[0]).all():
+        primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant)
+        values = values[:1]
+    else:
+        primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+    primvar.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values)))
+
+
+def preview_material(stage: Any, path: str) -> tuple[Any, Any]:
+    """A material with a UsdPreviewSurface, and that surface."""
+    from pxr import Sdf, UsdShade
+
+    material = UsdShade.Material.Define(stage, path)
+    surface = UsdShade.Shader.Define(stage, f"{path}/Surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.7)
+    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    return material, surface
+
+
+def label(prim: Any, labels: Mapping[str, Sequence[str]]) -> None:
+    """Semantic labels on a prim, by taxonomy."""
+    from pxr import UsdSemantics
+
+    for taxonomy, values in labels.items():
+        UsdSemantics.LabelsAPI.Apply(prim, taxonomy).CreateLabelsAttr(list(values))

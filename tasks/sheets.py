@@ -1,0 +1,141 @@
+"""Sheets of triangles, for engines that drape them: the middle of convex pieces along their shortest side."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.pieces import Hull
+
+Array = NDArray[np.float64]
+
+CELLS = 256
+"""Most cells of the grid over a sheet's outline: 512 triangles, which engines step in milliseconds on a CPU."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sheet:
+    """One connected manifold sheet. vertices: [m], shape (n, 3). triangles: shape (m, 3). thickness: volume over area [m]."""
+
+    vertices: Array
+    triangles: NDArray[np.int64]
+    thickness: float
+
+    @property
+    def area(self) -> float:
+        """Area of the triangles [m2]."""
+        return area_of(self.vertices, self.triangles)
+
+
+def area_of(vertices: Array, triangles: NDArray[np.int64]) -> float:
+    """Area of triangles [m2]. Shapes (n, 3) and (m, 3)."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+
+
+def sheet_of(hulls: Sequence[Hull], volume: float, cells: int = CELLS) -> Sheet:
+    """The middle of the union of convex pieces, seen along the shortest side of their box, in the pieces' frame [m].
+
+    Half way between where a line along that side enters the pieces and where it leaves them. A rug becomes its middle
+    plane, a curtain its folds; of what is heaped up only the mean of top and bottom is left.
+
+    Args:
+        hulls: The pieces.
+        volume: Of their union [m3].
+        cells: Most cells of the grid; two triangles each.
+    """
+    points = np.concatenate([hull.vertices for hull in hulls])
+    low, high = points.min(axis=0), points.max(axis=0)
+    up = int(np.argmin(high - low))
+    u, v = (i for i in range(3) if i != up)
+    counts = _counts(high[[u, v]] - low[[u, v]], cells)
+    lines = [low[axis] + (high[axis] - low[axis]) * np.arange(n + 1) / n for axis, n in zip((u, v), counts, strict=True)]
+    middles = [(line[:-1] + line[1:]) / 2 for line in lines]
+    center = _middle(hulls, up, (u, v), np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2))
+    filled = _outline(np.isfinite(center).reshape(counts))
+    inward = [line + (line.mean() - line) * 1e-6 for line in lines]  # a line through the very border of a box may miss it
+    corner = _middle(hulls, up, (u, v), np.stack(np.meshgrid(*inward, indexing="ij"), axis=-1).reshape(-1, 2))
+    height = _completed(corner.reshape(counts + 1), center.reshape(counts), filled)
+    triangles = _cut(filled)
+    grid = np.zeros((counts[0] + 1, counts[1] + 1, 3))
+    grid[..., u], grid[..., v], grid[..., up] = lines[0][:, None], lines[1][None], height
+    if up == 1:  # then u and v are x and z, whose cross product points down the axis
+        triangles = triangles[:, ::-1]
+    used, inverse = np.unique(triangles, return_inverse=True)
+    vertices, faces = grid.reshape(-1, 3)[used], inverse.reshape(-1, 3).astype(np.int64)
+    return Sheet(vertices, faces, volume / area_of(vertices, faces))
+
+
+def _counts(size: Array, cells: int) -> NDArray[np.int64]:
+    """Cells along both sides: nearly square, two at least, `cells` at most in all."""
+    wanted = np.maximum(size, 1e-6)
+    side = float(np.sqrt(np.prod(wanted) / cells))
+    while True:
+        counts = np.maximum(np.round(wanted / side), 2).astype(np.int64)
+        if int(np.prod(counts)) <= cells:
+            return counts
+        side *= 1.02
+
+
+def _middle(hulls: Sequence[Hull], up: int, across: tuple[int, int], points: Array) -> Array:
+    """Middle of the pieces along axis `up` over points across it, shape (n, 2); NaN beside the pieces."""
+    lowest, highest = np.full(len(points), np.inf), np.full(len(points), -np.inf)
+    for hull in hulls:
+        a, b, c = (hull.vertices[hull.faces[:, i]] for i in range(3))
+        normals = np.cross(b - a, c - a)
+        length = np.linalg.norm(normals, axis=1)
+        normals, start = normals[length > 0] / length[length > 0, None], a[length > 0]
+        room = np.einsum("ij,ij->i", normals, start) - points @ normals[:, across].T  # normal * height <= room
+        slope = normals[:, up]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = room / slope
+        bottom = np.where(slope < -1e-9, at, -np.inf).max(axis=1)
+        top = np.where(slope > 1e-9, at, np.inf).min(axis=1)
+        hit = (bottom <= top) & (np.where(np.abs(slope) <= 1e-9, room, 0.0) >= -1e-9).all(axis=1)
+        lowest[hit], highest[hit] = np.minimum(lowest, bottom)[hit], np.maximum(highest, top)[hit]
+    middle = np.full(len(points), np.nan)
+    over = highest >= lowest
+    middle[over] = (lowest[over] + highest[over]) / 2.0
+    return middle
+
+
+def _outline(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest connected part of the cells, filled where parts of it touch in a corner only."""
+    from scipy import ndimage
+
+    parts, _ = ndimage.label(filled)
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    found = np.asarray(parts == sizes.argmax()) if filled.any() else np.ones_like(filled)
+    while True:
+        a, b, c, d = found[:-1, :-1], found[1:, :-1], found[:-1, 1:], found[1:, 1:]
+        touching = np.argwhere((a & d & ~b & ~c) | (b & c & ~a & ~d))
+        if not len(touching):
+            return found
+        for i, j in touching:
+            found[i : i + 2, j : j + 2] = True
+
+
+def _completed(corner: Array, center: Array, filled: NDArray[np.bool_]) -> Array:
+    """Heights of the corners of filled cells; where a line misses the pieces, the nearest height that is known."""
+    from scipy import ndimage
+
+    known = np.isfinite(corner)
+    if not known.any():
+        return np.full(corner.shape, float(np.nanmean(center)) if np.isfinite(center).any() else 0.0)
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return np.asarray(corner[tuple(nearest)])
+
+
+def _cut(filled: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Two triangles per filled cell over the grid's corners, with diagonals in turn so that no direction is stiffer."""
+    width = filled.shape[1] + 1
+    i, j = np.nonzero(filled)
+    a, b, c, d = i * width + j, (i + 1) * width + j, (i + 1) * width + j + 1, i * width + j + 1
+    even = ((i + j) % 2 == 0)[:, None]
+    first = np.where(even, np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
+    second = np.where(even, np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
+    return np.stack([first, second], axis=1).reshape(-1, 3).astype(np.int64)
