@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from schemas.errors import InputError
 from schemas.exports import FORMATS, ExportFile
+from tasks.exports.findings import Finding
 from warehouse.lake import Lake
 
 
@@ -34,7 +35,7 @@ def write_exports(
     scenes: Sequence[str] = (),
     snapshot_id: int | None = None,
 ) -> WrittenExports:
-    """Write `<out>/usd` and `<out>/habitat`, each replaced as a whole, and check what was written.
+    """Write `<out>/usd`, `<out>/habitat` and so on, each replaced as a whole, and check what was written.
 
     Scenes whose checks in the lake did not pass are written all the same; the findings name them.
 
@@ -99,12 +100,21 @@ def _copy(lake: Lake, blob: str, target: Path) -> None:
 
 def _findings(out: Path, formats: Sequence[str], usd: Sequence[Path]) -> list[str]:
     """Broken rules of what was written, a line each."""
+    from tasks.exports.glb_rules import check_glb
     from tasks.exports.habitat_rules import check_habitat
+    from tasks.exports.mjcf_rules import check_mjcf
+    from tasks.exports.urdf_rules import check_urdf
     from tasks.exports.usd_rules import check_usd
 
+    gates: dict[str, tuple[Callable[[Path], Sequence[Finding]], Sequence[Path]]] = {
+        "usd": (check_usd, usd),
+        "habitat": (check_habitat, [out / "habitat"]),
+        "mjcf": (check_mjcf, sorted((out / "mjcf").glob("*/scene.xml"))),
+        "urdf": (check_urdf, sorted(path.parent for path in (out / "urdf").glob("*/poses.json"))),
+        "glb": (check_glb, sorted((out / "glb").glob("*.glb"))),
+    }
     found = []
-    for path in usd:
-        found += [f"{path}: {finding}" for finding in check_usd(path) if finding.is_error]
-    if "habitat" in formats and (out / "habitat").is_dir():
-        found += [f"{out / 'habitat'}: {finding}" for finding in check_habitat(out / "habitat") if finding.is_error]
+    for name in formats:
+        check, paths = gates[name]
+        found += [f"{path}: {finding}" for path in paths if path.exists() for finding in check(path) if finding.is_error]
     return found

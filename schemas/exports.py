@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from schemas.record import SCENE_PATTERN, column, record
 
-FORMATS = ("usd", "habitat")
+FORMATS = ("usd", "habitat", "mjcf", "urdf", "glb")
 
 
 @record("export_files", key=("scene_id", "format", "path"), stage="exports")

@@ -12,7 +12,7 @@ import trimesh
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Instance, Room, Scene
-from schemas.exports import ExportCheck, ExportFile
+from schemas.exports import FORMATS, ExportCheck, ExportFile
 from schemas.navigation import Episode, Navmesh, UnreachableTarget
 from schemas.optimization import Certificate, Contact, Optimization, OptimizationStep, Placement, Support
 from schemas.selection import Selection
@@ -113,7 +113,7 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
             "export_files": [
                 sample(ExportFile, scene_id=scene_id, format=kind, path="a", file_blob=lake.blobs.put(b"f", "usd"), size_bytes=150_000,
                        passed=True)
-                for kind in ("usd", "habitat")
+                for kind in FORMATS
             ],
             "export_checks": [
                 sample(ExportCheck, scene_id=scene_id, format="usd", rule="units", passed=True),

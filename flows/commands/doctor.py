@@ -11,9 +11,9 @@ import click
 from flows.commands.options import existing_lake, json_option, lake_option
 
 
-@click.group("doctor", short_help="Check a USD file, a Habitat dataset or the lake.")
+@click.group("doctor", short_help="Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.")
 def command() -> None:
-    """Check a USD file, a Habitat dataset or the lake. Exit code 1 says that something is wrong.
+    """Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake. Exit code 1 says that something is wrong.
 
     Example: metascenes doctor usd scene.usda
     """
@@ -44,6 +44,48 @@ def habitat(folder: Path, as_json: bool) -> None:
     from tasks.exports.habitat_rules import check_habitat
 
     findings = check_habitat(folder)
+    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+
+
+@command.command("mjcf")
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@json_option
+def mjcf(file: Path, as_json: bool) -> None:
+    """Check anybody's MuJoCo model: what MuJoCo refuses, and what it lets pass without a word.
+
+    Example: metascenes doctor mjcf ./replicas/mjcf/scannet_scene0000_00/scene.xml
+    """
+    from tasks.exports.mjcf_rules import check_mjcf
+
+    findings = check_mjcf(file)
+    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+
+
+@command.command("urdf")
+@click.argument("file", type=click.Path(path_type=Path, exists=True))
+@json_option
+def urdf(file: Path, as_json: bool) -> None:
+    """Check anybody's URDF file, or a folder of them with its poses.json.
+
+    Example: metascenes doctor urdf ./replicas/urdf/scannet_scene0000_00
+    """
+    from tasks.exports.urdf_rules import check_urdf
+
+    findings = check_urdf(file)
+    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+
+
+@command.command("glb")
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@json_option
+def glb(file: Path, as_json: bool) -> None:
+    """Check anybody's GLB of a scene.
+
+    Example: metascenes doctor glb ./replicas/glb/scannet_scene0000_00.glb
+    """
+    from tasks.exports.glb_rules import check_glb
+
+    findings = check_glb(file)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 

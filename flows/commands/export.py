@@ -11,7 +11,7 @@ from flows.commands.options import existing_lake, json_option, lake_option
 from schemas.exports import FORMATS
 
 
-@click.command("export", short_help="Write scenes as USD and as a Habitat dataset into a folder.")
+@click.command("export", short_help="Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.")
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write into.")
 @click.option("--format", "formats", multiple=True, type=click.Choice(FORMATS), help="Format; all by default; may be repeated.")
 @click.option("--scene", "scenes", multiple=True, metavar="SCENE_ID", help="Scene; all by default; may be repeated.")
@@ -22,7 +22,7 @@ from schemas.exports import FORMATS
 def command(
     out: Path, formats: tuple[str, ...], scenes: tuple[str, ...], snapshot_id: int | None, dry_run: bool, address: str, as_json: bool
 ) -> None:
-    """Write scenes as USD and as a Habitat dataset into a folder, and check what was written.
+    """Write scenes as USD, as a Habitat dataset, as MJCF, URDF and GLB into a folder, and check what was written.
 
     Exit code 1 says that a check did not pass; each is named.
 

@@ -1,4 +1,4 @@
-"""Files for simulators: a USD scene with physics, and the scene's part of a Habitat dataset with episodes.
+"""Files for simulators: a USD scene with physics, the scene's part of a Habitat dataset with episodes, MJCF, URDF and GLB.
 
 Nothing is exported unseen: every export is read back and checked, and `export_checks` has the verdict of every rule.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from schemas.candidates import Asset
@@ -18,13 +18,13 @@ from schemas.exports import ExportCheck, ExportFile
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement, Support
 from tasks.exports.bodies import Replica, gather
-from tasks.exports.config import ExportsConfig, HabitatConfig, UsdConfig
+from tasks.exports.config import ExportsConfig, HabitatConfig, MjcfConfig, UsdConfig
 from tasks.exports.files import Export, File, files_below
-from tasks.exports.findings import verdicts
+from tasks.exports.findings import Finding, verdicts
 from tasks.pieces import PieceConfig
 from tasks.stage import Blobs, Context, Outcome, Stage
 
-__all__ = ["STAGE", "ExportsConfig", "HabitatConfig", "PieceConfig", "UsdConfig", "run", "write_folder"]
+__all__ = ["STAGE", "ExportsConfig", "HabitatConfig", "MjcfConfig", "PieceConfig", "UsdConfig", "run", "write_folder"]
 
 _USD_ROLES = {"scene.usda": "scene", "room": "stage", "textures": "texture"}
 
@@ -106,6 +106,41 @@ def _habitat(scene: _Scene) -> Export:
         return Export(files, RULES, check_habitat(root), [*missed, *lost])
 
 
+def _mjcf(scene: _Scene) -> Export:
+    """The MuJoCo model, compiled and stepped once."""
+    from tasks.exports.mjcf import mjcf_files
+    from tasks.exports.mjcf_rules import RULES, check_mjcf
+
+    files = mjcf_files(scene.replica, scene.config)
+    return _checked(files, RULES, lambda root: check_mjcf(root / scene.replica.stem / "scene.xml"))
+
+
+def _urdf(scene: _Scene) -> Export:
+    """A URDF file per object, and where they stand."""
+    from tasks.exports.urdf import urdf_files
+    from tasks.exports.urdf_rules import RULES, check_urdf
+
+    files = urdf_files(scene.replica, scene.config)
+    return _checked(files, RULES, lambda root: check_urdf(root / scene.replica.stem))
+
+
+def _glb(scene: _Scene) -> Export:
+    """The whole scene in one glTF binary."""
+    from tasks.exports.glb_rules import RULES, check_glb
+    from tasks.exports.scene_glb import glb_files
+
+    files = glb_files(scene.replica, scene.config)
+    return _checked(files, RULES, lambda root: check_glb(root / files[0].path))
+
+
+def _checked(files: Sequence[File], rules: Iterable[str], check: Callable[[Path], Sequence[Finding]]) -> Export:
+    """Files written to a temporary folder and checked there."""
+    with tempfile.TemporaryDirectory(prefix="export-") as place:
+        root = Path(place).resolve()
+        write_folder(root, {file.path: file.data for file in files})
+        return Export(files, rules, check(root))
+
+
 def write_folder(root: Path, files: Mapping[str, bytes]) -> None:
     """Write files by path, below `root`."""
     for path, data in files.items():
@@ -130,7 +165,7 @@ def _row(scene_id: str, format_: str, file: File, passed: bool, blobs: Blobs) ->
     )  # fmt: skip
 
 
-_MAKERS: Mapping[str, Callable[[_Scene], Export]] = {"usd": _usd, "habitat": _habitat}
+_MAKERS: Mapping[str, Callable[[_Scene], Export]] = {"usd": _usd, "habitat": _habitat, "mjcf": _mjcf, "urdf": _urdf, "glb": _glb}
 """How each of `schemas.exports.FORMATS` is made."""
 
 STAGE = Stage(
