@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-WALKABLE = 1
-"""habitat-sim's polygon flag for "can be walked on"."""
-
 _ROUNDING_M = 1e-6
 """How far a step may reach over an edge [m]: coordinates of a navmesh are 32-bit floats."""
 
@@ -70,23 +67,15 @@ class NavmeshPathFinder(PlanarPathFinder):
         return moved if self._grown.covers(line) else np.asarray(position, dtype=np.float64)
 
 
-def path_finder(data: bytes, file: str) -> NavmeshPathFinder:
-    """Path finder on the walkable polygons of a .navmesh file, whoever made it, seen from above.
+def path_finder(data: bytes, file: str) -> PlanarPathFinder:
+    """Path finder on what an agent on the floor reaches of a .navmesh file, whoever made it, in plan.
 
     Raises:
-        InputError: the bytes are no such file, or it has no walkable polygon.
+        InputError: the bytes are no such file, or nothing in it can be walked on.
     """
-    import shapely
-
     from tasks.navigation.navmesh import read_navmesh
 
-    polygons = []
-    for tile in read_navmesh(data, file).tiles:
-        corners = np.column_stack([tile.vertices[:, 0], -tile.vertices[:, 2]]).astype(np.float64)
-        for polygon in tile.polygons:
-            if polygon["flags"] & WALKABLE and polygon["count"] >= 3:
-                polygons.append(shapely.Polygon(corners[polygon["vertices"][: polygon["count"]]]))
-    finder = NavmeshPathFinder(shapely.union_all(polygons))
+    finder = NavmeshPathFinder.from_navmesh(read_navmesh(data, file), floor_only=True)
     if not finder.islands:
         raise InputError(file, "polygons", "none can be walked on", "run the navigation stage again")
     return finder
