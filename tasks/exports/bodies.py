@@ -68,6 +68,12 @@ class Body:
     restitution: float
     is_fixed: bool
     provenance: Mapping[str, str]
+
+    @property
+    def inertia(self) -> NDArray[np.float64]:
+        """Inertia about the center of mass, along the axes of the shape's frame [kg m2], shape (3, 3)."""
+        return self.shape.properties.inertia * (self.mass_kg / self.shape.properties.volume)
+
     body_type: str = "rigid"
     materials: tuple[str, ...] = ()
 

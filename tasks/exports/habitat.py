@@ -117,12 +117,23 @@ def _object_files(replica: Replica, config: ExportsConfig) -> list[HabitatFile]:
             files.append(HabitatFile(f"objects/{handle}.collider.glb", _collider(body.shape.hulls), "collision"))
         settings = {
             "render_asset": f"{geometry}.glb", "collision_asset": f"{geometry}.collider.glb", **UPRIGHT, "scale": [1, 1, 1],
-            "units_to_meters": 1, "mass": round(body.mass_kg, 6), "friction_coefficient": body.friction,
+            "units_to_meters": 1, **_mass_properties(body), "friction_coefficient": body.friction,
             "restitution_coefficient": body.restitution, "is_collidable": True, "use_bounding_box_for_collision": False,
             "join_collision_meshes": False, "semantic_id": body.nyu40_id,
         }  # fmt: skip
         files.append(HabitatFile(f"objects/{handle}.object_config.json", dump_json(settings), "object"))
     return files
+
+
+def _mass_properties(body: Body) -> dict[str, Any]:
+    """Mass, center of mass and inertia; the latter's products, for which habitat-sim has no place, stand beside them."""
+    turn = Z_UP_TO_Y_UP[:3, :3]
+    tensor = (turn @ body.inertia @ turn.T).tolist()
+    center = (turn @ body.shape.properties.center).tolist()
+    return {
+        "mass": float(body.mass_kg), "COM": center, "inertia": [tensor[axis][axis] for axis in range(3)],
+        "user_defined": {"inertia_kg_m2": tensor},
+    }  # fmt: skip
 
 
 def _collider(hulls: Sequence[Hull]) -> bytes:

@@ -164,11 +164,10 @@ def _body(world: Element, body: Body, seen: Sequence[Mapping[str, str]], setting
     element = ElementTree.SubElement(world, "body", name=body.name, pos=_numbers(place), quat=_numbers(turn))
     if not body.is_fixed:
         ElementTree.SubElement(element, "freejoint", name=body.name)
-    properties = body.shape.properties
-    inertia = properties.inertia * (body.mass_kg / properties.volume)
+    inertia = body.inertia
     upper = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     ElementTree.SubElement(
-        element, "inertial", pos=_numbers(properties.center), mass=repr(float(body.mass_kg)), fullinertia=_numbers(upper)
+        element, "inertial", pos=_numbers(body.shape.properties.center), mass=repr(float(body.mass_kg)), fullinertia=_numbers(upper)
     )  # fmt: skip
     _collide(element, body.name, body.shape.name, len(body.shape.hulls), _numbers(friction_of(body.friction, settings)))
     _add_visuals(element, body.name, seen)

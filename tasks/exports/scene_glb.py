@@ -61,10 +61,9 @@ def _node(scene: _Scene, body: Body, asset: Document) -> Document:
 def _physics(body: Body) -> dict[str, Any]:
     """Mass properties of the object in the node's frame without its scale (+Y up): glTF itself has no words for them."""
     turn = Z_UP_TO_Y_UP[:3, :3]
-    properties = body.shape.properties
-    tensor = turn @ (properties.inertia * (body.mass_kg / properties.volume)) @ turn.T
+    tensor = turn @ body.inertia @ turn.T
     return {
-        "mass_kg": float(body.mass_kg), "center_of_mass_m": _numbers(turn @ properties.center),
+        "mass_kg": float(body.mass_kg), "center_of_mass_m": _numbers(turn @ body.shape.properties.center),
         "inertia_kg_m2": [_numbers(row) for row in tensor], "friction": float(body.friction), "restitution": float(body.restitution),
     }  # fmt: skip
 

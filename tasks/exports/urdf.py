@@ -57,10 +57,9 @@ def _object(body: Body, meshes: _Meshes) -> bytes:
     """The URDF of one object."""
     robot = _robot(body.name)
     link = ElementTree.SubElement(robot, "link", name=body.name)
-    properties = body.shape.properties
-    tensor = properties.inertia * (body.mass_kg / properties.volume)
+    tensor = body.inertia
     inertial = ElementTree.SubElement(link, "inertial")
-    _origin(inertial, properties.center)
+    _origin(inertial, body.shape.properties.center)
     ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass_kg)))
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(tensor[i, j]) + 0.0) for i in range(3) for j in range(i, 3)}
     ElementTree.SubElement(inertial, "inertia", entries)
