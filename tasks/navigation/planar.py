@@ -13,7 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.navigation.protocol import NO_PATH, Path
-from tasks.navigation.visibility import ON_BOUNDARY, Boundary, boundary_of, clear, first_clear, joined
+from tasks.navigation.visibility import (
+    ON_BOUNDARY,
+    TANGENT,
+    Boundary,
+    Corners,
+    boundary_of,
+    clear,
+    contains,
+    first_clear,
+    joined,
+    tangent_corners,
+)
 
 if TYPE_CHECKING:
     import shapely
@@ -22,9 +33,6 @@ if TYPE_CHECKING:
     from tasks.navigation.navmesh import NavmeshFile, Settings
 
 Array = NDArray[np.float64]
-
-_TANGENT = 1e-9
-"""How far a neighbor corner may reach over a tangent [m]: the same tolerance as for lying on an edge."""
 
 _SAFETY = 1e-6
 """A blocked step ends this far before the obstacle [m], so that the next one starts inside."""
@@ -89,17 +97,10 @@ class PlanarPathFinder:
 
     def island_of(self, points: ArrayLike) -> NDArray[np.int64]:
         """Island of each point, shape (n, 2) to (n,); -1 where the agent cannot be."""
-        import shapely
-
         p = _rows(points)
         result = np.full(len(p), -1, dtype=np.int64)
         for number in reversed(range(len(self._parts))):
-            part = self._parts[number]
-            inside = shapely.intersects_xy(part, p[:, 0], p[:, 1])
-            if not inside.all():
-                rest = np.flatnonzero(~inside)
-                inside[rest] = shapely.distance(part, shapely.points(p[rest])) <= ON_BOUNDARY
-            result[inside] = number
+            result[contains(self._edges[number], p)] = number
         return result
 
     def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
@@ -187,12 +188,23 @@ class PlanarPathFinder:
         back, ahead = -self.boundary.arriving[edges], self.boundary.leaving[edges]
         left = unit[:, 0] * back[:, 1] - unit[:, 1] * back[:, 0]
         right = unit[:, 0] * ahead[:, 1] - unit[:, 1] * ahead[:, 0]
-        return (np.minimum(left, right) >= -_TANGENT) | (np.maximum(left, right) <= _TANGENT)
+        return (np.minimum(left, right) >= -TANGENT) | (np.maximum(left, right) <= TANGENT)
 
-    def _candidates(self, point: Array, island: int) -> NDArray[np.int64]:
-        """Nodes that a shortest path from `point` could bend around first."""
-        nodes = np.flatnonzero(self.boundary.island[self._nodes] == island)
-        return nodes[self._is_tangent(nodes, np.broadcast_to(point, (len(nodes), 2)))]
+    @cached_property
+    def _corners(self) -> list[tuple[NDArray[np.int64], Corners]]:
+        """For every island its nodes and what is there."""
+        found = []
+        for island in range(len(self._parts)):
+            nodes = np.flatnonzero(self.boundary.island[self._nodes] == island)
+            edges = self._nodes[nodes]
+            found.append((nodes, Corners(self.boundary.starts[edges], -self.boundary.arriving[edges], self.boundary.leaving[edges])))
+        return found
+
+    def _candidates(self, point: Array, island: int, beyond: Array | None = None, limit: float = np.inf) -> tuple[NDArray[np.int64], Array]:
+        """Nodes that a shortest path from `point` could bend around first, nearest first, and the path's length over each."""
+        nodes, corners = self._corners[island]
+        chosen, total = tangent_corners(point, corners, np.zeros(len(nodes)) if beyond is None else beyond, limit)
+        return nodes[chosen], total
 
     def field(self, goals: ArrayLike) -> PlanarField:
         """Distances and paths to the nearest of `goals`, shape (n, 2). Goals that are not navigable are never reached."""
@@ -261,7 +273,7 @@ class PlanarField:
         for number, (goal, island) in enumerate(zip(goals, self._goal_islands, strict=True)):
             if island < 0:
                 continue
-            nodes = finder._candidates(goal, int(island))
+            nodes, _ = finder._candidates(goal, int(island))
             nodes = nodes[clear(finder._edges[island], np.broadcast_to(goal, (len(nodes), 2)), self._at[nodes])]
             distance = np.maximum(np.hypot(*(self._at[nodes] - goal).T), 1e-12)
             closer = distance < nearest[nodes]
@@ -278,7 +290,9 @@ class PlanarField:
             shape=(count + 1, count + 1),
         )
         distance, previous = dijkstra(joined, indices=count, return_predecessors=True)
-        self._distance, self._previous = distance[:count], previous[:count]
+        self._previous = previous[:count]
+        self._beyond = [distance[:count][nodes] for nodes, _ in finder._corners]
+        self._goals_of = [np.flatnonzero(self._goal_islands == island) for island in range(len(finder.islands))]
 
     def distances(self, points: ArrayLike) -> Array:
         """Geodesic distances from points, shape (n, 2), to the nearest goal [m], shape (n,); infinite without a path."""
@@ -308,7 +322,7 @@ class PlanarField:
         best, straight = np.inf, -1
         if island < 0:
             return best, -1, -1
-        goals = np.flatnonzero(self._goal_islands == island)
+        goals = self._goals_of[island]
         if not len(goals):
             return best, -1, -1
         direct = np.hypot(*(self._goals[goals] - point).T)
@@ -316,14 +330,9 @@ class PlanarField:
         seen = first_clear(finder._edges[island], point, self._goals[goals[order]])
         if seen >= 0:
             best, straight = float(direct[order[seen]]), int(goals[order[seen]])
-        nodes = finder._candidates(point, island)
-        total = np.hypot(*(self._at[nodes] - point).T) + self._distance[nodes]
-        hopeful = np.flatnonzero(total < best)
-        hopeful = hopeful[np.argsort(total[hopeful], kind="stable")]
-        seen = first_clear(finder._edges[island], point, self._at[nodes[hopeful]])
-        if seen < 0:
-            return best, -1, straight
-        return float(total[hopeful[seen]]), int(nodes[hopeful[seen]]), -1
+        nodes, total = finder._candidates(point, island, self._beyond[island], best)
+        seen = first_clear(finder._edges[island], point, self._at[nodes])
+        return (best, -1, straight) if seen < 0 else (float(total[seen]), int(nodes[seen]), -1)
 
 
 def _rows(points: ArrayLike) -> Array:

@@ -24,6 +24,9 @@ _ENDPOINT = 1e-7
 _ANGLE = 1e-7
 """A direction that leaves the free side by less than this runs along the edge [rad]: 1 micrometre on an edge of 10 m."""
 
+TANGENT = 1e-9
+"""How far a neighbor corner may reach over a tangent, as a sine: the same tolerance as for lying on an edge."""
+
 _SHORTEST_EDGE = 1e-8
 """Edges shorter than this are dropped [m]: they have no direction."""
 
@@ -109,12 +112,98 @@ def first_clear(boundary: Boundary, start: Array, ends: Array) -> int:
     return index if seen[index] else -1
 
 
+def tangent_corners(point: Array, corners: Corners, beyond: Array, limit: float) -> tuple[NDArray[np.int64], Array]:
+    """Corners that a shortest path from a point, shape (2,), could bend around first, best first, and its length over each [m].
+
+    Args:
+        point: World frame [m], shape (2,).
+        corners: Corners of the point's island.
+        beyond: Distance from every corner to the goal [m], shape (n,).
+        limit: Only lengths below this are wanted [m].
+    """
+    found: tuple[NDArray[np.int64], Array] = _compiled_corners()(point[0], point[1], corners.at, corners.back, corners.ahead, beyond, limit)
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Corners:
+    """Corners that paths bend around, each with unit vectors along its two edges, away from it. Every array has shape (n, 2)."""
+
+    at: Array
+    back: Array
+    ahead: Array
+
+
+def contains(boundary: Boundary, points: Array) -> NDArray[np.bool_]:
+    """Whether points, shape (n, 2), lie in the closed polygon, shape (n,)."""
+    return np.asarray(_compiled_contains()(np.ascontiguousarray(points), boundary.starts, boundary.ends))
+
+
 @cache
 def _compiled() -> Callable[..., Any]:
     import numba
 
     compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True)(_sights)
     return compiled
+
+
+@cache
+def _compiled_corners() -> Callable[..., Any]:
+    import numba
+
+    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_tangent_corners)
+    return compiled
+
+
+@cache
+def _compiled_contains() -> Callable[..., Any]:
+    import numba
+
+    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_contains)
+    return compiled
+
+
+def _tangent_corners(
+    x: float, y: float, at: Array, back: Array, ahead: Array, beyond: Array, limit: float
+) -> tuple[NDArray[np.int64], Array]:
+    """Corners whose two edges lie on one side of the line from the point: any other cannot be on a shortest path."""
+    chosen = np.empty(len(at), dtype=np.int64)
+    total = np.empty(len(at))
+    count = 0
+    for i in range(len(at)):
+        dx, dy = x - at[i, 0], y - at[i, 1]
+        away = np.hypot(dx, dy)
+        length = away + beyond[i]
+        if not length < limit:
+            continue
+        ux, uy = dx / max(away, 1e-300), dy / max(away, 1e-300)
+        left = ux * back[i, 1] - uy * back[i, 0]
+        right = ux * ahead[i, 1] - uy * ahead[i, 0]
+        if min(left, right) >= -TANGENT or max(left, right) <= TANGENT:
+            chosen[count], total[count] = i, length
+            count += 1
+    order = np.argsort(total[:count], kind="mergesort")
+    return chosen[:count][order], total[:count][order]
+
+
+def _contains(points: Array, starts: Array, ends: Array) -> NDArray[np.bool_]:
+    """By crossings of a ray to the right; points as near to an edge as rounding brings them count as inside."""
+    result = np.zeros(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        inside = False
+        for e in range(len(starts)):
+            ax, ay, bx, by = starts[e, 0], starts[e, 1], ends[e, 0], ends[e, 1]
+            if (ay > y) != (by > y) and x < ax + (bx - ax) * (y - ay) / (by - ay):
+                inside = not inside
+            if min(ay, by) - ON_BOUNDARY <= y <= max(ay, by) + ON_BOUNDARY and min(ax, bx) - ON_BOUNDARY <= x <= max(ax, bx) + ON_BOUNDARY:
+                length = np.hypot(bx - ax, by - ay)
+                share = min(1.0, max(0.0, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / (length * length)))
+                if np.hypot(x - ax - share * (bx - ax), y - ay - share * (by - ay)) <= ON_BOUNDARY:
+                    inside = True
+                    break
+        result[i] = inside
+    return result
 
 
 def _sights(
