@@ -449,9 +449,10 @@ double recast_path(const RecastMesh* mesh, const float* start, const float* goal
   return length;
 }
 
-// Share of a straight move that is free, 0 to 1; one means that it meets no edge.
-double recast_clear_share(const RecastMesh* mesh, const double* start, const double* end) {
-  const Point from = rounded(start), to = rounded(end);
+// Share of a straight move over the floor (y = 0) that is free, 0 to 1; one means that it meets no edge.
+double recast_clear_share(const RecastMesh* mesh, double start_x, double start_z, double end_x, double end_z) {
+  const double ends[2][3] = {{start_x, 0, start_z}, {end_x, 0, end_z}};
+  const Point from = rounded(ends[0]), to = rounded(ends[1]);
   const Place place = mesh->snap(from.at);
   if (!place.polygon) return 0;
   float share = 0, normal[3];
@@ -474,14 +475,16 @@ RecastGoals* recast_goals(const RecastMesh* mesh, const double* points, int coun
 
 void recast_free_goals(RecastGoals* goals) { delete goals; }
 
-// Distances in plan from points to their nearest goals [m]; infinite without a path.
-void recast_goal_distances(const RecastGoals* goals, const double* points, int count, double* out) {
+// Distance in plan from a point of the floor to its nearest goal [m]; infinite without a path.
+double recast_goal_distance(const RecastGoals* goals, double x, double z) {
+  const double start[3] = {x, 0, z};
   int goal;
-  for (int i = 0; i < count; ++i) out[i] = goals->nearest(points + 3 * i, nullptr, &goal);
+  return goals->nearest(start, nullptr, &goal);
 }
 
 // The path to the nearest goal: up to 256 corners, how many, which goal (-1: none), and its length in plan [m].
-double recast_goal_path(const RecastGoals* goals, const double* start, double* corners, int* count, int* goal) {
+double recast_goal_path(const RecastGoals* goals, double x, double z, double* corners, int* count, int* goal) {
+  const double start[3] = {x, 0, z};
   std::vector<Point> found;
   const double length = goals->nearest(start, &found, goal);
   *count = static_cast<int>(found.size());

@@ -63,7 +63,8 @@ class PathFinder:
 
     def try_step_no_sliding(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         a, b = start.astype(np.float64), end.astype(np.float64)
-        return (a + self._mesh.clear_share(a, b) * (b - a)).astype(np.float32)
+        share = self._mesh.clear_share(a[[0, 2]] * (1, -1), b[[0, 2]] * (1, -1))
+        return (a + share * (b - a)).astype(np.float32)
 
 
 class Simulator:

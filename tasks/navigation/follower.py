@@ -109,7 +109,8 @@ def _search(
 
     def key(p: Array, k: int) -> tuple[int, int, int]:
         # A fifth of a step apart counts as the same place.
-        return round(p[0] / motion.forward_m * 5), round(p[1] / motion.forward_m * 5), k % around
+        x, y = p.tolist()
+        return round(x / motion.forward_m * 5), round(y / motion.forward_m * 5), k % around
 
     # The heuristic weighs twice: a third fewer expansions cost at most a few actions.
     first = float(field.distances(position)[0])

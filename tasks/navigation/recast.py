@@ -123,8 +123,9 @@ class RecastMesh:
         return float(length), corners[: count.value]
 
     def clear_share(self, start: Array, end: Array) -> float:
-        """Share of a straight move between points, shape (3,) each, that meets no edge: 0 to 1."""
-        return float(self._library.recast_clear_share(self.handle, _pointer(start), _pointer(end)))
+        """Share of a straight move over the floor that meets no edge, 0 to 1. Ends seen from above, world frame [m], shape (2,)."""
+        (ax, ay), (bx, by) = start.tolist(), end.tolist()
+        return float(self._library.recast_clear_share(self.handle, ax, -ay, bx, -by))
 
 
 class RecastPathFinder(DetourPathFinder):
@@ -152,13 +153,13 @@ class RecastPathFinder(DetourPathFinder):
 
     def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
         """Whether a straight move from a navigable point to anywhere, shape (2,) each, meets no edge of the navmesh."""
-        return self._mesh is not None and self._mesh.clear_share(space(rows(start)), space(rows(end))) >= 1
+        return self._mesh is not None and self._mesh.clear_share(rows(start)[0], rows(end)[0]) >= 1
 
     def try_step(self, position: ArrayLike, offset: ArrayLike) -> Array:
         """Where a straight move of `offset` from a navigable point ends, shape (2,): short of the first edge; no sliding."""
         start = rows(position)[0]
         way = rows(offset)[0]
-        share = self._mesh.clear_share(space(start), space(start + way)) if self._mesh else 0.0
+        share = self._mesh.clear_share(start, start + way) if self._mesh else 0.0
         if share >= 1:
             return np.asarray(start + way)
         stop = start + way * max(0.0, share - _SAFETY_M / max(math.hypot(way[0], way[1]), _SAFETY_M))
@@ -182,23 +183,23 @@ class RecastField:
 
     def distances(self, points: ArrayLike) -> Array:
         """Geodesic distances from points, shape (n, 2), to the nearest goal [m], shape (n,); infinite without a path."""
-        p = space(rows(points))
-        out = np.full(len(p), np.inf)
-        if self._mesh is not None:
-            self._mesh._library.recast_goal_distances(self._handle, _pointer(p), len(p), _pointer(out))
-        return out
+        p = rows(points).tolist()
+        if self._mesh is None:
+            return np.full(len(p), np.inf)
+        distance = self._mesh._library.recast_goal_distance
+        return np.array([distance(self._handle, x, -y) for x, y in p], dtype=np.float64)
 
     def path(self, start: ArrayLike) -> Path:
         """Shortest path from `start`, shape (2,), to the nearest goal."""
         if self._mesh is None:
             return NO_PATH
-        point = rows(start)
-        at = space(point)
-        length = self._mesh._library.recast_goal_path(self._handle, _pointer(at), *self._out)
+        point = rows(start)[0]
+        x, y = point.tolist()
+        length = self._mesh._library.recast_goal_path(self._handle, x, -y, *self._out)
         if self._goal.value < 0:
             return NO_PATH
         corners = plan(self._corners[: self._count.value])
-        corners[0], corners[-1] = point[0], self._goals[self._goal.value]
+        corners[0], corners[-1] = point, self._goals[self._goal.value]
         return Path(length, corners, self._goal.value)
 
 
@@ -220,7 +221,7 @@ def _library() -> ctypes.CDLL:
         library = ctypes.CDLL(str(LIBRARY))
     except OSError as error:
         raise InputError(LIBRARY.name, "path_finder", f"recast needs this library, and it does not load: {error}", remedy) from error
-    pointer, whole = ctypes.c_void_p, ctypes.c_int
+    pointer, whole, number = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
     for name, returns, takes in (
         ("bake", pointer, (ctypes.c_char_p, pointer, whole, pointer, whole, pointer)),
         ("load", pointer, (ctypes.c_char_p, ctypes.c_int64)),
@@ -229,13 +230,15 @@ def _library() -> ctypes.CDLL:
         ("polygon_count", whole, (pointer,)),
         ("islands", None, (pointer, pointer)),
         ("snap", None, (pointer, pointer, whole, pointer, pointer)),
-        ("path", ctypes.c_double, (pointer, pointer, pointer, pointer, pointer)),
-        ("clear_share", ctypes.c_double, (pointer, pointer, pointer)),
-        ("goals", pointer, (pointer, pointer, whole, ctypes.c_double)),
+        ("path", number, (pointer, pointer, pointer, pointer, pointer)),
+        ("clear_share", number, (pointer, number, number, number, number)),
+        ("goals", pointer, (pointer, pointer, whole, number)),
         ("free_goals", None, (pointer,)),
-        ("goal_distances", None, (pointer, pointer, whole, pointer)),
-        ("goal_path", ctypes.c_double, (pointer, pointer, pointer, pointer, pointer)),
+        ("goal_distance", number, (pointer, number, number)),
+        ("goal_path", number, (pointer, number, number, pointer, pointer, pointer)),
     ):
-        function = getattr(library, f"recast_{name}")
+        function = getattr(library, f"recast_{name}", None)
+        if function is None:
+            raise InputError(LIBRARY.name, "path_finder", "the library is older than this code", "run make native again")
         function.restype, function.argtypes = returns, takes
     return library
