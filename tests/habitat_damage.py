@@ -181,7 +181,27 @@ DATASET_DAMAGES: dict[str, Damage] = {
     "missing collider": Damage("files_exist", "objects/*.object_config.json", "collision_asset", remove("objects/*_0001.collider.glb")),
     "missing stage geometry": Damage("files_exist", "stages/*.stage_config.json", "render_asset", remove("stages/*.glb")),
     "missing navmesh": Damage("files_exist", "metascenes.scene_dataset_config.json", "navmesh_instances", remove("navmeshes/*.navmesh")),
-    "missing lexicon": Damage("files_exist", "semantics/metascenes_lexicon.json", "does not exist", remove("semantics/*.json")),
+    "missing lexicon": Damage(
+        "files_exist", "metascenes.scene_dataset_config.json", "semantic_scene_descriptor_instances", remove("semantics/*.json")
+    ),
+    "lexicon out of the folder": Damage(
+        "dataset_config",
+        "metascenes.scene_dataset_config.json",
+        "semantic_scene_descriptor_instances",
+        in_config(lambda c: c["semantic_scene_descriptor_instances"].update(metascenes_lexicon="/etc/hostname")),
+    ),
+    "navmesh out of the folder": Damage(
+        "dataset_config",
+        "metascenes.scene_dataset_config.json",
+        "navmesh_instances",
+        in_config(lambda c: c["navmesh_instances"].update({f"{FIRST}_navmesh": "../x.navmesh"})),
+    ),
+    "empty pattern": Damage(
+        "dataset_config",
+        "metascenes.scene_dataset_config.json",
+        "objects",
+        in_config(lambda c: c["objects"]["paths"].update({".json": [""]})),
+    ),
     "missing object config": Damage(
         "files_exist", "metascenes.scene_dataset_config.json", "objects", remove("objects/*_0001.object_config.json")
     ),
@@ -256,6 +276,8 @@ DATASET_DAMAGES: dict[str, Damage] = {
         "object_count", "scenes/*.scene_instance.json", "object_instances", in_scene(lambda s: s["object_instances"].pop())
     ),
     "no mass": Damage("physics", "objects/*.object_config.json", "mass", in_object(lambda o: o.update(mass=0))),
+    "inertia below zero": Damage("physics", "objects/*.object_config.json", "inertia", in_object(lambda o: o.update(inertia=[1, -1, 1]))),
+    "center of mass in the plane": Damage("physics", "objects/*.object_config.json", "COM", in_object(lambda o: o.update(COM=[0, 1]))),
     "joined hulls": Damage(
         "collider", "objects/*.object_config.json", "join_collision_meshes", in_object(lambda o: o.pop("join_collision_meshes"))
     ),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -293,7 +292,7 @@ def _view(view: Any, where: str, navmesh: NavmeshFile | None) -> Iterator[Findin
         yield Finding("view_points", where, "view_points: one needs agent_state and iou, and nothing else")
         return
     iou = view["iou"]
-    if not isinstance(iou, int | float) or isinstance(iou, bool) or not math.isfinite(iou) or iou < 0:
+    if habitat_shapes.number(iou) or iou < 0:
         yield Finding("view_points", where, f"view_points: iou is {iou!r}")
     state = view["agent_state"]
     wrong = _standing(state.get("position"), navmesh) or _heading(state.get("rotation"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gzip
 import json
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -59,11 +60,41 @@ def read_library(root: Path) -> Library:
     sections = {name: _section(root, document.get(name, {}), name, configs[0].name, findings) for name in ENDINGS}
     semantics = dict(document.get("semantic_scene_descriptor_instances", {}))
     patterns = semantics.pop("paths", {})
-    for pattern in (p for paths in patterns.values() for p in paths):
-        for file in sorted(root.glob(str(pattern))):
-            semantics[file.name] = file.relative_to(root).as_posix()
     semantics.pop("default_attributes", None)
-    return Library(root, configs[0].name, sections, dict(document.get("navmesh_instances", {})), semantics, tuple(findings))
+    semantics = _inside(semantics, "semantic_scene_descriptor_instances", configs[0].name, findings)
+    for pattern in (p for paths in patterns.values() for p in paths):
+        for file in _matches(root, pattern, "semantic_scene_descriptor_instances", configs[0].name, findings):
+            semantics[file.name] = file.relative_to(root).as_posix()
+    navmeshes = _inside(document.get("navmesh_instances", {}), "navmesh_instances", configs[0].name, findings)
+    return Library(root, configs[0].name, sections, navmeshes, semantics, tuple(findings))
+
+
+def _leaves(path: str) -> bool:
+    """Whether a path or pattern leads out of the folder that it starts in."""
+    return Path(path).is_absolute() or ".." in Path(path).parts
+
+
+def _inside(named: Mapping[str, str], kind: str, file: str, findings: list[Finding]) -> dict[str, str]:
+    """Files by name, but for those outside the dataset's folder."""
+    for name, path in named.items():
+        if _leaves(path):
+            findings.append(Finding("dataset_config", file, f"{kind}: {name}: {path} leaves the dataset's folder"))
+    return {name: path for name, path in named.items() if not _leaves(path)}
+
+
+def _matches(root: Path, pattern: str, kind: str, file: str, findings: list[Finding]) -> list[Path]:
+    """What a pattern in the dataset config matches, sorted."""
+    if _leaves(pattern):
+        findings.append(Finding("dataset_config", file, f"{kind}: {pattern} leaves the dataset's folder"))
+        return []
+    try:
+        found = sorted(root.glob(pattern))
+    except ValueError as error:  # such as an empty one
+        findings.append(Finding("dataset_config", file, f"{kind}: {pattern!r} is no pattern ({error})"))
+        return []
+    if not found:
+        findings.append(Finding("files_exist", file, f"{kind}: {pattern} matches no file"))
+    return found
 
 
 def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[str, Any]) -> Any:
@@ -79,7 +110,7 @@ def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[st
         findings.append(Finding("shape", where, wrong))
     except FileNotFoundError:
         findings.append(Finding("files_exist", where, "does not exist"))
-    except (OSError, EOFError, ValueError, RecursionError) as error:
+    except (OSError, EOFError, ValueError, RecursionError, zlib.error) as error:
         findings.append(Finding("json", where, f"cannot be read ({type(error).__name__}: {error})"[:200]))
     return None
 
@@ -120,13 +151,7 @@ def _listed(root: Path, paths: Any, ending: str, kind: str, file: str, findings:
     """Files that a section's `paths` name: by themselves, by pattern, or all of a folder."""
     for extension, patterns in sorted(paths.items()):
         for pattern in patterns:
-            if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
-                findings.append(Finding("dataset_config", file, f"{kind}: {pattern} leaves the dataset's folder"))
-                continue
-            matches = sorted(root.glob(pattern))
-            if not matches:
-                findings.append(Finding("files_exist", file, f"{kind}: {pattern} matches no file"))
-            for match in matches:
+            for match in _matches(root, pattern, kind, file, findings):
                 below = sorted(match.iterdir()) if match.is_dir() else [match]
                 wanted = ending if extension == ".json" else extension
                 yield from (path for path in below if path.name.endswith(wanted))

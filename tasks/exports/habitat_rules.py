@@ -40,7 +40,7 @@ RULES: dict[str, str] = {
     "translation_origin": "positions are those of the object's own origin, not of its box's center",
     "motion_type": "motion types are known, and static where the navmesh goes around objects",
     "object_count": "a scene has as many objects as it says",
-    "physics": "masses are above zero, friction and restitution not below",
+    "physics": "masses are above zero, friction, restitution and inertia not below",
     "collider": "colliders of several convex pieces are not joined into one",
     "navmesh": "every navmesh can be read, is of version 2 and has polygons",
     "navmesh_settings": "the header of every navmesh equals the documented agent, so that nobody bakes another one",
@@ -95,7 +95,8 @@ def _names(library: Library) -> Iterator[Finding]:
 
 def _asset(library: Library, template: Template, kind: str) -> Iterator[Finding]:
     """A stage's or an object's own settings and files."""
-    values, where, ours = template.values, template.file, library.is_ours
+    values, ours = template.values, library.is_ours
+    where = f"{template.file} {template.handle}" if template.file == library.config else template.file
     if not values.get("render_asset"):
         yield Finding("files_exist", where, "render_asset is not named")
     for key in ("render_asset", "collision_asset", "semantic_asset", "nav_asset"):
@@ -118,6 +119,10 @@ def _asset(library: Library, template: Template, kind: str) -> Iterator[Finding]
         value = values.get(key, 1.0)
         if value < least:
             yield Finding("physics", where, f"{key} is {value}, which no body has")
+    for key, least in (("COM", -np.inf), ("inertia", 0.0)):
+        vector = _vector(values.get(key, [0, 0, 0]), 3)
+        if vector is None or (vector < least).any():
+            yield Finding("physics", where, f"{key} is {values.get(key)}, not three numbers that a body can have")
     apart = values.get("collision_asset") not in (None, values.get("render_asset"))
     if kind == "objects" and apart and values.get("join_collision_meshes", True):
         yield Finding("collider", where, "join_collision_meshes makes one hull of all pieces", ours)
@@ -201,6 +206,10 @@ def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
     """Ids of every lexicon, by name."""
     found = {}
     for name, path in sorted(library.semantics.items()):
+        if not (library.root / path).is_file():
+            said = f"semantic_scene_descriptor_instances: {name}: {path} does not exist; habitat-sim stops"
+            findings.append(Finding("files_exist", library.config, said))
+            continue
         document = read_json(library.root / path, library.root, findings, habitat_shapes.LEXICON)
         if document is None or "classes" not in document:
             if document is not None and not str(path).endswith(".semantic_config.json"):
