@@ -31,11 +31,13 @@ from tasks import navigation
 from tasks.evaluation import POLICIES, SCHEMA_FILE, STAGE, EvaluationConfig, TrajectoryBatch, parse_batch, read_batch, run
 from tasks.evaluation.measures import path_finder
 from tasks.exports.habitat import rotation
+from tasks.navigation.configuration import RecastConfig
 from tasks.stage import Context
 from tasks.transforms import Z_UP_TO_Y_UP, transform_points
 from tests.conftest import REPOSITORY
 from tests.samples import fingerprint, sample, stage_run
 from tests.test_navigation import CONFIG, SCENE, living_room
+from tests.test_recast import native
 from tests.test_views import Database, by_key, same
 from warehouse.lake import Lake
 
@@ -183,7 +185,8 @@ def trajectories(draw: st.DrawFn) -> list[Any]:
                 ), collisions=draw(st.integers(0, 2)), travelled_m=draw(st.sampled_from([0.0, 1.0, 2.5])),
                 start_distance_m=draw(st.sampled_from([0.0, 1.0, 2.0])),
                 final_distance_m=draw(st.sampled_from([None, 0.0, 0.125, 0.2, 3.0])), expert_actions=draw(st.integers(0, 6)),
-                problem=draw(st.sampled_from([None, "off"])), instance_id="0001", start_position=(1.0, 2.0, 0.0), start_yaw_radians=0.5,
+                problem=draw(st.sampled_from([None, "off"])), instance_id="0001", start_yaw_radians=0.5,
+                start_position=draw(st.sampled_from([(1.0, 2.0, 0.0), (1.0, 2.5, 0.0)])),
             ))  # fmt: skip
     for scene, episode in draw(st.lists(st.tuples(st.sampled_from(["demo/a", "demo/b"]), st.integers(0, 3)), unique=True)):
         start = draw(st.sampled_from([(1.0, 2.0, 0.0), (1.0, 2.5, 0.0)]))
@@ -200,9 +203,9 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
     given_rows = [row for row in rows if type(row) is Trajectory]
     snapshots = {row.scene_id: row.snapshot_id for row in rows if type(row) is StageRun}
     starts = {(row.scene_id, row.episode_id): row.start_position for row in rows if type(row) is Episode}
-    newest: dict[tuple[str, ...], Trajectory] = {}
-    for row in sorted(given_rows, key=lambda r: snapshots[r.batch_id]):
-        newest[row.policy, row.run_name, row.scene_id, row.episode_id] = row
+    counted: dict[tuple[str, ...], Trajectory] = {}
+    for row in sorted(given_rows, key=lambda r: (starts.get((r.scene_id, r.episode_id)) == r.start_position, snapshots[r.batch_id])):
+        counted[row.policy, row.run_name, row.scene_id, row.episode_id] = row
     answer = by_key(database.ask("trajectory_metrics"), "batch_id", "scene_id", "episode_id")
     assert answer.keys() == {(row.batch_id, row.scene_id, row.episode_id) for row in given_rows}
     for row in given_rows:
@@ -210,7 +213,7 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
             answer[row.batch_id, row.scene_id, row.episode_id], success=success(row), spl=spl(row), sel=sel(row),
             episode_length=len(row.actions), curvature_finite_differences=pytest.approx(curvature_finite_differences(row), rel=1e-9),
             curvature_turning_angle=pytest.approx(curvature_turning_angle(row), rel=1e-9),
-            is_newest=newest[row.policy, row.run_name, row.scene_id, row.episode_id] is row,
+            is_counted=counted[row.policy, row.run_name, row.scene_id, row.episode_id] is row,
             is_outdated=starts.get((row.scene_id, row.episode_id)) != row.start_position,
         )  # fmt: skip
     for view, names in {
@@ -218,7 +221,7 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
         "navigation_metrics_by_category": ("split", "category"),
     }.items():  # fmt: skip
         groups: dict[tuple[str, ...], list[Trajectory]] = defaultdict(list)
-        for row in newest.values():
+        for row in counted.values():
             groups[row.policy, row.run_name, row.agent, *(getattr(row, name) for name in names)].append(row)
         answers = by_key(database.ask(view), "policy", "run_name", "agent", *names)
         assert answers.keys() == groups.keys()
@@ -306,6 +309,22 @@ def test_the_expert_arrives_as_its_episodes_say(scene: Any) -> None:
         assert row.travelled_m == pytest.approx(0.25 * row.actions.count("forward"), abs=1e-9)
         assert sel(row) == 1.0
     assert np.mean([spl(row) for row in rows]) > 0.9
+
+
+@native
+def test_the_expert_arrives_on_navmeshes_of_recast() -> None:
+    """Distances are exact on the same polygons: never longer than those that Detour gave the episodes."""
+    tables, context = living_room()
+    config = dataclasses.replace(CONFIG, train_episodes=40, test_episodes=40, path_finder=RecastConfig())
+    made = navigation.run(**tables, context=context, config=config)
+    episodes = {row.episode_id: row for row in made.rows["episodes"]}
+    rows = built_in((made.rows["episodes"], made.rows["navmeshes"], dict(made.blobs)), "expert")
+    assert len(rows) == 40
+    for row in rows:
+        assert success(row)
+        assert (row.collisions, row.problem) == (0, None)
+        assert math.dist(row.poses[-1][:2], episodes[row.episode_id].final_position[:2]) < 1e-5
+        assert row.start_distance_m <= episodes[row.episode_id].geodesic_m + 1e-3
 
 
 def test_chance_is_far_below_the_expert_and_never_leaves_the_navmesh(scene: Any) -> None:
@@ -511,31 +530,41 @@ def test_the_published_schema_is_a_schema() -> None:
 # Through a lake.
 
 
-def test_a_batch_goes_into_the_lake_once(lake: Lake, scene: Any, tmp_path: Path) -> None:
+def test_a_batch_goes_into_the_lake_once(lake: Lake, tmp_path: Path) -> None:
     configuration = configure()
-    expert, failed = run_policy(lake, "expert", configuration)
-    assert (expert.trajectories, expert.scenes, expert.already, expert.error, failed) == (40, 1, False, None, [])
-    random, _ = run_policy(lake, "random", configuration)
+    expert = run_policy(lake, "expert", configuration)
+    assert (expert.trajectories, expert.new, expert.scenes, expert.failed) == (40, 40, 1, ())
+    random = run_policy(lake, "random", configuration)
     snapshot = lake.snapshot().snapshot_id
-    assert run_policy(lake, "expert", configuration)[0] == dataclasses.replace(expert, already=True)
+    assert run_policy(lake, "expert", configuration) == dataclasses.replace(expert, new=0)
     rows = [row for row in lake.snapshot().rows(Trajectory) if row.policy == "random"]
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(as_file(rows, "world")))
-    assert import_trajectories(lake, path, configuration, dry_run=True).trajectories == 40
+    assert import_trajectories(lake, path, configuration, dry_run=True).new == 40
     assert lake.snapshot().snapshot_id == snapshot
     mine = import_trajectories(lake, path, configuration)
     again = import_trajectories(lake, path, configuration)
-    assert (mine.already, again.already) == (False, True)
+    assert (mine.new, again.new, again.trajectories) == (40, 0, 40)
     assert lake.snapshot().snapshot_id == snapshot + 1
     by_policy = {row["policy"]: row for row in metrics_of(lake.snapshot(), [expert, random, mine])}
     assert by_policy["expert"]["sr"] == by_policy["expert"]["sel"] == 1.0
     assert by_policy["expert"]["spl"] > 0.9
     assert by_policy["random"]["sr"] < by_policy["expert"]["sr"]
-    for name in ("n", "sr", "spl", "sel", "el", "outdated"):
+    for name in ("n", "sr", "spl", "sel", "el", "outdated", "curvature_turning_angle", "curvature_finite_differences"):
         assert by_policy["mine"][name] == pytest.approx(by_policy["random"][name], abs=1e-9)
     path.write_text(json.dumps(as_file(rows[1:], "world")))
     with pytest.raises(InputError, match="in the lake with other trajectories"):
         import_trajectories(lake, path, configuration)
+
+
+def test_what_was_measured_and_not_committed_is_not_measured_again(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after a kill between the two."""
+    with monkeypatch.context() as patch:
+        patch.setattr(Lake, "commit", lambda *_, **__: None)
+        run_policy(lake, "random", configure())
+    assert not lake.snapshot().rows(Trajectory)
+    assert run_policy(lake, "random", configure()).new == 0
+    assert len(lake.snapshot().rows(Trajectory)) == 40
 
 
 def test_changed_episodes_change_no_old_metric(lake: Lake, scene: Any) -> None:
@@ -546,15 +575,20 @@ def test_changed_episodes_change_no_old_metric(lake: Lake, scene: Any) -> None:
     changed = episodes[:20]
     changed[3] = dataclasses.replace(episodes[30], episode_id=changed[3].episode_id)
     _commit(lake, changed, navmeshes, blobs)
-    with lake.snapshot().connect() as connection:
-        kept = connection.sql("SELECT sr, n, outdated FROM navigation_metrics").fetchall()
-    assert kept == [(1.0, 40, 21)]
+
+    def counts() -> list[Any]:
+        with lake.snapshot().connect() as connection:
+            return connection.sql("SELECT sr, n, outdated FROM navigation_metrics").fetchall()
+
+    assert counts() == [(1.0, 40, 21)]
     assert lake.snapshot().rows(Trajectory) == before
-    second, _ = run_policy(lake, "expert", configure())
-    assert not second.already
-    assert [row for row in lake.snapshot().rows(Trajectory) if row.batch_id != second.batch_id] == before
-    (now,) = metrics_of(lake.snapshot(), [second])
-    assert (now["n"], now["outdated"]) == (40, 20)  # 20 newer trajectories took the place of old ones, 20 episodes are gone
+    second = run_policy(lake, "expert", configure())
+    assert second.new == 20
+    assert [row for row in lake.snapshot().rows(Trajectory) if row.batch_id not in second.batches] == before
+    assert counts() == [(1.0, 40, 20)]  # 20 trajectories took the place of older ones, 20 episodes are gone
+    _commit(lake, episodes, navmeshes, blobs)
+    assert run_policy(lake, "expert", configure()).new == 0
+    assert counts() == [(1.0, 40, 0)]  # the first batch's trajectories are of the lake's episodes again
 
 
 def test_a_scene_without_a_usable_navmesh_does_not_stop_the_others(lake: Lake, scene: Any) -> None:
@@ -567,11 +601,13 @@ def test_a_scene_without_a_usable_navmesh_does_not_stop_the_others(lake: Lake, s
         }
         lake.stage_rows(stage_run(name, "navigation", fingerprint(name)), rows)
     lake.commit("two more")
-    done, failed = run_policy(lake, "random", configure())
-    assert (done.scenes, done.trajectories) == (1, 40)
-    assert len(failed) == 2
-    assert "there is none for agent" in failed[0]
-    assert "cut short" in failed[1]
+    done = run_policy(lake, "random", configure())
+    assert (done.scenes, done.trajectories, len(done.failed)) == (1, 40, 2)
+    assert "no navmesh for agent" in done.failed[0]
+    assert "cut short" in done.failed[1]
+    failed = [row for row in lake.snapshot().rows(StageRun) if row.outcome == "failed"]
+    assert sorted(f"{row.error_kind} {row.stage}" for row in failed) == ["input evaluation"] * 2
+    assert len(lake.snapshot().rows(Trajectory)) == 40
 
 
 def test_a_robot_that_moves_otherwise_than_the_episodes_is_refused(lake: Lake) -> None:
@@ -586,16 +622,16 @@ def test_the_command_says_how_well_and_exits_as_a_scheduler_expects(lake: Lake, 
 
     planned = ask("--policy", "expert", "--dry-run")
     assert planned.returncode == 0
-    assert "40 trajectories of expert in 1 scenes would be measured" in planned.stdout
+    assert "40 trajectories in 1 scenes: 40 would be measured" in planned.stdout
     assert not lake.snapshot().rows(Trajectory)
     done = ask("--policy", "expert", "--policy", "random", "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
-    assert [batch["policy"] for batch in told["batches"]] == ["expert", "random"]
+    assert [(one["policy"], one["new"]) for one in told["policies"]] == [("expert", 40), ("random", 40)]
     assert {row["policy"]: row["n"] for row in told["metrics"]} == {"expert": 40, "random": 40}
     again = ask("--policy", "expert")
     assert again.returncode == 0
-    assert "are in the lake already" in again.stdout
+    assert "0 measured, 40 are in the lake already" in again.stdout
     (tmp_path / "b.json").write_text("{}")
     for words in ([], ["--policy", "expert", str(tmp_path / "b.json")], [str(tmp_path / "b.json")], [str(tmp_path / "none.json")]):
         assert ask(*words).returncode == 2
@@ -604,4 +640,4 @@ def test_the_command_says_how_well_and_exits_as_a_scheduler_expects(lake: Lake, 
     lake.commit("one more")
     partly = ask("--policy", "expert")
     assert partly.returncode == 1
-    assert "failed: demo/none" in partly.stderr
+    assert "failed: expert: demo/none" in partly.stderr

@@ -13,7 +13,7 @@ import click
 from flows.commands.options import configuration_options, existing_lake, json_option, lake_option
 
 if TYPE_CHECKING:
-    from flows.evaluation import Imported
+    from flows.evaluation import Evaluated
 
 MAX_NOTES = 20
 """Notes that are printed; all of them are in the column `trajectories.problem`."""
@@ -48,42 +48,39 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
         raise click.UsageError("give either a file of trajectories or --policy")
     lake = existing_lake(address)
     configuration = configure(config_file, settings, library, seed)
-    batches: list[Imported] = []
-    failed: list[str] = []
     if file is not None:
-        batches.append(import_trajectories(lake, file, configuration, dry_run))
-    for policy in dict.fromkeys(policies):
-        batch, left_out = run_policy(lake, policy, configuration, dry_run)
-        batches.append(batch)
-        failed += [line for line in left_out if line not in failed]
-        failed += [f"{batch.batch_id}: {batch.error}"] if batch.error else []
-    metrics = metrics_of(lake.snapshot(), batches)
-    if as_json:
-        print(json.dumps({"batches": [dataclasses.asdict(batch) for batch in batches], "failed": failed, "metrics": metrics}))
+        evaluated = [import_trajectories(lake, file, configuration, dry_run)]
     else:
-        _tell(batches, metrics, dry_run)
+        evaluated = [run_policy(lake, policy, configuration, dry_run) for policy in dict.fromkeys(policies)]
+    metrics = metrics_of(lake.snapshot(), evaluated)
+    if as_json:
+        print(json.dumps({"policies": [dataclasses.asdict(one) for one in evaluated], "metrics": metrics}))
+    else:
+        _tell(evaluated, metrics, dry_run)
+    failed = [f"{one.policy}: {line}" for one in evaluated for line in one.failed]
     for line in failed:
         print(f"failed: {line}", file=sys.stderr)
     if failed:
         raise click.exceptions.Exit(1)
 
 
-def _tell(batches: list[Imported], metrics: list[dict[str, Any]], dry_run: bool) -> None:
-    """Batches and their metrics for people."""
-    for batch in batches:
-        if batch.error:
-            continue
-        what = f"batch {batch.batch_id}: {batch.trajectories} trajectories of {batch.policy} in {batch.scenes} scenes"
-        print(f"{what} {'are in the lake already' if batch.already else 'would be measured' if dry_run else 'measured'}")
-        for note in batch.notes[:MAX_NOTES]:
+def _tell(evaluated: list[Evaluated], metrics: list[dict[str, Any]], dry_run: bool) -> None:
+    """What was done, and the metrics, for people."""
+    for one in evaluated:
+        counts = f"{one.policy}, {one.run_name}: {one.trajectories} trajectories in {one.scenes} scenes"
+        old = f", {one.trajectories - one.new} are in the lake already" if one.new < one.trajectories else ""
+        print(f"{counts}: {one.new} {'would be measured' if dry_run else 'measured'}{old}")
+        for note in one.notes[:MAX_NOTES]:
             print(f"note: {note}", file=sys.stderr)
-        if len(batch.notes) > MAX_NOTES:
-            print(f"note: and {len(batch.notes) - MAX_NOTES} more in trajectories.problem", file=sys.stderr)
+        if len(one.notes) > MAX_NOTES:
+            print(f"note: and {len(one.notes) - MAX_NOTES} more in trajectories.problem", file=sys.stderr)
     if metrics:
-        print(f"\n{'policy':<12} {'run':<16} {'split':<6} {'n':>6} {'SR':>6} {'95 % interval':>15} {'SPL':>6} {'SEL':>6} {'EL':>7}")
+        width = max(len("run"), *(len(row["run_name"]) for row in metrics))
+        long = max(len("policy"), *(len(row["policy"]) for row in metrics))
+        head = f"{'policy':<{long}}  {'run':<{width}}  split      n     SR      95 % interval    SPL    SEL      EL"
+        print(f"\n{head}")
     for row in metrics:
-        interval = f"{row['sr_low']:.3f} to {row['sr_high']:.3f}"
         print(
-            f"{row['policy']:<12} {row['run_name']:<16} {row['split']:<6} {row['n']:>6} {row['sr']:>6.3f} {interval:>15} "
-            f"{row['spl']:>6.3f} {row['sel']:>6.3f} {row['el']:>7.1f}"
+            f"{row['policy']:<{long}}  {row['run_name']:<{width}}  {row['split']:<5} {row['n']:>6}  {row['sr']:.3f}  "
+            f"{row['sr_low']:.3f} to {row['sr_high']:.3f}  {row['spl']:.3f}  {row['sel']:.3f}  {row['el']:>6.1f}"
         )

@@ -52,6 +52,9 @@ def run(
         named = {e.episode_id: e for e in episodes if e.scene_id == scene}
         agents = {named[attempt.episode_id].agent for attempt in of_scene}
         meshes = {mesh.agent: mesh for mesh in navmeshes if mesh.scene_id == scene and mesh.agent in agents}
+        gone = sorted(mesh.navmesh_blob for mesh in meshes.values() if mesh.navmesh_blob not in context.blobs)
+        if gone:
+            raise InputError(scene, "navmesh", f"blob {gone[0][:12]} is not in the lake", "run the navigation stage again")
         blobs = {agent: context.blobs[mesh.navmesh_blob] for agent, mesh in meshes.items()}
         work.append(SceneAttempts(named, tuple(of_scene), meshes, blobs, labels, config))
     rows: list[Trajectory] = [row for part in context.spread(measure, work) for row in part]

@@ -1,6 +1,6 @@
 -- How well does each policy navigate in each scene?
--- Of every episode the newest trajectory of the policy's run counts; n says how many, outdated of how many the episode has changed
--- since. Means over trajectories of what the view trajectory_metrics says of each: sr (success rate), el (episode length: actions,
+-- Of every episode one trajectory of the policy's run counts (is_counted); n says how many, outdated of how many the episode has
+-- changed since. Means over trajectories of what the view trajectory_metrics says of each: sr (success rate), el (episode length: actions,
 -- the last one included), sel (success weighted by episode length), spl (success weighted by path length), and curvature by two
 -- readings [rad/m]. sr_low to sr_high is Wilson's interval of 95 % (Wilson 1927), spl and sel are plus or minus *_95 (1.96 standard
 -- errors; missing for n = 1); all of them take trajectories as independent, which those of one scene are not quite.
@@ -26,7 +26,7 @@ WITH sums AS (
         count(*) FILTER (problem IS NOT NULL) AS problems,
         count(*) FILTER (is_outdated) AS outdated
     FROM trajectory_metrics
-    WHERE is_newest
+    WHERE is_counted
     GROUP BY ALL
 )
 SELECT

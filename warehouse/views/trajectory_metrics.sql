@@ -4,9 +4,9 @@
 -- included (SPOC's eps_len). spl: success * l / max(p, l), l the geodesic distance at the start and p the travelled length
 -- (Anderson et al. 2018; 1 where both are 0). sel: success * w / max(e, w), w the expert's actions and e the episode length
 -- (success weighted by episode length as SPOC computes it, Ehsani et al., CVPR 2024; where w is 0, 1 if e is 0 and else 0).
--- is_newest: no newer batch of the same policy and run has this episode; the views navigation_metrics* count these. is_outdated:
--- the lake's episode of that name starts elsewhere or has another target by now, or is gone; the metrics are still those of the
--- episode as it was.
+-- is_outdated: the lake's episode of that name starts elsewhere or has another target by now, or is gone; the metrics are still
+-- those of the episode as it was. is_counted: of all trajectories of the policy's run in an episode this is the one that the views
+-- navigation_metrics* count, the newest of those that are not outdated, or the newest where all are.
 WITH order_of_batches AS (
     SELECT scene_id AS batch_id, max(snapshot_id) AS snapshot_id
     FROM stage_runs
@@ -16,14 +16,21 @@ WITH order_of_batches AS (
 judged AS (
     SELECT
         trajectories.*,
-        called_stop AND final_distance_m IS NOT NULL AND final_distance_m < success_distance_m AS success,
-        len(actions) AS episode_length,
+        trajectories.called_stop AND coalesce(trajectories.final_distance_m < trajectories.success_distance_m, FALSE) AS success,
+        len(trajectories.actions) AS episode_length,
+        episodes.scene_id IS NULL AS is_outdated,
         row_number() OVER (
-            PARTITION BY policy, run_name, scene_id, episode_id
-            ORDER BY order_of_batches.snapshot_id DESC NULLS LAST, batch_id DESC
-        ) = 1 AS is_newest
+            PARTITION BY policy, run_name, trajectories.scene_id, trajectories.episode_id
+            ORDER BY episodes.scene_id IS NULL, order_of_batches.snapshot_id DESC NULLS LAST, trajectories.batch_id DESC
+        ) = 1 AS is_counted
     FROM trajectories
     LEFT JOIN order_of_batches USING (batch_id)
+    LEFT JOIN episodes
+        ON episodes.scene_id = trajectories.scene_id
+        AND episodes.episode_id = trajectories.episode_id
+        AND episodes.instance_id = trajectories.instance_id
+        AND episodes.start_position = trajectories.start_position
+        AND episodes.start_yaw_radians = trajectories.start_yaw_radians
 )
 SELECT
     judged.batch_id,
@@ -55,14 +62,8 @@ SELECT
     judged.final_distance_m,
     judged.expert_actions,
     judged.problem,
-    judged.is_newest,
-    episodes.scene_id IS NULL AS is_outdated
+    judged.is_outdated,
+    judged.is_counted
 FROM judged
 JOIN trajectory_curvature USING (batch_id, scene_id, episode_id)
-LEFT JOIN episodes
-    ON episodes.scene_id = judged.scene_id
-    AND episodes.episode_id = judged.episode_id
-    AND episodes.instance_id = judged.instance_id
-    AND episodes.start_position = judged.start_position
-    AND episodes.start_yaw_radians = judged.start_yaw_radians
 ORDER BY judged.batch_id, judged.scene_id, judged.episode_id
