@@ -299,6 +299,19 @@ DATASET_DAMAGES: dict[str, Damage] = {
     "two classes of one id": Damage(
         "semantics", "semantics/metascenes_lexicon.json", "classes: ids", in_lexicon(lambda s: s["classes"][3].update(id=4))
     ),
+    "nobody to name": Damage("provenance", "metascenes.scene_dataset_config.json", "attribution.csv", remove("metadata/attribution.csv")),
+    "object without a license": Damage(
+        "provenance",
+        "scenes/*.scene_instance.json",
+        "object_instances[0]: user_defined has no license",
+        in_scene(lambda s: first(s)["user_defined"].pop("license")),
+    ),
+    "asset that nobody lists": Damage(
+        "provenance",
+        "scenes/*.scene_instance.json",
+        "object_instances[0]: asset_id",
+        in_scene(lambda s: first(s)["user_defined"].update(asset_id="0" * 64)),
+    ),
     "misspelt section": Damage(
         "dataset_config",
         "metascenes.scene_dataset_config.json",

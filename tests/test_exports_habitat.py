@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
 import io
 import json
@@ -92,6 +93,19 @@ def test_colliders_are_convex_and_equal_shapes_are_stored_once(dataset: Path) ->
     configs = [json.loads((dataset / "objects" / f"{handle}.object_config.json").read_text()) for handle in handles]
     assert configs[0]["render_asset"] == configs[1]["render_asset"]
     assert [config["mass"] for config in configs] == [4.0, 7.0]
+
+
+def test_every_asset_is_attributed_once(scene: tuple[Rows, dict[str, bytes]], dataset: Path) -> None:
+    with (dataset / "metadata" / "attribution.csv").open(newline="") as file:
+        lines = {line["asset_id"]: line for line in csv.DictReader(file)}
+    items = [
+        item["user_defined"] for path in (dataset / "scenes").glob("*.json") for item in json.loads(path.read_text())["object_instances"]
+    ]
+    assert set(lines) == {item["asset_id"] for item in items}
+    for asset in scene[0]["assets"]:
+        line = lines[asset.asset_id]
+        assert (line["provider"], line["source"], line["license"]) == (asset.provider, asset.source, asset.license)
+        assert FIRST in line["scenes"].split()
 
 
 def episodes_of(root: Path, task: str) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import gzip
+import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePosixPath
@@ -16,6 +18,8 @@ from tasks.exports.navmesh_file import read_navmesh
 
 TASKS = ("objectnav", "pointnav")
 
+_ATTRIBUTION = ("provider", "source", "author", "license")
+
 SUCCESS_M = 0.2
 """How near to a goal an episode's actions end [m]: steps of 0.25 m cannot always end within habitat-lab's 0.1 m for objects."""
 
@@ -25,7 +29,7 @@ class HabitatScene:
     """What the dataset's own files need to know of a scene.
 
     paths: Of all its files. categories: NYU40 class of every category that is a goal. splits: That it has episodes in.
-    navmesh: Settings in the navmesh's header, empty without one.
+    navmesh: Settings in the navmesh's header, empty without one. assets: Where every asset comes from, by its id.
     """
 
     scene_id: str
@@ -35,6 +39,7 @@ class HabitatScene:
     splits: tuple[str, ...]
     categories: Mapping[str, int]
     navmesh: Mapping[str, float]
+    assets: Mapping[str, Mapping[str, str]]
 
 
 def describe(roles: Mapping[str, str], read: Callable[[str], bytes]) -> HabitatScene:
@@ -60,6 +65,7 @@ def describe(roles: Mapping[str, str], read: Callable[[str], bytes]) -> HabitatS
         splits=tuple(sorted(splits)),
         categories={category: classes.get(category, 0) for category in sorted(goals)},
         navmesh=navmesh,
+        assets={item["user_defined"]["asset_id"]: item["user_defined"] for item in scene["object_instances"]},
     )
 
 
@@ -75,6 +81,7 @@ def dataset_files(scenes: Sequence[HabitatScene], config: HabitatConfig | None =
         f"{options.dataset}.scene_dataset_config.json": dump_json(_dataset_config(ordered, options)),
         f"semantics/{options.dataset}_lexicon.json": dump_json({"classes": [{"id": i, "name": name} for i, name in enumerate(NYU40)]}),
         "README.md": _readme(ordered, options).encode(),
+        "metadata/attribution.csv": _attribution(ordered),
     }
     agent = next((scene.navmesh for scene in ordered if scene.navmesh), None)
     if agent is not None:
@@ -90,6 +97,18 @@ def dataset_files(scenes: Sequence[HabitatScene], config: HabitatConfig | None =
         files[f"objectnav/{split}/{split}.json.gz"] = dump_json_gz({"episodes": [], **maps})
         files[f"pointnav/{split}/{split}.json.gz"] = dump_json_gz({"episodes": []})
     return dict(sorted(files.items()))
+
+
+def _attribution(scenes: Sequence[HabitatScene]) -> bytes:
+    """Whom to name for which asset: a line each, sorted, and the scenes that show it."""
+    about = {asset_id: values for scene in scenes for asset_id, values in scene.assets.items()}
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow(["asset_id", *_ATTRIBUTION, "scenes"])
+    for asset_id in sorted(about):
+        shown = " ".join(scene.handle for scene in scenes if asset_id in scene.assets)
+        writer.writerow([asset_id, *(about[asset_id][key] for key in _ATTRIBUTION), shown])
+    return table.getvalue().encode()
 
 
 def agent_settings(navmesh: Mapping[str, float], config: HabitatConfig) -> dict[str, Any]:
@@ -169,7 +188,8 @@ def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
         "- `iou` of a view point is the share of a level camera's image that the object's box covers, occlusion aside.",
         "- Semantic ids are NYU40 classes (`semantics/`). Pixels of floor and walls are 0.",
         "- Objects are static, as the navmesh needs. Masses and convex colliders are there for those who set `motion_type` to DYNAMIC.",
-        "- Where an object or a scene comes from is under `user_defined` in `scenes/`.",
+        "- Where an object or a scene comes from is under `user_defined` in `scenes/`; source, author and license of every asset",
+        "  are in `metadata/attribution.csv`, which belongs to any copy of the dataset.",
         "",
         "| scene | name here | splits | license of the scan |",
         "|---|---|---|---|",

@@ -8,6 +8,7 @@ so, as positions of box centers, is a warning in a dataset that this project did
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -45,6 +46,7 @@ RULES: dict[str, str] = {
     "navmesh": "every navmesh can be read, is of version 2 and has polygons",
     "navmesh_settings": "the header of every navmesh equals the documented agent, so that nobody bakes another one",
     "semantics": "lexicons have unique ids from 0 to 10000, and every object's id is in its scene's lexicon",
+    "provenance": "in a dataset of this project, objects name instance, asset, source and license, and the list of assets has them",
     **EPISODE_RULES,
 }
 """Every rule, and what holds when it passes."""
@@ -72,6 +74,7 @@ def check_habitat(root: Path) -> list[Finding]:
     if not library.sections["scene_instances"]:
         findings.append(Finding("dataset_config", library.config, "scene_instances: there are none"))
     scenes = library.sections["scene_instances"]
+    findings += _provenance(library)
     named = {handle: str(scene.values.get("navmesh_instance", "")) for handle, scene in scenes.items()}
     findings += check_episodes(library, {handle: navmeshes.get(name) for handle, name in named.items()}, agent)
     return sorted(set(findings))
@@ -276,6 +279,37 @@ def _object(
     elif baked and motion != "static":
         said = f"{place}: motion_type is {motion}, but the navmesh goes around it; only static objects are baked"
         yield Finding("motion_type", where, said, library.is_ours)
+
+
+def _provenance(library: Library) -> Iterator[Finding]:
+    """Where objects come from, in a dataset that this project wrote."""
+    if not library.is_ours:
+        return
+    listed = _attributions(library.root / "metadata" / "attribution.csv")
+    if not listed:
+        yield Finding("provenance", library.config, "metadata/attribution.csv does not exist or lists no asset")
+    for scene in library.sections["scene_instances"].values():
+        for index, item in enumerate(scene.values.get("object_instances", [])):
+            said = item.get("user_defined") or {}
+            for key in ("instance_id", "asset_id", "source", "license"):
+                if not isinstance(said.get(key), str) or not said[key]:
+                    yield Finding("provenance", scene.file, f"object_instances[{index}]: user_defined has no {key}")
+            line = listed.get(str(said.get("asset_id")), {})
+            agrees = all(line.get(key) == said.get(key) for key in ("source", "author", "license"))
+            if listed and not (agrees and scene.handle in (line.get("scenes") or "").split()):
+                message = (
+                    f"object_instances[{index}]: asset_id is not in metadata/attribution.csv with this source, author, license and scene"
+                )
+                yield Finding("provenance", scene.file, message)
+
+
+def _attributions(path: Path) -> dict[str, dict[str, str]]:
+    """Lines of the list of assets by asset, none when it cannot be read."""
+    try:
+        with path.open(newline="", errors="replace") as file:
+            return {str(line.get("asset_id")): line for line in csv.DictReader(file)}
+    except (OSError, csv.Error):
+        return {}
 
 
 def _placed(item: Mapping[str, Any], where: str, place: str) -> Iterator[Finding]:
