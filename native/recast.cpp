@@ -376,6 +376,9 @@ struct RecastGoals {
 
 extern "C" {
 
+// Goes up with every change of this file that changes results or the interface; tasks/navigation/recast.py names it too.
+int recast_version() { return 1; }
+
 // A navmesh of triangles. `status` says why there is none: 1 the bake failed, 2 nothing is walkable.
 RecastMesh* recast_bake(const unsigned char* settings, const float* vertices, int vertex_count, const int* triangles,
                         int triangle_count, int* status) {

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from flows.configuration import configure
 from schemas.errors import InputError
 from schemas.navigation import Episode
+from tasks.exports.habitat_rules import check_habitat
 from tasks.exports.navmesh_file import DEFAULTS
 from tasks.exports.navmesh_file import read_navmesh as independent_reader
 from tasks.meshes import Surface
@@ -27,7 +28,11 @@ from tasks.navigation.navmesh import Settings, dump_navmesh, polygon_areas, read
 from tasks.navigation.planar import PlanarPathFinder
 from tasks.navigation.regions import CLOSED, walkable_region
 from tasks.navigation.triangles import scene_triangles
+from tasks.stage import Context
 from tests import habitat_stand_in
+from tests.habitat_datasets import write_dataset
+from tests.replicas import furnished as replica
+from tests.replicas import rows_of
 from tests.test_navigation import furnished, living_room
 from tests.test_shortest_paths import solid, surface, table
 
@@ -345,6 +350,45 @@ def test_the_header_is_what_habitat_lab_asks_for_so_that_nobody_bakes_anew(kind:
     assert header == pytest.approx(DEFAULTS | asked, abs=1e-6)
 
 
+def crowd(seed: int) -> tuple[dict, Context]:
+    """A room of 8 x 6 m with some twenty turned boxes of all heights in it."""
+    rng = np.random.default_rng(seed)
+    things, taken = {}, []
+    for _ in range(200):
+        (w, d), h, yaw = rng.uniform(0.3, 1.2, 2), float(rng.choice([0.1, 0.45, 0.75, 1.6])), rng.uniform(-np.pi, np.pi)
+        x, y = rng.uniform((0.7, 0.7), (7.3, 5.3))
+        outline = shapely.affinity.rotate(shapely.box(x - w / 2, y - d / 2, x + w / 2, y + d / 2), yaw, use_radians=True)
+        if all(outline.distance(other) > 0.1 for other in taken):
+            taken.append(outline)
+            things[f"{len(things):04d}"] = ("box", [solid((w, d, h))], (x, y, 0.0), yaw)
+    return furnished(things, size=(8.0, 6.0))
+
+
+@pytest.mark.parametrize("kind", KINDS[:2])
+@pytest.mark.parametrize("seed", range(3))
+def test_crowded_rooms_are_crossed_on_the_navmesh_too(kind: PathFinderConfig, seed: int) -> None:
+    tables, context = crowd(seed)
+    assert len(tables["instances"]) >= 15
+    outcome = run(**tables, context=context, config=NavigationConfig(train_episodes=50, test_episodes=50, path_finder=kind))
+    (navmesh,), episodes = outcome.rows["navmeshes"], outcome.rows["episodes"]
+    floor = shapely.buffer(polygons_of(outcome.blobs[navmesh.navmesh_blob]), 1e-3)
+    shapely.prepare(floor)
+    assert len(episodes) == 50
+    for e in episodes:
+        assert np.hypot(*(np.array(e.view_points)[:, :2] - replayed(e, floor)[-1]).T).min() <= 0.2
+
+
+@native
+def test_a_habitat_dataset_of_its_episodes_passes_the_gate(tmp_path: Path) -> None:
+    rows, blobs = rows_of(replica())
+    needed = {name: rows[name] for name in ("scenes", "rooms", "placements", "instances", "assets")}
+    config = NavigationConfig(train_episodes=6, test_episodes=6, path_finder=RecastConfig())
+    outcome = run(**needed, context=Context(rows["scenes"][0].scene_id, "navigation", 0, blobs), config=config)
+    made = rows | {name: outcome.rows[name] for name in ("navmeshes", "episodes")}
+    assert len(made["episodes"]) == 6
+    assert check_habitat(write_dataset(tmp_path, [(made, {**blobs, **outcome.blobs})])) == []
+
+
 @native
 def test_the_same_scene_gives_the_same_rows_and_bytes_in_any_order() -> None:
     tables, context = living_room()
@@ -383,6 +427,7 @@ def test_a_word_names_the_path_finder() -> None:
 
 def test_a_path_finder_that_cannot_load_is_an_error_that_says_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tables, context = living_room()
+    library = recast.LIBRARY
     monkeypatch.setattr(recast, "LIBRARY", tmp_path / "libmetascenes_recast.so")
     recast._library.cache_clear()
     try:
@@ -391,6 +436,11 @@ def test_a_path_finder_that_cannot_load_is_an_error_that_says_what_to_do(monkeyp
         recast.LIBRARY.write_bytes(b"no library")
         with pytest.raises(InputError, match="does not load"):
             run(**tables, context=context, config=NavigationConfig(path_finder=RecastConfig()))
+        if BUILT:
+            recast.LIBRARY.write_bytes(library.read_bytes())
+            monkeypatch.setattr(recast, "_VERSION", -1)
+            with pytest.raises(InputError, match="of another version than this code; run make native again"):
+                run(**tables, context=context, config=NavigationConfig(path_finder=RecastConfig()))
     finally:
         recast._library.cache_clear()
     monkeypatch.setitem(sys.modules, "habitat_sim", None)
@@ -409,11 +459,11 @@ def test_the_adapter_to_habitat_agrees_with_recast_to_the_last_bit(name: str) ->
     settings = read_navmesh(data).settings
     assert settings is not None
     # The simulator welds nothing, but a GLB holds single precision.
-    assert habitat.bake(vertices.astype(np.float32), faces, settings) == data
-    check_habitat(data)
+    assert habitat.bake_stage(vertices.astype(np.float32), faces, settings) == data
+    compare_with_recast(data)
 
 
-def check_habitat(data: bytes) -> None:
+def compare_with_recast(data: bytes) -> None:
     """habitat-sim's path finder against `recast` on one file."""
     theirs, ours, rng = habitat.HabitatPathFinder(data), recast.RecastPathFinder(data), np.random.default_rng(1)
     points = np.array([ours.random_point(rng) for _ in range(30)])
@@ -443,5 +493,5 @@ def test_the_real_habitat_sim_agrees_with_recast(name: str) -> None:
     data, vertices, faces, _ = golden(name)
     settings = read_navmesh(data).settings
     assert settings is not None
-    assert habitat.bake(vertices, faces, settings) == data
-    check_habitat(data)
+    assert habitat.bake_stage(vertices, faces, settings) == data
+    compare_with_recast(data)

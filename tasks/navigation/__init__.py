@@ -138,15 +138,15 @@ def _path_finder(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapel
             prints = [footprint(surface, agent.max_climb_m, agent.height_m) for surface in surfaces]
             return PlanarPathFinder(free_space(room.floor_polygon, [*prints, *walls], agent.radius_m, smallest))
         case RecastConfig():
-            from tasks.navigation import recast
+            from tasks.navigation.recast import RecastPathFinder, bake
             from tasks.navigation.triangles import scene_triangles
 
-            return recast.RecastPathFinder(recast.bake(*scene_triangles(room, surfaces, config.settings), config.settings))
+            return RecastPathFinder(bake(*scene_triangles(room, surfaces, config.settings), config.settings))
         case HabitatConfig():
-            from tasks.navigation import habitat
+            from tasks.navigation.habitat import HabitatPathFinder, bake_stage
             from tasks.navigation.triangles import scene_triangles
 
-            return habitat.HabitatPathFinder(habitat.bake(*scene_triangles(room, surfaces, config.settings), config.settings))
+            return HabitatPathFinder(bake_stage(*scene_triangles(room, surfaces, config.settings), config.settings))
 
 
 def _navmesh(finder: PathFinder, blobs: Blobs, context: Context, config: NavigationConfig) -> Navmesh:

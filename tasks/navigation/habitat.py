@@ -33,7 +33,7 @@ _LOOK_M = 0.01
 """A move is looked at in steps of this [m]: habitat-sim's own step may round a thin corner."""
 
 
-def bake(vertices: ArrayLike, faces: ArrayLike, settings: Settings) -> bytes:
+def bake_stage(vertices: ArrayLike, faces: ArrayLike, settings: Settings) -> bytes:
     """The .navmesh that habitat-sim bakes for a triangle soup; no bytes when nothing is walkable.
 
     Args:

@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 LIBRARY = File(__file__).resolve().parents[2] / "native" / "build" / "libmetascenes_recast.so"
 
+_VERSION = 1
+"""Version of `native/recast.cpp` that this code is written for: part of the code, so that rows of another are made anew."""
+
 _LONGEST = 256
 """Corners that a path can have."""
 
@@ -221,6 +224,8 @@ def _library() -> ctypes.CDLL:
         library = ctypes.CDLL(str(LIBRARY))
     except OSError as error:
         raise InputError(LIBRARY.name, "path_finder", f"recast needs this library, and it does not load: {error}", remedy) from error
+    if not hasattr(library, "recast_version") or library.recast_version() != _VERSION:
+        raise InputError(LIBRARY.name, "path_finder", "the library is of another version than this code", "run make native again")
     pointer, whole, number = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
     for name, returns, takes in (
         ("bake", pointer, (ctypes.c_char_p, pointer, whole, pointer, whole, pointer)),
@@ -237,8 +242,6 @@ def _library() -> ctypes.CDLL:
         ("goal_distance", number, (pointer, number, number)),
         ("goal_path", number, (pointer, number, number, pointer, pointer, pointer)),
     ):
-        function = getattr(library, f"recast_{name}", None)
-        if function is None:
-            raise InputError(LIBRARY.name, "path_finder", "the library is older than this code", "run make native again")
+        function = getattr(library, f"recast_{name}")
         function.restype, function.argtypes = returns, takes
     return library
