@@ -27,6 +27,7 @@ STRAY = 1e-3
 """A step that leaves the navmesh by less than this stays on it [m]: corners in the file are rounded to 32 bits."""
 
 _GRID = 1e-6  # polygons are united on a grid of this size [m], so that rounded corners leave no slits between them
+_JOIN = 1e-4  # and widened by this [m]: habitat-sim's bakes have polygons that are linked at a single point
 _OVERLAP = 0.01  # share of the area that may be there twice; more of it means floors above one another
 _MOST_CORNERS = 3000  # of one connected part; the visibility graph of more takes longer than a minute
 
@@ -95,11 +96,12 @@ class Island:
 
     @cached_property
     def _finder(self) -> PlanarPathFinder | None:
-        """Exact shortest paths, or None where there is no area, floors lie above one another or have too many corners."""
+        """Exact shortest paths; None where floors lie above one another, do not hang together in plan or have too many corners."""
         import shapely
 
         from tasks.navigation.planar import PlanarPathFinder
 
-        if not 0 < self._area <= (1 + _OVERLAP) * self._shape.area or shapely.get_num_coordinates(self._shape) > _MOST_CORNERS:
-            return None
-        return PlanarPathFinder(self._shape)
+        joined = shapely.buffer(self._shape, _JOIN, join_style="mitre")
+        is_one = joined.geom_type == "Polygon" and not joined.is_empty
+        is_flat = self._area <= (1 + _OVERLAP) * self._shape.area
+        return PlanarPathFinder(joined) if is_one and is_flat and shapely.get_num_coordinates(joined) <= _MOST_CORNERS else None
