@@ -6,12 +6,16 @@ import json
 import math
 import os
 import sys
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 from flows.commands.options import json_option
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 METHODS = ("paper", "default")
 
@@ -61,14 +65,68 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
     config = BenchConfig(methods=chosen, rooms=rooms, seed=seed, lake=address, moves_only=moves_only, processes=processes)
     with Progress("measured", steps_of(config)) as progress:
         report = run_bench(config, progress.advance)
+    _tell(report, print_report, as_json)
+
+
+@command.command("exports")
+@click.option("--rooms", type=click.IntRange(1, 10_000), default=20, show_default=True, help="Generated rooms.")
+@click.option("--episodes", type=click.IntRange(1, 1000), default=20, show_default=True, help="Episodes per room, for the gates to replay.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms.")
+@click.option(
+    "--processes", type=click.IntRange(1, 256), default=os.cpu_count() or 1, show_default="one per core", help="Worker processes."
+)
+@json_option
+def exports(rooms: int, episodes: int, seed: int, processes: int, as_json: bool) -> None:
+    """Measure the exports: rooms in every format, through every gate, and simulated by nothing but their files.
+
+    What MuJoCo makes of the MJCF, and of the USD by a reader that had no part in writing it, is held against the certificates.
+
+    The exit code is 1 when a goal is missed, and else 0.
+
+    Example: metascenes bench exports --rooms 5
+    """
+    from flows.bench.exports import ExportsBench, print_exports, run_exports_bench
+    from flows.progress import Progress
+
+    with Progress("exported", rooms) as progress:
+        report = run_exports_bench(ExportsBench(rooms, seed, processes, episodes), progress.advance)
+    _tell(report, print_exports, as_json)
+
+
+@command.command("navigation")
+@click.option("--rooms", type=click.IntRange(1, 10_000), default=10, show_default=True, help="Generated rooms.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms.")
+@click.option(
+    "--processes", type=click.IntRange(1, 256), default=os.cpu_count() or 1, show_default="one per core", help="Worker processes."
+)
+@json_option
+def navigation(rooms: int, seed: int, processes: int, as_json: bool) -> None:
+    """Measure navigation: path finders against each other, against a plain visibility graph, and episodes replayed.
+
+    The path finder `recast` is measured where `make native` has built it.
+
+    The exit code is 1 when a goal is missed, and else 0.
+
+    Example: metascenes bench navigation --rooms 3
+    """
+    from flows.bench.navigation import NavigationBench, print_navigation, run_navigation_bench
+    from flows.progress import Progress
+
+    with Progress("measured", rooms) as progress:
+        report = run_navigation_bench(NavigationBench(rooms, seed, processes), progress.advance)
+    _tell(report, print_navigation, as_json)
+
+
+def _tell(report: dict[str, Any], show: Callable[[Mapping[str, Any], Console], None], as_json: bool) -> None:
+    """Print a report; exit code 1 when a goal is missed."""
     if as_json:
         print(json.dumps(_finite(report), allow_nan=False))
     else:
         from rich.console import Console
 
-        print_report(report, Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else 120))
+        show(report, Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else 120))
     if any(goal["met"] is False for goal in report["goals"]):
-        context.exit(1)
+        click.get_current_context().exit(1)
 
 
 def _finite(value: Any) -> Any:
