@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,13 +13,16 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 
 from schemas.candidates import Asset
-from schemas.capture import Room, Scene
+from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError, LakeError
+from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Contact, Placement
 from schemas.tables import TABLES
 from warehouse.views import views
 
 if TYPE_CHECKING:
+    import trimesh
+
     from tasks.stats.scenes import PictureConfig, ScenePictures
     from tasks.stats.style import Picture
     from warehouse.lake import Lake
@@ -150,7 +154,22 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
         before=marked_picture(proposed, shell, colliding_pairs(contacts, "proposed"), outline, camera, look),
         after=marked_picture(objects, shell, colliding_pairs(contacts, "optimized"), outline, camera, look),
         loss_curve=loss_curve(reader.arrow("optimization_steps", scene_id), placements[0].method, scene_id),
+        plan=_plan(lake, reader, scene_id, objects, rooms[0]) if rooms else None,
     )
+
+
+def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Sequence[trimesh.Trimesh]], room: Room) -> bytes | None:
+    """The floor plan of a scene for the agent with the most episodes; None without a navmesh."""
+    from tasks.stats.plans import floor_plan
+
+    episodes = reader.rows(Episode, scene_id)
+    count = Counter(episode.agent for episode in episodes)
+    navmesh = min(reader.rows(Navmesh, scene_id), key=lambda row: (-count[row.agent], row.agent), default=None)
+    if navmesh is None:
+        return None
+    names = {row.instance_id: f"{row.category} {row.instance_id}" for row in reader.rows(Instance, scene_id)}
+    own = [episode for episode in episodes if episode.agent == navmesh.agent]
+    return floor_plan(lake.blobs[navmesh.navmesh_blob], own, objects, names, room)
 
 
 def _picture_scenes(

@@ -70,7 +70,7 @@ class PicturePair:
 class SceneCard:
     """What the report says of one scene. `excuse` stands where there are no pictures.
 
-    curve: the loss curve's address and what is to be seen. remains: what the optimization could not put right.
+    curve, plan: address of the loss curve and of the floor plan, and what is to be seen. remains: what could not be put right.
     """
 
     scene_id: str
@@ -79,6 +79,7 @@ class SceneCard:
     pictures: tuple[PicturePair, ...]
     excuse: str
     curve: tuple[str, str] | None
+    plan: tuple[str, str] | None
     certificate: Grid
     remains: tuple[str, ...]
     objects: Grid
@@ -150,7 +151,7 @@ def _card(scene_id: str, pictures: ScenePictures | str, answers: Mapping[str, pa
             ("settled_displacement_m", "Settles [m]", as_number),
         ],
     )
-    curve = pictures.loss_curve if isinstance(pictures, ScenePictures) else None
+    curve, plan = (pictures.loss_curve, pictures.plan) if isinstance(pictures, ScenePictures) else (None, None)
     remains = _of_scene(answers["optimization_remains"], scene_id).to_pylist()
     named = [" ".join(filter(None, (row["instance_id"], row["category"]))) for row in remains]
     return SceneCard(
@@ -160,6 +161,7 @@ def _card(scene_id: str, pictures: ScenePictures | str, answers: Mapping[str, pa
         pictures=tuple(_pairs(scene_id, pictures, answers)) if isinstance(pictures, ScenePictures) else (),
         excuse=as_text(pictures) if isinstance(pictures, str) else "",
         curve=(_data(curve.svg.encode(), "image/svg+xml"), curve.alt) if curve else None,
+        plan=(_data(plan, "image/png"), f"Floor plan of {scene_id}: navmesh, footprints and paths of episodes") if plan else None,
         certificate=_certificate(scene_id, answers),
         remains=tuple(as_text(f"{name}: {row['remains']}" if name else row["remains"]) for name, row in zip(named, remains, strict=True)),
         objects=objects,

@@ -48,7 +48,7 @@ class ScenePictures:
     """JPEG files of a scene: its scan and its replica, from a corner and from above.
 
     before, after: the replica as proposed and as optimized, with what collides marked. loss_curve: the optimization's
-    loss over its steps. Missing where there is nothing to show.
+    loss over its steps. plan: PNG of the floor with the navmesh and the paths on it. Missing where there is nothing to show.
     """
 
     corner_scan: bytes
@@ -58,6 +58,7 @@ class ScenePictures:
     before: bytes | None = None
     after: bytes | None = None
     loss_curve: Picture | None = None
+    plan: bytes | None = None
 
 
 @dataclasses.dataclass(frozen=True)
