@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from tasks.meshes import Surface, surface_of
 from tasks.navigation.follower import FORWARD, LEFT, RIGHT, STOP, Motion, follow, replay
+from tasks.navigation.navmesh import Settings, dump_navmesh, read_navmesh
 from tasks.navigation.obstacles import GRID_M, OUTLINE_M, SEAM_M, footprint, free_space
 from tasks.navigation.planar import PlanarPathFinder
 from tasks.transforms import yaw_pose
@@ -93,6 +94,25 @@ def test_distances_are_a_metric_and_grow_with_obstacles(boxes: list[shapely.Poly
         for i, j, k in itertools.permutations(range(5), 3):
             assert distance[i, j] <= distance[i, k] + distance[k, j] + 1e-9
     assert (after >= before - 1e-9).all()
+
+
+@given(boxes=obstacles, seed=st.integers(0, 999))
+@settings(max_examples=60, deadline=None)
+def test_distances_are_the_same_on_the_navmesh_that_is_written(boxes: list[shapely.Polygon], seed: int) -> None:
+    finder = PlanarPathFinder(room_less(boxes))
+    if not finder.islands:
+        return
+    read = PlanarPathFinder.from_navmesh(read_navmesh(dump_navmesh(finder.navmesh(Settings()))))
+    assert read.islands == pytest.approx(finder.islands, abs=1e-4)
+    rng = np.random.default_rng(seed)
+    # A hair off the edge, which single precision moves.
+    inner = PlanarPathFinder(shapely.buffer(finder.free, -1e-5))
+    if not inner.islands:
+        return
+    points = np.array([inner.random_point(rng) for _ in range(6)])
+    before, after = (np.array([f.geodesics(p, points) for p in points]) for f in (finder, read))
+    assert np.array_equal(np.isfinite(before), np.isfinite(after))
+    assert np.allclose(after[np.isfinite(after)], before[np.isfinite(before)], rtol=0, atol=1e-4)
 
 
 @given(boxes=obstacles, seed=st.integers(0, 999))
