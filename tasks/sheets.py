@@ -1,4 +1,4 @@
-"""Sheets of triangles, for engines that drape them: the middle of convex pieces along their shortest side."""
+"""Sheets of triangles, for engines that drape them: the layer of convex pieces that lies on what is below them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ Array = NDArray[np.float64]
 CELLS = 256
 """Most cells of the grid over a sheet's outline: 512 triangles, which engines step in milliseconds on a CPU."""
 
+THINNEST, THICKEST = 0.001, 0.02
+"""Of a sheet where it touches [m]: a shirt, and a quilt; what is thicker is folded, and would not bend like cloth."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Sheet:
-    """One connected manifold sheet. vertices: [m], shape (n, 3). triangles: shape (m, 3). thickness: volume over area [m]."""
+    """One connected manifold sheet. vertices: [m], shape (n, 3). triangles: shape (m, 3). thickness: where it touches [m]."""
 
     vertices: Array
     triangles: NDArray[np.int64]
@@ -37,10 +40,11 @@ def area_of(vertices: Array, triangles: NDArray[np.int64]) -> float:
 
 
 def sheet_of(hulls: Sequence[Hull], volume: float, cells: int = CELLS) -> Sheet:
-    """The middle of the union of convex pieces, seen along the shortest side of their box, in the pieces' frame [m].
+    """A sheet across the shortest side of the box of convex pieces, in the pieces' frame [m], +Z up.
 
-    Half way between where a line along that side enters the pieces and where it leaves them. A rug becomes its middle
-    plane, a curtain its folds; of what is heaped up only the mean of top and bottom is left.
+    It is as thick as their volume over its area, within limits. Where the shortest side is upright it lies half its
+    thickness above their lower side, and rests where they rest: a rug, a blanket on a bed. Else it lies in the middle
+    between where a line along that side enters them and leaves them: a towel on a rack, with its folds.
 
     Args:
         hulls: The pieces.
@@ -54,19 +58,22 @@ def sheet_of(hulls: Sequence[Hull], volume: float, cells: int = CELLS) -> Sheet:
     counts = _counts(high[[u, v]] - low[[u, v]], cells)
     lines = [low[axis] + (high[axis] - low[axis]) * np.arange(n + 1) / n for axis, n in zip((u, v), counts, strict=True)]
     middles = [(line[:-1] + line[1:]) / 2 for line in lines]
-    center = _middle(hulls, up, (u, v), np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2))
+    center, _ = _ends(hulls, up, (u, v), np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2))
     filled = _outline(np.isfinite(center).reshape(counts))
     inward = [line + (line.mean() - line) * 1e-6 for line in lines]  # a line through the very border of a box may miss it
-    corner = _middle(hulls, up, (u, v), np.stack(np.meshgrid(*inward, indexing="ij"), axis=-1).reshape(-1, 2))
-    height = _completed(corner.reshape(counts + 1), center.reshape(counts), filled)
+    ends = _ends(hulls, up, (u, v), np.stack(np.meshgrid(*inward, indexing="ij"), axis=-1).reshape(-1, 2))
+    bottom, top = (_completed(end.reshape(counts + 1), center) for end in ends)
     triangles = _cut(filled)
     grid = np.zeros((counts[0] + 1, counts[1] + 1, 3))
-    grid[..., u], grid[..., v], grid[..., up] = lines[0][:, None], lines[1][None], height
+    grid[..., u], grid[..., v], grid[..., up] = lines[0][:, None], lines[1][None], (bottom + top) / 2.0
     if up == 1:  # then u and v are x and z, whose cross product points down the axis
         triangles = triangles[:, ::-1]
     used, inverse = np.unique(triangles, return_inverse=True)
     vertices, faces = grid.reshape(-1, 3)[used], inverse.reshape(-1, 3).astype(np.int64)
-    return Sheet(vertices, faces, volume / area_of(vertices, faces))
+    thickness = float(np.clip(volume / area_of(vertices, faces), THINNEST, THICKEST))
+    if up == 2:
+        vertices[:, 2] = bottom.reshape(-1)[used] + thickness / 2.0
+    return Sheet(vertices, faces, thickness)
 
 
 def _counts(size: Array, cells: int) -> NDArray[np.int64]:
@@ -80,8 +87,8 @@ def _counts(size: Array, cells: int) -> NDArray[np.int64]:
         side *= 1.02
 
 
-def _middle(hulls: Sequence[Hull], up: int, across: tuple[int, int], points: Array) -> Array:
-    """Middle of the pieces along axis `up` over points across it, shape (n, 2); NaN beside the pieces."""
+def _ends(hulls: Sequence[Hull], up: int, across: tuple[int, int], points: Array) -> tuple[Array, Array]:
+    """Where the pieces begin and end along axis `up` over points across it, shape (n, 2); NaN beside the pieces."""
     lowest, highest = np.full(len(points), np.inf), np.full(len(points), -np.inf)
     for hull in hulls:
         a, b, c = (hull.vertices[hull.faces[:, i]] for i in range(3))
@@ -96,10 +103,8 @@ def _middle(hulls: Sequence[Hull], up: int, across: tuple[int, int], points: Arr
         top = np.where(slope > 1e-9, at, np.inf).min(axis=1)
         hit = (bottom <= top) & (np.where(np.abs(slope) <= 1e-9, room, 0.0) >= -1e-9).all(axis=1)
         lowest[hit], highest[hit] = np.minimum(lowest, bottom)[hit], np.maximum(highest, top)[hit]
-    middle = np.full(len(points), np.nan)
     over = highest >= lowest
-    middle[over] = (lowest[over] + highest[over]) / 2.0
-    return middle
+    return np.where(over, lowest, np.nan), np.where(over, highest, np.nan)
 
 
 def _outline(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -119,8 +124,8 @@ def _outline(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
             found[i : i + 2, j : j + 2] = True
 
 
-def _completed(corner: Array, center: Array, filled: NDArray[np.bool_]) -> Array:
-    """Heights of the corners of filled cells; where a line misses the pieces, the nearest height that is known."""
+def _completed(corner: Array, center: Array) -> Array:
+    """Heights at the grid's corners; where a line misses the pieces, the nearest height that is known."""
     from scipy import ndimage
 
     known = np.isfinite(corner)

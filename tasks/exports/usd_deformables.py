@@ -80,7 +80,7 @@ def deformable_of(body: Body) -> Deformable | None:
     shape = body.shape
     if body.body_type == "cloth":
         sheet = sheet_of(shape.hulls, shape.properties.volume)
-        return Deformable(sheet, CLOTH, body.mass_kg / shape.properties.volume)
+        return Deformable(sheet, CLOTH, body.mass_kg / (sheet.area * sheet.thickness))
     solid = tetrahedralize(shape.hulls)
     volume = float(solid.volumes.sum())
     if not COVERED <= volume / shape.properties.volume <= 1.0 / COVERED:
@@ -100,6 +100,7 @@ def write_simulation(path: Path, name: str, deformable: Deformable, visuals: lis
     mesh = deformable.mesh
     points = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
     prim = _tetrahedra(stage, place, mesh) if isinstance(mesh, Tetrahedra) else _sheet(stage, place, mesh)
+    _set_rest(prim, mesh)
     _add_pose(prim, points)
     for visual in visuals:
         _add_pose(stage.OverridePrim(f"/{name}/Visual/{visual.name}"), np.ascontiguousarray(visual.vertices, dtype=np.float32))
@@ -128,7 +129,6 @@ def write_deformable(path: Path, name: str, body: Body, deformable: Deformable) 
     prim = stage.OverridePrim(f"/{name}/{SIMULATION}")
     UsdPhysics.CollisionAPI.Apply(prim)
     _apply(prim, f"{kind}DeformableSimAPI")
-    _set_rest(prim, deformable.mesh)
     bind_physics(prim, UsdShade.Material(material))
     stage.GetRootLayer().Save()
 

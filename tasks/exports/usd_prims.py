@@ -43,6 +43,44 @@ def is_collider(prim: Any) -> bool:
     return enabled is not False
 
 
+def applied(prim: Any) -> set[str]:
+    """Names of the schemas applied to a prim, those too that USD does not know."""
+    return set(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
+
+
+def is_deformable(prim: Any) -> bool:
+    """Whether a prim is a deformable body, by either family of names in use."""
+    return bool(applied(prim) & {"PhysicsDeformableBodyAPI", "OmniPhysicsDeformableBodyAPI"})
+
+
+def simulation_kind(prim: Any) -> str | None:
+    """`Surface`, `Volume` or `Curves` for a mesh that an engine deforms, else None."""
+    names = applied(prim)
+    for kind in ("Surface", "Volume", "Curves"):
+        if names & {f"Physics{kind}DeformableSimAPI", f"OmniPhysics{kind}DeformableSimAPI"}:
+            return kind
+    return None
+
+
+def number(attribute: Any) -> float | None:
+    """Value of an attribute, or None: it has none, or one that is no number."""
+    value = attribute.Get() if attribute and attribute.IsValid() else None
+    try:
+        return float(value) if value is not None else None
+    except (TypeError, ValueError):
+        return None
+
+
+def vector(attribute: Any, length: int = 3) -> NDArray[np.float64] | None:
+    """Value of an attribute, shape (length,), or None: it has none, or one that is no such vector."""
+    value = attribute.Get() if attribute and attribute.IsValid() else None
+    try:
+        array = np.array(value if value is not None else (), dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return array if array.shape == (length,) else None
+
+
 def bodies(stage: Any) -> list[Any]:
     """All rigid bodies of a stage."""
     return [prim for prim in traverse(stage) if is_body(prim)]
@@ -73,11 +111,10 @@ def triangles(prim: Any) -> Triangles | None:
     from pxr import UsdGeom
 
     mesh = UsdGeom.Mesh(prim)
-    points, counts, indices = mesh.GetPointsAttr().Get(), mesh.GetFaceVertexCountsAttr().Get(), mesh.GetFaceVertexIndicesAttr().Get()
-    if not points or not counts or not indices:
+    vertices = array_of(mesh.GetPointsAttr(), np.float64, 3)
+    sizes, corners = array_of(mesh.GetFaceVertexCountsAttr(), np.int64), array_of(mesh.GetFaceVertexIndicesAttr(), np.int64)
+    if vertices is None or sizes is None or corners is None:
         return None
-    vertices = np.asarray(points, dtype=np.float64)
-    sizes, corners = np.asarray(counts, dtype=np.int64), np.asarray(indices, dtype=np.int64)
     if not np.isfinite(vertices).all() or sizes.min() < 3 or sizes.sum() != len(corners):
         return None
     if corners.min() < 0 or corners.max() >= len(vertices):
@@ -86,6 +123,23 @@ def triangles(prim: Any) -> Triangles | None:
     fans = np.repeat(np.arange(len(sizes)), sizes - 2)
     step = np.arange(len(fans)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
     return vertices, np.stack([corners[first[fans]], corners[first[fans] + step + 1], corners[first[fans] + step + 2]], axis=1)
+
+
+def array_of(attribute: Any, dtype: Any, width: int = 1) -> NDArray[Any] | None:
+    """An array attribute at its first time, shape (n,) or (n, width), or None: it has none, or not of that shape."""
+    from pxr import Usd
+
+    if not attribute or not attribute.IsValid():
+        return None
+    value = attribute.Get()
+    if value is None and attribute.GetNumTimeSamples():
+        value = attribute.Get(Usd.TimeCode.EarliestTime())
+    try:
+        array = np.asarray(value if value is not None else (), dtype=dtype)
+    except (TypeError, ValueError):
+        return None
+    fits = array.ndim == 1 if width == 1 else array.ndim == 2 and array.shape[1] == width
+    return array if fits and len(array) else None
 
 
 def to_world(prim: Any) -> NDArray[np.float64]:
@@ -109,21 +163,41 @@ def dent(mesh: Triangles) -> float:
     return float(((used @ normals.T) - offsets)[:, large].max(initial=0.0)) if large.any() else 0.0
 
 
-def box_of(body: Any, wanted: Callable[[Any], bool]) -> NDArray[np.float64] | None:
-    """Box of the mesh prims below a body that are `wanted`, in the body's frame [units of the stage], shape (2, 3)."""
-    from pxr import UsdGeom
-
-    inverse = np.linalg.inv(to_world(body))
-    corners = []
+def cloud_of(body: Any, wanted: Callable[[Any], bool]) -> NDArray[np.float64] | None:
+    """World positions [units of the stage] of all that is `wanted` below a body, shape (n, 3); of cubes, spheres and the
+    like the corners of their boxes. None without any."""
+    clouds = []
     for prim in subtree(body):
-        mesh = triangles(prim) if prim.IsA(UsdGeom.Mesh) and wanted(prim) else None
-        if mesh is not None:
-            local = inverse @ to_world(prim)
-            corners.append(mesh[0] @ local[:3, :3].T + local[:3, 3])
-    if not corners:
+        local = _points(prim) if wanted(prim) else None
+        if local is not None and np.isfinite(local).all():
+            place = to_world(prim)
+            clouds.append(local @ place[:3, :3].T + place[:3, 3])
+    return np.concatenate(clouds) if clouds else None
+
+
+def _points(prim: Any) -> NDArray[np.float64] | None:
+    """Positions of a prim's geometry in its own frame, shape (n, 3)."""
+    from pxr import Usd, UsdGeom
+
+    if prim.IsA(UsdGeom.PointBased):
+        return array_of(UsdGeom.PointBased(prim).GetPointsAttr(), np.float64, 3)
+    if not prim.IsA(UsdGeom.Boundable) or prim.IsA(UsdGeom.PointInstancer):
         return None
-    points = np.concatenate(corners)
-    return np.array([points.min(axis=0), points.max(axis=0)])
+    box = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), Usd.TimeCode.Default())
+    if not box or len(box) != 2:
+        return None
+    low, high = np.array(box, dtype=np.float64)
+    return np.array([[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+
+
+def within(points: NDArray[np.float64] | None, body: Any) -> NDArray[np.float64] | None:
+    """Box of world positions, shape (n, 3), in a body's frame, shape (2, 3); None for a frame without volume."""
+    place = to_world(body)
+    if points is None or not np.isfinite(place).all() or abs(np.linalg.det(place)) < 1e-18:
+        return None
+    inverse = np.linalg.inv(place)
+    local = points @ inverse[:3, :3].T + inverse[:3, 3]
+    return np.array([local.min(axis=0), local.max(axis=0)])
 
 
 def is_visible(prim: Any) -> bool:
@@ -136,7 +210,7 @@ def is_visible(prim: Any) -> bool:
 
 
 def objects(stage: Any) -> list[Any]:
-    """Rigid bodies, and models (kind component) that have colliders without being one."""
+    """Rigid bodies, and models (kind component) that have colliders without being one: fixed or deformable things."""
     from pxr import Kind, Usd
 
     components = [prim for prim in traverse(stage) if Usd.ModelAPI(prim).GetKind() == Kind.Tokens.component]
