@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tasks import exports
 from tasks.exports.bodies import gather
+from tasks.exports.findings import Finding
 from tasks.exports.habitat import object_handles, rotation, scene_handle
 from tasks.exports.habitat_library import read_library
 from tasks.exports.habitat_rules import check_habitat
@@ -55,6 +59,63 @@ def test_navmeshes_baked_by_habitat_are_read(path: Path) -> None:
     assert navmesh.distance(center + np.array([100.0, 0, 0]))[0] > 50.0
     with pytest.raises(ValueError):
         read_navmesh(path.read_bytes()[:-7])
+
+
+def rules(findings: list[Finding], is_error: bool) -> set[str]:
+    return {finding.rule for finding in findings if finding.is_error == is_error}
+
+
+def copied(source: Path, target: Path) -> None:
+    """A copy that can be changed, of a folder that may not."""
+    shutil.copytree(source, target, copy_function=shutil.copyfile)
+    for folder in (target, *(path for path in target.rglob("*") if path.is_dir())):
+        folder.chmod(0o755)
+
+
+@pytest.fixture
+def others(realdata: Callable[[str], Path], tmp_path: Path) -> Path:
+    """A scene of habitat-sim's own test assets, described as its documentation does: no provenance, few axes, dynamic objects."""
+    root = tmp_path / "others"
+    for name in ("objects", "scenes"):
+        copied(realdata("habitat_sim_test_assets") / "data" / "test_assets" / name, root / name)
+    listed = {"stages": "scenes/*.stage_config.json", "objects": "objects/*.object_config.json", "scene_instances": "*.scene_instance.json"}
+    config = {section: {"paths": {".json": [pattern]}} for section, pattern in listed.items()}
+    navmesh = {"navmesh_instances": {"room": "room1_default.navmesh"}}
+    shutil.copyfile(REPOSITORY / "tests" / "golden" / "navmesh" / "room1_default.navmesh", root / "room1_default.navmesh")
+    (root / "others.scene_dataset_config.json").write_text(json.dumps(config | navmesh))
+    objects = [{"template_name": "chair", "translation": [0, 0, 0]}, {"template_name": "donut", "translation_origin": "asset_local"}]
+    scene = {"stage_instance": {"template_name": "simple_room"}, "object_instances": objects, "navmesh_instance": "room"}
+    (root / "lounge.scene_instance.json").write_text(json.dumps(scene))
+    return root
+
+
+def test_what_another_author_may_mean_so_is_a_warning(others: Path) -> None:
+    found = check_habitat(others)
+    assert rules(found, True) == set(), found
+    assert rules(found, False) >= {"translation_origin", "upright", "navmesh_settings", "collider"}
+    path = others / "lounge.scene_instance.json"
+    path.write_text(path.read_text().replace('"chair"', '"armchair"'))
+    assert rules(check_habitat(others), True) == {"handle_exact"}, "what nobody can mean is an error all the same"
+
+
+def test_episodes_of_others_are_read(others: Path, realdata: Callable[[str], Path]) -> None:
+    """Episodes of HM3D: goals are ids of its semantic meshes, scenes are paths of stages, and there is nothing to replay."""
+    copied(realdata("habitat_episodes") / "objectnav_hm3d_v2_val_mini", others / "objectnav" / "val_mini")
+    found = check_habitat(others)
+    assert rules(found, True) == {"episode_scene"}, "their scene is not in this dataset"
+    shutil.copyfile(others / "scenes" / "simple_room.glb", others / "scenes" / "wcojb4TFT35.basis.glb")
+    (others / "others.scene_dataset_config.json").unlink()
+    config = {"stages": {"paths": {".glb": ["scenes/*.basis.glb"]}}}
+    (others / "hm3d_annotated_basis.scene_dataset_config.json").write_text(json.dumps(config))
+    found = check_habitat(others)
+    assert rules(found, True) == set(), found
+    assert any("15 episodes have no shortest_paths" in finding.message for finding in found)
+    content = others / "objectnav" / "val_mini" / "content" / "wcojb4TFT35.json.gz"
+    document = json.loads(gzip.decompress(content.read_bytes()))
+    document["episodes"][3]["info"]["geodesic_distance"] = 0.1
+    document["goals_by_category"].pop("wcojb4TFT35.basis.glb_chair")
+    content.write_bytes(gzip.compress(json.dumps(document).encode()))
+    assert rules(check_habitat(others), True) == {"geodesic", "goals"}
 
 
 def test_datasets_of_others_are_read(realdata: Callable[[str], Path]) -> None:

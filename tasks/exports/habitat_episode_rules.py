@@ -131,8 +131,9 @@ def _content(world: _World, content: Mapping[str, Any], task: str, name: str, ma
             yield Finding("episode_id", where, f"episode_id {episode_id!r} is no text, or is there twice")
         seen.add(str(episode_id))
         yield from _scene(library, episode, where)
-        navmesh = navmeshes.get(str(episode.get("scene_id")))
-        yield from _start(episode, where, navmesh)
+        scene = library.scene_of(episode.get("scene_id"))
+        floor = _Floor(scene in navmeshes, navmeshes.get(str(scene)))
+        yield from _start(episode, where, floor)
         if task == "objectnav":
             category = episode.get("object_category")
             key = f"{PurePosixPath(str(episode.get('scene_id'))).name}_{category}"
@@ -144,7 +145,7 @@ def _content(world: _World, content: Mapping[str, Any], task: str, name: str, ma
             if maps is not None and category not in maps["task"]:
                 yield Finding("category_maps", where, f"object_category {category!r} is in no map")
         else:
-            yield from _point_goals(episode, where, navmesh)
+            yield from _point_goals(episode, where, floor)
     if task == "objectnav":
         for key, items in goals.items():
             yield from _object_goals(library, key, items, name, navmeshes)
@@ -155,7 +156,7 @@ def _replayed(world: _World, content: Mapping[str, Any], task: str, name: str) -
     trips: dict[str, list[Trip]] = {}
     walked = 0
     for index, episode in enumerate(content["episodes"]):
-        scene, paths = str(episode.get("scene_id")), episode.get("shortest_paths") or []
+        scene, paths = str(world.library.scene_of(episode.get("scene_id"))), episode.get("shortest_paths") or []
         walked += bool(paths)
         start = _numbers(episode.get("start_position"), 3)
         goals = _object_places(content, episode) if task == "objectnav" else _places(episode.get("goals") or [])
@@ -196,7 +197,7 @@ def _keys(item: Mapping[str, Any], allowed: set[str], needed: set[str], rule: st
 
 def _scene(library: Library, episode: Mapping[str, Any], where: str) -> Iterator[Finding]:
     """Scene and dataset of an episode."""
-    if episode.get("scene_id") not in library.sections["scene_instances"]:
+    if library.scene_of(episode.get("scene_id")) is None:
         yield Finding("episode_scene", where, f"scene_id {episode.get('scene_id')!r} is no scene's name: an empty scene would be opened")
     config = str(episode.get("scene_dataset_config", ""))
     if PurePosixPath(config).name != library.config:
@@ -207,14 +208,22 @@ def _numbers(value: Any, count: int) -> np.ndarray[Any, np.dtype[np.float64]] | 
     return np.asarray(value, dtype=np.float64) if value is not None and len(value) == count else None
 
 
-def _standing(value: Any, navmesh: NavmeshFile | None) -> str | None:
+@dataclasses.dataclass(frozen=True)
+class _Floor:
+    """What a scene's agents stand on. An unknown scene is another rule's."""
+
+    is_known: bool
+    navmesh: NavmeshFile | None
+
+
+def _standing(value: Any, floor: _Floor) -> str | None:
     """What is wrong with a position, or None."""
     place = _numbers(value, 3)
     if place is None:
         return f"{value} is not three finite numbers"
-    if navmesh is None:
-        return "the scene has no navmesh"
-    beside, above = navmesh.distance(place)
+    if floor.navmesh is None:
+        return "lies in a scene that has no navmesh" if floor.is_known else None
+    beside, above = floor.navmesh.distance(place)
     if beside > NEAR or above > _ABOVE_NAVMESH:
         return f"{value} lies {beside:.2f} m beside the navmesh and {above:.2f} m above or below it"
     return None
@@ -232,9 +241,9 @@ def _heading(value: Any) -> str | None:
     return None
 
 
-def _start(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | None) -> Iterator[Finding]:
+def _start(episode: Mapping[str, Any], where: str, floor: _Floor) -> Iterator[Finding]:
     """Start and geodesic distance of an episode."""
-    wrong = _standing(episode.get("start_position"), navmesh)
+    wrong = _standing(episode.get("start_position"), floor)
     if wrong:
         yield Finding("start", where, f"start_position {wrong}")
     wrong = _heading(episode.get("start_rotation"))
@@ -246,7 +255,7 @@ def _start(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | None) 
         yield Finding("geodesic", where, f"geodesic_distance is {distance}, the straight line {straight}")
 
 
-def _point_goals(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | None) -> Iterator[Finding]:
+def _point_goals(episode: Mapping[str, Any], where: str, floor: _Floor) -> Iterator[Finding]:
     """Goals and shortest paths of a PointNav episode."""
     goals = episode.get("goals")
     if not goals:
@@ -254,7 +263,7 @@ def _point_goals(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | 
         return
     for goal in goals:
         yield from _keys(goal, _GOAL, {"position"}, "goal_keys", where)
-        wrong = _standing(goal.get("position"), navmesh)
+        wrong = _standing(goal.get("position"), floor)
         if wrong:
             yield Finding("goals", where, f"goals: position {wrong}")
     for path in episode.get("shortest_paths") or []:
@@ -265,17 +274,20 @@ def _point_goals(episode: Mapping[str, Any], where: str, navmesh: NavmeshFile | 
 
 def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: Mapping[str, NavmeshFile | None]) -> Iterator[Finding]:
     """Goals of one category in one scene."""
-    scene = next((handle for handle in library.sections["scene_instances"] if key.startswith(f"{handle}_")), None)
-    if scene is None:
+    scene = next(
+        (handle for handle in library.sections["scene_instances"] if key.startswith((f"{handle}_", f"{handle}.scene_instance.json_"))), None
+    )
+    if scene is None and library.is_ours:
         yield Finding("goals", f"{name} goals_by_category", f"{key!r} does not begin with a scene's name")
         return
-    items = library.sections["scene_instances"][scene].values.get("object_instances", [])
+    floor = _Floor(scene in navmeshes, navmeshes.get(str(scene)))
+    items = library.sections["scene_instances"][scene].values.get("object_instances", []) if scene is not None else []
     objects = {item.get("template_name") for item in items if isinstance(item, dict)}
     for index, goal in enumerate(goals):
         where = f"{name} goals_by_category[{key!r}][{index}]"
         yield from _keys(goal, _OBJECT_GOAL, {"position", "object_id", "view_points"}, "goal_keys", where)
         if not isinstance(goal.get("object_id"), str) or goal["object_id"] not in objects:
-            yield Finding("goal_object", where, f"object_id {goal.get('object_id')!r} is no object of {scene!r}")
+            yield Finding("goal_object", where, f"object_id {goal.get('object_id')!r} is no object of {scene!r}", library.is_ours)
         if _numbers(goal.get("position"), 3) is None:
             yield Finding("goals", where, f"position {goal.get('position')} is not three finite numbers")
         views = goal.get("view_points")
@@ -283,10 +295,10 @@ def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: 
             yield Finding("view_points", where, "view_points are none")
             continue
         for view in views:
-            yield from _view(view, where, navmeshes.get(scene))
+            yield from _view(view, where, floor)
 
 
-def _view(view: Any, where: str, navmesh: NavmeshFile | None) -> Iterator[Finding]:
+def _view(view: Any, where: str, floor: _Floor) -> Iterator[Finding]:
     """One view point."""
     if set(view) != {"agent_state", "iou"}:
         yield Finding("view_points", where, "view_points: one needs agent_state and iou, and nothing else")
@@ -295,6 +307,6 @@ def _view(view: Any, where: str, navmesh: NavmeshFile | None) -> Iterator[Findin
     if habitat_shapes.number(iou) or iou < 0:
         yield Finding("view_points", where, f"view_points: iou is {iou!r}")
     state = view["agent_state"]
-    wrong = _standing(state.get("position"), navmesh) or _heading(state.get("rotation"))
+    wrong = _standing(state.get("position"), floor) or _heading(state.get("rotation"))
     if wrong or set(state) != {"position", "rotation"}:
         yield Finding("view_points", where, f"view_points: {wrong or 'agent_state needs position and rotation, and nothing else'}")

@@ -7,7 +7,8 @@ import gzip
 import json
 import zlib
 from collections.abc import Iterator, Mapping
-from pathlib import Path
+from functools import cached_property
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from tasks.exports import habitat_shapes
@@ -38,11 +39,23 @@ class Library:
     semantics: Mapping[str, str]
     findings: tuple[Finding, ...]
 
-    @property
+    @cached_property
     def is_ours(self) -> bool:
         """Whether this project wrote the dataset, as its scenes say; in those of others what is a matter of taste is a warning."""
         scenes = self.sections["scene_instances"].values()
         return (self.root / "metadata" / "agent.json").is_file() or any("scene_id" in (s.values.get("user_defined") or {}) for s in scenes)
+
+    def scene_of(self, scene_id: Any) -> str | None:
+        """Name of the scene that an episode's `scene_id` opens, None for none.
+
+        In a dataset of this project it is that name. Others also give a path to the scene's file, or to a stage that is
+        opened as a scene.
+        """
+        scenes, stages = self.sections["scene_instances"], self.sections["stages"]
+        if not isinstance(scene_id, str) or scene_id in scenes or self.is_ours:
+            return scene_id if isinstance(scene_id, str) and scene_id in scenes else None
+        name = PurePosixPath(scene_id).name.removesuffix(ENDINGS["scene_instances"]).removesuffix(".glb")
+        return name if name in scenes or name in stages else None
 
 
 def read_library(root: Path) -> Library:

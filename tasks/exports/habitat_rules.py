@@ -72,7 +72,7 @@ def check_habitat(root: Path) -> list[Finding]:
     for scene in library.sections["scene_instances"].values():
         findings += _scene(library, scene, navmeshes, lexicons)
     if not library.sections["scene_instances"]:
-        findings.append(Finding("dataset_config", library.config, "scene_instances: there are none"))
+        findings.append(Finding("dataset_config", library.config, "scene_instances: there are none", library.is_ours))
     scenes = library.sections["scene_instances"]
     findings += _provenance(library)
     named = {handle: str(scene.values.get("navmesh_instance", "")) for handle, scene in scenes.items()}
@@ -108,7 +108,7 @@ def _asset(library: Library, template: Template, kind: str) -> Iterator[Finding]
     up, front = (_vector(values.get(key), 3) for key in ("up", "front"))
     if up is None or front is None:
         said = "a stage without them is taken to be +Z up" if kind == "stages" else "an object without them is taken to be +Y up"
-        yield Finding("upright", where, f"up or front is not stated; {said}", ours or kind == "stages")
+        yield Finding("upright", where, f"up or front is not stated; {said}", ours)
     elif abs(np.linalg.norm(up) - 1) > 1e-6 or abs(np.linalg.norm(front) - 1) > 1e-6:
         yield Finding("upright", where, "up or front is not of length 1")
     elif np.linalg.norm(np.cross(up, front)) < 1e-3:
