@@ -79,8 +79,9 @@ def import_trajectories(lake: Lake, file: Path, configuration: Configuration, dr
 def run_policy(lake: Lake, policy: str, configuration: Configuration, dry_run: bool = False) -> Evaluated:
     """Let a built-in policy act in all episodes of the lake, measure and append what it did: a batch for every scene.
 
-    A batch is named by all that its rows follow from, so only scenes are computed whose episodes, navmesh or settings are
-    new. A scene that fails does not stop the others, and leaves a row in `stage_runs` that says why.
+    A batch is named by all that its rows follow from but the code, so only scenes are computed whose episodes, navmesh or
+    settings are new. Newer code measures a batch again, and its rows take the place of those that it had. A scene that
+    fails does not stop the others, and leaves a row in `stage_runs` that says why.
 
     Raises:
         InputError: the lake has no episodes.
@@ -98,7 +99,8 @@ def run_policy(lake: Lake, policy: str, configuration: Configuration, dry_run: b
     with Progress(f"{policy}: scenes", len(scenes)) as progress:
         for scene in scenes:
             job, batch = _policy_job(lake, reader, scene, policy, run_name, configuration)
-            is_new = _held(history, batch.batch_id) is None
+            state = history.get((batch.batch_id, STAGE.name))
+            is_new = state is None or state.done is None or state.done.fingerprint != job.fingerprint
             run = execute(job) if is_new and not dry_run else None
             batches.append(batch.batch_id)
             progress.advance(scene)
@@ -121,8 +123,7 @@ def _policy_job(
     episodes, navmeshes = reader.rows(Episode, scene), reader.rows(Navmesh, scene)
     context = Context(scene_id=scene, stage=STAGE.name, seed=configuration.seed, blobs=lake.blobs)
     attempts = POLICIES[policy](episodes, config, context.rng)
-    code = code_fingerprint("tasks.evaluation")
-    content = digest(policy, run_name, canonical_json([attempts, episodes, navmeshes, config]), code)
+    content = digest(policy, run_name, canonical_json([attempts, episodes, navmeshes, config]))
     batch = TrajectoryBatch(f"{policy}-{content[:16]}", policy, run_name, attempts)
     return _job(lake, batch, content, episodes, navmeshes, configuration), batch
 

@@ -567,6 +567,16 @@ def test_what_was_measured_and_not_committed_is_not_measured_again(lake: Lake, m
     assert len(lake.snapshot().rows(Trajectory)) == 40
 
 
+def test_newer_code_measures_again_in_place(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = run_policy(lake, "random", configure())
+    before = lake.snapshot().rows(Trajectory)
+    monkeypatch.setattr("flows.evaluation.code_fingerprint", lambda _: "newer")
+    again = run_policy(lake, "random", configure())
+    assert (again.batches, again.new) == (first.batches, 40)
+    assert lake.snapshot().rows(Trajectory) == before
+    assert run_policy(lake, "random", configure()).new == 0
+
+
 def test_changed_episodes_change_no_old_metric(lake: Lake, scene: Any) -> None:
     run_policy(lake, "expert", configure())
     before = lake.snapshot().rows(Trajectory)
@@ -632,6 +642,10 @@ def test_the_command_says_how_well_and_exits_as_a_scheduler_expects(lake: Lake, 
     again = ask("--policy", "expert")
     assert again.returncode == 0
     assert "0 measured, 40 are in the lake already" in again.stdout
+    status = subprocess.run(
+        [sys.executable, "-m", "flows.cli", "status", "--lake", lake.address, "--json"], capture_output=True, text=True, cwd=REPOSITORY
+    )
+    assert json.loads(status.stdout) == {"scenes": {SCENE: {"navigation": "done"}}, "errors": []}  # a batch is no scene
     (tmp_path / "b.json").write_text("{}")
     for words in ([], ["--policy", "expert", str(tmp_path / "b.json")], [str(tmp_path / "b.json")], [str(tmp_path / "none.json")]):
         assert ask(*words).returncode == 2

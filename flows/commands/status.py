@@ -20,12 +20,15 @@ def command(address: str, as_json: bool) -> None:
     """
     from tasks.pipeline import SCENE_STAGES
 
+    names = [stage.name for stage in SCENE_STAGES]
     states: dict[str, dict[str, str]] = defaultdict(dict)
     errors: list[str] = []
     for (scene, stage), state in sorted(existing_lake(address).history().items()):
         last = state.last
         kept = " (older rows kept)" if state.done is not None else ""
-        if last.outcome != "done":
+        if stage not in names:  # a batch's, which is no scene
+            pass
+        elif last.outcome != "done":
             states[scene][stage] = last.outcome + kept
         else:
             states[scene][stage] = "done" if state.done is not None else "withdrawn"
@@ -34,7 +37,6 @@ def command(address: str, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"scenes": states, "errors": errors}))
         return
-    names = [stage.name for stage in SCENE_STAGES]
     for scene, stages in states.items():
         done = [name for name in names if stages.get(name) == "done"]
         rest = ", ".join(f"{name} {stages.get(name, 'not done')}" for name in names if name not in done)
