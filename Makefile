@@ -37,7 +37,7 @@ docs: $(VENV)/.run-ready  ## Write the table pages of the documentation from the
 native: $(RECAST)  ## Build the path finder that bakes as habitat-sim; wants Debian's librecast-dev and g++.
 
 $(RECAST): native/recast.cpp
-	@echo '#include <recastnavigation/Recast.h>' | g++ -x c++ -fsyntax-only - || \
+	@echo '#include <recastnavigation/Recast.h>' | g++ -x c++ -fsyntax-only - 2>/dev/null || \
 		{ echo "make native: install g++ and librecast-dev first (apt-get install g++ librecast-dev)" >&2; exit 1; }
 	mkdir -p $(@D)
 	g++ -std=c++17 -O2 -Wall -Wextra -fPIC -shared -Wl,--no-undefined $< -o $@.new -lDetour -lRecast

@@ -33,15 +33,13 @@ from tests import habitat_stand_in
 from tests.habitat_datasets import write_dataset
 from tests.replicas import furnished as replica
 from tests.replicas import rows_of
-from tests.test_navigation import furnished, living_room
+from tests.test_navigation import furnished, living_room, native
 from tests.test_shortest_paths import solid, surface, table
 
 GOLDEN = Path(__file__).parent / "golden" / "navmesh"
 INDEX = json.loads((GOLDEN / "index.json").read_text())
 NAMES = [entry["navmesh"] for entry in INDEX]
 BUILT = recast.LIBRARY.is_file()
-
-native = pytest.mark.skipif(not BUILT, reason="the library of the path finder recast is not built: install librecast-dev, run make native")
 
 
 def golden(name: str) -> tuple[bytes, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
