@@ -60,7 +60,7 @@ def check_mjcf(path: Path) -> list[Finding]:
     if not any(finding.rule == "xml" for finding in findings):
         for check in (_numbers, _paths, _names, _rotations, _masses, _references):
             findings += check(path, elements)
-        findings += _model(path)
+        findings += _model(path, elements)
     return sorted(set(findings))
 
 
@@ -197,7 +197,7 @@ def _references(path: Path, elements: Pairs) -> Iterator[Finding]:
                 yield Finding("references", _where(file, element), f"{kind} {name!r} is not defined")
 
 
-def _model(path: Path) -> Iterator[Finding]:
+def _model(path: Path, elements: Pairs) -> Iterator[Finding]:
     """The model as MuJoCo compiles it, at its start."""
     mujoco = mujoco_module()
     try:
@@ -210,13 +210,7 @@ def _model(path: Path) -> Iterator[Finding]:
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
-    for key in range(model.nkey):
-        for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
-            first = model.jnt_qposadr[joint] + 3
-            length = float(np.linalg.norm(model.key_qpos[key, first : first + 4]))
-            if not abs(length - 1.0) < 1e-4:
-                where = f"{path.name} key {model.key(key).name}"
-                yield Finding("unit_quaternion", where, f"qpos of joint {model.joint(joint).name} has a rotation of length {length:.6g}")
+    yield from _keys(model, elements)
     mujoco.mj_forward(model, data)
     yield from _contacts(path, model, data)
     mujoco.mj_step(model, data)
@@ -224,6 +218,20 @@ def _model(path: Path) -> Iterator[Finding]:
     spoiled = any(data.warning[w].number for w in (which.mjWARN_BADQPOS, which.mjWARN_BADQVEL, which.mjWARN_BADQACC))
     if spoiled or not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
         yield Finding("step", path.name, "the state is not finite after one step")
+
+
+def _keys(model: Any, elements: Pairs) -> Iterator[Finding]:
+    """Rotations of free bodies in keyframes as written: the compiled model has them normalized."""
+    free = np.flatnonzero(model.jnt_type == mujoco_module().mjtJoint.mjJNT_FREE)
+    for file, element in elements:
+        state = _floats(element.get("qpos")) if element.tag == "key" else None
+        if state is None or len(state) != model.nq:
+            continue
+        for joint in free:
+            first = model.jnt_qposadr[joint] + 3
+            length = float(np.linalg.norm(state[first : first + 4]))
+            if not abs(length - 1.0) < 1e-4:
+                yield Finding("unit_quaternion", _where(file, element), f"{model.joint(joint).name} has a rotation of length {length:.6g}")
 
 
 def _world(path: Path, model: Any) -> Iterator[Finding]:
