@@ -12,15 +12,17 @@ from schemas.errors import InputError
 from schemas.exports import FORMATS, ExportFile
 from tasks.exports.findings import Finding
 from warehouse.lake import Lake
+from warehouse.release import releases
 
 
 @dataclasses.dataclass(frozen=True)
 class WrittenExports:
-    """What was written: how many files, the root file of every USD scene, and checks that did not pass."""
+    """What was written: how many files, the root file and the package of every USD scene, and checks that did not pass."""
 
     files: int
     usd_scenes: tuple[Path, ...]
     findings: tuple[str, ...]
+    usd_packages: tuple[Path, ...] = ()
 
     @property
     def failed_checks(self) -> int:
@@ -34,16 +36,26 @@ def write_exports(
     formats: Sequence[str] = FORMATS,
     scenes: Sequence[str] = (),
     snapshot_id: int | None = None,
+    *,
+    release: str | None = None,
+    usdz: bool = False,
 ) -> WrittenExports:
     """Write `<out>/usd`, `<out>/habitat` and so on, each replaced as a whole, and check what was written.
 
-    Scenes whose checks in the lake did not pass are written all the same; the findings name them.
+    Scenes whose checks in the lake did not pass are written all the same; the findings name them. Files are the lake's
+    blobs, byte for byte; only of a release every `scene.usda` says which one it is from. With `usdz`, `<out>/usd` has a
+    package of every scene beside its folder: tools edit the folder, and hand on the package. It is made here, since the
+    lake would keep every byte of it twice.
 
     Raises:
-        InputError: a scene is not in the lake or has no export, or `<out>/<format>` holds what no export wrote.
+        InputError: a scene is not in the lake or has no export, there is no such release, packages are asked for without
+            USD, or `<out>/<format>` holds what no export wrote.
     """
     from tasks.exports.layout import layout, shared_files
 
+    snapshot_id = snapshot_of(lake, release, snapshot_id)
+    if usdz and "usd" not in formats:
+        raise InputError("--usdz", "format", "asks for packages of USD scenes, which are not exported", "add --format usd")
     reader = lake.snapshot(snapshot_id)
     rows = [row for row in reader.rows(ExportFile) if row.format in formats and (not scenes or row.scene_id in scenes)]
     missing = sorted(set(scenes) - {row.scene_id for row in rows})
@@ -64,13 +76,46 @@ def write_exports(
                 target = making / path.removeprefix(f"{name}/")
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(data)
+        if name == "usd" and making.exists():
+            _finish_usd(making, release, snapshot_id, usdz)
         if making.exists():
             (making / MARK).write_text("Written by `metascenes export`; replaced as a whole by the next one.\n")
             _replace(making, out / name)
     usd = tuple(
         sorted(out / "usd" / row.path for row in rows if row.format == "usd" and row.role == "scene" and row.path.endswith("scene.usda"))
     )
-    return WrittenExports(len(placed) + len(shared), usd, tuple(_findings(out, formats, usd)))
+    packages = tuple(path.parent.with_suffix(".usdz") for path in usd) if usdz else ()
+    findings = tuple(_findings(out, formats, (*usd, *packages)))
+    return WrittenExports(len(placed) + len(shared) + len(packages), usd, findings, packages)
+
+
+def snapshot_of(lake: Lake, name: str | None, snapshot_id: int | None) -> int | None:
+    """The snapshot of a release, or the one given when none is named.
+
+    Raises:
+        InputError: there is no such release, or a snapshot is given beside it.
+    """
+    if name is None:
+        return snapshot_id
+    known = {release.name: release.snapshot_id for release in releases(lake)}
+    if snapshot_id is not None:
+        raise InputError("--snapshot", "release", f"is given beside --release {name}, which is a snapshot", "give one of them")
+    if name not in known:
+        raise InputError(lake.address, "release", f"no release {name!r}", f"there are: {', '.join(sorted(known)) or 'none'}")
+    return known[name]
+
+
+def _finish_usd(making: Path, release: str | None, snapshot_id: int | None, usdz: bool) -> None:
+    """What is said and packed only when scenes leave the lake."""
+    from tasks.exports.usd import with_release
+    from tasks.exports.usd_package import package
+
+    for scene in sorted(making.glob("*/scene.usda")):
+        if release is not None and snapshot_id is not None:
+            scene.write_bytes(with_release(scene.read_bytes(), snapshot_id, release))
+        if usdz:
+            files = {path.relative_to(scene.parent).as_posix(): path.read_bytes() for path in scene.parent.rglob("*") if path.is_file()}
+            (making / f"{scene.parent.name}.usdz").write_bytes(package(files, scene.name))
 
 
 MARK = ".exported"

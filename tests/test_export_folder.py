@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from schemas.exports import FORMATS, ExportFile
 from tests.scans import OBJECTS, write_scan
 from tests.test_pipeline import metascenes
 from warehouse.lake import Lake
+from warehouse.release import make_release
 
 SCENES = ("scannet/scene0000_00", "scannet/scene0001_00")
 THINGS = OBJECTS[1:2]
@@ -169,3 +171,41 @@ def test_a_scene_that_is_not_there_is_refused_and_nothing_is_written(lake: Lake,
     with pytest.raises(InputError, match="scannet/scene0009_00"):
         write_exports(lake, tmp_path / "out", scenes=[*SCENES, "scannet/scene0009_00"])
     assert not (tmp_path / "out").exists()
+
+
+def test_packages_stand_beside_their_folders_and_are_replaced_with_them(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    written = write_exports(lake, tmp_path, formats=("usd",), usdz=True)
+    assert written.findings == ()
+    assert [path.with_suffix("") for path in written.usd_packages] == [path.parent for path in written.usd_scenes]
+    packages = {path.name: path.read_bytes() for path in written.usd_packages}
+    for path in written.usd_packages:
+        with zipfile.ZipFile(path) as archive:
+            inside = {name: archive.read(name) for name in archive.namelist()}
+        assert inside == contents(path.with_suffix(""))
+    write_exports(lake, tmp_path, formats=("usd",), usdz=True)
+    assert {path.name: path.read_bytes() for path in written.usd_packages} == packages
+    write_exports(lake, tmp_path, formats=("usd",))
+    assert contents(tmp_path / "usd") == contents(whole / "usd")
+    with pytest.raises(InputError, match="--format usd"):
+        write_exports(lake, tmp_path, formats=("habitat",), usdz=True)
+
+
+def test_scenes_of_a_release_say_so_and_others_do_not(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    from pxr import Sdf
+
+    with pytest.raises(InputError, match=r"no release 'v1'.*there are: none"):
+        write_exports(lake, tmp_path, release="v1")
+    release = make_release(lake, "v1")
+    with pytest.raises(InputError, match="--snapshot"):
+        write_exports(lake, tmp_path, snapshot_id=release.snapshot_id, release="v1")
+    with pytest.raises(InputError, match=r"no release 'v2'.*there are: v1"):
+        write_exports(lake, tmp_path, release="v2")
+    assert contents(tmp_path) == {}
+    assert write_exports(lake, tmp_path, formats=("usd",), release="v1").findings == ()
+    first, plain = contents(tmp_path / "usd"), contents(whole / "usd")
+    assert {name for name in plain if first[name] != plain[name]} == {name for name in plain if name.endswith("/scene.usda")}
+    for path in (tmp_path / "usd").glob("*/scene.usda"):
+        stated = Sdf.Layer.FindOrOpen(str(path)).customLayerData["metascenes"]
+        assert (stated["release"], stated["snapshot_id"]) == ("v1", release.snapshot_id)
+    write_exports(lake, tmp_path, formats=("usd",), release="v1")
+    assert contents(tmp_path / "usd") == first

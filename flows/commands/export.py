@@ -16,34 +16,39 @@ from schemas.exports import FORMATS
 @click.option("--format", "formats", multiple=True, type=click.Choice(FORMATS), help="Format; all by default; may be repeated.")
 @click.option("--scene", "scenes", multiple=True, metavar="SCENE_ID", help="Scene; all by default; may be repeated.")
 @click.option("--snapshot", "snapshot_id", type=int, help="Snapshot to export; the newest by default.")
+@click.option("--release", metavar="NAME", help="Release to export; its name is written into every USD scene.")
+@click.option("--usdz", is_flag=True, help="Also pack every USD scene into one .usdz file, beside its folder.")
 @click.option("--dry-run", is_flag=True, help="Say how many files would be written; write nothing.")
 @lake_option
 @json_option
 def command(
-    out: Path, formats: tuple[str, ...], scenes: tuple[str, ...], snapshot_id: int | None, dry_run: bool, address: str, as_json: bool
-) -> None:
+    out: Path, formats: tuple[str, ...], scenes: tuple[str, ...], snapshot_id: int | None, release: str | None, usdz: bool,
+    dry_run: bool, address: str, as_json: bool,
+) -> None:  # fmt: skip
     """Write scenes as USD, as a Habitat dataset, as MJCF, URDF and GLB into a folder, and check what was written.
 
     Exit code 1 says that a check did not pass; each is named.
 
     Example: metascenes export --lake ./lake --out ./replicas --format usd
     """
-    from flows.export import write_exports
+    from flows.export import snapshot_of, write_exports
     from schemas.exports import ExportFile
 
     lake = existing_lake(address)
     chosen = formats or FORMATS
     if dry_run:
-        rows = lake.snapshot(snapshot_id).rows(ExportFile)
+        rows = lake.snapshot(snapshot_of(lake, release, snapshot_id)).rows(ExportFile)
         count = sum(row.format in chosen and (not scenes or row.scene_id in scenes) for row in rows)
         print(json.dumps({"files": count}) if as_json else f"{count} files would be written below {out}")
         return
-    written = write_exports(lake, out, chosen, scenes, snapshot_id)
+    written = write_exports(lake, out, chosen, scenes, snapshot_id, release=release, usdz=usdz)
     if as_json:
-        print(json.dumps({"files": written.files, "usd_scenes": [str(p) for p in written.usd_scenes], "findings": written.findings}))
+        packages = [str(path) for path in written.usd_packages]
+        scenes_written = [str(path) for path in written.usd_scenes]
+        print(json.dumps({"files": written.files, "usd_scenes": scenes_written, "usd_packages": packages, "findings": written.findings}))
     else:
         print(f"{written.files} files below {out}; {written.failed_checks} checks failed")
-        for scene in written.usd_scenes:
+        for scene in (*written.usd_scenes, *written.usd_packages):
             print(scene)
     for line in written.findings:
         click.echo(f"failed: {line}", err=True)

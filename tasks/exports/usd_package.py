@@ -45,13 +45,13 @@ def package(files: Mapping[str, bytes], root: str) -> bytes:
     return buffer.getvalue()
 
 
-def names_in(path: Path) -> frozenset[str]:
-    """Paths of the files in a package; nothing when it is none."""
+def names_in(path: Path) -> tuple[str, ...]:
+    """Paths of the files in a package, in their order; nothing when it is none."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return frozenset(archive.namelist())
+            return tuple(archive.namelist())
     except (OSError, zipfile.BadZipFile):
-        return frozenset()
+        return ()
 
 
 def check_package(path: Path) -> Iterator[Finding]:

@@ -63,8 +63,8 @@ def paths(stage: Any, path: Path) -> Iterator[Finding]:
             continue
         if packed:
             outer, inner = Ar.SplitPackageRelativePathOuter(layer.realPath)
-            inside = Path(outer).resolve() == path.resolve() and bool(inner)
-            real = root / inner
+            inside = Path(outer or layer.realPath).resolve() == path.resolve()
+            real = root / (inner or packed[0]) if outer else root / packed[0]
         else:
             real = PurePosixPath(Path(layer.realPath).resolve())
             inside = real.is_relative_to(root)
