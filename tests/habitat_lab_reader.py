@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.abc
 import importlib.machinery
 import json
+import os
 import sys
 import types
 from pathlib import Path
@@ -94,6 +95,15 @@ def episode_of(episode: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def tried(folder: str, snippet: str) -> dict[str, Any]:
+    """The same from where habitat-lab is started, or the name of the error that it stops with."""
+    os.chdir(folder)
+    try:
+        return read(snippet)
+    except Exception as error:
+        return {"error": type(error).__name__}
+
+
 if __name__ == "__main__":
     sys.meta_path.insert(0, _Finder())
-    json.dump([read(snippet) for snippet in json.loads(sys.argv[1])], sys.stdout, default=list)
+    json.dump([tried(**one) for one in json.loads(sys.argv[1])], sys.stdout, default=list)

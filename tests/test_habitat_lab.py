@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import os
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from tasks.exports.config import HabitatConfig
 from tasks.exports.navmesh_file import read_navmesh
 from tests.conftest import REPOSITORY
 from tests.habitat_datasets import office, other_room, write_dataset
+from tests.habitat_episode_damage import EPISODE_DAMAGES
 
 TASKS = {"objectnav": ("ObjectNav-v1", "objectnav/objectnav_hssd-hab"), "pointnav": ("PointNav-v1", "pointnav/pointnav_habitat_test")}
 SPLITS = ("train", "test")
@@ -55,16 +57,29 @@ def content(place: Path, task: str, split: str) -> list[dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def loaded(place: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    """What habitat-lab says of every task and split."""
-    python = os.environ.get("METASCENES_HABITAT_LAB_PYTHON", "")
-    if not python:
+def python() -> str:
+    path = os.environ.get("METASCENES_HABITAT_LAB_PYTHON", "")
+    if not path:
         pytest.skip("METASCENES_HABITAT_LAB_PYTHON names no interpreter with requirements/habitat_lab.lock installed")
-    asked = [(task, split) for task in TASKS for split in SPLITS]
-    command = [python, str(REPOSITORY / "tests" / "habitat_lab_reader.py"), json.dumps([snippet(place, *one) for one in asked])]
-    done = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=300)
+    return path
+
+
+def asked(python: str, questions: list[tuple[Path, str]]) -> list[dict[str, Any]]:
+    """What habitat-lab makes of each README's lines, run in a folder."""
+    said = json.dumps([{"folder": str(place), "snippet": lines} for place, lines in questions])
+    command = [python, str(REPOSITORY / "tests" / "habitat_lab_reader.py"), said]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-4000:]
-    return dict(zip(asked, json.loads(done.stdout), strict=True))
+    return list(json.loads(done.stdout))
+
+
+@pytest.fixture(scope="module")
+def loaded(python: str, place: Path) -> dict[tuple[str, str], dict[str, Any]]:
+    """What habitat-lab says of every task and split."""
+    keys = [(task, split) for task in TASKS for split in SPLITS]
+    found = asked(python, [(place, snippet(place, *key)) for key in keys])
+    assert not [one["error"] for one in found if "error" in one]
+    return dict(zip(keys, found, strict=True))
 
 
 @pytest.mark.slow
@@ -124,3 +139,43 @@ def test_the_documented_agent_keeps_every_navmesh(loaded: dict[Any, Any], place:
     stated = json.loads((folder(place) / "metadata" / "agent.json").read_text())
     assert asked["motion"] == [stated["forward_step_size"], stated["turn_angle"]]
     assert asked["success_distance"] == stated["success_distance"]
+
+
+REFUSED = {
+    "unknown key in an episode": ("pointnav", "TypeError"),
+    "episode without goals": ("pointnav", "ValueError"),
+    "bare actions": ("pointnav", "TypeError"),
+    "episode without a start": ("objectnav", "ValueError"),
+    "unknown key in a goal": ("objectnav", "TypeError"),
+    "goal without object": ("objectnav", "ValueError"),
+    "no goals of the category": ("objectnav", "KeyError"),
+    "no view points": ("objectnav", "TypeError"),
+    "view point without iou": ("objectnav", "TypeError"),
+    "no category maps": ("objectnav", "AttributeError"),
+    "category maps of different keys": ("objectnav", "AssertionError"),
+}
+"""Kinds of damage that habitat-lab itself stops at, and how. All others it loads without a word."""
+
+SILENT = (
+    "start rotation of length 2",
+    "start outside",
+    "start upstairs",
+    "numeric episode id",
+    "shorter than straight",
+    "no stop",
+    "longer steps",
+)
+
+
+@pytest.mark.slow
+def test_habitat_lab_stops_where_the_check_says_and_is_silent_elsewhere(python: str, place: Path, tmp_path: Path) -> None:
+    """The first scene, which damage is done to, is in the split `train`."""
+    questions = []
+    for name in (*REFUSED, *SILENT):
+        damaged = tmp_path / name.replace(" ", "_")
+        shutil.copytree(place, damaged)
+        EPISODE_DAMAGES[name].do(folder(damaged))
+        task = REFUSED[name][0] if name in REFUSED else "pointnav"
+        questions.append((damaged, snippet(damaged, task, "train")))
+    found = dict(zip((*REFUSED, *SILENT), (one.get("error") for one in asked(python, questions)), strict=True))
+    assert found == {name: error for name, (_, error) in REFUSED.items()} | dict.fromkeys(SILENT)
