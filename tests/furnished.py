@@ -17,6 +17,8 @@ from schemas.navigation import Episode, Navmesh, UnreachableTarget
 from schemas.optimization import Certificate, Contact, Optimization, OptimizationStep, Placement, Support
 from schemas.selection import Selection
 from tasks.meshes import dump_glb
+from tasks.navigation.convex import convex_cover
+from tasks.navigation.navmesh import Settings, dump_navmesh, navmesh_from_polygons
 from tasks.replica import placed_parts, room_shell
 from tasks.transforms import flat, translation, yaw_pose
 from tests.samples import fingerprint, sample, stage_run
@@ -39,6 +41,13 @@ def solid(index: int) -> trimesh.Trimesh:
     color = np.random.default_rng(index).integers(60, 220, 3)
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile([*color, 255], (len(mesh.vertices), 1)).astype(np.uint8))
     return mesh
+
+
+def floor_navmesh() -> bytes:
+    """A .navmesh of a floor of 3 by 2 m."""
+    import shapely
+
+    return dump_navmesh(navmesh_from_polygons(convex_cover(shapely.box(-1.5, -1.0, 1.5, 1.0)), Settings()))
 
 
 def furnished_lake(folder: Path, scenes: int = 2, objects: int = 6) -> Lake:
@@ -102,7 +111,7 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
         "navigation": {
             "navmeshes": [
                 sample(
-                    Navmesh, scene_id=scene_id, agent="stretch", navmesh_blob=lake.blobs.put(b"n", "navmesh"), area_m2=6.0,
+                    Navmesh, scene_id=scene_id, agent="stretch", navmesh_blob=lake.blobs.put(floor_navmesh(), "navmesh"), area_m2=6.0,
                     largest_island_m2=6.0,
                 )
             ],
@@ -116,7 +125,7 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
                 for kind in FORMATS
             ],
             "export_checks": [
-                sample(ExportCheck, scene_id=scene_id, format="usd", rule="units", passed=True),
+                *(sample(ExportCheck, scene_id=scene_id, format=kind, rule="units", passed=True) for kind in FORMATS if kind != "habitat"),
                 sample(ExportCheck, scene_id=scene_id, format="habitat", rule="up_axis", passed=number > 0, message="up is <missing>"),
             ],
         },

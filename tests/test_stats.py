@@ -479,7 +479,7 @@ def test_the_report_is_one_file_that_refers_to_nothing_outside(report: Path) -> 
     page = Page(html)
     assert len(page.ids) == len(set(page.ids))
     assert all(link.startswith("#") and link[1:] in page.ids for link in page.links)
-    assert len(page.images) == CHARTS + 2 * 7
+    assert len(page.images) == CHARTS + 2 * 8  # of each scene six pictures, loss curve, floor plan
     assert all(str(image["src"]).startswith("data:image/") and image["alt"] for image in page.images)
     assert not {"link", "iframe", "object", "embed"} & set(page.tags)
     assert not re.search(r"(?:src|href)=\"(?!data:|#)|@import|url\((?!data:)", re.sub(r"data:[^\"]*", "data:", html))
@@ -502,7 +502,7 @@ def test_the_report_says_what_the_views_say(report: Path, lake: Lake) -> None:
     assert "free objects stable at 5 cm; 2 fixed" in page.text
     assert "0003 book, 50.0 cm" in page.text
     assert "<nothing> carries it" in page.text
-    assert "3 of 4" in page.text  # exports
+    assert "9 of 10" in page.text  # exports
     assert "determinant is 0; remove the line to have it estimated" in page.text
     assert "no view; shape by category" in page.text
     assert "up is <missing>" in page.text
