@@ -138,7 +138,7 @@ def test_everything_is_there_without_a_network_and_can_be_read(
 ) -> None:
     page, wrong = opened(viewport=viewport, color_scheme=scheme)
     images = page.evaluate("[...document.images].map(image => [image.complete, image.naturalWidth, image.getBoundingClientRect().width])")
-    assert len(images) == CHARTS + 2 * 7
+    assert len(images) == CHARTS + 2 * 8
     assert all(complete and natural > 0 and shown > 0 for complete, natural, shown in images)
     page.evaluate("document.querySelectorAll('details').forEach(details => { details.open = true })")
     assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
