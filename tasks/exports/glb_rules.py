@@ -60,8 +60,8 @@ def check_glb(path: Path) -> list[Finding]:
     if not findings:
         for check in (_references, _buffers, _geometry, _images, _tree, _poses, _labels):
             findings += check(path.name, document, binary)
-            if check is _references and findings:
-                break  # what follows goes along references
+            if check in (_references, _buffers) and findings:
+                break  # what follows goes along references, into buffers
     return sorted(set(findings))
 
 
@@ -90,6 +90,9 @@ def _shape(file: str, document: Document) -> Iterator[Finding]:
             for key in keys:
                 if not _is_index(value.get(key, 0)) or (key in ("byteLength", "count", "componentType") and key not in value):
                     yield Finding("shape", f"{file} {kind} {i}", f"{key} is {value.get(key)!r}, no number of bytes or things")
+    for i, accessor in enumerate(_listed(document, "accessors")):
+        if not isinstance(accessor.get("type"), str):
+            yield Finding("shape", f"{file} accessors {i}", f"type is {accessor.get('type')!r}, no text")
     for i, node in enumerate(_listed(document, "nodes")):
         for key, count in (("translation", 3), ("rotation", 4), ("scale", 3), ("matrix", 16)):
             if key in node and not _are_numbers(node[key], count):
