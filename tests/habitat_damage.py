@@ -177,8 +177,8 @@ DATASET_DAMAGES: dict[str, Damage] = {
         in_scene(lambda s: s.update(semantic_scene_instance="nothing")),
     ),
     "names within names": Damage("handle_contained", "metascenes.scene_dataset_config.json", "objects", rename),
-    "missing object geometry": Damage("files_exist", "objects/*.object_config.json", "render_asset", remove("objects/*_0001.glb")),
-    "missing collider": Damage("files_exist", "objects/*.object_config.json", "collision_asset", remove("objects/*_0001.collider.glb")),
+    "missing object geometry": Damage("files_exist", "objects/*.object_config.json", "render_asset", remove("objects/*[0-9a-f].glb")),
+    "missing collider": Damage("files_exist", "objects/*.object_config.json", "collision_asset", remove("objects/*.collider.glb")),
     "missing stage geometry": Damage("files_exist", "stages/*.stage_config.json", "render_asset", remove("stages/*.glb")),
     "missing navmesh": Damage("files_exist", "metascenes.scene_dataset_config.json", "navmesh_instances", remove("navmeshes/*.navmesh")),
     "missing lexicon": Damage(
@@ -223,7 +223,7 @@ DATASET_DAMAGES: dict[str, Damage] = {
     "objects as a mapping": Damage(
         "shape", "scenes/*.scene_instance.json", "object_instances", in_scene(lambda s: s.update(object_instances={}))
     ),
-    "cut geometry": Damage("geometry", "objects/*.glb", "", cut("objects/*_0001.glb", 0.6)),
+    "cut geometry": Damage("geometry", "objects/*.glb", "", cut("objects/*[0-9a-f].glb", 0.6)),
     "geometry with NaN": Damage("geometry", "stages/*.glb", "", poison_glb),
     "no up axis": Damage("upright", "stages/*.stage_config.json", "up", in_stage(lambda s: s.pop("up"))),
     "no front axis": Damage("upright", "objects/*.object_config.json", "front", in_object(lambda o: o.pop("front"))),

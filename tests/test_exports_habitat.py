@@ -22,7 +22,9 @@ from tasks.exports.habitat import ACTIONS
 from tasks.exports.habitat_rules import check_habitat
 from tasks.navigation.navmesh import read_navmesh
 from tasks.replica import placed_parts, room_shell
+from tasks.transforms import yaw_pose
 from tests.habitat_datasets import FIRST, Rows, office, other_room, scene_file, write_dataset
+from tests.replicas import cube, rows_of
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +108,19 @@ def test_every_asset_is_attributed_once(scene: tuple[Rows, dict[str, bytes]], da
         line = lines[asset.asset_id]
         assert (line["provider"], line["source"], line["license"]) == (asset.provider, asset.source, asset.license)
         assert FIRST in line["scenes"].split()
+
+
+def test_scenes_that_show_one_asset_share_its_files(tmp_path: Path) -> None:
+    sizes = [(0.3, 0.3, 0.3), (0.2, 0.4, 0.3)]
+    poses = [yaw_pose(0.3, [0.5, -0.5, 0.0]), yaw_pose(1.0, [-1.5, 1.0, 0.0])]
+    names = [f"demo/room_{number:02d}" for number in range(4)]
+    scenes = [rows_of([cube(size, pose) for size, pose in zip(sizes, poses, strict=True)], name) for name in names]
+    root = write_dataset(tmp_path, [({**rows, "navmeshes": [], "episodes": []}, dict(blobs)) for rows, blobs in scenes])
+    assert len(list((root / "objects").glob("*.object_config.json"))) == 8
+    files = sorted((root / "objects").glob("*.glb"))
+    assert len(files) == 2 * len(sizes), "one to see and one to collide with, each"
+    assert len({path.read_bytes() for path in files}) == len(files)
+    assert not [finding for finding in check_habitat(root) if finding.is_error and finding.rule != "navmesh_settings"]
 
 
 def episodes_of(root: Path, task: str) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:

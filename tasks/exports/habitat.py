@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import gzip
+import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh
-from tasks.exports.bodies import Body, Replica, digest, stem
+from tasks.exports.bodies import Body, Replica, digest, identifier, stem
 from tasks.exports.config import ExportsConfig, HabitatConfig
 from tasks.exports.glb import scaled_glb
 from tasks.meshes import dump_glb
@@ -104,25 +105,32 @@ def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[H
 
 
 def _object_files(replica: Replica, config: ExportsConfig) -> list[HabitatFile]:
-    """A template per object. Objects of one shape share the geometry of the first of them."""
+    """A template per object. Geometry is named by what it holds, so that a dataset has it once, however many scenes show it."""
     handles = object_handles(replica)
-    first: dict[str, str] = {}
-    files = []
+    geometry: dict[str, tuple[str, str]] = {}
+    files: dict[str, HabitatFile] = {}
     for body in replica.bodies:
-        handle = handles[body.instance_id]
-        geometry = first.setdefault(body.shape.name, handle)
-        if geometry == handle:
+        if body.shape.name not in geometry:
             seen = scaled_glb(body.shape.glb, body.shape.scale, f"{body.shape.name}.glb")
-            files.append(HabitatFile(f"objects/{handle}.glb", seen, "object"))
-            files.append(HabitatFile(f"objects/{handle}.collider.glb", _collider(body.shape.hulls), "collision"))
+            kind, hulls = identifier(body.shape.asset.category), _collider(body.shape.hulls)
+            names = f"{kind}_{_mark(seen)}.glb", f"{kind}_{_mark(hulls)}.collider.glb"
+            geometry[body.shape.name] = names
+            files |= {names[0]: HabitatFile(f"objects/{names[0]}", seen, "object")}
+            files |= {names[1]: HabitatFile(f"objects/{names[1]}", hulls, "collision")}
+        handle, (render, collision) = handles[body.instance_id], geometry[body.shape.name]
         settings = {
-            "render_asset": f"{geometry}.glb", "collision_asset": f"{geometry}.collider.glb", **UPRIGHT, "scale": [1, 1, 1],
+            "render_asset": render, "collision_asset": collision, **UPRIGHT, "scale": [1, 1, 1],
             "units_to_meters": 1, **_mass_properties(body), "friction_coefficient": body.friction,
             "restitution_coefficient": body.restitution, "is_collidable": True, "use_bounding_box_for_collision": False,
             "join_collision_meshes": False, "semantic_id": body.nyu40_id,
         }  # fmt: skip
-        files.append(HabitatFile(f"objects/{handle}.object_config.json", dump_json(settings), "object"))
-    return files
+        files[handle] = HabitatFile(f"objects/{handle}.object_config.json", dump_json(settings), "object")
+    return list(files.values())
+
+
+def _mark(data: bytes) -> str:
+    """Short hash of a file's contents."""
+    return hashlib.sha256(data).hexdigest()[:16]
 
 
 def _mass_properties(body: Body) -> dict[str, Any]:

@@ -187,6 +187,7 @@ def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
         "  `info.geodesic_distance` is the way to that one view point; habitat-lab measures the nearest goal itself.",
         "- `iou` of a view point is the share of a level camera's image that the object's box covers, occlusion aside.",
         "- Semantic ids are NYU40 classes (`semantics/`). Pixels of floor and walls are 0.",
+        "- Geometry in `objects/` is named by its content and stored once, however many objects and scenes show it.",
         "- Objects are static, as the navmesh needs. Masses and convex colliders are there for those who set `motion_type` to DYNAMIC.",
         "- Where an object or a scene comes from is under `user_defined` in `scenes/`; source, author and license of every asset",
         "  are in `metadata/attribution.csv`, which belongs to any copy of the dataset.",

@@ -63,9 +63,10 @@ def check_habitat(root: Path) -> list[Finding]:
     if not library.config:
         return sorted(set(findings))
     findings += _names(library)
+    seen: dict[Path, list[Finding]] = {}
     for kind in ("stages", "objects"):
         for template in library.sections[kind].values():
-            findings += _asset(library, template, kind)
+            findings += _asset(library, template, kind, seen)
     agent = _agent(root, findings)
     navmeshes = _navmeshes(library, agent, findings)
     lexicons = _lexicons(library, findings)
@@ -96,15 +97,15 @@ def _names(library: Library) -> Iterator[Finding]:
                 yield Finding("handle_contained", library.config, said, library.is_ours)
 
 
-def _asset(library: Library, template: Template, kind: str) -> Iterator[Finding]:
-    """A stage's or an object's own settings and files."""
+def _asset(library: Library, template: Template, kind: str, seen: dict[Path, list[Finding]]) -> Iterator[Finding]:
+    """A stage's or an object's own settings and files. `seen`: what was found in GLBs before, as many templates share one."""
     values, ours = template.values, library.is_ours
     where = f"{template.file} {template.handle}" if template.file == library.config else template.file
     if not values.get("render_asset"):
         yield Finding("files_exist", where, "render_asset is not named")
     for key in ("render_asset", "collision_asset", "semantic_asset", "nav_asset"):
         if values.get(key) and not (key == "collision_asset" and _PRIMITIVE.fullmatch(Path(str(values[key])).name)):
-            yield from _glb(library.root, template.folder / str(values[key]), where, key)
+            yield from _glb(library.root, template.folder / str(values[key]), where, key, seen)
     up, front = (_vector(values.get(key), 3) for key in ("up", "front"))
     if up is None or front is None:
         said = "a stage without them is taken to be +Z up" if kind == "stages" else "an object without them is taken to be +Y up"
@@ -133,7 +134,7 @@ def _asset(library: Library, template: Template, kind: str) -> Iterator[Finding]
         yield Finding("collider", where, "use_bounding_box_for_collision puts a box in the place of the pieces", ours)
 
 
-def _glb(root: Path, path: Path, where: str, key: str) -> Iterator[Finding]:
+def _glb(root: Path, path: Path, where: str, key: str, seen: dict[Path, list[Finding]]) -> Iterator[Finding]:
     """A GLB that a config names."""
     from tasks.meshes import load_glb
 
@@ -145,10 +146,13 @@ def _glb(root: Path, path: Path, where: str, key: str) -> Iterator[Finding]:
     if not path.is_file():
         yield Finding("files_exist", where, f"{key} {name} does not exist; another object with a similar name would be shown")
         return
-    try:
-        load_glb(path.read_bytes(), name)
-    except InputError as error:
-        yield Finding("geometry", name, str(error).removeprefix(f"{name}: "))
+    if path not in seen:
+        try:
+            load_glb(path.read_bytes(), name)
+            seen[path] = []
+        except InputError as error:
+            seen[path] = [Finding("geometry", name, str(error).removeprefix(f"{name}: "))]
+    yield from seen[path]
 
 
 def _vector(value: Any, count: int) -> NDArray[np.float64] | None:
@@ -286,8 +290,9 @@ def _provenance(library: Library) -> Iterator[Finding]:
     if not library.is_ours:
         return
     listed = _attributions(library.root / "metadata" / "attribution.csv")
-    if not listed:
-        yield Finding("provenance", library.config, "metadata/attribution.csv does not exist or lists no asset")
+    if listed is None:
+        yield Finding("provenance", library.config, "metadata/attribution.csv does not exist or cannot be read")
+        return
     for scene in library.sections["scene_instances"].values():
         for index, item in enumerate(scene.values.get("object_instances", [])):
             said = item.get("user_defined") or {}
@@ -296,20 +301,20 @@ def _provenance(library: Library) -> Iterator[Finding]:
                     yield Finding("provenance", scene.file, f"object_instances[{index}]: user_defined has no {key}")
             line = listed.get(str(said.get("asset_id")), {})
             agrees = all(line.get(key) == said.get(key) for key in ("source", "author", "license"))
-            if listed and not (agrees and scene.handle in (line.get("scenes") or "").split()):
+            if not (agrees and scene.handle in (line.get("scenes") or "").split()):
                 message = (
                     f"object_instances[{index}]: asset_id is not in metadata/attribution.csv with this source, author, license and scene"
                 )
                 yield Finding("provenance", scene.file, message)
 
 
-def _attributions(path: Path) -> dict[str, dict[str, str]]:
-    """Lines of the list of assets by asset, none when it cannot be read."""
+def _attributions(path: Path) -> dict[str, dict[str, str]] | None:
+    """Lines of the list of assets by asset, None when it cannot be read."""
     try:
         with path.open(newline="", errors="replace") as file:
             return {str(line.get("asset_id")): line for line in csv.DictReader(file)}
     except (OSError, csv.Error):
-        return {}
+        return None
 
 
 def _placed(item: Mapping[str, Any], where: str, place: str) -> Iterator[Finding]:
