@@ -655,6 +655,8 @@ def test_navigability_splits_and_capture(database: Database, rows: list[Any]) ->
             largest_island_share=mesh.largest_island_m2 / mesh.area_m2 if mesh.area_m2 else None,
             unreachable_targets=sum(u.scene_id == mesh.scene_id for u in of(rows, UnreachableTarget)),
         )  # fmt: skip
+    reasons = [(r["scene_id"], r["instance_id"], r["reason"]) for r in database.ask("unreachable_objects")]
+    assert reasons == sorted((u.scene_id, u.instance_id, u.reason) for u in of(rows, UnreachableTarget))
     for row in database.ask("episode_splits"):
         inside = [e for e in of(rows, Episode) if e.split == row["split"]]
         same(

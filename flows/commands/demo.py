@@ -27,10 +27,12 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     from flows.commands.run import carry_out, summary, tell
     from flows.configuration import configure
     from flows.demo import make_scans
+    from flows.evaluation import run_policy
     from flows.export import write_exports
     from flows.plan import make_plan
     from flows.stats import stage_table, write_report
     from tasks.capture.formats import find_scans
+    from tasks.evaluation.policies import POLICIES
     from warehouse.lake import Lake
 
     clock = time.perf_counter()
@@ -38,17 +40,23 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     scanned = time.perf_counter() - clock
     lake = Lake.open(str(out / "lake"))
     found, unusable = find_scans(out / "scans", "auto", "demo")
-    plan = make_plan(lake, found, unusable, configure(seed=seed))
+    configuration = configure(seed=seed)
+    plan = make_plan(lake, found, unusable, configuration)
     report = carry_out(
         plan, lake, threads=workers, scans=str(out / "scans"), lake=str(out / "lake"), dataset="demo", workers=workers, seed=seed
     )
     replicated = time.perf_counter() - clock - scanned
+    policies = POLICIES if lake.snapshot().arrow("episodes").num_rows else ()
+    unmeasured = [line for policy in policies for line in run_policy(lake, policy, configuration).failed]
     written = write_exports(lake, out)
     page = write_report(lake, out / "report.html")
     places = {
         "raw scans": out / "scans",
         "USD scenes": out / "usd",
         "Habitat dataset": out / "habitat",
+        "MuJoCo scenes": out / "mjcf",
+        "URDF objects": out / "urdf",
+        "GLB scenes": out / "glb",
         "report": page,
         "lake": out / "lake",
     }
@@ -67,5 +75,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
             print(f"{'open in usdview':<16} {scene}")
         print(f'{"ask the lake":<16} metascenes sql --lake {out / "lake"} "SELECT * FROM objects_per_scene"')
     tell(report)
-    if report.failures or written.failed_checks:
+    for line in unmeasured:
+        click.echo(f"failed: {line}", err=True)
+    if report.failures or written.failed_checks or unmeasured:
         raise click.exceptions.Exit(1)

@@ -272,6 +272,45 @@ _REPORT_COLUMNS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] =
             ("allowed_to_kg_m3", "Allowed to", as_number),
         ),
     ),
+    "navigability": (
+        "Navigable floor",
+        (
+            ("scene_id", "Scene", as_text),
+            ("agent", "Agent", as_text),
+            ("area_m2", "Free for its center [m\u00b2]", as_number),
+            ("navigable_share", "Of the floor", as_percent),
+            ("island_count", "Islands", as_count),
+            ("largest_island_share", "Largest island", as_percent),
+            ("episodes", "Episodes", as_count),
+            ("targets", "Targets", as_count),
+            ("unreachable_targets", "Unreachable", as_count),
+        ),
+    ),
+    "navigation_metrics": (
+        "How well policies navigate",
+        (
+            ("policy", "Policy", as_text),
+            ("run_name", "Run", as_text),
+            ("split", "Split", as_text),
+            ("n", "Trajectories", as_count),
+            ("sr", "SR", as_share),
+            ("sr_low", "from", as_share),
+            ("sr_high", "to", as_share),
+            ("spl", "SPL", as_number),
+            ("sel", "SEL", as_number),
+            ("el", "EL", as_number),
+            ("curvature_turning_angle", "Curvature [rad/m]", as_number),
+        ),
+    ),
+    "unreachable_objects": (
+        "Objects that no agent gets to",
+        (
+            ("scene_id", "Scene", as_text),
+            ("instance_id", "Instance", as_text),
+            ("category", "Category", as_text),
+            ("reason", "Why", as_text),
+        ),
+    ),
     "export_verdicts": (
         "Exports",
         (
