@@ -21,15 +21,19 @@ def command() -> None:
 
 @command.command("usd")
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--omniverse", is_flag=True, help="Ask NVIDIA's omniverse-asset-validator too, where it is installed.")
 @json_option
-def usd(file: Path, as_json: bool) -> None:
-    """Check anybody's USD file: UsdValidation's rules and those for scenes with physics.
+def usd(file: Path, omniverse: bool, as_json: bool) -> None:
+    """Check anybody's USD file or .usdz: UsdValidation's rules and those for scenes with physics.
 
-    Example: metascenes doctor usd scene.usda
+    Things with a variant set `physics` are checked in each of its variants.
+
+    Example: metascenes doctor usd scene.usda --omniverse
     """
+    from tasks.exports.usd_omniverse import check_omniverse
     from tasks.exports.usd_rules import check_usd
 
-    findings = check_usd(file)
+    findings = check_usd(file) + (check_omniverse(file) if omniverse else [])
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 
