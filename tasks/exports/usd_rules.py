@@ -115,6 +115,7 @@ def _variants(stage: Any) -> Iterator[tuple[str, Any]]:
 def _line(text: str, path: Path) -> str:
     """A message of USD's in one line, with files named from the scene's folder, so it is the same wherever that lies."""
     plain = text.replace(f"{path.parent.resolve()}/", "").replace(f"{path.parent}/", "")
+    plain = re.sub(r"anon:0x[0-9a-f]+(:[^@>\s]*)?", "anonymous", plain)  # an address in memory is another one every time
     return re.sub(r"Error in '\S+' at line \d+ in file \S+ : ", "", " ".join(plain.split()))[:300]
 
 
