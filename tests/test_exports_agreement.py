@@ -242,6 +242,12 @@ def test_textured_things_are_the_same_in_every_format(realdata: Callable[[str], 
     compare(things, tmp_path)
 
 
+@pytest.mark.parametrize("yaw", [1e-6, 1e-4, 2e-3, -2e-3, np.pi - 1e-4])
+def test_small_turns_are_the_same_in_every_format(yaw: float, tmp_path: Path) -> None:
+    """Where an angle is taken from the cosine of its half, single precision loses it."""
+    compare([thing("chair", yaw_pose(yaw, [0.3, -0.2, 0.0]), 4), cube((1.5, 0.4, 0.7), yaw_pose(-3 * yaw))], tmp_path)
+
+
 _NUMBER = st.floats(-1.0, 1.0, allow_nan=False)
 _SIZE = st.floats(0.02, 2.0)
 
