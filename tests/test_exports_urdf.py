@@ -20,6 +20,7 @@ from tasks.exports import write_folder
 from tasks.exports.bodies import Replica
 from tasks.exports.urdf import urdf_files
 from tasks.exports.urdf_rules import RULES, check_urdf
+from tasks.exports.wavefront import dump_obj, load_obj
 from tasks.meshes import canonical, load_glb
 from tasks.replica import room_shell
 from tests.replicas import Thing, furnished, rows_of
@@ -114,6 +115,32 @@ def test_images_are_kept_byte_for_byte(realdata: Callable[[str], Path], tmp_path
     assert {path.read_bytes() for path in (place / "meshes").iterdir() if path.suffix in (".jpg", ".png")} == images
     mesh: Any = trimesh.load_mesh(place / "meshes" / next((place / "meshes").glob("shoe*part_00.obj")).name)
     assert mesh.visual.material.image is not None, "another reader finds the image through the MTL file"
+
+
+_PLACE = st.tuples(*[st.floats(-5.0, 5.0)] * 3)
+
+
+@settings(max_examples=100, deadline=None)
+@given(points=st.lists(_PLACE, min_size=3, max_size=12), seed=st.integers(0, 99), textured=st.booleans())
+def test_meshes_come_back_as_another_reader_has_them(
+    points: list[tuple[float, ...]], seed: int, textured: bool, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    rng = np.random.default_rng(seed)
+    faces = np.array([rng.choice(len(points), 3, replace=False) for _ in range(5)])
+    data = dump_obj(points, faces, rng.random((len(points), 2)) if textured else None)
+    found = load_obj(data)
+    assert found is not None
+    np.testing.assert_allclose(found[0], points, atol=5.1e-10)
+    np.testing.assert_array_equal(found[1], faces)
+    file = tmp_path_factory.mktemp("obj") / "mesh.obj"
+    file.write_bytes(data)
+    other: Any = trimesh.load_mesh(file, process=False)
+    np.testing.assert_array_equal(found[0][found[1]], other.vertices[other.faces])
+
+
+@pytest.mark.parametrize("line", ["f 1 2 3 4", "f 1 2 -1", "v 1 2", "v 1 2 x", "vn 0 0 1", "l 1 2"])
+def test_what_others_write_besides_is_left_to_a_reader_for_all(line: str) -> None:
+    assert load_obj(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" + line.encode()) is None
 
 
 # ---- damage

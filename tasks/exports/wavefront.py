@@ -65,6 +65,26 @@ def dump_obj(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike | None = None,
     return ("\n".join(lines) + "\n").encode()
 
 
+def load_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+    """Positions [m], shape (n, 3), and triangles, shape (m, 3), of an OBJ file as `dump_obj` writes it; None for any other."""
+    vertices, faces = [], []
+    for line in data.splitlines():
+        kind, *words = line.split() or [b"#"]
+        if kind in (b"v", b"f") and len(words) != 3:
+            return None
+        if kind == b"v":
+            vertices.append(words)
+        elif kind == b"f":
+            faces.append([word.partition(b"/")[0] for word in words])
+        elif kind not in (b"vt", b"mtllib", b"usemtl", b"#"):
+            return None
+    try:
+        found = np.array(vertices).astype(np.float64).reshape(-1, 3), np.array(faces).astype(np.int64).reshape(-1, 3) - 1
+    except ValueError:
+        return None
+    return found if len(found[1]) and found[1].min() >= 0 else None
+
+
 def dump_mtl(color: Sequence[float], image: str | None = None) -> bytes:
     """An MTL file with the material `look`: color in 0..1, shape (3,), and an image beside it."""
     r, g, b = (round(float(value), 6) for value in color)
