@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import os
 import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from hypothesis import strategies as st
 from tasks import exports
 from tasks.exports.usd import write_usd
 from tasks.exports.usd_deformables import deformable_of
+from tasks.exports.usd_package import package
 from tasks.exports.usd_rules import check_usd
 from tasks.furniture import generate
 from tasks.mass import mass_properties
@@ -213,6 +216,24 @@ def test_the_deformable_variant_is_sound_and_states_both_families(selected: Path
         assert density * volume == pytest.approx(mass, rel=1e-4)
 
 
+def test_an_instance_can_be_deformable_too(tmp_path: Path) -> None:
+    from pxr import UsdPhysics
+
+    config = exports.ExportsConfig(usd=exports.UsdConfig(instanceable=True))
+    path = write_usd(tmp_path, replica_of(*with_bedding(rows_of(bedding())), config), config)
+    assert check_usd(path) == []
+    stage = open_stage(path)
+    pillow = stage.GetPrimAtPath("/World/Objects/pillow_0008")
+    assert pillow.IsInstance()
+    assert pillow.HasAPI(UsdPhysics.RigidBodyAPI)
+    pillow.GetVariantSets().SetSelection("physics", "deformable")
+    assert pillow.IsInstance()
+    assert not pillow.HasAPI(UsdPhysics.RigidBodyAPI)
+    assert stage.GetPrimAtPath("/World/Objects/pillow_0008/Simulation").GetTypeName() == "TetMesh"
+    stage.GetRootLayer().Save()
+    assert check_usd(path) == []
+
+
 @pytest.mark.slow
 def test_newton_lets_them_come_to_rest_on_a_table(selected: Path, tmp_path: Path) -> None:
     python = os.environ.get("METASCENES_NEWTON_PYTHON", "")
@@ -231,3 +252,28 @@ def test_newton_lets_them_come_to_rest_on_a_table(selected: Path, tmp_path: Path
         assert np.abs(states[-1, 6:] - states[-4, 6:]).max() < 1e-3, "at rest"
         assert speeds[-1] < 0.05
         assert np.abs(states[-1] - states[0]).max() < 0.03, "where it lay, in the shape that it had"
+
+
+_AGAIN = """
+import sys
+from pathlib import Path
+from tests.test_exports_usd_deformables import written
+print("\\n".join(f"{name} {digest}" for name, digest in sorted(written(Path(sys.argv[1])).items())))
+"""
+
+
+def written(folder: Path) -> dict[str, str]:
+    """Digest of every file of a scene with bedding, by path, and of the package of them."""
+    path = write_usd(folder, replica_of(*with_bedding(rows_of(bedding()))), exports.ExportsConfig())
+    files = {file.relative_to(path.parent).as_posix(): file.read_bytes() for file in path.parent.rglob("*") if file.is_file()}
+    files["scene.usdz"] = package(files, "scene.usda")
+    return {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+
+
+def test_another_process_makes_the_same_bytes(tmp_path: Path) -> None:
+    env = {"PYTHONHASHSEED": "7", "PXR_WORK_THREAD_LIMIT": "3", "PATH": "", "PYTHONPATH": str(REPOSITORY), "HOME": "/nonexistent"}
+    command = [sys.executable, "-c", _AGAIN, str(tmp_path / "there")]
+    again = subprocess.run(command, cwd=REPOSITORY, env=env, capture_output=True, text=True, check=True)
+    here = written(tmp_path / "here")
+    assert dict(line.split() for line in again.stdout.splitlines()) == here
+    assert sum(name.endswith("_simulation.usdc") for name in here) == 2

@@ -29,10 +29,12 @@ def deformables(stage: Any, path: Path) -> Iterator[Finding]:
 
 def _body(prim: Any) -> Iterator[Finding]:
     """A deformable body itself."""
+    from pxr import Usd
+
     rigid = [one for one in subtree(prim) if is_body(one)]
     if rigid:
         yield Finding("deformable_body", _path(prim), f"is deformed, but {rigid[0].GetPath()} is a rigid body")
-    meshes = [one for one in (prim, *prim.GetChildren()) if simulation_kind(one) is not None]
+    meshes = [one for one in (prim, *prim.GetFilteredChildren(Usd.TraverseInstanceProxies())) if simulation_kind(one) is not None]
     if len(meshes) != 1:
         yield Finding("deformable", _path(prim), f"{len(meshes)} simulation meshes, on it and right below it, not one")
     for family in ("physics", "omniphysics"):
