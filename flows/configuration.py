@@ -28,7 +28,7 @@ def configure(
 
     Raises:
         InputError: names a stage or field that does not exist, or a value of the wrong type; or exports would take
-            other convex pieces than certificates.
+            other convex pieces or another MuJoCo than certificates.
     """
     told: dict[str, Any] = {}
     origin = "defaults"
@@ -60,6 +60,9 @@ def configure(
     if configs["exports"].pieces != configs["optimization"].pieces:
         problem = "differ from optimization.pieces: what is exported would not be what is certified"
         raise InputError(origin if told else "--set", "exports.pieces", problem, "set both alike")
+    if configs["exports"].mjcf.engine != configs["optimization"].certificate.mujoco:
+        problem = "differs from optimization.certificate.mujoco: what is exported would not fall as it is certified"
+        raise InputError(origin if told else "--set", "exports.mjcf.engine", problem, "set both alike")
     return Configuration(configs, library, seed)
 
 

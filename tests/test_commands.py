@@ -224,13 +224,20 @@ def test_doctor_finds_an_export_sound_and_a_damaged_one_not(ask: Ask, lake: Path
     told = json.loads(said.stdout)
     assert told["findings"] == []
     scene = told["usd_scenes"][0]
-    for words in (("usd", scene), ("habitat", tmp_path / "habitat")):
+    model = next((tmp_path / "mjcf").glob("*/scene.xml"))
+    robots = next((tmp_path / "urdf").glob("*/poses.json")).parent
+    binary = next((tmp_path / "glb").glob("*.glb"))
+    asked = (("usd", scene), ("habitat", tmp_path / "habitat"), ("mjcf", model), ("urdf", robots), ("glb", binary))
+    for words in asked:
         done = ask("doctor", *words)
         assert done.returncode == 0, done.stdout
         assert "0 errors" in done.stdout
     shutil.rmtree(Path(scene).parent / "room")
     next((tmp_path / "habitat").rglob("*.navmesh")).unlink()
-    for words in (("usd", scene), ("habitat", tmp_path / "habitat")):
+    next(model.parent.rglob("*.obj")).unlink()
+    next(robots.rglob("*.obj")).unlink()
+    binary.write_bytes(binary.read_bytes()[:1000])
+    for words in asked:
         done = ask("doctor", *words, "--json")
         assert done.returncode == 1, done.stdout + done.stderr
         assert json.loads(done.stdout)["errors"]

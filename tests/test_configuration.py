@@ -181,3 +181,11 @@ def test_what_is_exported_is_what_is_certified() -> None:
     both = configure(None, ["exports.pieces.threshold=0.05", "optimization.pieces.threshold=0.05"])
     assert both.stages["exports"].pieces == both.stages["optimization"].pieces
     assert both.stages["exports"].pieces.threshold == 0.05
+
+
+def test_what_is_exported_falls_as_it_is_certified() -> None:
+    name = "timestep_s=0.002"
+    with pytest.raises(InputError, match=r"exports\.mjcf\.engine: differs from optimization\.certificate\.mujoco"):
+        configure(None, [f"optimization.certificate.mujoco.{name}"])
+    both = configure(None, [f"optimization.certificate.mujoco.{name}", f"exports.mjcf.engine.{name}"])
+    assert both.stages["exports"].mjcf.engine.timestep_s == 0.002
