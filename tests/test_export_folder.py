@@ -209,3 +209,27 @@ def test_scenes_of_a_release_say_so_and_others_do_not(lake: Lake, whole: Path, t
         assert (stated["release"], stated["snapshot_id"]) == ("v1", release.snapshot_id)
     write_exports(lake, tmp_path, formats=("usd",), release="v1")
     assert contents(tmp_path / "usd") == first
+
+
+SPOILED = {"usd": "physics.usda", "habitat": ".scene_instance.json", "mjcf": "scene.xml", "urdf": "poses.json", "glb": ".glb"}
+"""An ending of files that no scene is sound without, by format."""
+
+
+@pytest.mark.parametrize("format_", FORMATS)
+def test_what_is_written_is_checked_again_in_every_format(
+    lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format_: str
+) -> None:
+    """A disk that cuts files off: the rows in the lake have passed, the folder does not."""
+    from flows import export
+
+    copy = export._copy
+
+    def cut(lake: Lake, blob: str, target: Path) -> None:
+        copy(lake, blob, target)
+        if target.name.endswith(SPOILED[format_]):
+            target.write_bytes(target.read_bytes()[:100])
+
+    monkeypatch.setattr(export, "_copy", cut)
+    written = write_exports(lake, tmp_path, formats=(format_,), scenes=SCENES[:1])
+    assert written.failed_checks
+    assert all(line.startswith(str(tmp_path / format_)) and len(line.splitlines()) == 1 for line in written.findings)
