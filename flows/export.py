@@ -115,7 +115,11 @@ def _finish_usd(making: Path, release: str | None, snapshot_id: int | None, usdz
             scene.write_bytes(with_release(scene.read_bytes(), snapshot_id, release))
         if usdz:
             files = {path.relative_to(scene.parent).as_posix(): path.read_bytes() for path in scene.parent.rglob("*") if path.is_file()}
-            (making / f"{scene.parent.name}.usdz").write_bytes(package(files, scene.name))
+            try:
+                packed = package(files, scene.name)
+            except ValueError as error:
+                raise InputError(scene.parent.name, "usdz", str(error), "export it without --usdz") from error
+            (making / f"{scene.parent.name}.usdz").write_bytes(packed)
 
 
 MARK = ".exported"
