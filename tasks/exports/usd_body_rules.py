@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -199,28 +199,43 @@ def overlaps(stage: Any, path: Path) -> Iterator[Finding]:
     from tasks.pieces import Hull
 
     meters = UsdGeom.GetStageMetersPerUnit(stage)
-    moving: list[Solid] = []
-    still: list[Solid] = []
-    for prim in objects(stage):
-        hulls = []
+    things = objects(stage)
+    found: list[tuple[int, Any, Hull]] = []
+    for thing, prim in enumerate(things):
         for collider in subtree(prim):
             if not (is_collider(collider) and collider.IsA(UsdGeom.Mesh)) or simulation_kind(collider):
                 continue
             if UsdPhysics.MeshCollisionAPI(collider).GetApproximationAttr().Get() != UsdPhysics.Tokens.convexHull:
                 continue
             mesh, place = triangles(collider), to_world(collider)
-            if mesh is None or not np.isfinite(place).all() or dent(mesh) > HULL_M:
-                continue
-            hull = Hull((mesh[0] @ place[:3, :3].T + place[:3, 3]) * meters, mesh[1])
-            if _is_solid(hull):
-                hulls.append(hull)
-        if hulls:
-            (moving if is_body(prim) and moves(prim) else still).append(Solid(where(prim), tuple(hulls)))
+            if mesh is not None and np.isfinite(place).all():
+                found.append((thing, mesh, Hull((mesh[0] @ place[:3, :3].T + place[:3, 3]) * meters, mesh[1])))
+    solids: dict[int, list[Hull]] = {}
+    for at in _near(found):
+        thing, mesh, hull = found[at]
+        if dent(mesh) <= HULL_M and _is_solid(hull):
+            solids.setdefault(thing, []).append(hull)
+    named = {thing: Solid(where(things[thing]), tuple(hulls)) for thing, hulls in solids.items()}
+    moving = [solid for thing, solid in named.items() if is_body(things[thing]) and moves(things[thing])]
+    still = [solid for thing, solid in named.items() if not (is_body(things[thing]) and moves(things[thing]))]
     if moving and np.isfinite(meters):
-        names = {solid.name for solid in (*moving, *still)}  # the floor z = 0 is not in the file
+        names = {solid.name for solid in named.values()}  # the floor z = 0 is not in the file
         for one in penetrations(moving, np.tile(np.eye(4), (len(moving), 1, 1)), still):
             if one.depth_m > OVERLAP_M and {one.a, one.b} <= names:
                 yield Finding("start_overlap", one.a, f"starts {one.depth_m * 1000:.1f} mm inside {one.b}", False)
+
+
+def _near(found: Sequence[tuple[int, Any, Any]]) -> list[int]:
+    """Places of hulls whose boxes reach into the box of another thing's hull."""
+    if not found:
+        return []
+    owner = np.array([one[0] for one in found])
+    low, high = (np.array([end(one[2].vertices, axis=0) for one in found]) for end in (np.min, np.max))
+    near = [
+        bool((((np.minimum(high, high[i]) - np.maximum(low, low[i])).min(axis=1) > OVERLAP_M) & (owner != owner[i])).any())
+        for i in range(len(found))
+    ]
+    return np.flatnonzero(near).tolist()
 
 
 def materials(stage: Any, path: Path) -> Iterator[Finding]:
