@@ -15,6 +15,7 @@ from tasks.exports.usd_prims import (
     dent,
     is_body,
     is_collider,
+    is_deformable,
     is_visible,
     moves,
     number,
@@ -31,6 +32,9 @@ from tasks.exports.usd_prims import (
 
 SUPPORT_M = 5e-4
 """How far colliders may reach below what is seen [m]: float32 positions in a room are good to a micrometre, hulls to a tenth."""
+
+SOFT_SUPPORT_M = 1e-2
+"""The same for deformable bodies [m]: their mesh is coarser than what is seen, and gives way."""
 
 HULL_M = 2e-3
 """A collider whose vertices lie this far inside its own hull [m] is no hull."""
@@ -180,7 +184,7 @@ def boxes(stage: Any, path: Path) -> Iterator[Finding]:
         seen, solid = cloud_of(body, is_visible), cloud_of(body, is_collider)
         if solid is not None and seen is not None:
             below = float(seen[:, up].min() - solid[:, up].min()) * meters
-            if below > SUPPORT_M:
+            if below > (SOFT_SUPPORT_M if is_deformable(body) else SUPPORT_M):
                 yield Finding("support_plane", where(body), f"a collider reaches {below * 1000:.1f} mm below what is seen")
         box = within(solid, body)
         if is_body(body) and body.HasAPI(UsdPhysics.MassAPI) and box is not None:

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.exports.bodies import Body
+from tasks.exports.bodies import Body, Shape
 from tasks.exports.shading import corner_normals
 from tasks.exports.usd_layers import add_mesh, add_physics_material, bind_physics, extent, new_stage
 from tasks.exports.visuals import Visual
 from tasks.sheets import Sheet, sheet_of
-from tasks.tetrahedra import COVERED, Tetrahedra, tetrahedralize
+from tasks.tetrahedra import CELLS, COVERED, OUTSIDE_M, Tetrahedra, distance_to, tetrahedralize
 
 SIMULATION = "Simulation"
 """Name of the prim, below the asset's root, that an engine deforms."""
@@ -81,13 +81,18 @@ def deformable_of(body: Body) -> Deformable | None:
     if body.body_type == "cloth":
         sheet = sheet_of(shape.hulls, shape.properties.volume)
         return Deformable(sheet, CLOTH, body.mass_kg / (sheet.area * sheet.thickness))
-    solid = tetrahedralize(shape.hulls)
-    volume = float(solid.volumes.sum())
-    if not COVERED <= volume / shape.properties.volume <= 1.0 / COVERED:
+    solid = next((made for cells in (CELLS, 2 * CELLS) if _is_like(made := tetrahedralize(shape.hulls, cells), shape)), None)
+    if solid is None:
         return None
     known = [SOFT[material] for material in body.materials if material in SOFT]
     elasticity = SOFT_BY_CATEGORY.get(body.category) or (known[0] if known else OTHER)
-    return Deformable(solid, elasticity, body.mass_kg / volume)
+    return Deformable(solid, elasticity, body.mass_kg / float(solid.volumes.sum()))
+
+
+def _is_like(solid: Tetrahedra, shape: Shape) -> bool:
+    """Whether tetrahedra have about the volume of a shape, and nowhere lie far outside it."""
+    share = float(solid.volumes.sum()) / shape.properties.volume
+    return COVERED <= share <= 1.0 / COVERED and float(distance_to(shape.hulls, solid.vertices)[0].max()) <= OUTSIDE_M
 
 
 def write_simulation(path: Path, name: str, deformable: Deformable, visuals: list[Visual]) -> None:
