@@ -158,6 +158,83 @@ def test_steps_stop_short_of_obstacles_and_never_slide(boxes: list[shapely.Polyg
             assert not shapely.buffer(finder.free, -1e-9).covers(ahead)
 
 
+@given(boxes=obstacles, seed=st.integers(0, 999), yaw=st.sampled_from([0.0, math.pi / 4]) | st.floats(-math.pi, math.pi))
+@settings(max_examples=60, deadline=None)
+def test_random_walks_never_leave_the_floor(boxes: list[shapely.Polygon], seed: int, yaw: float) -> None:
+    finder = PlanarPathFinder(room_less(boxes))
+    if not finder.islands:
+        return
+    file = read_navmesh(dump_navmesh(finder.navmesh(Settings())))
+    polygons = [tile.vertices[p["vertices"][: p["count"]]][:, [0, 2]] * (1.0, -1.0) for tile in file.tiles for p in tile.polygons]
+    floors = shapely.buffer([room_less(boxes), shapely.union_all(shapely.polygons([shapely.linearrings(p) for p in polygons]))], 1e-6)
+    shapely.prepare(floors)
+    rng = np.random.default_rng(seed)
+    for walked, floor in zip((finder, PlanarPathFinder.from_navmesh(file)), floors, strict=True):
+        corners = walked.boundary.starts
+        # At a corner and on an edge too: there every tolerance counts.
+        on_edge = walked.snap(corners[:1] + rng.random() * (walked.boundary.ends[:1] - corners[:1]))[0]
+        for start in (walked.random_point(rng), corners[rng.integers(len(corners))], on_edge):
+            actions = rng.choice([FORWARD, FORWARD, LEFT, RIGHT], 100).tolist()
+            done = replay(actions, start, yaw, walked, Motion())
+            assert walked.is_navigable(done.poses[:, :2]).all()
+            assert floor.covers(shapely.points(done.poses[:, :2])).all()
+            moves = np.stack([done.poses[:-1, :2], done.poses[1:, :2]], axis=1)
+            assert floor.covers(shapely.linestrings(moves)).all()
+
+
+@given(boxes=obstacles, seed=st.integers(0, 999), near=st.sampled_from([0.0, 1e-12, 5e-10, 1e-8, 5e-8, 1e-6, 1e-3]))
+@settings(max_examples=100, deadline=None)
+def test_moves_between_points_on_or_near_walls_are_those_of_the_closed_polygon(
+    boxes: list[shapely.Polygon], seed: int, near: float
+) -> None:  # fmt: skip
+    finder = PlanarPathFinder(room_less(boxes))
+    if not finder.islands:
+        return
+    rng = np.random.default_rng(seed)
+    edges = rng.integers(0, len(finder.boundary.starts), 80)
+    starts, ends = finder.boundary.starts[edges], finder.boundary.ends[edges]
+    along = starts + rng.choice([0.0, 1e-8, 1e-3, 0.5, 1.0], 80)[:, None] * (ends - starts)
+    points = along + near * rng.choice([-1, 0, 1], (80, 2))
+    points = points[finder.is_navigable(points)]
+    grown = shapely.buffer(finder.free, 1e-8)
+    shapely.prepare(grown)
+    island = finder.island_of(points)
+    for a, b in zip(*rng.integers(0, len(points), (2, 200)), strict=True) if len(points) else ():
+        if island[a] != island[b]:
+            continue
+        line, is_clear = shapely.LineString([points[a], points[b]]), finder.is_clear(points[a], points[b])
+        assert is_clear == finder.is_clear(points[b], points[a])
+        # Lines along slanted edges cross them by rounding: neither is then wrong within a hair.
+        assert is_clear or not finder.free.covers(line)
+        assert not is_clear or grown.covers(line)
+
+
+def test_a_step_that_was_stopped_at_a_wall_leads_no_next_one_through_it() -> None:
+    finder = PlanarPathFinder(room_less([]))
+    for angle in (1e-6, 1e-4, 0.01, 0.05, 0.1, 1.0):
+        # So far off that the wall x = 5 stops the step just before its end.
+        stopped = finder.try_step((5 - 0.2 * math.sin(angle), 2.0), 0.25 * np.array([math.sin(angle), math.cos(angle)]))
+        assert 4.9 < stopped[0] <= 5 + 1e-9
+        for turned in np.linspace(-math.pi, math.pi, 25):
+            moved = finder.try_step(stopped, 0.25 * np.array([math.cos(turned), math.sin(turned)]))
+            assert moved[0] <= 5 + 1e-9
+            if math.cos(turned) < -1e-6:
+                assert np.allclose(moved, stopped + 0.25 * np.array([math.cos(turned), math.sin(turned)]))
+
+
+def test_a_sight_along_an_edge_that_bends_by_a_hair_ends_at_what_stands_on_it() -> None:
+    # Single precision moves corners on one line by some 5e-8 m; a spike rises between the two that are moved.
+    up = 2 + 5e-8
+    spike = shapely.Polygon([(1, 1), (4, 1), (4, 2), (3, up), (2.5, 3), (2, up), (1, 2)])
+    finder = PlanarPathFinder(room_less([spike]))
+    assert not finder.is_clear((1, 2), (4, 2))
+    assert not finder.is_clear((4, 2), (1, 2))
+    assert finder.geodesic((1, 2), (4, 2)).length == pytest.approx(2 * (1.5**2 + 1) ** 0.5, abs=1e-6)
+    # Without the spike the way leads over both corners.
+    low = PlanarPathFinder(room_less([shapely.Polygon([(1, 1), (4, 1), (4, 2), (3, up), (2, up), (1, 2)])]))
+    assert low.geodesic((1, 2), (4, 2)).length == pytest.approx(3, abs=1e-12)
+
+
 def test_paths_bend_around_corners_they_touch_and_pass_gaps_of_no_width() -> None:
     # Two squares in a line: the way along their common edge line is straight and touches four corners.
     finder = PlanarPathFinder(room_less([shapely.box(1, 1, 2, 2), shapely.box(3, 1, 4, 2)]))

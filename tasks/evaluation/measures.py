@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from schemas.evaluation import Trajectory
@@ -19,13 +17,7 @@ from tasks.navigation.follower import FORWARD, STOP, replay
 from tasks.navigation.planar import PlanarPathFinder
 from tasks.navigation.protocol import DistanceField, PathFinder
 
-if TYPE_CHECKING:
-    import shapely
-
 Array = NDArray[np.float64]
-
-_ROUNDING_M = 1e-6
-"""How far a step may reach over an edge [m]: coordinates of a navmesh are 32-bit floats."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,30 +35,6 @@ class SceneAttempts:
     config: EvaluationConfig
 
 
-class NavmeshPathFinder(PlanarPathFinder):
-    """Exact shortest paths on polygons of a navmesh, and steps that never leave them.
-
-    Lines of sight forgive a tenth of a micrometre at their ends, so an agent that was stopped that close to a wall could
-    step through it. A step that ends beyond a wall is none here.
-    """
-
-    @cached_property
-    def _grown(self) -> shapely.Geometry:
-        import shapely
-
-        grown = shapely.buffer(self.free, _ROUNDING_M)
-        shapely.prepare(grown)
-        return grown
-
-    def try_step(self, position: ArrayLike, offset: ArrayLike) -> Array:
-        """Where a straight move of `offset` from a navigable point ends, shape (2,): short of the first obstacle; no sliding."""
-        import shapely
-
-        moved = super().try_step(position, offset)
-        line = shapely.linestrings([position, moved])
-        return moved if self._grown.covers(line) else np.asarray(position, dtype=np.float64)
-
-
 def path_finder(data: bytes, file: str) -> PlanarPathFinder:
     """Path finder on what an agent on the floor reaches of a .navmesh file, whoever made it, in plan.
 
@@ -75,7 +43,7 @@ def path_finder(data: bytes, file: str) -> PlanarPathFinder:
     """
     from tasks.navigation.navmesh import read_navmesh
 
-    finder = NavmeshPathFinder.from_navmesh(read_navmesh(data, file), floor_only=True)
+    finder = PlanarPathFinder.from_navmesh(read_navmesh(data, file), floor_only=True)
     if not finder.islands:
         raise InputError(file, "polygons", "none can be walked on", "run the navigation stage again")
     return finder

@@ -20,6 +20,7 @@ from tasks.navigation.visibility import (
     Corners,
     boundary_of,
     clear,
+    clear_length,
     contains,
     first_clear,
     joined,
@@ -221,28 +222,24 @@ class PlanarPathFinder:
     def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
         """Whether a straight move from a navigable point to anywhere, shape (2,) each, stays in the free polygon."""
         island = 0 if len(self._parts) == 1 else int(self.island_of(start)[0])
-        return island >= 0 and bool(clear(self._edges[island], _rows(start), _rows(end))[0])
+        if island < 0 or not clear(self._edges[island], _rows(start), _rows(end))[0]:
+            return False
+        # The next move starts there, and outside of the polygon nothing would stop it.
+        return bool(contains(self._edges[island], _rows(end))[0])
 
     def try_step(self, position: ArrayLike, offset: ArrayLike) -> Array:
         """Where a straight move of `offset` from a navigable point ends, shape (2,): short of the first obstacle; no sliding."""
-        import shapely
-
-        start = np.asarray(position, dtype=np.float64)
-        end = start + np.asarray(offset, dtype=np.float64)
+        start = _rows(position)[0]
+        end = start + _rows(offset)[0]
         if self.is_clear(start, end):
-            return np.asarray(end)
+            return end
         island = int(self.island_of(start)[0])
         if island < 0:
             return start
-        length, reach = float(np.hypot(*(end - start))), 0.0
-        inside = shapely.intersection(self._parts[island], shapely.LineString([start, end]))
-        for part in shapely.get_parts(shapely.line_merge(inside) if inside.geom_type == "MultiLineString" else inside):
-            along = np.hypot(*(shapely.get_coordinates(part) - start).T)
-            if along.min() <= _SAFETY:
-                reach = max(reach, float(along.max()))
-        reach = max(0.0, min(reach, length) - _SAFETY)
+        length = float(np.hypot(*(end - start)))
+        reach = max(0.0, min(clear_length(self._edges[island], start, end), length) - _SAFETY)
         stop = start + (end - start) * (reach / length)
-        return stop if self.is_navigable(stop)[0] and self.is_clear(start, stop) else start
+        return stop if self.is_clear(start, stop) else start
 
     def navmesh(self, settings: Settings) -> NavmeshFile:
         """The free polygon tiled by convex polygons, as habitat-sim stores it, glTF frame.

@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 ON_BOUNDARY = 1e-9
 """Points nearer to an edge than this lie on it [m]: a million times the rounding error of a coordinate of a room."""
 
-_ENDPOINT = 1e-7
-"""Crossings nearer to an end of a segment than this are the end itself [m]; there the corner's opening decides."""
-
 _ANGLE = 1e-7
-"""A direction that leaves the free side by less than this runs along the edge [rad]: 1 micrometre on an edge of 10 m."""
+"""An edge between two corners on a segment lies along it unless it is turned by more than this [rad]: rounding turns the shortest so."""
+
+_BEND = 1e-10
+"""A corner that turns less than this is none to bend around [rad]: on a room's edges, the chord past it is nearer than `ON_BOUNDARY`."""
 
 TANGENT = 1e-9
 """How far a neighbor corner may reach over a tangent, as a sine: the same tolerance as for lying on an edge."""
@@ -35,10 +35,11 @@ _SHORTEST_EDGE = 1e-8
 class Boundary:
     """Edges of a polygon with holes, free side on their left, world frame [m]. Every array has shape (n, 2).
 
-    starts, ends: Ends of every edge. arriving, leaving: Unit direction of the edge that ends at `starts`, and of the edge itself.
-    island: Part of the polygon that the edge belongs to, shape (n,).
+    before, starts, ends: Ends of every edge, and the corner before them. arriving, leaving: Unit direction of the edge that
+    ends at `starts`, and of the edge itself. island: Part of the polygon that the edge belongs to, shape (n,).
     """
 
+    before: Array
     starts: Array
     ends: Array
     arriving: Array
@@ -49,19 +50,19 @@ class Boundary:
     def reflex(self) -> NDArray[np.bool_]:
         """Corners that paths bend around: where the free side opens more than half a turn, shape (n,)."""
         turn = self.arriving[:, 0] * self.leaving[:, 1] - self.arriving[:, 1] * self.leaving[:, 0]
-        return np.asarray(turn < -_ANGLE)
+        return np.asarray(turn < -_BEND)
 
     @property
-    def rings(self) -> tuple[Array, Array, Array, Array]:
-        """The arrays as the compiled loop takes them."""
-        return self.starts, self.ends, self.arriving, self.leaving
+    def corners(self) -> tuple[Array, Array, Array]:
+        """The corners as the compiled loop takes them."""
+        return self.before, self.starts, self.ends
 
 
 def boundary_of(parts: list[shapely.Polygon]) -> Boundary:
     """Boundary of polygons that share at most corners."""
     import shapely
 
-    starts, ends, arriving, leaving, island = [], [], [], [], []
+    before, starts, ends, arriving, leaving, island = [], [], [], [], [], []
     for number, part in enumerate(parts):
         turned = shapely.orient_polygons(part)
         for ring in (turned.exterior, *turned.interiors):
@@ -72,6 +73,7 @@ def boundary_of(parts: list[shapely.Polygon]) -> Boundary:
             after = np.roll(corners, -1, axis=0)
             direction = after - corners
             direction /= np.hypot(direction[:, 0], direction[:, 1])[:, None]
+            before.append(np.roll(corners, 1, axis=0))
             starts.append(corners)
             ends.append(after)
             leaving.append(direction)
@@ -79,8 +81,9 @@ def boundary_of(parts: list[shapely.Polygon]) -> Boundary:
             island.append(np.full(len(corners), number, dtype=np.int64))
     if not starts:
         empty = np.zeros((0, 2))
-        return Boundary(empty, empty, empty, empty, np.zeros(0, dtype=np.int64))
+        return Boundary(empty, empty, empty, empty, empty, np.zeros(0, dtype=np.int64))
     return Boundary(
+        before=np.concatenate(before),
         starts=np.concatenate(starts),
         ends=np.concatenate(ends),
         arriving=np.concatenate(arriving),
@@ -94,22 +97,31 @@ def joined(boundaries: Sequence[Boundary]) -> Boundary:
     if not boundaries:
         return boundary_of([])
     island = np.repeat(np.arange(len(boundaries)), [len(b.starts) for b in boundaries])
-    starts, ends, arriving, leaving = (np.concatenate(arrays) for arrays in zip(*(b.rings for b in boundaries), strict=True))
-    return Boundary(starts, ends, arriving, leaving, island)
+    whole = {
+        name: np.concatenate([getattr(boundary, name) for boundary in boundaries])
+        for name in ("before", "starts", "ends", "arriving", "leaving")
+    }
+    return Boundary(**whole, island=island)
 
 
 def clear(boundary: Boundary, starts: Array, ends: Array) -> NDArray[np.bool_]:
     """Whether each segment stays in the closed polygon, (n, 2) and (n, 2) to (n,). Its ends must lie in the polygon."""
-    return np.asarray(_compiled()(np.ascontiguousarray(starts), np.ascontiguousarray(ends), *boundary.rings, False))
+    blocks = _compiled()(np.ascontiguousarray(starts), np.ascontiguousarray(ends), *boundary.corners, False, False)
+    return np.asarray(np.isinf(blocks))
+
+
+def clear_length(boundary: Boundary, start: Array, end: Array) -> float:
+    """How far a straight move from a point of the polygon, shape (2,), stays in it [m]; infinite when it does to its end."""
+    return float(_compiled()(start.reshape(1, 2), end.reshape(1, 2), *boundary.corners, False, True)[0])
 
 
 def first_clear(boundary: Boundary, start: Array, ends: Array) -> int:
     """Index of the first of `ends`, shape (n, 2), that is seen from `start`, shape (2,); -1 when none is."""
     if not len(ends):
         return -1
-    seen = _compiled()(np.broadcast_to(start, ends.shape).copy(), np.ascontiguousarray(ends), *boundary.rings, True)
-    index = int(np.argmax(seen))
-    return index if seen[index] else -1
+    blocks = _compiled()(np.broadcast_to(start, ends.shape).copy(), np.ascontiguousarray(ends), *boundary.corners, True, False)
+    index = int(np.argmax(blocks))
+    return index if np.isinf(blocks[index]) else -1
 
 
 def tangent_corners(point: Array, corners: Corners, beyond: Array, limit: float) -> tuple[NDArray[np.int64], Array]:
@@ -143,7 +155,7 @@ def contains(boundary: Boundary, points: Array) -> NDArray[np.bool_]:
 def _compiled() -> Callable[..., Any]:
     import numba
 
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True)(_sights)
+    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_sights)
     return compiled
 
 
@@ -206,28 +218,30 @@ def _contains(points: Array, starts: Array, ends: Array) -> NDArray[np.bool_]:
     return result
 
 
-def _sights(
-    starts: Array, ends: Array, edge_starts: Array, edge_ends: Array, arriving: Array, leaving: Array, only_first: bool
-) -> NDArray[np.bool_]:
-    """Segments against all edges; stops at the first clear one when `only_first`.
+def _sights(starts: Array, ends: Array, before: Array, edge_starts: Array, edge_ends: Array, only_first: bool, nearest: bool) -> Array:
+    """How far along each segment something blocks it [m], infinite where nothing does: the nearest block, or any.
 
-    A segment is blocked by an edge that it crosses properly, and at a corner that it passes or ends at
-    when it leaves the corner towards the wrong side.
+    A segment is blocked by an edge that has one of its ends on either side, farther than `ON_BOUNDARY` from the edge's
+    line however near along the segment, and at a corner or edge that it touches when it goes on to the wrong side.
+
+    Args:
+        starts: Shape (n, 2) [m].
+        ends: Shape (n, 2) [m].
+        before: Corners before the edges' starts, shape (m, 2) [m].
+        edge_starts: Shape (m, 2) [m].
+        edge_ends: Shape (m, 2) [m].
+        only_first: Stop at the first clear segment; those behind it count as blocked at once.
+        nearest: Look for the nearest block.
     """
-    result = np.zeros(len(starts), dtype=np.bool_)
+    result = np.zeros(len(starts))
     for i in range(len(starts)):
         px, py, qx, qy = starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1]
         length = np.hypot(qx - px, qy - py)
-        if length <= ON_BOUNDARY:
-            result[i] = True
-            if only_first:
-                break
-            continue
-        ux, uy = (qx - px) / length, (qy - py) / length
+        block = np.inf
+        ux, uy = (qx - px) / max(length, 1e-300), (qy - py) / max(length, 1e-300)
         x0, x1 = min(px, qx) - ON_BOUNDARY, max(px, qx) + ON_BOUNDARY
         y0, y1 = min(py, qy) - ON_BOUNDARY, max(py, qy) + ON_BOUNDARY
-        free = True
-        for e in range(len(edge_starts)):
+        for e in range(len(edge_starts) if length > ON_BOUNDARY else 0):
             ax, ay, bx, by = edge_starts[e, 0], edge_starts[e, 1], edge_ends[e, 0], edge_ends[e, 1]
             if (ax < x0 and bx < x0) or (ax > x1 and bx > x1) or (ay < y0 and by < y0) or (ay > y1 and by > y1):
                 continue
@@ -235,35 +249,45 @@ def _sights(
             side_b = ux * (by - py) - uy * (bx - px)
             if (side_a > ON_BOUNDARY and side_b > ON_BOUNDARY) or (side_a < -ON_BOUNDARY and side_b < -ON_BOUNDARY):
                 continue
-            lx, ly, kx, ky = leaving[e, 0], leaving[e, 1], arriving[e, 0], arriving[e, 1]
+            lx, ly = bx - ax, by - ay
+            edge = np.hypot(lx, ly)
+            lx, ly = lx / edge, ly / edge
             along_a = ux * (ax - px) + uy * (ay - py)
-            along_b = ux * (bx - px) + uy * (by - py)
-            if abs(side_a) <= ON_BOUNDARY and -_ENDPOINT <= along_a <= length + _ENDPOINT:
-                # The corner at the edge's start lies on the segment: onward and backward must both be on the free side.
+            # Distances of the segment's ends from the edge's line, positive on the free side.
+            over_p = lx * (py - ay) - ly * (px - ax)
+            over_q = lx * (qy - ay) - ly * (qx - ax)
+            if abs(side_a) <= ON_BOUNDARY and -ON_BOUNDARY <= along_a <= length + ON_BOUNDARY:
+                # The corner at the edge's start lies on the segment: both of its ends must be on the corner's free side.
+                # An edge that lies along the segment leaves that to the corner at its other end.
+                zx, zy = before[e, 0], before[e, 1]
+                kx, ky = ax - zx, ay - zy
+                last = np.hypot(kx, ky)
+                kx, ky = kx / last, ky / last
+                first = abs(ux * (zy - py) - uy * (zx - px)) <= ON_BOUNDARY and abs(kx * uy - ky * ux) <= _ANGLE
+                second = abs(side_b) <= ON_BOUNDARY and abs(lx * uy - ly * ux) <= _ANGLE
                 convex = kx * ly - ky * lx >= 0
-                for sign in (1.0, -1.0):
-                    if (sign > 0 and along_a >= length - _ENDPOINT) or (sign < 0 and along_a <= _ENDPOINT):
-                        continue
-                    first = sign * (kx * uy - ky * ux) >= -_ANGLE
-                    second = sign * (lx * uy - ly * ux) >= -_ANGLE
-                    if (convex and not (first and second)) or not (first or second):
-                        free = False
-            elif abs(side_b) > ON_BOUNDARY and (side_a > 0) != (side_b > 0):
-                cross = along_a + (along_b - along_a) * side_a / (side_a - side_b)
-                if _ENDPOINT < cross < length - _ENDPOINT:
-                    free = False
-            if free:
-                # An end that lies on the edge between its corners: the segment must stay on the edge's left.
-                edge_length = lx * (bx - ax) + ly * (by - ay)
-                for sign, ex, ey in ((1.0, px, py), (-1.0, qx, qy)):
-                    along = lx * (ex - ax) + ly * (ey - ay)
-                    across = lx * (ey - ay) - ly * (ex - ax)
-                    on_edge = abs(across) <= ON_BOUNDARY and ON_BOUNDARY < along < edge_length - ON_BOUNDARY
-                    if on_edge and sign * (lx * uy - ly * ux) < -_ANGLE:
-                        free = False
-            if not free:
+                for x, y, over, away in ((px, py, over_p, along_a), (qx, qy, over_q, length - along_a)):
+                    left_of_first = first or kx * (y - ay) - ky * (x - ax) >= -ON_BOUNDARY
+                    left_of_second = second or over >= -ON_BOUNDARY
+                    is_free = (left_of_first and left_of_second) if convex else (left_of_first or left_of_second)
+                    if away > ON_BOUNDARY and not is_free:
+                        block = min(block, max(0.0, along_a))
+            elif (
+                (abs(side_b) > ON_BOUNDARY and (side_a > 0) != (side_b > 0))
+                and (min(over_p, over_q) < -ON_BOUNDARY and max(over_p, over_q) > ON_BOUNDARY)
+            ):  # fmt: skip
+                block = min(block, length * over_p / (over_p - over_q))
+            # An end on the edge between its corners: the other end must be on the edge's left, or the corner between them decides.
+            ahead, behind = (side_b, side_a) if lx * ux + ly * uy > 0 else (side_a, side_b)
+            on_p = abs(over_p) <= ON_BOUNDARY and ON_BOUNDARY < lx * (px - ax) + ly * (py - ay) < edge - ON_BOUNDARY
+            on_q = abs(over_q) <= ON_BOUNDARY and ON_BOUNDARY < lx * (qx - ax) + ly * (qy - ay) < edge - ON_BOUNDARY
+            if on_p and over_q < -ON_BOUNDARY and abs(ahead) > ON_BOUNDARY:
+                block = 0.0
+            elif on_q and over_p < -ON_BOUNDARY and abs(behind) > ON_BOUNDARY:
+                block = min(block, length)
+            if block < np.inf and not nearest:
                 break
-        result[i] = free
-        if free and only_first:
+        result[i] = block
+        if only_first and block == np.inf:
             break
     return result
