@@ -108,7 +108,7 @@ def snapshot_of(lake: Lake, name: str | None, snapshot_id: int | None) -> int | 
 def _finish_usd(making: Path, release: str | None, snapshot_id: int | None, usdz: bool) -> None:
     """What is said and packed only when scenes leave the lake."""
     from tasks.exports.usd import with_release
-    from tasks.exports.usd_package import package
+    from tasks.exports.usd.package import package
 
     for scene in sorted(making.glob("*/scene.usda")):
         if release is not None and snapshot_id is not None:
@@ -149,11 +149,11 @@ def _copy(lake: Lake, blob: str, target: Path) -> None:
 
 def _findings(out: Path, formats: Sequence[str], usd: Sequence[Path]) -> list[str]:
     """Broken rules of what was written, a line each."""
-    from tasks.exports.glb_rules import check_glb
-    from tasks.exports.habitat_rules import check_habitat
-    from tasks.exports.mjcf_rules import check_mjcf
-    from tasks.exports.urdf_rules import check_urdf
-    from tasks.exports.usd_rules import check_usd
+    from tasks.exports.glb.rules import check_glb
+    from tasks.exports.habitat.rules import check_habitat
+    from tasks.exports.mjcf.rules import check_mjcf
+    from tasks.exports.urdf.rules import check_urdf
+    from tasks.exports.usd.rules import check_usd
 
     gates: dict[str, tuple[Callable[[Path], Sequence[Finding]], Sequence[Path]]] = {
         "usd": (check_usd, usd),

@@ -133,7 +133,7 @@ def test_layout_of_several_scenes(outcome: Outcome, tmp_path: Path) -> None:
     assert not set(shared) & set(tree)
     assert shared == shared_files(rows[::-1], blobs), "the order of rows must not matter"
     exports.write_folder(tmp_path, {path: blobs[name] for path, name in tree.items()} | shared)
-    from tasks.exports.habitat_rules import check_habitat
+    from tasks.exports.habitat.rules import check_habitat
 
     assert check_habitat(tmp_path / "habitat") == []
 

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from tasks import exports
 from tasks.exports.bodies import Replica
-from tasks.exports.glb import close_glb, open_glb
-from tasks.exports.glb_rules import RULES, check_glb
-from tasks.exports.scene_glb import glb_files
+from tasks.exports.glb import glb_files
+from tasks.exports.glb.rules import RULES, check_glb
+from tasks.exports.gltf import close_glb, open_glb
 from tasks.meshes import canonical, load_glb
 from tasks.replica import room_shell
 from tests.replicas import Thing, cube, furnished, rows_of

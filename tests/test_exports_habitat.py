@@ -19,7 +19,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from tasks.exports.habitat import ACTIONS
-from tasks.exports.habitat_rules import check_habitat
+from tasks.exports.habitat.rules import check_habitat
 from tasks.navigation.navmesh import read_navmesh
 from tasks.replica import placed_parts, room_shell
 from tasks.transforms import yaw_pose

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tasks.exports.habitat_rules import RULES, check_habitat
+from tasks.exports.habitat.rules import RULES, check_habitat
 from tests.habitat_damage import DATASET_DAMAGES
 from tests.habitat_datasets import office, other_room, write_dataset
 from tests.habitat_episode_damage import EPISODE_DAMAGES

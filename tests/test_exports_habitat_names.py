@@ -19,9 +19,9 @@ from tasks import exports
 from tasks.exports.bodies import gather
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import object_handles, rotation, scene_handle
-from tasks.exports.habitat_library import read_library
-from tasks.exports.habitat_rules import check_habitat
-from tasks.exports.navmesh_file import DEFAULTS, read_navmesh
+from tasks.exports.habitat.library import read_library
+from tasks.exports.habitat.navmesh_file import DEFAULTS, read_navmesh
+from tasks.exports.habitat.rules import check_habitat
 from tests.conftest import REPOSITORY
 from tests.replicas import furnished, rows_of
 

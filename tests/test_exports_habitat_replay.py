@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tasks.exports.habitat import ACTIONS, rotation
-from tasks.exports.habitat_ground import Ground
-from tasks.exports.habitat_replay import Steps, Trip, check_trips, heading_of, walk
-from tasks.exports.navmesh_file import NavmeshFile, read_navmesh
+from tasks.exports.habitat.ground import Ground
+from tasks.exports.habitat.navmesh_file import NavmeshFile, read_navmesh
+from tasks.exports.habitat.replay import Steps, Trip, check_trips, heading_of, walk
 from tasks.navigation.convex import convex_cover
 from tasks.navigation.navmesh import NavmeshFile as Written
 from tasks.navigation.navmesh import Settings, dump_navmesh, navmesh_from_polygons, polygon_islands

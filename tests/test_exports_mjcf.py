@@ -24,7 +24,7 @@ from tasks import exports, optimization
 from tasks.exports import write_folder
 from tasks.exports.bodies import Replica
 from tasks.exports.mjcf import mjcf_files
-from tasks.exports.mjcf_rules import DEEPEST_M, RULES, check_mjcf
+from tasks.exports.mjcf.rules import DEEPEST_M, RULES, check_mjcf
 from tasks.meshes import canonical, load_glb
 from tasks.optimization.certificates import CertificateConfig, Certified, certify
 from tasks.optimization.mujoco_engine import Mujoco, simulate
@@ -151,7 +151,7 @@ def test_equal_shapes_share_their_meshes(replica: Replica, model: Path) -> None:
 
 def test_images_are_drawn_pixel_for_pixel(realdata: Callable[[str], Path], tmp_path: Path) -> None:
     """MuJoCo reads PNG only: what is JPEG in the asset is decoded, once."""
-    from tasks.exports.glb import node_textures
+    from tasks.exports.gltf import node_textures
 
     parts = canonical(load_glb((realdata("assets") / "aws_ShoeRack_01.glb").read_bytes()))
     rows, blobs = rows_of([Thing("shoe rack", parts, [], np.eye(4), known=False, scale=(1.1, 0.9, 1.0))])

@@ -17,7 +17,7 @@ from flows.bench.usd_reader import model_of
 from tasks import exports, optimization
 from tasks.exports.bodies import Replica
 from tasks.exports.usd import write_usd
-from tasks.exports.usd_rules import check_usd
+from tasks.exports.usd.rules import check_usd
 from tasks.optimization.certificates import CertificateConfig, Certified, certificate_rows, certify
 from tasks.optimization.solids import Body, Solid, shell_solids
 from tasks.stage import Context

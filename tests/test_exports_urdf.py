@@ -19,7 +19,7 @@ from tasks import exports
 from tasks.exports import write_folder
 from tasks.exports.bodies import Replica
 from tasks.exports.urdf import urdf_files
-from tasks.exports.urdf_rules import RULES, check_urdf
+from tasks.exports.urdf.rules import RULES, check_urdf
 from tasks.exports.wavefront import dump_obj, load_obj
 from tasks.meshes import canonical, load_glb
 from tasks.replica import room_shell
@@ -105,7 +105,7 @@ def test_poses_say_what_urdf_cannot(replica: Replica, folder: Path) -> None:
 
 
 def test_images_are_kept_byte_for_byte(realdata: Callable[[str], Path], tmp_path: Path) -> None:
-    from tasks.exports.glb import node_textures
+    from tasks.exports.gltf import node_textures
 
     parts = canonical(load_glb((realdata("assets") / "aws_ShoeRack_01.glb").read_bytes()))
     rows, blobs = rows_of([Thing("shoe rack", parts, [], np.eye(4), known=False)])

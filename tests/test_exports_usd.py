@@ -14,7 +14,7 @@ import pytest
 from tasks import exports
 from tasks.exports.bodies import Replica, gather
 from tasks.exports.usd import write_usd
-from tasks.exports.usd_rules import RULES, check_usd
+from tasks.exports.usd.rules import RULES, check_usd
 from tasks.mass import principal_axes, solid_properties
 from tasks.meshes import surface_of
 from tasks.replica import placed_parts, room_shell
@@ -178,7 +178,7 @@ def test_inertia_is_that_of_the_hulls_by_another_way(usd: Path) -> None:
 
 
 def test_textures_are_kept_byte_for_byte(realdata: Callable[[str], Path], tmp_path: Path) -> None:
-    from tasks.exports.glb import node_textures
+    from tasks.exports.gltf import node_textures
     from tasks.meshes import canonical, load_glb
     from tests.replicas import Thing
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tasks.exports.usd_rules import RULES, check_usd
+from tasks.exports.usd.rules import RULES, check_usd
 
 
 def new(path: Path, up: str = "Z", meters: float = 1.0) -> Any:

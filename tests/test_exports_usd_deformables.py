@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 
 from tasks import exports
 from tasks.exports.usd import write_usd
-from tasks.exports.usd_deformables import deformable_of
-from tasks.exports.usd_package import package
-from tasks.exports.usd_rules import check_usd
+from tasks.exports.usd.deformables import deformable_of
+from tasks.exports.usd.package import package
+from tasks.exports.usd.rules import check_usd
 from tasks.furniture import generate
 from tasks.mass import mass_properties
 from tasks.pieces import PieceConfig, convex_hull, pieces

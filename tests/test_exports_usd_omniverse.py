@@ -14,8 +14,8 @@ from flows.commands.doctor import command
 from schemas.errors import InputError
 from tasks import exports
 from tasks.exports.usd import write_usd
-from tasks.exports.usd_omniverse import RULE, check_omniverse
-from tasks.exports.usd_package import package
+from tasks.exports.usd.omniverse import RULE, check_omniverse
+from tasks.exports.usd.package import package
 from tests.replicas import rows_of
 from tests.test_exports_usd import BOX, DAMAGES, bedding, edit_layer, replica_of, with_bedding
 from tests.test_exports_usd_package import files_of

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from tasks import exports
 from tasks.exports.usd import with_release, write_usd
-from tasks.exports.usd_package import ALIGNMENT, package
-from tasks.exports.usd_rules import check_usd
+from tasks.exports.usd.package import ALIGNMENT, package
+from tasks.exports.usd.rules import check_usd
 from tests.replicas import furnished, rows_of
 from tests.test_exports_usd import open_stage, replica_of
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tasks.exports.config import HabitatConfig
-from tasks.exports.navmesh_file import read_navmesh
+from tasks.exports.habitat.navmesh_file import read_navmesh
 from tests.conftest import REPOSITORY
 from tests.habitat_datasets import office, other_room, write_dataset
 from tests.habitat_episode_damage import EPISODE_DAMAGES

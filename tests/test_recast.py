@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 from flows.configuration import configure
 from schemas.errors import InputError
 from schemas.navigation import Episode
-from tasks.exports.habitat_rules import check_habitat
-from tasks.exports.navmesh_file import DEFAULTS
-from tasks.exports.navmesh_file import read_navmesh as independent_reader
+from tasks.exports.habitat.navmesh_file import DEFAULTS
+from tasks.exports.habitat.navmesh_file import read_navmesh as independent_reader
+from tasks.exports.habitat.rules import check_habitat
 from tasks.meshes import Surface
 from tasks.navigation import habitat, placed_surfaces, recast, run
 from tasks.navigation.configuration import HabitatConfig, NavigationConfig, PathFinderConfig, PlanarConfig, RecastConfig

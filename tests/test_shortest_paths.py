@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -13,9 +14,11 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from schemas.errors import InputError
 from tasks.meshes import Surface, surface_of
+from tasks.navigation.convex import ConvexCover
 from tasks.navigation.follower import FORWARD, LEFT, RIGHT, STOP, Motion, follow, replay
-from tasks.navigation.navmesh import Settings, dump_navmesh, read_navmesh
+from tasks.navigation.navmesh import Settings, dump_navmesh, navmesh_from_polygons, read_navmesh
 from tasks.navigation.obstacles import GRID_M, OUTLINE_M, SEAM_M, footprint, free_space
 from tasks.navigation.planar import PlanarPathFinder
 from tasks.transforms import yaw_pose
@@ -245,6 +248,37 @@ def test_paths_bend_around_corners_they_touch_and_pass_gaps_of_no_width() -> Non
     assert not finder.is_clear((1.2, 2), (1.8, 1))
     assert finder.geodesic((1.5, 1.5), (0.5, 0.5)).length == np.inf
     assert np.array_equal(finder.snap([(1.5, 1.9), (0.5, 0.5), (-1, 2)]), [(1.5, 2), (0.5, 0.5), (0, 2)])
+
+
+def test_polygons_that_are_linked_at_a_point_are_one_island() -> None:
+    # Bakes hold such links: two corners of an edge at one place.
+    at = np.array([(0, 0), (1, 0), (1, 1), (1, 1), (0, 1), (2, 1), (2, 2), (1, 2)], dtype=float)
+    linked = ConvexCover(at, ((0, 1, 2, 3, 4), (3, 2, 5, 6, 7)), ((-1, -1, 1, -1, -1), (0, -1, -1, -1, -1)))
+    finder = PlanarPathFinder.from_navmesh(read_navmesh(dump_navmesh(navmesh_from_polygons(linked, Settings()))))
+    assert finder.islands == pytest.approx([2.0], abs=1e-3)
+    assert finder.geodesic((0.2, 0.8), (1.2, 1.8)).length == pytest.approx(2 * math.hypot(0.8, 0.2), abs=1e-3)
+    apart = ConvexCover(at, linked.polygons, ((-1,) * 5, (-1,) * 5))
+    finder = PlanarPathFinder.from_navmesh(read_navmesh(dump_navmesh(navmesh_from_polygons(apart, Settings()))))
+    assert finder.islands == pytest.approx([1.0, 1.0])
+    assert not finder.geodesic((0.2, 0.8), (1.2, 1.8)).exists
+
+
+def test_connections_between_points_are_no_floor_and_polygons_need_three_corners() -> None:
+    file = PlanarPathFinder(room_less([])).navmesh(Settings())
+    (tile,) = file.tiles
+    extra = np.repeat(tile.polygons[:1], 2)
+    extra["count"], extra["neighbors"] = 2, 0
+    for kind in (0, 1):
+        extra["area_and_type"] = kind << 6
+        changed = dataclasses.replace(tile, polygons=np.concatenate([tile.polygons, extra]))
+        data = dump_navmesh(dataclasses.replace(file, tiles=(changed,)))
+        if kind == 0:
+            with pytest.raises(InputError, match="a polygon has 2 corners"):
+                read_navmesh(data)
+        else:
+            assert PlanarPathFinder.from_navmesh(read_navmesh(data)).islands == pytest.approx([20.0])
+    with pytest.raises(InputError, match=r"^mine\.navmesh: tiles: are 2"):
+        PlanarPathFinder.from_navmesh(dataclasses.replace(file, tiles=(tile, tile)), file="mine.navmesh")
 
 
 def test_islands_are_numbered_by_area_and_not_connected() -> None:

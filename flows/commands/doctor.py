@@ -30,8 +30,8 @@ def usd(file: Path, omniverse: bool, as_json: bool) -> None:
 
     Example: metascenes doctor usd scene.usda --omniverse
     """
-    from tasks.exports.usd_omniverse import check_omniverse
-    from tasks.exports.usd_rules import check_usd
+    from tasks.exports.usd.omniverse import check_omniverse
+    from tasks.exports.usd.rules import check_usd
 
     findings = check_usd(file) + (check_omniverse(file) if omniverse else [])
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
@@ -45,7 +45,7 @@ def habitat(folder: Path, as_json: bool) -> None:
 
     Example: metascenes doctor habitat ./replicas/habitat
     """
-    from tasks.exports.habitat_rules import check_habitat
+    from tasks.exports.habitat.rules import check_habitat
 
     findings = check_habitat(folder)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
@@ -59,7 +59,7 @@ def mjcf(file: Path, as_json: bool) -> None:
 
     Example: metascenes doctor mjcf ./replicas/mjcf/scannet_scene0000_00/scene.xml
     """
-    from tasks.exports.mjcf_rules import check_mjcf
+    from tasks.exports.mjcf.rules import check_mjcf
 
     findings = check_mjcf(file)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
@@ -73,7 +73,7 @@ def urdf(file: Path, as_json: bool) -> None:
 
     Example: metascenes doctor urdf ./replicas/urdf/scannet_scene0000_00
     """
-    from tasks.exports.urdf_rules import check_urdf
+    from tasks.exports.urdf.rules import check_urdf
 
     findings = check_urdf(file)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
@@ -87,7 +87,7 @@ def glb(file: Path, as_json: bool) -> None:
 
     Example: metascenes doctor glb ./replicas/glb/scannet_scene0000_00.glb
     """
-    from tasks.exports.glb_rules import check_glb
+    from tasks.exports.glb.rules import check_glb
 
     findings = check_glb(file)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)

@@ -71,7 +71,7 @@ class _Scene:
 def _usd(scene: _Scene) -> Export:
     """The USD scene: written to a temporary folder, checked there, read back."""
     from tasks.exports.usd import write_usd
-    from tasks.exports.usd_rules import RULES, check_usd
+    from tasks.exports.usd.rules import RULES, check_usd
 
     with tempfile.TemporaryDirectory(prefix="usd-") as place:
         root = Path(place).resolve()
@@ -88,7 +88,7 @@ def _usd_role(name: str) -> str:
 def _habitat(scene: _Scene) -> Export:
     """The scene's part of the Habitat dataset, checked as a dataset of this one scene."""
     from tasks.exports.habitat import habitat_files
-    from tasks.exports.habitat_rules import RULES, check_habitat
+    from tasks.exports.habitat.rules import RULES, check_habitat
     from tasks.exports.layout import dataset_of
 
     config, replica = scene.config, scene.replica
@@ -109,7 +109,7 @@ def _habitat(scene: _Scene) -> Export:
 def _mjcf(scene: _Scene) -> Export:
     """The MuJoCo model, compiled and stepped once."""
     from tasks.exports.mjcf import mjcf_files
-    from tasks.exports.mjcf_rules import RULES, check_mjcf
+    from tasks.exports.mjcf.rules import RULES, check_mjcf
 
     files = mjcf_files(scene.replica, scene.config)
     return _checked(files, RULES, lambda root: check_mjcf(root / scene.replica.stem / "scene.xml"))
@@ -118,7 +118,7 @@ def _mjcf(scene: _Scene) -> Export:
 def _urdf(scene: _Scene) -> Export:
     """A URDF file per object, and where they stand."""
     from tasks.exports.urdf import urdf_files
-    from tasks.exports.urdf_rules import RULES, check_urdf
+    from tasks.exports.urdf.rules import RULES, check_urdf
 
     files = urdf_files(scene.replica, scene.config)
     return _checked(files, RULES, lambda root: check_urdf(root / scene.replica.stem))
@@ -126,8 +126,8 @@ def _urdf(scene: _Scene) -> Export:
 
 def _glb(scene: _Scene) -> Export:
     """The whole scene in one glTF binary."""
-    from tasks.exports.glb_rules import RULES, check_glb
-    from tasks.exports.scene_glb import glb_files
+    from tasks.exports.glb import glb_files
+    from tasks.exports.glb.rules import RULES, check_glb
 
     files = glb_files(scene.replica, scene.config)
     return _checked(files, RULES, lambda root: check_glb(root / files[0].path))

@@ -9,7 +9,7 @@ from schemas.errors import InputError
 from schemas.exports import ExportFile
 from tasks.exports.config import HabitatConfig
 from tasks.exports.files import File
-from tasks.exports.habitat_dataset import HabitatScene, dataset_files, describe
+from tasks.exports.habitat.dataset import HabitatScene, dataset_files, describe
 
 
 def layout(rows: Sequence[ExportFile]) -> dict[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.exports.bodies import Shape, digest
-from tasks.exports.glb import node_textures
+from tasks.exports.gltf import node_textures
 from tasks.meshes import material_of, vertex_colors
 
 if TYPE_CHECKING:

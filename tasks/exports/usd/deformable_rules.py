@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.exports.findings import Finding
-from tasks.exports.usd_prims import applied, array_of, is_body, is_deformable, number, simulation_kind, subtree, traverse, triangles
+from tasks.exports.usd.prims import applied, array_of, is_body, is_deformable, number, simulation_kind, subtree, traverse, triangles
 from tasks.tetrahedra import surface_of, volumes_of
 
 

@@ -22,7 +22,7 @@ from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh
 from tasks.exports.bodies import Body, Replica, digest, identifier, stem
 from tasks.exports.config import ExportsConfig, HabitatConfig
-from tasks.exports.glb import scaled_glb
+from tasks.exports.gltf import scaled_glb
 from tasks.meshes import dump_glb
 from tasks.pieces import Hull
 from tasks.replica import room_shell

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from tasks.exports.findings import Finding
-from tasks.exports.usd_package import names_in
-from tasks.exports.usd_prims import is_body, is_collider, number, subtree, traverse, vector
+from tasks.exports.usd.package import names_in
+from tasks.exports.usd.prims import is_body, is_collider, number, subtree, traverse, vector
 
 
 def metadata(stage: Any, path: Path) -> Iterator[Finding]:

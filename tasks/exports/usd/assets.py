@@ -15,8 +15,8 @@ import numpy as np
 from tasks.exports.bodies import Body, Shape, digest
 from tasks.exports.config import UsdConfig
 from tasks.exports.shading import corner_normals
-from tasks.exports.usd_deformables import Deformable, deformable_of, write_deformable, write_simulation
-from tasks.exports.usd_layers import (
+from tasks.exports.usd.deformables import Deformable, deformable_of, write_deformable, write_simulation
+from tasks.exports.usd.layers import (
     add_collider,
     add_color_material,
     add_display_color,

@@ -14,7 +14,7 @@ from typing import Any
 from tasks.capture.labels import NYU40
 from tasks.exports.config import HabitatConfig
 from tasks.exports.habitat import dump_json, dump_json_gz
-from tasks.exports.navmesh_file import read_navmesh
+from tasks.exports.habitat.navmesh_file import read_navmesh
 
 TASKS = ("objectnav", "pointnav")
 

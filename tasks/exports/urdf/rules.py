@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tasks.exports.findings import Finding
 from tasks.exports.urdf import POSES
-from tasks.exports.usd_prims import dent
+from tasks.exports.usd.prims import dent
 from tasks.exports.wavefront import load_obj
 
 RULES: dict[str, str] = {

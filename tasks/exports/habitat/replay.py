@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.exports import habitat_shapes
 from tasks.exports.findings import Finding
-from tasks.exports.habitat_ground import Ground, Island
+from tasks.exports.habitat import shapes
+from tasks.exports.habitat.ground import Ground, Island
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def _strays(walked: Sequence[_Moves], island: Island) -> Iterator[Finding]:
 def _distance(trip: Trip, goals: Array, island: Island) -> Iterator[Finding]:
     """The geodesic distance that the episode states against the shortest path over the file's polygons."""
     stated = trip.info.get("geodesic_distance")
-    if habitat_shapes.number(stated):
+    if shapes.number(stated):
         return
     low, high = island.geodesic(trip.start, goals)
     if trip.info.get("path_finder") != "planar":
@@ -170,12 +170,12 @@ def _differs(state: Mapping[str, Any], place: Array, heading: float) -> str | No
     """How a state differs from where the replay stands, or None. A state may leave out position and rotation."""
     position, rotation = state.get("position"), state.get("rotation")
     if position is not None:
-        if habitat_shapes.mismatch(position, [habitat_shapes.number]) or len(position) != 3:
+        if shapes.mismatch(position, [shapes.number]) or len(position) != 3:
             return "position is not three finite numbers"
         if math.hypot(position[0] - place[0], position[2] - place[1]) > _SAME_M:
             return f"position is ({position[0]:.4g}, {position[2]:.4g}) (x, z), the replay stands at ({place[0]:.4g}, {place[1]:.4g})"
     if rotation is not None:
-        if habitat_shapes.mismatch(rotation, [habitat_shapes.number]) or len(rotation) != 4:
+        if shapes.mismatch(rotation, [shapes.number]) or len(rotation) != 4:
             return "rotation is not four finite numbers"
         if abs(math.remainder(heading_of(rotation) - heading, 2 * math.pi)) > _SAME_RADIANS:
             return f"rotation is {rotation}, the replay has turned {math.degrees(heading):.4g} degrees"

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from tasks.exports import habitat_shapes
 from tasks.exports.findings import Finding
-from tasks.exports.habitat_ground import NEAR, Ground
-from tasks.exports.habitat_library import Library, read_json
-from tasks.exports.habitat_replay import Steps, Trip, check_trips, heading_of, steps_of
-from tasks.exports.navmesh_file import NavmeshFile
+from tasks.exports.habitat import shapes
+from tasks.exports.habitat.ground import NEAR, Ground
+from tasks.exports.habitat.library import Library, read_json
+from tasks.exports.habitat.navmesh_file import NavmeshFile
+from tasks.exports.habitat.replay import Steps, Trip, check_trips, heading_of, steps_of
 
 EPISODE_RULES: dict[str, str] = {
     "split_file": "every split has a split file with a list of episodes, and some episodes in all",
@@ -76,7 +76,7 @@ def _split(world: _World, folder: Path, task: str, findings: list[Finding]) -> N
     """One split of one task."""
     library = world.library
     header_path = folder / f"{folder.name}.json.gz"
-    header = read_json(header_path, library.root, findings, habitat_shapes.SPLIT) or {}
+    header = read_json(header_path, library.root, findings, shapes.SPLIT) or {}
     where = header_path.relative_to(library.root).as_posix()
     if "episodes" not in header:
         findings.append(Finding("split_file", where, "episodes are missing"))
@@ -91,7 +91,7 @@ def _split(world: _World, folder: Path, task: str, findings: list[Finding]) -> N
         )
     total = len(header.get("episodes") or [])
     for path in sorted((folder / "content").glob("*.json.gz")):
-        content = read_json(path, library.root, findings, habitat_shapes.CONTENT)
+        content = read_json(path, library.root, findings, shapes.CONTENT)
         if content is None:
             continue
         name = path.relative_to(library.root).as_posix()
@@ -140,7 +140,7 @@ def _content(world: _World, content: Mapping[str, Any], task: str, name: str, ma
             if not goals.get(key):
                 yield Finding("goals", where, f"goals_by_category has no {key!r}")
             states = [state for path in episode.get("shortest_paths") or [] for state in path if isinstance(state, dict)]
-            if habitat_shapes.mismatch(states, [habitat_shapes.STATE]):
+            if shapes.mismatch(states, [shapes.STATE]):
                 yield Finding("shortest_paths", where, "shortest_paths: a step has a position, rotation or action of another kind")
             if maps is not None and category not in maps["task"]:
                 yield Finding("category_maps", where, f"object_category {category!r} is in no map")
@@ -251,7 +251,7 @@ def _start(episode: Mapping[str, Any], where: str, floor: _Floor) -> Iterator[Fi
         yield Finding("start_rotation", where, f"start_rotation {wrong}")
     info = episode.get("info") or {}
     distance, straight = info.get("geodesic_distance"), info.get("euclidean_distance", 0.0)
-    if habitat_shapes.number(distance) or habitat_shapes.number(straight) or distance < straight - 1e-3:
+    if shapes.number(distance) or shapes.number(straight) or distance < straight - 1e-3:
         yield Finding("geodesic", where, f"geodesic_distance is {distance}, the straight line {straight}")
 
 
@@ -268,7 +268,7 @@ def _point_goals(episode: Mapping[str, Any], where: str, floor: _Floor) -> Itera
             yield Finding("goals", where, f"goals: position {wrong}")
     for path in episode.get("shortest_paths") or []:
         states = all(isinstance(state, dict) and set(state) == {"position", "rotation", "action"} for state in path)
-        if not states or habitat_shapes.mismatch(path, [habitat_shapes.STATE]):
+        if not states or shapes.mismatch(path, [shapes.STATE]):
             yield Finding("shortest_paths", where, "shortest_paths: a step is no object with position, rotation and action")
 
 
@@ -304,7 +304,7 @@ def _view(view: Any, where: str, floor: _Floor) -> Iterator[Finding]:
         yield Finding("view_points", where, "view_points: one needs agent_state and iou, and nothing else")
         return
     iou = view["iou"]
-    if habitat_shapes.number(iou) or iou < 0:
+    if shapes.number(iou) or iou < 0:
         yield Finding("view_points", where, f"view_points: iou is {iou!r}")
     state = view["agent_state"]
     wrong = _standing(state.get("position"), floor) or _heading(state.get("rotation"))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tasks.exports.bodies import Body, Shape
 from tasks.exports.shading import corner_normals
-from tasks.exports.usd_layers import add_mesh, add_physics_material, bind_physics, extent, new_stage
+from tasks.exports.usd.layers import add_mesh, add_physics_material, bind_physics, extent, new_stage
 from tasks.exports.visuals import Visual
 from tasks.sheets import Sheet, sheet_of
 from tasks.tetrahedra import CELLS, COVERED, OUTSIDE_M, Tetrahedra, distance_to, tetrahedralize

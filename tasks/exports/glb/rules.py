@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.exports.findings import Finding
-from tasks.exports.glb import open_glb
+from tasks.exports.gltf import open_glb
 
 RULES: dict[str, str] = {
     "container": "the file is a GLB of version 2 whose JSON says so",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.exports.navmesh_file import NavmeshFile
+from tasks.exports.habitat.navmesh_file import NavmeshFile
 
 if TYPE_CHECKING:
     import shapely

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tasks.exports import usd_body_rules, usd_deformable_rules, usd_stage_rules
 from tasks.exports.findings import Finding
-from tasks.exports.usd_package import check_package
-from tasks.exports.usd_prims import traverse
+from tasks.exports.usd import body_rules, deformable_rules, stage_rules
+from tasks.exports.usd.package import check_package
+from tasks.exports.usd.prims import traverse
 
 RULES: dict[str, str] = {
     "stage_opens": "the file opens as a USD stage",
@@ -133,14 +133,14 @@ def _validators(stage: Any, path: Path) -> Iterator[Finding]:
 
 
 _IN_VARIANTS: tuple[Callable[[Any, Path], Iterator[Finding]], ...] = (
-    _validators, usd_body_rules.nesting, usd_body_rules.one_body, usd_body_rules.poses, usd_body_rules.geometry,
-    usd_body_rules.colliders, usd_body_rules.masses, usd_body_rules.boxes, usd_body_rules.materials, usd_body_rules.labels,
-    usd_deformable_rules.deformables,
+    _validators, body_rules.nesting, body_rules.one_body, body_rules.poses, body_rules.geometry,
+    body_rules.colliders, body_rules.masses, body_rules.boxes, body_rules.materials, body_rules.labels,
+    deformable_rules.deformables,
 )  # fmt: skip
 """What is looked at again in variants: things, not the file."""
 
 _CHECKS: tuple[Callable[[Any, Path], Iterator[Finding]], ...] = (
-    *_IN_VARIANTS, usd_stage_rules.metadata, usd_stage_rules.layers, usd_stage_rules.paths, usd_stage_rules.hierarchy,
-    usd_stage_rules.physics_scene, usd_stage_rules.joints, usd_stage_rules.point_instancers,
-    usd_body_rules.animation, usd_body_rules.overlaps,
+    *_IN_VARIANTS, stage_rules.metadata, stage_rules.layers, stage_rules.paths, stage_rules.hierarchy,
+    stage_rules.physics_scene, stage_rules.joints, stage_rules.point_instancers,
+    body_rules.animation, body_rules.overlaps,
 )  # fmt: skip

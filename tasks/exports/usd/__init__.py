@@ -1,6 +1,6 @@
 """A replica as a USD scene with physics.
 
-`<stem>/scene.usda` refers to `room/room.usda` and to one folder per asset under `assets/`; see `usd_assets`. Every
+`<stem>/scene.usda` refers to `room/room.usda` and to one folder per asset under `assets/`; see `usd.assets`. Every
 object is one rigid body with explicit convex colliders, its scale baked into the geometry. What hangs on a wall or
 a ceiling is a static collider without a rigid body, like the room.
 """
@@ -15,8 +15,8 @@ import numpy as np
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
 from tasks.exports.shading import corner_normals
-from tasks.exports.usd_assets import asset_name, write_asset
-from tasks.exports.usd_layers import (
+from tasks.exports.usd.assets import asset_name, write_asset
+from tasks.exports.usd.layers import (
     add_collider,
     add_color_material,
     add_display_color,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tasks.exports.findings import Finding
-from tasks.exports.usd_prims import (
+from tasks.exports.usd.prims import (
     bodies,
     cloud_of,
     dent,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.exports.findings import Finding
-from tasks.exports.usd_prims import dent
+from tasks.exports.usd.prims import dent
 from tasks.optimization.mujoco_engine import LONGEST_TIMESTEP_S, mujoco_module
 
 RULES: dict[str, str] = {

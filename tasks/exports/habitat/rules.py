@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.exports import habitat_shapes
 from tasks.exports.findings import Finding
-from tasks.exports.habitat_episode_rules import EPISODE_RULES, check_episodes
-from tasks.exports.habitat_library import Library, Template, read_json, read_library
-from tasks.exports.navmesh_file import DEFAULTS, NavmeshFile, read_navmesh
+from tasks.exports.habitat import shapes
+from tasks.exports.habitat.episode_rules import EPISODE_RULES, check_episodes
+from tasks.exports.habitat.library import Library, Template, read_json, read_library
+from tasks.exports.habitat.navmesh_file import DEFAULTS, NavmeshFile, read_navmesh
 
 RULES: dict[str, str] = {
     "dataset_config": "there is one scene dataset config, with sections that habitat-sim reads and paths inside the folder",
@@ -163,7 +163,7 @@ def _vector(value: Any, count: int) -> NDArray[np.float64] | None:
 def _agent(root: Path, findings: list[Finding]) -> Mapping[str, Any] | None:
     """The documented agent of a dataset of this project; other datasets have none."""
     path = root / "metadata" / "agent.json"
-    agent: Mapping[str, Any] | None = read_json(path, root, findings, habitat_shapes.AGENT) if path.is_file() else None
+    agent: Mapping[str, Any] | None = read_json(path, root, findings, shapes.AGENT) if path.is_file() else None
     return agent
 
 
@@ -217,7 +217,7 @@ def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
             said = f"semantic_scene_descriptor_instances: {name}: {path} does not exist; habitat-sim stops"
             findings.append(Finding("files_exist", library.config, said))
             continue
-        document = read_json(library.root / path, library.root, findings, habitat_shapes.LEXICON)
+        document = read_json(library.root / path, library.root, findings, shapes.LEXICON)
         if document is None or "classes" not in document:
             if document is not None and not str(path).endswith(".semantic_config.json"):
                 findings.append(Finding("semantics", str(path), "classes are missing"))

@@ -11,8 +11,8 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from tasks.exports import habitat_shapes
 from tasks.exports.findings import Finding
+from tasks.exports.habitat import shapes
 
 ENDINGS = {"stages": ".stage_config.json", "objects": ".object_config.json", "scene_instances": ".scene_instance.json"}
 """Sections of a scene dataset config whose files this knows, and how those files' names end."""
@@ -66,7 +66,7 @@ def read_library(root: Path) -> Library:
         findings.append(Finding("dataset_config", ".", f"*.scene_dataset_config.json: there are {len(configs)}, not one"))
     if not configs:
         return Library(root, "", {name: {} for name in ENDINGS}, {}, {}, tuple(findings))
-    document = read_json(configs[0], root, findings, habitat_shapes.CONFIG) or {}
+    document = read_json(configs[0], root, findings, shapes.CONFIG) or {}
     known = {*ENDINGS, "articulated_objects", "light_setups", "pbr_ibl_configs", "navmesh_instances", "semantic_scene_descriptor_instances"}
     for name in sorted(set(document) - known):
         findings.append(Finding("dataset_config", configs[0].name, f"section {name!r} is not read by habitat-sim"))
@@ -117,7 +117,7 @@ def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[st
         data = path.read_bytes()
         text = gzip.decompress(data) if path.suffix == ".gz" else data
         document = json.loads(text, parse_constant=_refuse)
-        wrong = habitat_shapes.mismatch(document, shape)
+        wrong = shapes.mismatch(document, shape)
         if wrong is None:
             return document
         findings.append(Finding("shape", where, wrong))
@@ -138,7 +138,7 @@ def _section(root: Path, section: Any, kind: str, file: str, findings: list[Find
     ending = ENDINGS[kind]
     found: dict[str, Template] = {}
     for path in _listed(root, section.get("paths", {}), ending, kind, file, findings):
-        shape = habitat_shapes.SECTIONS[kind]
+        shape = shapes.SECTIONS[kind]
         values = read_json(path, root, findings, shape) if path.name.endswith(ending) else {"render_asset": path.name}
         if values is not None:
             handle = path.name.removesuffix(ending).removesuffix(".glb")
@@ -152,7 +152,7 @@ def _section(root: Path, section: Any, kind: str, file: str, findings: list[Find
         if origin and base is None:
             findings.append(Finding("files_exist", file, f"{origin} is changed by the config, but not loaded"))
         values = {**(base.values if base else defaults), **entry.get("attributes", {})}
-        wrong = habitat_shapes.mismatch(values, habitat_shapes.SECTIONS[kind])
+        wrong = shapes.mismatch(values, shapes.SECTIONS[kind])
         if wrong is None:
             found[handle] = Template(handle, file, values, base.folder if base else root)
         else:
