@@ -43,7 +43,7 @@ def path_finder(data: bytes, file: str) -> PlanarPathFinder:
     """
     from tasks.navigation.navmesh import read_navmesh
 
-    finder = PlanarPathFinder.from_navmesh(read_navmesh(data, file), floor_only=True)
+    finder = PlanarPathFinder.from_navmesh(read_navmesh(data, file), floor_only=True, file=file)
     if not finder.islands:
         raise InputError(file, "polygons", "none can be walked on", "run the navigation stage again")
     return finder

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.navigation.navmesh import NavmeshFile, Settings, read_navmesh
+from tasks.navigation.points import FloorTriangles, rows
 from tasks.navigation.protocol import DistanceField, Path
 from tasks.navigation.regions import Region, closed_but_for, walkable_region
 
@@ -74,16 +75,7 @@ class DetourPathFinder:
 
     def random_point(self, rng: np.random.Generator, island: int | None = None) -> Array:
         """A navigable point, uniform over the area of one island or of all, shape (2,)."""
-        corners, cumulative, islands = self._triangles
-        low, high = 0.0, float(cumulative[-1])
-        if island is not None:
-            first, last = np.searchsorted(islands, [island, island + 1])
-            low, high = (float(cumulative[first - 1]) if first else 0.0), float(cumulative[last - 1])
-        pick, u, v = rng.random(3)
-        triangle = corners[min(int(np.searchsorted(cumulative, low + pick * (high - low), side="right")), len(corners) - 1)]
-        if u + v > 1:
-            u, v = 1 - u, 1 - v
-        return np.asarray(triangle[0] + u * (triangle[1] - triangle[0]) + v * (triangle[2] - triangle[0]))
+        return self._triangles.random_point(rng, island)
 
     def field(self, goals: ArrayLike) -> DistanceField:
         """Distances and paths to the nearest of `goals`, shape (n, 2). Goals that are not navigable are never reached."""
@@ -123,13 +115,13 @@ class DetourPathFinder:
         return islands
 
     @cached_property
-    def _triangles(self) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Fans of the floor's polygons (n, 3, 2), cumulative area (n,), island (n,)."""
+    def _triangles(self) -> FloorTriangles:
+        """Fans of the floor's polygons."""
         fans = [ring[[0, k, k + 1]] for ring in self.region.rings for k in range(1, len(ring) - 1)]
         islands = np.repeat(self.region.islands, [len(ring) - 2 for ring in self.region.rings])
         corners = np.array(fans).reshape(-1, 3, 2)
         u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        return corners, np.cumsum(0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])), islands
+        return FloorTriangles(corners, np.cumsum(0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])), islands)
 
     def _nearest(self, point: Array) -> Array:
         """The point of the floor's navmesh nearest to one outside, shape (2,)."""
@@ -138,11 +130,6 @@ class DetourPathFinder:
         share = np.clip(((point - starts) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-18), 0.0, 1.0)
         on_edge = starts + share[:, None] * along
         return np.asarray(on_edge[np.hypot(*(on_edge - point).T).argmin()])
-
-
-def rows(points: ArrayLike) -> Array:
-    """Points as float64, shape (n, 2)."""
-    return np.asarray(points, dtype=np.float64).reshape(-1, 2)
 
 
 def space(points: Array) -> Array:

@@ -41,6 +41,8 @@ BOX_NODE = np.dtype([("low", "<u2", 3), ("high", "<u2", 3), ("index", "<i4")])
 OFF_MESH = np.dtype([("positions", "<f4", 6), ("radius", "<f4"), ("polygon", "<u2"), ("flags", "u1"), ("side", "u1"), ("user", "<u4")])
 
 _WALKABLE = 1  # habitat-sim's polygon flag for "can be walked on"
+_GROUND = 0  # Detour's type of a polygon; the other is a connection between two points
+_TYPE_SHIFT = 6  # the type's place in `area_and_type`
 _EDGE_OF_POLYGON = 1  # Detour's flag for a detail triangle's edge that is an edge of its polygon
 _MOST = 0x7FFF
 """Polygons and vertices that a tile can number: the sixteenth bit of a neighbor means another tile."""
@@ -194,6 +196,12 @@ def navmesh_from_polygons(cover: ConvexCover, settings: Settings, floor_y: float
     return NavmeshFile(2, (float(low[0]), float(low[1]), float(low[2])), size, 1, count, settings, (tile,))
 
 
+def walkable_polygons(tile: Tile) -> NDArray[np.bool_]:
+    """Polygons that an agent may walk on, shape (n,)."""
+    ground = tile.polygons["area_and_type"] >> _TYPE_SHIFT == _GROUND
+    return np.asarray(ground & (tile.polygons["flags"] & _WALKABLE > 0))
+
+
 def polygon_areas(tile: Tile) -> NDArray[np.float64]:
     """Area of every polygon seen from above [m2], shape (n,)."""
     areas = np.zeros(len(tile.polygons))
@@ -203,17 +211,21 @@ def polygon_areas(tile: Tile) -> NDArray[np.float64]:
     return areas
 
 
-def polygon_islands(tile: Tile) -> NDArray[np.int64]:
-    """Connected part of every polygon, walking over the neighbors that the file names, shape (n,)."""
+def polygon_islands(tile: Tile, open_to_agents: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+    """Connected part of every polygon, walking over the neighbors that the file names, shape (n,).
+
+    `open_to_agents`: Polygons that can be walked on, shape (n,); the others belong to no part, which is -1. None: all can.
+    """
     island = np.full(len(tile.polygons), -1, dtype=np.int64)
-    for seed in range(len(island)):
+    is_open = np.ones(len(island), dtype=np.bool_) if open_to_agents is None else open_to_agents
+    for seed in np.flatnonzero(is_open):
         if island[seed] >= 0:
             continue
-        island[seed], front = island.max() + 1, [seed]
+        island[seed], front = island.max() + 1, [int(seed)]
         while front:
             polygon = tile.polygons[front.pop()]
             for beyond in polygon["neighbors"][: polygon["count"]].astype(int) - 1:
-                if 0 <= beyond < len(island) and island[beyond] < 0:
+                if 0 <= beyond < len(island) and is_open[beyond] and island[beyond] < 0:
                     island[beyond] = island[seed]
                     front.append(beyond)
     return island
@@ -289,6 +301,8 @@ def _check_tile(tile: Tile, file: str, name: str) -> None:
     counts = tile.polygons["count"]
     if (counts > CORNERS).any():
         raise InputError(file, f"{name} polygons", f"a polygon has {counts.max()} corners", "the file is damaged")
+    if ((counts < 3) & (tile.polygons["area_and_type"] >> _TYPE_SHIFT == _GROUND)).any():
+        raise InputError(file, f"{name} polygons", f"a polygon has {counts.min()} corners", "the file is damaged")
     used = np.arange(CORNERS) < counts[:, None]
     if (used & (tile.polygons["vertices"] >= len(tile.vertices))).any():
         raise InputError(file, f"{name} polygons", "a corner names a vertex that does not exist", "the file is damaged")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tasks.navigation.points import FloorTriangles, rows
 from tasks.navigation.protocol import NO_PATH, Path
 from tasks.navigation.visibility import (
     ON_BOUNDARY,
@@ -38,6 +39,9 @@ Array = NDArray[np.float64]
 _SAFETY = 1e-6
 """A blocked step ends this far before the obstacle [m], so that the next one starts inside."""
 
+_JOINT_M = 1e-4
+"""Islands of a navmesh that hang together at a point only grow by this [m]."""
+
 
 class PlanarPathFinder:
     """Shortest paths for a point in a closed polygon with holes, world frame [m]. Exact up to rounding.
@@ -54,15 +58,17 @@ class PlanarPathFinder:
         self._set_parts([shapely.MultiPolygon([part]) for part in sorted(parts, key=lambda part: (-part.area, part.bounds))])
 
     @classmethod
-    def from_navmesh(cls, navmesh: NavmeshFile, floor_only: bool = False) -> PlanarPathFinder:
+    def from_navmesh(cls, navmesh: NavmeshFile, floor_only: bool = False, file: str = "scene.navmesh") -> PlanarPathFinder:
         """Exact shortest paths on the walkable polygons of a .navmesh, in plan.
 
-        An island is what the file's own links connect: parts that only touch, or lie above each other, stay apart.
+        An island is what the file's own links connect: parts that only touch, or lie above each other, stay apart. One
+        that hangs together at a point only is widened by 0.1 mm, so that paths lead through there.
         Where islands lie above each other, a point belongs to the largest.
 
         Args:
             navmesh: A file of one tile.
             floor_only: Leave out what no agent on the floor can climb to.
+            file: Name for messages.
 
         Raises:
             InputError: the file has several tiles.
@@ -71,12 +77,14 @@ class PlanarPathFinder:
 
         from tasks.navigation.regions import walkable_region
 
-        region = walkable_region(navmesh, floor_only)
+        region = walkable_region(navmesh, floor_only, file)
         polygons = np.array([shapely.Polygon(ring) for ring in region.rings], dtype=object)
         made = cls(shapely.MultiPolygon())
         # Neighbors share corners to the last bit: on a grid, an edge could part from the one it lies on.
         united = [shapely.union_all(polygons[region.islands == island]) for island in range(len(region.areas))]
-        made._set_parts([shapely.MultiPolygon([p for p in shapely.get_parts(part) if p.geom_type == "Polygon"]) for part in united])
+        floors = [shapely.MultiPolygon([p for p in shapely.get_parts(part) if p.geom_type == "Polygon"]) for part in united]
+        whole = [shapely.buffer(floor, _JOINT_M, join_style="mitre") if len(floor.geoms) > 1 else floor for floor in floors]
+        made._set_parts([shapely.MultiPolygon(list(shapely.get_parts(part))) for part in whole])
         return made
 
     def _set_parts(self, parts: list[shapely.MultiPolygon]) -> None:
@@ -98,7 +106,7 @@ class PlanarPathFinder:
 
     def island_of(self, points: ArrayLike) -> NDArray[np.int64]:
         """Island of each point, shape (n, 2) to (n,); -1 where the agent cannot be."""
-        p = _rows(points)
+        p = rows(points)
         result = np.full(len(p), -1, dtype=np.int64)
         for number in reversed(range(len(self._parts))):
             result[contains(self._edges[number], p)] = number
@@ -118,7 +126,7 @@ class PlanarPathFinder:
 
         if not self._parts:
             raise ValueError("free: is empty, there is no point to snap to")
-        p = _rows(points).copy()
+        p = rows(points).copy()
         outside = np.flatnonzero(~self.is_navigable(p))
         if len(outside):
             lines = shapely.shortest_line(self.free, shapely.points(p[outside]))
@@ -126,27 +134,18 @@ class PlanarPathFinder:
         return p
 
     @cached_property
-    def _triangles(self) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Triangles of the free polygon (n, 3, 2), cumulative area (n,), island (n,)."""
+    def _triangles(self) -> FloorTriangles:
+        """Triangles of the free polygon."""
         import shapely
 
         pieces = [shapely.get_parts(shapely.constrained_delaunay_triangles(part)) for part in self._parts]
         corners = np.concatenate([shapely.get_coordinates(p).reshape(-1, 4, 2)[:, :3] for p in pieces])
         areas = np.concatenate([shapely.area(p) for p in pieces])
-        return corners, np.cumsum(areas), np.repeat(np.arange(len(pieces)), [len(p) for p in pieces])
+        return FloorTriangles(corners, np.cumsum(areas), np.repeat(np.arange(len(pieces)), [len(p) for p in pieces]))
 
     def random_point(self, rng: np.random.Generator, island: int | None = None) -> Array:
         """A navigable point, uniform over the area of one island or of all, shape (2,)."""
-        corners, cumulative, islands = self._triangles
-        low, high = 0.0, float(cumulative[-1])
-        if island is not None:
-            first, last = np.searchsorted(islands, [island, island + 1])
-            low, high = (float(cumulative[first - 1]) if first else 0.0), float(cumulative[last - 1])
-        pick, u, v = rng.random(3)
-        triangle = corners[min(int(np.searchsorted(cumulative, low + pick * (high - low), side="right")), len(corners) - 1)]
-        if u + v > 1:
-            u, v = 1 - u, 1 - v
-        return np.asarray(triangle[0] + u * (triangle[1] - triangle[0]) + v * (triangle[2] - triangle[0]))
+        return self._triangles.random_point(rng, island)
 
     @cached_property
     def _nodes(self) -> NDArray[np.int64]:
@@ -209,28 +208,28 @@ class PlanarPathFinder:
 
     def field(self, goals: ArrayLike) -> PlanarField:
         """Distances and paths to the nearest of `goals`, shape (n, 2). Goals that are not navigable are never reached."""
-        return PlanarField(self, _rows(goals))
+        return PlanarField(self, rows(goals))
 
     def geodesic(self, start: ArrayLike, goal: ArrayLike) -> Path:
         """Shortest path between two points, shape (2,) each."""
-        return self.field(_rows(goal)).path(start)
+        return self.field(rows(goal)).path(start)
 
     def geodesics(self, start: ArrayLike, goals: ArrayLike) -> Array:
         """Geodesic distances from one point, shape (2,), to many, shape (n, 2): [m], shape (n,)."""
-        return self.field(_rows(start)).distances(goals)
+        return self.field(rows(start)).distances(goals)
 
     def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
         """Whether a straight move from a navigable point to anywhere, shape (2,) each, stays in the free polygon."""
         island = 0 if len(self._parts) == 1 else int(self.island_of(start)[0])
-        if island < 0 or not clear(self._edges[island], _rows(start), _rows(end))[0]:
+        if island < 0 or not clear(self._edges[island], rows(start), rows(end))[0]:
             return False
         # The next move starts there, and outside of the polygon nothing would stop it.
-        return bool(contains(self._edges[island], _rows(end))[0])
+        return bool(contains(self._edges[island], rows(end))[0])
 
     def try_step(self, position: ArrayLike, offset: ArrayLike) -> Array:
         """Where a straight move of `offset` from a navigable point ends, shape (2,): short of the first obstacle; no sliding."""
-        start = _rows(position)[0]
-        end = start + _rows(offset)[0]
+        start = rows(position)[0]
+        end = start + rows(offset)[0]
         if self.is_clear(start, end):
             return end
         island = int(self.island_of(start)[0])
@@ -293,13 +292,13 @@ class PlanarField:
 
     def distances(self, points: ArrayLike) -> Array:
         """Geodesic distances from points, shape (n, 2), to the nearest goal [m], shape (n,); infinite without a path."""
-        p = _rows(points)
+        p = rows(points)
         islands = self._finder.island_of(p)
         return np.array([self._search(point, int(island))[0] for point, island in zip(p, islands, strict=True)], dtype=np.float64)
 
     def path(self, start: ArrayLike) -> Path:
         """Shortest path from `start`, shape (2,), to the nearest goal."""
-        point = _rows(start)[0]
+        point = rows(start)[0]
         length, node, goal = self._search(point, int(self._finder.island_of(point)[0]))
         if not np.isfinite(length):
             return NO_PATH
@@ -330,8 +329,3 @@ class PlanarField:
         nodes, total = finder._candidates(point, island, self._beyond[island], best)
         seen = first_clear(finder._edges[island], point, self._at[nodes])
         return (best, -1, straight) if seen < 0 else (float(total[seen]), int(nodes[seen]), -1)
-
-
-def _rows(points: ArrayLike) -> Array:
-    """Points as float64, shape (n, 2)."""
-    return np.asarray(points, dtype=np.float64).reshape(-1, 2)

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.errors import InputError
-from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, plan, rows, space
+from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, plan, space
 from tasks.navigation.navmesh import Settings, dump_navmesh, read_navmesh
+from tasks.navigation.points import rows
 from tasks.navigation.protocol import NO_PATH, Path
 
 Array = NDArray[np.float64]

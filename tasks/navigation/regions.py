@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.navigation.navmesh import NavmeshFile, Settings, Tile
+from tasks.navigation.navmesh import NavmeshFile, Settings, Tile, polygon_areas, polygon_islands, walkable_polygons
 
 Array = NDArray[np.float64]
 
-WALKABLE, CLOSED = 1, 4
-"""habitat-sim's polygon flags."""
+CLOSED = 4
+"""habitat-sim's flag of polygons that are switched off."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,24 +31,24 @@ class Region:
     areas: tuple[float, ...]
 
 
-def walkable_region(navmesh: NavmeshFile, floor_only: bool = False) -> Region:
+def walkable_region(navmesh: NavmeshFile, floor_only: bool = False, file: str = "scene.navmesh") -> Region:
     """Polygons that an agent may walk on.
 
     Args:
         navmesh: A file of one tile, as habitat-sim bakes them.
         floor_only: Leave out the parts that no agent on the floor (z = 0) can climb to: tops of tables and cupboards.
+        file: Name for messages.
 
     Raises:
         InputError: the file has several tiles.
     """
     if len(navmesh.tiles) != 1:
-        raise InputError("scene.navmesh", "tiles", f"are {len(navmesh.tiles)}, habitat-sim bakes one", "bake the whole scene as one tile")
+        raise InputError(file, "tiles", f"are {len(navmesh.tiles)}, habitat-sim bakes one", "bake the whole scene as one tile")
     (tile,) = navmesh.tiles
     polygons = tile.polygons
-    label = _connected(tile)
+    label, sizes = polygon_islands(tile, walkable_polygons(tile)), polygon_areas(tile)
     lowest = np.array([tile.vertices[p["vertices"][: p["count"]], 1].min(initial=np.inf) for p in polygons], dtype=np.float64)
     rings = [tile.vertices[p["vertices"][: p["count"]]][:, [0, 2]].astype(np.float64) * (1.0, -1.0) for p in polygons]
-    sizes = np.array([_area(ring) for ring in rings])
     kept = []
     for part in range(int(label.max(initial=-1)) + 1):
         members = np.flatnonzero(label == part)
@@ -74,32 +74,9 @@ def closed_but_for(navmesh: NavmeshFile, region: Region) -> NavmeshFile:
     return dataclasses.replace(navmesh, tiles=(dataclasses.replace(tile, polygons=polygons),))
 
 
-def _connected(tile: Tile) -> NDArray[np.int64]:
-    """Connected part of every walkable polygon, shape (n,), -1 for the others."""
-    polygons = tile.polygons
-    walkable = (polygons["flags"] & WALKABLE) > 0
-    label = np.full(len(polygons), -1, dtype=np.int64)
-    for seed in np.flatnonzero(walkable):
-        if label[seed] >= 0:
-            continue
-        label[seed], front = label.max() + 1, [int(seed)]
-        while front:
-            polygon = polygons[front.pop()]
-            for beyond in polygon["neighbors"][: polygon["count"]].astype(int) - 1:
-                if 0 <= beyond < len(label) and walkable[beyond] and label[beyond] < 0:
-                    label[beyond] = label[seed]
-                    front.append(beyond)
-    return label
-
-
 def _reach(navmesh: NavmeshFile, tile: Tile) -> float:
     """Height that an agent on the floor climbs to in one go, glTF frame [m]: one climb above the top of the floor's voxel."""
     settings = navmesh.settings or Settings()
     bottom, step = tile.bounds[1], settings.cell_height
     floor = bottom + step * max(1, math.ceil(-bottom / step - 1e-4))
     return floor + settings.agent_max_climb + 0.25 * step
-
-
-def _area(ring: Array) -> float:
-    x, y = ring.T
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
