@@ -263,7 +263,7 @@ def test_polygons_that_are_linked_at_a_point_are_one_island() -> None:
     assert not finder.geodesic((0.2, 0.8), (1.2, 1.8)).exists
 
 
-def test_connections_between_points_are_no_floor_and_polygons_need_three_corners() -> None:
+def test_navmeshes_that_no_agent_can_walk_on_are_refused_and_connections_are_no_floor() -> None:
     file = PlanarPathFinder(room_less([])).navmesh(Settings())
     (tile,) = file.tiles
     extra = np.repeat(tile.polygons[:1], 2)
@@ -279,6 +279,9 @@ def test_connections_between_points_are_no_floor_and_polygons_need_three_corners
             assert PlanarPathFinder.from_navmesh(read_navmesh(data)).islands == pytest.approx([20.0])
     with pytest.raises(InputError, match=r"^mine\.navmesh: tiles: are 2"):
         PlanarPathFinder.from_navmesh(dataclasses.replace(file, tiles=(tile, tile)), file="mine.navmesh")
+    for height in (0.0, -0.2, math.nan, math.inf):
+        with pytest.raises(InputError, match=r"^mine\.navmesh: heights"):
+            PlanarPathFinder.from_navmesh(dataclasses.replace(file, settings=Settings(cell_height=height)), True, "mine.navmesh")
 
 
 def test_islands_are_numbered_by_area_and_not_connected() -> None:

@@ -71,7 +71,7 @@ class PlanarPathFinder:
             file: Name for messages.
 
         Raises:
-            InputError: the file has several tiles.
+            InputError: the file has several tiles, or for `floor_only` heights that cannot be.
         """
         import shapely
 

@@ -40,7 +40,7 @@ def walkable_region(navmesh: NavmeshFile, floor_only: bool = False, file: str = 
         file: Name for messages.
 
     Raises:
-        InputError: the file has several tiles.
+        InputError: the file has several tiles, or for `floor_only` heights that cannot be.
     """
     if len(navmesh.tiles) != 1:
         raise InputError(file, "tiles", f"are {len(navmesh.tiles)}, habitat-sim bakes one", "bake the whole scene as one tile")
@@ -49,10 +49,11 @@ def walkable_region(navmesh: NavmeshFile, floor_only: bool = False, file: str = 
     label, sizes = polygon_islands(tile, walkable_polygons(tile)), polygon_areas(tile)
     lowest = np.array([tile.vertices[p["vertices"][: p["count"]], 1].min(initial=np.inf) for p in polygons], dtype=np.float64)
     rings = [tile.vertices[p["vertices"][: p["count"]]][:, [0, 2]].astype(np.float64) * (1.0, -1.0) for p in polygons]
+    reach = _reach(navmesh, tile, file) if floor_only else math.inf
     kept = []
     for part in range(int(label.max(initial=-1)) + 1):
         members = np.flatnonzero(label == part)
-        if not floor_only or lowest[members].min() <= _reach(navmesh, tile):
+        if lowest[members].min() <= reach:
             kept.append((-float(sizes[members].sum()), int(members[0]), members))
     kept.sort(key=lambda island: island[:2])
     numbers = np.concatenate([members for _, _, members in kept]) if kept else np.zeros(0, dtype=np.int64)
@@ -74,9 +75,12 @@ def closed_but_for(navmesh: NavmeshFile, region: Region) -> NavmeshFile:
     return dataclasses.replace(navmesh, tiles=(dataclasses.replace(tile, polygons=polygons),))
 
 
-def _reach(navmesh: NavmeshFile, tile: Tile) -> float:
+def _reach(navmesh: NavmeshFile, tile: Tile, file: str) -> float:
     """Height that an agent on the floor climbs to in one go, glTF frame [m]: one climb above the top of the floor's voxel."""
     settings = navmesh.settings or Settings()
-    bottom, step = tile.bounds[1], settings.cell_height
+    bottom, step, climb = tile.bounds[1], settings.cell_height, settings.agent_max_climb
+    if not (math.isfinite(bottom) and math.isfinite(climb) and 0 < step < math.inf):
+        problem = f"begin at {bottom:g} m in layers of {step:g} m, of which {climb:g} m are climbed"
+        raise InputError(file, "heights", problem, "the file is damaged: bake it again")
     floor = bottom + step * max(1, math.ceil(-bottom / step - 1e-4))
-    return floor + settings.agent_max_climb + 0.25 * step
+    return floor + climb + 0.25 * step
