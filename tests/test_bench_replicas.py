@@ -79,7 +79,9 @@ def test_what_is_left_alone_falls_tips_or_stays() -> None:
 
 @pytest.fixture(scope="module")
 def walked() -> RoomPaths:
-    return navigation_bench.measure_room(NavigationBench(rooms=10), 1)
+    measured = navigation_bench.measure_room(NavigationBench(rooms=10), 1)
+    assert measured is not None
+    return measured
 
 
 def test_a_room_is_walked_through_and_every_episode_holds(walked: RoomPaths) -> None:

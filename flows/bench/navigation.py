@@ -92,11 +92,14 @@ def run_navigation_bench(config: NavigationBench, advance: Callable[[str], None]
     """The report: lengths, times, episodes, goals. `advance` is told each room that is done."""
     with WorkerPool(config.processes) as pool, ThreadPoolExecutor(config.processes) as threads:
         rooms: list[RoomPaths] = []
-        for room in threads.map(partial(pool.call, measure_room, config), range(config.rooms)):
-            advance(room.scene_id)
-            rooms.append(room)
+        for number, room in enumerate(threads.map(partial(pool.call, measure_room, config), range(config.rooms))):
+            advance(f"room {number}")
+            rooms += [room] if room is not None else []
+    if not rooms:
+        raise InputError("bench", "rooms", f"the agent finds no free floor in any of {config.rooms}", "give another --seed or more --rooms")
     found = {
         "machine": machine(), "seed": config.seed, "processes": config.processes, "rooms": len(rooms),
+        "rooms_without_floor": config.rooms - len(rooms),
         "things": sum(room.things for room in rooms), "has_recast": has_recast(),
         "corners_mean": float(np.mean([room.corners for room in rooms])),
         "query_microseconds": {name: 1e6 * _mean([room.query_seconds[name] for room in rooms]) for name in rooms[0].query_seconds},
@@ -137,8 +140,11 @@ def has_recast() -> bool:
     return True
 
 
-def measure_room(config: NavigationBench, index: int) -> RoomPaths:
-    """One room through every path finder that can be used. Runs in a worker, which is warm before the clock starts."""
+def measure_room(config: NavigationBench, index: int) -> RoomPaths | None:
+    """One room through every path finder that can be used; None where things leave the agent no floor.
+
+    Runs in a worker, which is warm before the clock starts.
+    """
     scene = generated_scene(index, config.rooms, config.seed)
     rows, blobs = as_drawn(scene)
     configs = {"planar": NavigationConfig(path_finder=PlanarConfig())}
@@ -149,7 +155,8 @@ def measure_room(config: NavigationBench, index: int) -> RoomPaths:
         context = Context(scene.scene_id, "navigation", config.seed, blobs, defaultdict(dict))
         needed = {table: rows[table] for table in navigation.STAGE.reads}
         warm = dataclasses.replace(settings, train_episodes=1, test_episodes=1)
-        navigation.run(**needed, context=context, config=warm)
+        if not navigation.run(**needed, context=context, config=warm).rows["navmeshes"]:
+            return None
         clock = time.perf_counter()
         outcome = navigation.run(**needed, context=context, config=settings)
         seconds = time.perf_counter() - clock
@@ -281,7 +288,9 @@ def print_navigation(report: Mapping[str, Any], console: Console) -> None:
     """Print the report as tables."""
     console.print(headline(report["machine"], report["seed"], report["processes"]))
     columns = [("", False), *((name, True) for name in report["episodes"])]
-    table = table_of(f"{report['rooms']} generated rooms, {report['things']:,} things, {report['corners_mean']:.0f} corners each", *columns)
+    full = f" ({report['rooms_without_floor']} more leave the agent no floor)" if report["rooms_without_floor"] else ""
+    title = f"{report['rooms']} generated rooms{full}, {report['things']:,} things, {report['corners_mean']:.0f} corners each"
+    table = table_of(title, *columns)
     for words, key, form in (
         ("episodes asked for", "asked", ",.0f"), ("episodes made", "made", ",.0f"), ("actions per episode", "steps_mean", ".1f"),
         ("seconds per 100 episodes, whole stage", "seconds_per_100", ".2f"), ("leave the navmesh in replay", "off", ".0f"),
