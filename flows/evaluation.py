@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,15 +49,18 @@ def import_trajectories(lake: Lake, file: Path, configuration: Configuration, dr
 
     Raises:
         InputError: the file, or a trajectory in it, is refused; nothing is imported then. A batch that is in the lake
-            already with other trajectories is refused: trajectories are history.
+            already with other trajectories, or measured at another success distance, is refused: trajectories are history.
     """
     batch = read_batch(file)
     content = digest(canonical_json([dataclasses.replace(attempt, where="") for attempt in batch.attempts]), batch.policy, batch.run_name)
     held = _held(lake.history(), batch.batch_id)
-    if held not in (None, content):
+    if held is not None and held.content != content:
         problem = f"{batch.batch_id} is in the lake with other trajectories"
         raise InputError(file.name, "batch_id", problem, "give the new ones a batch_id of their own")
     config = _config(configuration)
+    if held is not None and held.success_m != config.success_m:
+        problem = f"{batch.batch_id} is in the lake, measured at a success distance of {held.success_m:g} m, not {config.success_m:g} m"
+        raise InputError(file.name, "batch_id", problem, "import the file under another batch_id, or set evaluation.success_m as it was")
     new = 0
     notes: tuple[str, ...] = ()
     if held is None:
@@ -90,7 +94,7 @@ def run_policy(lake: Lake, policy: str, configuration: Configuration, dry_run: b
     scenes = sorted(set(reader.arrow("episodes").column("scene_id").to_pylist()))
     if not scenes:
         raise InputError(lake.address, "episodes", "the lake has none", "`metascenes run` makes them")
-    run_name = f"seed {configuration.seed}" if policy == "random" else "built-in"
+    run_name = _run_name(policy, configuration)
     history = lake.history()
     batches: list[str] = []
     notes: list[str] = []
@@ -128,12 +132,23 @@ def _policy_job(
     return _job(lake, batch, content, episodes, navmeshes, configuration), batch
 
 
-def metrics_of(reader: Reader, evaluated: Sequence[Evaluated]) -> list[dict[str, Any]]:
-    """Rows of the view `navigation_metrics` for these policies and runs."""
+def _run_name(policy: str, configuration: Configuration) -> str:
+    """Name of a built-in policy's run, with all that changes what it does: runs that act otherwise are never counted as one."""
+    if policy != "random":
+        return "built-in"
+    config, usual = _config(configuration), EvaluationConfig()
+    values = {name: getattr(config, name) for name in ("stop_probability", "max_steps")}
+    told = [f"{name} {value:g}" for name, value in values.items() if value != getattr(usual, name)]
+    return ", ".join([f"seed {configuration.seed}", *told])
+
+
+def metrics_of(reader: Reader, evaluated: Sequence[Evaluated], configuration: Configuration) -> list[dict[str, Any]]:
+    """Rows of the view `navigation_metrics` for these policies and runs, at the success distance that is set."""
     with reader.connect() as connection:
         rows = connection.sql("SELECT * FROM navigation_metrics").to_arrow_table().to_pylist()
     wanted = {(one.policy, one.run_name) for one in evaluated}
-    return [row for row in rows if (row["policy"], row["run_name"]) in wanted]
+    success_m = _config(configuration).success_m
+    return [row for row in rows if (row["policy"], row["run_name"]) in wanted and row["success_distance_m"] == success_m]
 
 
 def _config(configuration: Configuration) -> EvaluationConfig:
@@ -151,12 +166,21 @@ def _config(configuration: Configuration) -> EvaluationConfig:
     return config
 
 
-def _held(history: Mapping[Key, StageState], batch_id: str) -> str | None:
-    """Hash of a batch's trajectories as the lake has them, committed or staged; None when it has none."""
+@dataclasses.dataclass(frozen=True)
+class _Held:
+    """A batch as the lake has it, committed or staged. content: Hash of its trajectories. success_m: That it was measured at [m]."""
+
+    content: str
+    success_m: float
+
+
+def _held(history: Mapping[Key, StageState], batch_id: str) -> _Held | None:
+    """A batch of the lake; None when there is none of that name."""
     state = history.get((batch_id, STAGE.name))
     if state is None or state.done is None:
         return None
-    return dict(part.split("=", 1) for part in state.done.reasons)["trajectory_batch"]
+    reasons = dict(part.split("=", 1) for part in state.done.reasons)
+    return _Held(reasons["trajectory_batch"], float(json.loads(state.done.config)["success_m"]))
 
 
 def _job(

@@ -173,7 +173,7 @@ def trajectories(draw: st.DrawFn) -> list[Any]:
     batches = draw(st.lists(st.sampled_from(["b1", "b2", "b3"]), unique=True))
     order = draw(st.permutations(batches))
     for batch in batches:
-        policy = draw(st.sampled_from(["expert", "mine"]))
+        policy, success_distance = draw(st.sampled_from(["expert", "mine"])), draw(st.sampled_from([0.2, 0.3]))
         rows.append(stage_run(batch, "evaluation", fingerprint(batch), snapshot_id=1 + order.index(batch)))
         for scene, episode in draw(st.lists(st.tuples(st.sampled_from(["demo/a", "demo/b"]), st.integers(0, 3)), unique=True)):
             actions = tuple(draw(st.lists(st.sampled_from(ACTIONS[:3]), max_size=6))) + ("stop",) * draw(st.integers(0, 1))
@@ -183,7 +183,7 @@ def trajectories(draw: st.DrawFn) -> list[Any]:
                 actions=actions, called_stop=actions[-1:] == ("stop",), poses=tuple(
                     (draw(coordinate), draw(coordinate), 0.0) for _ in range(len(actions) + 1)
                 ), collisions=draw(st.integers(0, 2)), travelled_m=draw(st.sampled_from([0.0, 1.0, 2.5])),
-                start_distance_m=draw(st.sampled_from([0.0, 1.0, 2.0])),
+                start_distance_m=draw(st.sampled_from([0.0, 1.0, 2.0])), success_distance_m=success_distance,
                 final_distance_m=draw(st.sampled_from([None, 0.0, 0.125, 0.2, 3.0])), expert_actions=draw(st.integers(0, 6)),
                 problem=draw(st.sampled_from([None, "off"])), instance_id="0001", start_yaw_radians=0.5,
                 start_position=draw(st.sampled_from([(1.0, 2.0, 0.0), (1.0, 2.5, 0.0)])),
@@ -203,9 +203,9 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
     given_rows = [row for row in rows if type(row) is Trajectory]
     snapshots = {row.scene_id: row.snapshot_id for row in rows if type(row) is StageRun}
     starts = {(row.scene_id, row.episode_id): row.start_position for row in rows if type(row) is Episode}
-    counted: dict[tuple[str, ...], Trajectory] = {}
+    counted: dict[tuple[Any, ...], Trajectory] = {}
     for row in sorted(given_rows, key=lambda r: (starts.get((r.scene_id, r.episode_id)) == r.start_position, snapshots[r.batch_id])):
-        counted[row.policy, row.run_name, row.scene_id, row.episode_id] = row
+        counted[row.policy, row.success_distance_m, row.scene_id, row.episode_id] = row
     answer = by_key(database.ask("trajectory_metrics"), "batch_id", "scene_id", "episode_id")
     assert answer.keys() == {(row.batch_id, row.scene_id, row.episode_id) for row in given_rows}
     for row in given_rows:
@@ -213,17 +213,17 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
             answer[row.batch_id, row.scene_id, row.episode_id], success=success(row), spl=spl(row), sel=sel(row),
             episode_length=len(row.actions), curvature_finite_differences=pytest.approx(curvature_finite_differences(row), rel=1e-9),
             curvature_turning_angle=pytest.approx(curvature_turning_angle(row), rel=1e-9),
-            is_counted=counted[row.policy, row.run_name, row.scene_id, row.episode_id] is row,
+            is_counted=counted[row.policy, row.success_distance_m, row.scene_id, row.episode_id] is row,
             is_outdated=starts.get((row.scene_id, row.episode_id)) != row.start_position,
         )  # fmt: skip
     for view, names in {
         "navigation_metrics": ("split",), "navigation_metrics_by_scene": ("split", "scene_id"),
         "navigation_metrics_by_category": ("split", "category"),
     }.items():  # fmt: skip
-        groups: dict[tuple[str, ...], list[Trajectory]] = defaultdict(list)
+        groups: dict[tuple[Any, ...], list[Trajectory]] = defaultdict(list)
         for row in counted.values():
-            groups[row.policy, row.run_name, row.agent, *(getattr(row, name) for name in names)].append(row)
-        answers = by_key(database.ask(view), "policy", "run_name", "agent", *names)
+            groups[row.policy, row.run_name, row.agent, row.success_distance_m, *(getattr(row, name) for name in names)].append(row)
+        answers = by_key(database.ask(view), "policy", "run_name", "agent", "success_distance_m", *names)
         assert answers.keys() == groups.keys()
         for key, group in groups.items():
             means = {
@@ -468,6 +468,32 @@ def test_poses_that_no_run_of_the_episode_can_have_are_refused(scene: Any) -> No
     assert "moves 0.05 m by 'stop'" in refused(poses=slid)
 
 
+def test_turns_that_are_not_the_robots_are_refused(scene: Any) -> None:
+    first = next(row for row in built_in(scene, "expert") if {"left", "right"} & set(row.actions))
+    turn = next(i for i, action in enumerate(first.actions) if action in ("left", "right"))
+    sign = 1 if first.actions[turn] == "left" else -1
+
+    def refused(**values: Any) -> str:
+        with pytest.raises(InputError) as caught:
+            measured(scene, parse_batch(as_file([dataclasses.replace(first, **values)], "world")))
+        assert caught.value.field == "trajectories[0].poses"
+        return str(caught.value)
+
+    other = {"left": "right", "right": "left"}
+    swapped = refused(actions=tuple(other.get(action, action) for action in first.actions))
+    assert (
+        f"turns {30 * sign} degrees (left is above 0) by {other[first.actions[turn]]!r}, which turns {-30 * sign} (action {turn})"
+        in swapped
+    )
+    still = tuple((x, y, first.poses[0][2]) for x, y, _ in first.poses)
+    assert "turns 0 degrees" in refused(poses=still)
+    # A robot that turns twice as far by one action needs fewer of them: its episode lengths are not those of this one.
+    wide = tuple((x, y, yaw + (sign * math.pi / 6 if i > turn else 0)) for i, (x, y, yaw) in enumerate(first.poses))
+    assert f"turns {60 * sign} degrees" in refused(poses=wide)
+    spun = tuple((x, y, yaw + (0.1 if i == len(first.actions) else 0)) for i, (x, y, yaw) in enumerate(first.poses))
+    assert "by 'stop', which turns 0" in refused(poses=spun)
+
+
 def test_a_habitat_rotation_that_is_no_upright_turn_is_refused(scene: Any) -> None:
     document = as_file(built_in(scene, "expert")[:1], "habitat")
     for wrong, why in (([0, 0, 0, 2], "length 2"), ([math.sin(0.1), 0, 0, math.cos(0.1)], "not upright")):
@@ -546,7 +572,7 @@ def test_a_batch_goes_into_the_lake_once(lake: Lake, tmp_path: Path) -> None:
     again = import_trajectories(lake, path, configuration)
     assert (mine.new, again.new, again.trajectories) == (40, 0, 40)
     assert lake.snapshot().snapshot_id == snapshot + 1
-    by_policy = {row["policy"]: row for row in metrics_of(lake.snapshot(), [expert, random, mine])}
+    by_policy = {row["policy"]: row for row in metrics_of(lake.snapshot(), [expert, random, mine], configuration)}
     assert by_policy["expert"]["sr"] == by_policy["expert"]["sel"] == 1.0
     assert by_policy["expert"]["spl"] > 0.9
     assert by_policy["random"]["sr"] < by_policy["expert"]["sr"]
@@ -565,6 +591,35 @@ def test_what_was_measured_and_not_committed_is_not_measured_again(lake: Lake, m
     assert not lake.snapshot().rows(Trajectory)
     assert run_policy(lake, "random", configure()).new == 0
     assert len(lake.snapshot().rows(Trajectory)) == 40
+
+
+def test_metrics_are_those_of_the_settings_that_are_given(lake: Lake) -> None:
+    usual, strict = configure(), configure(settings=["evaluation.success_m=0.01", "evaluation.stop_probability=0.3"])
+
+    def told(configuration: Any) -> list[tuple[Any, ...]]:
+        done = [run_policy(lake, policy, configuration) for policy in ("expert", "random")]
+        rows = metrics_of(lake.snapshot(), done, configuration)
+        assert [row["n"] for row in rows] == [40, 40]
+        return [(row["run_name"], row["success_distance_m"], row["sr"], row["el"]) for row in rows]
+
+    first = told(usual)
+    other = told(strict)
+    assert told(usual) == first
+    assert told(strict) == other
+    assert [row[:2] for row in first + other] == [
+        ("built-in", 0.2), ("seed 0", 0.2), ("built-in", 0.01), ("seed 0, stop_probability 0.3", 0.01)
+    ]  # fmt: skip
+    assert first[0][2] == 1.0 > other[0][2]
+    assert first[1][3] > other[1][3]
+
+
+def test_a_batch_is_measured_at_one_success_distance(lake: Lake, scene: Any, tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(as_file(built_in(scene, "random"), "world")))
+    import_trajectories(lake, path, configure())
+    with pytest.raises(InputError, match=r"at a success distance of 0\.2 m, not 1 m"):
+        import_trajectories(lake, path, configure(settings=["evaluation.success_m=1.0"]))
+    assert import_trajectories(lake, path, configure()).new == 0
 
 
 def test_newer_code_measures_again_in_place(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,7 +52,7 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
         evaluated = [import_trajectories(lake, file, configuration, dry_run)]
     else:
         evaluated = [run_policy(lake, policy, configuration, dry_run) for policy in dict.fromkeys(policies)]
-    metrics = metrics_of(lake.snapshot(), evaluated)
+    metrics = metrics_of(lake.snapshot(), evaluated, configuration)
     if as_json:
         print(json.dumps({"policies": [dataclasses.asdict(one) for one in evaluated], "metrics": metrics}))
     else:

@@ -16,12 +16,14 @@ from tasks.evaluation.batch import SCHEMA_FILE, Attempt, TrajectoryBatch, parse_
 from tasks.evaluation.configuration import EvaluationConfig
 from tasks.evaluation.measures import SceneAttempts, measure
 from tasks.evaluation.policies import POLICIES
-from tasks.navigation.follower import FORWARD
+from tasks.navigation.follower import FORWARD, LEFT, RIGHT
 from tasks.stage import Context, Outcome, Stage
 
 __all__ = [
     "POLICIES", "SCHEMA_FILE", "STAGE", "Attempt", "EvaluationConfig", "TrajectoryBatch", "check_batch", "parse_batch", "read_batch", "run",
 ]  # fmt: skip
+
+_TURNS = {LEFT: 1, RIGHT: -1}
 
 
 def run(
@@ -68,7 +70,8 @@ def check_batch(batch: TrajectoryBatch, episodes: Sequence[Episode], navmeshes: 
 
     Raises:
         InputError: a trajectory names a scene or episode that is not there, has more actions than `max_steps`, starts
-            elsewhere than its episode, or moves farther than an action can; or the scene has no navmesh for the agent.
+            elsewhere than its episode, or moves farther or turns otherwise than an action does; or the scene has no navmesh
+            for the agent.
     """
     known = {(row.scene_id, row.episode_id): row for row in episodes}
     scenes = {row.scene_id for row in episodes}
@@ -94,7 +97,7 @@ def check_batch(batch: TrajectoryBatch, episodes: Sequence[Episode], navmeshes: 
 
 
 def _check_poses(attempt: Attempt, episode: Episode, file: str, config: EvaluationConfig) -> None:
-    """Refuse poses that do not begin at the episode's start, or that jump."""
+    """Refuse poses that do not begin at the episode's start, that jump, or that turn otherwise than their actions."""
     assert attempt.poses is not None
     where, (x, y, yaw) = f"{attempt.where}.poses", attempt.poses[0]
     away = math.hypot(x - episode.start_position[0], y - episode.start_position[1])
@@ -111,6 +114,12 @@ def _check_poses(attempt: Attempt, episode: Episode, file: str, config: Evaluati
         if moved > most + config.slack_m:
             problem = f"moves {moved:.3g} m by {action!r}, which moves {most:g} m at most (action {index})"
             raise InputError(file, where, problem, "give every pose; a robot with another step needs evaluation.forward_m")
+        turned = math.remainder(after[2] - before[2], 2 * math.pi)
+        due = _TURNS.get(action, 0) * config.motion.turn_radians
+        if abs(math.remainder(turned - due, 2 * math.pi)) > config.yaw_slack_radians:
+            problem = f"turns {math.degrees(turned):.3g} degrees (left is above 0) by {action!r}, which turns {math.degrees(due):.3g}"
+            what_to_do = "give every action and the pose after it; a robot with other turns needs evaluation.turn_degrees"
+            raise InputError(file, where, f"{problem} (action {index})", what_to_do)
 
 
 STAGE = Stage(

@@ -292,6 +292,7 @@ _REPORT_COLUMNS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] =
             ("policy", "Policy", as_text),
             ("run_name", "Run", as_text),
             ("split", "Split", as_text),
+            ("success_distance_m", "Success below [m]", as_number),
             ("n", "Trajectories", as_count),
             ("sr", "SR", as_share),
             ("sr_low", "from", as_share),

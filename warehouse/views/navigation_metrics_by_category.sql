@@ -1,15 +1,17 @@
 -- How well does each policy find targets of each category, by split?
--- Of every episode one trajectory of the policy's run counts (is_counted); n says how many, outdated of how many the episode has
--- changed since. Means over trajectories of what the view trajectory_metrics says of each: sr (success rate), el (episode length: actions,
--- the last one included), sel (success weighted by episode length), spl (success weighted by path length), and curvature by two
--- readings [rad/m]. sr_low to sr_high is Wilson's interval of 95 % (Wilson 1927), spl and sel are plus or minus *_95 (1.96 standard
--- errors; missing for n = 1); all of them take trajectories as independent, which those of one scene are not quite.
+-- Of every episode one trajectory of the policy's run counts at every success distance (is_counted); n says how many, outdated of
+-- how many the episode has changed since. Means over trajectories of what the view trajectory_metrics says of each: sr (success
+-- rate), el (episode length: actions, the last one included), sel (success weighted by episode length), spl (success weighted by
+-- path length), and curvature by two readings [rad/m]. sr_low to sr_high is Wilson's interval of 95 % (Wilson 1927), spl and sel are
+-- plus or minus *_95 (1.96 standard errors; missing for n = 1); all of them take trajectories as independent, which those of one
+-- scene are not quite.
 WITH sums AS (
     SELECT
         policy,
         run_name,
         agent,
         split,
+        success_distance_m,
         category,
         count(*) AS n,
         count(DISTINCT scene_id) AS scenes,
@@ -35,6 +37,7 @@ SELECT
     run_name,
     agent,
     split,
+    success_distance_m,
     category,
     n,
     scenes,
@@ -54,4 +57,4 @@ SELECT
     problems,
     outdated
 FROM sums
-ORDER BY policy, run_name, agent, split, category
+ORDER BY policy, run_name, agent, split, success_distance_m, category

@@ -5,8 +5,8 @@
 -- (Anderson et al. 2018; 1 where both are 0). sel: success * w / max(e, w), w the expert's actions and e the episode length
 -- (success weighted by episode length as SPOC computes it, Ehsani et al., CVPR 2024; where w is 0, 1 if e is 0 and else 0).
 -- is_outdated: the lake's episode of that name starts elsewhere or has another target by now, or is gone; the metrics are still
--- those of the episode as it was. is_counted: of all trajectories of the policy's run in an episode this is the one that the views
--- navigation_metrics* count, the newest of those that are not outdated, or the newest where all are.
+-- those of the episode as it was. is_counted: of all trajectories of the policy's run in an episode, measured at one success distance,
+-- this is the one that the views navigation_metrics* count, the newest of those that are not outdated, or the newest where all are.
 WITH order_of_batches AS (
     SELECT scene_id AS batch_id, max(snapshot_id) AS snapshot_id
     FROM stage_runs
@@ -20,7 +20,7 @@ judged AS (
         len(trajectories.actions) AS episode_length,
         episodes.scene_id IS NULL AS is_outdated,
         row_number() OVER (
-            PARTITION BY policy, run_name, trajectories.scene_id, trajectories.episode_id
+            PARTITION BY policy, run_name, success_distance_m, trajectories.scene_id, trajectories.episode_id
             ORDER BY episodes.scene_id IS NULL, order_of_batches.snapshot_id DESC NULLS LAST, trajectories.batch_id DESC
         ) = 1 AS is_counted
     FROM trajectories
@@ -41,6 +41,7 @@ SELECT
     judged.agent,
     judged.split,
     judged.category,
+    judged.success_distance_m,
     judged.success,
     judged.episode_length,
     CASE
