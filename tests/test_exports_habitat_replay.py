@@ -44,7 +44,7 @@ def test_the_simulators_own_distances_are_reachable_and_never_shorter(entry: dic
     assert len(set(navmesh.islands)) == entry["islands"]
     ground, paths = Ground(navmesh), np.load(GOLDEN / entry["paths"])
     starts, goals, stated = flat(paths["start"]), flat(paths["goal"]), paths["geodesic_m"]
-    at, to = ground.island_of(starts), ground.island_of(goals)
+    at, to = ground.island_of(paths["start"]), ground.island_of(paths["goal"])
     assert ((at == to) & (at >= 0)).tolist() == np.isfinite(stated).tolist(), "what it reaches is what hangs together"
     found = [ground.island(int(at[i])).geodesic(starts[i], goals[i : i + 1]) for i in np.flatnonzero(np.isfinite(stated))]
     shortest = np.array(found)[:, 0]
@@ -89,7 +89,7 @@ def test_moves_stay_on_the_floor_when_every_point_of_them_does(seed: int) -> Non
     starts = rng.uniform(-2.5, 2.5, (60, 2))
     angles = rng.uniform(0, 2 * np.pi, 60)
     ends = starts + 0.25 * np.column_stack([np.cos(angles), np.sin(angles)])
-    parts = ground.island_of(starts)
+    parts = ground.island_of(np.insert(starts, 1, 0.0, axis=1))
     dense = starts[:, None] + np.linspace(0, 1, 200)[None, :, None] * (ends - starts)[:, None]
     away = shapely.distance(floor, shapely.points(dense * [1, -1])).max(axis=1)
     for part in set(parts[parts >= 0].tolist()):
@@ -103,7 +103,7 @@ def test_moves_stay_on_the_floor_when_every_point_of_them_does(seed: int) -> Non
 def trip(**changes: Any) -> Trip:
     """A metre straight on along -z, from the middle of a floor of four metres."""
     start = Trip(
-        "episode", np.zeros(2), 0.0, np.array([[0.0, -1.0]]), [[1, 1, 1, 1, 0]], {"geodesic_distance": 1.0, "path_finder": "planar"}
+        "episode", np.zeros(3), 0.0, np.array([[0.0, 0.0, -1.0]]), [[1, 1, 1, 1, 0]], {"geodesic_distance": 1.0, "path_finder": "planar"}
     )
     return dataclasses.replace(start, **changes)
 
@@ -137,6 +137,26 @@ def test_floors_above_one_another_are_held_against_the_straight_line_only() -> N
     both = NavmeshFile(2, None, [low, low + np.array([0, 3, 0])], np.zeros(2, dtype=np.int64))
     assert rules(trip(info={"geodesic_distance": 9.0}), both) == []
     assert rules(trip(info={"geodesic_distance": 0.9}), both) == ["geodesic"]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_agent_stands_on_the_floor_of_its_own_height(order: int) -> None:
+    """As in bakes of whole houses: a roof, or another storey, above the floor, in either order in the file."""
+    low = np.array([[-2.0, 0, -2], [-2, 0, 2], [2, 0, 2], [2, 0, -2]])
+    small = low * [0.5, 1, 0.5]  # its border, beside which the agent may stand, lies below the middle of the roof
+    house = NavmeshFile(2, None, [small, low + np.array([0, 2.6, 0])][::order], np.arange(2))
+    below, above = (0, 1)[::order]
+    for x in (0.0, 0.99, 1.03):
+        for height, part in ((0.0, below), (2.6, above)):
+            assert house.distance(np.array([x, height, 0.0]))[1] == 0.0
+            assert Ground(house).island_of(np.array([[x, height, 0.0]])).tolist() == [part]
+    assert house.distance(np.array([1.5, 0.0, 0.0])) == (0.0, 2.6)
+    assert rules(trip(goals=np.array([[0.0, 0.0, -0.9]]), info={"geodesic_distance": 0.9}), house) == []
+    assert rules(trip(goals=np.array([[0.0, 2.6, -0.9]]), info={"geodesic_distance": 0.9}), house) == ["reachable"]
+    upstairs = trip(start=np.array([0.0, 2.6, 0.5]), goals=np.array([[0.0, 2.6, -0.5]]))
+    assert rules(upstairs, house) == []
+    step = NavmeshFile(2, None, [low, low + np.array([4.02, 0.2, 0])][::order], np.arange(2))
+    assert Ground(step).island_of(np.array([[1.99, 0.2, 0.0], [2.03, 0.0, 0.0]])).tolist() == [below, above], "one floor, a step high"
 
 
 def test_tiles_of_one_navmesh_hang_together_where_they_touch() -> None:

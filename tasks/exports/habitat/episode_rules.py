@@ -11,9 +11,9 @@ import numpy as np
 
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
-from tasks.exports.habitat.ground import NEAR, Ground
+from tasks.exports.habitat.ground import Ground
 from tasks.exports.habitat.library import Library, read_json
-from tasks.exports.habitat.navmesh_file import NavmeshFile
+from tasks.exports.habitat.navmesh_file import NEAR, NavmeshFile
 from tasks.exports.habitat.replay import Steps, Trip, check_trips, heading_of, steps_of
 
 EPISODE_RULES: dict[str, str] = {
@@ -162,7 +162,7 @@ def _replayed(world: _World, content: Mapping[str, Any], task: str, name: str) -
         goals = _object_places(content, episode) if task == "objectnav" else _places(episode.get("goals") or [])
         if scene in world.grounds and start is not None and len(goals) and _heading(episode.get("start_rotation")) is None:
             heading = heading_of(episode["start_rotation"])
-            trip = Trip(f"{name} episodes[{index}]", start[[0, 2]], heading, goals, paths, episode.get("info") or {})
+            trip = Trip(f"{name} episodes[{index}]", start, heading, goals, paths, episode.get("info") or {})
             trips.setdefault(scene, []).append(trip)
     for scene, found in trips.items():
         yield from check_trips(found, world.grounds[scene], world.steps)
@@ -174,7 +174,7 @@ def _replayed(world: _World, content: Mapping[str, Any], task: str, name: str) -
 
 
 def _object_places(content: Mapping[str, Any], episode: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """View points (x, z) of the object that an ObjectNav episode was made for, or of all of its category, shape (n, 2)."""
+    """View points of the object that an ObjectNav episode was made for, or of all of its category, shape (n, 3)."""
     key = f"{PurePosixPath(str(episode.get('scene_id'))).name}_{episode.get('object_category')}"
     goals = content.get("goals_by_category", {}).get(key) or []
     target = (episode.get("info") or {}).get("target_object_id")
@@ -183,9 +183,9 @@ def _object_places(content: Mapping[str, Any], episode: Mapping[str, Any]) -> np
 
 
 def _places(goals: Iterable[Mapping[str, Any]]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Positions (x, z) of goals or agent states that have one, shape (n, 2)."""
-    found = [position[[0, 2]] for goal in goals if (position := _numbers(goal.get("position"), 3)) is not None]
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+    """Positions of goals or agent states that have one, shape (n, 3)."""
+    found = [position for goal in goals if (position := _numbers(goal.get("position"), 3)) is not None]
+    return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
 def _keys(item: Mapping[str, Any], allowed: set[str], needed: set[str], rule: str, where: str) -> Iterator[Finding]:

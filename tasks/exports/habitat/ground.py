@@ -1,6 +1,7 @@
 """The walkable area of a navmesh seen from above: what a replayed step may cross, and how far it is to walk.
 
-Points are x and z of Habitat's frame [m], shape (n, 2). A point may lie `NEAR` beside a polygon and still count as on it.
+Points are x and z of Habitat's frame [m], shape (n, 2), where nothing else is said. A point may lie `NEAR` beside a polygon
+and still count as on it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.exports.habitat.navmesh_file import NavmeshFile
+from tasks.exports.habitat.navmesh_file import NEAR, NavmeshFile
 
 if TYPE_CHECKING:
     import shapely
@@ -20,12 +21,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-NEAR = 0.05
-"""Half a cell of habitat-sim's default bake each way [m]: it moves a start or goal to the navmesh from as far away."""
-
 STRAY = 1e-3
 """A step that leaves the navmesh by less than this stays on it [m]: corners in the file are rounded to 32 bits."""
 
+_LEVEL = 0.5  # a point this near in height [m] may stand on a polygon: voxels and steps, no storey
 _GRID = 1e-6  # polygons are united on a grid of this size [m], so that rounded corners leave no slits between them
 _JOIN = 1e-4  # and widened by this [m]: habitat-sim's bakes have polygons that are linked at a single point
 _OVERLAP = 0.01  # share of the area that may be there twice; more of it means floors above one another
@@ -46,13 +45,22 @@ class Ground:
         return shapely.STRtree([shapely.Polygon(corners[:, [0, 2]]) for corners in self._navmesh.polygons])
 
     def island_of(self, points: Array) -> NDArray[np.int64]:
-        """Connected part of each point, shape (n, 2) to (n,); -1 where none is near."""
+        """Connected part of each point (x, y, z), shape (n, 3) to (n,); -1 where none is near.
+
+        Of floors above one another it is that whose height is nearest; on one floor, the nearest part.
+        """
         import shapely
 
         numbers = np.full(len(points), -1, dtype=np.int64)
         if len(points) and self._navmesh.polygons:
-            which, nearest = self._tree.query_nearest(shapely.points(points), max_distance=NEAR, all_matches=False)
-            numbers[which] = self._navmesh.islands[nearest]
+            which, polygon = self._tree.query(shapely.points(points[:, [0, 2]]), predicate="dwithin", distance=NEAR)
+            heights = np.array([corners[:, 1].mean() for corners in self._navmesh.polygons])
+            above = np.abs(heights[polygon] - points[which, 1])
+            above[above < _LEVEL] = 0.0
+            beside = shapely.distance(shapely.points(points[which][:, [0, 2]]), self._tree.geometries[polygon])
+            order = np.lexsort((beside, above, which))
+            found, first = np.unique(which[order], return_index=True)
+            numbers[found] = self._navmesh.islands[polygon[order[first]]]
         return numbers
 
     def island(self, number: int) -> Island:

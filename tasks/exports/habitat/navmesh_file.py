@@ -24,6 +24,9 @@ DEFAULTS: dict[str, float] = dict(
 )
 """habitat-sim's defaults. habitat-lab changes those of the agent and includeStaticObjects, and bakes anew unless all are equal."""
 
+NEAR = 0.05
+"""A point this far beside a polygon still counts as on it [m]: one cell of habitat-sim's default bake."""
+
 _OTHER_TILE = 0x8000  # from here on a neighbor lies in another tile
 _TOUCHING = 1e-3  # metres in plan
 _FAR = 1e5  # metres: 32-bit numbers no longer tell centimetres apart there
@@ -42,7 +45,10 @@ class NavmeshFile:
     islands: NDArray[np.int64]
 
     def distance(self, point: NDArray[np.float64]) -> tuple[float, float]:
-        """Horizontal distance [m] from a point (3,) to the walkable area, and how far [m] it lies above or below there."""
+        """Horizontal distance [m] from a point (3,) to the walkable area, and how far [m] it lies above or below there.
+
+        Where floors lie above one another, the nearest in height of those that it stands on, or less than `NEAR` beside.
+        """
         if not self.polygons:
             return np.inf, np.inf
         rings, heights = self._rings
@@ -54,8 +60,9 @@ class NavmeshFile:
         length = np.maximum((edge * edge).sum(axis=2), 1e-18)
         along = np.clip((to * edge).sum(axis=2) / length, 0.0, 1.0)
         gaps = np.where(inside, 0.0, np.linalg.norm(to - along[..., None] * edge, axis=2).min(axis=1))
-        nearest = int(np.argmin(gaps))
-        return float(gaps[nearest]), float(abs(heights[nearest] - point[1]))
+        above = np.where(gaps <= max(gaps.min(), NEAR), np.abs(heights - point[1]), np.inf)
+        nearest = int(np.lexsort((gaps, above))[0])
+        return float(gaps[nearest]), float(above[nearest])
 
     @cached_property
     def _rings(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

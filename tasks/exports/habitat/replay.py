@@ -36,10 +36,10 @@ class Steps:
 
 @dataclasses.dataclass(frozen=True)
 class Trip:
-    """An episode to carry out. Points are x and z [m].
+    """An episode to carry out. Points are x, y and z [m].
 
-    where: Names it in a finding. start: Shape (2,). heading: About +Y from -Z [rad]. goals: Points that it may end at,
-    shape (n, 2). paths: Its shortest paths as the file has them. info: Its free dictionary.
+    where: Names it in a finding. start: Shape (3,). heading: About +Y from -Z [rad]. goals: Points that it may end at,
+    shape (n, 3). paths: Its shortest paths as the file has them. info: Its free dictionary.
     """
 
     where: str
@@ -71,7 +71,7 @@ def check_trips(trips: Sequence[Trip], ground: Ground, steps: Steps | None) -> I
     for trip, number in zip(trips, islands, strict=True):
         if number < 0:
             continue
-        reached = trip.goals[ground.island_of(trip.goals) == number]
+        reached = trip.goals[ground.island_of(trip.goals) == number][:, [0, 2]]
         if not len(reached):
             yield Finding("reachable", trip.where, "goals: none is connected to start_position on the navmesh")
             continue
@@ -116,7 +116,7 @@ def _distance(trip: Trip, goals: Array, island: Island) -> Iterator[Finding]:
     stated = trip.info.get("geodesic_distance")
     if shapes.number(stated):
         return
-    low, high = island.geodesic(trip.start, goals)
+    low, high = island.geodesic(trip.start[[0, 2]], goals)
     if trip.info.get("path_finder") != "planar":
         high = _DETOUR_SHARE * high + _DETOUR_M
     if not low - _EXACT_M <= float(stated or 0) <= high + _EXACT_M:
@@ -135,7 +135,7 @@ def _walk(
     if not actions or actions[-1] != _STOP or _STOP in actions[:-1]:
         yield Finding("replay_end", trip.where, f"{name}: its last action, and no other, must be stop (0)")
         return
-    places, headings = walk(trip.start, trip.heading, np.array(actions), steps)
+    places, headings = walk(trip.start[[0, 2]], trip.heading, np.array(actions), steps)
     went = np.flatnonzero(np.array(actions) == _FORWARD)
     moves.append(_Moves(trip.where, name, went, places[went], places[went + 1]))
     for index, state in enumerate(path):
