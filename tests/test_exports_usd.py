@@ -289,6 +289,34 @@ def scale_body(path: Path) -> None:
     edit_layer(path, change)
 
 
+def lengthen_rotation(path: Path) -> None:
+    """A rotation that USD, which takes its angle from acos(w), and engines, which normalize it, read differently."""
+
+    def change(stage: Any) -> None:
+        orient = stage.GetPrimAtPath(CHAIR).GetAttribute("xformOp:orient")
+        orient.Set(orient.Get() * 0.7)
+
+    edit_layer(path, change)
+
+
+def move(place: str, by: tuple[float, float, float]) -> Callable[[Path], None]:
+    """Move a part of an object within it [m]."""
+
+    def change(stage: Any) -> None:
+        from pxr import Gf, UsdGeom
+
+        prim = stage.GetPrimAtPath(place)
+        parts = [prim] if prim.IsA(UsdGeom.Xformable) else prim.GetChildren()
+        for part in parts:
+            UsdGeom.Xformable(part).AddTranslateOp().Set(Gf.Vec3d(*by))
+
+    return in_scene(change)
+
+
+def flatten(array: np.ndarray) -> None:
+    array[:, 2] = array[0, 2]
+
+
 def disable_colliders(path: Path) -> None:
     def change(stage: Any) -> None:
         for child in stage.GetPrimAtPath(f"{CHAIR}/Colliders").GetChildren():
@@ -512,6 +540,7 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None]]] = {
     "nested bodies": ("nested_bodies", apply("/World/Objects", "RigidBodyAPI")),
     "body within a body": ("nested_bodies", apply(f"{CHAIR}/Visual", "RigidBodyAPI")),
     "scaled body": ("rigid_pose", scale_body),
+    "rotation of another length": ("rigid_pose", lengthen_rotation),
     "position that is no number": ("finite_geometry", attribute(HULL, "points", [(float("nan"), 0, 0)] * 8)),
     "triangle of no vertices": ("finite_geometry", attribute(f"{BOX}/Visual/Part_00", "faceVertexIndices", [0, 1, 99] * 12)),
     "body without collider": ("collider", disable_colliders),
@@ -519,12 +548,19 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None]]] = {
     "simplified triangles": ("triangle_collider", attribute(HULL, "physics:approximation", "meshSimplification")),
     "decomposition left to the engine": ("explicit_hulls", attribute(HULL, "physics:approximation", "convexDecomposition")),
     "dented hull": ("explicit_hulls", dent_hull),
+    "flat hull": ("collider", in_scene(lambda stage: values(HULL, "points", flatten)(stage))),
+    "approximation of no kind": ("explicit_hulls", attribute(HULL, "physics:approximation", "convexhull")),
+    "distance field that one engine knows": ("explicit_hulls", attribute(HULL, "physics:approximation", "sdf")),
+    "collider away from what is seen": ("protrusion", move(f"{CHAIR}/Colliders", (0.0, 0.0, 0.3))),
+    "what is seen away from its colliders": ("visual", move(f"{CHAIR}/Visual", (3.0, 0.0, 0.0))),
     "no mass": ("mass", drop_mass),
     "mass below zero": ("mass", attribute(BOX, "physics:mass", -1.0)),
     "no inertia": ("inertia", attribute(BOX, "physics:diagonalInertia", (0, 0, 0))),
     "inertia below zero": ("inertia", attribute(BOX, "physics:diagonalInertia", (-1, 1, 1))),
     "inertia of no solid": ("inertia", attribute(BOX, "physics:diagonalInertia", (1, 1, 9))),
+    "inertia in other units": ("inertia", attribute(BOX, "physics:diagonalInertia", (900, 900, 900))),
     "center of mass outside": ("center_of_mass", attribute(BOX, "physics:centerOfMass", (5, 0, 0))),
+    "center of mass that is no number": ("center_of_mass", attribute(BOX, "physics:centerOfMass", (float("nan"), 0, 0))),
     "sunken collider": ("support_plane", sink_hull),
     "friction of 7": ("physics_material", attribute(f"{BOX}/PhysicsMaterial", "physics:staticFriction", 7.0)),
     "hidden object": ("visual", hide),
@@ -577,7 +613,7 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None]]] = {
 }
 WARNINGS = {
     "no friction", "no label", "model below no group", "two bodies in one model", "collider that is drawn", "object in its table",
-    "label in the prototype",
+    "label in the prototype", "collider away from what is seen", "distance field that one engine knows",
 }  # fmt: skip
 """Damage that only makes a scene worse, not wrong."""
 

@@ -108,6 +108,101 @@ def test_files_of_others_are_read(realdata: Callable[[str], Path]) -> None:
             assert "\n" not in finding.message
 
 
+def kinds(path: Path) -> dict[str, set[bool]]:
+    """Which rules find something, and whether an error."""
+    found: dict[str, set[bool]] = {}
+    for finding in check_usd(path):
+        found.setdefault(finding.rule, set()).add(finding.is_error)
+    return found
+
+
+def test_a_mass_by_density_is_less_than_stated_but_not_wrong(tmp_path: Path) -> None:
+    from pxr import UsdPhysics
+
+    for where in ("body", "collider", "collider's mass", "nowhere"):
+        path = tmp_path / f"{where}.usda"
+        stage = new(path)
+        thing = body(stage, "/World/Thing", "Cube", (0, 0, 3))
+        thing.RemoveAPI(UsdPhysics.MassAPI)
+        for name in ("physics:mass", "physics:diagonalInertia", "physics:principalAxes"):
+            thing.RemoveProperty(name)
+        if where != "nowhere":
+            api = UsdPhysics.MassAPI.Apply(thing if where == "body" else stage.GetPrimAtPath("/World/Thing/Shape"))
+            (api.CreateMassAttr if "mass" in where else api.CreateDensityAttr)(300.0)
+        stage.Save()
+        found = kinds(path)
+        assert found["mass"] == found["inertia"] == {where == "nowhere"}, where
+
+
+def test_a_room_may_be_scaled_but_not_what_moves_in_it(tmp_path: Path) -> None:
+    from pxr import Gf, UsdGeom, UsdPhysics
+
+    path = tmp_path / "scene.usda"
+    stage = new(path)
+    body(stage, "/World/Thing", "Cube", (0, 0, 3))
+    ground = UsdGeom.Mesh.Define(stage, "/World/Ground")
+    ground.CreatePointsAttr([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    ground.CreateFaceVertexCountsAttr([4])
+    ground.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    ground.CreateSubdivisionSchemeAttr("none")
+    ground.AddScaleOp().Set(Gf.Vec3f(9, 9, 1))
+    UsdPhysics.CollisionAPI.Apply(ground.GetPrim())
+    stage.Save()
+    assert kinds(path)["rigid_pose"] == {False}
+    UsdGeom.Xformable(stage.GetPrimAtPath("/World/Thing")).AddScaleOp().Set(Gf.Vec3f(2, 2, 2))
+    stage.Save()
+    assert kinds(path)["rigid_pose"] == {False, True}
+
+
+def test_an_articulation_may_begin_at_a_body_beside_its_joints(tmp_path: Path) -> None:
+    from pxr import UsdPhysics
+
+    path = tmp_path / "scene.usda"
+    stage = new(path)
+    first, second = (body(stage, f"/World/{name}", "Cube", (x, 0, 3)) for name, x in (("First", 0), ("Second", 3)))
+    UsdPhysics.ArticulationRootAPI.Apply(first)
+    stage.Save()
+    assert errors(path) == {"joints"}
+    joint = UsdPhysics.FixedJoint.Define(stage, "/World/Joints/Between")
+    joint.CreateBody0Rel().SetTargets([first.GetPath()])
+    joint.CreateBody1Rel().SetTargets([second.GetPath()])
+    stage.Save()
+    assert errors(path) == set()
+
+
+def test_one_thing_leaves_gravity_to_its_scene(tmp_path: Path) -> None:
+    from pxr import Kind, Usd
+
+    path = tmp_path / "scene.usda"
+    stage = new(path)
+    body(stage, "/World/Thing", "Cube", (0, 0, 3))
+    stage.RemovePrim("/World/Physics")
+    stage.Save()
+    assert errors(path) == {"physics_scene"}
+    Usd.ModelAPI(stage.GetDefaultPrim()).SetKind(Kind.Tokens.component)
+    stage.Save()
+    assert errors(path) == set()
+
+
+def test_tiles_and_materials_of_omniverse_are_no_lost_files(tmp_path: Path) -> None:
+    from pxr import Sdf, UsdShade
+
+    path = tmp_path / "scene.usda"
+    stage = new(path)
+    UsdShade.Material.Define(stage, "/World/Look")
+    surface = UsdShade.Shader.Define(stage, "/World/Look/Surface")
+    surface.CreateImplementationSourceAttr("sourceAsset")
+    surface.SetSourceAsset(Sdf.AssetPath("OmniPBR.mdl"), "mdl")
+    image = UsdShade.Shader.Define(stage, "/World/Look/Image")
+    image.CreateIdAttr("UsdUVTexture")
+    image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath("./wood.<UDIM>.png"))
+    stage.Save()
+    assert kinds(path)["closed_paths"] == {False, True}, "there is no tile"
+    (tmp_path / "wood.1001.png").write_bytes(b"")
+    assert errors(path) == set()
+    assert kinds(path)["closed_paths"] == {False}, "the material is not here"
+
+
 PRIMS = (
     "/World",
     "/World/Thing",

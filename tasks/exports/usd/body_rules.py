@@ -36,8 +36,14 @@ SUPPORT_M = 5e-4
 SOFT_SUPPORT_M = 1e-2
 """The same for deformable bodies [m]: their mesh is coarser than what is seen, and gives way."""
 
+UNIT = 2e-3
+"""How far from 1 a quaternion's length may be: half precision is good to half of it."""
+
 HULL_M = 2e-3
 """A collider whose vertices lie this far inside its own hull [m] is no hull."""
+
+PROTRUSION_M, PROTRUSION = 0.05, 0.1
+"""How far colliders may reach out of the box of what is seen [m], and as a share of its diagonal; the greater counts."""
 
 OVERLAP_M = 2e-3
 """How deep colliders may start in one another [m]: engines push them apart, from here on visibly."""
@@ -70,19 +76,27 @@ def one_body(stage: Any, path: Path) -> Iterator[Finding]:
 
 
 def poses(stage: Any, path: Path) -> Iterator[Finding]:
-    """Engines drop scale from bodies, or bake it, each in its own way."""
+    """Engines drop scale from bodies, or bake it, each in its own way; and of a rotation that is none each makes another."""
     from pxr import UsdGeom
 
     for prim in traverse(stage):
-        solid = is_body(prim) or is_collider(prim)
-        if not (solid or simulation_kind(prim)):
+        for op in UsdGeom.Xformable(prim).GetOrderedXformOps() if prim.IsA(UsdGeom.Xformable) else ():
+            turn: Any = op.Get() if op.GetOpType() == UsdGeom.XformOp.TypeOrient else None
+            if hasattr(turn, "GetLength") and not abs(turn.GetLength() - 1.0) <= UNIT:
+                yield Finding("rigid_pose", where(prim), f"{op.GetOpName()} is no unit quaternion, but has length {turn.GetLength():.4g}")
+        if not (is_body(prim) or is_collider(prim) or simulation_kind(prim)):
             continue
-        rotation = to_world(prim)[:3, :3]
-        if not np.isfinite(rotation).all() or not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
-            lengths = ", ".join(f"{value:.4g}" for value in np.linalg.norm(rotation, axis=0))
-            # cubes and spheres are scaled by everybody who writes them; engines agree about those
-            serious = is_body(prim) or prim.IsA(UsdGeom.PointBased)
-            yield Finding("rigid_pose", where(prim), f"is scaled or sheared (axes {lengths})", serious)
+        axes = to_world(prim)[:3, :3]
+        lengths = np.linalg.norm(axes, axis=0)
+        if not (np.isfinite(axes).all() and (lengths > 0.0).all()):
+            yield Finding("rigid_pose", where(prim), "has no place: its frame is not finite, or has no volume")
+            continue
+        turned = np.allclose((axes / lengths).T @ (axes / lengths), np.eye(3), atol=1e-4) and np.linalg.det(axes) > 0
+        if not turned or not np.allclose(lengths, 1.0, atol=5e-5):
+            # cubes and spheres are scaled by everybody who writes them, meshes of rooms too; engines agree about those
+            serious = is_body(prim) or (prim.IsA(UsdGeom.PointBased) and (not turned or simulation_kind(prim) is not None))
+            said = ", ".join(f"{value:.4g}" for value in lengths)
+            yield Finding("rigid_pose", where(prim), f"is {'scaled' if turned else 'sheared or mirrored'} (axes {said})", serious)
 
 
 def animation(stage: Any, path: Path) -> Iterator[Finding]:
@@ -138,8 +152,14 @@ def colliders(stage: Any, path: Path) -> Iterator[Finding]:
             yield Finding("explicit_hulls", where(prim), "is left to the engine to decompose")
         elif kind == UsdPhysics.Tokens.convexHull:
             mesh = triangles(prim)
-            if mesh is not None and dent(mesh) > HULL_M:
+            if mesh is not None and not _is_solid(mesh[0]):
+                yield Finding("collider", where(prim), "is flat: there is no hull with a volume")
+            elif mesh is not None and dent(mesh) > HULL_M:
                 yield Finding("explicit_hulls", where(prim), f"lies up to {dent(mesh) * 1000:.1f} mm inside its own hull")
+        elif kind in ("sdf", "sphereFill"):
+            yield Finding("explicit_hulls", where(prim), f"collides as {kind}, which only PhysX knows", False)
+        elif not raw and kind not in (UsdPhysics.Tokens.boundingCube, UsdPhysics.Tokens.boundingSphere):
+            yield Finding("explicit_hulls", where(prim), f"its approximation {str(kind)!r} is none that engines know")
 
 
 def masses(stage: Any, path: Path) -> Iterator[Finding]:
@@ -151,12 +171,15 @@ def masses(stage: Any, path: Path) -> Iterator[Finding]:
             continue
         api = UsdPhysics.MassAPI(body)
         stated = body.HasAPI(UsdPhysics.MassAPI)
-        mass = number(api.GetMassAttr()) if stated else None
-        if mass is None or not (np.isfinite(mass) and mass > 0):
+        mass = (number(api.GetMassAttr()) if stated else None) or None  # 0 says that it is not stated
+        weighed = mass is None and _is_weighed(body)
+        if weighed:
+            yield Finding("mass", where(body), "is left to the density or mass of its colliders", False)
+        elif mass is None or not (np.isfinite(mass) and mass > 0):
             yield Finding("mass", where(body), f"is {mass:g}" if mass is not None else "is not stated")
         moments = vector(api.GetDiagonalInertiaAttr()) if stated else None
         if moments is None or not moments.any():
-            yield Finding("inertia", where(body), "is not stated: every engine makes its own")
+            yield Finding("inertia", where(body), "is not stated: every engine makes its own", not weighed)
         elif not (np.isfinite(moments).all() and (moments > 0).all()):
             yield Finding("inertia", where(body), f"is {tuple(map(float, moments))}")
         elif moments.max() > (moments.sum() - moments.max()) * (1 + 1e-3):
@@ -165,6 +188,18 @@ def masses(stage: Any, path: Path) -> Iterator[Finding]:
         length = axes.GetLength() if hasattr(axes, "GetLength") else 0.0
         if length > 0 and not abs(length - 1.0) <= 1e-3:
             yield Finding("inertia", where(body), "its axes are no unit quaternion")
+
+
+def _is_weighed(body: Any) -> bool:
+    """Whether the mass of a body follows from a density, or from masses of its colliders, that are stated."""
+    from pxr import UsdPhysics, UsdShade
+
+    attributes = [UsdPhysics.MassAPI(body).GetDensityAttr()]
+    for prim in own_colliders(body):
+        attributes += [UsdPhysics.MassAPI(prim).GetMassAttr(), UsdPhysics.MassAPI(prim).GetDensityAttr()]
+        material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+        attributes += [UsdPhysics.MaterialAPI(material).GetDensityAttr()] if material else []
+    return any(0.0 < (number(attribute) or 0.0) < np.inf for attribute in attributes)
 
 
 def boxes(stage: Any, path: Path) -> Iterator[Finding]:
@@ -186,12 +221,43 @@ def boxes(stage: Any, path: Path) -> Iterator[Finding]:
             below = float(seen[:, up].min() - solid[:, up].min()) * meters
             if below > (SOFT_SUPPORT_M if is_deformable(body) else SUPPORT_M):
                 yield Finding("support_plane", where(body), f"a collider reaches {below * 1000:.1f} mm below what is seen")
-        box = within(solid, body)
-        if is_body(body) and body.HasAPI(UsdPhysics.MassAPI) and box is not None:
-            center = vector(UsdPhysics.MassAPI(body).GetCenterOfMassAttr())
-            slack = 1e-3 / meters
-            if center is not None and np.isfinite(center).all() and ((center < box[0] - slack) | (center > box[1] + slack)).any():
-                yield Finding("center_of_mass", where(body), "lies outside the body's colliders")
+            yield from _apart(body, seen, solid, meters)
+        if is_body(body) and body.HasAPI(UsdPhysics.MassAPI):
+            yield from _balance(body, seen, solid, meters)
+
+
+def _apart(body: Any, seen: Any, solid: Any, meters: float) -> Iterator[Finding]:
+    """Whether the boxes of what is seen and of what collides, world positions of shape (n, 3), fit one another."""
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    gap = float(np.maximum(low - solid.max(axis=0), solid.min(axis=0) - high).max()) * meters
+    out = float(np.maximum(low - solid.min(axis=0), solid.max(axis=0) - high).max()) * meters
+    if gap > 1e-3:
+        yield Finding("visual", where(body), f"what is seen lies {gap:.3g} m beside what collides")
+    elif out > max(PROTRUSION_M, PROTRUSION * float(np.linalg.norm(high - low)) * meters):
+        yield Finding("protrusion", where(body), f"a collider reaches {out:.3g} m out of the box of what is seen", False)
+
+
+def _balance(body: Any, seen: Any, solid: Any, meters: float) -> Iterator[Finding]:
+    """Center of mass and inertia, held against where the body is."""
+    from pxr import UsdPhysics
+
+    api = UsdPhysics.MassAPI(body)
+    center, moments, mass = vector(api.GetCenterOfMassAttr()), vector(api.GetDiagonalInertiaAttr()), number(api.GetMassAttr())
+    if center is None or np.isneginf(center).all():  # how USD says that it is not stated
+        return
+    if not np.isfinite(center).all():
+        yield Finding("center_of_mass", where(body), f"is {tuple(map(float, center))}")
+        return
+    box, slack = within(solid, body), 1e-3 / meters
+    if box is not None and ((center < box[0] - slack) | (center > box[1] + slack)).any():
+        yield Finding("center_of_mass", where(body), "lies outside the body's colliders")
+    whole = [one for one in (within(seen, body), box) if one is not None]
+    if not whole or moments is None or not np.isfinite(moments).all() or mass is None or not 0.0 < mass < np.inf:
+        return
+    reach = np.maximum(*(np.abs(end([one[i] for one in whole], axis=0) - center) for i, end in enumerate((np.min, np.max))))
+    if moments.max() > 2.0 * mass * float(reach @ reach):
+        said = f"{moments.max():.3g} is more than its mass could have in its farthest corner, {mass * float(reach @ reach):.3g}"
+        yield Finding("inertia", where(body), said)
 
 
 def overlaps(stage: Any, path: Path) -> Iterator[Finding]:
@@ -217,7 +283,7 @@ def overlaps(stage: Any, path: Path) -> Iterator[Finding]:
     solids: dict[int, list[Hull]] = {}
     for at in _near(found):
         thing, mesh, hull = found[at]
-        if dent(mesh) <= HULL_M and _is_solid(hull):
+        if dent(mesh) <= HULL_M and _is_solid(hull.vertices):
             solids.setdefault(thing, []).append(hull)
     named = {thing: Solid(where(things[thing]), tuple(hulls)) for thing, hulls in solids.items()}
     moving = [solid for thing, solid in named.items() if is_body(things[thing]) and moves(things[thing])]
@@ -282,10 +348,10 @@ def _labeled(prim: Any) -> bool:
     return any(UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr().Get() for taxonomy in taxonomies)
 
 
-def _is_solid(hull: Any) -> bool:
-    """Whether a hull has a volume that depths can be measured in."""
-    flat = np.linalg.svd(hull.vertices - hull.vertices.mean(axis=0), compute_uv=False)
-    return bool(len(hull.vertices) >= 4 and flat[-1] > 1e-6 * max(flat[0], 1e-9) and flat[-1] > 1e-7)
+def _is_solid(vertices: Any) -> bool:
+    """Whether positions, shape (n, 3), span a volume that depths can be measured in."""
+    flat = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    return bool(len(vertices) >= 4 and flat[-1] > 1e-6 * max(flat[0], 1e-9) and flat[-1] > 1e-7)
 
 
 def _box(attribute: Any) -> Any:

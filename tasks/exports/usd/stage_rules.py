@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from tasks.exports.findings import Finding
 from tasks.exports.usd.package import names_in
-from tasks.exports.usd.prims import is_body, is_collider, number, subtree, traverse, vector
+from tasks.exports.usd.prims import is_body, is_collider, is_deformable, number, subtree, traverse, vector
 
 
 def metadata(stage: Any, path: Path) -> Iterator[Finding]:
@@ -84,8 +85,19 @@ def paths(stage: Any, path: Path) -> Iterator[Finding]:
             depth = len(real.parent.relative_to(root).parts)
             if not target.is_relative_to(root) or _climbs(text) > depth:
                 yield Finding("closed_paths", where, f"{text} leaves the scene's folder")
-            elif not (target.relative_to(root).as_posix() in packed if packed else Path(target).is_file()):
-                yield Finding("closed_paths", where, f"{text} does not exist")
+            elif not _exists(target, root, packed):
+                known = text.lower().endswith(".mdl") and "/" not in text  # found along a search path, by those who have it
+                yield Finding("closed_paths", where, f"{text} {'is known to Omniverse only' if known else 'does not exist'}", not known)
+
+
+def _exists(target: PurePosixPath, root: PurePosixPath, packed: Sequence[str]) -> bool:
+    """Whether a file is there, in the folder or in the package; of an image in tiles (`<UDIM>`) whether one of them is."""
+    if "<UDIM>" in target.name:
+        tile = re.compile(re.escape(target.name).replace("<UDIM>", r"1\d{3}"))
+        folder = target.parent.relative_to(root).as_posix()
+        places = [PurePosixPath(name) for name in packed] if packed else [PurePosixPath(p) for p in Path(target.parent).glob("*")]
+        return any(tile.fullmatch(place.name) and (not packed or place.parent.as_posix() == folder) for place in places)
+    return target.relative_to(root).as_posix() in packed if packed else Path(target).is_file()
 
 
 def _climbs(text: str) -> int:
@@ -121,6 +133,7 @@ def joints(stage: Any, path: Path) -> Iterator[Finding]:
     """What joints hold, and what articulations consist of."""
     from pxr import UsdPhysics
 
+    joined = _joined(stage)
     for prim in traverse(stage):
         where = prim.GetPath().pathString
         if prim.IsA(UsdPhysics.Joint):
@@ -140,8 +153,23 @@ def joints(stage: Any, path: Path) -> Iterator[Finding]:
                     owner = owner.GetParent()
                 if not owner and len(places) == 1:
                     yield Finding("joints", where, f"is a joint of {place}, which is no rigid body, with the world")
-        elif prim.HasAPI(UsdPhysics.ArticulationRootAPI) and not any(below.IsA(UsdPhysics.Joint) for below in subtree(prim)):
+        elif prim.HasAPI(UsdPhysics.ArticulationRootAPI) and not (prim.GetPath() in joined or _has_joint(prim)):
             yield Finding("joints", where, "is the root of an articulation without a joint")
+
+
+def _has_joint(prim: Any) -> bool:
+    """Whether a joint lies below a prim."""
+    from pxr import UsdPhysics
+
+    return any(below.IsA(UsdPhysics.Joint) for below in subtree(prim))
+
+
+def _joined(stage: Any) -> set[Any]:
+    """Paths of all prims that a joint holds."""
+    from pxr import UsdPhysics
+
+    found = [UsdPhysics.Joint(prim) for prim in traverse(stage) if prim.IsA(UsdPhysics.Joint)]
+    return {target for joint in found for end in (joint.GetBody0Rel(), joint.GetBody1Rel()) for target in end.GetTargets()}
 
 
 def point_instancers(stage: Any, path: Path) -> Iterator[Finding]:
@@ -156,11 +184,14 @@ def point_instancers(stage: Any, path: Path) -> Iterator[Finding]:
 
 
 def physics_scene(stage: Any, path: Path) -> Iterator[Finding]:
-    """Gravity, once."""
-    from pxr import UsdGeom, UsdPhysics
+    """Gravity, once. A file of one thing, or of a room in which nothing moves, leaves it to the scene that refers to it."""
+    from pxr import Kind, Usd, UsdGeom, UsdPhysics
 
     scenes = [prim for prim in traverse(stage) if prim.IsA(UsdPhysics.Scene)]
-    if len(scenes) != 1:
+    root = stage.GetDefaultPrim()
+    is_thing = root and Usd.ModelAPI(root).GetKind() == Kind.Tokens.component
+    moving = any(is_body(prim) or is_deformable(prim) for prim in traverse(stage))
+    if len(scenes) > 1 or not (scenes or is_thing or (not moving and any(is_collider(prim) for prim in traverse(stage)))):
         yield Finding("physics_scene", path.name, f"{len(scenes)} physics scenes")
     down = (0.0, -1.0, 0.0) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else (0.0, 0.0, -1.0)
     for prim in scenes:
