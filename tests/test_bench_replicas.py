@@ -100,6 +100,8 @@ def test_paths_and_episodes_that_are_wrong_miss_their_goals(walked: RoomPaths) -
     assert unmet(navigation_bench.goals([detour], fine)) == set()
     short = dataclasses.replace(detour, lengths={**detour.lengths, "recast": detour.lengths["planar"] - 0.002})
     assert "paths of planar longer than Detour's on the same navmesh by more than 1 mm" in unmet(navigation_bench.goals([short], fine))
+    lost = dataclasses.replace(detour, lengths={**detour.lengths, "planar": np.full_like(detour.lengths["planar"], np.inf)})
+    assert "paths of planar longer than Detour's on the same navmesh by more than 1 mm" in unmet(navigation_bench.goals([lost], fine))
     wrong = {**fine, "plain_difference_m": 0.1, "times_faster_than_plain": 0.5, "episodes": {"planar": {"off": 1, "missed": 2}}}
     assert len(unmet(navigation_bench.goals([detour], wrong))) == 4
 

@@ -212,7 +212,10 @@ def _pairs(finder: PathFinder, rng: np.random.Generator, count: int) -> tuple[Ar
 
 
 def _lengths(navmesh: bytes, rng: np.random.Generator, with_recast: bool) -> dict[str, Array]:
-    """Lengths of the same pairs on the polygons of one navmesh file [m], where every path finder has a path."""
+    """Lengths of the same pairs, each on one island of the polygons of one navmesh file [m], where Detour has a path if it is asked.
+
+    There `planar` must have one too: where it has none, its length is infinite and misses the goal.
+    """
     from tasks.navigation.navmesh import read_navmesh
     from tasks.navigation.planar import PlanarPathFinder
     from tasks.navigation.recast import RecastPathFinder
@@ -225,7 +228,7 @@ def _lengths(navmesh: bytes, rng: np.random.Generator, with_recast: bool) -> dic
         name: np.array([finder.geodesic(a, b).length for a, b in zip(starts, ends, strict=True)]) for name, finder in finders.items()
     }
     lengths["straight"] = np.hypot(*(ends - starts).T)
-    there = np.isfinite(np.stack(list(lengths.values()))).all(axis=0)
+    there = np.isfinite(lengths["recast" if with_recast else "planar"])
     return {name: values[there] for name, values in lengths.items()}
 
 

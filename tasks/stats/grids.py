@@ -283,7 +283,7 @@ _REPORT_COLUMNS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] =
             ("largest_island_share", "Largest island", as_percent),
             ("episodes", "Episodes", as_count),
             ("targets", "Targets", as_count),
-            ("unreachable_targets", "Unreachable", as_count),
+            ("unreachable_targets", "No episode possible", as_count),
         ),
     ),
     "navigation_metrics": (
@@ -304,7 +304,7 @@ _REPORT_COLUMNS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] =
         ),
     ),
     "unreachable_objects": (
-        "Objects that no agent gets to",
+        "Objects that no episode could be made for",
         (
             ("scene_id", "Scene", as_text),
             ("instance_id", "Instance", as_text),

@@ -1,9 +1,11 @@
 -- How well did each trajectory do?
--- success: stop was called and the geodesic distance to the nearest view point is below success_distance_m (Anderson et al., On
--- Evaluation of Embodied Navigation Agents, 2018; Habitat's Success). episode_length: all executed actions, the terminating one
--- included (SPOC's eps_len). spl: success * l / max(p, l), l the geodesic distance at the start and p the travelled length
--- (Anderson et al. 2018; 1 where both are 0). sel: success * w / max(e, w), w the expert's actions and e the episode length
--- (success weighted by episode length as SPOC computes it, Ehsani et al., CVPR 2024; where w is 0, 1 if e is 0 and else 0).
+-- success: stop was called and the geodesic distance to the nearest view point of the episode's own target is below
+-- success_distance_m (Anderson et al., On Evaluation of Embodied Navigation Agents, 2018; Habitat's Success; habitat-lab's ObjectNav
+-- takes any other object of the category as well). episode_length: all executed actions, the terminating one included (SPOC's
+-- eps_len). spl: success * l / max(p, l), l the geodesic distance at the start and p the travelled length (Anderson et al. 2018;
+-- 1 where both are 0); l is exact over the navmesh's polygons, which Detour's, and so habitat-lab's, may exceed.
+-- sel: success * w / max(e, w), w the expert's actions and e the episode length (success weighted by episode length as SPOC
+-- computes it, Ehsani et al., CVPR 2024; where w is 0, 1 if e is 0 and else 0).
 -- is_outdated: the lake's episode of that name starts elsewhere or has another target by now, or is gone; the metrics are still
 -- those of the episode as it was. is_counted: of all trajectories of the policy's run in an episode, measured at one success distance,
 -- this is the one that the views navigation_metrics* count, the newest of those that are not outdated, or the newest where all are.

@@ -1,4 +1,5 @@
--- Which objects can no agent get to, and why?
+-- Which objects could no episode be made for, and why?
+-- Most of them no agent gets near; the reason says where it is something else.
 SELECT
     unreachable_targets.scene_id,
     unreachable_targets.instance_id,
