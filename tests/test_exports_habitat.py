@@ -138,6 +138,7 @@ def test_episodes_lead_from_start_to_goal(scene: tuple[Rows, dict[str, bytes]], 
             continue
         seen += 1
         row = rows[episode["info"]["episode"]]
+        assert episode["info"]["scene"] == row.scene_id
         (path,) = episode["shortest_paths"]
         assert [state["action"] for state in path] == [ACTIONS[action] for action in row.actions]
         assert path[0]["position"] == episode["start_position"]

@@ -241,8 +241,8 @@ def _episode(episode_id: str, handle: str, row: Episode, config: HabitatConfig) 
         "start_position": position(row.start_position),
         "start_rotation": rotation(row.start_yaw_radians),
         "info": {
-            "geodesic_distance": row.geodesic_m, "euclidean_distance": row.euclidean_m, "episode": row.episode_id,
-            "instruction": row.instruction, "path_finder": row.path_finder,
+            "geodesic_distance": row.geodesic_m, "euclidean_distance": row.euclidean_m, "scene": row.scene_id,
+            "episode": row.episode_id, "instruction": row.instruction, "path_finder": row.path_finder,
         },
         "start_room": None,
     }  # fmt: skip

@@ -185,6 +185,7 @@ def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
         "",
         "- PointNav episodes go to the view point that the trajectory was made for, ObjectNav episodes to any object of the category.",
         "  `info.geodesic_distance` is the way to that one view point; habitat-lab measures the nearest goal itself.",
+        "- `info.scene` and `info.episode` name the episode as `metascenes evaluate` wants it in a file of trajectories.",
         "- `iou` of a view point is the share of a level camera's image that the object's box covers, occlusion aside.",
         "- Semantic ids are NYU40 classes (`semantics/`). Pixels of floor and walls are 0.",
         "- Geometry in `objects/` is named by its content and stored once, however many objects and scenes show it.",
