@@ -28,7 +28,7 @@ def configure(
 
     Raises:
         InputError: names a stage or field that does not exist, or a value of the wrong type; or exports would take
-            other convex pieces or another MuJoCo than certificates.
+            other convex pieces or another MuJoCo than certificates, or another robot than episodes.
     """
     told: dict[str, Any] = {}
     origin = "defaults"
@@ -63,6 +63,10 @@ def configure(
     if configs["exports"].mjcf.engine != configs["optimization"].certificate.mujoco:
         problem = "differs from optimization.certificate.mujoco: what is exported would not fall as it is certified"
         raise InputError(origin if told else "--set", "exports.mjcf.engine", problem, "set both alike")
+    for field in ("forward_m", "turn_degrees"):
+        if getattr(configs["exports"].habitat, field) != getattr(configs["navigation"], field):
+            problem = f"differs from navigation.{field}: the robot of the dataset would not be that of its episodes"
+            raise InputError(origin if told else "--set", f"exports.habitat.{field}", problem, "set both alike")
     return Configuration(configs, library, seed)
 
 

@@ -183,6 +183,14 @@ def test_what_is_exported_is_what_is_certified() -> None:
     assert both.stages["exports"].pieces.threshold == 0.05
 
 
+@pytest.mark.parametrize(("field", "value"), [("forward_m", 0.5), ("turn_degrees", 15.0)])
+def test_the_exported_robot_is_that_of_the_episodes(field: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"exports\.habitat\.{field}: differs from navigation"):
+        configure(None, [f"navigation.{field}={value}"])
+    both = configure(None, [f"navigation.{field}={value}", f"exports.habitat.{field}={value}"])
+    assert getattr(both.stages["exports"].habitat, field) == getattr(both.stages["navigation"], field) == value
+
+
 def test_what_is_exported_falls_as_it_is_certified() -> None:
     name = "timestep_s=0.002"
     with pytest.raises(InputError, match=r"exports\.mjcf\.engine: differs from optimization\.certificate\.mujoco"):

@@ -496,7 +496,10 @@ def test_turns_that_are_not_the_robots_are_refused(scene: Any) -> None:
 
 def test_a_habitat_rotation_that_is_no_upright_turn_is_refused(scene: Any) -> None:
     document = as_file(built_in(scene, "expert")[:1], "habitat")
-    for wrong, why in (([0, 0, 0, 2], "length 2"), ([math.sin(0.1), 0, 0, math.cos(0.1)], "not upright")):
+    other_order = [math.cos(0.3), 0, math.sin(0.3), 0]  # w, x, y, z of a turn about +Y: read as x, y, z, w it stands on its head
+    for wrong, why in (
+        ([0, 0, 0, 2], "length 2"), ([math.sin(0.1), 0, 0, math.cos(0.1)], "not upright"), (other_order, "not upright")
+    ):  # fmt: skip
         document["trajectories"][0]["rotations"][1] = wrong
         with pytest.raises(InputError, match=why) as caught:
             parse_batch(document)
