@@ -372,12 +372,17 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "no name": ("names", drop_key(CHAIR, "name"), "no name"),
     "one name twice": ("names", put(CHAIR, "name", "box_0004"), "box_0004"),
     "free joint on a nested body": ("free_joint", xml(nest), "box_0004"),
-    "rotation of length 2": ("unit_quaternion", put(CHAIR, "quat", "2 0 0 0"), "chair_0002: quat"),
+    "rotation of length 0": ("unit_quaternion", put(CHAIR, "quat", "0 0 0 0"), "chair_0002: quat"),
     "key with a rotation of length 0": ("unit_quaternion", put("keyframe/key", "qpos", "0 0 0 0 0 0 0 " * 5), "key start"),
     "no mass": ("mass", put(f"{BOX}/inertial", "mass", "0"), "mass"),
     "mass below zero": ("mass", put(f"{BOX}/inertial", "mass", "-1"), "-1"),
     "inertia of no solid": ("inertia", put(f"{BOX}/inertial", "fullinertia", "1 1 9 0 0 0"), "exceeds"),
     "inertia below zero": ("inertia", put(f"{BOX}/inertial", "fullinertia", "-1 1 1 0 0 0"), "principal moments"),
+    "inertia in other units": ("inertia", put(f"{BOX}/inertial", "fullinertia", "900 900 900 0 0 0"), "farthest corner"),
+    "center of mass outside": ("center_of_mass", put(f"{BOX}/inertial", "pos", "3 0 0"), "box_0004"),
+    "what is seen away from what collides": ("visual", put(f"{BOX}/geom[@class='visual']", "pos", "3 0 0"), "beside what collides"),
+    "no contacts": ("collider", put("option/flag", "contact", "disable"), "contact is disabled"),
+    "gravity switched off": ("gravity", put("option/flag", "gravity", "disable"), "gravity is disabled"),
     "mesh of another name": ("references", put(f"{BOX}/geom[@class='collision']", "mesh", "nothing"), "nothing"),
     "material that is not there": ("references", put(f"{BOX}/geom[@class='visual']", "material", "oak"), "oak"),
     "unknown element": ("compiles", xml(lambda root: root.append(ElementTree.Element("scenery"))), "scenery"),
@@ -428,6 +433,19 @@ def test_no_damage_makes_the_gate_fall_over(data: st.DataObject, model: Path, tm
     (folder / "assets").symlink_to(model.parent / "assets")
     (folder / "scene.xml").write_bytes(ElementTree.tostring(root))
     assert all(finding.rule in RULES for finding in check_mjcf(folder / "scene.xml"))
+
+
+def test_what_mujoco_makes_good_is_not_refused(tmp_path: Path) -> None:
+    """An arm as its makers write it: rotations that MuJoCo normalizes, links without a name, a link whose weight is elsewhere."""
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        """<mujoco><worldbody><geom type='plane' size='1 1 1'/>
+        <body name='base' pos='0 0 1' quat='1 0 1 0'><geom type='box' size='.1 .1 .1'/>
+        <body pos='0 0 .3'><joint axis='1 0 0'/><inertial mass='1' pos='0 0 .9' quat='1 1 0 0' diaginertia='.01 .01 .01'/>
+        <geom type='capsule' size='.05 .1'/></body></body></worldbody></mujoco>"""
+    )
+    found = check_mjcf(path)
+    assert {(finding.rule, finding.is_error) for finding in found} == {("unit_quaternion", False), ("names", False)}
 
 
 def test_models_of_others_are_read(tmp_path: Path) -> None:

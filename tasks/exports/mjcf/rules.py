@@ -22,18 +22,19 @@ RULES: dict[str, str] = {
     "xml": "the file is XML whose root is mujoco",
     "numbers": "numbers are finite",
     "closed_paths": "every file that is named is named by a relative path inside the scene's folder, and is there",
-    "names": "every body has a name of its own",
+    "names": "every body has a name of its own, those at least that move freely",
     "free_joint": "free joints belong to bodies directly below the world",
-    "unit_quaternion": "rotations are quaternions of length 1",
+    "unit_quaternion": "rotations are quaternions, of length 1 where MuJoCo alone would make them so",
     "mass": "every moving body has a mass above zero",
-    "inertia": "inertias are those that a solid can have",
+    "inertia": "inertias are those that a solid can have, and one as large as its body",
+    "center_of_mass": "the center of mass of what moves freely lies inside its box",
     "references": "meshes, materials and textures that are named are there",
     "compiles": "MuJoCo compiles the model",
     "gravity": "gravity points down (-Z) and is the Earth's",
     "timestep": "time steps are short enough for contacts",
-    "collider": "every moving body has a geom that collides",
+    "collider": "every moving body has a geom that collides, and contacts are not switched off",
     "explicit_hulls": "meshes that collide are convex as they are",
-    "visual": "every moving body can be seen",
+    "visual": "every moving body can be seen, where it collides",
     "friction": "friction lies within bounds",
     "penetration": "nothing is deeper in something else than 2 mm at the start",
     "step": "one step leaves every number finite",
@@ -138,7 +139,8 @@ def _names(path: Path, elements: Pairs) -> Iterator[Finding]:
         if element.tag == "body":
             name = element.get("name", "")
             if not name:
-                yield Finding("names", _where(file, element), "a body has no name")
+                free = any(child.tag == "freejoint" or child.get("type") == "free" for child in element)
+                yield Finding("names", _where(file, element), "a body has no name", free)
             elif name in seen:
                 yield Finding("names", _where(file, element), "two bodies have this name")
             seen.add(name)
@@ -156,7 +158,8 @@ def _rotations(path: Path, elements: Pairs) -> Iterator[Finding]:
     for file, element in elements:
         quaternion = _floats(element.get("quat"))
         if quaternion is not None and len(quaternion) == 4 and not abs(np.linalg.norm(quaternion) - 1.0) < 1e-4:
-            yield Finding("unit_quaternion", _where(file, element), f"quat has length {np.linalg.norm(quaternion):.6g}")
+            length = float(np.linalg.norm(quaternion))  # `1 0 1 0` is how many write a quarter turn; MuJoCo normalizes it
+            yield Finding("unit_quaternion", _where(file, element), f"quat has length {length:.6g}", not 1e-6 < length < np.inf)
 
 
 def _masses(path: Path, elements: Pairs) -> Iterator[Finding]:
@@ -236,7 +239,10 @@ def _keys(model: Any, elements: Pairs) -> Iterator[Finding]:
 
 def _world(path: Path, model: Any) -> Iterator[Finding]:
     """Options, and what every moving body has."""
-    gravity = np.asarray(model.opt.gravity)
+    gravity, which = np.asarray(model.opt.gravity), mujoco_module().mjtDisableBit
+    for flag, rule in ((which.mjDSBL_GRAVITY, "gravity"), (which.mjDSBL_CONTACT, "collider"), (which.mjDSBL_CONSTRAINT, "collider")):
+        if model.opt.disableflags & flag:
+            yield Finding(rule, f"{path.name} option", f"{flag.name.removeprefix('mjDSBL_').lower()} is disabled")
     if np.linalg.norm(gravity[:2]) > 1e-3 * max(float(np.linalg.norm(gravity)), 1e-9) or gravity[2] > 0.0:
         yield Finding("gravity", f"{path.name} option", f"gravity points to {gravity.tolist()}")
     elif abs(gravity[2] + 9.81) > 0.05 * 9.81:
@@ -254,6 +260,8 @@ def _world(path: Path, model: Any) -> Iterator[Finding]:
             yield Finding("collider", where, "has no geom that collides")
         if not seen[geoms].any():
             yield Finding("visual", where, "has no geom in groups 0 to 2 that can be seen")
+        if model.jnt_type[model.body_jntadr[tree]] == mujoco_module().mjtJoint.mjJNT_FREE and (model.body_rootid == tree).sum() == 1:
+            yield from _thing(where, model, tree, geoms[solid[geoms]], geoms[seen[geoms]])
     dents: dict[int, float] = {}
     for geom in np.flatnonzero(solid):
         where = f"{path.name} geom {model.geom(geom).name or model.body(model.geom_bodyid[geom]).name}"
@@ -273,12 +281,45 @@ def _world(path: Path, model: Any) -> Iterator[Finding]:
             yield Finding("explicit_hulls", where, f"lies up to {dents[mesh] * 1000:.1f} mm inside its own hull")
 
 
+def _thing(where: str, model: Any, body: int, solid: Any, seen: Any) -> Iterator[Finding]:
+    """A free body without others in it: mass properties and what is seen of it, held against where it collides."""
+    box, drawn = _box(model, solid), _box(model, seen)
+    if box is None:
+        return
+    gap = 0.0 if drawn is None else float(np.maximum(drawn[0] - box[1], box[0] - drawn[1]).max())
+    if gap > 1e-3:
+        yield Finding("visual", where, f"what is seen lies {gap:.3g} m beside what collides")
+    center, mass, moments = model.body_ipos[body], float(model.body_mass[body]), model.body_inertia[body]
+    if ((center < box[0] - 1e-3) | (center > box[1] + 1e-3)).any():
+        yield Finding("center_of_mass", where, f"{center.tolist()} lies outside of what collides")
+    both = box if drawn is None else np.array([np.minimum(box[0], drawn[0]), np.maximum(box[1], drawn[1])])
+    reach = np.abs(both - center).max(axis=0)
+    if moments.max() > 2.0 * mass * float(reach @ reach):
+        said = f"{moments.max():.3g} is more than its mass could have in its farthest corner, {mass * float(reach @ reach):.3g}"
+        yield Finding("inertia", where, said)
+
+
+def _box(model: Any, geoms: Any) -> NDArray[np.float64] | None:
+    """Box around the boxes of geoms in their body's frame [m], shape (2, 3), or None: there are none, or one has no end."""
+    if not len(geoms) or not np.isfinite(model.geom_aabb[geoms]).all() or (model.geom_rbound[geoms] == 0.0).any():
+        return None
+    corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+    points = []
+    for geom in geoms:
+        turn = np.zeros(9)
+        mujoco_module().mju_quat2Mat(turn, model.geom_quat[geom])
+        middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        points.append((middle + corners * half) @ turn.reshape(3, 3).T + model.geom_pos[geom])
+    found = np.concatenate(points)
+    return np.array([found.min(axis=0), found.max(axis=0)])
+
+
 def _contacts(path: Path, model: Any, data: Any) -> Iterator[Finding]:
     """Pairs of things that are in one another at the start."""
     deepest: dict[tuple[str, str], float] = {}
     for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
         if min(geoms) >= 0:  # else it is a flexible thing's
-            first, second = sorted((model.body(model.geom_bodyid[geom]).name for geom in geoms), reverse=True)
+            first, second = sorted((model.body(model.geom_bodyid[geom]).name or "without name" for geom in geoms), reverse=True)
             deepest[first, second] = max(deepest.get((first, second), 0.0), -float(distance))
     for (first, second), depth in sorted(deepest.items()):
         if depth > DEEPEST_M:
