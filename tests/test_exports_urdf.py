@@ -215,6 +215,18 @@ def dent(mesh: trimesh.Trimesh) -> None:
     mesh.vertices[0] = 0.7 * mesh.vertices.mean(axis=0) + 0.3 * mesh.vertices[0]
 
 
+def flatten(mesh: trimesh.Trimesh) -> None:
+    mesh.vertices[:, 2] = 0.1
+
+
+def other_units(root: ElementTree.Element) -> None:
+    """Kilograms times square centimetres."""
+    inertia = root.find("link/inertial/inertia")
+    assert inertia is not None
+    for key, value in inertia.attrib.items():
+        inertia.set(key, repr(1e4 * float(value)))
+
+
 def lose_image(folder: Path) -> None:
     """A material file that names an image that is not there."""
     file = sorted(folder.glob("meshes/*.mtl"))[0]
@@ -242,11 +254,13 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "lost material": ("closed_paths", lambda folder: sorted(folder.glob("meshes/*.mtl"))[0].unlink(), ".mtl"),
     "empty mesh": ("mesh", lambda folder: hull_file(folder).write_text("v 0 0 0\n"), "box_0004"),
     "mesh that is none": ("mesh", lambda folder: hull_file(folder).write_bytes(b"\x00\xff" * 50), "box_0004"),
-    "mirrored mesh": ("mesh", put("link/collision/geometry/mesh", "scale", "-1 1 1"), "scale"),
+    "mesh without a size": ("mesh", put("link/collision/geometry/mesh", "scale", "0 1 1"), "scale"),
+    "flat mesh": ("mesh", edit_hull(flatten), "flat"),
     "no mass": ("mass", put("link/inertial/mass", "value", "0"), "is 0"),
     "mass below zero": ("mass", put("link/inertial/mass", "value", "-2"), "-2"),
     "nothing said of mass": ("mass", drop("inertial"), "not stated"),
     "inertia of no solid": ("inertia", put(INERTIA, "ixx", "90"), "exceeds"),
+    "inertia in other units": ("inertia", xml(other_units), "farthest corner"),
     "inertia below zero": ("inertia", put(INERTIA, "ixx", "-1"), "principal moments"),
     "no inertia": ("inertia", drop("inertia", "link/inertial"), "not stated"),
     "center of mass outside": ("center_of_mass", put("link/inertial/origin", "xyz", "3 0 0"), "outside"),
@@ -258,6 +272,7 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "file that is not there": ("poses", lambda folder: (folder / "chair_0002.urdf").unlink(), "chair_0002"),
     "rotation of length 2": ("poses", told(lambda about: about["objects"][1].update(rotation_wxyz=[2, 0, 0, 0])), "chair_0002"),
     "position of two numbers": ("poses", told(lambda about: about["objects"][1].update(position_m=[2, 0])), "position_m"),
+    "two objects of one name": ("poses", told(lambda about: about["objects"][1].update(name="table_0001")), "2 objects have this name"),
     "another mass": ("poses", told(lambda about: about["objects"][1].update(mass_kg=4.1)), "mass_kg is 4.1"),
 }
 
@@ -316,6 +331,20 @@ def test_no_poses_make_the_gate_fall_over(
     place = tmp_path_factory.mktemp("poses")
     (place / "poses.json").write_text(json.dumps(about))
     assert all(finding.rule in RULES for finding in check_urdf(place))
+
+
+def test_mirrored_meshes_and_those_of_unknown_kinds_are_not_wrong(tmp_path: Path) -> None:
+    trimesh.creation.box((0.2, 0.2, 0.2)).export(tmp_path / "arm.stl")
+    (tmp_path / "arm.dae").write_text("<COLLADA/>")
+    (tmp_path / "arm.urdf").write_text(
+        """<robot name='arm'><link name='base'><visual><geometry><mesh filename='arm.dae'/></geometry></visual>
+        <collision><geometry><mesh filename='arm.stl' scale='1 -1 1'/></geometry></collision>
+        <inertial><mass value='1'/><inertia ixx='.01' iyy='.01' izz='.01' ixy='0' ixz='0' iyz='0'/></inertial></link></robot>"""
+    )
+    found = check_urdf(tmp_path / "arm.urdf")
+    assert {(finding.rule, finding.is_error) for finding in found} == {("mesh", False)}
+    assert len(found) == 2
+    assert "pycollada" in str(found)
 
 
 def test_files_of_others_are_read(tmp_path: Path) -> None:

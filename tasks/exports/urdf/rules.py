@@ -24,17 +24,18 @@ RULES: dict[str, str] = {
     "tree": "joints make one tree out of all links",
     "numbers": "numbers are finite and as many as they should be",
     "closed_paths": "every file that is named is named by a relative path inside the folder, and is there",
-    "mesh": "every mesh can be read, has triangles, finite positions and a scale above zero",
+    "mesh": "every mesh can be read, has triangles, finite positions and a scale; one that collides has a volume",
     "mass": "every link that is not the room's has a mass above zero",
-    "inertia": "inertias are those that a solid can have",
+    "inertia": "inertias are those that a solid can have, and one as large as its colliders",
     "center_of_mass": "the center of mass lies inside the colliders' box",
     "collider": "every link with a mass collides",
     "explicit_hulls": "meshes that collide are convex as they are",
     "visual": "every link with a mass can be seen",
-    "poses": "poses.json names every file once, with a rigid pose and the mass that the file says",
+    "poses": "poses.json names every object and every file once, with a rigid pose and the mass that the file says",
 }
 """Every rule, and what holds when it passes."""
 
+_UNREAD = "is of a kind that cannot be read here"
 _HULL_TOLERANCE = 2e-3  # metres; as for USD
 _PRODUCTS = 20_000_000  # vertices times triangles that are compared: 160 MB
 _COUNTS = {"xyz": 3, "rpy": 3, "rgba": 4, "scale": 3, "size": 3}
@@ -141,13 +142,15 @@ def _links(path: Path, robot: Element, known: dict[Path, Any]) -> Iterator[Findi
                     findings, loaded = _mesh(path, where, name, known)
                     yield from findings
                     scale = _floats(mesh.get("scale", "1 1 1"))
-                    if scale is not None and not (scale > 0.0).all():
-                        yield Finding("mesh", where, f"scale of {name} is {mesh.get('scale')}")
+                    if scale is not None and not (scale > 0.0).all():  # many mirror one side of a robot into the other
+                        yield Finding("mesh", where, f"scale of {name} is {mesh.get('scale')}", not scale.all())
                     if kind == "collision" and loaded is not None:
                         boxes.append(loaded if _plain(shape, scale) else None)
                         every = -(-len(loaded[0]) * len(loaded[1]) // _PRODUCTS)
                         gap = dent((loaded[0], loaded[1][::every]))
-                        if gap > _HULL_TOLERANCE:
+                        if np.linalg.matrix_rank(loaded[0] - loaded[0].mean(axis=0), tol=1e-7) < 3:
+                            yield Finding("mesh", where, f"{name} collides, but is flat")
+                        elif gap > _HULL_TOLERANCE:
                             yield Finding("explicit_hulls", where, f"{name} lies up to {gap * 1000:.1f} mm inside its own hull")
         inertial = link.find("inertial")
         if inertial is None:
@@ -164,6 +167,7 @@ def _links(path: Path, robot: Element, known: dict[Path, Any]) -> Iterator[Findi
             points = np.concatenate([box[0] for box in boxes if box is not None])
             if ((center < points.min(axis=0) - 1e-3) | (center > points.max(axis=0) + 1e-3)).any():
                 yield Finding("center_of_mass", where, f"{center.tolist()} lies outside the link's colliders")
+            yield from _reach(where, inertial, np.abs(points - center).max(axis=0))
 
 
 def _plain(shape: Element, scale: NDArray[np.float64] | None) -> bool:
@@ -186,7 +190,7 @@ def _mesh(path: Path, where: str, name: str, known: dict[Path, Any]) -> tuple[li
         known[target] = _read(target)
     loaded = known[target]
     if isinstance(loaded, str):
-        return [Finding("mesh", where, f"{name} {loaded}")], None
+        return [Finding("mesh", where, f"{name} {loaded}", not loaded.startswith(_UNREAD))], None
     findings = []
     for library in re.findall(rb"^mtllib +(\S+)", target.read_bytes(), re.M) if target.suffix.lower() == ".obj" else ():
         material = target.parent / library.decode(errors="replace")
@@ -211,6 +215,8 @@ def _read(path: Path) -> Any:
         mesh: Any = trimesh.load_mesh(path, process=False, skip_materials=True)
         mesh = mesh.to_mesh() if isinstance(mesh, trimesh.Scene) else mesh
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    except ImportError as error:  # Collada, for one, is read by packages that not everybody has
+        return f"{_UNREAD}: {' '.join(str(error).split())[:100]}"
     except Exception as error:  # the loader raises whatever the bytes lead it to
         return f"cannot be read ({type(error).__name__})"
     return _sound(vertices, faces)
@@ -245,6 +251,17 @@ def _mass(where: str, inertial: Element) -> Iterator[Finding]:
         yield Finding("inertia", where, f"{moments.tolist()}: one moment exceeds the sum of the others")
 
 
+def _reach(where: str, inertial: Element, reach: NDArray[np.float64]) -> Iterator[Finding]:
+    """Inertia of a link whose colliders reach so far from its center of mass along its axes [m], shape (3,)."""
+    mass, element = _floats(_attribute(inertial, "mass", "value")), inertial.find("inertia")
+    trace = [_floats(element.get(key)) for key in ("ixx", "iyy", "izz")] if element is not None else [None]
+    if mass is None or len(mass) != 1 or any(entry is None or len(entry) != 1 for entry in trace):
+        return
+    most, stated = float(mass[0] * (reach @ reach)), max(float(entry[0]) for entry in trace if entry is not None)
+    if mass[0] > 0.0 and stated > 2.0 * most:
+        yield Finding("inertia", where, f"{stated:.3g} is more than its mass could have in its farthest corner, {most:.3g}")
+
+
 def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
     """The file that says where the objects stand."""
     path = folder / POSES
@@ -258,6 +275,9 @@ def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
     for name in sorted(set(named) | set(files)):
         if named.count(name) != 1 or name not in files:
             yield Finding("poses", f"{POSES} {name}", f"is named {named.count(name)} times, and {'' if name in files else 'not '}there")
+    for name, count in Counter(str(item.get("name", "")) for item in objects).items():
+        if count > 1 or not name:
+            yield Finding("poses", f"{POSES} {name}", f"{count} objects have this name")
     for item in objects:
         where = f"{POSES} {item.get('name', '')}"
         try:
