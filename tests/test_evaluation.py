@@ -374,7 +374,7 @@ def test_a_file_of_what_a_policy_did_gives_its_rows(scene: Any, frame: str, poli
     (tmp_path / "a.json").write_text(json.dumps(document))
     head = {key: value for key, value in document.items() if key != "trajectories"}
     (tmp_path / "a.jsonl").write_text("\n".join(json.dumps(item) for item in [head, *document["trajectories"]]) + "\n\n")
-    (tmp_path / "b.json").write_text(json.dumps(as_file(wanted, frame, poses=False)))
+    (tmp_path / "b.json").write_text(json.dumps(as_file(wanted[::-1], frame, poses=False)))
     for name in ("a.json", "a.jsonl", "b.json"):
         batch = read_batch(tmp_path / name)
         assert (batch.batch_id, batch.policy, batch.run_name, batch.source_file) == ("mine-1", "mine", "seed 7", name)
@@ -388,6 +388,18 @@ def test_a_file_of_what_a_policy_did_gives_its_rows(scene: Any, frame: str, poli
             assert row.travelled_m == pytest.approx(expected.travelled_m, abs=1e-5)
             assert abs(row.collisions - expected.collisions) <= (0 if policy == "expert" else expected.collisions)
             assert success(row) == success(expected)
+
+
+def test_collisions_are_those_of_the_file_or_steps_that_ended_short(scene: Any) -> None:
+    (first, *_) = built_in(scene, "expert")
+    x, y, yaw = first.poses[0]
+    ways = [0.0, 0.25, 0.495, 0.725, 0.725, 0.725]  # steps of 25, 24.5, 23 and 0 cm, and a stop
+    poses = [[x + way * math.cos(yaw), y + way * math.sin(yaw), yaw] for way in ways]
+    item = {"scene_id": SCENE, "episode_id": first.episode_id, "actions": ["forward"] * 4 + ["stop"], "poses": poses}
+    for given_, counted in (({}, 2), ({"collisions": 3}, 3), ({"collisions": 0}, 0)):
+        (row,) = measured(scene, parse_batch({"batch_id": "b", "policy": "p", "trajectories": [item | given_]}))
+        assert row.collisions == counted
+        assert row.travelled_m == pytest.approx(0.725)
 
 
 def test_leaving_the_navmesh_is_recorded_and_no_success(scene: Any) -> None:
@@ -424,6 +436,8 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
     "long": (change(actions=["left"] * 501, poses=...), "trajectories[1].actions", "the limit is 500"),
     "again": (change(episode_id="0000"), "trajectories[1]", "again, as trajectories[0]"),
     "collisions": (change(collisions=-1), "trajectories[1].collisions", "at least 0"),
+    "collisions without steps": (change(actions=["left"], poses=..., collisions=1), "trajectories[1].collisions", "more than the 0"),
+    "countless collisions": (change(collisions=10**400), "trajectories[1].collisions", "more than the"),
 }  # fmt: skip
 
 

@@ -167,7 +167,10 @@ def _attempt(item: Any, frame: str, name: str, where: str) -> Attempt:
     poses = None
     if given:
         poses = _world(item["poses"]) if frame == "world" else _from_habitat(item["positions"], item["rotations"], name, where)
-    collisions = item.get("collisions")
+    collisions, steps = item.get("collisions"), actions.count("forward")
+    if collisions is not None and collisions > steps:
+        problem = f"is more than the {steps} forward steps"
+        raise InputError(name, f"{where}.collisions", problem, "count the forward steps that met an obstacle")
     return Attempt(item["scene_id"], item["episode_id"], actions, poses, None if collisions is None else int(collisions), where)
 
 
