@@ -57,6 +57,15 @@ def test_what_is_broken_or_differs_misses_its_goal(exported: RoomExports) -> Non
     assert unmet(exports_bench.goals([other])) == {"free things that usd and certificate judge otherwise at 1 cm"}
 
 
+def test_what_goes_astray_is_not_taken_for_its_start() -> None:
+    """MuJoCo begins anew at the start when numbers get too large, and says so in a counter only."""
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><option gravity='0 0 -1e13'/><worldbody><body name='a_1'><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(ValueError, match="diverges"):
+        left_alone(model, 0.1)
+
+
 def test_what_is_left_alone_falls_tips_or_stays() -> None:
     model = mujoco.MjModel.from_xml_string("""
       <mujoco><worldbody><geom type="plane" size="0 0 1"/>

@@ -16,9 +16,11 @@ from flows.bench.rooms import generated_scene
 from flows.bench.usd_reader import model_of
 from tasks import exports, optimization
 from tasks.exports.bodies import Replica
+from tasks.exports.mjcf import mjcf_files
 from tasks.exports.usd import write_usd
 from tasks.exports.usd.rules import check_usd
 from tasks.optimization.certificates import CertificateConfig, Certified, certificate_rows, certify
+from tasks.optimization.mujoco_engine import mujoco_module
 from tasks.optimization.solids import Body, Solid, shell_solids
 from tasks.stage import Context
 from tasks.transforms import rotation_of, translation, yaw_pose
@@ -76,6 +78,18 @@ def test_what_falls_and_what_rests_is_what_the_certificate_says(tmp_path: Path) 
         near, far = assert_same_as_certificate(replica, path)
         assert near == {"0010", "0011", "0012"}
         assert far == {"0010", "0012"}
+
+
+def test_the_reader_sets_mujoco_as_certificates_do(tmp_path: Path) -> None:
+    """Every option, by way of the MuJoCo model that is written beside it."""
+    replica = replica_of(*rows_of(furnished()))
+    exports.write_folder(tmp_path, {file.path: file.data for file in mjcf_files(replica, exports.ExportsConfig())})
+    ours = model_of(write_usd(tmp_path / "usd", replica, exports.ExportsConfig())).opt
+    theirs = mujoco_module().MjModel.from_xml_path(str(tmp_path / replica.stem / "scene.xml")).opt
+    names = [name for name in dir(ours) if not name.startswith("_")]
+    assert {"timestep", "disableflags", "enableflags", "sleep_tolerance"} <= set(names)
+    for name in names:
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-6, err_msg=name)
 
 
 def optimized(index: int) -> tuple[dict[str, list[Any]], dict[str, bytes]]:

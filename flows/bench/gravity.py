@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.optimization import Certificate
+from tasks.optimization.mujoco_engine import mujoco_module
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,10 +35,9 @@ def left_alone(model: Any, seconds: float) -> dict[str, Settled]:
     """What the free bodies of a compiled MuJoCo model do in so many seconds, by the body's name.
 
     Raises:
-        ValueError: a state is not finite.
+        ValueError: a state is not finite, or too large for MuJoCo, which would begin anew from the start.
     """
-    import mujoco
-
+    mujoco = mujoco_module()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     free = [int(model.jnt_bodyid[joint]) for joint in range(model.njnt) if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE]
@@ -45,7 +45,9 @@ def left_alone(model: Any, seconds: float) -> dict[str, Settled]:
     mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
     mujoco.mj_kinematics(model, data)
     place, axes = data.xpos[free], data.xmat[free].reshape(-1, 3, 3)[:, :, 2]
-    if not np.isfinite(place).all():
+    which = mujoco.mjtWarning
+    astray = any(data.warning[one].number for one in (which.mjWARN_BADQPOS, which.mjWARN_BADQVEL, which.mjWARN_BADQACC))
+    if astray or not np.isfinite(place).all():
         raise ValueError("the state diverges")
     moved = np.linalg.norm(place - start, axis=1)
     tilt = np.arccos(np.clip(np.einsum("ij,ij->i", upright, axes), -1.0, 1.0))

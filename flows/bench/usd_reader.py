@@ -57,6 +57,7 @@ def _spec(stage: Any, settings: Mujoco) -> Any:
     option.timestep, option.impratio = settings.timestep_s, settings.impratio
     option.cone, option.integrator = mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.iterations, option.tolerance = settings.iterations, settings.tolerance
+    option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that went astray must not look like the start
     if settings.sleep_m_s > 0.0:
         option.enableflags, option.sleep_tolerance = mujoco.mjtEnableBit.mjENBL_SLEEP, settings.sleep_m_s
     spec.compiler.usethread = False
