@@ -223,6 +223,28 @@ def spoil_index(data: bytes) -> bytes:
     return close_glb(document, binary[:start] + b"\x7f\x7f\x00\x00" + binary[start + 4 :])
 
 
+def shift_indices(document: Document) -> None:
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["indices"]]
+    accessor.update(byteOffset=1, count=3)
+
+
+def drop_corner(document: Document) -> None:
+    document["accessors"][document["meshes"][0]["primitives"][0]["indices"]]["count"] -= 1
+
+
+def shorten_attribute(document: Document) -> None:
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    other = next(value for name, value in attributes.items() if name != "POSITION")
+    document["accessors"][other]["count"] = 1
+
+
+def shear(document: Document) -> None:
+    box = node(document, BOX)
+    for key in ("translation", "rotation", "scale"):
+        del box[key]
+    box["matrix"] = [1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+
+
 def add_image(document: Document, image: Document) -> None:
     document["images"] = [image]
 
@@ -261,6 +283,10 @@ DAMAGES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "triangle of no vertex": ("geometry", spoil_index, "names vertex"),
     "no bounds": ("geometry", edited(drop_bounds), "bounds"),
     "wrong bounds": ("geometry", edited(grow_bounds), "lie within"),
+    "indices between numbers": ("buffers", edited(shift_indices), "no multiple of its numbers' size"),
+    "corners that make no triangle": ("geometry", edited(drop_corner), "no multiple of 3"),
+    "fewer colors than positions": ("geometry", edited(lambda d: shorten_attribute(d)), "positions, but 1 of"),
+    "object without a mesh": ("geometry", edited(lambda d: node(d, BOX).pop("children")), "without a mesh"),
     "image elsewhere": ("images", edited(lambda d: add_image(d, {"uri": "wood.png"})), "outside"),
     "image that is none": ("images", edited(lambda d: add_image(d, {"bufferView": 0, "mimeType": "image/png"})), "cannot be read"),
     "node with two parents": ("tree", edited(shared_child), "2 parents"),
@@ -269,6 +295,8 @@ DAMAGES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "no name": ("names", edited(lambda d: node(d, BOX).pop("name")), "no name"),
     "one name twice": ("names", set_node(BOX, name="chair_0002"), "chair_0002"),
     "rotation of length 2": ("rigid_pose", set_node(BOX, rotation=[0, 0, 0, 2]), "length 2"),
+    "matrix and rotation": ("rigid_pose", set_node(BOX, matrix=np.eye(4).ravel().tolist()), "as well"),
+    "sheared matrix": ("rigid_pose", edited(shear), "sheared"),
     "rotation of three numbers": ("rigid_pose", set_node(BOX, rotation=[0, 0, 1]), "4 finite numbers"),
     "flat": ("rigid_pose", set_node(BOX, scale=[1, 0, 1]), "scale"),
     "place that is no number": ("rigid_pose", set_node(BOX, translation=[float("inf"), 0, 0]), "translation"),
@@ -322,6 +350,16 @@ def test_no_damage_makes_the_gate_fall_over(draw: st.DataObject, path: Path, tmp
 @given(junk=st.binary(max_size=200), keep=st.integers(0, 400))
 def test_no_bytes_make_the_gate_fall_over(junk: bytes, keep: int, path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     assert checked(path.read_bytes()[:keep] + junk, tmp_path_factory.mktemp("junk"))
+
+
+def test_names_are_asked_of_objects_only(data: bytes, tmp_path: Path) -> None:
+    def change(document: Document) -> None:
+        for name in (BOX, "chair_0002"):
+            node(document, name).pop("extras")
+        node(document, BOX).pop("name")
+
+    found = checked(edited(change)(data), tmp_path)
+    assert {(finding.rule, finding.is_error) for finding in found} == {("names", False), ("labels", False)}
 
 
 def test_files_of_others_are_read(realdata: Callable[[str], Path]) -> None:

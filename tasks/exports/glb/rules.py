@@ -23,12 +23,12 @@ RULES: dict[str, str] = {
     "container": "the file is a GLB of version 2 whose JSON says so",
     "shape": "every value is of the kind that glTF has there",
     "references": "everything that is named by its number is there",
-    "buffers": "buffers lie inside the file, views inside buffers, accessors inside views",
-    "geometry": "positions are finite and within the bounds stated, indices name vertices that exist",
+    "buffers": "buffers lie inside the file, views inside buffers, accessors inside views and at multiples of their numbers' size",
+    "geometry": "positions are finite and within the bounds stated, corners are vertices that exist, objects have any at all",
     "images": "images lie inside the file and can be read",
     "tree": "nodes make trees, and the scene is made of their roots",
-    "names": "every node at the top has a name of its own",
-    "rigid_pose": "rotations are quaternions of length 1, numbers are finite, scales above zero",
+    "names": "every object at the top has a name of its own",
+    "rigid_pose": "rotations are quaternions of length 1, matrices turn and scale only, numbers are finite, scales above zero",
     "mass": "masses that are stated are above zero, inertias are those that a solid can have",
     "labels": "every node at the top says what it is",
 }
@@ -189,6 +189,10 @@ def _buffers(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
             and _end(accessor, views[accessor["bufferView"]]) > (views[accessor["bufferView"]]["byteLength"])
         ):
             yield Finding("buffers", f"{file} accessor {i}", "reaches beyond its view")
+        elif "bufferView" in accessor:
+            start = accessor.get("byteOffset", 0) + views[accessor["bufferView"]].get("byteOffset", 0)
+            if start % np.dtype(_TYPES[accessor["componentType"]]).itemsize:
+                yield Finding("buffers", f"{file} accessor {i}", f"begins at byte {start}, which is no multiple of its numbers' size")
 
 
 def _end(accessor: Document, view: Document) -> int:
@@ -234,6 +238,13 @@ def _geometry(file: str, document: Document, binary: bytes) -> Iterator[Finding]
             elif points.dtype.kind == "f" and not np.allclose([points.min(axis=0), points.max(axis=0)], [low, high], rtol=1e-5, atol=1e-6):
                 yield Finding("geometry", where, f"positions lie within {points.min(axis=0).tolist()} and {points.max(axis=0).tolist()}, "
                               f"not {low} and {high}")  # fmt: skip
+            for name, other in primitive["attributes"].items():
+                count = document["accessors"][other]["count"]
+                if count != len(points):
+                    yield Finding("geometry", where, f"has {len(points)} positions, but {count} of {name}")
+            count = document["accessors"][primitive["indices"]]["count"] if "indices" in primitive else len(points)
+            if primitive.get("mode", 4) == 4 and count % 3:
+                yield Finding("geometry", where, f"has {count} corners of triangles, no multiple of 3")
             corners = _values(document, binary, primitive["indices"]) if "indices" in primitive else None
             if corners is not None and len(corners) and corners.max() >= len(points):
                 yield Finding("geometry", where, f"names vertex {corners.max()} of {len(points)}")
@@ -297,12 +308,40 @@ def _roots(document: Document) -> list[int]:
     return list(scenes[document.get("scene", 0)].get("nodes", []))
 
 
+def _is_seen(document: Document, root: int) -> bool:
+    """Whether a node, or one below it, has a mesh."""
+    reached: set[int] = set()
+    queue = [root]
+    while queue:
+        node = queue.pop()
+        if "mesh" in document["nodes"][node]:
+            return True
+        if node not in reached:
+            reached.add(node)
+            queue += document["nodes"][node].get("children", [])
+    return False
+
+
+def _matrix(where: str, node: Document) -> Iterator[Finding]:
+    """A pose as a matrix, column after column, which has to be one of a translation, a rotation and a scale (glTF 2.0, 3.5.3)."""
+    if any(key in node for key in ("translation", "rotation", "scale")):
+        yield Finding("rigid_pose", where, "has a matrix and a translation, rotation or scale as well")
+    axes = np.array(node["matrix"], dtype=np.float64).reshape(4, 4)[:3, :3]
+    lengths = np.linalg.norm(axes, axis=1)
+    if not (lengths > 0.0).all():
+        yield Finding("rigid_pose", where, "its matrix is flat")
+    elif not np.allclose((axes / lengths[:, None]) @ (axes / lengths[:, None]).T, np.eye(3), atol=1e-3):
+        yield Finding("rigid_pose", where, "its matrix is sheared")
+
+
 def _poses(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
     for i, node in enumerate(_listed(document, "nodes")):
         where = f"{file} node {node.get('name', i)}"
         length = float(np.linalg.norm(node.get("rotation", [0, 0, 0, 1])))
         if abs(length - 1.0) > 1e-4:
             yield Finding("rigid_pose", where, f"rotation has length {length:.6g}")
+        if "matrix" in node:
+            yield from _matrix(where, node)
         scale = node.get("scale", [1, 1, 1])
         if not all(value > 0 for value in scale):
             yield Finding("rigid_pose", where, f"scale is {scale}", not all(scale))
@@ -323,11 +362,13 @@ def _labels(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
     nodes, roots = _listed(document, "nodes"), _roots(document)
     names = Counter(str(nodes[root].get("name", "")) for root in roots)
     for root in roots:
-        name = str(nodes[root].get("name", ""))
+        name, about = str(nodes[root].get("name", "")), nodes[root].get("extras")
+        is_object = isinstance(about, dict) and bool(about.get("category"))  # to glTF itself names are for people
         if not name:
-            yield Finding("names", f"{file} node {root}", "has no name")
+            yield Finding("names", f"{file} node {root}", "has no name", is_object)
         elif names[name] > 1:
-            yield Finding("names", f"{file} node {name}", f"{names[name]} nodes have this name")
-        about = nodes[root].get("extras")
-        if name != "room" and not (isinstance(about, dict) and about.get("category")):
+            yield Finding("names", f"{file} node {name}", f"{names[name]} nodes have this name", is_object)
+        if is_object and not _is_seen(document, root):
+            yield Finding("geometry", f"{file} node {name or root}", "is an object without a mesh")
+        if name != "room" and not is_object:
             yield Finding("labels", f"{file} node {name or root}", "has no category in its extras", False)
