@@ -166,6 +166,21 @@ coordinate = st.sampled_from([0.0, 0.0004, 0.25, 0.5]) | st.integers(-320, 320).
 """No two differ by about 1 mm, where rounding would decide whether a position is repeated."""
 
 
+BEGINNINGS = (
+    ((1.0, 2.0, 0.0), 0.5, "0001"), ((1.0, 2.5, 0.0), 0.5, "0001"), ((1.0, 2.0, 0.0), 0.75, "0001"), ((1.0, 2.0, 0.0), 0.5, "0002")
+)  # fmt: skip
+"""Start, heading and target of an episode: trajectories have the first or the second."""
+
+
+def begins(row: Trajectory | Episode) -> tuple[Any, ...]:
+    return row.start_position, row.start_yaw_radians, row.instance_id
+
+
+def spread(values: list[float]) -> Any:
+    """1.96 standard errors of a mean, None for one value."""
+    return pytest.approx(1.96 * np.std(values, ddof=1) / math.sqrt(len(values)), rel=1e-9, abs=1e-12) if len(values) > 1 else None
+
+
 @st.composite
 def trajectories(draw: st.DrawFn) -> list[Any]:
     """Trajectories of some policies in batches, the runs that brought them, and some of the episodes."""
@@ -189,9 +204,9 @@ def trajectories(draw: st.DrawFn) -> list[Any]:
                 start_position=draw(st.sampled_from([(1.0, 2.0, 0.0), (1.0, 2.5, 0.0)])),
             ))  # fmt: skip
     for scene, episode in draw(st.lists(st.tuples(st.sampled_from(["demo/a", "demo/b"]), st.integers(0, 3)), unique=True)):
-        start = draw(st.sampled_from([(1.0, 2.0, 0.0), (1.0, 2.5, 0.0)]))
+        start, yaw, target = draw(st.sampled_from(BEGINNINGS))
         rows.append(sample(
-            Episode, scene_id=scene, episode_id=f"{episode:04d}", instance_id="0001", start_position=start, start_yaw_radians=0.5
+            Episode, scene_id=scene, episode_id=f"{episode:04d}", instance_id=target, start_position=start, start_yaw_radians=yaw
         ))  # fmt: skip
     return rows
 
@@ -202,9 +217,9 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
     database.fill(*rows)
     given_rows = [row for row in rows if type(row) is Trajectory]
     snapshots = {row.scene_id: row.snapshot_id for row in rows if type(row) is StageRun}
-    starts = {(row.scene_id, row.episode_id): row.start_position for row in rows if type(row) is Episode}
+    starts = {(row.scene_id, row.episode_id): begins(row) for row in rows if type(row) is Episode}
     counted: dict[tuple[Any, ...], Trajectory] = {}
-    for row in sorted(given_rows, key=lambda r: (starts.get((r.scene_id, r.episode_id)) == r.start_position, snapshots[r.batch_id])):
+    for row in sorted(given_rows, key=lambda r: (starts.get((r.scene_id, r.episode_id)) == begins(r), snapshots[r.batch_id])):
         counted[row.policy, row.success_distance_m, row.scene_id, row.episode_id] = row
     answer = by_key(database.ask("trajectory_metrics"), "batch_id", "scene_id", "episode_id")
     assert answer.keys() == {(row.batch_id, row.scene_id, row.episode_id) for row in given_rows}
@@ -214,7 +229,7 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
             episode_length=len(row.actions), curvature_finite_differences=pytest.approx(curvature_finite_differences(row), rel=1e-9),
             curvature_turning_angle=pytest.approx(curvature_turning_angle(row), rel=1e-9),
             is_counted=counted[row.policy, row.success_distance_m, row.scene_id, row.episode_id] is row,
-            is_outdated=starts.get((row.scene_id, row.episode_id)) != row.start_position,
+            is_outdated=starts.get((row.scene_id, row.episode_id)) != begins(row),
         )  # fmt: skip
     for view, names in {
         "navigation_metrics": ("split",), "navigation_metrics_by_scene": ("split", "scene_id"),
@@ -235,7 +250,15 @@ def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
             found = answers[key]
             assert {name: found[name] for name in means} == pytest.approx(means, rel=1e-9, abs=1e-12)
             assert found["n"] == len(group)
-            assert found["outdated"] == sum(starts.get((r.scene_id, r.episode_id)) != r.start_position for r in group)
+            assert found["outdated"] == sum(starts.get((r.scene_id, r.episode_id)) != begins(r) for r in group)
+            won = [len(r.actions) for r in group if success(r)]
+            left = [r.final_distance_m for r in group if r.final_distance_m is not None]
+            assert found["el_success"] == (pytest.approx(np.mean(won)) if won else None)
+            assert found["final_distance_m"] == (pytest.approx(np.mean(left)) if left else None)
+            assert found["collisions"] == pytest.approx(np.mean([r.collisions for r in group]))
+            assert found["problems"] == sum(r.problem is not None for r in group)
+            assert found.get("scenes", 1) == len({r.scene_id for r in group})
+            assert (found["spl_95"], found["sel_95"]) == (spread([spl(r) for r in group]), spread([sel(r) for r in group]))
             assert found["spl"] <= found["sr"] + 1e-12
             assert found["sel"] <= found["sr"] + 1e-12
             assert 0 <= found["sr_low"] <= found["sr"] <= found["sr_high"] <= 1
