@@ -325,6 +325,17 @@ def disable_colliders(path: Path) -> None:
     edit_layer(path, change)
 
 
+def disable(place: str) -> Callable[[Path], None]:
+    """A collider that is switched off."""
+
+    def change(stage: Any) -> None:
+        from pxr import UsdPhysics
+
+        UsdPhysics.CollisionAPI(stage.GetPrimAtPath(place)).CreateCollisionEnabledAttr(False)
+
+    return in_scene(change)
+
+
 def clear_labels(path: Path) -> None:
     def change(stage: Any) -> None:
         for taxonomy in ("class", "category", "nyu40"):
@@ -566,6 +577,8 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None]]] = {
     "hidden object": ("visual", hide),
     "asset in centimetres": ("layer_units", replace_text("assets/chair_*/*_payload.usda", "metersPerUnit = 1", "metersPerUnit = 0.01")),
     "asset with +Y up": ("layer_units", replace_text("assets/chair_*/*_looks.usda", 'upAxis = "Z"', 'upAxis = "Y"')),
+    "floor that does not collide": ("ground", disable("/World/Room/Floor/Collider")),
+    "object beside the floor": ("ground", attribute(BOX, "xformOp:translate", (50.0, 0.0, 1.0))),
     "joint of nothing": ("joints", add_joint(None, None)),
     "joint of a body with itself": ("joints", add_joint(BOX, BOX)),
     "joint of a prim that is not there": ("joints", add_joint(BOX, "/World/Objects/gone")),
@@ -613,7 +626,8 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None]]] = {
 }
 WARNINGS = {
     "no friction", "no label", "model below no group", "two bodies in one model", "collider that is drawn", "object in its table",
-    "label in the prototype", "collider away from what is seen", "distance field that one engine knows",
+    "label in the prototype", "floor that does not collide", "object beside the floor",
+    "collider away from what is seen", "distance field that one engine knows",
 }  # fmt: skip
 """Damage that only makes a scene worse, not wrong."""
 

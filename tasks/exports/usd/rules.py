@@ -26,6 +26,7 @@ RULES: dict[str, str] = {
     "closed_paths": "every file that is named is named by a relative path inside the scene's folder, and is there",
     "model_hierarchy": "models lie below groups and assemblies only, so that they are found",
     "physics_scene": "there is one physics scene whose gravity points down",
+    "ground": "what moves has something below it that stays in place",
     "joints": "joints hold two bodies that exist, or one to the world, and articulations have joints",
     "point_instancer": "no body or collider is scattered by a point instancer, where engines do not see it",
     "nested_bodies": "no rigid body lies inside another one",
@@ -145,6 +146,6 @@ _IN_VARIANTS: tuple[Callable[[Any, Path], Iterator[Finding]], ...] = (
 
 _CHECKS: tuple[Callable[[Any, Path], Iterator[Finding]], ...] = (
     *_IN_VARIANTS, stage_rules.metadata, stage_rules.layers, stage_rules.paths, stage_rules.hierarchy,
-    stage_rules.physics_scene, stage_rules.joints, stage_rules.point_instancers,
+    stage_rules.physics_scene, stage_rules.ground, stage_rules.joints, stage_rules.point_instancers,
     body_rules.animation, body_rules.overlaps,
 )  # fmt: skip

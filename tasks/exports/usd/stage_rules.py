@@ -12,7 +12,7 @@ import numpy as np
 
 from tasks.exports.findings import Finding
 from tasks.exports.usd.package import names_in
-from tasks.exports.usd.prims import is_body, is_collider, is_deformable, number, subtree, traverse, vector
+from tasks.exports.usd.prims import bodies, cloud_of, is_body, is_collider, is_deformable, moves, number, subtree, traverse, vector
 
 
 def metadata(stage: Any, path: Path) -> Iterator[Finding]:
@@ -181,6 +181,32 @@ def point_instancers(stage: Any, path: Path) -> Iterator[Finding]:
             found = next((below for below in subtree(prim) if is_body(below) or is_collider(below)), None)
             if found is not None:
                 yield Finding("point_instancer", prim.GetPath().pathString, f"scatters {found.GetPath()}, which is to be simulated")
+
+
+def ground(stage: Any, path: Path) -> Iterator[Finding]:
+    """What moves, and has nothing below it that stays in place, falls for ever. What hangs on joints is left out."""
+    from pxr import Kind, Usd, UsdGeom
+
+    root = stage.GetDefaultPrim()
+    if root and Usd.ModelAPI(root).GetKind() == Kind.Tokens.component:
+        return  # one thing, which stands in another file
+    moving = {prim.GetPath(): prim for prim in bodies(stage) if moves(prim)}
+    still = [prim for prim in traverse(stage) if is_collider(prim) and not any(path in moving for path in prim.GetPath().GetPrefixes())]
+    if any(prim.IsA(UsdGeom.Plane) for prim in still):
+        return  # which has no end
+    up = 1 if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else 2
+    flat = [axis for axis in range(3) if axis != up]
+    clouds = [cloud for prim in still if (cloud := cloud_of(prim, is_collider)) is not None]
+    low, high = (np.array([end(cloud, axis=0) for cloud in clouds]).reshape(-1, 3) for end in (np.min, np.max))
+    joined = _joined(stage)
+    for place, prim in moving.items():
+        cloud = cloud_of(prim, is_collider) if place not in joined else None
+        if cloud is None:
+            continue
+        bottom, middle = cloud.min(axis=0), (cloud.min(axis=0) + cloud.max(axis=0)) / 2.0
+        over = ((low[:, flat] <= middle[flat]) & (middle[flat] <= high[:, flat])).all(axis=1)
+        if not (over & (low[:, up] <= bottom[up])).any():
+            yield Finding("ground", place.pathString, "nothing that stays in place lies below it: it falls for ever", False)
 
 
 def physics_scene(stage: Any, path: Path) -> Iterator[Finding]:
