@@ -18,6 +18,7 @@ import shapely
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from tasks.exports.config import HabitatConfig
 from tasks.exports.habitat import ACTIONS
 from tasks.exports.habitat.rules import check_habitat
 from tasks.navigation.navmesh import read_navmesh
@@ -174,6 +175,40 @@ def test_object_goals_can_be_seen_from_their_view_points(dataset: Path) -> None:
             assert ahead @ to / np.linalg.norm(to) > 0.5, "a view point looks at its object"
             assert 0.0 <= view["iou"] <= 1.0
     assert len(keys) > 3
+
+
+def test_object_goals_are_where_their_objects_are_and_fill_so_much_of_the_image(dataset: Path) -> None:
+    """By the files alone: the middle of the object's box, and a level camera whose rays are held against that box one by one."""
+    config, agent = HabitatConfig(), json.loads((dataset / "metadata" / "agent.json").read_text())
+    half = math.tan(math.radians(config.view_fov_degrees) / 2)
+    across, up = np.meshgrid(np.linspace(-half, half, 161)[:-1] + half / 160, np.linspace(-half, half, 121)[:-1] + half / 120)
+    rays = np.stack([across, up / config.view_aspect, -np.ones_like(up)], axis=-1).reshape(-1, 3)
+    items = {item["template_name"]: item for item in json.loads(scene_file(dataset).read_text())["object_instances"]}
+    goals = {
+        goal["object_id"]: goal
+        for content, episode in episodes_of(dataset, "objectnav") if episode["scene_id"] == FIRST
+        for group in content["goals_by_category"].values() for goal in group
+    }  # fmt: skip
+    shares = []
+    for name, goal in goals.items():
+        about = json.loads((dataset / "objects" / f"{name}.object_config.json").read_text())
+        low, high = load(dataset / "objects" / about["render_asset"]).bounds
+        pose = transform(items[name])
+        np.testing.assert_allclose(goal["position"], pose[:3, :3] @ ((low + high) / 2) + pose[:3, 3], atol=1e-5)
+        for view in goal["view_points"][:4]:
+            eye = np.array(view["agent_state"]["position"]) + np.array([0.0, agent["height"], 0.0])
+            turn = Rotation.from_quat(view["agent_state"]["rotation"]).as_matrix()
+            corners = trimesh.bounds.corners([low, high]) @ pose[:3, :3].T + pose[:3, 3]
+            if ((corners - eye) @ turn)[:, 2].max() > -0.1:
+                continue  # partly behind the camera
+            origin, ways = pose[:3, :3].T @ (eye - pose[:3, 3]), rays @ turn.T @ pose[:3, :3]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                into, out = np.sort([(low - origin) / ways, (high - origin) / ways], axis=0)
+            share = float((into.max(axis=1) < out.min(axis=1)).mean())
+            assert view["iou"] == pytest.approx(share, abs=0.01)
+            shares.append(share)
+    assert len(shares) > 10
+    assert max(shares) > 0.1
 
 
 def test_replayed_actions_stay_on_the_navmesh_and_end_at_the_target(dataset: Path) -> None:

@@ -313,7 +313,7 @@ def _goals(
 
 
 def view_overlap(corners: NDArray[np.float64], view: Sequence[float], eye_height: float, config: HabitatConfig) -> float:
-    """Intersection over union of the image and the object's box as seen from a view point.
+    """Share of the image that the object's box covers as seen from a view point, which Habitat's own view points call `iou`.
 
     corners: Of the box in the world frame [m], shape (8, 3). view: x, y, z [m], yaw [rad]. The image is that of a level
     camera at `eye_height` above the view point. What lies behind the camera counts as not seen.
