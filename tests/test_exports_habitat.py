@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import gzip
 import io
 import json
@@ -18,6 +19,7 @@ import shapely
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from tasks.capture.labels import NYU40
 from tasks.exports.config import HabitatConfig
 from tasks.exports.habitat import ACTIONS
 from tasks.exports.habitat.rules import check_habitat
@@ -175,6 +177,25 @@ def test_object_goals_can_be_seen_from_their_view_points(dataset: Path) -> None:
             assert ahead @ to / np.linalg.norm(to) > 0.5, "a view point looks at its object"
             assert 0.0 <= view["iou"] <= 1.0
     assert len(keys) > 3
+
+
+def test_pixels_of_an_object_are_of_its_own_class(tmp_path: Path) -> None:
+    rows, blobs = other_room()
+    classes = dict(zip((row.instance_id for row in rows["instances"]), (7, 24), strict=True))
+    rows["instances"] = [
+        dataclasses.replace(row, nyu40_id=classes[row.instance_id], nyu40_label=NYU40[classes[row.instance_id]])
+        for row in rows["instances"]
+    ]
+    root = write_dataset(tmp_path, [(rows, blobs)])
+    (lexicon,) = (root / "semantics").glob("*.json")
+    names = {item["id"]: item["name"] for item in json.loads(lexicon.read_text())["classes"]}
+    (scene_,) = (root / "scenes").glob("*.json")
+    found = {}
+    for item in json.loads(scene_.read_text())["object_instances"]:
+        about = json.loads((root / "objects" / f"{item['template_name']}.object_config.json").read_text())
+        found[item["user_defined"]["instance_id"]] = about["semantic_id"]
+        assert names[about["semantic_id"]] == item["user_defined"]["nyu40_label"]
+    assert found == classes
 
 
 def test_object_goals_are_where_their_objects_are_and_fill_so_much_of_the_image(dataset: Path) -> None:
