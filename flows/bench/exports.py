@@ -25,6 +25,7 @@ from schemas.exports import FORMATS
 from tasks import exports
 from tasks.exports import ExportsConfig
 from tasks.navigation import NavigationConfig
+from tasks.optimization.mujoco_engine import mujoco_module
 from tasks.stage import Context
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def measure_room(config: ExportsBench, index: int) -> RoomExports:
 
 def _model(format_: str, root: Path) -> Any:
     """The MuJoCo model of the one scene below a folder, by its files."""
-    import mujoco
+    mujoco = mujoco_module()
 
     if format_ == "mjcf":
         return mujoco.MjModel.from_xml_path(str(next(root.rglob("scene.xml"))))
