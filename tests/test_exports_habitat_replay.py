@@ -122,6 +122,10 @@ def test_a_straight_walk_and_what_can_be_wrong_with_it() -> None:
     assert rules(trip(info={"geodesic_distance": 1.02, "path_finder": "planar"}), square) == ["geodesic"]
     assert rules(trip(info={"geodesic_distance": 1.02, "path_finder": "recast"}), square) == [], "Detour's paths are no shortest ones"
     assert rules(trip(info={"geodesic_distance": 0.98, "path_finder": "recast"}), square) == ["geodesic"], "but never shorter"
+    assert rules(trip(info={"geodesic_distance": 2.3, "path_finder": "recast"}), square) == ["geodesic"], "nor more than twice as long"
+    turned = [{"position": None, "rotation": rotation(0.5 * math.pi + angle), "action": 1} for angle in (0.0, 0.0, 0.01, 0.0)]
+    assert rules(trip(paths=[[*turned[:2], *turned[3:], 1, 0]]), square) == []
+    assert rules(trip(paths=[[*turned, 0]]), square) == ["replay"], "a state half a degree off"
     assert rules(trip(paths=[[1, 1]]), square, None) == [], "without the agent's steps there is nothing to replay"
     wall = read_navmesh(dump_navmesh(made(shapely.difference(shapely.box(-2, -2, 2, 2), shapely.box(-3, 0.4, 3, 0.5)))))
     assert rules(trip(), wall) == ["reachable"]
