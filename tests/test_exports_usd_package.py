@@ -142,6 +142,11 @@ def test_a_release_is_stated_beside_what_was_there(scene: Path, tmp_path: Path) 
     copy.write_bytes(data)
     assert check_usd(copy) == []
     stage = open_stage(copy)
+    objects = stage.GetPrimAtPath("/World/Objects").GetChildren()
+    assert len({prim.GetCustomDataByKey("metascenes")["instance_id"] for prim in objects}) == len(objects) > 3
+    for prim in objects:
+        assert prim.GetCustomDataByKey("metascenes")["asset_id"]
+        assert prim.GetCustomDataByKey("metascenes")["release"] == "v1.2"
     for stated in (stage.GetRootLayer().customLayerData["metascenes"], stage.GetDefaultPrim().GetCustomDataByKey("metascenes")):
         assert stated["release"] == "v1.2"
         assert stated["snapshot_id"] == 7

@@ -131,7 +131,7 @@ def _add_body(stage: Any, body: Body, first: Body, materials: dict[tuple[float, 
 def with_release(scene: bytes, snapshot_id: int, release: str | None) -> bytes:
     """A `scene.usda` that says which snapshot of the lake it was exported from, and the release's name if it has one.
 
-    Both are in the layer's `customLayerData` and in `customData` of its default prim, beside what was there.
+    Both are in the layer's `customLayerData` and in `customData` of its default prim and of every object, beside what was there.
     """
     from pxr import Sdf
 
@@ -139,8 +139,10 @@ def with_release(scene: bytes, snapshot_id: int, release: str | None) -> bytes:
     layer.ImportFromString(scene.decode())
     stated: dict[str, Any] = {"snapshot_id": snapshot_id} | ({} if release is None else {"release": release})
     layer.customLayerData = _joined(layer.customLayerData, stated)
-    prim = layer.GetPrimAtPath(f"/{layer.defaultPrim}")
-    prim.customData = _joined(prim.customData, stated)
+    world = layer.GetPrimAtPath(f"/{layer.defaultPrim}")
+    objects = layer.GetPrimAtPath(f"/{layer.defaultPrim}/Objects")
+    for prim in (world, *objects.nameChildren):
+        prim.customData = _joined(prim.customData, stated)
     return bytes(layer.ExportToString().encode())
 
 

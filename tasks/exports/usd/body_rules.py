@@ -16,6 +16,7 @@ from tasks.exports.usd.prims import (
     is_body,
     is_collider,
     is_deformable,
+    is_ours,
     is_visible,
     moves,
     number,
@@ -149,13 +150,13 @@ def colliders(stage: Any, path: Path) -> Iterator[Finding]:
         if raw and prim.GetPath() in moving:
             yield Finding("triangle_collider", where(prim), "collides with its raw triangles, but moves")
         elif kind == UsdPhysics.Tokens.convexDecomposition:
-            yield Finding("explicit_hulls", where(prim), "is left to the engine to decompose")
+            yield Finding("explicit_hulls", where(prim), "is left to the engine to decompose", is_ours(stage))
         elif kind == UsdPhysics.Tokens.convexHull:
             mesh = triangles(prim)
             if mesh is not None and not _is_solid(mesh[0]):
                 yield Finding("collider", where(prim), "is flat: there is no hull with a volume")
             elif mesh is not None and dent(mesh) > HULL_M:
-                yield Finding("explicit_hulls", where(prim), f"lies up to {dent(mesh) * 1000:.1f} mm inside its own hull")
+                yield Finding("explicit_hulls", where(prim), f"lies up to {dent(mesh) * 1000:.1f} mm inside its own hull", is_ours(stage))
         elif kind in ("sdf", "sphereFill"):
             yield Finding("explicit_hulls", where(prim), f"collides as {kind}, which only PhysX knows", False)
         elif not raw and kind not in (UsdPhysics.Tokens.boundingCube, UsdPhysics.Tokens.boundingSphere):
@@ -163,7 +164,7 @@ def colliders(stage: Any, path: Path) -> Iterator[Finding]:
 
 
 def masses(stage: Any, path: Path) -> Iterator[Finding]:
-    """Mass and inertia are stated and possible; engines make up what is not, each something else."""
+    """Mass and inertia are possible, and stated: engines make up what is not, each something else, as USD allows them to."""
     from pxr import UsdPhysics
 
     for body in bodies(stage):
@@ -176,10 +177,10 @@ def masses(stage: Any, path: Path) -> Iterator[Finding]:
         if weighed:
             yield Finding("mass", where(body), "is left to the density or mass of its colliders", False)
         elif mass is None or not (np.isfinite(mass) and mass > 0):
-            yield Finding("mass", where(body), f"is {mass:g}" if mass is not None else "is not stated")
+            yield Finding("mass", where(body), f"is {mass:g}" if mass is not None else "is not stated", mass is not None or is_ours(stage))
         moments = vector(api.GetDiagonalInertiaAttr()) if stated else None
         if moments is None or not moments.any():
-            yield Finding("inertia", where(body), "is not stated: every engine makes its own", not weighed)
+            yield Finding("inertia", where(body), "is not stated: every engine makes its own", is_ours(stage))
         elif not (np.isfinite(moments).all() and (moments > 0).all()):
             yield Finding("inertia", where(body), f"is {tuple(map(float, moments))}")
         elif moments.max() > (moments.sum() - moments.max()) * (1 + 1e-3):
@@ -292,7 +293,7 @@ def overlaps(stage: Any, path: Path) -> Iterator[Finding]:
         names = {solid.name for solid in named.values()}  # the floor z = 0 is not in the file
         for one in penetrations(moving, np.tile(np.eye(4), (len(moving), 1, 1)), still):
             if one.depth_m > OVERLAP_M and {one.a, one.b} <= names:
-                yield Finding("start_overlap", one.a, f"starts {one.depth_m * 1000:.1f} mm inside {one.b}", False)
+                yield Finding("start_overlap", one.a, f"starts {one.depth_m * 1000:.1f} mm inside {one.b}")
 
 
 def _near(found: Sequence[tuple[int, Any, Any]]) -> list[int]:

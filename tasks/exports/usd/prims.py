@@ -26,6 +26,12 @@ def subtree(prim: Any) -> Iterator[Any]:
     return iter(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
 
 
+def is_ours(stage: Any) -> bool:
+    """Whether this project wrote the root layer of a stage: then what USD would allow is held against it all the same."""
+    prim = stage.GetDefaultPrim()
+    return "metascenes" in stage.GetRootLayer().customLayerData or bool(prim and "metascenes" in prim.GetCustomData())
+
+
 def is_body(prim: Any) -> bool:
     """Whether a prim is a rigid body."""
     from pxr import UsdPhysics

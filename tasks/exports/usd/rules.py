@@ -1,6 +1,7 @@
 """Whether a USD scene can be simulated as it is: USD's own validators, and rules that they do not know.
 
-Works on anybody's file. What only makes a scene less portable, or is a choice of this project, is a warning there.
+Works on anybody's file. What only makes a scene less portable, or is a choice of this project, is a warning there, and
+so is what USD leaves to engines (an inertia that is not stated, a decomposition) in files that this project did not write.
 """
 
 from __future__ import annotations
