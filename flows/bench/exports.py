@@ -14,16 +14,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from flows.bench.disorder import certificates_of, in_disorder
 from flows.bench.goals import goal
-from flows.bench.gravity import Unstable, certified_unstable, farthest_apart, left_alone, unstable_of
+from flows.bench.gravity import Settled, Unstable, certified_unstable, farthest_apart, instance_of, left_alone, unstable_of
 from flows.bench.machine import machine
 from flows.bench.replicas import as_replica
 from flows.bench.rooms import generated_scene
 from flows.bench.tables import add_row, goals_table, headline, table_of
 from flows.pool import WorkerPool
 from schemas.exports import FORMATS
+from schemas.optimization import Certificate
 from tasks import exports
 from tasks.exports import ExportsConfig
+from tasks.exports.bodies import Replica, gather
+from tasks.exports.mjcf import mjcf_files
+from tasks.exports.usd import write_usd
 from tasks.navigation import NavigationConfig
 from tasks.optimization.mujoco_engine import mujoco_module
 from tasks.stage import Context
@@ -37,6 +42,9 @@ SECONDS = 2.0
 READERS = ("mjcf", "usd")
 """Formats that are simulated."""
 
+STATES = ("as optimized", "in disorder")
+"""Rooms are simulated as they are exported, and again with every fourth free thing lifted or tilted."""
+
 
 @dataclasses.dataclass(frozen=True)
 class ExportsBench:
@@ -49,8 +57,21 @@ class ExportsBench:
 
 
 @dataclasses.dataclass(frozen=True)
+class Falls:
+    """What moves when a room is left alone: by its certificates, and by format as its files say.
+
+    apart: Greatest distance between where a thing ends by a file and by its certificate [m], by format, of things that are
+    stable: where what falls ends is chance.
+    """
+
+    certified: Unstable
+    read: Mapping[str, Unstable]
+    apart: Mapping[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
 class RoomExports:
-    """One room: seconds, bytes and files by format, broken rules, and what is unstable by certificate and by file."""
+    """One room: seconds, bytes and files by format, broken rules, and what falls in the states `STATES` of it."""
 
     scene_id: str
     things: int
@@ -59,8 +80,7 @@ class RoomExports:
     files: Mapping[str, int]
     rules: int
     broken: tuple[tuple[str, str, str], ...]
-    unstable: Mapping[str, Unstable]
-    largest_difference_m: Mapping[str, float]
+    states: Mapping[str, Falls]
 
 
 def run_exports_bench(config: ExportsBench, advance: Callable[[str], None]) -> dict[str, Any]:
@@ -83,7 +103,7 @@ def run_exports_bench(config: ExportsBench, advance: Callable[[str], None]) -> d
         "machine": machine(), "seed": config.seed, "processes": config.processes, "rooms": len(made),
         "things": sum(room.things for room in made), "formats": formats,
         "broken": [[room.scene_id, *line] for room in made for line in room.broken],
-        "certified": _unstable(made, "certificate"), "simulated": {name: _compared(made, name) for name in READERS},
+        "states": {state: _fallen(made, state) for state in STATES},
         "goals": goals(made),
     }  # fmt: skip
 
@@ -93,10 +113,11 @@ def goals(rooms: Sequence[RoomExports]) -> list[dict[str, Any]]:
     exported = len(rooms) * len(FORMATS)
     broken = {(room.scene_id, format_) for room in rooms for format_, _, _ in room.broken}
     found = [goal("exports that pass their gate [%]", 100.0 * (exported - len(broken)) / exported if exported else None, ">=", 100.0)]
-    for name in READERS:
-        compared = _compared(rooms, name)
+    for state in STATES:
+        fallen = _fallen(rooms, state)
         found += [
-            goal(f"free things that {name} and certificate judge otherwise at {limit}", len(compared[f"differ_{key}"]), "<=", 0)
+            goal(f"free things {state} that {name} and certificate judge otherwise at {limit}", len(fallen[name][f"differ_{key}"]), "<=", 0)
+            for name in READERS
             for key, limit in (("1cm", "1 cm"), ("5cm", "5 cm and 5 degrees"))
         ]
     return found
@@ -109,8 +130,7 @@ def measure_room(config: ExportsBench, index: int) -> RoomExports:
     navigation = NavigationConfig(train_episodes=config.episodes, test_episodes=config.episodes)
     rows, blobs, seconds = as_replica(scene, config.seed, caches, navigation)
     sizes, files, broken, rules = {}, {}, [], 0
-    unstable = {"certificate": certified_unstable(rows["certificates"])}
-    difference: dict[str, float] = {}
+    settled: dict[str, dict[str, Settled]] = {}
     for format_ in FORMATS:
         context = Context(scene.scene_id, "exports", config.seed, blobs, caches)
         clock = time.perf_counter()
@@ -125,11 +145,16 @@ def measure_room(config: ExportsBench, index: int) -> RoomExports:
         if format_ in READERS:
             with tempfile.TemporaryDirectory(prefix="bench-") as place:
                 exports.write_folder(Path(place), {row.path: outcome.blobs[row.file_blob] for row in made})
-                model = _model(format_, Path(place))
-                settled = left_alone(model, SECONDS)
-                unstable[format_] = unstable_of(settled)
-                difference[format_] = farthest_apart(settled, rows["certificates"])
-    return RoomExports(scene.scene_id, len(rows["placements"]), seconds, sizes, files, rules, tuple(broken), unstable, difference)
+                settled[format_] = left_alone(_model(format_, Path(place)), SECONDS)
+    as_placed = _compared(rows["certificates"], settled)
+    config_ = ExportsConfig()
+    replica = in_disorder(_replica(rows, blobs, config_, caches), np.random.default_rng([config.seed, index]))
+    with tempfile.TemporaryDirectory(prefix="bench-") as place:
+        write_usd(Path(place) / "usd", replica, config_)
+        exports.write_folder(Path(place) / "mjcf", {file.path: file.data for file in mjcf_files(replica, config_)})
+        thrown = {format_: left_alone(_model(format_, Path(place) / format_), SECONDS) for format_ in READERS}
+    states = {"as optimized": as_placed, "in disorder": _compared(certificates_of(replica), thrown)}
+    return RoomExports(scene.scene_id, len(rows["placements"]), seconds, sizes, files, rules, tuple(broken), states)
 
 
 def _model(format_: str, root: Path) -> Any:
@@ -143,19 +168,37 @@ def _model(format_: str, root: Path) -> Any:
     return usd_reader.model_of(next(root.rglob("scene.usda")))
 
 
-def _unstable(rooms: Sequence[RoomExports], source: str) -> dict[str, list[str]]:
-    """Unstable things of all rooms as `<scene>/<instance>`."""
-    return {
-        f"unstable_{limit}": sorted(f"{room.scene_id}/{name}" for room in rooms for name in getattr(room.unstable[source], f"at_{limit}"))
-        for limit in ("1cm", "5cm")
+def _replica(rows: Mapping[str, list[Any]], blobs: Mapping[str, bytes], config: ExportsConfig, caches: Any) -> Replica:
+    """The replica that the exports are made of."""
+    tables = ("scenes", "rooms", "instances", "captions", "assets", "placements", "supports")
+    return gather(*(rows[table] for table in tables), blobs, config, caches["tasks.pieces"])[0]  # type: ignore[call-arg, arg-type]
+
+
+def _compared(certificates: Sequence[Certificate], settled: Mapping[str, Mapping[str, Settled]]) -> Falls:
+    """What files make of a room, held against its certificates."""
+    certified = certified_unstable(certificates)
+    moved = certified.at_1cm | certified.at_5cm
+    apart = {
+        name: farthest_apart({body: one for body, one in found.items() if instance_of(body) not in moved}, certificates)
+        for name, found in settled.items()
     }  # fmt: skip
+    return Falls(certified, {name: unstable_of(found) for name, found in settled.items()}, apart)
 
 
-def _compared(rooms: Sequence[RoomExports], name: str) -> dict[str, Any]:
-    """What files in a format make unstable, and what certificates judge otherwise."""
-    found, certified = _unstable(rooms, name), _unstable(rooms, "certificate")
-    differ = {f"differ_{limit}": sorted({*found[f"unstable_{limit}"]} ^ {*certified[f"unstable_{limit}"]}) for limit in ("1cm", "5cm")}
-    return {**found, **differ, "largest_difference_m": max((room.largest_difference_m[name] for room in rooms), default=0.0)}
+def _fallen(rooms: Sequence[RoomExports], state: str) -> dict[str, Any]:
+    """What is unstable in a state over all rooms, by certificates and by format; things as `<scene>/<instance>`."""
+
+    def things(key: str, of: Callable[[Falls], Unstable]) -> set[str]:
+        return {f"{room.scene_id}/{name}" for room in rooms for name in getattr(of(room.states[state]), f"at_{key}")}
+
+    certified = {key: things(key, lambda falls: falls.certified) for key in ("1cm", "5cm")}
+    found: dict[str, Any] = {"certificates": {f"unstable_{key}": sorted(certified[key]) for key in certified}}
+    for name in READERS:
+        read = {key: things(key, lambda falls, name=name: falls.read[name]) for key in certified}  # type: ignore[misc]
+        found[name] = {f"unstable_{key}": sorted(read[key]) for key in read}
+        found[name] |= {f"differ_{key}": sorted(read[key] ^ certified[key]) for key in read}
+        found[name]["apart_m"] = max((room.states[state].apart[name] for room in rooms), default=0.0)
+    return found
 
 
 def print_exports(report: Mapping[str, Any], console: Console) -> None:
@@ -169,16 +212,17 @@ def print_exports(report: Mapping[str, Any], console: Console) -> None:
         figures = (f"{found['seconds_mean']:.2f}", f"{found['megabytes_mean']:.2f}", f"{found['files_mean']:.0f}")
         add_row(table, name, f"{found['scenes_passed']} of {report['rooms']}", *figures)
     console.print(table)
-    table = table_of(
-        f"left alone for {SECONDS:g} s", ("read from", False), ("unstable at 1 cm", True), ("unstable at 5 cm, 5 degrees", True),
-        ("judged otherwise", True), ("ends apart by at most", True),
-    )  # fmt: skip
-    add_row(table, "certificates", *(str(len(report["certified"][key])) for key in ("unstable_1cm", "unstable_5cm")), "", "")
-    for name, found in report["simulated"].items():
-        differ = len({*found["differ_1cm"], *found["differ_5cm"]})
-        counts = (str(len(found["unstable_1cm"])), str(len(found["unstable_5cm"])), str(differ))
-        add_row(table, name, *counts, f"{1000 * found['largest_difference_m']:.3g} mm")
-    console.print(table)
+    for state, found in report["states"].items():
+        table = table_of(
+            f"{state}, left alone for {SECONDS:g} s", ("read from", False), ("unstable at 1 cm", True), ("at 5 cm, 5 degrees", True),
+            ("judged otherwise", True), ("stable ones end apart by", True),
+        )  # fmt: skip
+        for name, said in found.items():
+            counts = [str(len(said[f"unstable_{key}"])) for key in ("1cm", "5cm")]
+            if name in READERS:
+                counts += [str(len({*said["differ_1cm"], *said["differ_5cm"]})), f"{1000 * said['apart_m']:.3g} mm"]
+            add_row(table, name, *counts, *[""] * (4 - len(counts)))
+        console.print(table)
     if report["broken"]:
         table = table_of("broken rules", ("scene", False), ("format", False), ("rule", False), ("", False))
         for line in report["broken"]:
