@@ -96,10 +96,9 @@ def _habitat(scene: _Scene) -> Export:
     missed = [] if navmesh is not None else ["no navmesh: the Habitat scene has neither navmesh nor episodes"]
     others = sorted(row.agent for row in scene.navmeshes if navmesh is not None and row.agent != navmesh.agent)
     missed += [f"navmesh and episodes of agent {agent!r} are left out: a Habitat scene has one navmesh" for agent in others]
-    made, lost = habitat_files(
+    files, lost = habitat_files(
         replica, None if navmesh is None else (navmesh, scene.blobs[navmesh.navmesh_blob]), scene.episodes, config
     )  # fmt: skip
-    files = [File(file.path, file.data, file.role) for file in made]
     with tempfile.TemporaryDirectory(prefix="dataset-") as place:
         root = Path(place).resolve() / "habitat"
         write_folder(root, {file.path: file.data for file in files} | dataset_of(files, config.habitat))

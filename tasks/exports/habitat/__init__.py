@@ -7,7 +7,6 @@ handles end in a hash of the scene or in a padded number, so that none contains 
 
 from __future__ import annotations
 
-import dataclasses
 import gzip
 import hashlib
 import json
@@ -22,6 +21,7 @@ from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh
 from tasks.exports.bodies import Body, Replica, digest, identifier, stem
 from tasks.exports.config import ExportsConfig, HabitatConfig
+from tasks.exports.files import File
 from tasks.exports.gltf import scaled_glb
 from tasks.meshes import dump_glb
 from tasks.pieces import Hull
@@ -35,15 +35,6 @@ _Path = list[dict[str, Any]] | None
 
 UPRIGHT = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Every file is in Habitat's own frame; a stage that does not say so is taken to be +Z up."""
-
-
-@dataclasses.dataclass(frozen=True)
-class HabitatFile:
-    """A file of the dataset: its path from the dataset's root, its contents and its role."""
-
-    path: str
-    data: bytes
-    role: str
 
 
 def scene_handle(scene_id: str) -> str:
@@ -61,15 +52,15 @@ def object_handles(replica: Replica) -> dict[str, str]:
 
 def habitat_files(
     replica: Replica, navmesh: tuple[Navmesh, bytes] | None, episodes: Sequence[Episode], config: ExportsConfig
-) -> tuple[list[HabitatFile], list[str]]:
+) -> tuple[list[File], list[str]]:
     """Files of one scene, sorted by path, and what had to be left out."""
     handle = scene_handle(replica.scene_id)
     files = _stage_files(handle, replica, config)
     files += _object_files(replica, config)
-    files.append(HabitatFile(f"scenes/{handle}.scene_instance.json", dump_json(_scene_instance(replica, navmesh, config)), "scene"))
+    files.append(File(f"scenes/{handle}.scene_instance.json", dump_json(_scene_instance(replica, navmesh, config)), "scene"))
     missed: list[str] = []
     if navmesh is not None:
-        files.append(HabitatFile(f"navmeshes/{handle}.navmesh", navmesh[1], "navmesh"))
+        files.append(File(f"navmeshes/{handle}.navmesh", navmesh[1], "navmesh"))
         written, missed = _episode_files(handle, replica, navmesh[0], episodes, config.habitat)
         files += written
     return sorted(files, key=lambda file: file.path), missed
@@ -90,7 +81,7 @@ def numbers(values: ArrayLike) -> list[float]:
     return [round(float(value), 9) + 0.0 for value in np.asarray(values).reshape(-1)]
 
 
-def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[HabitatFile]:
+def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[File]:
     """Floor and walls."""
     shell = room_shell(replica.room, config.shell)
     settings = {
@@ -99,24 +90,24 @@ def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[H
         "friction_coefficient": config.room_friction, "restitution_coefficient": config.room_restitution,
     }  # fmt: skip
     return [
-        HabitatFile(f"stages/{handle}.glb", dump_glb([mesh for _, mesh in shell], [name for name, _ in shell]), "stage"),
-        HabitatFile(f"stages/{handle}.stage_config.json", dump_json(settings), "stage"),
+        File(f"stages/{handle}.glb", dump_glb([mesh for _, mesh in shell], [name for name, _ in shell]), "stage"),
+        File(f"stages/{handle}.stage_config.json", dump_json(settings), "stage"),
     ]
 
 
-def _object_files(replica: Replica, config: ExportsConfig) -> list[HabitatFile]:
+def _object_files(replica: Replica, config: ExportsConfig) -> list[File]:
     """A template per object. Geometry is named by what it holds, so that a dataset has it once, however many scenes show it."""
     handles = object_handles(replica)
     geometry: dict[str, tuple[str, str]] = {}
-    files: dict[str, HabitatFile] = {}
+    files: dict[str, File] = {}
     for body in replica.bodies:
         if body.shape.name not in geometry:
             seen = scaled_glb(body.shape.glb, body.shape.scale, f"{body.shape.name}.glb")
             kind, hulls = identifier(body.shape.asset.category), _collider(body.shape.hulls)
             names = f"{kind}_{_mark(seen)}.glb", f"{kind}_{_mark(hulls)}.collider.glb"
             geometry[body.shape.name] = names
-            files |= {names[0]: HabitatFile(f"objects/{names[0]}", seen, "object")}
-            files |= {names[1]: HabitatFile(f"objects/{names[1]}", hulls, "collision")}
+            files |= {names[0]: File(f"objects/{names[0]}", seen, "object")}
+            files |= {names[1]: File(f"objects/{names[1]}", hulls, "collision")}
         handle, (render, collision) = handles[body.instance_id], geometry[body.shape.name]
         settings = {
             "render_asset": render, "collision_asset": collision, **UPRIGHT, "scale": [1, 1, 1],
@@ -124,7 +115,7 @@ def _object_files(replica: Replica, config: ExportsConfig) -> list[HabitatFile]:
             "restitution_coefficient": body.restitution, "is_collidable": True, "use_bounding_box_for_collision": False,
             "join_collision_meshes": False, "semantic_id": body.nyu40_id,
         }  # fmt: skip
-        files[handle] = HabitatFile(f"objects/{handle}.object_config.json", dump_json(settings), "object")
+        files[handle] = File(f"objects/{handle}.object_config.json", dump_json(settings), "object")
     return list(files.values())
 
 
@@ -202,7 +193,7 @@ def rotation(yaw: float) -> list[float]:
 
 def _episode_files(
     handle: str, replica: Replica, navmesh: Navmesh, episodes: Sequence[Episode], config: HabitatConfig
-) -> tuple[list[HabitatFile], list[str]]:
+) -> tuple[list[File], list[str]]:
     """ObjectNav and PointNav episodes, one file per split."""
     handles = object_handles(replica)
     bodies = {body.instance_id: body for body in replica.bodies}
@@ -217,7 +208,7 @@ def _episode_files(
         source = {"scene_id": replica.scene_id, "license": replica.license, "agent": navmesh.agent}
         paths = [_replay(row, config) for row in rows]
         points = [_point_episode(str(i), handle, row, path, config) for i, (row, path) in enumerate(zip(rows, paths, strict=True))]
-        files.append(HabitatFile(f"pointnav/{where}", dump_json_gz({"episodes": points, "provenance": source}), "episodes"))
+        files.append(File(f"pointnav/{where}", dump_json_gz({"episodes": points, "provenance": source}), "episodes"))
         goals = _goals(handle, rows, bodies, handles, navmesh, config)
         objects = [
             _object_episode(str(i), handle, row, handles[row.instance_id], path, config)
@@ -227,7 +218,7 @@ def _episode_files(
         if lost:
             missed.append(f"{len(lost)} episodes ({split}) have no shortest path in the Habitat dataset: {lost[0]}'s actions end elsewhere")
         content = {"goals_by_category": goals, "episodes": objects, "provenance": source}
-        files.append(HabitatFile(f"objectnav/{where}", dump_json_gz(content), "episodes"))
+        files.append(File(f"objectnav/{where}", dump_json_gz(content), "episodes"))
     return files, missed
 
 
