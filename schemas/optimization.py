@@ -10,7 +10,7 @@ BODY_PATTERN = r"[0-9]{4,}|floor|ceiling|(wall|inner)_[0-9]{2,}"
 RELATIONS = ("floor", "on", "inside", "wall", "ceiling", "none")
 """How a thing can be carried."""
 
-APPLIED = ("pulled_in", "hung", "rested", "kept", "tipped")
+APPLIED = ("pulled_in", "hung", "rested", "kept", "tipped", "relocated")
 """Outcomes of steps that moved something: replaying these steps gives the optimized poses."""
 
 
@@ -90,7 +90,7 @@ class OptimizationStep:
     )
     smallest_loss: float = column("Smallest loss so far, this step included, in the unit of the loss", minimum=0)
     outcome: str = column(
-        "What became of the move; 'pulled_in', 'hung', 'rested', 'kept' and 'tipped' moved something",
+        "What became of the move; 'pulled_in', 'hung', 'rested', 'kept', 'tipped' and 'relocated' moved something",
         values=("start", *APPLIED, "reverted", "left_room", "left_support"),
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -280,6 +280,7 @@ def pile(seed: int, count: int) -> list[Thing]:
 
 
 @given(seeds)
+@example(16942)  # a box is put elsewhere as a last resort, and what leaned on it cannot stand any more
 @settings(max_examples=30, deadline=None)
 def test_piles_of_boxes_come_to_rest(seed: int) -> None:
     """Nothing is in anything deeper than 1 mm, and all that stands touches something within 1 mm."""

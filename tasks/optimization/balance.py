@@ -57,7 +57,7 @@ def draw_back(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[in
             continue
         among = np.zeros(len(stand.low), dtype=np.bool_)
         among[parent] = True
-        base = _base(shapes, stand, i)
+        base = base_of(shapes, stand, i)
         total = np.zeros(2)
         for _ in range(4):
             center = (stand.place[i] + center_of_mass(interior, i))[:2]
@@ -76,7 +76,7 @@ def draw_back(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[in
     return moves
 
 
-def _base(shapes: Shapes, stand: Stand, thing: int) -> Array:
+def base_of(shapes: Shapes, stand: Stand, thing: int) -> Array:
     """What a thing touches level ground with, from its pivot in plan [m], shape (n, 2)."""
     first, last = shapes.first_piece[thing], shapes.first_piece[thing + 1]
     vertices = shapes.vertices[shapes.first_vertex[first] : shapes.first_vertex[last]]

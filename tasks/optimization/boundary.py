@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from shapely import Geometry
 
 Array = NDArray[np.float64]
 
@@ -18,17 +23,10 @@ def outside_share(outline: Array, ring: Array) -> float:
 
 def way_in(outline: Array, ring: Array) -> tuple[float, float] | None:
     """The shortest shift (dx, dy) [m] that brings a convex outline, shape (k, 2), wholly into the floor polygon, shape
-    (n, 2); zero when it lies inside, None when it fits nowhere.
-
-    The places that an outline may not take are the Minkowski sums of the polygon's edges and the mirrored outline.
-    """
+    (n, 2); zero when it lies inside, None when it fits nowhere."""
     import shapely
 
-    center = outline.mean(axis=0)
-    mirrored = center - outline
-    after = np.roll(ring, -1, axis=0)
-    blocked = [shapely.MultiPoint(np.concatenate([a + mirrored, b + mirrored])).convex_hull for a, b in zip(ring, after, strict=True)]
-    free = shapely.Polygon(ring).difference(shapely.union_all(blocked).buffer(-1e-9))
+    center, free = outline.mean(axis=0), centers_inside(outline, ring)
     if free.is_empty:
         return None
     here = shapely.Point(center)
@@ -36,3 +34,17 @@ def way_in(outline: Array, ring: Array) -> tuple[float, float] | None:
         return 0.0, 0.0
     there = shapely.shortest_line(here, free).coords[-1]
     return float(there[0] - center[0]), float(there[1] - center[1])
+
+
+def centers_inside(outline: Array, ring: Array) -> Geometry:
+    """Where the mean corner of a convex outline, shape (k, 2) [m], may be moved so that it lies wholly within the floor polygon,
+    shape (n, 2): a geometry in plan, empty where it fits nowhere.
+
+    The places that an outline may not take are the Minkowski sums of the polygon's edges and the mirrored outline.
+    """
+    import shapely
+
+    mirrored = outline.mean(axis=0) - outline
+    after = np.roll(ring, -1, axis=0)
+    blocked = [shapely.MultiPoint(np.concatenate([a + mirrored, b + mirrored])).convex_hull for a, b in zip(ring, after, strict=True)]
+    return shapely.Polygon(ring).difference(shapely.union_all(blocked).buffer(-1e-9))

@@ -18,13 +18,14 @@ from tasks.optimization.chains import Chain, anneal
 from tasks.optimization.collisions import outline
 from tasks.optimization.interior import Interior
 from tasks.optimization.mounting import mounting
+from tasks.optimization.relocation import last_resort, moves_of
 from tasks.optimization.resting import DEEP_M, beside, let_down, put_to_rest, shift
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import Solid, shell_solids
 from tasks.optimization.supports import PlacedAsset, SupportConfig, support_map
 from tasks.optimization.trace import Move, Resolution, Step
 from tasks.optimization.walls import wall_faces, wall_snap
-from tasks.transforms import rotation_vector, translation
+from tasks.transforms import translation
 
 Array = NDArray[np.float64]
 
@@ -102,7 +103,8 @@ def resolve(
     interior: Interior, method: Default, supports: SupportConfig, rng: Callable[..., np.random.Generator],
     spread: Callable[[Any, Sequence[Any]], list[Any]], wedged: Collection[int] = (),
 ) -> Resolution:  # fmt: skip
-    """Things pulled into the room, hung on their walls, put to rest, moved apart, and let down onto what is below them.
+    """Things pulled into the room, hung on their walls, put to rest, moved apart, and let down onto what is below them; what is
+    still in something else then is put elsewhere.
 
     `wedged`: things that fit nowhere on or in what was taken for their carrier, as a first attempt has shown.
     """
@@ -127,27 +129,32 @@ def resolve(
     trace += _chain_steps(names, room, stand, chain)
     settling = let_down(interior, shapes, stand, method.most_tilt_radians)
     final = _loss(room, stand, DEEP_M) if chain.final == 0.0 else _loss(room, stand, method.slop_m)
-    for i, move, rotation in settling.moves:
-        turn, outcome = rotation_vector(rotation), "tipped" if np.abs(rotation - np.eye(3)).max() > 0 else "rested"
-        dx, dy, dz = move.tolist()
-        trace.append(Step(names[i], (dx, dy, dz, *turn), final, min(final, chain.final), outcome))
+    trace += [Step(names[i], move, final, min(final, chain.final), outcome) for i, move, outcome in moves_of(settling)]
     stuck = _wedged(interior, shapes, stand) if final > 0.0 and not wedged else []
     if stuck:
         untouched = shapes_of(solids, poses)  # letting things down has turned some of the others
         if beside(proposed, untouched, stand_of(untouched, poses[:, :3, 3]), stuck)[1] != noted:
             other = resolve(proposed, method, supports, rng, spread, stuck)
-            if other.final < final:
+            if other.settled < final:
                 return other
+    settled = final
+    last = last_resort(interior, solids, room, stand, settling, method.slop_m, method.most_tilt_radians)
+    if last.moves:
+        final = _loss(room, stand, DEEP_M if chain.final == 0.0 else method.slop_m)
+        smallest = min(final, trace[-1].smallest if trace else chain.start)
+        trace += [Step(names[i], move, final, smallest, outcome) for i, move, outcome in last.moves]
     if final == 0.0:
-        ended = "nothing_to_do" if chain.start == 0.0 else "zero_loss"
+        ended = "nothing_to_do" if chain.start == 0.0 and not last.moves else "zero_loss"
     else:
         ended = "out_of_moves" if tried > 0 else "no_move_helps"
         said.append(f"penetrations of {final:.3g} m of {chain.start:.3g} m are left after {tried} moves")
-    problems = {names[i]: f"it hangs {gap:.2f} m above anything" for i, gap in settling.hanging.items()}
-    for i in settling.toppling:
+    problems = {names[i]: f"it hangs {gap:.2f} m above anything" for i, gap in last.settling.hanging.items()}
+    for i in last.settling.toppling:
         problems.setdefault(names[i], "it cannot stand so: its center of mass lies beyond what it stands on")
+    for i, text in last.told.items():
+        problems[names[i]] = "; ".join([text, *([problems[names[i]]] if names[i] in problems else [])])
     chains = method.chains if chain.start > 0 else 1
-    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(said), problems, interior, tuple(noted))
+    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(said), problems, interior, tuple(noted), settled)
 
 
 def _wedged(interior: Interior, shapes: Shapes, stand: Stand) -> list[int]:

@@ -142,7 +142,7 @@ def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float)
         others = np.ones(bodies, dtype=np.bool_)
         others[groups[i]] = False
         solid, _ = compiled()["least_gap"](shapes, stand, i, others & ~covering, SUNK_M)
-        cloth, _ = compiled()["least_gap"](shapes, stand, i, others & covering, COVERING_M)
+        cloth = compiled()["cloth_gap"](shapes, stand, i, others & covering, COVERING_M)
         gap = min(solid, cloth, float(stand.low[i, 2]))
         if gap > FALL_M:
             done.hanging[i] = gap

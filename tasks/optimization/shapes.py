@@ -21,6 +21,9 @@ Integers = NDArray[np.int64]
 FLAT_COSINE = 1.0 - 1e-9
 """Triangles whose normals agree to this are one face: 0.0026 degrees, rounding of float32 files."""
 
+FLAT_M = 0.001
+"""Undersides this near in height are at the same one [m]."""
+
 
 class Shapes(NamedTuple):
     """Pieces of n bodies. Body i has pieces `first_piece[i]` to `first_piece[i + 1]`; the same for vertices, planes and
@@ -92,7 +95,7 @@ def compiled() -> dict[str, Callable[..., Any]]:
     import numba
 
     made = numba.njit(cache=True, nogil=True, error_model="numpy")
-    functions = (find_faces, bound, piece_depth, pair_depth, span, crossing_gap, piece_gap, body_gap, least_gap)
+    functions = (find_faces, bound, piece_depth, pair_depth, span, crossing_gap, piece_gap, body_gap, least_gap, cloth_gap)
     known: dict[str, Callable[..., Any]] = {}
     for function in functions:
         globals()[function.__name__] = known[function.__name__] = made(function)
@@ -324,3 +327,28 @@ def least_gap(shapes: Shapes, stand: Stand, body: int, among: Any, reach: float)
             if gap < least:
                 least, which = gap, other
     return least, which
+
+
+def cloth_gap(shapes: Shapes, stand: Stand, body: int, among: Any, reach: float) -> float:
+    """How far a body may be lowered until it stands on any of the cloths and rugs marked in `among`, shape (n,) [m]; negative
+    when it must be raised, infinite when none is below it.
+
+    Other than for `least_gap`, a piece of a rug that starts no higher than the body carries it however thin the body's own
+    lowest pieces are: nothing that stands has a rug above its bottom plate.
+    """
+    least, _ = least_gap(shapes, stand, body, among, reach)
+    for other in range(len(among)):
+        if not among[other] or other == body or stand.low[other, 2] > stand.low[body, 2] + FLAT_M:
+            continue
+        for p in range(shapes.first_piece[body], shapes.first_piece[body + 1]):
+            for q in range(shapes.first_piece[other], shapes.first_piece[other + 1]):
+                if stand.piece_low[q, 2] > stand.low[body, 2] + FLAT_M or stand.piece_low[p, 2] - stand.piece_high[q, 2] >= least:
+                    continue
+                apart = False
+                for k in range(2):
+                    apart = apart or stand.piece_low[p, k] >= stand.piece_high[q, k] or stand.piece_low[q, k] >= stand.piece_high[p, k]
+                if not apart:
+                    lower, _ = piece_gap(shapes, stand, body, other, p, q)
+                    if lower >= -reach and lower < least:
+                        least = lower
+    return least

@@ -134,10 +134,12 @@ class Carrier:
 
 @dataclasses.dataclass(frozen=True)
 class _Rest:
-    """A surface that a thing can rest on. parent: whose, None for the floor. gap: of the thing's bottom above it [m]."""
+    """A surface that a thing can rest on. parent: whose, None for the floor. gap: of the thing's bottom above it [m]. lift: how
+    far the thing is raised by all that is below it [m], where that is known."""
 
     parent: str | None
     gap: float
+    lift: float = 0.0
 
 
 def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: SupportConfig) -> dict[str, Carrier]:
@@ -154,12 +156,13 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: Supp
     config = dataclasses.replace(config, cell_m=max(config.cell_m, span / MOST_CELLS))
     order = sorted(placed, key=lambda p: (p.low[2], p.high[2], p.instance_id))
     faces = wall_faces(room) if room is not None else []
-    rests: dict[str, _Rest | None] = {}
+    rests: dict[str, _Rest] = {}
     found: dict[str, Carrier] = {}
     for thing in order:
         carrier = _carrier(thing, order, rests, faces, room, config)
         found[thing.instance_id] = carrier
-        rests[thing.instance_id] = _Rest(carrier.parent_id, carrier.gap) if carrier.parent_id is not None else None
+        below = rests.get(carrier.parent_id or "")
+        rests[thing.instance_id] = _Rest(carrier.parent_id, carrier.gap, carrier.lift + (below.lift if below is not None else 0.0))
     by_id = {thing.instance_id: thing for thing in placed}
     carriers: dict[str, Carrier] = {}
 
@@ -228,7 +231,7 @@ def support_map(thing: PlacedAsset, carrier: PlacedAsset, gap: float, cell: floa
 
 
 def _carrier(
-    thing: PlacedAsset, order: Sequence[PlacedAsset], rests: Mapping[str, _Rest | None], faces: Sequence[WallFace], room: Room | None,
+    thing: PlacedAsset, order: Sequence[PlacedAsset], rests: Mapping[str, _Rest], faces: Sequence[WallFace], room: Room | None,
     config: SupportConfig,
 ) -> Carrier:  # fmt: skip
     """What carries one thing: 'on' for every thing that does, the lift its own only."""
@@ -263,16 +266,14 @@ def _carrier(
     return Carrier("floor" if rest.parent is None else "on", rest.parent, rest.gap, -rest.gap)
 
 
-def _rest_within(
-    thing: PlacedAsset, others: Sequence[PlacedAsset], rests: Mapping[str, _Rest | None], config: SupportConfig
-) -> _Rest | None:
+def _rest_within(thing: PlacedAsset, others: Sequence[PlacedAsset], rests: Mapping[str, _Rest], config: SupportConfig) -> _Rest | None:
     """What carries most of a thing's base within reach; what carries its next broad part where nothing carries the base."""
     cells, heights = thing.footprint(config.cell_m)
     rise = heights - thing.low[2]
     on_base = rise <= config.base_m
     near = [other for other in others if _may_carry(other, thing, config) and not _rests_on(other.instance_id, thing.instance_id, rests)]
     has_floor = bool(abs(thing.low[2]) <= config.reach_m)
-    found = _most_carried(thing, cells[on_base], rise[on_base], near, has_floor, config)
+    found = _most_carried(thing, cells[on_base], rise[on_base], near, rests, has_floor, config)
     if found is not None or on_base.all():
         return found
     levels = np.floor(rise / config.base_m).astype(np.int64)
@@ -282,16 +283,20 @@ def _rest_within(
         over = np.abs(cells[at].mean(axis=0) - cells.mean(axis=0)) * config.cell_m
         if level == 0 or (over > 0.25 * (thing.high - thing.low)[:2]).any():  # what lies so far off its middle would tip
             continue
-        found = _most_carried(thing, cells[at], rise[at], near, False, config)
+        found = _most_carried(thing, cells[at], rise[at], near, rests, False, config)
         if found is not None and found.gap > -config.reach_m:
             return found
     return None
 
 
 def _most_carried(
-    thing: PlacedAsset, base: Cells, rise: Array, near: Sequence[PlacedAsset], has_floor: bool, config: SupportConfig
-) -> _Rest | None:
-    """Whose surface is the highest within reach under most of a base; `rise` of its cells over the thing's bottom [m]."""
+    thing: PlacedAsset, base: Cells, rise: Array, near: Sequence[PlacedAsset], rests: Mapping[str, _Rest], has_floor: bool,
+    config: SupportConfig,
+) -> _Rest | None:  # fmt: skip
+    """Whose surface is the highest within reach under most of a base; `rise` of its cells over the thing's bottom [m].
+
+    What sank into the floor comes out of it again: then its surfaces are higher than the floor where they are not as proposed.
+    """
     if not len(base):  # nothing of it near its lowest point is wide enough to stand on
         return None
     low, kept = float(thing.low[2]), kept_cells(base, 2000)
@@ -314,7 +319,9 @@ def _most_carried(
     carried = within.any(axis=0)
     if carried.mean() < config.share:
         return None
-    shares = np.bincount(heights.argmax(axis=0)[carried], minlength=len(names))
+    raised = np.array([rests[name].lift if has_floor and name is not None and name in rests else 0.0 for name in names])
+    over = heights + np.maximum(raised, 0.0)[:, None]
+    shares = np.bincount(over.argmax(axis=0)[carried], minlength=len(names))
     best = int(shares.argmax())  # the floor where it carries as much
     if names[best] is None:  # the floor has no bumps: the lowest part stands on it, however small
         return _Rest(None, low)
@@ -322,7 +329,7 @@ def _most_carried(
 
 
 def _rest_off(
-    thing: PlacedAsset, others: Sequence[PlacedAsset], rests: Mapping[str, _Rest | None], drop: float, config: SupportConfig
+    thing: PlacedAsset, others: Sequence[PlacedAsset], rests: Mapping[str, _Rest], drop: float, config: SupportConfig
 ) -> _Rest | None:
     """The nearest surface at most `drop` [m] below a thing that nothing carries within reach, or that it sank into."""
     cells, heights = thing.footprint(config.cell_m)
@@ -361,7 +368,7 @@ def _may_carry(carrier: PlacedAsset, thing: PlacedAsset, config: SupportConfig) 
     return (carrier.plan_area, carrier.instance_id) > (thing.plan_area, thing.instance_id)
 
 
-def _rests_on(name: str, other: str, rests: Mapping[str, _Rest | None]) -> bool:
+def _rests_on(name: str, other: str, rests: Mapping[str, _Rest]) -> bool:
     """Whether `name` rests on `other`, directly or through others, as far as is known."""
     while name != other:
         rest = rests.get(name)

@@ -37,7 +37,8 @@ class Step:
 class Resolution:
     """What a method came to: its steps, the loss at rest and in the end in the method's unit, how many moves were tried
     by how many chains, why it ended (as `optimizations.ended` has it), what could not be put right, a line each, the
-    same by thing, the interior where it was found that other things carry some than was thought, and those, a line each."""
+    same by thing, the interior where it was found that other things carry some than was thought, and those, a line each.
+    settled: the loss before anything was put elsewhere as a last resort."""
 
     steps: tuple[Step, ...]
     start: float
@@ -49,6 +50,7 @@ class Resolution:
     problems: Mapping[str, str]
     interior: Interior | None = None
     noted: tuple[str, ...] = ()
+    settled: float = 0.0
 
 
 def step_rows(scene_id: str, start: float, steps: Sequence[Step]) -> list[OptimizationStep]:

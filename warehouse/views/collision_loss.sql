@@ -4,7 +4,7 @@
 WITH steps AS (
     SELECT
         scene_id,
-        count(*) FILTER (outcome IN ('pulled_in', 'hung', 'rested', 'kept', 'tipped')) AS applied_steps
+        count(*) FILTER (outcome IN ('pulled_in', 'hung', 'rested', 'kept', 'tipped', 'relocated')) AS applied_steps
     FROM optimization_steps
     GROUP BY scene_id
 ),
