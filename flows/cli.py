@@ -15,7 +15,7 @@ COMMANDS = {
     "scan": "Scan a furnished GLB scene with the virtual scanner.",
     "sql": "Ask the lake a question in SQL; reads only.",
     "stats": "Draw the statistics and write the report.",
-    "export": "Write scenes as USD and as a Habitat dataset into a folder.",
+    "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",
     "annotate": "Import what annotators chose.",
     "evaluate": "Measure how well agents navigate the episodes.",
     "status": "Say what is done and what failed, from the lake alone.",

@@ -283,7 +283,7 @@ def test_exports_have_interior_walls_as_colliders_and_pass_their_gates(tmp_path:
     from pxr import Usd, UsdGeom, UsdPhysics
 
     rows, blobs = rows_of(furnished())
-    wall = (0.0, -2.0, 0.0, -0.6, 0.12, 2.6)
+    wall = (0.6, -2.0, 0.6, -0.6, 0.12, 2.6)
     rows["rooms"] = [with_walls(rows["rooms"][0], [wall], floor_color=(120, 90, 60))]
     outcome = export(*with_navigation(rows, blobs))
     assert [f"{row.format} {row.rule}: {row.message}" for row in outcome.rows["export_checks"] if not row.passed] == []
@@ -296,7 +296,7 @@ def test_exports_have_interior_walls_as_colliders_and_pass_their_gates(tmp_path:
     stage = Usd.Stage.Open(str(scene))
     (collider,) = [p for p in stage.Traverse() if "Inner_00" in str(p.GetPath()) and p.HasAPI(UsdPhysics.CollisionAPI)]
     points = np.array(UsdGeom.PointBased(collider).GetPointsAttr().Get())
-    assert np.allclose([points.min(axis=0), points.max(axis=0)], [[-0.06, -2.0, 0.0], [0.06, -0.6, 2.6]], atol=1e-5)
+    assert np.allclose([points.min(axis=0), points.max(axis=0)], [[0.54, -2.0, 0.0], [0.66, -0.6, 2.6]], atol=1e-5)
     part = collider.GetParent()
     labels = [part.GetAttribute(name).Get() for name in part.GetPropertyNames() if "labels" in name]
     assert labels
