@@ -19,7 +19,7 @@ COMMANDS = {
     "annotate": "Import what annotators chose.",
     "evaluate": "Measure how well agents navigate the episodes.",
     "status": "Say what is done and what failed, from the lake alone.",
-    "doctor": "Check a USD file, a Habitat dataset or the lake.",
+    "doctor": "Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.",
     "bench": "Measure quality and speed on this machine.",
 }
 """Commands with their first line of help, in the order of `--help`. Each lives in `flows.commands.<name>`."""
