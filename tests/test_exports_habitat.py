@@ -98,6 +98,7 @@ def test_colliders_are_convex_and_equal_shapes_are_stored_once(dataset: Path) ->
     configs = [json.loads((dataset / "objects" / f"{handle}.object_config.json").read_text()) for handle in handles]
     assert configs[0]["render_asset"] == configs[1]["render_asset"]
     assert [config["mass"] for config in configs] == [4.0, 7.0]
+    assert [config["friction_coefficient"] for config in configs] == [0.5, 0.8]
 
 
 def test_every_asset_is_attributed_once(scene: tuple[Rows, dict[str, bytes]], dataset: Path) -> None:

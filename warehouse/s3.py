@@ -34,7 +34,7 @@ class S3Storage:
         try:
             import s3fs
         except ImportError as error:
-            raise InputError(self.address, "", "lakes on S3 need the package s3fs", "pip install 'metascenes[s3]'") from error
+            raise InputError(self.address, "", "lakes on S3 need the package s3fs", "pip install s3fs") from error
         return s3fs.S3FileSystem(endpoint_url=_endpoint(), use_listings_cache=False)
 
     def read(self, path: str) -> bytes:

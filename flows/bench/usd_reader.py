@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.optimization.mujoco_engine import Mujoco, contact_of, friction_of, mujoco_module
+from tasks.optimization.mujoco_engine import Mujoco, contact_of, empty_spec, friction_of, mujoco_module
 
 ROOM = frozenset({"floor", "wall", "ceiling"})
 """Labels of the class `class` that make a static collider a part of the room."""
@@ -51,21 +51,11 @@ def _spec(stage: Any, settings: Mujoco) -> Any:
     """An empty scene with the gravity of the file."""
     from pxr import UsdPhysics
 
-    mujoco = mujoco_module()
-    spec = mujoco.MjSpec()
-    option = spec.option
-    option.timestep, option.impratio = settings.timestep_s, settings.impratio
-    option.cone, option.integrator = mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.iterations, option.tolerance = settings.iterations, settings.tolerance
-    option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that went astray must not look like the start
-    if settings.sleep_m_s > 0.0:
-        option.enableflags, option.sleep_tolerance = mujoco.mjtEnableBit.mjENBL_SLEEP, settings.sleep_m_s
-    spec.compiler.usethread = False
-    spec.memory = settings.memory_bytes
+    spec = empty_spec(settings)
     for prim in _prims(stage):
         if prim.IsA(UsdPhysics.Scene):
             scene = UsdPhysics.Scene(prim)
-            option.gravity = np.array(scene.GetGravityDirectionAttr().Get()) * scene.GetGravityMagnitudeAttr().Get()
+            spec.option.gravity = np.array(scene.GetGravityDirectionAttr().Get()) * scene.GetGravityMagnitudeAttr().Get()
     return spec
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from functools import cached_property
 
@@ -25,7 +26,7 @@ _SAME = 1e-5
 """habitat-sim's tolerance when it compares the settings of navmeshes."""
 
 
-class DetourPathFinder:
+class DetourPathFinder(abc.ABC):
     """A navmesh file and what can be said of it without a search, world frame [m], for an agent that stands on the floor (z = 0).
 
     Parts of the navmesh that nobody on the floor can climb to, as tops of cupboards, stay in the file but are left out here.
@@ -77,9 +78,9 @@ class DetourPathFinder:
         """A navigable point, uniform over the area of one island or of all, shape (2,)."""
         return self._triangles.random_point(rng, island)
 
+    @abc.abstractmethod
     def field(self, goals: ArrayLike) -> DistanceField:
         """Distances and paths to the nearest of `goals`, shape (n, 2). Goals that are not navigable are never reached."""
-        raise NotImplementedError
 
     def geodesic(self, start: ArrayLike, goal: ArrayLike) -> Path:
         """Shortest path between two points, shape (2,) each."""
@@ -102,9 +103,9 @@ class DetourPathFinder:
             raise ValueError(f"navmesh: was baked with {made}, asked for is {settings}")
         return self.file
 
+    @abc.abstractmethod
     def _places(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
         """For points, shape (n, 2), the nearest place on the floor's navmesh, same shape, and its polygon, -1 for none in reach."""
-        raise NotImplementedError
 
     @cached_property
     def _island_of_polygon(self) -> NDArray[np.int64]:

@@ -180,21 +180,26 @@ def _model(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problem
         return _spec(bodies, poses, shell, problems, settings).compile()
 
 
-def _spec(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems: Sequence[str | None], settings: Mujoco) -> Any:
-    """The scene as MuJoCo's specification: body i has the name `b<i>`."""
+def empty_spec(settings: Mujoco) -> Any:
+    """MuJoCo's specification of nothing, with the options of `settings`."""
     mujoco = mujoco_module()
     spec = mujoco.MjSpec()
     option = spec.option
-    option.timestep = settings.timestep_s
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = settings.impratio
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.timestep, option.impratio = settings.timestep_s, settings.impratio
+    option.cone, option.integrator = mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.iterations, option.tolerance = settings.iterations, settings.tolerance
     option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that went astray must not look like the start
     if settings.sleep_m_s > 0.0:
         option.enableflags, option.sleep_tolerance = mujoco.mjtEnableBit.mjENBL_SLEEP, settings.sleep_m_s
     spec.compiler.usethread = False
     spec.memory = settings.memory_bytes
+    return spec
+
+
+def _spec(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], problems: Sequence[str | None], settings: Mujoco) -> Any:
+    """The scene as MuJoCo's specification: body i has the name `b<i>`."""
+    mujoco = mujoco_module()
+    spec = empty_spec(settings)
     contact, small = contact_of(settings), friction_of(0.0, settings)
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], friction=small, **contact)
 

@@ -1,6 +1,6 @@
 """What NVIDIA's validator for Omniverse assets says of a USD file, in words of this project's gates.
 
-The package `omniverse-asset-validator` (Apache-2.0) is optional: `pip install 'metascenes[validator]'`.
+The package `omniverse-asset-validator` (Apache-2.0) is optional: the extra `validator`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _validator() -> Any:
         import omni.asset_validator as validator
     except ImportError as error:
         problem = f"is not installed ({error})"
-        raise InputError("omniverse-asset-validator", "package", problem, "pip install 'metascenes[validator]'") from error
+        raise InputError("omniverse-asset-validator", "package", problem, "pip install omniverse-asset-validator==1.18.0") from error
     finally:
         root.removeHandler(silent)
     return validator
