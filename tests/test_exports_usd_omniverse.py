@@ -68,6 +68,8 @@ def test_the_command_adds_what_it_says_to_the_gates_findings(scene: Path, tmp_pa
 
 def test_without_the_package_one_line_says_how_to_get_it(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "omni.asset_validator", None)
-    with pytest.raises(InputError, match=r"omniverse-asset-validator: .*not installed.*pip install omniverse-asset-validator==1\.18\.0") as refused:
+    with pytest.raises(
+        InputError, match=r"omniverse-asset-validator: .*not installed.*pip install omniverse-asset-validator==1\.18\.0"
+    ) as refused:
         check_omniverse(scene)
     assert len(str(refused.value).splitlines()) == 1
