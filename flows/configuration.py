@@ -63,7 +63,7 @@ def configure(
     if configs["exports"].mjcf.engine != configs["optimization"].certificate.mujoco:
         problem = "differs from optimization.certificate.mujoco: what is exported would not fall as it is certified"
         raise InputError(origin if told else "--set", "exports.mjcf.engine", problem, "set both alike")
-    for field in ("forward_m", "turn_degrees"):
+    for field in ("forward_m", "turn_degrees", "success_m"):
         if getattr(configs["exports"].habitat, field) != getattr(configs["navigation"], field):
             problem = f"differs from navigation.{field}: the robot of the dataset would not be that of its episodes"
             raise InputError(origin if told else "--set", f"exports.habitat.{field}", problem, "set both alike")

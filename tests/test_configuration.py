@@ -183,7 +183,7 @@ def test_what_is_exported_is_what_is_certified() -> None:
     assert both.stages["exports"].pieces.threshold == 0.05
 
 
-@pytest.mark.parametrize(("field", "value"), [("forward_m", 0.5), ("turn_degrees", 15.0)])
+@pytest.mark.parametrize(("field", "value"), [("forward_m", 0.5), ("turn_degrees", 15.0), ("success_m", 0.3)])
 def test_the_exported_robot_is_that_of_the_episodes(field: str, value: float) -> None:
     with pytest.raises(InputError, match=rf"exports\.habitat\.{field}: differs from navigation"):
         configure(None, [f"navigation.{field}={value}"])

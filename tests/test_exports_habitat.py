@@ -19,15 +19,21 @@ import shapely
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from schemas.errors import InputError
+from tasks import exports, navigation
 from tasks.capture.labels import NYU40
 from tasks.exports.config import HabitatConfig
 from tasks.exports.habitat import ACTIONS
 from tasks.exports.habitat.rules import check_habitat
+from tasks.exports.layout import layout, shared_files
+from tasks.navigation import NavigationConfig
 from tasks.navigation.navmesh import read_navmesh
 from tasks.replica import placed_parts, room_shell
+from tasks.stage import Context
 from tasks.transforms import yaw_pose
 from tests.habitat_datasets import FIRST, Rows, office, other_room, scene_file, write_dataset
 from tests.replicas import cube, rows_of
+from tests.test_exports import export
 
 
 @pytest.fixture(scope="module")
@@ -262,3 +268,28 @@ def test_replayed_actions_stay_on_the_navmesh_and_end_at_the_target(dataset: Pat
             assert episode["info"]["geodesic_distance"] <= length + 0.2 + 1e-6, "nothing is shorter than the shortest path"
             seen.add((task, scene))
     assert len(seen) == 4
+
+
+def test_the_datasets_own_files_say_what_its_scenes_were_exported_with(tmp_path: Path) -> None:
+    rows, blobs = rows_of([cube((0.3, 0.3, 0.3), yaw_pose(0.3, [0.5, -0.5, 0.0]))])
+    walk = NavigationConfig(train_episodes=3, test_episodes=3, forward_m=0.2, turn_degrees=15.0, success_m=0.3)
+    needed = {name: rows[name] for name in navigation.STAGE.reads}
+    made = navigation.run(**needed, context=Context("demo/room_01", "navigation", 0, blobs), config=walk)
+    walked = rows | {name: made.rows[name] for name in ("navmeshes", "episodes")}
+    settings = exports.HabitatConfig(dataset="homes", dataset_folder="data/homes", forward_m=0.2, turn_degrees=15.0, success_m=0.3)
+    outcome = export(walked, {**blobs, **made.blobs}, exports.ExportsConfig(formats=("habitat",), habitat=settings))
+    assert [row for row in outcome.rows["export_checks"] if not row.passed] == []
+    files = outcome.rows["export_files"]
+    exports.write_folder(
+        tmp_path, {path: outcome.blobs[name] for path, name in layout(files).items()} | shared_files(files, outcome.blobs)
+    )  # fmt: skip
+    root = tmp_path / "habitat"
+    assert (root / "homes.scene_dataset_config.json").is_file()
+    agent = json.loads((root / "metadata" / "agent.json").read_text())
+    assert (agent["forward_step_size"], agent["turn_angle"], agent["success_distance"]) == (0.2, 15.0, 0.3)
+    assert "data/homes/objectnav" in (root / "README.md").read_text()
+    assert check_habitat(root) == []
+    empty, blobs = rows_of([], "demo/room_02")
+    other = export({**empty, "navmeshes": [], "episodes": []}, dict(blobs), exports.ExportsConfig(formats=("habitat",)))
+    with pytest.raises(InputError, match=r"demo/room_0[12]: was exported with other settings of the dataset than demo/room_0[12]"):
+        shared_files([*files, *other.rows["export_files"]], {**outcome.blobs, **other.blobs})

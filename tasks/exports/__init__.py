@@ -101,7 +101,7 @@ def _habitat(scene: _Scene) -> Export:
     )  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="dataset-") as place:
         root = Path(place).resolve() / "habitat"
-        write_folder(root, {file.path: file.data for file in files} | dataset_of(files, config.habitat))
+        write_folder(root, {file.path: file.data for file in files} | dataset_of(files))
         return Export(files, RULES, check_habitat(root), [*missed, *lost])
 
 

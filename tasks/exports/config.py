@@ -31,6 +31,7 @@ class HabitatConfig:
     gravity_m_s2: float = 9.8  # habitat-sim's own default
     forward_m: float = 0.25  # what `forward` means in episodes (supplementary B.3), for the states along a path
     turn_degrees: float = 30.0  # the same for `left` and `right`
+    success_m: float = 0.2  # how near to a goal they end: steps of 0.25 m cannot always end within habitat-lab's 0.1 m for objects
     view_fov_degrees: float = 79.0  # camera of the ObjectNav challenge's agent, for the overlap of a view point
     view_aspect: float = 4.0 / 3.0  # 640 x 480
 

@@ -7,7 +7,6 @@ from pathlib import PurePosixPath
 
 from schemas.errors import InputError
 from schemas.exports import ExportFile
-from tasks.exports.config import HabitatConfig
 from tasks.exports.files import File
 from tasks.exports.habitat.dataset import HabitatScene, dataset_files, describe
 
@@ -29,20 +28,20 @@ def layout(rows: Sequence[ExportFile]) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def shared_files(rows: Sequence[ExportFile], blobs: Mapping[str, bytes], config: HabitatConfig | None = None) -> dict[str, bytes]:
+def shared_files(rows: Sequence[ExportFile], blobs: Mapping[str, bytes]) -> dict[str, bytes]:
     """Files that belong to no scene alone, by path from the export's root: those of the Habitat dataset."""
     scenes: dict[str, dict[str, ExportFile]] = {}
     for row in rows:
         if row.format == "habitat":
             scenes.setdefault(row.scene_id, {})[row.path] = row
     described = [_described(scenes[scene_id], blobs) for scene_id in sorted(scenes)]
-    return {f"habitat/{path}": data for path, data in dataset_files(described, config).items()} if described else {}
+    return {f"habitat/{path}": data for path, data in dataset_files(described).items()} if described else {}
 
 
-def dataset_of(files: Sequence[File], config: HabitatConfig | None = None) -> dict[str, bytes]:
+def dataset_of(files: Sequence[File]) -> dict[str, bytes]:
     """The same for a dataset of one scene, whose files are at hand; by path from the dataset's root."""
     contents = {file.path: file.data for file in files}
-    return dataset_files([describe({file.path: file.role for file in files}, contents.__getitem__)], config)
+    return dataset_files([describe({file.path: file.role for file in files}, contents.__getitem__)])
 
 
 def _described(rows: Mapping[str, ExportFile], blobs: Mapping[str, bytes]) -> HabitatScene:

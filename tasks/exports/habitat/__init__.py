@@ -33,6 +33,9 @@ ACTIONS: Mapping[str, int] = {"stop": 0, "forward": 1, "left": 2, "right": 3}
 
 _Path = list[dict[str, Any]] | None
 
+OF_THE_DATASET = ("dataset", "dataset_folder", "forward_m", "turn_degrees", "success_m")
+"""Settings that all scenes of a dataset share; each scene states them, and the dataset's own files are made from that."""
+
 UPRIGHT = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Every file is in Habitat's own frame; a stage that does not say so is taken to be +Z up."""
 
@@ -149,6 +152,7 @@ def _scene_instance(replica: Replica, navmesh: tuple[Navmesh, bytes] | None, con
     origin = {"translation_origin": "asset_local"}
     about = {
         "scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type, "object_count": len(replica.bodies),
+        "dataset": {name: getattr(config.habitat, name) for name in OF_THE_DATASET},
     }  # fmt: skip
     scene: dict[str, Any] = {
         **origin,

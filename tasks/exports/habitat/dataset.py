@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
+from schemas.errors import InputError
 from tasks.capture.labels import NYU40
 from tasks.exports.config import HabitatConfig
 from tasks.exports.habitat import dump_json, dump_json_gz
@@ -20,9 +21,6 @@ TASKS = ("objectnav", "pointnav")
 
 _ATTRIBUTION = ("provider", "source", "author", "license")
 
-SUCCESS_M = 0.2
-"""How near to a goal an episode's actions end [m]: steps of 0.25 m cannot always end within habitat-lab's 0.1 m for objects."""
-
 
 @dataclasses.dataclass(frozen=True)
 class HabitatScene:
@@ -30,6 +28,7 @@ class HabitatScene:
 
     paths: Of all its files. categories: NYU40 class of every category that is a goal. splits: That it has episodes in.
     navmesh: Settings in the navmesh's header, empty without one. assets: Where every asset comes from, by its id.
+    config: With the settings of the dataset that the scene was exported with.
     """
 
     scene_id: str
@@ -40,6 +39,7 @@ class HabitatScene:
     categories: Mapping[str, int]
     navmesh: Mapping[str, float]
     assets: Mapping[str, Mapping[str, str]]
+    config: HabitatConfig
 
 
 def describe(roles: Mapping[str, str], read: Callable[[str], bytes]) -> HabitatScene:
@@ -66,17 +66,25 @@ def describe(roles: Mapping[str, str], read: Callable[[str], bytes]) -> HabitatS
         categories={category: classes.get(category, 0) for category in sorted(goals)},
         navmesh=navmesh,
         assets={item["user_defined"]["asset_id"]: item["user_defined"] for item in scene["object_instances"]},
+        config=dataclasses.replace(HabitatConfig(), **scene["user_defined"].get("dataset", {})),
     )
 
 
-def dataset_files(scenes: Sequence[HabitatScene], config: HabitatConfig | None = None) -> dict[str, bytes]:
+def dataset_files(scenes: Sequence[HabitatScene]) -> dict[str, bytes]:
     """Files of a dataset beside those of its scenes, by path from its root.
 
     Semantic ids are NYU40 classes, so they never change when scenes are added. Numbers of ObjectNav's categories are
     positions in the sorted list of the dataset's categories, which is what habitat-lab wants, and do change.
+
+    Raises:
+        InputError: the scenes were exported with different settings of the dataset.
     """
-    options = config or HabitatConfig()
     ordered = sorted(scenes, key=lambda scene: scene.handle)
+    options = ordered[0].config
+    for scene in ordered:
+        if scene.config != options:
+            problem = f"was exported with other settings of the dataset than {ordered[0].scene_id}"
+            raise InputError("export_files", scene.scene_id, problem, "export them apart, or run exports again with the same ones")
     files = {
         f"{options.dataset}.scene_dataset_config.json": dump_json(_dataset_config(ordered, options)),
         f"semantics/{options.dataset}_lexicon.json": dump_json({"classes": [{"id": i, "name": name} for i, name in enumerate(NYU40)]}),
@@ -121,7 +129,7 @@ def agent_settings(navmesh: Mapping[str, float], config: HabitatConfig) -> dict[
         "navmesh_include_static_objects": bool(navmesh["includeStaticObjects"]),
         "forward_step_size": config.forward_m,
         "turn_angle": config.turn_degrees,
-        "success_distance": SUCCESS_M,
+        "success_distance": config.success_m,
     }
 
 
@@ -159,7 +167,7 @@ def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
         settings["habitat.simulator.navmesh_include_static_objects"] = str(about["navmesh_include_static_objects"])
     settings["habitat.simulator.forward_step_size"] = f"{config.forward_m:g}"
     settings["habitat.simulator.turn_angle"] = f"{config.turn_degrees:g}"
-    settings["habitat.task.measurements.success.success_distance"] = f"{SUCCESS_M:g}"
+    settings["habitat.task.measurements.success.success_distance"] = f"{config.success_m:g}"
     lines = [
         f"# {config.dataset}: a Habitat dataset",
         "",
