@@ -28,21 +28,21 @@ _ADOPTED = "adopted"
 
 @dataclasses.dataclass(frozen=True)
 class Base:
-    """What a commit starts from: the last snapshot's id, the version of every table, and the stages' states."""
+    """What a commit starts from: the last snapshot's id and the version of every table."""
 
     snapshot_id: int
     versions: dict[str, int]
-    states: dict[Key, StageState]
 
 
 class Commit:
-    """One commit, made while `lease` is held."""
+    """One commit, made while `lease` is held. It reads what it touches, so that its time hardly depends on the lake's size."""
 
     def __init__(self, tables: DeltaTables, staging: Staging, lease: Lease) -> None:
         self._tables, self._staging, self._lease = tables, staging, lease
         self._snapshots = TABLES["snapshots"]
         self._base = self._read_base()
-        self._done = {key for key, state in self._base.states.items() if state.done is not None}
+        self._states: dict[Key, StageState] = {}
+        self._done: set[Key] = set()
 
     def run(self, note: str, removed: Collection[str] = (), scenes: Collection[str] | None = None) -> Snapshot | None:
         """Adopt, replace, withdraw, and append the snapshot; None when there is nothing to do."""
@@ -50,7 +50,8 @@ class Commit:
         if not staged and not removed:
             return None
         faults = {one.token: fault for one in staged if one.run.outcome == "done" and (fault := self._staging.fault(one))}
-        made = plan(self._base.states, without_faults(staged, faults), removed)
+        self._read_states({one.run.scene_id for one in staged} | set(removed))
+        made = plan(self._states, without_faults(staged, faults), removed)
         unwanted = [one for one in made.left if one.run.scene_id in removed]
         if made.is_empty:
             self._staging.remove(unwanted)
@@ -77,7 +78,8 @@ class Commit:
         Those of other processes that live are spared: what they read may still be on its way.
         """
         staged = self.remove_adopted()
-        left = plan(self._base.states, staged).left
+        self._read_states({one.run.scene_id for one in staged})
+        left = plan(self._states, staged).left
         own = this_writer()  # lives, of course, but has said by `keep` what it needs
         idle = [one for one in left if one.is_abandoned or writer_of(one.token) == own]
         self._lease.check()
@@ -99,12 +101,19 @@ class Commit:
         rows = arrow_to_rows(self._tables.read(self._snapshots, self._tables.files("snapshots", opened)), Snapshot) if opened else []
         self._snapshot_rows: list[Snapshot] = rows
         last = max(rows, key=lambda row: row.snapshot_id, default=None)
-        versions = versions_of(last) if last else {}
-        found: dict[Key, StageState] = {}
-        if "stage_runs" in versions:
-            at = self._tables.open("stage_runs", versions["stage_runs"])
-            found = states(self._tables.read(TABLES["stage_runs"], self._tables.files("stage_runs", at))) if at else {}
-        return Base(last.snapshot_id if last else 0, versions, found)
+        return Base(last.snapshot_id if last else 0, versions_of(last) if last else {})
+
+    def _read_states(self, scenes: Collection[str]) -> None:
+        """Take in what was run on these scenes so far."""
+        table = TABLES["stage_runs"]
+        self._states = states(self._tables.read(table, self._base_files(table), only={"scene_id": scenes}))
+        self._done = {key for key, state in self._states.items() if state.done is not None}
+
+    def _base_files(self, table: Table) -> list[str]:
+        """Files of a table in the version that the commit starts from."""
+        version = self._base.versions.get(table.name)
+        opened = self._tables.open(table.name, version) if version is not None else None
+        return self._tables.files(table.name, opened) if opened is not None else []
 
     def _writer(self, table: Table) -> TableWriter:
         return self._tables.writer(table, self._base.versions.get(table.name), self._lease.check)
@@ -158,23 +167,18 @@ class Commit:
         made by newer code or from a newer source, since the same input gives the same row.
         """
         sharing, column = TABLES[table.shared_by], table.key[0]
-        stages = {table.stage, sharing.stage}
         rows = _newest(self._staged_rows(table, new), table)
-        touched = {(one.run.scene_id, one.run.stage) for one in made.adopted} | {(run.scene_id, run.stage) for run in made.withdrawn}
-        loses = any(stage in stages and (scene, stage) in self._done for scene, stage in touched) and table.name in self._base.versions
-        if not rows.num_rows and not loses:
+        rows = rows.filter(pc.is_in(rows.column(column), value_set=self._named(table, sharing, made, {one.run.scene_id for one in new})))
+        lost = self._lost_keys(table, sharing, made)
+        if not rows.num_rows and not lost:
             return None
-        named = self._named_keys(table, sharing, made, None if loses else {one.run.scene_id for one in new})
         writer = self._writer(table)
-        rows = rows.filter(pc.is_in(rows.column(column), named))
         keys = rows.column(column).to_pylist()
-        before = {row[column]: row for row in self._tables.read(table, writer.files, only={column: keys}).to_pylist()}
+        known = {*keys, *lost}
+        before = {row[column]: row for row in self._tables.read(table, writer.files, only={column: known}).to_pylist()}
         changed = [key for key, row in zip(keys, rows.to_pylist(), strict=True) if before.get(key) != row]
-        gone: list[str] = []
-        if loses:
-            known = self._tables.read(table, writer.files, [column]).column(column)
-            gone = known.filter(pc.invert(pc.is_in(known, named))).to_pylist()
-        fresh = rows.filter(pc.is_in(rows.column(column), pa.array(changed, pa.string())))
+        gone = lost & before.keys()
+        fresh = rows.filter(pc.is_in(rows.column(column), value_set=pa.array(changed, pa.string())))
         if gone or before.keys() & set(changed):
             writer.replace(fresh, column, {*gone, *changed})
         elif changed:
@@ -182,29 +186,43 @@ class Commit:
         writer.compact()
         return writer.version
 
-    def _named_keys(self, table: Table, sharing: Table, made: Plan, scenes: Collection[str] | None) -> pa.Array:
-        """Keys that rows of `sharing` name, of scenes that have rows of the stage of `table` once this is committed.
-
-        With `scenes`, only keys that these name: enough where no key can go, and much less to read.
-        """
+    def _named(self, table: Table, sharing: Table, made: Plan, scenes: Collection[str]) -> pa.Array:
+        """Keys that rows of `sharing` name once this is committed, of those of `scenes` that have the stage of `table` then."""
         column = table.key[0]
         new = [one for one in made.adopted if one.run.stage == sharing.stage]
+        kept = self._with_stage(table, made, scenes)
         replaced = {one.run.scene_id for one in new} | {run.scene_id for run in made.withdrawn if run.stage == sharing.stage}
-        with_stage = {scene for scene, stage in self._done if stage == table.stage}
-        with_stage |= {one.run.scene_id for one in made.adopted if one.run.stage == table.stage}
-        with_stage -= {run.scene_id for run in made.withdrawn if run.stage == table.stage}
-        # Read from the version that the commit starts from, so that the order in which tables are written does not matter.
-        version = self._base.versions.get(sharing.name)
-        opened = self._tables.open(sharing.name, version) if version is not None else None
-        files = self._tables.files(sharing.name, opened) if opened is not None else []
-        kept = with_stage - replaced
-        only = {"scene_id": kept & set(scenes)} if scenes is not None else None
-        old = self._tables.read(sharing, files, ["scene_id", column], only)
+        old = self._tables.read(sharing, self._base_files(sharing), ["scene_id", column], {"scene_id": kept - replaced})
         fresh = self._staged_rows(sharing, new).select(["scene_id", column])
-        parts = []
-        for part, of in ((old, kept), (fresh, with_stage)):
-            parts.append(part.filter(pc.is_in(part.column("scene_id"), pa.array(sorted(of), pa.string()))).column(column))
-        return pa.chunked_array([chunk for part in parts for chunk in part.chunks], pa.string()).unique().drop_null()
+        fresh = fresh.filter(pc.is_in(fresh.column("scene_id"), value_set=pa.array(sorted(kept), pa.string())))
+        return pa.concat_tables([old, fresh]).column(column).unique().drop_null()
+
+    def _lost_keys(self, table: Table, sharing: Table, made: Plan) -> set[str]:
+        """Keys that the scenes of this commit named before, and that nobody names once it is made."""
+        column, stages = table.key[0], {table.stage, sharing.stage}
+        touched = {one.run.scene_id for one in made.adopted if one.run.stage in stages}
+        touched |= {run.scene_id for run in made.withdrawn if run.stage in stages}
+        had = {scene for scene in touched if (scene, table.stage) in self._done}
+        files = self._base_files(sharing)
+        named_before = self._tables.read(sharing, files, [column], {"scene_id": had}).column(column).unique().drop_null()
+        suspects = set(named_before.to_pylist()) - set(self._named(table, sharing, made, touched).to_pylist())
+        if not suspects:
+            return set()
+        # A key that only these scenes named is gone. That nobody else names it takes a look at the whole column.
+        elsewhere = self._tables.read(sharing, files, ["scene_id", column], {column: suspects})
+        elsewhere = elsewhere.filter(pc.invert(pc.is_in(elsewhere.column("scene_id"), value_set=pa.array(sorted(touched), pa.string()))))
+        if table.stage != sharing.stage and elsewhere.num_rows:
+            others = set(elsewhere.column("scene_id").to_pylist())
+            runs = self._tables.read(TABLES["stage_runs"], self._base_files(TABLES["stage_runs"]), only={"scene_id": others})
+            having = sorted(scene for (scene, stage), state in states(runs).items() if stage == table.stage and state.done is not None)
+            elsewhere = elsewhere.filter(pc.is_in(elsewhere.column("scene_id"), value_set=pa.array(having, pa.string())))
+        return suspects - set(elsewhere.column(column).to_pylist())
+
+    def _with_stage(self, table: Table, made: Plan, scenes: Collection[str]) -> set[str]:
+        """Those of `scenes` that have rows of the stage of `table` once this is committed."""
+        kept = {scene for scene in scenes if (scene, table.stage) in self._done}
+        kept |= {one.run.scene_id for one in made.adopted if one.run.stage == table.stage} & set(scenes)
+        return kept - {run.scene_id for run in made.withdrawn if run.stage == table.stage}
 
     def _write_runs(self, made: Plan) -> int:
         table = TABLES["stage_runs"]
