@@ -12,7 +12,7 @@ from schemas.errors import InputError
 from schemas.exports import FORMATS, ExportFile
 from tasks.exports.findings import Finding
 from warehouse.lake import Lake
-from warehouse.release import releases
+from warehouse.release import snapshot_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,22 +87,6 @@ def write_exports(
     packages = tuple(path.parent.with_suffix(".usdz") for path in usd) if usdz else ()
     findings = tuple(_findings(out, formats, (*usd, *packages)))
     return WrittenExports(len(placed) + len(shared) + len(packages), usd, findings, packages)
-
-
-def snapshot_of(lake: Lake, name: str | None, snapshot_id: int | None) -> int | None:
-    """The snapshot of a release, or the one given when none is named.
-
-    Raises:
-        InputError: there is no such release, or a snapshot is given beside it.
-    """
-    if name is None:
-        return snapshot_id
-    known = {release.name: release.snapshot_id for release in releases(lake)}
-    if snapshot_id is not None:
-        raise InputError("--snapshot", "release", f"is given beside --release {name}, which is a snapshot", "give one of them")
-    if name not in known:
-        raise InputError(lake.address, "release", f"no release {name!r}", f"there are: {', '.join(sorted(known)) or 'none'}")
-    return known[name]
 
 
 def _finish_usd(making: Path, release: str | None, snapshot_id: int | None, usdz: bool) -> None:

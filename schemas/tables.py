@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas import annotation, candidates, captions, capture, evaluation, exports, navigation, optimization, runs, selection
+from schemas import annotation, candidates, captions, capture, evaluation, exports, navigation, optimization, releases, runs, selection
 from schemas.record import Table, table_of
 
 RECORDS: tuple[type, ...] = (
@@ -31,6 +31,7 @@ RECORDS: tuple[type, ...] = (
     evaluation.Trajectory,
     runs.StageRun,
     runs.Snapshot,
+    releases.Release,
 )
 
 TABLES: dict[str, Table] = {table_of(record).name: table_of(record) for record in RECORDS}

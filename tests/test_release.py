@@ -7,15 +7,21 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from click.testing import CliRunner
 
+from flows.cli import cli
 from schemas.captions import Caption
 from schemas.errors import InputError
+from schemas.record import arrow_to_rows
+from schemas.releases import Release
 from schemas.tables import TABLES
 from tests.lake_load import scene_id, stage_scene
 from tests.samples import fingerprint, sample, stage_run
 from warehouse.digest import blob_names, digests
 from warehouse.lake import Lake
 from warehouse.release import export_tables, make_release, releases
+from warehouse.released import folder_of
+from warehouse.sql import query
 from warehouse.vacuum import vacuum
 
 
@@ -41,12 +47,14 @@ def age(lake: Lake) -> None:
 
 
 def test_release_is_plain_parquet_of_its_snapshot(lake: Lake) -> None:
-    release = make_release(lake, "2026.1", snapshot_id=2, note="for the paper")
+    release = make_release(lake, "2026.1", snapshot_id=2, notes="for the paper")
     assert releases(lake) == [release]
-    assert (release.snapshot_id, release.note) == (2, "for the paper")
-    folder = Path(lake.address) / release.folder
+    assert (release.snapshot_id, release.notes) == (2, "for the paper")
+    folder = Path(lake.address) / folder_of(release.name)
     reader = lake.snapshot(2)
     for name, table in TABLES.items():
+        if name == "releases":
+            continue
         data = pq.read_table(folder / f"{name}.parquet")
         assert data.equals(reader.arrow(name))
         assert data.schema.field(0).metadata[b"description"].decode() == table.columns[0].description
@@ -133,3 +141,43 @@ def test_commit_that_died_before_a_vacuum_is_still_made_good(lake: Lake, monkeyp
     assert digests(lake.snapshot()) == before
     lake.commit()
     assert len(lake.snapshot().rows(Caption)) == 6
+
+
+def test_releases_are_a_table_of_what_was_released_until_then(lake: Lake) -> None:
+    assert lake.snapshot().rows(Release) == []
+    assert query(lake.snapshot(), "SELECT * FROM releases").num_rows == 0
+    first = make_release(lake, "v1", snapshot_id=2, notes="it's \"the\" first;\n-- 'quoted'")
+    second = make_release(lake, "v2")
+    for snapshot_id, known in ((None, [first, second]), (4, [first, second]), (3, [first]), (2, [first]), (1, [])):
+        reader = lake.snapshot(snapshot_id)
+        assert reader.rows(Release) == known
+        asked = query(reader, "SELECT * FROM releases ORDER BY name")
+        assert arrow_to_rows(asked, Release) == known
+        assert asked.schema.names == TABLES["releases"].arrow_schema.names
+    assert (
+        query(lake.snapshot(), "SELECT scenes, rooms, objects FROM releases WHERE name = 'v1'").to_pylist()
+        == query(lake.snapshot(2), "SELECT scenes, rooms, objects FROM headline").to_pylist()
+    )
+    counts = dict(entry.split("=") for entry in second.row_counts)
+    assert counts.keys() == TABLES.keys()
+    assert int(counts["captions"]) == lake.snapshot().arrow("captions").num_rows > 0
+
+
+def test_questions_can_be_asked_of_a_release(lake: Lake) -> None:
+    make_release(lake, "v1", snapshot_id=2)
+    asked = ["sql", "SELECT max(snapshot_id) AS last FROM snapshots", "--output", "csv", "--lake", lake.address]
+    run = CliRunner().invoke
+    assert run(cli, [*asked, "--release", "v1"]).output.split() == ["last", "2"]
+    assert run(cli, [*asked, "--snapshot", "3"]).output.split() == ["last", "3"]
+    assert run(cli, asked).output.split() == ["last", "4"]
+    assert "no release 'v9'; there are: v1" in str(run(cli, [*asked, "--release", "v9"]).exception)
+    assert "give one of them" in str(run(cli, [*asked, "--release", "v1", "--snapshot", "3"]).exception)
+
+
+@pytest.mark.parametrize("damage", ["", "{", '{"name": "v1"}', '{"name": "v2"'])
+def test_a_damaged_record_of_a_release_is_named(lake: Lake, damage: str) -> None:
+    make_release(lake, "v1")
+    path = Path(lake.address, "releases", "v1", "release.json")
+    path.write_text(path.read_text().replace('"name": "v1"', damage) if "v2" in damage else damage)
+    with pytest.raises(InputError, match=r"releases/v1/release.json"):
+        releases(lake)

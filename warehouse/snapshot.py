@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from datetime import datetime
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import pyarrow as pa
 
 from schemas.errors import InputError
 from schemas.record import arrow_to_rows, rows_to_arrow, table_of
+from schemas.releases import Release
 from schemas.runs import Snapshot
 from schemas.tables import TABLES
 from warehouse import views
 from warehouse.commit import versions_of
 from warehouse.delta import DeltaTables
 from warehouse.documentation import comment_statements, quoted, sql_type
+from warehouse.released import released
 from warehouse.storage import Storage
 
 if TYPE_CHECKING:
@@ -54,6 +57,11 @@ class Reader:
         """Version of every table that the snapshot holds."""
         return versions_of(self.snapshot) if self.snapshot else {}
 
+    @cached_property
+    def releases(self) -> tuple[Release, ...]:
+        """Releases of this snapshot and of those before it, by name."""
+        return tuple(release for release in released(self._storage) if release.snapshot_id <= self.snapshot_id)
+
     def files(self, table: str) -> list[str]:
         """Paths of a table's Parquet files, relative to the lake."""
         if table not in TABLES:
@@ -73,6 +81,8 @@ class Reader:
         declared = TABLES[table]
         if table == "snapshots":
             return rows_to_arrow(self.snapshots, Snapshot)
+        if table == "releases":
+            return rows_to_arrow(self.releases, Release)
         only = None if scene_id is None else {"scene_id": [scene_id]}
         rows = self._tables.read(declared, files, only=only)
         return rows.sort_by([(name, "ascending") for name in declared.key])
@@ -125,6 +135,10 @@ class Reader:
             body = f"SELECT {columns} FROM ({body})"
             if name == "snapshots":
                 body += f" WHERE snapshot_id <= {self.snapshot_id}"
+        elif name == "releases" and self.releases:
+            rows = ", ".join(f"({', '.join(_literal(getattr(release, c.name)) for c in table.columns)})" for release in self.releases)
+            named = ", ".join(quoted(column.name) for column in table.columns)
+            body = f"{body} UNION ALL BY NAME SELECT * FROM (VALUES {rows}) AS known({named})"
         return [f"CREATE VIEW {quoted(name)} AS {body}", *comment_statements(table)]
 
 
@@ -137,6 +151,15 @@ def _ranges(numbers: list[int]) -> str:
         else:
             found.append([number, number])
     return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in found)
+
+
+def _literal(value: Any) -> str:
+    """A value of a record as SQL."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(_literal(item) for item in value)}]::VARCHAR[]"
+    if isinstance(value, datetime):
+        return f"{_text(value.isoformat())}::TIMESTAMPTZ"
+    return str(value) if isinstance(value, int) else _text(value)
 
 
 def _text(value: str) -> str:

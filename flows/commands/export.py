@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from flows.commands.options import existing_lake, json_option, lake_option
+from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
 from schemas.exports import FORMATS
 
 
@@ -15,8 +15,7 @@ from schemas.exports import FORMATS
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write into.")
 @click.option("--format", "formats", multiple=True, type=click.Choice(FORMATS), help="Format; all by default; may be repeated.")
 @click.option("--scene", "scenes", multiple=True, metavar="SCENE_ID", help="Scene; all by default; may be repeated.")
-@click.option("--snapshot", "snapshot_id", type=int, help="Snapshot to export; the newest by default.")
-@click.option("--release", metavar="NAME", help="Release to export; its name is written into every USD scene.")
+@snapshot_options
 @click.option("--usdz", is_flag=True, help="Also pack every USD scene into one .usdz file, beside its folder.")
 @click.option("--dry-run", is_flag=True, help="Say how many files would be written; write nothing.")
 @lake_option
@@ -27,17 +26,19 @@ def command(
 ) -> None:  # fmt: skip
     """Write scenes as USD, as a Habitat dataset, as MJCF, URDF and GLB into a folder, and check what was written.
 
+    With --release, every USD scene says which release it is from.
+
     Exit code 1 says that a check did not pass; each is named.
 
     Example: metascenes export --lake ./lake --out ./replicas --format usd
     """
-    from flows.export import snapshot_of, write_exports
+    from flows.export import write_exports
     from schemas.exports import ExportFile
 
     lake = existing_lake(address)
     chosen = formats or FORMATS
     if dry_run:
-        rows = lake.snapshot(snapshot_of(lake, release, snapshot_id)).rows(ExportFile)
+        rows = lake.snapshot(chosen_snapshot(lake, snapshot_id, release)).rows(ExportFile)
         count = sum(row.format in chosen and (not scenes or row.scene_id in scenes) for row in rows)
         print(json.dumps({"files": count}) if as_json else f"{count} files would be written below {out}")
         return

@@ -28,6 +28,16 @@ def json_option(function: F) -> F:
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object, for scripts.")(function)
 
 
+def snapshot_options(function: F) -> F:
+    """`--snapshot N` and `--release NAME`, as `snapshot_id` and `release`; `chosen_snapshot` says which snapshot is meant."""
+    for option in (
+        click.option("--release", metavar="NAME", help="Release to read; see `metascenes release list`."),
+        click.option("--snapshot", "snapshot_id", type=int, help="Snapshot to read; the newest by default."),
+    ):
+        function = option(function)
+    return function
+
+
 def workers_option(function: F) -> F:
     """`--workers N`: worker processes."""
     return click.option(
@@ -62,3 +72,14 @@ def existing_lake(address: str) -> Lake:
     if not lake.exists:
         raise InputError(address, "--lake", "there is no lake", "name its folder; `metascenes run` makes one")
     return lake
+
+
+def chosen_snapshot(lake: Lake, snapshot_id: int | None, release: str | None) -> int | None:
+    """The snapshot that `snapshot_options` name; None is the newest. That it exists is checked when it is read.
+
+    Raises:
+        InputError: there is no such release, or both are given.
+    """
+    from warehouse.release import snapshot_of
+
+    return snapshot_of(lake, release, snapshot_id)

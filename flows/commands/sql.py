@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from flows.commands.options import existing_lake, lake_option
+from flows.commands.options import chosen_snapshot, existing_lake, lake_option, snapshot_options
 
 
 @click.command("sql", short_help="Ask the lake a question in SQL; reads only.")
@@ -16,10 +16,15 @@ from flows.commands.options import existing_lake, lake_option
     "--output", type=click.Choice(["table", "csv", "json", "parquet"]), default="table", show_default=True, help="Form of the answer."
 )
 @click.option("--list", "listing", is_flag=True, help="List tables and views with what they answer.")
-@click.option("--snapshot", "snapshot_id", type=int, help="Snapshot to ask; the newest by default.")
+@snapshot_options
 @lake_option
 def command(
-    statement: str | None, output: Literal["table", "csv", "json", "parquet"], listing: bool, snapshot_id: int | None, address: str
+    statement: str | None,
+    output: Literal["table", "csv", "json", "parquet"],
+    listing: bool,
+    snapshot_id: int | None,
+    release: str | None,
+    address: str,
 ) -> None:
     """Ask the lake a question in SQL. Only statements that read are let through.
 
@@ -37,7 +42,8 @@ def command(
         return
     if statement is None:
         raise click.UsageError('give a statement, or --list. Example: metascenes sql "SELECT * FROM scenes"')
-    answer = format_table(query(existing_lake(address).snapshot(snapshot_id), statement), output)
+    lake = existing_lake(address)
+    answer = format_table(query(lake.snapshot(chosen_snapshot(lake, snapshot_id, release)), statement), output)
     if isinstance(answer, bytes):
         sys.stdout.buffer.write(answer)
     else:
