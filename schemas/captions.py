@@ -20,9 +20,19 @@ class Caption:
     materials: tuple[str, ...] = column("Material words, most likely first")
     shape: str = column("Shape word from the proportions of the box")
     body_type: str = column("How it behaves", values=("rigid", "cloth", "soft"))
-    density_kg_m3: float = column("Density of the solid material", unit="kg/m3", minimum=1, maximum=25000)
-    solid_fraction: float = column("Share of the oriented box that is solid material", minimum=0.001, maximum=1)
-    mass_kg: float = column("Mass: density x solid fraction x box volume, within the category's range", unit="kg", minimum=0.001)
+    density_kg_m3: float | None = column(
+        "Density of the solid material; missing when a finished dataset states the mass alone", unit="kg/m3", minimum=1, maximum=25000
+    )
+    solid_fraction: float | None = column(
+        "Share of the oriented box that is solid material; missing when a finished dataset states the mass alone", minimum=0.001, maximum=1
+    )
+    mass_kg: float = column(
+        "Mass: density x solid fraction x box volume, within the category's range; or as a finished dataset states it",
+        unit="kg",
+        minimum=0.001,
+    )
     friction: float = column("Coefficient of friction", minimum=0, maximum=2)
     restitution: float = column("Coefficient of restitution", minimum=0, maximum=1)
-    attribute_source: str = column("Row of the category table that the physical attributes came from")
+    attribute_source: str = column(
+        "Row of the category table that the physical attributes came from, or the finished dataset that states them"
+    )

@@ -13,17 +13,31 @@ class Scene:
     room_id: str = column("Physical room, the unit of train/test splits", pattern=SCENE_PATTERN)
     dataset: str = column("Dataset that the scan belongs to")
     scan: str = column("Name of the scan in its dataset")
-    scan_format: str = column("Format that the scan was read from", values=("scannet", "posed_rgbd", "glb"))
+    scan_format: str = column(
+        "Format that the scan was read from; metascenes and habitat are finished datasets, whose own objects stand for the scan",
+        values=("scannet", "posed_rgbd", "glb", "metascenes", "habitat"),
+    )
     scan_path: str = column("Folder or file of the scan when it was read", volatile=True)
     alignment: tuple[float, ...] = column("Scan frame to world frame, 4x4 row by row", unit="m", length=16)
-    alignment_source: str = column("Where the alignment came from", values=("file", "estimated", "identity"))
-    floor_tilt_radians: float = column("Angle between the scan's floor and the horizontal before alignment", unit="rad", minimum=0)
-    mesh_blob: str = column("Scan mesh in the world frame, GLB with vertex colors or textures", blob=True)
+    alignment_source: str = column(
+        "Where the alignment came from; format is the format's convention of which axis is up",
+        values=("file", "estimated", "identity", "format"),
+    )
+    floor_tilt_radians: float | None = column(
+        "Angle between the scan's floor and the horizontal before alignment; missing when nobody measured it", unit="rad", minimum=0
+    )
+    mesh_blob: str = column(
+        "Scan mesh in the world frame, GLB with vertex colors or textures; of a finished dataset its stage, else its objects",
+        blob=True,
+    )
     vertex_count: int = column("Vertices of the scan mesh", minimum=3)
     face_count: int = column("Faces of the scan mesh", minimum=1)
     frame_count: int = column("Frames of the scan, with or without a usable pose", minimum=0)
     instance_count: int = column("Instances in the scene", minimum=0)
-    segmentation: str = column("Where the instances came from: the scan's files or its geometry", values=("file", "geometry"))
+    segmentation: str = column(
+        "Where the instances came from: the scan's files, its geometry, or the objects of a finished dataset",
+        values=("file", "geometry", "objects"),
+    )
     license: str | None = column("Licence of the scan, when its folder states one")
 
 
@@ -37,7 +51,9 @@ class Room:
         "Corners of the floor in the world frame, counter-clockwise, open ring of (x, y)", unit="m"
     )
     floor_area_m2: float = column("Area of the floor polygon", unit="m2", minimum=0)
-    floor_source: str = column("What the floor polygon was estimated from", values=("surface", "walls", "extent"))
+    floor_source: str = column(
+        "What the floor polygon was estimated from; layout is stated by a finished dataset", values=("surface", "walls", "extent", "layout")
+    )
     walls: tuple[tuple[float, ...], ...] = column(
         "Walls as segments (x0, y0, x1, y1) in the world frame, both faces of interior ones; the room lies to their left", unit="m"
     )
@@ -45,7 +61,9 @@ class Room:
         "Walls inside the room as center lines with thickness and height (x0, y0, x1, y1, thickness, height)", unit="m"
     )
     height_m: float = column("Height of the room from floor to ceiling", unit="m", minimum=0.1)
-    height_source: str = column("What the height was estimated from", values=("ceiling", "walls", "extent"))
+    height_source: str = column(
+        "What the height was estimated from; layout is stated by a finished dataset", values=("ceiling", "walls", "extent", "layout")
+    )
     floor_color: tuple[int, ...] | None = column(
         "Median color of the floor in the scan, sRGB; missing when unseen", length=3, minimum=0, maximum=255
     )

@@ -17,7 +17,9 @@ class Navmesh:
     area_m2: float = column("Navigable area", unit="m2", minimum=0)
     largest_island_m2: float = column("Area of the largest connected part", unit="m2", minimum=0)
     island_count: int = column("Connected parts", minimum=0)
-    path_finder: str = column("Path finder that made it", values=("planar", "recast", "habitat"))
+    path_finder: str = column(
+        "Path finder that made it; imported is unknown, of a finished dataset", values=("planar", "recast", "habitat", "imported")
+    )
 
 
 @record("episodes", key=("scene_id", "episode_id"), stage="navigation")

@@ -21,11 +21,16 @@ class Placement:
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
     asset_id: str = column("Asset", pattern=r"[0-9a-f]{64}")
-    origin: str = column("Who proposed it", values=("annotation", "selection"))
+    origin: str = column(
+        "Who proposed it; imported is a finished dataset that does not say whether a person did",
+        values=("annotation", "selection", "imported"),
+    )
     annotator: str | None = column("Annotator whose answer won")
     annotation_match: str | None = column("How the annotation was matched to the instance", values=("same_box", "box_iou"))
     scale: tuple[float, ...] = column("Scale along the asset's own axes, applied before the pose", length=3, minimum=0.001)
-    proposed_pose: tuple[float, ...] = column("Asset to world frame as proposed, 4x4 row by row", unit="m", length=16)
+    proposed_pose: tuple[float, ...] = column(
+        "Asset to world frame as proposed, 4x4 row by row; the optimized pose where a finished dataset states one pose", unit="m", length=16
+    )
     optimized_pose: tuple[float, ...] = column("Asset to world frame after optimization, 4x4 row by row", unit="m", length=16)
     settled_pose: tuple[float, ...] | None = column(
         "Asset to world frame after the certificate's simulated time under gravity in MuJoCo, 4x4 row by row; missing when MuJoCo did not "
@@ -33,9 +38,13 @@ class Placement:
         unit="m",
         length=16,
     )
-    displacement_m: float = column("Horizontal distance between the proposed and the optimized pose", unit="m", minimum=0)
-    lift_m: float = column("Optimized height minus proposed height", unit="m")
-    method: str = column("Optimization method", values=("paper", "default"))
+    displacement_m: float | None = column(
+        "Horizontal distance between the proposed and the optimized pose; missing where a finished dataset states one pose",
+        unit="m",
+        minimum=0,
+    )
+    lift_m: float | None = column("Optimized height minus proposed height; missing where a finished dataset states one pose", unit="m")
+    method: str = column("Optimization method; imported is a finished dataset's own", values=("paper", "default", "imported"))
     remains: str | None = column("What is still wrong with the optimized pose; missing when nothing is")
 
 
