@@ -53,7 +53,7 @@ def import_trajectories(lake: Lake, file: Path, configuration: Configuration, dr
     """
     batch = read_batch(file)
     content = digest(canonical_json([dataclasses.replace(attempt, where="") for attempt in batch.attempts]), batch.policy, batch.run_name)
-    held = _held(lake.history(), batch.batch_id)
+    held = _held(lake.history([batch.batch_id]), batch.batch_id)
     if held is not None and held.content != content:
         problem = f"{batch.batch_id} is in the lake with other trajectories"
         raise InputError(file.name, "batch_id", problem, "give the new ones a batch_id of their own")

@@ -90,7 +90,7 @@ def make_plan(
     """Hold scans against the lake. Nothing is computed or written but the cache of file hashes."""
     hashes = hashes or FileHashes()
     library = _library_hash(configuration.library, hashes)
-    history = lake.history()
+    history = lake.history({scan.scene_id for scan in scans})
     annotations = _history_digests(lake, scans)
     scenes, errors = [], list(unusable)
     for scan in scans:

@@ -206,8 +206,12 @@ def rows_to_arrow(rows: Sequence[Any], record_type: type) -> pa.Table:
 def arrow_to_rows(data: pa.Table, record_type: type[R]) -> list[R]:
     """Records of an Arrow table. Columns that an older version did not have are None."""
     table = table_of(record_type)
-    columns = {c.name: data.column(c.name).to_pylist() if c.name in data.schema.names else [None] * data.num_rows for c in table.columns}
-    return [record_type(**{c.name: _frozen(columns[c.name][i]) for c in table.columns}) for i in range(data.num_rows)]
+    columns = []
+    for c in table.columns:
+        values = data.column(c.name).to_pylist() if c.name in data.schema.names else [None] * data.num_rows
+        columns.append([_frozen(value) for value in values] if pa.types.is_list(c.type) else values)
+    names = [c.name for c in table.columns]
+    return [record_type(**dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True)]
 
 
 def check(rows: Iterable[Any], record_type: type) -> None:

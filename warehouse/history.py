@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from schemas.record import arrow_to_rows
 from schemas.runs import StageRun
@@ -29,9 +30,12 @@ class StageState:
     is_staged: bool = False
 
 
+_ORDER = ("snapshot_id", "started_at", "fingerprint", "attempt")
+
+
 def order(run: StageRun) -> tuple[object, ...]:
     """What `newest` means among the runs of a stage on a scene: by snapshot, start, fingerprint, attempt."""
-    return (run.snapshot_id, run.started_at, run.fingerprint, run.attempt)
+    return tuple(getattr(run, name) for name in _ORDER)
 
 
 def states(runs: pa.Table) -> dict[Key, StageState]:
@@ -39,22 +43,30 @@ def states(runs: pa.Table) -> dict[Key, StageState]:
 
     Only the rows that matter are made records of: the newest `done` or `withdrawn` and the newest execution.
     """
-    columns = [runs.column(name).to_pylist() for name in ("scene_id", "stage", "outcome", "snapshot_id", "attempt", "fingerprint")]
-    started = runs.column("started_at").cast(pa.int64()).to_pylist()
-    kept: dict[Key, tuple[tuple[object, ...], int]] = {}
-    last: dict[Key, tuple[tuple[object, ...], int]] = {}
-    for index, (scene_id, stage, outcome, snapshot_id, attempt, fingerprint) in enumerate(zip(*columns, strict=True)):
-        key, place = (scene_id, stage), ((snapshot_id, started[index], fingerprint, attempt), index)
-        if outcome in ("done", "withdrawn"):
-            kept[key] = max(kept.get(key, place), place)
-        if outcome != "withdrawn":
-            last[key] = max(last.get(key, place), place)
-    wanted = sorted({place[1] for chosen in (kept, last) for place in chosen.values()})
+    if not runs.num_rows:
+        return {}
+    newest_first = [("scene_id", "ascending"), ("stage", "ascending"), *((name, "descending") for name in _ORDER)]
+    runs = runs.take(pc.sort_indices(runs.select(["scene_id", "stage", *_ORDER]), sort_keys=newest_first))
+    withdrawn = pc.equal(runs.column("outcome"), "withdrawn")
+    kept = _first_of_each(runs, pc.or_(pc.equal(runs.column("outcome"), "done"), withdrawn))
+    last = _first_of_each(runs, pc.invert(withdrawn))
+    wanted = sorted({*kept.values(), *last.values()})
     rows = dict(zip(wanted, arrow_to_rows(runs.take(pa.array(wanted, pa.int64())), StageRun), strict=True))
     found = {}
-    for key, (_, index) in last.items():
-        done = rows[kept[key][1]] if key in kept else None
+    for key, index in last.items():
+        done = rows[kept[key]] if key in kept else None
         found[key] = StageState(*key, done if done is not None and done.outcome == "done" else None, rows[index])
+    return found
+
+
+def _first_of_each(runs: pa.Table, chosen: pa.ChunkedArray) -> dict[Key, int]:
+    """Index of the first chosen row of every (scene, stage), of rows that are sorted by these."""
+    indices = pc.indices_nonzero(chosen)
+    picked = runs.select(["scene_id", "stage"]).take(indices)
+    keys = zip(picked.column("scene_id").to_pylist(), picked.column("stage").to_pylist(), strict=True)
+    found: dict[Key, int] = {}
+    for key, index in zip(keys, indices.to_pylist(), strict=True):
+        found.setdefault(key, index)
     return found
 
 

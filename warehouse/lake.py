@@ -92,7 +92,7 @@ class Lake:
         if staged is not None:
             return staged
         reader = self.snapshot()
-        found = self._committed(reader).get((scene_id, TABLES[table].stage))
+        found = self._committed(reader, [scene_id]).get((scene_id, TABLES[table].stage))
         if found is None or found.done is None or found.done.fingerprint != fingerprint:
             return None
         return reader.rows(TABLES[table].record, scene_id)
@@ -136,10 +136,10 @@ class Lake:
         staged = self.staging.runs()
         return {one.run.scene_id for one in staged} - {one.run.scene_id for one in staged if not one.is_abandoned}
 
-    def history(self) -> dict[Key, StageState]:
-        """The state of every (scene, stage), staged runs that a commit would take included."""
-        current = self._committed(self.snapshot())
-        staged = self.staging.runs()
+    def history(self, scenes: Collection[str] | None = None) -> dict[Key, StageState]:
+        """The state of every (scene, stage), staged runs that a commit would take included; of `scenes` when they are given."""
+        current = self._committed(self.snapshot(), scenes)
+        staged = [one for one in self.staging.runs() if scenes is None or one.run.scene_id in scenes]
         return overlaid(current, plan(current, staged)) if staged else current
 
     def snapshot(self, snapshot_id: int | None = None) -> Reader:
@@ -160,8 +160,9 @@ class Lake:
         with self.leased(timeout) as lease:
             return Commit(self.tables, self.staging, lease).run(note, removed, scenes)
 
-    def _committed(self, reader: Reader) -> dict[Key, StageState]:
-        return states(self.tables.read(TABLES["stage_runs"], reader.files("stage_runs")))
+    def _committed(self, reader: Reader, scenes: Collection[str] | None = None) -> dict[Key, StageState]:
+        only = None if scenes is None else {"scene_id": scenes}
+        return states(self.tables.read(TABLES["stage_runs"], reader.files("stage_runs"), only=only))
 
     def _check_blobs(self, rows: Mapping[str, Sequence[Any]]) -> None:
         for name, records in rows.items():
