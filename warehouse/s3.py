@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,6 +83,12 @@ class S3Storage:
     def folders(self, folder: str) -> list[str]:
         """See Storage."""
         return sorted(name.rstrip("/").rpartition("/")[2] for name in self._listed_names(folder, "directory"))
+
+    def walk(self, folder: str) -> Iterator[Entry]:
+        """See Storage."""
+        for name, one in self._files.find(self.arrow_path(folder), detail=True).items():
+            if one["type"] == "file":
+                yield Entry(self._relative(name), int(one["size"]), one["LastModified"].timestamp())
 
     def read_tagged(self, path: str) -> tuple[bytes, str] | None:
         """See Storage. The tag is the object's ETag."""

@@ -70,6 +70,9 @@ class Storage(Protocol):
     def folders(self, folder: str) -> list[str]:
         """Names of the folders directly inside a folder, sorted."""
 
+    def walk(self, folder: str) -> Iterator[Entry]:
+        """Files anywhere below a folder ("" is all of it), in no order; none when there is no such folder."""
+
     def read_tagged(self, path: str) -> tuple[bytes, str] | None:
         """Contents of a file and a tag for `swap`; None when there is no such file."""
 
@@ -192,6 +195,16 @@ class LocalStorage:
         with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(self.folder / folder) as entries:
             return sorted(entry.name for entry in entries if entry.is_dir())
         return []
+
+    def walk(self, folder: str) -> Iterator[Entry]:
+        """See Storage. Links to folders are not followed."""
+        for parent, _, names in os.walk(self.folder / folder):
+            place = os.path.relpath(parent, self.folder)
+            for name in names:
+                with contextlib.suppress(FileNotFoundError):  # removed by another process meanwhile
+                    status = os.stat(os.path.join(parent, name))
+                    path = name if place == "." else f"{place}/{name}"
+                    yield Entry(path.replace(os.sep, "/"), status.st_size, status.st_mtime)
 
     def read_tagged(self, path: str) -> tuple[bytes, str] | None:
         """See Storage. The tag is a hash of the contents, which must therefore differ from writer to writer."""
