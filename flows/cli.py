@@ -16,7 +16,7 @@ COMMANDS = {
     "sql": "Ask the lake a question in SQL; reads only.",
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",
-    "annotate": "Import what annotators chose.",
+    "annotate": "Import what annotators chose, and what reviewers say of it.",
     "evaluate": "Measure how well agents navigate the episodes.",
     "status": "Say what is done and what failed, from the lake alone.",
     "doctor": "Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.",

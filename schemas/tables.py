@@ -16,6 +16,7 @@ RECORDS: tuple[type, ...] = (
     candidates.Asset,
     selection.Selection,
     annotation.Annotation,
+    annotation.QualityReview,
     optimization.Placement,
     optimization.Support,
     optimization.Contact,

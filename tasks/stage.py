@@ -92,7 +92,7 @@ class Outcome:
         self.degradations = tuple(degradations)
 
 
-OutsideInput = Literal["scan", "library", "annotation_batch", "trajectory_batch"]
+OutsideInput = Literal["scan", "library", "annotation_batch", "review_batch", "trajectory_batch"]
 
 
 @dataclasses.dataclass(frozen=True)

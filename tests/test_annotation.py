@@ -68,7 +68,8 @@ def imported(path: Path) -> list[Annotation]:
     batch = read_batch(path)
     context = Context(scene_id=batch.batch_id, stage="annotation", seed=0, blobs={})
     rows = run(
-        annotation_batch=batch, instances=instances(), candidates=candidates(), context=context, config=AnnotationConfig()
+        annotation_batch=batch, review_batch=None, instances=instances(), candidates=candidates(), context=context,
+        config=AnnotationConfig(),
     ).rows["annotations"]  # fmt: skip
     check(rows, Annotation)
     return rows
@@ -88,6 +89,11 @@ def test_an_answer_becomes_a_row(tmp_path: Path) -> None:
     assert first.box_pose == instances()[0].box_pose
     assert (second.choice, second.pose, second.scale, second.ranking) == (None, None, None, ())
     assert {row.source_file for row in rows} == {"b.json"}
+
+
+@pytest.mark.parametrize(("given", "kept"), [(..., None), (None, None), (0, 0.0), (61.5, 61.5), (60, 60.0)])
+def test_time_spent_on_an_answer_is_kept_where_it_was_measured(tmp_path: Path, given: Any, kept: float | None) -> None:
+    assert [row.seconds for row in imported(write(tmp_path / "b.json", answer(seconds=given)))] == [kept]
 
 
 @given(yaw=st.floats(-720, 720))
@@ -142,6 +148,9 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
     (answer(ranking=[1, 2]), "annotations[1].ranking", "before the choice"),
     (answer(ranking=[2, 4]), "annotations[1].ranking[1]", "slot 4"),
     (answer(comment="nice"), "annotations[1]", "unknown field 'comment'"),
+    (answer(seconds=-1), "annotations[1].seconds", "at least 0"),
+    (answer(seconds=86401), "annotations[1].seconds", "at most 86400"),
+    (answer(seconds="60"), "annotations[1].seconds", "must be"),
     (answer(transform=transform(scale=[1, 1])), "annotations[1].transform.scale", "must have 3 values"),
     (answer(transform=transform(scale=[1, 0, 1])), "annotations[1].transform.scale", "above 0"),
     (answer(transform=transform(scale=[1, -1, 1])), "annotations[1].transform.scale", "mirrored"),
@@ -260,7 +269,7 @@ json_values = st.recursive(
 )
 
 
-@given(field=st.sampled_from([*answer(), "transform", "ranking", "other"]), value=json_values)
+@given(field=st.sampled_from([*answer(), "transform", "ranking", "seconds", "other"]), value=json_values)
 @settings(max_examples=150, deadline=None)
 def test_whatever_a_field_holds_the_batch_is_taken_or_refused_with_one_line(field: str, value: Any) -> None:
     document = {"batch_id": "b", "annotations": [answer() | {field: value}]}

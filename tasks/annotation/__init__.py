@@ -1,4 +1,4 @@
-"""Annotation: what people chose, imported from files that they filled in. All of a batch or nothing of it."""
+"""Annotation: what people chose, and what reviewers say of it, imported from files that they filled in. All of a file or nothing of it."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from schemas.annotation import Annotation
+from schemas.annotation import Annotation, QualityReview
 from schemas.candidates import Candidate
 from schemas.capture import Instance
 from schemas.errors import InputError
 from tasks.annotation.agreement import borda, current, winning
 from tasks.annotation.batch import SCHEMA_FILE, AnnotationBatch, Answer, parse_batch, read_batch
+from tasks.annotation.review import REVIEW_SCHEMA_FILE, Review, ReviewBatch, check_reviews, read_reviews
 from tasks.stage import Context, Outcome, Stage
 from tasks.transforms import matrix
 
 __all__ = [
-    "SCHEMA_FILE", "STAGE", "AnnotationBatch", "AnnotationConfig", "Answer", "borda", "current", "parse_batch",
-    "read_batch", "run", "winning",
+    "REVIEW_SCHEMA_FILE", "SCHEMA_FILE", "STAGE", "AnnotationBatch", "AnnotationConfig", "Answer", "ReviewBatch", "borda",
+    "check_reviews", "current", "parse_batch", "read_batch", "read_reviews", "run", "winning",
 ]  # fmt: skip
 
 
@@ -34,13 +35,16 @@ class AnnotationConfig:
 
 def run(
     *,
-    annotation_batch: AnnotationBatch,
+    annotation_batch: AnnotationBatch | None,
+    review_batch: ReviewBatch | None,
     instances: Sequence[Instance],
     candidates: Sequence[Candidate],
     context: Context,
     config: AnnotationConfig,
 ) -> Outcome:
-    """Annotations of a batch. `instances` and `candidates` are those of all scenes that the batch names.
+    """Annotations of a batch, or reviews of one: one of the two is given.
+
+    `instances` and `candidates` are those of all scenes that the batch names.
 
     Slot numbers become asset ids, and every row keeps the instance's box, so that the answer is found again after a
     recapture.
@@ -56,20 +60,25 @@ def run(
             slots[row.scene_id, row.instance_id][row.slot] = row.asset_id
     scenes = {row.scene_id for row in instances}
     rows = []
-    for answer in annotation_batch.annotations:
-        instance = _instance(answer, known, scenes)
-        rows.append(_annotation(annotation_batch.batch_id, answer, instance, slots[answer.scene_id, answer.instance_id], config))
-    return Outcome(annotations=sorted(rows, key=lambda r: (r.scene_id, r.instance_id, r.annotator)))
+    if annotation_batch is not None:
+        for answer in annotation_batch.annotations:
+            instance = _instance(answer, known, scenes)
+            rows.append(_annotation(annotation_batch.batch_id, answer, instance, slots[answer.scene_id, answer.instance_id], config))
+    reviews = [_quality_review(review_batch, review) for review in review_batch.reviews] if review_batch is not None else []
+    return Outcome(
+        annotations=sorted(rows, key=lambda r: (r.scene_id, r.instance_id, r.annotator)),
+        quality_reviews=sorted(reviews, key=lambda r: r.review_id),
+    )
 
 
 STAGE = Stage(
     name="annotation",
     reads=("instances", "candidates"),
-    writes=("annotations",),
+    writes=("annotations", "quality_reviews"),
     config=AnnotationConfig,
     run=run,
     grain="annotation_batch",
-    outside=("annotation_batch",),
+    outside=("annotation_batch", "review_batch"),
 )
 
 
@@ -129,6 +138,22 @@ def _annotation(batch_id: str, answer: Answer, instance: Instance, slots: Mappin
         box_pose=instance.box_pose,
         box_size=instance.box_size,
         source_file=answer.source_file,
+        seconds=answer.seconds,
+    )
+
+
+def _quality_review(batch: ReviewBatch, review: Review) -> QualityReview:
+    """The row of a review."""
+    return QualityReview(
+        batch_id=batch.batch_id,
+        review_id=review.review_id,
+        reviewer=review.reviewer,
+        reviewed_at=review.reviewed_at,
+        sampled=review.sampled,
+        wrong=review.wrong,
+        verdict=review.verdict,
+        note=review.note,
+        source_file=batch.source_file,
     )
 
 

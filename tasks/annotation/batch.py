@@ -36,7 +36,8 @@ class Answer:
     """One annotator's answer as the file has it. `where` is its JSON path in `source_file`.
 
     `choice` and `ranking` hold asset ids and slot numbers. `pose`: asset to world frame [m], 4x4 row by row; `scale`:
-    along the asset's own axes; both None where the answer has no transform.
+    along the asset's own axes; both None where the answer has no transform. `seconds`: time spent on the answer [s];
+    None where nobody measured it.
     """
 
     scene_id: str
@@ -49,6 +50,7 @@ class Answer:
     ranking: tuple[str | int, ...]
     source_file: str
     where: str
+    seconds: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,13 +149,14 @@ def _answer(item: Any, name: str, where: str) -> Answer:
         scene_id=item["scene_id"],
         instance_id=item["instance_id"],
         annotator=item["annotator"].strip(),
-        answered_at=_time(item["answered_at"], name, f"{where}.answered_at"),
+        answered_at=moment(item["answered_at"], name, f"{where}.answered_at"),
         choice=choice,
         pose=pose,
         scale=scale,
         ranking=ranking,
         source_file=name,
         where=where,
+        seconds=None if item.get("seconds") is None else float(item["seconds"]),
     )
 
 
@@ -162,11 +165,16 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) else value
 
 
-def _time(text: str, name: str, where: str) -> datetime:
+def moment(text: str, name: str, where: str) -> datetime:
+    """The time in ISO 8601 text, in UTC.
+
+    Raises:
+        InputError: it is none, or has no zone.
+    """
     try:
-        moment = datetime.fromisoformat(text)
-        if moment.tzinfo is not None:
-            return moment.astimezone(UTC)
+        found = datetime.fromisoformat(text)
+        if found.tzinfo is not None:
+            return found.astimezone(UTC)
     except (ValueError, OverflowError):
         pass
     raise InputError(name, where, f"{text!r:.60} is no time with a zone", "write ISO 8601, such as 2026-03-01T14:05:00Z")
