@@ -98,6 +98,16 @@ class Reader:
         rows = self._tables.read(declared, self.files(declared.name) if keys else [], only={declared.key[0]: set(keys)})
         return arrow_to_rows(rows.sort_by([(name, "ascending") for name in declared.key]), record_type)
 
+    def matching(self, table: str, only: Mapping[str, Collection[str]], columns: Collection[str] | None = None) -> pa.Table:
+        """Rows of a table whose columns of text hold one of the given values each, sorted by key; all columns, or those named.
+
+        Columns of the key are always among them. Quick by scene and asset; other columns are read through.
+        """
+        declared = TABLES[table]
+        names = None if columns is None else [c.name for c in declared.columns if c.name in columns or c.name in declared.key]
+        rows = self._tables.read(declared, self.files(table), names, only)
+        return rows.sort_by([(name, "ascending") for name in declared.key])
+
     def connect(self) -> duckdb.DuckDBPyConnection:
         """A DuckDB connection with one view per table and per question, comments included.
 
