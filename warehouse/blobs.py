@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from schemas.errors import InputError
@@ -35,18 +34,10 @@ class BlobStore(Mapping[str, bytes]):
         self._known.add(name)
         return name
 
-    def remove_garbage(self, named: Collection[str], seconds: float) -> int:
-        """Remove blobs that are not `named` and that nobody put in the last `seconds`; how many. Holds the lake's lease."""
-        count = 0
-        for first in self._storage.folders(FOLDER):
-            for second in self._storage.folders(f"{FOLDER}/{first}"):
-                for entry in self._storage.entries(f"{FOLDER}/{first}/{second}"):
-                    name = entry.path.rpartition("/")[2]
-                    if name not in named and re.fullmatch(BLOB_PATTERN, name) and time.time() - entry.modified > seconds:
-                        self._storage.remove(entry.path)
-                        self._known.discard(name)
-                        count += 1
-        return count
+    def remove(self, path: str) -> None:
+        """Remove the blob at a path. Only what no row names, and only while the lake's lease is held."""
+        self._storage.remove(path)
+        self._known.discard(path.rpartition("/")[2])
 
     def path(self, name: str) -> Path:
         """Where a blob lies in the local file system.

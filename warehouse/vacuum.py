@@ -3,61 +3,113 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+import time
+from collections.abc import Sequence
 from datetime import timedelta
 
+from schemas.record import BLOB_PATTERN
 from schemas.runs import Snapshot
+from schemas.tables import TABLES
 from warehouse.adoption import now_utc
 from warehouse.commit import Commit, versions_of
-from warehouse.digest import blob_names
+from warehouse.datafiles import files_of, forget_before, remove_unnamed
 from warehouse.lake import Lake
+from warehouse.lease import Lease
+from warehouse.references import BlobReferences, workspace
 from warehouse.release import releases
 
 # A reader keeps its snapshot for as long as a long query or an export takes, not for days.
 RECENT_DAYS = 7.0
 
 # Blobs are put before the rows that name them are staged; a stage that takes a day hangs.
-_BLOB_SECONDS = 86_400.0
+BLOB_SECONDS = 86_400.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Vacuumed:
-    """What a vacuum removed: snapshots by id, and how many data files and blobs."""
+    """What a vacuum removed, or would remove: snapshots by id, data files, blobs, and their sizes [B]."""
 
     snapshots: tuple[int, ...]
     files: int
     blobs: int
+    file_bytes: int = 0
+    blob_bytes: int = 0
+    log_bytes: int = 0
+
+    @property
+    def bytes(self) -> int:
+        """How much room that makes [B]."""
+        return self.file_bytes + self.blob_bytes + self.log_bytes
 
 
 def vacuum(lake: Lake, *, days: float = RECENT_DAYS, dry_run: bool = False) -> Vacuumed:
-    """Remove snapshots older than `days` that are not released, and the data files and blobs that only they named.
+    """Remove snapshots older than `days` that are not released, and what only they named: data files, logs, blobs.
 
-    With `dry_run`, says only which snapshots would go.
+    Blobs that somebody put within the last day stay. With `dry_run`, says what would go and changes nothing.
+
+    Raises:
+        LeaseError: another process holds the lake's lease.
     """
     if not lake.exists:
         return Vacuumed((), 0, 0)
     with lake.leased() as lease:
         commit = Commit(lake.tables, lake.staging, lease)
-        commit.remove_adopted()
+        if not dry_run:
+            commit.remove_adopted()
         every = lake.snapshot().snapshots
         kept = _kept(every, {release.snapshot_id for release in releases(lake)}, days)
         gone = tuple(row.snapshot_id for row in every if row not in kept)
-        if dry_run or not every:
+        if not every:
             return Vacuumed(gone, 0, 0)
-        if gone:
+        if gone and not dry_run:
             commit.rewrite_snapshots(kept)  # first: nobody is to find a snapshot whose files are gone
         lease.check()
-        named = set(lake.staging.blob_names())
-        for row in kept:
-            named |= blob_names(lake.snapshot(row.snapshot_id))
-        files = 0
-        tables = {name for row in kept for name in versions_of(row)}
-        for name in sorted(tables):
+        return forget(lake, lease, kept, gone, dry_run)
+
+
+def forget(lake: Lake, lease: Lease, kept: Sequence[Snapshot], gone: Sequence[int] = (), dry_run: bool = False) -> Vacuumed:
+    """Remove whatever none of the snapshots `kept` needs. Snapshots `gone` are no longer listed, and the lease is held."""
+    count = size = logs = 0
+    with workspace(lake.storage) as connection:
+        references = BlobReferences(connection, lake.storage)
+        for table in lake.storage.folders("tables"):
             lease.check()
-            files += lake.tables.vacuum(name, {versions_of(row)[name] for row in kept if name in versions_of(row)})
-        files += lake.tables.vacuum("snapshots", ())
-        return Vacuumed(gone, files, lake.blobs.remove_garbage(named, _BLOB_SECONDS))
+            versions = {versions_of(row)[table] for row in kept if table in versions_of(row)}
+            head = lake.tables.open(table)
+            if head is None or (not versions and table != "snapshots"):
+                continue  # left by a commit that died; the next one overwrites it
+            # The head may be ahead of every snapshot. The next commit restores it, for which its files must be there.
+            by_version = files_of(lake.tables, table, {*versions, int(head.version())})
+            named = {file for files in by_version.values() for file in files}
+            oldest = min(versions or {int(head.version())})
+            if table == "snapshots" and gone and dry_run:  # it would be written anew
+                named, oldest = set(), oldest + 1
+            removed, freed = remove_unnamed(lake.storage, table, named, dry_run)
+            count, size = count + removed, size + freed
+            logs += forget_before(lake.tables, lake.storage, table, oldest, lease.check, dry_run)
+            if table in TABLES and TABLES[table].blob_columns:
+                references.add_files(table, sorted({file for version in versions for file in by_version[version]}))
+        references.add(lake.staging.blob_names())
+        references.finish()
+        blobs, blob_bytes = remove_unnamed_blobs(lake, references, lease, dry_run)
+    return Vacuumed(tuple(gone), count, blobs, size, blob_bytes, logs)
 
 
-def _kept(every: tuple[Snapshot, ...], released: set[int], days: float) -> list[Snapshot]:
+def remove_unnamed_blobs(lake: Lake, references: BlobReferences, lease: Lease, dry_run: bool = False) -> tuple[int, int]:
+    """Remove the blobs that `references` do not name and that nobody put within a day; how many and their size [B]."""
+    count = size = 0
+    oldest = time.time() - BLOB_SECONDS
+    for unnamed, _ in references.compared():
+        lease.check()
+        for entry in unnamed:
+            if re.fullmatch(BLOB_PATTERN, entry.path.rpartition("/")[2]) and entry.modified < oldest:
+                if not dry_run:
+                    lake.blobs.remove(entry.path)
+                count, size = count + 1, size + entry.size
+    return count, size
+
+
+def _kept(every: Sequence[Snapshot], released: set[int], days: float) -> list[Snapshot]:
     oldest = now_utc() - timedelta(days=days)
     return [row for row in every if row is every[-1] or row.snapshot_id in released or row.created_at >= oldest]

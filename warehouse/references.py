@@ -1,0 +1,98 @@
+"""Which blobs the rows of some snapshots name, and how that compares with the blobs that are there.
+
+Names are kept in a temporary database on disk: a large lake has tens of millions of them.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from schemas.tables import TABLES
+from warehouse.blobs import FOLDER
+from warehouse.documentation import quoted
+from warehouse.storage import Entry, Storage
+
+if TYPE_CHECKING:
+    import duckdb
+
+_MEMORY = "1GB"
+
+
+@contextmanager
+def workspace(storage: Storage, memory: str = _MEMORY) -> Iterator[duckdb.DuckDBPyConnection]:
+    """A DuckDB database in a temporary file, which can read the lake's files and spills to disk beyond `memory`."""
+    import duckdb
+
+    with tempfile.TemporaryDirectory(prefix="metascenes-") as folder:
+        connection = duckdb.connect(str(Path(folder) / "work.duckdb"))
+        try:
+            connection.execute("SET TimeZone = 'UTC'")
+            connection.execute(f"SET memory_limit = '{memory}'")
+            connection.execute(f"SET temp_directory = '{Path(folder) / 'spill'}'")
+            storage.register(connection)
+            yield connection
+        finally:
+            connection.close()
+
+
+def parquet(storage: Storage, files: Iterable[str], extra: str = "") -> str:
+    """SQL that reads data files as one relation; `extra` are more options of DuckDB's `read_parquet`."""
+    listed = ", ".join("'" + storage.duckdb_path(file).replace("'", "''") + "'" for file in files)
+    return f"read_parquet([{listed}], union_by_name = true{extra})"
+
+
+def columns_of(connection: Any, relation: str) -> dict[str, str]:
+    """Columns of a relation with their SQL types."""
+    return {name: kind for name, kind, *_ in connection.execute(f"DESCRIBE SELECT * FROM {relation}").fetchall()}
+
+
+class BlobReferences:
+    """Names of the blobs that rows name, in the table `named` of a workspace."""
+
+    def __init__(self, connection: duckdb.DuckDBPyConnection, storage: Storage) -> None:
+        self._connection, self._storage = connection, storage
+        connection.execute("CREATE OR REPLACE TABLE named (name VARCHAR)")
+
+    def add_files(self, table: str, files: Sequence[str], where: str = "true") -> None:
+        """Take in what the rows of a table's data files name; `where` is SQL over its columns."""
+        if not files:
+            return
+        relation = parquet(self._storage, files)
+        known = columns_of(self._connection, relation)
+        for column in TABLES[table].blob_columns:
+            if column in known:
+                name = quoted(column)
+                sql = f"SELECT DISTINCT {name} FROM {relation} WHERE {name} IS NOT NULL AND ({where})"
+                self._connection.execute(f"INSERT INTO named {sql}")
+
+    def add(self, names: Collection[str]) -> None:
+        """Take in names."""
+        for name in sorted(names):
+            self._connection.execute("INSERT INTO named VALUES (?)", [name])
+
+    def finish(self) -> int:
+        """Leave each name once; how many there are."""
+        self._connection.execute("CREATE OR REPLACE TABLE named AS SELECT DISTINCT name FROM named ORDER BY name")
+        return int(self._connection.execute("SELECT count(*) FROM named").fetchall()[0][0])
+
+    def compared(self) -> Iterator[tuple[list[Entry], list[str]]]:
+        """For every folder of blobs in turn: files there that nobody names, and names that are not there.
+
+        Files that no blob could be called are among the first.
+        """
+        listed = self._connection.execute("SELECT DISTINCT name[1:2] FROM named").fetchall()
+        folders = sorted({*self._storage.folders(FOLDER), *(head for (head,) in listed)})
+        for folder in folders:
+            named = {name for (name,) in self._connection.execute("SELECT name FROM named WHERE name[1:2] = ?", [folder]).fetchall()}
+            unnamed, seen = [], set()
+            for entry in self._storage.walk(f"{FOLDER}/{folder}"):
+                name = entry.path.rpartition("/")[2]
+                if name in named and entry.path == f"{FOLDER}/{name[:2]}/{name[2:4]}/{name}":
+                    seen.add(name)
+                else:
+                    unnamed.append(entry)
+            yield unnamed, sorted(named - seen)
