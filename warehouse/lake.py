@@ -28,6 +28,7 @@ from warehouse.lease import Lease
 from warehouse.snapshot import Reader
 from warehouse.staging import Staging, is_left_over
 from warehouse.storage import TEMPORARY, Storage, storage_at
+from warehouse.workplace import sweep_workplaces
 from warehouse.writer import writer_of
 
 MARKER = "lake.json"
@@ -126,6 +127,9 @@ class Lake:
             for entry in self.storage.entries(TEMPORARY):
                 if is_left_over(writer_of(entry.path.rpartition("/")[2]), entry.modified):
                     self.storage.remove(entry.path)
+            place = self.storage.local_path(TEMPORARY)
+            if place is not None:
+                sweep_workplaces(place)
             self.tables.sweep()
 
     def abandoned(self) -> set[str]:

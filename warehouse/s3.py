@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import tempfile
 import time
 from collections.abc import Iterator
 from functools import cached_property
@@ -11,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError
 from warehouse.storage import Entry
+from warehouse.workplace import workplace
 
 if TYPE_CHECKING:
     import pyarrow.fs
@@ -45,6 +48,15 @@ class S3Storage:
     def write(self, path: str, data: bytes, lasting: bool = True) -> None:
         """See Storage. A put is whole or not at all."""
         self._files.call_s3("put_object", Bucket=self._bucket, Key=self._key(path), Body=data)
+
+    def move_in(self, file: Path, path: str) -> None:
+        """See Storage. An upload in parts, which are one object when the last is there and none before."""
+        self._files.put_file(str(file), self.arrow_path(path))
+        file.unlink()
+
+    def workplace(self) -> contextlib.AbstractContextManager[Path]:
+        """See Storage. In the system's folder of temporary files."""
+        return workplace(Path(tempfile.gettempdir()) / "metascenes")
 
     def create(self, path: str, data: bytes) -> bool:
         """See Storage. A put on the condition that there is no such object."""

@@ -108,16 +108,17 @@ class Reader:
         rows = self._tables.read(declared, self.files(table), names, only)
         return rows.sort_by([(name, "ascending") for name in declared.key])
 
-    def connect(self) -> duckdb.DuckDBPyConnection:
+    def connect(self, settings: Mapping[str, str | int] | None = None) -> duckdb.DuckDBPyConnection:
         """A DuckDB connection with one view per table and per question, comments included.
 
-        It can read this snapshot's files and nothing else, and its settings are locked.
+        It can read this snapshot's files and nothing else, and its settings are locked; `settings` are DuckDB's, such as
+        `memory_limit`, `threads` and `temp_directory`.
 
         It can still write over those very files when asked to: run other people's SQL through `warehouse.sql.query`.
         """
         import duckdb
 
-        connection = duckdb.connect(":memory:")
+        connection = duckdb.connect(":memory:", config=dict(settings or {}))
         self._storage.register(connection)
         paths = {table: [self._storage.duckdb_path(file) for file in self.files(table)] for table in TABLES}
         allowed = ", ".join(_text(path) for found in paths.values() for path in found)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from schemas.errors import InputError
+from warehouse.workplace import workplace
 from warehouse.writer import new_token
 
 if TYPE_CHECKING:
@@ -48,6 +49,12 @@ class Storage(Protocol):
 
         Unless `lasting`, a power failure may take the file's name away again until another file of its folder is written.
         """
+
+    def move_in(self, file: Path, path: str) -> None:
+        """Put a finished local file, however large, in the place of a file; it is gone from where it was."""
+
+    def workplace(self) -> contextlib.AbstractContextManager[Path]:
+        """``with storage.workplace() as folder``: a new local folder to make files in, from which `move_in` is cheap."""
 
     def create(self, path: str, data: bytes) -> bool:
         """Write a file unless it exists. Of several at once, exactly one gets True."""
@@ -136,6 +143,27 @@ class LocalStorage:
         """See Storage. Temporary file, fsync, rename, fsync of the folder."""
         with self._temporary(data) as temporary:
             self._placed(path, lambda target: os.replace(temporary, target), lasting)
+
+    def move_in(self, file: Path, path: str) -> None:
+        """See Storage. fsync and rename, or a copy first where the file lies on another file system."""
+        import shutil
+
+        with open(file, "rb") as handle:
+            os.fsync(handle.fileno())
+        try:
+            self._placed(path, lambda target: os.replace(file, target))
+        except OSError as error:
+            if error.errno != errno.EXDEV:
+                raise
+            with self.workplace() as folder:
+                copy = folder / "file"
+                shutil.copyfile(file, copy)
+                self.move_in(copy, path)
+            file.unlink()
+
+    def workplace(self) -> contextlib.AbstractContextManager[Path]:
+        """See Storage. Below the lake's folder of temporary files."""
+        return workplace(self.folder / TEMPORARY)
 
     def create(self, path: str, data: bytes) -> bool:
         """See Storage. A hard link to the finished temporary file, which fails when the name is taken."""
