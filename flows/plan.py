@@ -173,9 +173,14 @@ def _library_hash(library: Path | None, hashes: FileHashes) -> str:
 def _history_digests(lake: Lake, scans: Sequence[Scan]) -> dict[str, str]:
     """Hash of each scene's annotations as they stand in the lake; no entry where there are none."""
     wanted = {scan.scene_id for scan in scans}
-    per_scene: dict[str, list[str]] = {}
+    per_scene: dict[str, list[Mapping[str, object]]] = {}
     for row in lake.snapshot().arrow("annotations").to_pylist():
         if row["scene_id"] in wanted:
-            text = "|".join(f"{name}={row[name]!r}" for name in sorted(row))
-            per_scene.setdefault(row["scene_id"], []).append(hashlib.sha256(text.encode()).hexdigest())
-    return {scene: digest(*sorted(rows)) for scene, rows in per_scene.items()}
+            per_scene.setdefault(row["scene_id"], []).append(row)
+    return {scene: annotations_digest(rows) for scene, rows in per_scene.items()}
+
+
+def annotations_digest(rows: Iterable[Mapping[str, object]]) -> str:
+    """Hash of a scene's annotations, given as rows by column; '' where there are none."""
+    texts = ["|".join(f"{name}={row[name]!r}" for name in sorted(row)) for row in rows]
+    return digest(*sorted(hashlib.sha256(text.encode()).hexdigest() for text in texts)) if texts else ""
