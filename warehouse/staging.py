@@ -65,7 +65,7 @@ class Staging:
             raise LakeError(f"stage {run.stage} does not write {', '.join(wrong)}")
         if run.outcome != "done" and any(rows.values()):
             raise LakeError(f"{run.scene_id}: stage {run.stage} is {run.outcome} and must not leave rows")
-        stem = f"{FOLDER}/{_quoted(run.scene_id)}@{run.stage}@{run.fingerprint}@{new_token()}"
+        stem = f"{FOLDER}/{quoted_scene(run.scene_id)}@{run.stage}@{run.fingerprint}@{new_token()}"
         tables = {table.name: rows_to_arrow(rows.get(table.name, ()), table.record) for table in own}
         for table in own:
             if table.rule == "replace":
@@ -98,7 +98,7 @@ class Staging:
     def rows(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
         """Rows that the newest complete staged run of a fingerprint left in a table; None when there is no such run."""
         record = TABLES[table].record
-        head = f"{_quoted(scene_id)}@{TABLES[table].stage}@{fingerprint}@"
+        head = f"{quoted_scene(scene_id)}@{TABLES[table].stage}@{fingerprint}@"
         stems = {stem: files for stem, files in self._by_stem(head).items() if _RUNS in files}
         read = self._run_rows([files[_RUNS] for files in stems.values()])
         runs = [(read[files[_RUNS]], stem) for stem, files in stems.items() if files[_RUNS] in read]
@@ -227,7 +227,7 @@ def is_left_over(writer: Writer | None, modified: float) -> bool:
     return time.time() - modified > 86_400
 
 
-def _quoted(scene_id: str) -> str:
+def quoted_scene(scene_id: str) -> str:
     """A scene as part of a file name: other characters than [A-Za-z0-9_.-] as ~xx; long ones end in a hash."""
     quoted = re.sub(r"[^A-Za-z0-9_.-]", lambda match: "".join(f"~{byte:02x}" for byte in match[0].encode()), scene_id)
     # A file name holds 255 bytes; the rest of it takes up to 145.
