@@ -17,12 +17,16 @@ COMMANDS = {
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",
     "annotate": "Import what annotators chose, and what reviewers say of it.",
+    "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",
     "status": "Say what is done and what failed, from the lake alone.",
     "doctor": "Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.",
     "bench": "Measure quality and speed on this machine.",
 }
 """Commands with their first line of help, in the order of `--help`. Each lives in `flows.commands.<name>`."""
+
+MODULES = {"import": "ingest"}
+"""Commands whose names no module can have, and their modules."""
 
 
 class LazyGroup(click.Group):
@@ -36,7 +40,7 @@ class LazyGroup(click.Group):
         """The command of that name, imported now."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = importlib.import_module(f"flows.commands.{cmd_name}").command
+        command: click.Command = importlib.import_module(f"flows.commands.{MODULES.get(cmd_name, cmd_name)}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

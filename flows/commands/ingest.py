@@ -1,0 +1,114 @@
+"""`metascenes import`: finished datasets of others, as tables of the lake. (No module can be called `import`.)"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from flows.commands.options import json_option, lake_option, workers_option
+
+if TYPE_CHECKING:
+    from flows.ingestion import DatasetImport
+    from tasks.ingestion import Kind
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _import_options(function: F) -> F:
+    """What imports of all layouts take."""
+    for option in (
+        json_option,
+        click.option("--dry-run", is_flag=True, help="Say what would be imported; write nothing."),
+        click.option("--retry-failed", is_flag=True, help="Read scenes again that failed before on the same files."),
+        click.option("--seed", type=int, default=0, show_default=True, help="Seed of the points that are drawn on objects."),
+        workers_option,
+        lake_option,
+        click.option("--dataset", required=True, metavar="NAME", help="Name of the dataset in the lake; scenes are <name>/<scan>."),
+        click.argument("folder", metavar="PATH", type=click.Path(path_type=Path, file_okay=False)),
+    ):
+        function = option(function)
+    return function
+
+
+@click.group("import", short_help="Import finished datasets of others.")
+def command() -> None:
+    """Import finished datasets of others, so that the same questions can be asked of them.
+
+    Example: metascenes import habitat ./hssd-hab --dataset hssd --lake ./lake
+    """
+
+
+@command.command("habitat", short_help="Import a Habitat scene dataset.")
+@_import_options
+def import_habitat(
+    folder: Path, dataset: str, address: str, workers: int, seed: int, retry_failed: bool, dry_run: bool, as_json: bool
+) -> None:
+    """Import a Habitat scene dataset: its scene instances, objects, categories, navmeshes.
+
+    PATH is the folder with the one *.scene_dataset_config.json. Importing it again takes in what changed, and nothing else.
+
+    Example: metascenes import habitat ./hssd-hab --dataset hssd --lake ./lake
+    """
+    _run("habitat", folder, dataset, address, None, workers, seed, retry_failed, dry_run, as_json)
+
+
+@command.command("metascenes", short_help="Import the released MetaScenes layout.")
+@_import_options
+@click.option("--labels", type=click.Path(path_type=Path, file_okay=False, exists=True),
+              help="Folder with <scan>.json, the names of each scan's instances; the release has none.")  # fmt: skip
+def import_metascenes(
+    folder: Path, dataset: str, address: str, workers: int, seed: int, retry_failed: bool, dry_run: bool, as_json: bool, labels: Path | None
+) -> None:
+    """Import the released MetaScenes layout: Annotation_scenes, Physical_simu, Layout.
+
+    PATH is the folder that holds Annotation_scenes. Importing it again takes in what changed, and nothing else.
+
+    Example: metascenes import metascenes ./MetaScenes --dataset metascenes --labels ./instance_id_to_name --lake ./lake
+    """
+    _run("metascenes", folder, dataset, address, labels, workers, seed, retry_failed, dry_run, as_json)
+
+
+def _run(
+    kind: Kind, folder: Path, dataset: str, address: str, labels: Path | None, workers: int, seed: int, retry_failed: bool, dry_run: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    from flows.ingestion import import_dataset
+    from warehouse.lake import Lake
+
+    result = import_dataset(
+        Lake.open(address), kind, folder, dataset, labels=labels, seed=seed, workers=workers, dry_run=dry_run, retry_failed=retry_failed
+    )
+    print(json.dumps(_as_json(result, dry_run)) if as_json else _as_text(result, dry_run))
+    if not as_json:
+        for scene in result.failed:
+            print(f"{scene.scene_id}: {scene.error}", file=sys.stderr)
+    if result.failed:
+        raise click.exceptions.Exit(1)
+
+
+def _as_json(result: DatasetImport, dry_run: bool) -> dict[str, Any]:
+    scenes = [
+        {"scene_id": one.scene_id, "action": one.action, "why": one.why, "objects": one.objects, "notes": one.notes, "error": one.error}
+        for one in result.scenes
+    ]
+    return {"dataset": result.dataset, "format": result.kind, "dry_run": dry_run, "scenes": scenes, "failed": len(result.failed)}
+
+
+def _as_text(result: DatasetImport, dry_run: bool) -> str:
+    """A line of what was done; for a dry run also a line for each scene."""
+    fresh = [one for one in result.scenes if one.action == "import" and one.error is None]
+    kept = [one for one in result.scenes if one.action == "reuse"]
+    lines = [f"{one.scene_id:<40} {one.action:<7} {one.why}" for one in result.scenes] if dry_run else []
+    notes = sum(len(one.notes) for one in result.scenes)
+    verb = "would be imported" if dry_run else "imported"
+    parts = [f"{len(fresh)} scenes {verb}", f"{len(kept)} unchanged", f"{len(result.failed)} failed"]
+    if fresh and not dry_run:
+        parts[0] += f" ({sum(one.objects for one in fresh)} objects)"
+    if notes:
+        parts.append(f"{notes} notes (in stage_runs.degradations)")
+    return "\n".join([*lines, f"{result.dataset}: {', '.join(parts)}"])

@@ -1,0 +1,94 @@
+"""The room of a finished dataset's scene: as it is stated, else estimated from its stage and its objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.capture import Room
+from tasks.capture.cloud import sampled_cloud
+from tasks.capture.labels import FLOOR, WALL
+from tasks.capture.rooms import RoomShape, estimate_room, inferred_room_type
+from tasks.ingestion.scene import Array, FinishedScene
+from tasks.meshes import Surface, surface_of
+from tasks.stage import Context
+
+_MIN_SIDE_M = 0.1
+"""A floor plan thinner than this is none."""
+
+_MIN_HEIGHT_M = 0.1
+"""As rows of `rooms` have it."""
+
+
+def scene_room(scene: FinishedScene, surfaces: Sequence[Surface], context: Context) -> tuple[Room, list[str]]:
+    """The room, and what had to be assumed. `surfaces`: Objects in the world frame."""
+    top = max((float(surface.bounds[1, 2]) for surface in surfaces), default=0.0)
+    notes: list[str] = []
+    if scene.layout is not None:
+        height = scene.layout.height
+        shape = _stated(scene.layout.polygon, height if height is not None else max(top, _MIN_HEIGHT_M), height is not None)
+    else:
+        whole = [surface_of([part]) for part, _ in scene.stage] + list(surfaces)
+        points = np.concatenate([surface.vertices for surface in whole])
+        low, high = points.min(axis=0), points.max(axis=0)
+        if (high - low)[:2].min() < _MIN_SIDE_M:
+            notes.append("too narrow for a room: its floor is the extent of what stands there")
+            shape = _extent(low, np.maximum(high, low + _MIN_SIDE_M))
+        elif scene.stage:
+            shape = _estimated(scene, whole, context)
+            notes += shape.notes
+        else:
+            notes.append("no stage and no layout: the floor is the extent of what stands there")
+            shape = _extent(low, high)
+    room = Room(
+        scene_id=context.scene_id,
+        room_type=scene.room_type or inferred_room_type(one.label.category for one in scene.objects),
+        floor_polygon=tuple((float(x), float(y)) for x, y in shape.polygon),
+        floor_area_m2=shape.area,
+        floor_source=shape.floor_source,
+        walls=tuple(tuple(float(v) for v in wall) for wall in shape.walls),
+        interior_walls=tuple(tuple(float(v) for v in wall) for wall in shape.interior_walls),
+        height_m=max(shape.height, _MIN_HEIGHT_M),
+        height_source=shape.height_source,
+        floor_color=_color(scene, FLOOR),
+        wall_color=_color(scene, WALL),
+    )
+    return room, notes
+
+
+def _stated(polygon: Array, height: float, is_height_stated: bool) -> RoomShape:
+    area = 0.5 * abs(float(polygon[:, 0] @ np.roll(polygon[:, 1], -1) - polygon[:, 1] @ np.roll(polygon[:, 0], -1)))
+    walls = np.column_stack([polygon, np.roll(polygon, -1, axis=0)])
+    return RoomShape(polygon, area, "layout", walls, np.zeros((0, 6)), height, "layout" if is_height_stated else "extent", ())
+
+
+def _extent(low: Array, high: Array) -> RoomShape:
+    """The rectangle around everything."""
+    polygon = np.array([low[:2], [high[0], low[1]], high[:2], [low[0], high[1]]])
+    walls = np.column_stack([polygon, np.roll(polygon, -1, axis=0)])
+    area, height = float(np.prod(high[:2] - low[:2])), float(high[2])
+    return RoomShape(polygon, area, "extent", walls, np.zeros((0, 6)), height, "extent", ())
+
+
+def _estimated(scene: FinishedScene, surfaces: Sequence[Surface], context: Context) -> RoomShape:
+    """The room as capture finds it, from points spread over everything; parts of the stage count as what their names say."""
+    classes = [label.nyu40_id for _, label in scene.stage] + [one.label.nyu40_id for one in scene.objects]
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    merged = Surface(
+        np.concatenate([surface.vertices for surface in surfaces]),
+        np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=False)]),
+        np.concatenate([surface.colors for surface in surfaces]),
+    )
+    owner: NDArray[np.int64] = np.repeat(np.arange(len(surfaces)), [len(surface.faces) for surface in surfaces])
+    cloud = sampled_cloud(merged, owner, context.rng("room"))
+    return estimate_room(cloud, np.array([0, *classes], dtype=np.int64)[cloud.instance + 1])
+
+
+def _color(scene: FinishedScene, nyu40: int) -> tuple[int, ...] | None:
+    """Median color of the stage's parts of a class, shape (3,), None when it has none."""
+    colors = [surface_of([part]).colors for part, label in scene.stage if label.nyu40_id == nyu40]
+    if not colors:
+        return None
+    return tuple(int(value) for value in np.median(np.concatenate(colors), axis=0))

@@ -1,0 +1,240 @@
+"""Reader of the released MetaScenes layout: meshes where people put them, transformations of a physics engine, layouts.
+
+The facts about that layout, and where they come from, are in docs/ingestion.md.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from schemas.errors import InputError
+from tasks.capture.documents import name_of, read_bytes
+from tasks.capture.labels import Label, LabelMap
+from tasks.ingestion.floors import read_layout
+from tasks.ingestion.habitat_scenes import LICENSES
+from tasks.ingestion.models import ENDINGS, material_files, read_model
+from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, Model, Source, scaled_pose
+from tasks.ingestion.values import json_document, license_line
+from tasks.meshes import surface_of
+from tasks.transforms import translation
+
+if TYPE_CHECKING:
+    import trimesh
+
+SCENES, SIMULATED, LAYOUTS = "Annotation_scenes", "Physical_simu", "Layout"
+"""Folders of a release."""
+
+LABELS = ("instance_id_to_name", "labels")
+"""Folders in which names of instances are looked for, `<scan>.json`; a release has none."""
+
+_MATRIX, _LABEL = ("matrix", "pose", "transform"), ("label", "category", "name")
+"""Keys of an instance in `Physical_simu`, where it is an object and not the matrix itself."""
+
+
+def metascenes_scenes(root: Path, dataset: str, names: Path | None = None) -> list[Source]:
+    """Every scan of the release in `root`, sorted by scene id; a scan that cannot be read says why.
+
+    names: Folder with `<scan>.json`, names of the instances by their id, where it is not in the release itself.
+
+    Raises:
+        InputError: the folder holds no release.
+    """
+    folder = root / SCENES
+    if not folder.is_dir():
+        raise InputError(root.name, SCENES, "there is no such folder", "name the folder of a MetaScenes release")
+    scans = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    if not scans:
+        raise InputError(f"{root.name}/{SCENES}", "folder", "is empty", "name the folder of a MetaScenes release")
+    return [_source(root, dataset, scan, names) for scan in scans]
+
+
+def _source(root: Path, dataset: str, scan: Path, names: Path | None) -> Source:
+    meshes: dict[str, str] = {}
+    notes: list[str] = []
+    files: set[Path] = set()
+    problem: InputError | None = None
+    try:
+        if not scan.resolve().is_relative_to(root):
+            raise InputError(name_of(scan, root), "folder", "leads out of the dataset", "copy it in")
+        for folder in sorted(path for path in scan.iterdir() if path.is_dir() and not path.name.startswith(".")):
+            mesh = _mesh_file(folder)
+            if mesh is None:
+                notes.append(f"{name_of(folder, root)}: holds no mesh: left out")
+                continue
+            if not mesh.resolve().is_relative_to(root):
+                raise InputError(name_of(mesh, root), "file", "leads out of the dataset's folder", "copy it in")
+            meshes[folder.name] = mesh.relative_to(root).as_posix()
+            files |= {mesh, *material_files(mesh, root)}
+        if not meshes:
+            raise InputError(name_of(scan, root), "instances", "there is none with a mesh", "unpack the release again")
+    except OSError as error:
+        problem = InputError(name_of(scan, root), "folder", f"cannot be read ({error.strerror})", "check its permissions")
+    except InputError as error:
+        problem = error
+    simulated = root / SIMULATED / f"{scan.name}.json"
+    layouts = sorted((root / LAYOUTS).glob(f"*/{scan.name}.json"), key=lambda path: (path.parent.name == "Heuristic", path.as_posix()))
+    named = next((p for p in (*([names / f"{scan.name}.json"] if names else []), *(root / n / f"{scan.name}.json" for n in LABELS))
+                  if p.is_file()), None)  # fmt: skip
+    licenses = [root / name for name in LICENSES if (root / name).is_file()][:1]
+    about = {
+        "meshes": meshes,
+        "simulated": simulated.relative_to(root).as_posix() if simulated.is_file() else "",
+        "layouts": [path.relative_to(root).as_posix() for path in layouts],
+        # Names may lie outside of the release; their content counts, so it is kept here.
+        "names": "",
+        "notes": notes,
+    }
+    if named is not None and problem is None:
+        try:
+            about["names"] = read_bytes(named, named.name, 16 * 2**20).decode("utf-8", "replace")
+            about["names_file"] = named.name
+        except InputError as error:
+            problem = error
+    files |= {path for path in (simulated, *layouts, *licenses) if path.is_file() and path.resolve().is_relative_to(root)}
+    about["license"] = licenses[0].name if licenses else ""
+    return Source("metascenes", root, dataset, scan.name, tuple(sorted(files)), about, problem)
+
+
+def _mesh_file(folder: Path) -> Path | None:
+    """The mesh of an instance: named like its folder, else `mesh`, else the only one there is."""
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and not path.name.startswith("."))
+    for stem in (folder.name, "mesh"):
+        same = [path for path in found if path.stem == stem]
+        if same:
+            return min(same, key=lambda path: ENDINGS.index(path.suffix.lower()))
+    return found[0] if len(found) == 1 else None
+
+
+def read_metascenes(source: Source, labels: LabelMap) -> FinishedScene:
+    """A scan with its objects, where people put them and where the dataset's physics engine moved them, and its floor.
+
+    Raises:
+        InputError: a file cannot be used, or a value in it makes no sense; names both.
+    """
+    root, about = source.root, source.about
+    notes = list(about["notes"])
+    matrices, said = _simulated(source)
+    names = _names(source) | said
+    unknown = sorted(set(matrices) - set(about["meshes"]))
+    notes += [f"{about['simulated']}: matrix.{name}: there is no such object: left out" for name in unknown]
+    if not about["simulated"]:
+        notes.append(f"{source.scan}: no transformations in {SIMULATED}: objects are where people put them")
+    license = license_line(root / about["license"], root) if about["license"] else None
+    ids = instance_ids(list(about["meshes"]))
+    objects = []
+    for name, file in about["meshes"].items():
+        parts, more = read_model(root / file, root, is_z_up=True)
+        notes += more
+        label = labels[names.get(name, "")]
+        if not names.get(name):
+            label = Label("unlabeled", 0, is_known=False)
+        elif not label.is_known:
+            notes.append(f"{about.get('names_file') or about['simulated']}: {names[name]!r} is not in the label map, nyu40 class 0")
+        objects.append(
+            _object(name, ids[name], parts, file, names.get(name, ""), label, license, matrices.get(name), str(about["simulated"]))
+        )
+    if not any(names.get(name) for name in about["meshes"]):
+        notes.append(f"{source.scan}: no names of instances: every category is unlabeled; give them with --labels")
+    layout, more = read_layout([root / path for path in about["layouts"]], root, objects)
+    return FinishedScene(
+        objects=tuple(sorted(objects, key=lambda one: one.instance_id)),
+        stage=(),
+        layout=layout,
+        alignment=np.eye(4),
+        room_type="",
+        license=license,
+        navmesh=None,
+        notes=tuple(dict.fromkeys([*notes, *more])),
+    )
+
+
+def instance_ids(names: list[str]) -> dict[str, str]:
+    """Zero-padded ids of instances by their names: a number is its own id, others (`7-1`) follow after the highest."""
+    numbers = {name: int(name) for name in names if re.fullmatch(r"\d{1,6}", name)}
+    taken: dict[int, str] = {}
+    for name, number in sorted(numbers.items(), key=lambda item: (item[1], item[0])):
+        taken.setdefault(number, name)
+    found = {name: f"{number:04d}" for number, name in taken.items()}
+    following = max(taken, default=-1) + 1
+    for name in sorted(set(names) - set(found), key=lambda name: [int(n) if n.isdigit() else -1 for n in re.split(r"\D+", name)] + [0]):
+        found[name] = f"{following:04d}"
+        following += 1
+    return found
+
+
+def _object(
+    name: str, instance_id: str, parts: list[trimesh.Trimesh], file: str, raw: str, label: Label, license: str | None,
+    matrix: Array | None, simulated: str,
+) -> FinishedObject:  # fmt: skip
+    """An instance: its mesh about the center of its box, the pose that people gave it, and the one of the physics engine."""
+    center = surface_of(parts).bounds.mean(axis=0)
+    for part in parts:
+        part.apply_translation(-center)
+    model = Model(tuple(parts), (), f"{file.split('/')[-3]}_{name}", file, license or "unknown")
+    annotated = translation(center)
+    if matrix is None:
+        remains = "the dataset's physics engine has no pose for it" if simulated else None
+        return FinishedObject(
+            instance_id, name, raw, label, model, annotated, np.ones(3), is_annotated=True, remains=remains
+        )  # fmt: skip
+    pose, scale = scaled_pose(matrix, simulated, f"matrix.{name}")
+    # Matrices are written with few digits: a scale of 1 up to rounding is 1.
+    scale = np.where(np.abs(scale - 1.0) < 1e-4, 1.0, scale)
+    return FinishedObject(instance_id, name, raw, label, model, pose, scale, annotated, is_annotated=True)
+
+
+def _simulated(source: Source) -> tuple[dict[str, Array], dict[str, str]]:
+    """Matrices and labels by instance, as `Physical_simu` has them."""
+    file = str(source.about["simulated"])
+    if not file:
+        return {}, {}
+    document = json_document(source.root / file, source.root)
+    if not isinstance(document, dict):
+        raise InputError(file, "content", f"is a {type(document).__name__}, not an object", "is it the right file?")
+    listed = document.get("matrix", document)
+    if not isinstance(listed, dict):
+        raise InputError(file, "matrix", f"is a {type(listed).__name__}, not an object", "give a matrix for every instance id")
+    matrices: dict[str, Array] = {}
+    labels: dict[str, str] = {}
+    for name, value in listed.items():
+        stretch: Any = None
+        if isinstance(value, dict):
+            said: Mapping[str, Any] = value
+            label = next((said[key] for key in _LABEL if isinstance(said.get(key), str)), "")
+            labels |= {name: label} if label else {}
+            stretch = said.get("scale")
+            value = next((said[key] for key in _MATRIX if key in said), None)
+            if value is None:
+                raise InputError(file, f"matrix.{name}", "has no matrix", "give 4 rows of 4 numbers")
+        matrices[name] = _matrix(value, stretch, file, f"matrix.{name}")
+    return matrices, labels
+
+
+def _matrix(value: Any, stretch: Any, file: str, field: str) -> Array:
+    """A 4x4 matrix given as 4 rows of 4 numbers or 16 numbers, with a scale beside it where there is one."""
+    try:
+        matrix = np.asarray(value, dtype=np.float64)
+        scale = np.ones(3) if stretch is None else np.broadcast_to(np.asarray(stretch, dtype=np.float64), 3)
+    except (TypeError, ValueError):
+        raise InputError(file, field, "is no matrix of numbers", "give 4 rows of 4 numbers") from None
+    if matrix.shape not in ((4, 4), (16,)):
+        raise InputError(file, field, f"has shape {matrix.shape}", "give 4 rows of 4 numbers")
+    return matrix.reshape(4, 4) @ np.diag([*scale, 1.0])
+
+
+def _names(source: Source) -> dict[str, str]:
+    """Names of instances: a list by their number, or an object by their id."""
+    if not source.about["names"]:
+        return {}
+    file = str(source.about["names_file"])
+    document = json_document(file, None, str(source.about["names"]).encode())
+    if isinstance(document, list) and all(isinstance(item, str) for item in document):
+        return {str(index): item for index, item in enumerate(document)}
+    if isinstance(document, dict) and all(isinstance(item, str) for item in document.values()):
+        return {str(key): item for key, item in document.items()}
+    raise InputError(file, "content", "is neither a list of names nor an object of them", "give the name of every instance")

@@ -1,0 +1,163 @@
+"""Mesh files of finished datasets: GLB, OBJ with its materials, PLY, STL. Nothing outside the dataset's folder is opened."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from schemas.errors import InputError
+from tasks.capture.documents import name_of, read_bytes
+from tasks.meshes import MAX_FACES, load_glb
+from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
+
+if TYPE_CHECKING:
+    import trimesh
+
+ENDINGS = (".glb", ".obj", ".ply", ".stl")
+"""How the names of mesh files end that are read."""
+
+MAX_MODEL_BYTES = 512 * 2**20
+"""An object of a room has fewer; a worker with 8 GB can still unpack it."""
+
+MAX_STAGE_BYTES = 2 * 2**30
+"""A whole scanned house has fewer."""
+
+
+def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYTES) -> tuple[list[trimesh.Trimesh], list[str]]:
+    """Parts of a mesh file in a +Z-up frame [m], textures kept; and what is missing of its materials, a line each.
+
+    is_z_up: Coordinates in the file have +Z up, else +Y up.
+
+    Raises:
+        InputError: the file lies outside `root`, is missing, too large, of another kind, or no usable mesh; or its
+            materials name a file outside `root`.
+    """
+    name = name_of(path, root)
+    if not path.resolve().is_relative_to(root):
+        raise InputError(name, "file", "lies outside the dataset's folder", "copy it in")
+    kind = path.suffix.lower()
+    if kind not in ENDINGS:
+        raise InputError(name, "format", f"{kind or 'none'} is not read", f"convert it to {', '.join(ENDINGS)}")
+    data = read_bytes(path, name, limit)
+    notes: list[str] = []
+    if kind == ".glb":
+        if data[:4] != b"glTF":
+            raise InputError(name, "content", "is no GLB", "export it as glTF binary")
+        _check_self_contained(data, name)
+        parts = _guarded_glb(data, name)
+        turn = Z_UP_TO_Y_UP if is_z_up else None
+    else:
+        parts, notes = _loaded(data, path, root, name, kind[1:])
+        turn = None if is_z_up else Y_UP_TO_Z_UP
+    for part in parts:
+        if not np.isfinite(part.vertices).all() or np.abs(part.vertices).max() > 1e6:
+            raise InputError(name, "vertices", "are not finite, or farther away than 1,000 km", "export it again, in metres")
+        if turn is not None:
+            part.apply_transform(turn)
+    return parts, notes
+
+
+def is_convex(parts: Sequence[trimesh.Trimesh]) -> bool:
+    """Whether every part is a closed convex piece."""
+    return bool(parts) and all(part.is_watertight and part.is_convex for part in parts)
+
+
+def _check_self_contained(data: bytes, name: str) -> None:
+    """Refuse a GLB that draws on other files: those are not part of what the scene is fingerprinted by."""
+    length = int.from_bytes(data[12:16], "little")
+    for match in re.finditer(rb'"uri"\s*:\s*"([^"]{0,200})', data[20 : 20 + length]):
+        if not match[1].startswith(b"data:"):
+            raise InputError(name, "uri", f"names another file, {match[1].decode('utf-8', 'replace')[:80]!r}", "pack it into the GLB")
+
+
+def _guarded_glb(data: bytes, name: str) -> list[trimesh.Trimesh]:
+    try:
+        return load_glb(data, name)
+    except (ValueError, IndexError, TypeError, KeyError) as error:
+        raise InputError(name, "meshes", f"are broken ({error})", "export it again") from error
+
+
+def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[list[trimesh.Trimesh], list[str]]:
+    """Parts of an OBJ, PLY or STL, in its own frame."""
+    import trimesh
+
+    resolver = _confined(path, root)
+    try:
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
+    except Exception as error:  # the loader raises whatever the bytes lead it to
+        raise InputError(name, "content", f"is no readable {kind.upper()} ({type(error).__name__}: {error})", "export it again") from error
+    if resolver.outside:
+        raise InputError(name, "materials", f"name {resolver.outside[0]!r}, outside the dataset's folder", "copy it in")
+    parts = [mesh for _, mesh in sorted(scene.geometry.items()) if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not parts:
+        raise InputError(name, "meshes", "holds no triangles", "export it with its geometry")
+    if sum(len(part.faces) for part in parts) > MAX_FACES:
+        raise InputError(name, "faces", f"more than {MAX_FACES} triangles", "decimate the mesh")
+    for part in parts:
+        if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
+            raise InputError(name, "faces", "name vertices that are not there", "export it again")
+    return parts, [f"{name}: {missing} is missing, drawn without it" for missing in resolver.missing]
+
+
+def material_files(path: Path, root: Path) -> list[Path]:
+    """Files that an OBJ's materials name, sorted, those that exist inside `root`; empty for other kinds."""
+    if path.suffix.lower() != ".obj" or not path.is_file():
+        return []
+    found: set[Path] = set()
+    libraries = _named(path, rb"mtllib")
+    for library in (path.parent / name for name in libraries):
+        found.add(library)
+        found |= {library.parent / name for name in _named(library, rb"map_\w+|bump|disp|norm|refl")}
+    return sorted(file for file in found if file.is_file() and file.resolve().is_relative_to(root))
+
+
+def _named(path: Path, keyword: bytes) -> list[str]:
+    """Files that lines of a text file name last, after a keyword."""
+    try:
+        if path.stat().st_size > MAX_MODEL_BYTES:
+            return []
+        lines = re.findall(rb"^\s*(?:" + keyword + rb")\s+(.+?)\s*$", path.read_bytes(), re.MULTILINE)
+    except (OSError, ValueError):
+        return []
+    names = [line.decode("utf-8", "replace") for line in lines]
+    return [name for line in names for name in {line, line.split()[-1]} if "\0" not in name]
+
+
+def _confined(path: Path, root: Path) -> Any:
+    """A resolver that opens what lies beside a mesh and inside `root`, and remembers what it was asked for in vain."""
+    from trimesh.resolvers import Resolver
+
+    class Confined(Resolver):
+        def __init__(self, folder: Path) -> None:
+            self._folder = folder
+            self.outside: list[str] = []
+            self.missing: list[str] = []
+
+        def get(self, name: str) -> bytes:
+            file = (self._folder / name.strip()).resolve()
+            if not file.is_relative_to(root):
+                self.outside.append(name)
+                raise FileNotFoundError(name)
+            try:
+                if file.stat().st_size > MAX_MODEL_BYTES:
+                    raise FileNotFoundError(name)
+                return file.read_bytes()
+            except OSError:
+                self.missing.append(name)
+                raise FileNotFoundError(name) from None
+
+        def write(self, name: str, data: Any) -> None:
+            raise PermissionError(name)
+
+        def namespaced(self, namespace: str) -> Any:
+            return Confined(self._folder / namespace)
+
+        def keys(self) -> list[str]:
+            return []
+
+    return Confined(path.parent)

@@ -1,0 +1,255 @@
+"""Rows of the lake's tables from a scene of a finished dataset, stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from schemas.candidates import Asset, Candidate
+from schemas.captions import Caption
+from schemas.capture import Instance, Scene
+from schemas.navigation import Navmesh, Split
+from schemas.optimization import Placement
+from tasks.candidates.assets import MAX_FACES, MadeAsset, decimated, make_asset
+from tasks.captions.sentences import shape_word
+from tasks.capture.boxes import oriented_box
+from tasks.capture.instances import modelled_solid
+from tasks.capture.reading import Group
+from tasks.exports.habitat.navmesh_file import read_navmesh
+from tasks.ingestion.ground import scene_room
+from tasks.ingestion.scene import FinishedObject, FinishedScene, IngestionConfig, Model, Source
+from tasks.meshes import Surface, dump_glb, dump_points, surface_of
+from tasks.navigation import split_of
+from tasks.stage import Blobs, Context, Outcome
+from tasks.transforms import flat, translation
+
+PROVIDER, VERSION = "imported", "1"
+"""Who made the rows: nobody here; the dataset's own words and meshes."""
+
+STAGES = ("capture", "captions", "candidates", "optimization", "navigation")
+"""Stages whose tables a finished dataset can fill, in order. Selection stays empty: nobody here scored anything."""
+
+
+def scene_rows(scene: FinishedScene, source: Source, context: Context, config: IngestionConfig) -> dict[str, Outcome]:
+    """Rows by stage, in the order of the data path; a stage of which the dataset knows nothing is not there."""
+    assets = _Assets(context.scene_id)
+    surfaces = [_surface(one) for one in scene.objects]
+    found = {"capture": _capture(scene, source, surfaces, context, config)}
+    captions = [_caption(context.scene_id, one, surface) for one, surface in zip(scene.objects, surfaces, strict=True) if one.physics]
+    if captions:
+        found["captions"] = Outcome(captions=captions)
+    placements = [row for one in scene.objects if (row := assets.add(one)) is not None]
+    found["candidates"] = Outcome(
+        candidates=assets.candidates, assets=list(assets.rows.values()), blobs=assets.files, degradations=assets.notes
+    )
+    found["optimization"] = Outcome(
+        placements=placements, supports=[], contacts=[], optimization_steps=[], optimizations=[], certificates=[],
+    )  # fmt: skip
+    navigation = _navigation(scene, source, context.scene_id, config)
+    if navigation is not None:
+        found["navigation"] = navigation
+    return found
+
+
+def _surface(one: FinishedObject) -> Surface:
+    """An object's surface in the world frame."""
+    return surface_of(one.model.parts).transformed(one.pose, one.scale)
+
+
+def _capture(
+    scene: FinishedScene, source: Source, surfaces: Sequence[Surface], context: Context, config: IngestionConfig
+) -> Outcome:  # fmt: skip
+    blobs, notes = Blobs(), list(scene.notes)
+    instances = [
+        _instance(context, one, surface, blobs, config) for one, surface in zip(scene.objects, surfaces, strict=True)
+    ]  # fmt: skip
+    room, more = scene_room(scene, surfaces, context)
+    stage = [part for part, _ in scene.stage]
+    merged = surface_of(stage) if stage else _union(surfaces)
+    if len(merged.faces) > config.max_faces:
+        notes.append(f"mesh thinned from {len(merged.faces)} to about {config.max_faces} faces")
+        merged = decimated(merged, config.max_faces)
+        stage = []
+    mesh = dump_glb(stage, [f"stage_{i:03d}" for i in range(len(stage))]) if stage else dump_glb([merged.to_trimesh()], ["scan"])
+    row = Scene(
+        scene_id=context.scene_id,
+        room_id=source.room_id,
+        dataset=context.scene_id.partition("/")[0],
+        scan=context.scene_id.partition("/")[2],
+        scan_format=source.kind,
+        scan_path=str(source.root),
+        alignment=flat(scene.alignment),
+        alignment_source="identity" if np.array_equal(scene.alignment, np.eye(4)) else "format",
+        floor_tilt_radians=None,
+        mesh_blob=blobs.add(mesh, "glb"),
+        vertex_count=len(merged.vertices),
+        face_count=len(merged.faces),
+        frame_count=0,
+        instance_count=len(instances),
+        segmentation="objects",
+        license=scene.license,
+    )
+    return Outcome(
+        scenes=[row], rooms=[room], frames=[], instances=instances, masks=[], blobs=blobs, degradations=list(dict.fromkeys([*notes, *more]))
+    )
+
+
+def _union(surfaces: Sequence[Surface]) -> Surface:
+    """Surfaces as one."""
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    return Surface(
+        np.concatenate([surface.vertices for surface in surfaces]),
+        np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=False)]),
+        np.concatenate([surface.colors for surface in surfaces]),
+    )
+
+
+def _instance(context: Context, one: FinishedObject, surface: Surface, blobs: Blobs, config: IngestionConfig) -> Instance:
+    """An instance: the box of its placed geometry, and points on it."""
+    starts = np.concatenate([[0], np.cumsum([len(part.faces) for part in one.model.parts])]).astype(np.int64)
+    group = Group(one.source_id, one.raw_label, np.arange(len(surface.vertices)), np.arange(len(surface.faces)))
+    rng = context.rng("surface", one.instance_id)
+    solid = modelled_solid(surface, group, one.model.parts, starts, rng, config.max_points)
+    pose, size = oriented_box(surface.vertices[np.unique(surface.faces)], is_noisy=False)
+    return Instance(
+        scene_id=context.scene_id,
+        instance_id=one.instance_id,
+        source_id=one.source_id,
+        raw_label=one.raw_label,
+        category=one.label.category,
+        nyu40_id=one.label.nyu40_id,
+        nyu40_label=one.label.nyu40_label,
+        is_structure=one.label.is_structure,
+        box_pose=flat(pose),
+        box_size=tuple(float(v) for v in size),
+        box_volume_m3=float(np.prod(size)),
+        point_count=len(solid.points),
+        points_blob=blobs.add(dump_points(solid.points, solid.colors), "ply"),
+        mesh_blob=None,  # the asset has the same triangles, once for all objects that show it
+        view_blob=None,
+        best_frames=(),
+    )
+
+
+def _caption(scene_id: str, one: FinishedObject, surface: Surface) -> Caption:
+    """What the dataset states of an object's body; nothing is told that it does not state."""
+    if one.physics is None:
+        raise ValueError(f"{one.instance_id}: the dataset states no body")
+    size = np.ptp(surface.bounds, axis=0)
+    shape = shape_word(size)
+    return Caption(
+        scene_id=scene_id, instance_id=one.instance_id, provider=PROVIDER, provider_version=VERSION, is_fallback=False,
+        sentence=one.label.category, colors=(), color_shares=(), materials=(), shape=shape, body_type="rigid", density_kg_m3=None,
+        solid_fraction=None, mass_kg=one.physics.mass_kg, friction=one.physics.friction, restitution=one.physics.restitution,
+        attribute_source=one.physics.source,
+    )  # fmt: skip
+
+
+class _Assets:
+    """The assets of a scene, each made once, however many objects show it."""
+
+    def __init__(self, scene_id: str) -> None:
+        self._scene_id = scene_id
+        self._made: dict[tuple[int, str], tuple[MadeAsset | None, str, np.ndarray[Any, Any]]] = {}
+        self.rows: dict[str, Asset] = {}
+        self.files: dict[str, bytes] = {}
+        self.candidates: list[Candidate] = []
+        self.notes: list[str] = []
+
+    def add(self, one: FinishedObject) -> Placement | None:
+        """The candidate and the placement of an object; no placement where its mesh is no asset. Structures have neither."""
+        if one.label.is_structure:
+            return None
+        key = (id(one.model), one.label.category)
+        if key not in self._made:
+            self._made[key] = _made(one.model, one.label.category)
+        made, problem, shift = self._made[key]
+        asset_id = made.asset.asset_id if made is not None else None
+        self.candidates.append(
+            Candidate(
+                scene_id=self._scene_id, instance_id=one.instance_id, slot=1, provider=PROVIDER, provider_version=VERSION,
+                is_fallback=False, outcome="filled" if made is not None else "failed", reason=problem or None, asset_id=asset_id,
+            )
+        )  # fmt: skip
+        if made is None:
+            self.notes.append(f"{one.instance_id}: {one.model.name}: {problem}: no asset")
+            return None
+        self.rows[made.asset.asset_id] = made.asset
+        self.files.update(made.files)
+        return _placement(self._scene_id, one, made.asset.asset_id, shift)
+
+
+def _made(model: Model, category: str) -> tuple[MadeAsset | None, str, np.ndarray[Any, Any]]:
+    """The asset of a model, or why there is none; and what canonical coordinates are shifted by from the model's [m]."""
+    parts, surface = list(model.parts), surface_of(model.parts)
+    if len(surface.faces) > MAX_FACES:
+        surface = decimated(surface, MAX_FACES)
+        parts = [surface.to_trimesh()]
+    bounds = surface.bounds
+    shift = -np.array([bounds[:, 0].mean(), bounds[:, 1].mean(), bounds[0, 2]])
+    try:
+        made = make_asset(
+            parts, provider=PROVIDER, name=model.name, category=category, source=model.source, license=model.license,
+            author=model.author, pieces=model.pieces,
+        )  # fmt: skip
+    except ValueError as error:
+        return None, " ".join(str(error).split()), shift
+    return made, "", shift
+
+
+def _placement(scene_id: str, one: FinishedObject, asset_id: str, shift: np.ndarray[Any, Any]) -> Placement:
+    back = translation(-one.scale * shift)
+    pose = one.pose @ back
+    proposed = pose if one.proposed is None else one.proposed @ back
+    moved = pose[:3, 3] - proposed[:3, 3]
+    is_moved = one.proposed is not None
+    return Placement(
+        scene_id=scene_id,
+        instance_id=one.instance_id,
+        asset_id=asset_id,
+        origin="annotation" if one.is_annotated else "imported",
+        annotator=None,  # the dataset does not say who
+        annotation_match=None,
+        scale=tuple(float(v) for v in one.scale),
+        proposed_pose=flat(proposed),
+        optimized_pose=flat(pose),
+        settled_pose=None,
+        displacement_m=float(np.hypot(moved[0], moved[1])) if is_moved else None,
+        lift_m=float(moved[2]) + 0.0 if is_moved else None,
+        method="imported",
+        remains=one.remains,
+    )
+
+
+def _navigation(scene: FinishedScene, source: Source, scene_id: str, config: IngestionConfig) -> Outcome | None:
+    """The navmesh of the dataset, as far as it says what agent it is for; episodes are not read."""
+    if scene.navmesh is None:
+        return None
+    notes, meshes, blobs = [], [], Blobs()
+    try:
+        navmesh = read_navmesh(scene.navmesh)
+        if navmesh.settings is None:
+            notes.append(f"navmesh of version {navmesh.version} left out: it does not say for what agent it is")
+    except ValueError as error:
+        notes, navmesh = [f"navmesh left out: {error}"], None
+    if navmesh is not None and navmesh.settings is not None:
+        areas = np.array([_plan_area(corners) for corners in navmesh.polygons])
+        parts = np.bincount(navmesh.islands, weights=areas) if len(areas) else np.zeros(0)
+        meshes.append(
+            Navmesh(
+                scene_id=scene_id, agent=config.agent, agent_radius_m=float(navmesh.settings["agentRadius"]),
+                agent_height_m=float(navmesh.settings["agentHeight"]), navmesh_blob=blobs.add(scene.navmesh, "navmesh"),
+                area_m2=float(areas.sum()), largest_island_m2=float(parts.max(initial=0.0)), island_count=len(parts),
+                path_finder="imported",
+            )
+        )  # fmt: skip
+    split = Split(room_id=source.room_id, split=split_of(source.room_id, config.test_share))
+    return Outcome(navmeshes=meshes, episodes=[], unreachable_targets=[], splits=[split], blobs=blobs, degradations=notes)
+
+
+def _plan_area(corners: np.ndarray[Any, Any]) -> float:
+    """Area of a polygon of Habitat's frame seen from above [m2]."""
+    x, z = corners[:, 0], corners[:, 2]
+    return 0.5 * abs(float(x @ np.roll(z, -1) - z @ np.roll(x, -1)))

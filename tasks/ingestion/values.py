@@ -1,0 +1,35 @@
+"""JSON of finished datasets, read with a limit on size and without NaN, and the first line of a licence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import InputError
+from tasks.capture.documents import MAX_TEXT_BYTES, name_of, read_bytes, read_text
+
+
+def json_document(path: Path | str, root: Path | None, data: bytes | None = None) -> Any:
+    """The value that a JSON file holds; of `data` where it was read before.
+
+    Raises:
+        InputError: the file is missing, too large, or no JSON; numbers that are not finite are no JSON.
+    """
+    name = name_of(Path(path), root) if root is not None else str(path)
+    if data is None:
+        data = read_bytes(Path(path), name, MAX_TEXT_BYTES)
+    try:
+        return json.loads(data, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise InputError(name, "content", f"is no JSON ({error})", "copy the dataset again") from error
+
+
+def license_line(path: Path, root: Path) -> str | None:
+    """First line of a licence file, None where it is empty."""
+    lines = read_text(path, name_of(path, root)).strip().splitlines()
+    return lines[0].strip()[:200] if lines else None
+
+
+def _refuse(name: str) -> float:
+    raise ValueError(f"{name} is no number")
