@@ -96,9 +96,17 @@ def write_files(
 
 
 def exchange(
-    tables: DeltaTables, storage: Storage, table: str, removed: Collection[str], added: Collection[str], check: Callable[[], None]
+    tables: DeltaTables,
+    storage: Storage,
+    table: str,
+    removed: Collection[str],
+    added: Collection[str],
+    check: Callable[[], None],
+    forced: bool = False,
 ) -> int:
     """A new version of a table with some data files (paths) in the place of others; its number. Holds the lake's lease.
+
+    Without any, the version stays, unless a new one is `forced`.
 
     Raises:
         DeltaError: somebody else wrote to the table meanwhile, who must have taken the lease over.
@@ -114,7 +122,7 @@ def exchange(
     for path in sorted(added):
         size, statistics = _statistics(storage, path)
         actions.append(AddAction(path.rpartition("/")[2], size, {}, now, True, json.dumps(statistics)))
-    if actions:
+    if actions or forced:
         check()
         opened.create_write_transaction(actions, "append", opened.schema(), commit_properties=CommitProperties(max_commit_retries=0))
         opened.update_incremental()

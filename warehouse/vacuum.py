@@ -28,7 +28,10 @@ BLOB_SECONDS = 86_400.0
 
 @dataclasses.dataclass(frozen=True)
 class Vacuumed:
-    """What a vacuum removed, or would remove: snapshots by id, data files, blobs, and their sizes [B]."""
+    """What a vacuum removed, or would remove: snapshots by id, data files, blobs, and their sizes [B].
+
+    `young_blobs` are named by no row either, but somebody put them within a day and may be about to name them.
+    """
 
     snapshots: tuple[int, ...]
     files: int
@@ -36,6 +39,7 @@ class Vacuumed:
     file_bytes: int = 0
     blob_bytes: int = 0
     log_bytes: int = 0
+    young_blobs: int = 0
 
     @property
     def bytes(self) -> int:
@@ -92,22 +96,26 @@ def forget(lake: Lake, lease: Lease, kept: Sequence[Snapshot], gone: Sequence[in
                 references.add_files(table, sorted({file for version in versions for file in by_version[version]}))
         references.add(lake.staging.blob_names())
         references.finish()
-        blobs, blob_bytes = remove_unnamed_blobs(lake, references, lease, dry_run)
-    return Vacuumed(tuple(gone), count, blobs, size, blob_bytes, logs)
+        blobs, blob_bytes, young = _remove_blobs(lake, references, lease, dry_run)
+    return Vacuumed(tuple(gone), count, blobs, size, blob_bytes, logs, young)
 
 
-def remove_unnamed_blobs(lake: Lake, references: BlobReferences, lease: Lease, dry_run: bool = False) -> tuple[int, int]:
-    """Remove the blobs that `references` do not name and that nobody put within a day; how many and their size [B]."""
-    count = size = 0
+def _remove_blobs(lake: Lake, references: BlobReferences, lease: Lease, dry_run: bool) -> tuple[int, int, int]:
+    """Remove blobs that `references` do not name and nobody put within a day; how many, their size [B], and how many are younger."""
+    count = size = young = 0
     oldest = time.time() - BLOB_SECONDS
     for unnamed, _ in references.compared():
         lease.check()
         for entry in unnamed:
-            if re.fullmatch(BLOB_PATTERN, entry.path.rpartition("/")[2]) and entry.modified < oldest:
-                if not dry_run:
-                    lake.blobs.remove(entry.path)
-                count, size = count + 1, size + entry.size
-    return count, size
+            if not re.fullmatch(BLOB_PATTERN, entry.path.rpartition("/")[2]):
+                continue
+            if entry.modified >= oldest:
+                young += 1
+                continue
+            if not dry_run:
+                lake.blobs.remove(entry.path)
+            count, size = count + 1, size + entry.size
+    return count, size, young
 
 
 def _kept(every: Sequence[Snapshot], released: set[int], days: float) -> list[Snapshot]:

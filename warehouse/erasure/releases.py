@@ -1,0 +1,42 @@
+"""Releases without an erased scene: their folders are written anew from their snapshots, which have forgotten it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+from warehouse.adoption import now_utc
+from warehouse.erasure.plan import Plan
+from warehouse.erasure.proof import search
+from warehouse.lake import Lake
+from warehouse.lease import Lease
+from warehouse.release import write_tables
+from warehouse.released import FOLDER, RECORD, folder_of, record_fields, released
+
+
+def erase_from_releases(lake: Lake, plan: Plan, lease: Lease, advance: Callable[[str], None] = lambda what: None) -> None:
+    """Write the folders of releases anew that tell of the plan's scene; remove folders of releases that were never finished.
+
+    A release says in `release.json` when something was erased from it, and not what. Holds the lake's lease.
+    """
+    names = {release.name for release in released(lake.storage)}
+    for folder in lake.storage.folders(FOLDER):
+        if folder not in names:
+            lease.check()
+            for entry in list(lake.storage.walk(folder_of(folder))):
+                lake.storage.remove(entry.path)
+    for release in released(lake.storage):
+        if release.name in plan.releases or search(lake.storage, plan.traces, folder=folder_of(release.name)).hits:
+            lease.check()
+            _renew(lake, release.name, plan)
+            advance(folder_of(release.name))
+
+
+def _renew(lake: Lake, name: str, plan: Plan) -> None:
+    release = next(one for one in released(lake.storage) if one.name == name)
+    record = f"{folder_of(name)}/{RECORD}"
+    fields = json.loads(lake.storage.read(record))
+    write_tables(lake, release.snapshot_id, lake.storage, folder_of(name))
+    fields |= record_fields(release) | {"notes": plan.traces.redacted(release.notes)}
+    fields["erased_at"] = sorted({*fields.get("erased_at", ()), now_utc().isoformat()})
+    lake.storage.write(record, json.dumps(fields, indent=1).encode())
