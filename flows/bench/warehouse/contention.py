@@ -10,7 +10,6 @@ import collections
 import dataclasses
 import hashlib
 import json
-import os
 import random
 import signal
 import subprocess
@@ -83,11 +82,12 @@ def contention(
     random_ = random.Random(seed)
     killed = in_commit = 0
     while any(process.poll() is None for process in (*staging, *committing)):
-        time.sleep(random_.uniform(0.05, 0.6))
-        victim = random_.randrange(committers)
-        if killed < kills and committing[victim].poll() is None:
+        time.sleep(random_.uniform(0.0, 0.2))
+        victim = next((i for i, process in enumerate(committing) if process.poll() is None and _holds_lease(lake, process.pid)), None)
+        if killed < kills and victim is not None:
+            time.sleep(random_.uniform(0.0, 0.5))  # anywhere in the commit, or just after it
             in_commit += _holds_lease(lake, committing[victim].pid)
-            os.kill(committing[victim].pid, signal.SIGKILL)
+            committing[victim].kill()
             committing[victim].communicate()
             killed += 1
             committing[victim] = _process("commit", lake, str(scenes))
@@ -145,8 +145,10 @@ def _write(lake: Lake, numbers: str) -> None:
 def _commit(lake: Lake, scenes: str) -> None:
     """Commit what is complete until every scene is there as staged the last time."""
     while not _are_committed(lake, range(int(scenes)), f"time {TIMES - 1}"):
-        staged = collections.Counter(one.run.scene_id for one in lake.staging.runs())
-        complete = {scene for scene, stages in staged.items() if stages == len(STAGES)}
+        # A committer that was killed may have left runs behind that are committed already: they are complete, too.
+        staged = collections.Counter((one.run.scene_id, one.run.started_at) for one in lake.staging.runs())
+        torn = {scene for (scene, _), stages in staged.items() if stages != len(STAGES)}
+        complete = {scene for scene, _ in staged} - torn
         if complete:
             lake.commit("contention", scenes=complete)
         time.sleep(0.05)
