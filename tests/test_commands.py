@@ -16,7 +16,7 @@ import click
 import pyarrow.parquet as pq
 import pytest
 
-from flows.cli import COMMANDS
+from flows.cli import COMMANDS, MODULES
 from tasks.pipeline import SCENE_STAGES
 from tests.test_export_folder import SCENES, built
 from tests.test_pipeline import metascenes
@@ -58,7 +58,7 @@ def every_command() -> list[tuple[str, ...]]:
     """Words of every command and subcommand, the group itself first."""
     found: list[tuple[str, ...]] = [()]
     for name in COMMANDS:
-        command = importlib.import_module(f"flows.commands.{name}").command
+        command = importlib.import_module(f"flows.commands.{MODULES.get(name, name)}").command
         found.append((name,))
         if isinstance(command, click.Group):
             found += [(name, inner) for inner in command.commands]
@@ -80,7 +80,7 @@ def test_help_of_every_command_has_an_example_of_that_command(words: tuple[str, 
 
 def test_the_list_of_commands_says_what_each_says_of_itself() -> None:
     for name, line in COMMANDS.items():
-        command = importlib.import_module(f"flows.commands.{name}").command
+        command = importlib.import_module(f"flows.commands.{MODULES.get(name, name)}").command
         assert command.name == name
         assert command.short_help == line or (command.help or "").split("\n")[0] == line
 

@@ -35,7 +35,7 @@ def _import_options(function: F) -> F:
     return function
 
 
-@click.group("import", short_help="Import finished datasets of others.")
+@click.group("import", short_help="Import finished datasets: Habitat scene datasets, the MetaScenes release.")
 def command() -> None:
     """Import finished datasets of others, so that the same questions can be asked of them.
 

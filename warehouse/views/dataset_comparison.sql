@@ -1,0 +1,94 @@
+-- How do the datasets of the lake compare: scenes, objects, categories, sizes, licenses, stability?
+-- Version 1.
+-- A finished dataset that was imported (formats metascenes and habitat) has no scans of its own here; what it does not state is missing.
+-- Stability is MuJoCo's verdict on the objects that are free to move; known_share is that of objects whose label the label map has.
+WITH counted AS (
+    SELECT
+        scenes.dataset,
+        count(DISTINCT instances.category) FILTER (instances.nyu40_id > 0) AS categories,
+        count(*) AS objects,
+        count(*) FILTER (instances.nyu40_id > 0) AS known,
+        quantile_cont(instances.box_volume_m3, [0.25, 0.5, 0.75]) AS volumes
+    FROM instances
+    JOIN scenes USING (scene_id)
+    WHERE NOT instances.is_structure
+    GROUP BY scenes.dataset
+),
+per_scene AS (
+    SELECT scene_id, count(*) AS objects
+    FROM instances
+    WHERE NOT is_structure
+    GROUP BY scene_id
+),
+scanned AS (
+    SELECT
+        scenes.dataset,
+        list_sort(list(DISTINCT scenes.scan_format)) AS formats,
+        count(*) AS scenes,
+        count(DISTINCT scenes.room_id) AS rooms,
+        list(DISTINCT coalesce(scenes.license, 'not stated')) AS licenses,
+        quantile_cont(rooms.floor_area_m2, 0.5) AS median_floor_area_m2,
+        quantile_cont(coalesce(per_scene.objects, 0), 0.5) AS median_objects_per_scene
+    FROM scenes
+    LEFT JOIN rooms USING (scene_id)
+    LEFT JOIN per_scene USING (scene_id)
+    GROUP BY scenes.dataset
+),
+used AS (
+    SELECT scenes.dataset, placements.asset_id, count(*) AS uses, count(placements.displacement_m) AS moves, sum(placements.displacement_m) AS moved_m
+    FROM placements
+    JOIN scenes USING (scene_id)
+    GROUP BY ALL
+),
+placed AS (
+    SELECT
+        used.dataset,
+        count(*) AS assets,
+        CAST(sum(used.uses) AS BIGINT) AS placed_objects,
+        sum(used.moved_m) / nullif(sum(used.moves), 0) AS mean_displacement_m,
+        list(DISTINCT assets.license) AS licenses,
+        quantile_cont(assets.volume_m3, 0.5) AS median_asset_volume_m3
+    FROM used
+    JOIN assets USING (asset_id)
+    GROUP BY used.dataset
+),
+certified AS (
+    SELECT
+        scenes.dataset,
+        count(*) AS free_objects,
+        count(*) FILTER (certificates.is_stable_1cm) AS stable_1cm,
+        count(*) FILTER (certificates.is_stable_5cm) AS stable_5cm
+    FROM certificates
+    JOIN scenes USING (scene_id)
+    WHERE certificates.engine = 'mujoco' AND NOT certificates.is_fixed
+    GROUP BY scenes.dataset
+)
+SELECT
+    scanned.dataset,
+    scanned.formats,
+    scanned.scenes,
+    scanned.rooms,
+    scanned.median_floor_area_m2,
+    coalesce(counted.objects, 0) AS objects,
+    coalesce(counted.objects, 0) / scanned.scenes AS objects_per_scene,
+    scanned.median_objects_per_scene,
+    coalesce(counted.categories, 0) AS categories,
+    counted.known / counted.objects AS known_share,
+    counted.volumes[1] AS q1_box_volume_m3,
+    counted.volumes[2] AS median_box_volume_m3,
+    counted.volumes[3] AS q3_box_volume_m3,
+    coalesce(placed.placed_objects, 0) AS placed_objects,
+    coalesce(placed.placed_objects, 0) / nullif(counted.objects, 0) AS placed_share,
+    coalesce(placed.assets, 0) AS assets,
+    placed.median_asset_volume_m3,
+    placed.mean_displacement_m,
+    certified.free_objects,
+    certified.stable_1cm / certified.free_objects AS stable_1cm_share,
+    certified.stable_5cm / certified.free_objects AS stable_5cm_share,
+    list_sort(scanned.licenses) AS scene_licenses,
+    list_sort(placed.licenses) AS asset_licenses
+FROM scanned
+LEFT JOIN counted USING (dataset)
+LEFT JOIN placed USING (dataset)
+LEFT JOIN certified USING (dataset)
+ORDER BY scanned.dataset
