@@ -14,6 +14,7 @@ COMMANDS = {
     "run": "Turn a folder of scans into replica scenes in a lake.",
     "scan": "Scan a furnished GLB scene with the virtual scanner.",
     "sql": "Ask the lake a question in SQL; reads only.",
+    "explain": "Say what an object, a scene, an asset or a file was made from.",
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",
     "annotate": "Import what annotators chose, and what reviewers say of it.",

@@ -1,0 +1,273 @@
+"""A node of a lineage in a few words: a headline, and lines of detail. What the lake does not record is said to be so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from schemas.lineage import Node
+
+Facts = Mapping[str, Any]
+
+UNRECORDED = "not recorded"
+
+_SHOWN = 6
+"""Members of a list that are spelled out; the JSON form has all."""
+
+
+def described(node: Node) -> list[str]:
+    """A headline and lines of detail of a node."""
+    if node.is_missing:
+        return [f"{node.kind} {node.key}: NAMED, BUT NOT THERE"]
+    lines = _WORDS[node.kind](node.key, node.facts) if node.kind in _WORDS else [f"{node.kind} {node.key}", _listed(node.facts)]
+    return [line for line in lines if line]
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A number in short, None as not recorded."""
+    if value is None:
+        return UNRECORDED
+    if isinstance(value, int):
+        return f"{value:,}"
+    if 0 < abs(value) < 10**-digits / 2:
+        return f"{'-' if value < 0 else ''}<{10**-digits:.{digits}f}"
+    text = f"{value:.{digits}f}"
+    return text.rstrip("0").rstrip(".") if digits else text
+
+
+def scaled(value: Any, factor: float, digits: int = 1) -> str:
+    """A number in another unit, None as not recorded."""
+    return number(None if value is None else value * factor, digits)
+
+
+def point(value: Any) -> str:
+    """A point in meters."""
+    return UNRECORDED if value is None else f"({', '.join(number(one) for one in value)})"
+
+
+def _text(value: Any) -> str:
+    if value is None or value == "":
+        return UNRECORDED
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int | float):
+        return number(value)
+    if isinstance(value, list):
+        shown = ", ".join(map(_text, value[:_SHOWN]))
+        return f"{shown}, and {len(value) - _SHOWN} more" if len(value) > _SHOWN else shown or "none"
+    if isinstance(value, dict):
+        return _listed(value)
+    return " ".join(str(value).split())
+
+
+def _listed(facts: Facts) -> str:
+    return ", ".join(f"{name} {_text(value)}" for name, value in facts.items() if name != "type")
+
+
+def _size(values: Any) -> str:
+    return UNRECORDED if values is None else " x ".join(number(one, 2) for one in values) + " m"
+
+
+def _bytes(count: Any) -> str:
+    if count is None:
+        return UNRECORDED
+    return f"{count:,} bytes" if count < 10_000 else f"{count / 1e6:.2f} MB"
+
+
+def _plural(count: Any, one: str, many: str = "") -> str:
+    return f"{number(count)} {one if count == 1 else many or one + 's'}"
+
+
+def _instance(key: str, facts: Facts) -> list[str]:
+    names = f"labelled {facts['raw_label']!r} in the scan, NYU40 {facts['nyu40_label']}"
+    size = f"box {_size(facts['box_size'])}, {number(facts['box_volume_m3'])} m3, {_plural(facts['point_count'], 'point')}"
+    return [f"{facts['category']} {key}{' (part of the room)' if facts['is_structure'] else ''}", names, size]
+
+
+def _verdict(facts: Facts) -> str:
+    if not facts["passed"]:
+        return f"DID NOT PASS: {_text(facts['broken_rules'])}"
+    return f"passed, {_plural(facts['rules'], 'rule')}" if facts["rules"] is not None else f"passed, rules {UNRECORDED}"
+
+
+def _export(key: str, facts: Facts) -> list[str]:
+    return [f"{facts['file']}:{facts['name']}", _verdict(facts)]
+
+
+_OF_ASSETS = ("asset", "object", "collision", "texture")
+"""Roles of files that come from an asset."""
+
+
+def _export_file(key: str, facts: Facts) -> list[str]:
+    also = f"also in {_text(facts['also_in'])}" if facts.get("also_in") else ""
+    here = f"the copy outside the lake: {facts['content']}" if facts.get("content") else ""
+    what = f"{facts['role']} file of {facts['scene_id']}, {_bytes(facts['size_bytes'])}, {_verdict(facts)}"
+    names = facts.get("assets")
+    if facts["role"] in _OF_ASSETS and names == []:
+        what += f"; its asset is {UNRECORDED} in it"
+    return [facts["file"], what, f"blob {facts['file_blob']}", here, also]
+
+
+def _placement(key: str, facts: Facts) -> list[str]:
+    who = f"annotator {facts['annotator']} ({facts['annotation_match']})" if facts["origin"] == "annotation" else "selection"
+    way = f"from {point(facts['proposed_position_m'])} to {point(facts['optimized_position_m'])} m"
+    moved = f"{way}: {number(facts['displacement_m'])} m aside, {number(facts['lift_m'])} m up, by the {facts['method']} method"
+    before, after = facts["proposed_contacts"], facts["optimized_contacts"]
+    overlaps = f"overlapped {_text(before)} ({scaled(facts['proposed_penetration_m'], 1e3)} mm deep) before, " if before else ""
+    overlaps += f"{_text(after)} ({scaled(facts['optimized_penetration_m'], 1e3)} mm deep) after" if after else "overlaps nothing"
+    absent = f"not in {_text(facts['not_in'])}" if facts.get("not_in") else ""
+    remains = f"remains: {facts['remains']}" if facts["remains"] else ""
+    return [f"placement {key}, proposed by {who}", moved, overlaps, absent, remains]
+
+
+def _support(key: str, facts: Facts) -> list[str]:
+    carrier = facts["parent_id"] or facts["against"] or ("" if facts["relation"] in ("none", "floor") else UNRECORDED)
+    kind = "fixed" if facts["is_fixed"] else "free to move"
+    kept = "" if facts["is_kept"] else ", by something else after the optimization"
+    return [f"{facts['relation']} {carrier}".strip() + f", gap {scaled(facts['gap_m'], 1e3)} mm, {kind}{kept}"]
+
+
+def _moves(key: str, facts: Facts) -> list[str]:
+    carried = f", {_plural(facts['of_what_carries_it'], 'step')} of what carries it" if facts["of_what_carries_it"] else ""
+    steps = [
+        f"step {one['step']}: {one['instance_id']} {one['outcome']} by {point((one['dx_m'], one['dy_m'], one['dz_m']))} m{_turned(one)}"
+        for one in facts["steps"][:_SHOWN]
+    ]
+    more = f"and {len(facts['steps']) - _SHOWN} more" if len(facts["steps"]) > _SHOWN else ""
+    return [f"{_plural(facts['own'], 'step')} of its own{carried}" if facts["steps"] else "no step: it stands as proposed", *steps, more]
+
+
+def _turned(step: Facts) -> str:
+    angle = math.degrees(math.hypot(step["turn_x_radians"], step["turn_y_radians"], step["turn_z_radians"]))
+    return f", turned by {number(angle, 1)} degrees" if angle else ""
+
+
+def _certificate(key: str, facts: Facts) -> list[str]:
+    engine = f"{facts['engine']} {facts['engine_version']}"
+    if facts["problem"]:
+        return [f"{engine} could not simulate it: {facts['problem']}"]
+    went = f"{scaled(facts['displacement_m'], 1e3)} mm and {scaled(facts['tilt_radians'], 180 / math.pi)} degrees"
+    verdict = "stable" if facts["is_stable_5cm"] else "NOT STABLE"
+    plausible = {True: "plausible", False: "NOT PLAUSIBLE", None: "not judged"}[facts["is_density_plausible"]]
+    mass = f"{number(facts['mass_kg'])} kg, {number(facts['density_kg_m3'], 0)} kg/m3, {plausible}"
+    return [f"{engine}: {verdict}, moved {went} in {number(facts['simulated_seconds'])} s{' (fixed)' if facts['is_fixed'] else ''}", mass]
+
+
+def _episodes(key: str, facts: Facts) -> list[str]:
+    if not facts["count"]:
+        return [f"no episode: {facts['reason']}"]
+    return [
+        f"{_plural(facts['count'], 'episode')} ({facts['split']}) for {facts['agent']}, {facts['path_finder']}: {_text(facts['episodes'])}"
+    ]
+
+
+def _selection(key: str, facts: Facts) -> list[str]:
+    scores = f"coverage {number(facts['coverage'])}, box IoU {number(facts['box_iou'])}, Chamfer {number(facts['chamfer_m'])} m"
+    who = f"scored by {facts['provider']} {facts['provider_version']}: {scores}, color {number(facts['color_similarity'])}"
+    return [f"rank {facts['rank']} of {facts['ranked']}, score {number(facts['score'])}", who]
+
+
+def _annotation(key: str, facts: Facts) -> list[str]:
+    chose = f"chose asset {facts['choice'][:12]}" if facts["choice"] else "found that no candidate fits"
+    where = f", placed at {point(facts['position_m'])} m" if facts["position_m"] else ""
+    named = f"as instance {facts['instance_id']}, from {facts['source_file']}"
+    return [f"{facts['annotator']} in batch {facts['batch_id']} {chose}{where}", f"{named}, answered {moment(facts['answered_at'])}"]
+
+
+def _candidate(key: str, facts: Facts) -> list[str]:
+    made = f"slot {facts['slot']}, {facts['outcome']}{' by a fallback' if facts['is_fallback'] else ''}"
+    return [made, f"because {facts['reason']}" if facts["reason"] else ""]
+
+
+def _provider(key: str, facts: Facts) -> list[str]:
+    settings = facts["settings"]
+    told = _listed({k: v for k, v in settings.items() if k != "version"}) if isinstance(settings, Mapping) else UNRECORDED
+    return [f"provider {facts['provider']}, version {_text(facts['provider_version'])}", f"settings: {told or 'none'}"]
+
+
+def _asset(key: str, facts: Facts) -> list[str]:
+    shape = f"{_size(facts['extents'])}, {number(facts['volume_m3'], 4)} m3, {'closed' if facts['is_watertight'] else 'open'}"
+    source = f"source {_text(facts['source'])}, license {_text(facts['license'])}, author {_text(facts['author'])}"
+    return [f"asset {key}", f"{facts['name']} ({facts['category']}), {shape}, {_plural(facts['face_count'], 'face')}", source]
+
+
+def _caption(key: str, facts: Facts) -> list[str]:
+    body = f"{facts['body_type']}, {_text(facts['materials'])}, {number(facts['mass_kg'])} kg, friction {number(facts['friction'])}"
+    return [
+        facts["sentence"],
+        f"{body}; attributes from {_text(facts['attribute_source'])}{'; by a fallback' if facts['is_fallback'] else ''}",
+    ]
+
+
+def _mask(key: str, facts: Facts) -> list[str]:
+    box, seen = facts["pixel_box"], facts["visible_fraction"]
+    return [f"{_plural(facts['pixel_count'], 'pixel')} in {box[0]}..{box[2]} x {box[1]}..{box[3]}, {scaled(seen, 100, 0)} % of it visible"]
+
+
+def _frame(key: str, facts: Facts) -> list[str]:
+    camera = f"camera at {point(facts['camera_position_m'])} m" if facts["has_pose"] else "without a pose"
+    files = f"{facts['color_file']}, depth {_text(facts['depth_file'])}"
+    return [f"frame {key.rpartition('/')[2]}: {files}, {facts['width']} x {facts['height']}, {camera}"]
+
+
+def _scene(key: str, facts: Facts) -> list[str]:
+    size = f"{_plural(facts['instance_count'], 'instance')} from {facts['segmentation']}, {_plural(facts['frame_count'], 'frame')}"
+    mesh = f"mesh of {_plural(facts['face_count'], 'face')}, aligned: {facts['alignment_source']}"
+    return [f"scene {key}, room {facts['room_id']}", f"{size}, {mesh}"]
+
+
+def _scan(key: str, facts: Facts) -> list[str]:
+    return [
+        f"{facts['scan_format']} scan {facts['scan']} of {facts['dataset']}, license {_text(facts['license'])}",
+        f"files in {_text(facts['scan_path'])}",
+        f"hash of its files {_text(facts['content_hash'])}",
+    ]
+
+
+def _stage(key: str, facts: Facts) -> list[str]:
+    head = f"{facts['stage']}: {facts['outcome']}"
+    error = f"error: {facts['error']}" if facts.get("error") else ""
+    rest = {k: v for k, v in facts.items() if k not in ("stage", "outcome", "error", "objects")}
+    return [head, error, _listed(rest), *(_object(one) for one in facts.get("objects", ()))]
+
+
+def _object(facts: Facts) -> str:
+    who = f"annotator {facts['annotator']}" if facts["origin"] == "annotation" else "selection"
+    return f"{facts['instance_id']} {_text(facts['category'])}: asset {facts['asset_id'][:12]} by {who}"
+
+
+def _export_format(key: str, facts: Facts) -> list[str]:
+    size = f"{_plural(facts['files'], 'file')}, {_bytes(facts['size_bytes'])}, {_verdict(facts)}"
+    return [f"{facts['format']}: {size}", _text(facts["scene_files"]) if facts["scene_files"] else ""]
+
+
+def _batch(key: str, facts: Facts) -> list[str]:
+    who = f"{_plural(facts['answers'], 'answer')} by {_text(facts['annotators'])}"
+    return [f"annotation batch {key}: {who}, {moment(facts['first'])} to {moment(facts['last'])}"]
+
+
+def _blob(key: str, facts: Facts) -> list[str]:
+    return [f"blob {key}", f"{_bytes(facts['size_bytes'])}, named by {_plural(facts['rows'], 'row')}: {_text(facts['named_by'])}"]
+
+
+def _uses(key: str, facts: Facts) -> list[str]:
+    counts = [_plural(facts[name], name.removesuffix("s")) for name in ("placements", "candidates", "annotations")]
+    return [f"{', '.join(counts)} in {_plural(facts['scenes'], 'scene')}"]
+
+
+def _row(key: str, facts: Facts) -> list[str]:
+    return [f"row {key}"]
+
+
+def moment(text: str | None) -> str:
+    """A time to the second."""
+    return UNRECORDED if text is None else f"{text[:19].replace('T', ' ')} UTC"
+
+
+_WORDS: Mapping[str, Callable[[str, Facts], list[str]]] = {
+    "instance": _instance, "export": _export, "export_file": _export_file, "placement": _placement, "support": _support, "moves": _moves,
+    "certificate": _certificate, "episodes": _episodes, "selection": _selection, "annotation": _annotation, "candidate": _candidate,
+    "provider": _provider, "asset": _asset, "caption": _caption, "mask": _mask, "frame": _frame, "scene": _scene, "scan": _scan,
+    "stage": _stage, "export_format": _export_format, "batch": _batch, "blob": _blob, "uses": _uses, "row": _row,
+}  # fmt: skip

@@ -1,0 +1,180 @@
+"""The walk from a file: one of an export, a thing in it, an asset, or a blob by its name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from schemas.annotation import Annotation
+from schemas.candidates import Asset, Candidate
+from schemas.capture import Instance, Scene
+from schemas.exports import ExportFile
+from schemas.lineage import Place
+from schemas.optimization import Placement
+from schemas.record import Table, arrow_to_rows
+from schemas.tables import TABLES
+from warehouse.lineage.nodes import (
+    add_annotation,
+    add_asset,
+    candidate_node,
+    exported_node,
+    exported_places,
+    instance_node,
+    placement_node,
+    scan_node,
+    scene_node,
+    verdict,
+)
+from warehouse.lineage.objects import walk_object
+from warehouse.lineage.walk import Walk, picked
+
+_HASH = rb"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])"
+
+SHOWN = 20
+"""Uses of an asset or a blob that are walked; all are counted."""
+
+
+def walk_export(walk: Walk, file: ExportFile, also_in: Sequence[str] = (), content: str | None = None) -> str:
+    """Walk a file of a scene's export; the id of its node.
+
+    `also_in` are other scenes that have a file at the same path, `content` says how a copy outside the lake compares.
+    """
+    named: list[str] | None = None
+    if file.role != "scene" and file.file_blob in walk.blobs:
+        placed = {row.asset_id for row in walk.rows(Placement, file.scene_id)}
+        stated = {found.decode() for found in re.findall(_HASH, walk.blobs[file.file_blob])}
+        named = sorted(placed & stated)
+    root = _file_node(walk, file, {"also_in": list(also_in), "content": content, "assets": named})
+    walk.line(0, "", root)
+    if file.role == "scene":
+        for place in exported_places(walk, file):
+            thing = exported_node(walk, file, place)
+            walk.edge(root, thing, "holds")
+            walk.line(1, "holds", thing)
+            row = walk.row(Placement, file.scene_id, instance_id=place.instance_id)
+            if row is not None:
+                walk.line(2, "shows", placement_node(walk, row))
+    for row in walk.rows(Placement, file.scene_id) if named else ():
+        if row.asset_id in (named or ()):
+            placement = placement_node(walk, row)
+            walk.edge(root, f"asset:{row.asset_id}", "made from")
+            walk.line(1, "made from", f"asset:{row.asset_id}")
+            walk.line(2, "used by", placement)
+    scene = scene_node(walk, root, file.scene_id, "part of")
+    walk.line(1, "part of", scene)
+    scan = scan_node(walk, file.scene_id)
+    if scan is not None:
+        walk.edge(scene, scan, "read from")
+        walk.line(2, "read from", scan)
+    return root
+
+
+def walk_thing(walk: Walk, file: ExportFile, place: Place, content: str | None = None) -> str:
+    """Walk a thing in an exported scene; the id of its node."""
+    root = exported_node(walk, file, place)
+    walk.line(0, "", root)
+    node = _file_node(walk, file, {"content": content})
+    walk.edge(node, root, "holds")
+    walk.line(1, "in", node)
+    instance = walk.row(Instance, file.scene_id, instance_id=place.instance_id)
+    if instance is None:
+        walk.line(1, "shows", walk.missing(root, "instance", f"{file.scene_id}/{place.instance_id}", "shows"))
+    else:
+        walk.edge(root, walk_object(walk, instance, 1, "shows"), "shows")
+    return root
+
+
+def walk_asset(walk: Walk, asset: Asset, depth: int = 0, role: str = "") -> str:
+    """Walk an asset: who offered it, who chose it, and where it stands; the id of its node."""
+    root = add_asset(walk, asset)
+    walk.line(depth, role, root)
+    placements = walk.reader.matching("placements", {"asset_id": [asset.asset_id]}, ["asset_id"]).to_pylist()
+    offers = walk.reader.matching("candidates", {"asset_id": [asset.asset_id]}, ["asset_id"]).to_pylist()
+    answers = arrow_to_rows(walk.reader.matching("annotations", {"choice": [asset.asset_id]}), Annotation)
+    uses = {
+        "placements": len(placements), "candidates": len(offers), "annotations": len(answers),
+        "scenes": len({row["scene_id"] for row in (*placements, *offers)}),
+    }  # fmt: skip
+    node = walk.node("uses", asset.asset_id, uses)
+    walk.edge(node, root, "of")
+    walk.line(depth + 1, "used in", node)
+    for one in placements[:SHOWN]:
+        placement = walk.row(Placement, one["scene_id"], instance_id=one["instance_id"])
+        if placement is not None:
+            walk.line(depth + 2, "stands in", placement_node(walk, placement))
+    for answer in answers[:SHOWN]:
+        add_annotation(walk, answer, depth + 2, "chosen by")
+    # Who offered it is the same in every scene but for the slot: one that placed it comes first.
+    placed = {(one["scene_id"], one["instance_id"]) for one in placements}
+    first = min(offers, key=lambda row: ((row["scene_id"], row["instance_id"]) not in placed, *row.values()), default=None)
+    if first is not None:
+        candidate = walk.row(Candidate, first["scene_id"], instance_id=first["instance_id"], slot=first["slot"])
+        if candidate is not None:
+            candidate_node(walk, candidate, depth + 1, "offered as")
+    return root
+
+
+def walk_blob(walk: Walk, name: str, owners: Sequence[tuple[Table, str, Any]]) -> str:
+    """Walk a blob from the rows that name it, given as (table, column, row); the id of its node."""
+    is_there = name in walk.blobs
+    facts = {
+        "named_by": [f"{table.name}.{column}" for table, column, _ in owners[:SHOWN]], "rows": len(owners),
+        "size_bytes": len(walk.blobs[name]) if is_there else None,
+    }  # fmt: skip
+    root = walk.node("blob", name, facts)
+    walk.line(0, "", root)
+    if not is_there:
+        walk.problem("missing", root, f"blob {name} is named, but not there")
+    for index, (table, column, row) in enumerate(owners[:SHOWN]):
+        role = f"{column} of"
+        if isinstance(row, Instance):
+            owner = instance_node(walk, row) if index else walk_object(walk, row, 1, role)
+        elif isinstance(row, Asset):
+            owner = add_asset(walk, row) if index else walk_asset(walk, row, 1, role)
+        elif isinstance(row, ExportFile):
+            owner = _file_node(walk, row)
+        elif isinstance(row, Scene):
+            owner = scene_node(walk, root, row.scene_id, role)
+        else:
+            key = "/".join(str(getattr(row, one)) for one in table.key)
+            scene_id = getattr(row, "scene_id", None)
+            owner = walk.node("row", f"{table.name}/{key}", {"table": table.name}, walk.run(scene_id, table.stage) if scene_id else None)
+        walk.edge(root, owner, role)
+        if index or not isinstance(row, Instance | Asset):
+            walk.line(1, role, owner)
+        if not index and getattr(row, "scene_id", None) and not isinstance(row, Instance):
+            scene = scene_node(walk, owner, row.scene_id, "part of") if not isinstance(row, Scene) else owner
+            scan = scan_node(walk, row.scene_id)
+            if scan is not None:
+                walk.edge(scene, scan, "read from")
+                walk.line(2, "read from", scan)
+    return root
+
+
+def blob_owners(walk: Walk, name: str) -> list[tuple[Table, str, Any]]:
+    """Rows that name a blob, as (table, column, row), in the order of the data path."""
+    found: list[tuple[Table, str, Any]] = []
+    for table in TABLES.values():
+        for column in table.blob_columns:
+            rows = walk.reader.matching(table.name, {column: [name]})
+            records: list[Any] = arrow_to_rows(rows, table.record)
+            found += [(table, column, record) for record in records]
+    return found
+
+
+def _file_node(walk: Walk, file: ExportFile, found: Mapping[str, Any] | None = None) -> str:
+    """The node of an exported file; `found` are facts that are no row's: of a copy outside the lake, of other scenes, of what it says."""
+    facts = {
+        "format": file.format,
+        "file": f"{file.format}/{file.path}",
+        "scene_id": file.scene_id,
+        **picked(file, "role", "file_blob", "size_bytes"),
+        **verdict(walk, file),
+        **(found or {}),
+    }
+    node = walk.node("export_file", f"{file.scene_id}/{file.format}/{file.path}", facts, walk.run(file.scene_id, "exports"))
+    walk.check_blobs(node, (file.file_blob,))
+    if facts.get("content") == "differs":
+        walk.problem("differs", node, f"the file is not what the lake has as {file.format}/{file.path} of {file.scene_id}")
+    return node

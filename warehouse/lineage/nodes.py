@@ -1,0 +1,196 @@
+"""Nodes of a walk: one function per kind of row, which follows the ids that the row names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from schemas.annotation import Annotation
+from schemas.candidates import Asset, Candidate
+from schemas.capture import Instance, Scene
+from schemas.exports import ExportCheck, ExportFile
+from schemas.lineage import Place
+from schemas.optimization import Contact, Placement
+from warehouse.lineage.walk import Walk, picked, position
+
+
+def instance_node(walk: Walk, instance: Instance) -> str:
+    """The node of an instance."""
+    facts = picked(
+        instance, "category", "raw_label", "nyu40_label", "is_structure", "source_id", "box_size", "box_volume_m3", "point_count",
+        "points_blob", "mesh_blob", "view_blob",
+    )  # fmt: skip
+    node = walk.node("instance", f"{instance.scene_id}/{instance.instance_id}", facts, walk.run(instance.scene_id, "capture"))
+    walk.check_blobs(node, (instance.points_blob, instance.mesh_blob, instance.view_blob))
+    return node
+
+
+def follow_instance(walk: Walk, source: str, scene_id: str, instance_id: str, role: str) -> str:
+    """An edge to an instance that something names; the id of the node."""
+    row = walk.row(Instance, scene_id, instance_id=instance_id)
+    if row is None:
+        return walk.missing(source, "instance", f"{scene_id}/{instance_id}", role)
+    node = instance_node(walk, row)
+    walk.edge(source, node, role)
+    return node
+
+
+def scene_node(walk: Walk, source: str, scene_id: str, role: str) -> str:
+    """An edge to the scene; the id of its node."""
+    row = walk.row(Scene, scene_id)
+    if row is None:
+        return walk.missing(source, "scene", scene_id, role)
+    facts = picked(
+        row, "room_id", "instance_count", "frame_count", "vertex_count", "face_count", "segmentation", "alignment_source", "mesh_blob"
+    )
+    node = walk.node("scene", scene_id, facts, walk.run(scene_id, "capture"))
+    walk.check_blobs(node, (row.mesh_blob,))
+    walk.edge(source, node, role)
+    return node
+
+
+def scan_node(walk: Walk, scene_id: str) -> str | None:
+    """The node of the scan that a scene was read from; None when the scene is not there. Its hash is the one of capture's input."""
+    row = walk.row(Scene, scene_id)
+    if row is None:
+        return None
+    run = walk.facts_of_run(scene_id, "capture")
+    facts = picked(row, "dataset", "scan", "scan_format", "scan_path", "license")
+    return walk.node("scan", scene_id, facts | {"content_hash": run.inputs.get("scan") if run is not None else None})
+
+
+def asset_node(walk: Walk, source: str, asset_id: str, role: str) -> str:
+    """An edge to an asset; the id of its node."""
+    node = f"asset:{asset_id}"
+    if not walk.has(node):
+        rows = walk.reader.rows_by_key(Asset, [asset_id])
+        if not rows:
+            return walk.missing(source, "asset", asset_id, role)
+        add_asset(walk, rows[0])
+    walk.edge(source, node, role)
+    return node
+
+
+def add_asset(walk: Walk, asset: Asset) -> str:
+    """The node of an asset."""
+    facts = picked(
+        asset, "provider", "name", "category", "source", "license", "author", "extents", "volume_m3", "is_watertight", "face_count",
+        "mesh_blob", "pieces_blob",
+    )  # fmt: skip
+    node = walk.node("asset", asset.asset_id, facts)
+    walk.check_blobs(node, (asset.mesh_blob, asset.pieces_blob))
+    return node
+
+
+def candidate_node(walk: Walk, row: Candidate, depth: int, role: str) -> str:
+    """A candidate with its provider and asset; the id of its node."""
+    key = f"{row.scene_id}/{row.instance_id}/{row.slot}"
+    facts = picked(row, "slot", "provider", "provider_version", "is_fallback", "outcome", "reason")
+    node = walk.node("candidate", key, facts, walk.run(row.scene_id, "candidates"))
+    walk.line(depth, role, node)
+    follow_instance(walk, node, row.scene_id, row.instance_id, "stands in for")
+    run = walk.facts_of_run(row.scene_id, "candidates")
+    settings = _slot_settings(run.config if run is not None else None, row.slot, row.is_fallback)
+    provider = walk.node(
+        "provider", f"{row.scene_id}/{row.provider} in slot {row.slot}",
+        {"provider": row.provider, "provider_version": row.provider_version, "stage": "candidates", "settings": settings},
+        walk.run(row.scene_id, "candidates"),
+    )  # fmt: skip
+    walk.edge(node, provider, "made by")
+    walk.line(depth + 1, "made by", provider)
+    if row.asset_id is not None:
+        walk.line(depth + 1, "filled with", asset_node(walk, node, row.asset_id, "filled with"))
+    return node
+
+
+def exported_places(walk: Walk, file: ExportFile) -> Sequence[Place]:
+    """What a scene's exported file says of its things; none when its blob is not there, which is noted."""
+    if file.file_blob not in walk.blobs:
+        node = walk.node("export_file", f"{file.format}/{file.path}", picked(file, "role"), walk.run(file.scene_id, "exports"))
+        walk.check_blobs(node, (file.file_blob,))
+        return ()
+    return walk.read_places(file.format, f"{file.format}/{file.path}", walk.blobs[file.file_blob])
+
+
+def verdict(walk: Walk, file: ExportFile) -> dict[str, Any]:
+    """What the gate says of a scene's export in the format of a file. That file and rules say the same is checked."""
+    rules = [row for row in walk.rows(ExportCheck, file.scene_id) if row.format == file.format]
+    broken = [f"{row.rule}: {row.message}" for row in rules if not row.passed]
+    if rules and file.passed != (not broken):
+        text = f"export_files says passed = {file.passed} of {file.format}/{file.path}, and export_checks has {len(broken)} broken rules"
+        walk.problem("differs", walk.run(file.scene_id, "exports") or file.scene_id, text)
+    return {"passed": file.passed, "rules": len(rules) or None, "broken_rules": broken}
+
+
+def exported_node(walk: Walk, file: ExportFile, place: Place) -> str:
+    """A thing in an exported scene, held against the placement that it shows; the id of its node."""
+    facts = {"format": file.format, "file": f"{file.format}/{file.path}", "name": place.name, "file_blob": file.file_blob}
+    node = walk.node("export", f"{file.format}/{file.path}:{place.name}", facts | verdict(walk, file), walk.run(file.scene_id, "exports"))
+    placement = walk.row(Placement, file.scene_id, instance_id=place.instance_id)
+    key = f"{file.scene_id}/{place.instance_id}"
+    if placement is None:
+        walk.missing(node, "placement", key, "shows")
+    else:
+        walk.edge(node, f"placement:{key}", "shows")
+        for name, stated, true in (
+            ("asset", place.asset_id, placement.asset_id),
+            ("scene", place.scene_id, placement.scene_id),
+        ):
+            if stated is not None and stated != true:
+                walk.problem("differs", node, f"{file.format}/{file.path} says {name} {stated} of {place.name}, and the placement {true}")
+    return node
+
+
+def placement_node(walk: Walk, row: Placement, absent: Sequence[str] | None = None) -> str:
+    """The node of a placement with its instance and asset. `absent` are exported scenes that do not hold it, where they were looked at."""
+    facts = {
+        **picked(row, "origin", "annotator", "annotation_match", "scale", "displacement_m", "lift_m", "method", "remains"),
+        "proposed_position_m": position(row.proposed_pose),
+        "optimized_position_m": position(row.optimized_pose),
+        "settled_position_m": position(row.settled_pose),
+        **_contact_facts(walk, row.scene_id, row.instance_id),
+        "not_in": absent,
+    }
+    node = walk.node("placement", f"{row.scene_id}/{row.instance_id}", facts, walk.run(row.scene_id, "optimization"))
+    follow_instance(walk, node, row.scene_id, row.instance_id, "stands for")
+    asset_node(walk, node, row.asset_id, "uses")
+    return node
+
+
+def _contact_facts(walk: Walk, scene_id: str, instance_id: str) -> dict[str, Any]:
+    """What a thing overlaps with, before and after: bodies, and the deepest penetration [m]."""
+    found: dict[str, Any] = {}
+    for phase in ("proposed", "optimized"):
+        rows = [r for r in walk.rows(Contact, scene_id) if r.phase == phase and instance_id in (r.instance_a, r.body_b)]
+        found[f"{phase}_contacts"] = sorted(r.body_b if r.instance_a == instance_id else r.instance_a for r in rows)
+        found[f"{phase}_penetration_m"] = max((r.penetration_m for r in rows), default=0.0)
+    return found
+
+
+def add_annotation(walk: Walk, row: Annotation, depth: int, role: str) -> str:
+    """An answer with the run that took its batch in; the id of its node."""
+    names = ("batch_id", "annotator", "answered_at", "choice", "instance_id", "source_file")
+    facts = picked(row, *names) | {"position_m": position(row.pose), "ranked": len(row.ranking)}
+    node = walk.node("annotation", answer_key(row), facts, walk.run(row.batch_id, "annotation"))
+    walk.line(depth, role, node)
+    if row.choice is not None:
+        asset_node(walk, node, row.choice, "chose")
+    return node
+
+
+def answer_key(row: Annotation) -> str:
+    """Key of an answer."""
+    return f"{row.batch_id}/{row.scene_id}/{row.instance_id}/{row.annotator}"
+
+
+def _slot_settings(config: Any, slot: int, is_fallback: bool) -> Any:
+    """What the provider of a slot was told; None where the config does not say."""
+    slots = part(config, "slots")
+    if not isinstance(slots, list) or not 1 <= slot <= len(slots):
+        return None
+    return part(slots[slot - 1], "fallback" if is_fallback else "provider")
+
+
+def part(config: Any, name: str) -> Any:
+    """A field of a config's JSON value; None where there is none."""
+    return config.get(name) if isinstance(config, Mapping) else None

@@ -1,0 +1,114 @@
+"""What a person may ask after: an object, a scene, an asset, a blob, an exported file, or a thing in one."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Literal
+
+from schemas.capture import Scene
+from schemas.errors import InputError
+from schemas.exports import FORMATS, ExportFile
+from schemas.record import BLOB_PATTERN, INSTANCE_PATTERN, SCENE_PATTERN, arrow_to_rows
+from warehouse.snapshot import Reader
+
+_FORMS = "give <scene>/<instance>, a scene, the hash of an asset, the name of a blob, or the path of an exported file"
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """What is asked after. `thing` is the name of something in an exported file: in USD a prim path.
+
+    `files` are the rows of an exported file, one per scene that has it.
+    """
+
+    kind: Literal["instance", "scene", "asset", "blob", "export"]
+    key: str = ""
+    scene_id: str = ""
+    instance_id: str = ""
+    files: tuple[ExportFile, ...] = ()
+    thing: str | None = None
+
+
+def find_target(reader: Reader, address: str, asked: str) -> Target:
+    """What the words of a person mean in a snapshot. `address` is the lake's, for what is said of it.
+
+    Raises:
+        InputError: they mean nothing, nothing that is there, or more than one thing.
+    """
+    if re.fullmatch(BLOB_PATTERN, asked):
+        return Target("blob", key=asked)
+    if re.fullmatch(r"[0-9a-f]{64}", asked):
+        return Target("asset", key=asked)
+    scene, _, last = asked.rpartition("/")
+    if scene and re.fullmatch(INSTANCE_PATTERN, last):
+        found = _scenes(reader, address, asked, scene)
+        if found:
+            return Target("instance", scene_id=found, instance_id=last)
+    found = _scenes(reader, address, asked, asked)
+    if found:
+        return Target("scene", scene_id=found)
+    path, thing = split_thing(asked)
+    files = export_files(reader, path)
+    if not files and thing is not None:  # a file whose name holds a colon
+        files, thing = export_files(reader, asked), None
+    if files:
+        return Target("export", files=files, thing=thing)
+    raise InputError(address, "explain", f"snapshot {reader.snapshot_id} has nothing that is called {asked!r}", _FORMS)
+
+
+def split_thing(asked: str) -> tuple[str, str | None]:
+    """The path of a file and what is named in it, None where nothing is: ``scene.usda:/World/Objects/bed_0009``."""
+    path, colon, thing = asked.partition(":/")
+    if colon:
+        return path, f"/{thing}"
+    path, colon, thing = asked.rpartition(":")
+    return (path, thing) if colon and path else (asked, None)
+
+
+def export_files(reader: Reader, path: str) -> tuple[ExportFile, ...]:
+    """Rows of an exported file by its path in a folder, `.../<format>/<path of the row>`, sorted by scene; empty where there is none.
+
+    The scene is read off the path where it can be: a path alone is looked for in the exports of all scenes.
+    """
+    parts = [part for part in path.replace("\\", "/").split("/") if part not in ("", ".")]
+    wanted = {(parts[i - 1] if i else None, "/".join(parts[i:])) for i in range(len(parts))}
+    exact = {(name, tail) for name, tail in wanted if name in FORMATS}
+    tails = {tail for _, tail in exact or wanted}
+    if not tails:
+        return ()
+    named = [row.scene_id for row in reader.rows_by_key(Scene, sorted(set(_scene_names(parts))))]
+    rows: list[ExportFile] = []
+    for scene_id in named:
+        rows += [row for row in reader.rows(ExportFile, scene_id) if row.path in tails]
+    if not rows:
+        rows = arrow_to_rows(reader.matching("export_files", {"path": sorted(tails)}), ExportFile)
+    if exact:
+        rows = [row for row in rows if (row.format, row.path) in exact]
+    longest = max((len(row.path) for row in rows), default=0)
+    return tuple(sorted((row for row in rows if len(row.path) == longest), key=lambda row: (row.format, row.scene_id)))
+
+
+def _scene_names(parts: list[str]) -> Iterator[str]:
+    """Scenes that the parts of a path may be named after: exports write ``demo/scene0000_00`` as ``demo_scene0000_00``."""
+    for part in parts:
+        words = part.split(".")[0].split("_")
+        for end in range(2, len(words) + 1):
+            for cut in range(1, end):
+                name = f"{'_'.join(words[:cut])}/{'_'.join(words[cut:end])}"
+                if re.fullmatch(SCENE_PATTERN, name):
+                    yield name
+
+
+def _scenes(reader: Reader, address: str, asked: str, name: str) -> str | None:
+    """The scene of a name, `<dataset>/<scan>` or the scan alone; None where there is none."""
+    if re.fullmatch(SCENE_PATTERN, name):
+        rows = reader.rows_by_key(Scene, [name])
+        return rows[0].scene_id if rows else None
+    if "/" in name:
+        return None
+    found = [row["scene_id"] for row in reader.matching("scenes", {"scan": [name]}, ["scan"]).to_pylist()]
+    if len(found) > 1:
+        raise InputError(address, "explain", f"{asked!r} may be of {', '.join(found[:5])}", "name the dataset, too")
+    return found[0] if found else None
