@@ -69,7 +69,7 @@ class Lease:
         pause = 0.01
         while not self._taken():
             if time.monotonic() >= deadline:
-                holder = _read(self._storage)
+                holder = holder_of(self._storage)
                 who = f"{holder.host} ({holder.token})" if holder else "somebody"
                 raise LeaseError(f"{self._storage.address}: {who} holds the lake's lease; waited {self._timeout:g} s; try again later")
             time.sleep(pause * random.uniform(0.5, 1.0))
@@ -132,7 +132,8 @@ class Lease:
                 self._tag = None
 
 
-def _read(storage: Storage) -> Holder | None:
+def holder_of(storage: Storage) -> Holder | None:
+    """Who holds a lake's lease; None when nobody does."""
     found = storage.read_tagged(PATH)
     return _parse(found[0]) if found else None
 
