@@ -128,7 +128,7 @@ def stage_scene(lake: Lake, number: int, tag: str, at: float) -> None:
     lake.stage_rows(_run(scene, "captions", prints, at), {"captions": [_caption(scene, f"{i:04d}", tag) for i in range(CAPTIONS)]})
     assets = [_hash(tag, "shared"), *(_hash(scene, tag, str(slot)) for slot in range(1, SLOTS))]
     candidates = [_candidate(scene, f"{i:04d}", slot + 1, asset, tag) for i in range(CAPTIONS) for slot, asset in enumerate(assets)]
-    rows = {"candidates": candidates, "assets": [_asset(asset, mesh) for asset in assets]}
+    rows: dict[str, list[Any]] = {"candidates": candidates, "assets": [_asset(asset, mesh) for asset in assets]}
     lake.stage_rows(_run(scene, "candidates", prints, at), rows)
 
 
