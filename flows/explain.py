@@ -9,16 +9,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from flows.configuration import configure
-from flows.fingerprints import canonical, digest
-from flows.plan import annotations_digest
+from flows.fingerprints import annotations_digest, canonical, digest
 from schemas.candidates import Asset
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.lineage import Lineage, Place, RunFacts
 from tasks.lineage.places import places
-from tasks.pipeline import STAGES
 from warehouse.lake import Lake
 from warehouse.lineage.files import blob_owners, walk_asset, walk_blob, walk_export, walk_thing
 from warehouse.lineage.nodes import exported_places
@@ -56,9 +53,10 @@ def explain(lake: Lake, asked: str, snapshot_id: int | None = None) -> Lineage:
 
 def settings_of(run: RunFacts) -> tuple[str, ...] | None:
     """What a run was told otherwise than by default, as ``field=value (default value)``; None when this version has no such config."""
-    default = {stage.name: canonical(config) for stage in STAGES if (config := configure().stages.get(stage.name)) is not None}.get(
-        run.stage
-    )
+    from flows.configuration import configure
+
+    defaults = configure().stages
+    default = canonical(defaults[run.stage]) if run.stage in defaults else None
     if default is None or not isinstance(run.config, dict) or run.config.get("type") != default.get("type"):
         return None
     told, usual = dict(_flat(run.config)), dict(_flat(json.loads(json.dumps(default))))

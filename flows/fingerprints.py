@@ -15,7 +15,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,12 @@ def canonical(config: Any) -> Any:
 def canonical_json(config: Any) -> str:
     """A config as JSON text: sorted keys, no spaces; the same config gives the same text."""
     return json.dumps(canonical(config), default=str, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def annotations_digest(rows: Iterable[Mapping[str, object]]) -> str:
+    """Hash of a scene's annotations, given as rows by column; '' where there are none."""
+    texts = ["|".join(f"{name}={row[name]!r}" for name in sorted(row)) for row in rows]
+    return digest(*sorted(hashlib.sha256(text.encode()).hexdigest() for text in texts)) if texts else ""
 
 
 @cache

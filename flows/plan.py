@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 from flows.configuration import Configuration
-from flows.fingerprints import FileHashes, Fingerprint, canonical_json, code_fingerprint, digest
+from flows.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint
 from schemas.errors import InputError
 from schemas.runs import StageRun
 from tasks.capture.formats import Scan, scan_files
@@ -178,9 +177,3 @@ def _history_digests(lake: Lake, scans: Sequence[Scan]) -> dict[str, str]:
         if row["scene_id"] in wanted:
             per_scene.setdefault(row["scene_id"], []).append(row)
     return {scene: annotations_digest(rows) for scene, rows in per_scene.items()}
-
-
-def annotations_digest(rows: Iterable[Mapping[str, object]]) -> str:
-    """Hash of a scene's annotations, given as rows by column; '' where there are none."""
-    texts = ["|".join(f"{name}={row[name]!r}" for name in sorted(row)) for row in rows]
-    return digest(*sorted(hashlib.sha256(text.encode()).hexdigest() for text in texts)) if texts else ""
