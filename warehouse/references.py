@@ -55,6 +55,8 @@ class BlobReferences:
 
     def __init__(self, connection: duckdb.DuckDBPyConnection, storage: Storage) -> None:
         self._connection, self._storage = connection, storage
+        self._spared: frozenset[str] = frozenset()
+        self._present: list[str] = []
         connection.execute("CREATE OR REPLACE TABLE named (name VARCHAR)")
 
     def add_files(self, table: str, files: Sequence[str], where: str = "true") -> None:
@@ -79,6 +81,14 @@ class BlobReferences:
         self._connection.execute("CREATE OR REPLACE TABLE named AS SELECT DISTINCT name FROM named ORDER BY name")
         return int(self._connection.execute("SELECT count(*) FROM named").fetchall()[0][0])
 
+    def spare(self, names: Collection[str]) -> None:
+        """Names of files that count as named where they are there, and are not missed where they are not."""
+        self._spared = frozenset(names)
+
+    def present(self) -> list[str]:
+        """Names that the last step of `compared` found to be there, sorted."""
+        return self._present
+
     def compared(self) -> Iterator[tuple[list[Entry], list[str]]]:
         """For every folder of blobs in turn: files there that nobody names, and names that are not there.
 
@@ -91,8 +101,9 @@ class BlobReferences:
             unnamed, seen = [], set()
             for entry in self._storage.walk(f"{FOLDER}/{folder}"):
                 name = entry.path.rpartition("/")[2]
-                if name in named and entry.path == f"{FOLDER}/{name[:2]}/{name[2:4]}/{name}":
+                if (name in named or name in self._spared) and entry.path == f"{FOLDER}/{name[:2]}/{name[2:4]}/{name}":
                     seen.add(name)
                 else:
                     unnamed.append(entry)
+            self._present = sorted(seen & named)
             yield unnamed, sorted(named - seen)
