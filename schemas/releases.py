@@ -26,3 +26,4 @@ class Release:
     placed_objects: int = column("Instances with an asset in their place", minimum=0)
     episodes: int = column("Navigation episodes", minimum=0)
     row_counts: tuple[str, ...] = column("Rows of every table, as <table>=<count>", volatile=True)
+    erased_at: tuple[str, ...] = column("When something was erased from it, ISO 8601", volatile=True)

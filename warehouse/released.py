@@ -33,25 +33,33 @@ def released(storage: Storage) -> list[Release]:
             data = storage.read(f"{folder_of(name)}/{RECORD}")
         except FileNotFoundError:
             continue
-        found.append(_parse(f"{storage.address}/{folder_of(name)}/{RECORD}", name, data))
+        file = f"{storage.address}/{folder_of(name)}/{RECORD}"
+        release = parse_release(file, data)
+        if release.name != name:
+            raise InputError(file, "name", f"is {release.name!r} in the folder of {name!r}", "give the folder its name back")
+        found.append(release)
     return sorted(found, key=lambda release: release.name)
 
 
 def record_fields(release: Release) -> dict[str, Any]:
     """A release as the fields of its `release.json`."""
-    return dataclasses.asdict(release) | {"created_at": release.created_at.isoformat(), "row_counts": list(release.row_counts)}
+    return dataclasses.asdict(release) | {"created_at": release.created_at.isoformat()}
 
 
-def _parse(file: str, name: str, data: bytes) -> Release:
+def parse_release(file: str, data: bytes) -> Release:
+    """The release that a `release.json` states; `file` is its name for errors.
+
+    Raises:
+        InputError: it cannot be read.
+    """
     try:
-        fields = json.loads(data)
+        fields = {"erased_at": [], **json.loads(data)}
         release = Release(
             **{field.name: fields[field.name] for field in dataclasses.fields(Release)}
-            | {"created_at": datetime.fromisoformat(fields["created_at"]), "row_counts": tuple(fields["row_counts"])}
+            | {"created_at": datetime.fromisoformat(fields["created_at"])}
+            | {name: tuple(fields[name]) for name in ("row_counts", "erased_at")}
         )
         check([release], Release)
     except (ValueError, KeyError, TypeError, RecordError) as error:
         raise InputError(file, "", f"cannot be read ({type(error).__name__}: {error})", "restore the file or remove the folder") from error
-    if release.name != name:
-        raise InputError(file, "name", f"is {release.name!r} in the folder of {name!r}", "give the folder its name back")
     return release

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 from collections.abc import Callable
 
 from warehouse.adoption import now_utc
@@ -10,8 +10,8 @@ from warehouse.erasure.plan import Plan
 from warehouse.erasure.proof import search
 from warehouse.lake import Lake
 from warehouse.lease import Lease
-from warehouse.release import write_tables
-from warehouse.released import FOLDER, RECORD, folder_of, record_fields, released
+from warehouse.release import rewrite_release
+from warehouse.released import FOLDER, folder_of, released
 
 
 def erase_from_releases(lake: Lake, plan: Plan, lease: Lease, advance: Callable[[str], None] = lambda what: None) -> None:
@@ -28,15 +28,11 @@ def erase_from_releases(lake: Lake, plan: Plan, lease: Lease, advance: Callable[
     for release in released(lake.storage):
         if release.name in plan.releases or search(lake.storage, plan.traces, folder=folder_of(release.name)).hits:
             lease.check()
-            _renew(lake, release.name, plan)
+            _renew(lake, release.name, plan, lease)
             advance(folder_of(release.name))
 
 
-def _renew(lake: Lake, name: str, plan: Plan) -> None:
+def _renew(lake: Lake, name: str, plan: Plan, lease: Lease) -> None:
     release = next(one for one in released(lake.storage) if one.name == name)
-    record = f"{folder_of(name)}/{RECORD}"
-    fields = json.loads(lake.storage.read(record))
-    write_tables(lake, release.snapshot_id, lake.storage, folder_of(name))
-    fields |= record_fields(release) | {"notes": plan.traces.redacted(release.notes)}
-    fields["erased_at"] = sorted({*fields.get("erased_at", ()), now_utc().isoformat()})
-    lake.storage.write(record, json.dumps(fields, indent=1).encode())
+    erased_at = tuple(sorted({*release.erased_at, now_utc().isoformat()}))
+    rewrite_release(lake, dataclasses.replace(release, notes=plan.traces.redacted(release.notes), erased_at=erased_at), lease.check)

@@ -186,6 +186,7 @@ def _release(lake: Lake, snapshot_id: int) -> Release:
             placed_objects=rows["placements"],
             episodes=rows["episodes"],
             row_counts=tuple(f"{name}={number}" for name, number in rows.items()),
+            erased_at=(),
         )
 
 

@@ -1,0 +1,108 @@
+"""Whom and what to name when scenes are handed on: the scans, and the assets that were placed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from warehouse.licenses import UNKNOWN, duties, is_unknown, of_asset
+
+if TYPE_CHECKING:
+    import duckdb
+
+
+@dataclasses.dataclass(frozen=True, order=True)
+class Credit:
+    """A line of an attribution: `what` was made by `author` under `license`, and is used in `scenes`."""
+
+    license: str
+    author: str
+    what: str
+    items: int
+    scenes: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Attribution:
+    """Credits of scans and of placed assets, each sorted by license."""
+
+    scans: tuple[Credit, ...]
+    assets: tuple[Credit, ...]
+
+    def page(self, title: str) -> str:
+        """`ATTRIBUTION.md`."""
+        lines = [f"# {title}", ""]
+        lines += ["What the lake knows of where scans and assets come from. Whoever hands scenes on does what the licenses ask.", ""]
+        unknown = [credit for credit in (*self.scans, *self.assets) if is_unknown(credit.license)]
+        if unknown:
+            items = sum(credit.items for credit in unknown)
+            lines += [f"**{items} of these have no known license.** They must not be handed on before somebody has asked.", ""]
+        for head, noun, credits in (("Scans", "scans", self.scans), ("Assets", "assets", self.assets)):
+            lines += [f"## {head}", ""]
+            if not credits:
+                lines += ["None.", ""]
+                continue
+            lines += [f"| license | what it asks | author | source | {noun} | scenes |", "|---|---|---|---|---|---|"]
+            for credit in credits:
+                cells = (credit.license, duties(credit.license), credit.author, credit.what, credit.items, credit.scenes)
+                lines.append("| " + " | ".join(cell(value) for value in cells) + " |")
+            lines.append("")
+        return "\n".join(lines)
+
+
+def cell(value: object) -> str:
+    """A value in a cell of a Markdown table."""
+    text = f"{value:,}" if isinstance(value, int) else str(value)
+    return " ".join(text.split()).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;")
+
+
+def attribution_of(connection: duckdb.DuckDBPyConnection) -> Attribution:
+    """The attribution of all scenes that a connection reads."""
+    scans = connection.execute("SELECT coalesce(license, ''), dataset, count(*) FROM scenes GROUP BY ALL").fetchall()
+    assets = connection.execute(
+        "SELECT assets.license, coalesce(assets.author, ''), assets.source, scenes.license, count(DISTINCT assets.asset_id),"
+        " count(DISTINCT placements.scene_id) FROM placements JOIN assets USING (asset_id)"
+        " LEFT JOIN scenes ON assets.source = 'scan ' || scenes.scene_id GROUP BY ALL"
+    ).fetchall()
+    return _attribution(
+        [(license_, dataset, count) for license_, dataset, count in scans],
+        [(of_asset(license_, source, {source.removeprefix("scan "): scan}), author, source, items, scenes)
+         for license_, author, source, scan, items, scenes in assets],
+    )  # fmt: skip
+
+
+def _attribution(scans: Sequence[tuple[str, str, int]], assets: Sequence[tuple[str, str, str, int, int]]) -> Attribution:
+    made = [
+        Credit(UNKNOWN if is_unknown(license_) else license_, UNKNOWN, f"dataset {dataset}", count, count)
+        for license_, dataset, count in scans
+    ]
+    # Assets that were cut from scans are many sources; their credit is the dataset's.
+    summed: dict[tuple[str, str, str], Counter[str]] = {}
+    for license_, author, source, items, scenes in assets:
+        what = f"cut from scans of {source.removeprefix('scan ').partition('/')[0]}" if source.startswith("scan ") else source or UNKNOWN
+        found = summed.setdefault((license_, UNKNOWN if is_unknown(author) else author, what), Counter())
+        found.update(items=items, scenes=scenes)
+    used = [Credit(*key, found["items"], found["scenes"]) for key, found in summed.items()]
+    return Attribution(tuple(sorted(made)), tuple(sorted(used)))
+
+
+def attribution_of_rows(
+    scans: Mapping[str, tuple[str, str | None]], placed: Sequence[tuple[str, str, str, str | None, str]]
+) -> Attribution:
+    """The attribution of some scenes. scans: dataset and license by scene. placed: scene, asset, license, author, source.
+
+    The license of an asset that was cut from a scan is looked up among `scans`.
+    """
+    licenses = {scene: license_ for scene, (_, license_) in scans.items()}
+    counts = Counter((license_ or "", dataset) for dataset, license_ in scans.values())
+    items: dict[tuple[str, str, str], tuple[set[str], set[str]]] = {}
+    for scene, asset, license_, author, source in placed:
+        found = items.setdefault((of_asset(license_, source, licenses), author or "", source), (set(), set()))
+        found[0].add(asset)
+        found[1].add(scene)
+    return _attribution(
+        [(license_, dataset, count) for (license_, dataset), count in counts.items()],
+        [(*key, len(assets), len(scenes)) for key, (assets, scenes) in items.items()],
+    )
