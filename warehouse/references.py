@@ -81,6 +81,15 @@ class BlobReferences:
         self._connection.execute("CREATE OR REPLACE TABLE named AS SELECT DISTINCT name FROM named ORDER BY name")
         return int(self._connection.execute("SELECT count(*) FROM named").fetchall()[0][0])
 
+    def folders(self) -> list[str]:
+        """Folders of blobs that the names lead to: their first two digits."""
+        return [head for (head,) in self._connection.execute("SELECT DISTINCT name[1:2] AS head FROM named ORDER BY head").fetchall()]
+
+    def names(self, folder: str) -> list[str]:
+        """Names that lead to a folder, sorted."""
+        sql = "SELECT name FROM named WHERE name[1:2] = ? ORDER BY name"
+        return [name for (name,) in self._connection.execute(sql, [folder]).fetchall()]
+
     def spare(self, names: Collection[str]) -> None:
         """Names of files that count as named where they are there, and are not missed where they are not."""
         self._spared = frozenset(names)
@@ -94,10 +103,8 @@ class BlobReferences:
 
         Files that no blob could be called are among the first.
         """
-        listed = self._connection.execute("SELECT DISTINCT name[1:2] FROM named").fetchall()
-        folders = sorted({*self._storage.folders(FOLDER), *(head for (head,) in listed)})
-        for folder in folders:
-            named = {name for (name,) in self._connection.execute("SELECT name FROM named WHERE name[1:2] = ?", [folder]).fetchall()}
+        for folder in sorted({*self._storage.folders(FOLDER), *self.folders()}):
+            named = set(self.names(folder))
             unnamed, seen = [], set()
             for entry in self._storage.walk(f"{FOLDER}/{folder}"):
                 name = entry.path.rpartition("/")[2]
