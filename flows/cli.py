@@ -21,6 +21,7 @@ COMMANDS = {
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",
     "status": "Say what is done and what failed, from the lake alone.",
+    "lake": "Compact, vacuum, back up, restore the lake, or erase a scene from it.",
     "doctor": "Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.",
     "bench": "Measure quality and speed on this machine.",
 }

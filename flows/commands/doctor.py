@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
-from flows.commands.options import existing_lake, json_option, lake_option
+from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
 
 
 @click.group("doctor", short_help="Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.")
@@ -94,20 +95,29 @@ def glb(file: Path, as_json: bool) -> None:
 
 
 @command.command("lake")
+@click.option("--quick", is_flag=True, help="Look at what is there; do not read and hash all contents.")
+@snapshot_options
 @lake_option
 @json_option
-def lake(address: str, as_json: bool) -> None:
-    """Check that every blob that the newest snapshot names is there and holds what its name says.
+def lake(quick: bool, snapshot_id: int | None, release: str | None, address: str, as_json: bool) -> None:
+    """Check the lake: versions, data files, rows, keys, references, blobs, releases, and what lies about that nobody needs.
 
-    Example: metascenes doctor lake --lake ./lake
+    Errors say that something is lost or wrong. Warnings say that something is left over. With --snapshot or --release,
+    only that state is checked.
+
+    Example: metascenes doctor lake --release v1 --lake ./lake
     """
-    from warehouse.digest import blob_names
+    from flows.progress import Progress
+    from warehouse.inspection import inspect
 
     opened = existing_lake(address)
-    names = sorted(blob_names(opened.snapshot()))
-    wrong = [f"blob {name}: {'content differs from its name' if name in opened.blobs else 'is missing'}" for name in names
-             if name not in opened.blobs or not opened.blobs.verify(name)]  # fmt: skip
-    _tell(wrong, [], as_json, f"{len(names)} blobs")
+    chosen = chosen_snapshot(opened, snapshot_id, release)
+    with Progress("checking", sum(1 for _ in opened.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
+        found = inspect(opened, chosen, release=release, quick=quick, advance=progress.advance)
+    looked = f"{found.snapshots} snapshots, {found.files} data files, {found.blobs} blobs"
+    if found.reclaimable_bytes and not as_json:
+        print(f"`metascenes lake vacuum` would free {found.reclaimable_bytes / 1e6:.1f} MB of data files between snapshots")
+    _tell([str(finding) for finding in found.errors], [str(finding) for finding in found.warnings], as_json, looked)
 
 
 def _tell(errors: Sequence[str], warnings: Sequence[str], as_json: bool, what: str = "") -> None:

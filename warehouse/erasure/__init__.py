@@ -37,6 +37,7 @@ from warehouse.writer import writer_of
 NOTE = "erasure"
 
 Advance = Callable[[str], None]
+Elsewhere = Callable[[Traces, frozenset[str]], None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Erasure:
 
     `rows` are the scene's per table in the last snapshot. `snapshots` are those that are no longer kept, `releases` those
     that were written anew. `young_blobs` are blobs that no row names and that somebody put within a day, of whatever scene.
-    `hashes` are of blobs and assets that went. `proof` is None on a dry run.
+    `traces` are the names that were looked for, `hashes` those of blobs and assets that went. `proof` is None on a dry run.
     """
 
     scene_id: str
@@ -55,14 +56,25 @@ class Erasure:
     snapshots: tuple[int, ...]
     releases: tuple[str, ...]
     young_blobs: int
+    traces: Traces
     hashes: tuple[str, ...]
     proof: Proof | None
 
 
-def erase(lake: Lake, scene_id: str, *, dry_run: bool = False, timeout: float = 300.0, advance: Advance = lambda what: None) -> Erasure:
+def erase(
+    lake: Lake,
+    scene_id: str,
+    *,
+    dry_run: bool = False,
+    timeout: float = 300.0,
+    advance: Advance = lambda what: None,
+    elsewhere: Elsewhere = lambda traces, hashes: None,
+) -> Erasure:
     """Erase a scene from tables, blobs, snapshots and releases, and search the whole lake for what may be left.
 
-    All snapshots that are neither released nor the last are dropped. `advance` is told each step.
+    All snapshots that are neither released nor the last are dropped. `advance` is told each step. `elsewhere` is called
+    before the erasure counts as finished, with the scene's traces and the hashes of what went: for what is kept of it
+    outside of the lake.
 
     Raises:
         InputError: this is no scene, there is no lake, or the erasure of another scene is not finished.
@@ -86,7 +98,7 @@ def erase(lake: Lake, scene_id: str, *, dry_run: bool = False, timeout: float = 
                 proof = search(lake.storage, work.plan.traces, advance)
                 if not proof.hits:
                     return work.result(proof)
-            work.carry_out(advance)
+            work.carry_out(advance, elsewhere)
         return work.result(search(lake.storage, work.final_traces, advance))
 
 
@@ -110,7 +122,7 @@ class _Work:
         self.is_unknown = begun is None and not (sum(self.counts.values()) or self._staged or self.plan.blobs or self._is_in_any_file())
         self.final_traces = self.plan.traces
 
-    def carry_out(self, advance: Advance) -> None:
+    def carry_out(self, advance: Advance, elsewhere: Elsewhere) -> None:
         """Everything, in an order that a kill cannot hurt."""
         self.plan.write(self._lake.storage)
         self._remove_staged()
@@ -118,13 +130,14 @@ class _Work:
         self._put_in_force(advance)
         erase_from_releases(self._lake, self.plan, self._lease, advance)
         self._remove_unnamed_tables()
-        self._young = forget(self._lake, self._lease, self._lake.snapshot().snapshots).young_blobs
         self._remove_blobs()
+        self._young = forget(self._lake, self._lease, self._lake.snapshot().snapshots).young_blobs
         self._remove_left_overs()
         advance("files")
         assets = self._assets_that_stay()
         hashes = {name.partition(".")[0] for name in self._removed_blobs} | (self.plan.assets - assets)
         self.final_traces = dataclasses.replace(self.plan.traces, hashes=frozenset(hashes))
+        elsewhere(self.plan.traces, frozenset(hashes))
         self._lake.storage.remove(PLAN_PATH)
         self._is_carried_out = True
 
@@ -138,6 +151,7 @@ class _Work:
             snapshots=self._going if self._is_carried_out or proof is None else (),
             releases=tuple(sorted(self.plan.releases)),
             young_blobs=self._young,
+            traces=self.plan.traces,
             hashes=tuple(sorted(self.final_traces.hashes)),
             proof=proof,
         )

@@ -1,0 +1,193 @@
+"""`metascenes lake`: keep the lake small and whole, copy it, and make it forget."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from flows.commands.options import existing_lake, json_option, lake_option
+from flows.progress import Progress
+
+if TYPE_CHECKING:
+    from warehouse.erasure import Erasure, Traces
+
+dry_run_option = click.option("--dry-run", is_flag=True, help="Say what would be done; change nothing.")
+
+
+@click.group("lake", short_help="Compact, vacuum, back up, restore the lake, or erase a scene from it.")
+def command() -> None:
+    """Keep the lake small and whole, copy it, and make it forget.
+
+    Example: metascenes lake vacuum --days 30 --dry-run --lake ./lake
+    """
+
+
+@command.command("compact")
+@click.option("--table", "tables", multiple=True, metavar="TABLE", help="Only this table; may be repeated.")
+@dry_run_option
+@lake_option
+@json_option
+def compact(tables: tuple[str, ...], dry_run: bool, address: str, as_json: bool) -> None:
+    """Put the tables' small files together, sorted by key. Rows stay what they are; a new snapshot says `compaction`.
+
+    Files of older snapshots stay until `metascenes lake vacuum` removes them.
+
+    Example: metascenes lake compact --table instances --lake ./lake
+    """
+    from schemas.tables import TABLES
+    from warehouse.compaction import compact as run
+
+    lake = existing_lake(address)
+    with Progress("compacting", len(tables) or len(TABLES)) as progress:
+        done = run(lake, tables, dry_run=dry_run, advance=progress.advance)
+    if as_json:
+        print(json.dumps(dataclasses.asdict(done)))
+        return
+    for one in done.tables:
+        sizes = f"{_megabytes(one.bytes_rewritten)}{'' if dry_run else f' to {_megabytes(one.bytes_after)}'}"
+        print(f"{one.table:<22} {one.files_rewritten} of {one.files_before} files rewritten, {one.files_after} after, {sizes}")
+    if not done.tables:
+        print("nothing to put together")
+    else:
+        print("would be done" if dry_run else f"snapshot {done.snapshot_id}")
+
+
+@command.command("vacuum")
+@click.option("--days", type=click.FloatRange(min=0), default=7.0, show_default=True, help="Keep all snapshots that are younger.")
+@dry_run_option
+@lake_option
+@json_option
+def vacuum(days: float, dry_run: bool, address: str, as_json: bool) -> None:
+    """Remove old snapshots that are not released, and the data files, logs and blobs that nothing else names.
+
+    The last snapshot and every release stay. Blobs that were put within the last day stay, too.
+
+    Example: metascenes lake vacuum --days 30 --dry-run --lake ./lake
+    """
+    from warehouse.vacuum import vacuum as run
+
+    done = run(existing_lake(address), days=days, dry_run=dry_run)
+    if as_json:
+        print(json.dumps(dataclasses.asdict(done) | {"bytes": done.bytes}))
+        return
+    snapshots = f"{len(done.snapshots)} snapshots{f' ({_numbers(done.snapshots)})' if done.snapshots else ''}"
+    print(f"{snapshots}, {done.files} data files, {done.blobs} blobs {'would go' if dry_run else 'removed'}: {_megabytes(done.bytes)}")
+    if done.young_blobs:
+        print(f"{done.young_blobs} blobs that no row names are younger than a day and stay")
+
+
+@command.command("backup")
+@click.argument("target")
+@lake_option
+@json_option
+def backup(target: str, address: str, as_json: bool) -> None:
+    """Copy all snapshots and releases to a folder or s3://bucket/prefix; the next time only what is new.
+
+    Others may go on writing. A backup is itself a lake: `metascenes doctor lake --lake TARGET` checks it.
+
+    Example: metascenes lake backup /mnt/backups/lake --lake ./lake
+    """
+    from warehouse.backup import backup as run
+
+    lake = existing_lake(address)
+    with Progress("copying", sum(1 for _ in lake.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
+        done = run(lake, target, advance=progress.advance)
+    _tell_copied(f"snapshot {done.snapshot_id} in {target}", done, as_json)
+
+
+@command.command("restore")
+@click.argument("source")
+@lake_option
+@json_option
+def restore(source: str, address: str, as_json: bool) -> None:
+    """Make a lake at a new, empty address out of a backup. Every file is held against its hash.
+
+    Example: metascenes lake restore /mnt/backups/lake --lake ./restored
+    """
+    from warehouse.backup import restore as run
+
+    with Progress("copying", 1) as progress:
+        done = run(source, address, advance=progress.advance)
+    _tell_copied(f"snapshot {done.snapshot_id} in {address}", done, as_json)
+
+
+@command.command("erase")
+@click.argument("scene")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@dry_run_option
+@lake_option
+@json_option
+def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> None:
+    """Erase a scene from all tables, blobs, snapshots, releases and this machine's caches, and search the lake for what is left.
+
+    Only releases and the last snapshot stay, without the scene. There is no way back but a backup from before. Exit
+    code 1 says that something of the scene was found; the same command again goes on where this one was stopped.
+
+    Example: metascenes lake erase scannet/scene0001_00 --dry-run --lake ./lake
+    """
+    from flows.erasure import erase_from_caches
+    from warehouse.erasure import erase as run
+
+    cached: list[int] = []
+
+    def forget(traces: Traces, hashes: frozenset[str]) -> None:
+        cached.append(erase_from_caches(traces, hashes))
+
+    lake = existing_lake(address)
+    if not (yes or dry_run) and not (sys.stdin.isatty() and click.confirm(f"Erase {scene} from {lake.address} for good?", err=True)):
+        raise click.UsageError(f"{scene} is erased for good: give --yes to say that you mean it, or --dry-run to see what would go")
+    with Progress("erasing", sum(1 for _ in lake.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
+        done = run(lake, scene, dry_run=dry_run, advance=progress.advance, elsewhere=forget)
+    _tell_erased(done, sum(cached), dry_run, as_json)
+    if done.proof is not None and done.proof.hits:
+        raise click.exceptions.Exit(1)
+
+
+def _tell_erased(done: Erasure, cached: int, dry_run: bool, as_json: bool) -> None:
+    if as_json:
+        shown: dict[str, Any] = {
+            "scene_id": done.scene_id, "dry_run": dry_run, "rows": dict(done.rows), "staged_runs": done.staged_runs, "blobs": done.blobs,
+            "snapshots": list(done.snapshots), "releases": list(done.releases), "young_blobs": done.young_blobs, "cached_files": cached,
+            "proof": None if done.proof is None else dataclasses.asdict(done.proof),
+        }  # fmt: skip
+        print(json.dumps(shown))
+        return
+    verb = "would go" if dry_run else "erased"
+    for table, count in done.rows.items():
+        print(f"{table:<22} {count} rows {verb}")
+    if not (sum(done.rows.values()) or done.staged_runs or done.blobs or done.releases):
+        print(f"nothing in the lake names {done.scene_id}")
+    print(f"{done.staged_runs} staged runs and {done.blobs} blobs {verb}, and {cached} files and entries of this machine's caches")
+    if done.snapshots:
+        print(f"{len(done.snapshots)} snapshots are {'to be ' if dry_run else ''}dropped: {_numbers(done.snapshots)}")
+    if done.releases:
+        print(f"releases {'to be ' if dry_run else ''}written anew: {', '.join(done.releases)}")
+    if done.young_blobs:
+        print(f"{done.young_blobs} blobs that no row names are younger than a day and stay; `metascenes lake vacuum` removes them tomorrow")
+    if done.proof is not None:
+        proof = done.proof
+        print(f"searched {proof.files} files, {_megabytes(proof.bytes)}, {proof.rows} rows: {len(proof.hits)} hits")
+        for hit in proof.hits:
+            print(f"{hit.path}: {hit.place}: {hit.count} times, {', '.join(hit.found)}")
+    print("Not reached: scans, folders that were exported, backups (make the next one), other machines' caches.")
+
+
+def _tell_copied(what: str, done: Any, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(dataclasses.asdict(done)))
+        return
+    copied = f"{done.copied_files} copied ({_megabytes(done.copied_bytes)})"
+    print(f"{what}: {done.files} files ({_megabytes(done.bytes)}), {copied}, {done.removed_files} removed")
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB"
+
+
+def _numbers(numbers: tuple[int, ...]) -> str:
+    shown = ", ".join(map(str, numbers[:10]))
+    return shown if len(numbers) <= 10 else f"{shown}, ..."

@@ -1,0 +1,48 @@
+"""What this machine remembers of a scene outside of the lake: cached convex pieces, surfaces, and hashes of scan files."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tempfile
+from collections.abc import Collection
+from pathlib import Path
+
+from flows.fingerprints import cache_folder
+from schemas.record import BLOB_PATTERN
+from warehouse.erasure import Traces
+
+
+def erase_from_caches(traces: Traces, hashes: Collection[str], folder: Path | None = None) -> int:
+    """Remove from the machine's caches what belongs to a scene; how many files and entries went.
+
+    Values that are kept under a blob's name go when the blob went. Keys of others (convex pieces) are hashes that do not
+    say whose they are, so that all of these go where anything of the scene was ever kept: they are computed again when
+    they are needed. Hashes of scan files go where a path names the scene.
+    """
+    root = folder or cache_folder()
+    gone = set(hashes)
+    count = 0
+    for path in sorted((root / "modules").glob("*/*")):
+        is_blob = re.fullmatch(BLOB_PATTERN, path.name) is not None
+        if path.is_file() and (path.name.partition(".")[0] in gone if is_blob else bool(gone)):
+            path.unlink(missing_ok=True)
+            count += 1
+    return count + _erase_paths(root / "file_hashes.json", traces)
+
+
+def _erase_paths(store: Path, traces: Traces) -> int:
+    """Remove the entries of scan files whose paths name the scene."""
+    try:
+        known = json.loads(store.read_text())
+    except (OSError, ValueError):
+        return 0
+    kept = {path: entry for path, entry in known.items() if not traces.in_text(path)} if isinstance(known, dict) else {}
+    if isinstance(known, dict) and len(kept) == len(known):
+        return 0
+    handle, name = tempfile.mkstemp(dir=store.parent, prefix=".file_hashes")
+    with os.fdopen(handle, "w") as file:
+        json.dump(kept, file)
+    os.replace(name, store)
+    return len(known) - len(kept)
