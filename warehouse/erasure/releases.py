@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-from warehouse.adoption import now_utc
 from warehouse.erasure.plan import Plan
 from warehouse.erasure.proof import search
 from warehouse.lake import Lake
@@ -17,22 +16,17 @@ from warehouse.released import FOLDER, folder_of, released
 def erase_from_releases(lake: Lake, plan: Plan, lease: Lease, advance: Callable[[str], None] = lambda what: None) -> None:
     """Write the folders of releases anew that tell of the plan's scene; remove folders of releases that were never finished.
 
-    A release says in `release.json` when something was erased from it, and not what. Holds the lake's lease.
+    A release says when something was erased from it, and not what. Holds the lake's lease.
     """
-    names = {release.name for release in released(lake.storage)}
-    for folder in lake.storage.folders(FOLDER):
-        if folder not in names:
-            lease.check()
-            for entry in list(lake.storage.walk(folder_of(folder))):
-                lake.storage.remove(entry.path)
-    for release in released(lake.storage):
+    known = released(lake.storage)
+    for folder in set(lake.storage.folders(FOLDER)) - {release.name for release in known}:
+        lease.check()
+        for entry in list(lake.storage.walk(folder_of(folder))):
+            lake.storage.remove(entry.path)
+    for release in known:
         if release.name in plan.releases or search(lake.storage, plan.traces, folder=folder_of(release.name)).hits:
-            lease.check()
-            _renew(lake, release.name, plan, lease)
+            # The plan's time, so that who was killed here says it once.
+            erased_at = tuple(sorted({*release.erased_at, plan.started_at.isoformat()}))
+            notes = plan.traces.redacted(release.notes)
+            rewrite_release(lake, dataclasses.replace(release, notes=notes, erased_at=erased_at), lease.check)
             advance(folder_of(release.name))
-
-
-def _renew(lake: Lake, name: str, plan: Plan, lease: Lease) -> None:
-    release = next(one for one in released(lake.storage) if one.name == name)
-    erased_at = tuple(sorted({*release.erased_at, now_utc().isoformat()}))
-    rewrite_release(lake, dataclasses.replace(release, notes=plan.traces.redacted(release.notes), erased_at=erased_at), lease.check)
