@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import pyarrow as pa
 
 from schemas.errors import InputError
-from schemas.record import arrow_to_rows, rows_to_arrow, table_of
+from schemas.record import Table, arrow_to_rows, rows_to_arrow, table_of
 from schemas.releases import Release
 from schemas.runs import Snapshot
 from schemas.tables import TABLES
@@ -136,21 +136,26 @@ class Reader:
     def _view(self, name: str, paths: list[str]) -> list[str]:
         """Statements that make the view of a table."""
         table = TABLES[name]
-        empty = ", ".join(f"NULL::{sql_type(column.type)} AS {quoted(column.name)}" for column in table.columns)
-        body = f"SELECT {empty} WHERE false"
-        if paths:
-            columns = ", ".join(quoted(column.name) for column in table.columns)
-            listed = ", ".join(_text(path) for path in paths)
-            # The empty relation gives columns that no file has yet, and the schema's types.
-            body = f"{body} UNION ALL BY NAME SELECT * FROM read_parquet([{listed}], union_by_name = true)"
-            body = f"SELECT {columns} FROM ({body})"
-            if name == "snapshots":
-                body += f" WHERE snapshot_id <= {self.snapshot_id}"
+        body = relation(table, paths)
+        if name == "snapshots":
+            body += f" WHERE snapshot_id <= {self.snapshot_id}"
         elif name == "releases" and self.releases:
             rows = ", ".join(f"({', '.join(_literal(getattr(release, c.name)) for c in table.columns)})" for release in self.releases)
             named = ", ".join(quoted(column.name) for column in table.columns)
             body = f"{body} UNION ALL BY NAME SELECT * FROM (VALUES {rows}) AS known({named})"
         return [f"CREATE VIEW {quoted(name)} AS {body}", *comment_statements(table)]
+
+
+def relation(table: Table, paths: Sequence[str]) -> str:
+    """SQL for the rows in some Parquet files under the columns and types of a table; columns that a file lacks are null."""
+    empty = ", ".join(f"NULL::{sql_type(column.type)} AS {quoted(column.name)}" for column in table.columns)
+    body = f"SELECT {empty} WHERE false"
+    if not paths:
+        return body
+    columns = ", ".join(quoted(column.name) for column in table.columns)
+    listed = ", ".join(_text(path) for path in paths)
+    # The empty relation gives columns that no file has yet, and the schema's types.
+    return f"SELECT {columns} FROM ({body} UNION ALL BY NAME SELECT * FROM read_parquet([{listed}], union_by_name = true))"
 
 
 def _ranges(numbers: list[int]) -> str:

@@ -62,11 +62,11 @@ def make_release(
         try:
             release = _build(lake, reader, release, folder, advance)
         except OSError as error:
-            _check_kept(lake, reader.snapshot_id, error)
+            _check_kept(lake, reader, error)
             raise
         with lake.leased() as lease:
             _check_free(lake, name)
-            _check_kept(lake, reader.snapshot_id)
+            _check_kept(lake, reader)
             _move_in(lake, name, folder, lease.check)
             # Only if nobody was faster.
             if not lake.storage.create(f"{folder_of(name)}/{RECORD}", (folder / RECORD).read_bytes()):
@@ -135,6 +135,8 @@ def _checked(lake: Lake, name: str, snapshot_id: int | None, notes: str) -> Read
     """The snapshot to release under a name."""
     if not re.fullmatch(NAME_PATTERN, name) or len(name) > 100:
         raise InputError(lake.address, "release", f"{name!r} cannot be a name", "use up to 100 letters, digits, and _ . -")
+    if name.isdigit() or name == "latest":
+        raise InputError(lake.address, "release", f"{name!r} cannot be a name", "it would be taken for a snapshot; give it a letter")
     if re.search(r"[\x00-\x08\x0b-\x1f\x7f]", notes):
         raise InputError("--notes", "", "hold control characters", "write plain text")
     reader = lake.snapshot(snapshot_id)
@@ -154,10 +156,11 @@ def _taken(lake: Lake, name: str) -> InputError:
     return InputError(lake.address, "release", f"{name} is released already", "choose another name")
 
 
-def _check_kept(lake: Lake, snapshot_id: int, cause: Exception | None = None) -> None:
-    if all(row.snapshot_id != snapshot_id for row in lake.snapshot().snapshots):
-        problem = f"snapshot {snapshot_id} was removed while it was released"
-        raise InputError(lake.address, "release", problem, "release a newer snapshot") from cause
+def _check_kept(lake: Lake, reader: Reader, cause: Exception | None = None) -> None:
+    # An erasure keeps the number of a snapshot and gives it other versions.
+    if reader.snapshot not in lake.snapshot().snapshots:
+        problem = f"snapshot {reader.snapshot_id} was removed or rewritten while it was released"
+        raise InputError(lake.address, "release", problem, "release it again, or a newer one") from cause
 
 
 def _build(lake: Lake, reader: Reader, release: Release, folder: Path, advance: Callable[[str], None] | None) -> Release:
