@@ -156,8 +156,8 @@ def test_every_view_asks_a_question_and_answers_an_empty_lake(database: Database
     assert len(views.listing()) >= 20
     for name, question in views.listing():
         assert question.endswith("?")
-        assert comments[name] == question
-        assert len(database.ask(name)) == (1 if name == "headline" else 0), name
+        assert comments[name].startswith(f"{question} Version ")
+        assert len(database.ask(name)) == {"headline": 1, "annotation_timing": 3}.get(name, 0), name
     assert {name: value for name, value in database.ask("headline")[0].items() if value} == {}
 
 
@@ -174,7 +174,9 @@ def test_a_view_without_a_question_is_refused() -> None:
     with pytest.raises(ValueError, match="asks a question"):
         views._parse("odd", "SELECT 1")
     with pytest.raises(ValueError, match="is a table"):
-        views._parse("scenes", "-- What?\nSELECT 1")
+        views._parse("scenes", "-- What?\n-- Version 1.\nSELECT 1")
+    with pytest.raises(ValueError, match="states the version"):
+        views._parse("odd", "-- What?\nSELECT 1")
 
 
 @quick

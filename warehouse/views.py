@@ -1,7 +1,8 @@
 """Questions that every lake can answer: one SQL view per question, kept as one file each in `views/`.
 
-A file's name is its view's name. Its first line is a comment that states the question; it becomes the view's comment.
-The rest is one query over the lake's tables and other views.
+A file's name is its view's name. Its first line is a comment that states the question, the second the version, further
+comment lines say how to read the answer. The rest is one query over the lake's tables, other views, and scalar macros.
+The version counts the changes that somebody's query may notice: columns that go, or mean something else.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 from schemas.tables import TABLES
+from warehouse import macros
 
 if TYPE_CHECKING:
     import duckdb
@@ -27,6 +29,12 @@ class View:
     question: str
     note: str
     query: str
+    version: int
+
+    @property
+    def comment(self) -> str:
+        """Question, version and note in one line, as SQL shows it."""
+        return macros.comment(self.question, self.version, self.note)
 
 
 @cache
@@ -34,7 +42,7 @@ def views() -> tuple[View, ...]:
     """All views, by name.
 
     Raises:
-        ValueError: a file does not begin with its question, or has the name of a table.
+        ValueError: a file does not begin with its question and version, or has the name of a table.
     """
     folder = resources.files("warehouse") / "views"
     files = sorted((entry for entry in folder.iterdir() if entry.name.endswith(".sql")), key=lambda entry: entry.name)
@@ -47,30 +55,27 @@ def listing() -> list[tuple[str, str]]:
 
 
 def install(connection: duckdb.DuckDBPyConnection) -> None:
-    """Create every view in `connection`, which has a table or view for each table of the lake.
+    """Create every view and macro in `connection`, which has a table or view for each table of the lake.
 
-    Views that other views ask are created first. Installing twice changes nothing.
+    What others ask is created first: scalar macros, views, table macros. Installing twice changes nothing.
 
     Raises:
         ValueError: two views ask each other.
     """
+    statements = [statement for macro in macros.macros() if not macro.is_table for statement in macro.statements]
     for view in _ordered():
-        connection.execute(f'CREATE OR REPLACE VIEW "{view.name}" AS {view.query}')
-        comment = view.question.replace("'", "''")
-        connection.execute(f"COMMENT ON VIEW \"{view.name}\" IS '{comment}'")
+        statements.append(f'CREATE OR REPLACE VIEW "{view.name}" AS {view.query}')
+        statements.append(f'COMMENT ON VIEW "{view.name}" IS {macros.literal(view.comment)}')
+    statements += [statement for macro in macros.macros() if macro.is_table for statement in macro.statements]
+    connection.execute(";\n".join(statements))
 
 
 def _parse(name: str, text: str) -> View:
     """The view in one file."""
-    lines = text.strip().splitlines()
-    header = []
-    while lines and lines[0].startswith("--"):
-        header.append(lines.pop(0).removeprefix("--").strip())
-    if not header or not header[0].endswith("?"):
-        raise ValueError(f"views/{name}.sql: the first line must be a comment that asks a question")
+    header = macros.read_header(f"views/{name}.sql", text)
     if name in TABLES:
         raise ValueError(f"views/{name}.sql: {name} is a table")
-    return View(name, header[0], " ".join(header[1:]), "\n".join(lines).strip().removesuffix(";"))
+    return View(name, header.question, header.note, header.body, header.version)
 
 
 def _ordered() -> list[View]:

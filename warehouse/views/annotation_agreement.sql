@@ -1,22 +1,17 @@
 -- How often did people choose what the selection had ranked first?
-WITH newest AS (
-    SELECT *
-    FROM annotations
-    QUALIFY row_number() OVER (
-        PARTITION BY scene_id, instance_id, annotator ORDER BY answered_at DESC, batch_id DESC
-    ) = 1
-)
+-- Version 1.
+-- Of each annotator the answer that counts (view current_answers). agreement is a share of the answers that chose something.
 SELECT
-    newest.annotator,
+    answers.annotator,
     count(*) AS answers,
-    count(*) FILTER (newest.choice IS NULL) AS none_fits,
-    count(*) FILTER (newest.choice = selections.asset_id) AS same_as_selection,
-    count(*) FILTER (newest.choice = selections.asset_id)
-        / nullif(count(*) FILTER (newest.choice IS NOT NULL AND selections.asset_id IS NOT NULL), 0) AS agreement
-FROM newest
+    count(*) FILTER (answers.choice IS NULL) AS none_fits,
+    count(*) FILTER (answers.choice = selections.asset_id) AS same_as_selection,
+    count(*) FILTER (answers.choice = selections.asset_id)
+        / nullif(count(*) FILTER (answers.choice IS NOT NULL AND selections.asset_id IS NOT NULL), 0) AS agreement
+FROM current_answers AS answers
 LEFT JOIN selections
-    ON selections.scene_id = newest.scene_id
-    AND selections.instance_id = newest.instance_id
+    ON selections.scene_id = answers.scene_id
+    AND selections.instance_id = answers.instance_id
     AND selections.rank = 1
-GROUP BY newest.annotator
-ORDER BY newest.annotator
+GROUP BY answers.annotator
+ORDER BY answers.annotator

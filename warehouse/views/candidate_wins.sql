@@ -1,24 +1,84 @@
 -- Which provider's candidates, in which slot, are selected, and which are placed in the end?
--- An asset that two slots of an instance share counts as placed in both.
+-- Version 1.
+-- placed: the object stands there by the selection's choice, counted in the slot that won, or by a person's, counted in every slot
+-- that holds the asset.
+WITH counted AS (
+    SELECT
+        provider,
+        slot,
+        count(*) AS candidates,
+        count(*) FILTER (outcome = 'filled') AS filled,
+        count(*) FILTER (is_fallback) AS fallbacks
+    FROM candidates
+    GROUP BY provider, slot
+),
+-- Candidates outnumber objects by ten. Nearly all of a slot are its usual provider's, and so are all wins of the slot but those of
+-- the few others: only these are looked up one by one.
+usual AS (
+    SELECT slot, arg_max(provider, candidates) AS provider
+    FROM counted
+    GROUP BY slot
+),
+won AS (
+    SELECT selections.scene_id, selections.instance_id, selections.slot, selections.score, placements.scene_id IS NOT NULL AS is_placed
+    FROM selections
+    LEFT JOIN placements
+        ON placements.scene_id = selections.scene_id
+        AND placements.instance_id = selections.instance_id
+        AND placements.origin = 'selection'
+    WHERE selections.rank = 1
+),
+of_slot AS (
+    SELECT slot, count(*) AS wins, sum(score) AS score, count(*) FILTER (is_placed) AS placed
+    FROM won
+    GROUP BY slot
+),
+of_others AS (
+    SELECT candidates.provider, slot, count(*) AS wins, sum(won.score) AS score, count(*) FILTER (won.is_placed) AS placed
+    FROM candidates
+    JOIN usual USING (slot)
+    JOIN won USING (scene_id, instance_id, slot)
+    WHERE candidates.provider <> usual.provider
+    GROUP BY candidates.provider, slot
+),
+of_usual AS (
+    SELECT
+        usual.provider,
+        slot,
+        of_slot.wins - coalesce(others.wins, 0) AS wins,
+        of_slot.score - coalesce(others.score, 0) AS score,
+        of_slot.placed - coalesce(others.placed, 0) AS placed
+    FROM usual
+    JOIN of_slot USING (slot)
+    LEFT JOIN (
+        SELECT slot, sum(wins) AS wins, sum(score) AS score, sum(placed) AS placed
+        FROM of_others
+        GROUP BY slot
+    ) AS others USING (slot)
+),
+of_people AS (
+    SELECT candidates.provider, candidates.slot, count(*) AS placed
+    FROM candidates
+    JOIN placements USING (scene_id, instance_id, asset_id)
+    WHERE placements.origin = 'annotation'
+    GROUP BY candidates.provider, candidates.slot
+),
+wins AS (
+    FROM of_others
+    UNION ALL
+    FROM of_usual
+)
 SELECT
-    candidates.provider,
-    candidates.slot,
-    count(*) AS candidates,
-    count(*) FILTER (candidates.outcome = 'filled') AS filled,
-    count(*) FILTER (candidates.is_fallback) AS fallbacks,
-    count(selections.asset_id) AS wins,
-    count(selections.asset_id) / nullif(count(*) FILTER (candidates.outcome = 'filled'), 0) AS win_share,
-    avg(selections.score) AS mean_winning_score,
-    count(placements.asset_id) AS placed
-FROM candidates
-LEFT JOIN selections
-    ON selections.scene_id = candidates.scene_id
-    AND selections.instance_id = candidates.instance_id
-    AND selections.slot = candidates.slot
-    AND selections.rank = 1
-LEFT JOIN placements
-    ON placements.scene_id = candidates.scene_id
-    AND placements.instance_id = candidates.instance_id
-    AND placements.asset_id = candidates.asset_id
-GROUP BY candidates.provider, candidates.slot
-ORDER BY candidates.slot, candidates.provider
+    provider,
+    slot,
+    counted.candidates,
+    counted.filled,
+    counted.fallbacks,
+    CAST(coalesce(wins.wins, 0) AS BIGINT) AS wins,
+    coalesce(wins.wins, 0) / nullif(counted.filled, 0) AS win_share,
+    wins.score / nullif(wins.wins, 0) AS mean_winning_score,
+    CAST(coalesce(wins.placed, 0) + coalesce(of_people.placed, 0) AS BIGINT) AS placed
+FROM counted
+LEFT JOIN wins USING (provider, slot)
+LEFT JOIN of_people USING (provider, slot)
+ORDER BY slot, provider

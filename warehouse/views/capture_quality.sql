@@ -1,4 +1,5 @@
 -- What was each scan like: frames, usable poses, mesh, alignment, where the instances came from?
+-- Version 1.
 WITH posed AS (
     SELECT scene_id, count(*) AS kept_frames, count(pose) AS posed_frames
     FROM frames

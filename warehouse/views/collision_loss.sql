@@ -1,4 +1,5 @@
 -- How much do the assets of a scene collide before and after the optimization?
+-- Version 1.
 -- The loss is overlap volume in m3 by the method 'paper', penetration depth in m by 'default'. A pair is deep beyond 2 mm; pairs that
 -- may interpenetrate, such as a picture and its wall, are left out.
 WITH steps AS (

@@ -1,4 +1,5 @@
 -- Which run of each stage made the rows that a scene has now?
+-- Version 1.
 -- The newest that was done; none when its rows were withdrawn since.
 SELECT *
 FROM (

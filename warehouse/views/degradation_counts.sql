@@ -1,4 +1,5 @@
 -- What had to be left out or done by a fallback, how often and in how many scenes?
+-- Version 1.
 -- A leading instance id is dropped, so that equal degradations of different objects are counted together.
 SELECT
     stage,

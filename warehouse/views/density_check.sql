@@ -1,11 +1,27 @@
 -- Of which categories are the densities outside of what is plausible for the material?
--- Mass over the volume of the convex pieces; one certificate per object, whichever engine made it. Plausible reaches from 1 % of the
+-- Version 1.
+-- Mass over the volume of the convex pieces; one certificate per object, MuJoCo's where there is one. Plausible reaches from 1 % of the
 -- least density of the lightest material (0.4 % for fabric and foliage: things are hollow) to the greatest of the densest. Without a
 -- known material, mass or volume there is no verdict.
 WITH weighed AS (
-    SELECT *
+    SELECT scene_id, instance_id, is_density_plausible, density_kg_m3, density_low_kg_m3, density_high_kg_m3
     FROM certificates
-    QUALIFY row_number() OVER (PARTITION BY scene_id, instance_id ORDER BY engine) = 1
+    WHERE engine = 'mujoco'
+    UNION ALL
+    SELECT
+        others.scene_id,
+        others.instance_id,
+        others.is_density_plausible,
+        others.density_kg_m3,
+        others.density_low_kg_m3,
+        others.density_high_kg_m3
+    FROM certificates AS others
+    WHERE others.engine <> 'mujoco'
+        AND NOT EXISTS (
+            SELECT 1
+            FROM certificates AS first
+            WHERE first.engine = 'mujoco' AND first.scene_id = others.scene_id AND first.instance_id = others.instance_id
+        )
 )
 SELECT
     instances.category,

@@ -1,4 +1,5 @@
 -- How far did the optimization move the objects of each category?
+-- Version 1.
 SELECT
     instances.category,
     count(*) AS objects,

@@ -1,4 +1,5 @@
 -- How many episodes does each split hold, and how long are they?
+-- Version 1.
 SELECT
     episodes.split,
     count(DISTINCT scenes.room_id) AS rooms,

@@ -1,4 +1,5 @@
 -- Which scenes are exported to which format, and do the exports pass their checks?
+-- Version 1.
 WITH files AS (
     SELECT scene_id, format, count(*) AS files, CAST(sum(size_bytes) AS BIGINT) AS size_bytes
     FROM export_files

@@ -1,4 +1,5 @@
 -- Which stages of which scenes failed at their last attempt, and what is to be done about it?
+-- Version 1.
 SELECT
     scene_id,
     stage,

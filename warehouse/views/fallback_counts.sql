@@ -1,4 +1,5 @@
 -- Which providers answered, and how often only as a fallback?
+-- Version 1.
 SELECT
     'captions' AS stage,
     provider,

@@ -1,4 +1,5 @@
 -- What does the lake hold, in one row?
+-- Version 1.
 -- Stability is MuJoCo's verdict on the objects that are free to move.
 SELECT
     (SELECT count(*) FROM scenes) AS scenes,

@@ -1,4 +1,5 @@
 -- How heavy are the objects of each category, and of what body type?
+-- Version 1.
 SELECT
     instances.category,
     count(*) AS objects,

@@ -1,4 +1,5 @@
 -- How much of each scene's floor can an agent reach, and how many objects could no episode be made for (unreachable_targets)?
+-- Version 1.
 WITH trips AS (
     SELECT scene_id, agent, count(*) AS episodes, count(DISTINCT instance_id) AS targets
     FROM episodes

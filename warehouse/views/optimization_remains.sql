@@ -1,4 +1,5 @@
 -- What could the optimization not put right?
+-- Version 1.
 -- A line that begins with an instance's id is about that instance; the others are about the scene.
 WITH lines AS (
     SELECT scene_id, unnest(remains) AS line

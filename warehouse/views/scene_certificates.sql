@@ -1,4 +1,5 @@
 -- Which scenes are physically plausible, and what speaks against the others?
+-- Version 1.
 -- Plausible: nothing penetrates deeper than 2 mm, and by that engine every object was certified and every free one stays within 5 cm and
 -- 5 degrees. A scene without a certificate is not. What the engine could not simulate is not certified, and, if it is free, not stable.
 WITH lost AS (

@@ -1,4 +1,5 @@
 -- What is each object of a scene, what stands for it, and how far was that moved?
+-- Version 1.
 -- 'settled' is what MuJoCo says of the optimized pose.
 SELECT
     instances.scene_id,

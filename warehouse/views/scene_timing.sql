@@ -1,4 +1,5 @@
 -- How long did each scene take, and which of its stages took longest?
+-- Version 1.
 SELECT
     runs.scene_id,
     count(*) AS stages,

@@ -1,4 +1,5 @@
 -- How well does the selected candidate fit, per category?
+-- Version 1.
 SELECT
     instances.category,
     count(*) AS objects,

@@ -1,4 +1,5 @@
 -- How many objects of each scene stay where they were put, left alone under gravity?
+-- Version 1.
 -- Shares, the worst and the deepest are of the free objects; those that hang or are built in cannot fail, so their share is given beside.
 -- An object that was placed but has no certificate of that engine is uncertified; so is one that the engine could not simulate, which,
 -- if it is free, is not stable either.

@@ -1,4 +1,5 @@
 -- How often was each stage run, and what came of it?
+-- Version 1.
 SELECT
     stage,
     count(*) FILTER (outcome <> 'withdrawn') AS runs,

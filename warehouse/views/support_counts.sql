@@ -1,4 +1,5 @@
 -- What carries the objects of each scene, and does it still after the optimization?
+-- Version 1.
 SELECT
     scene_id,
     count(*) FILTER (relation = 'floor') AS on_floor,

@@ -1,4 +1,5 @@
 -- How curved is the way that each trajectory takes over the floor, in radians per metre?
+-- Version 1.
 -- Positions less than 1 mm from the one before are repeated and dropped (turns on the spot, blocked steps); with fewer than 3
 -- left the way counts as straight, 0. curvature_finite_differences: mean of k = |x' y'' - y' x''| / (x'^2 + y'^2)^(3/2) over
 -- the inner positions, x' = (x[i+1] - x[i-1]) / 2 and x'' = x[i+1] - 2 x[i] + x[i-1]; an exact way back, where x' = y' = 0, is

@@ -1,4 +1,5 @@
 -- Which objects could no episode be made for, and why?
+-- Version 1.
 -- Most of them no agent gets near; the reason says where it is something else.
 SELECT
     unreachable_targets.scene_id,

@@ -1,4 +1,5 @@
 -- Which objects are not known to stay where they were put, and what carries them?
+-- Version 1.
 -- First all that the engine could not simulate, then the free ones that moved by more than 1 cm or tilted by more than 5 degrees; those
 -- that fail at 5 cm or 5 degrees are marked.
 SELECT
