@@ -97,6 +97,11 @@ class DeltaTables:
         for name, values in wanted.items():
             one = ds.field(name).isin(pa.array(values, pa.string()))
             keep = one if keep is None else keep & one
+        if len(parts) > 1 and not set(names) <= set(wanted):
+            # Ids of content lie anywhere: look for them alone first, and read the rest where they are.
+            groups = [group for part in parts for group in part.split_by_row_group()]
+            held = ds.FileSystemDataset(groups, schema, data.format, data.filesystem).to_table(columns=["__fragment_index"], filter=keep)
+            parts = [groups[index] for index in sorted(set(held.column(0).to_pylist()))]
         return ds.FileSystemDataset(parts, schema, data.format, data.filesystem).to_table(columns=names, filter=keep)
 
     def _may_hold(self, file: str, column: str, values: Sequence[str]) -> bool:
