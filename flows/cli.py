@@ -17,6 +17,7 @@ COMMANDS = {
     "explain": "Say what an object, a scene, an asset or a file was made from.",
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",
+    "release": "Make, list, compare and attach releases: versions that can be cited.",
     "annotate": "Import what annotators chose, and what reviewers say of it.",
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",

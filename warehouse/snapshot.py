@@ -136,7 +136,7 @@ class Reader:
     def _view(self, name: str, paths: list[str]) -> list[str]:
         """Statements that make the view of a table."""
         table = TABLES[name]
-        body = relation(table, paths)
+        body = relation(table, read_files(paths))
         if name == "snapshots":
             body += f" WHERE snapshot_id <= {self.snapshot_id}"
         elif name == "releases" and self.releases:
@@ -146,16 +146,19 @@ class Reader:
         return [f"CREATE VIEW {quoted(name)} AS {body}", *comment_statements(table)]
 
 
-def relation(table: Table, paths: Sequence[str]) -> str:
-    """SQL for the rows in some Parquet files under the columns and types of a table; columns that a file lacks are null."""
+def relation(table: Table, source: str | None = None) -> str:
+    """SQL for rows under the columns and types of a table: of the query `source`, or none. Columns that it lacks are null."""
     empty = ", ".join(f"NULL::{sql_type(column.type)} AS {quoted(column.name)}" for column in table.columns)
     body = f"SELECT {empty} WHERE false"
-    if not paths:
+    if source is None:
         return body
-    columns = ", ".join(quoted(column.name) for column in table.columns)
-    listed = ", ".join(_text(path) for path in paths)
     # The empty relation gives columns that no file has yet, and the schema's types.
-    return f"SELECT {columns} FROM ({body} UNION ALL BY NAME SELECT * FROM read_parquet([{listed}], union_by_name = true))"
+    return f"SELECT {', '.join(quoted(column.name) for column in table.columns)} FROM ({body} UNION ALL BY NAME {source})"
+
+
+def read_files(paths: Sequence[str]) -> str | None:
+    """SQL for the rows in some Parquet files; None for no files."""
+    return f"SELECT * FROM read_parquet([{', '.join(map(_text, paths))}], union_by_name = true)" if paths else None
 
 
 def _ranges(numbers: list[int]) -> str:

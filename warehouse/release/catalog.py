@@ -9,16 +9,21 @@ A view must say where its files are. It says where they were when the catalog wa
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from schemas.errors import InputError
 from schemas.tables import TABLES
 from warehouse import views
 from warehouse.documentation import comment_statements, quoted
+from warehouse.lake import Lake
 from warehouse.macros import literal
+from warehouse.released import RECORD, folder_of, parse_release, released
+from warehouse.snapshot import relation
 
 if TYPE_CHECKING:
     import duckdb
@@ -32,26 +37,70 @@ def variable_of(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", name) + "_folder"
 
 
-def write_catalog(file: Path, name: str, address: str, present: Path | str | None = None) -> None:
+def write_catalog(
+    file: Path, name: str, address: str, present: Path | str | None = None, *, tables: Collection[str] | None = None,
+    register: Callable[[Any], None] = lambda connection: None,
+) -> None:  # fmt: skip
     """Write the catalog of release `name`, whose Parquet files are at `address`, a folder or `s3://...`.
 
-    `present` is where the files are while it is written, if that is elsewhere: DuckDB looks at them.
+    `present` is where the files are while it is written, if that is elsewhere: DuckDB looks at them. `tables` are those
+    that have a file, all by default: an older release lacks younger tables and columns, which are made empty.
+    `register` teaches a connection to read the address.
     """
     import duckdb
 
     file.unlink(missing_ok=True)
     with duckdb.connect(":memory:") as connection:
+        register(connection)
         connection.execute(f"ATTACH {literal(str(file))} AS made (STORAGE_VERSION '{_STORAGE_VERSION}')")
         connection.execute("USE made")
         connection.execute(f"SET VARIABLE {quoted(variable_of(name))} = {literal(str(present or address))}")
         folder = f"coalesce(getvariable({literal(variable_of(name))}), {literal(address)})"
         for table in TABLES.values():
-            source = f"read_parquet({folder} || {literal(f'/{table.name}.parquet')})"
-            connection.execute(f"CREATE VIEW {quoted(table.name)} AS SELECT * FROM {source}")
+            source = None
+            if tables is None or table.name in tables:
+                source = f"SELECT * FROM read_parquet({folder} || {literal(f'/{table.name}.parquet')})"
+                found = [row[0] for row in connection.execute(f"DESCRIBE {source}").fetchall()]
+                if found != [column.name for column in table.columns]:
+                    source = relation(table, source)
+            connection.execute(f"CREATE VIEW {quoted(table.name)} AS {source or relation(table)}")
             connection.execute(";\n".join(comment_statements(table)))
         views.install(connection)
         connection.execute("USE memory")
         connection.execute("DETACH made")
+
+
+def attach_release(lake: Lake, name: str, file: Path) -> None:
+    """Write the catalog of a release for where its folder is now. `name` is a release of the lake, or a folder that holds one.
+
+    Raises:
+        InputError: there is no such release, or its folder lacks its tables.
+    """
+    if Path(name, RECORD).is_file():
+        folder = Path(os.path.abspath(name))
+        release = parse_release(str(folder / RECORD), (folder / RECORD).read_bytes())
+        _write_whole(file, release.name, str(folder), [path.name for path in folder.iterdir()], lambda connection: None)
+        return
+    known = [release.name for release in released(lake.storage)]
+    if name not in known:
+        remedy = f"there are: {', '.join(known) or 'none'}; or name a release's folder"
+        raise InputError(lake.address, "release", f"no release {name!r}", remedy)
+    files = lake.storage.names(folder_of(name))
+    _write_whole(file, name, lake.storage.duckdb_path(folder_of(name)), files, lake.storage.register)
+
+
+def _write_whole(file: Path, name: str, address: str, files: Sequence[str], register: Callable[[Any], None]) -> None:
+    """Write a catalog whole or not at all."""
+    tables = {table for table in TABLES if f"{table}.parquet" in files}
+    if not tables:
+        raise InputError(address, "release", "has no tables", "restore the folder")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    making = file.with_name(f".{file.name}.{os.getpid()}.making")
+    try:
+        write_catalog(making, name, address, tables=tables, register=register)
+        os.replace(making, file)
+    finally:
+        making.unlink(missing_ok=True)
 
 
 @contextmanager

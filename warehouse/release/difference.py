@@ -18,7 +18,7 @@ from warehouse.documentation import quoted
 from warehouse.lake import Lake
 from warehouse.references import workspace
 from warehouse.release import releases
-from warehouse.snapshot import Reader, relation
+from warehouse.snapshot import Reader, read_files, relation
 
 if TYPE_CHECKING:
     import duckdb
@@ -129,7 +129,7 @@ def _side(table: Table, paths: list[str], mark: str) -> str:
     """Key and hash of the rows in some data files."""
     keys = ", ".join(quoted(name) for name in table.key)
     values = [part for column in table.columns if not column.key and not column.volatile for part in _hashed(column)]
-    return f"SELECT {keys}, hash({', '.join(values or ['true'])}) AS {mark}_hash FROM ({relation(table, paths)})"
+    return f"SELECT {keys}, hash({', '.join(values or ['true'])}) AS {mark}_hash FROM ({relation(table, read_files(paths))})"
 
 
 def _hashed(column: Column) -> list[str]:
