@@ -17,9 +17,10 @@ from hypothesis import strategies as st
 from schemas.captions import Caption
 from schemas.errors import InputError
 from tests.samples import fingerprint, sample, stage_run
+from warehouse.answers import OUTPUTS, format_table
 from warehouse.lake import Lake
 from warehouse.snapshot import Reader
-from warehouse.sql import OUTPUTS, format_table, query, read_only
+from warehouse.sql import query, read_only
 
 
 @pytest.fixture(scope="module")
@@ -269,7 +270,7 @@ def test_every_output_holds_every_value(reader: Reader) -> None:
     assert objects[0]["sentence"] == "oak; table"
     assert objects[0]["colors"] == ["word", "word"]
     assert objects[0]["nested"] == {"a": [1, 2]}
-    assert (objects[0]["nan"], objects[0]["nothing"], objects[0]["day"], objects[0]["text"]) == (None, None, "2026-01-02", 'ü "q", x')
+    assert (objects[0]["nan"], objects[0]["nothing"], objects[0]["day"], objects[0]["text"]) == ("NaN", None, "2026-01-02", 'ü "q", x')
     lines = list(csv.reader(io.StringIO(str(format_table(data, "csv")))))
     assert lines[0] == data.column_names
     assert lines[1][0] == "oak; table"
@@ -296,12 +297,14 @@ def test_answer_without_rows_has_its_columns(reader: Reader, output: str) -> Non
             assert made == "sentence,mass_kg\n"
         case "json":
             assert made == "[]\n"
+        case "jsonl":
+            assert made == ""
         case _:
             assert pq.read_table(io.BytesIO(made)).column_names == ["sentence", "mass_kg"]  # type: ignore[arg-type]
 
 
 def test_unknown_output_is_refused() -> None:
-    with pytest.raises(InputError, match="choose one of table, csv, json, parquet"):
+    with pytest.raises(InputError, match="choose one of table, csv, json, jsonl, parquet"):
         format_table(pa.table({"a": [1]}), "xml")  # type: ignore[arg-type]
 
 

@@ -1,26 +1,39 @@
-"""SQL on a snapshot: only statements that read.
+"""SQL on a snapshot: only statements that read, within bounds of memory and time.
 
 DuckDB's COPY can write wherever the connection may read, and a SELECT can hold an INSERT, UPDATE, DELETE or COPY in
-its WITH. So a statement is admitted by what its parse tree holds, not by its first word.
+its WITH. So a statement is admitted by what its parse tree holds, not by its first word. What it may read is the
+connection's affair: the files of one snapshot (see `warehouse.snapshot`).
 """
 
 from __future__ import annotations
 
-import io
+import contextlib
+import dataclasses
 import json
-import math
 import re
+import tempfile
+import threading
 from collections.abc import Iterator
-from datetime import datetime
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
 from schemas.errors import InputError
+from warehouse.documentation import quoted
+from warehouse.macros import table_macros
 from warehouse.snapshot import Reader
 
-Output = Literal["table", "csv", "json", "parquet"]
-OUTPUTS: tuple[Output, ...] = ("table", "csv", "json", "parquet")
+if TYPE_CHECKING:
+    import duckdb
+
+BATCH_ROWS = 100_000
+"""Rows of an answer that are held at a time: a few tens of MB of the widest tables."""
+
+_SPILL = "20GB"  # what a sort or join may put on disk beyond its memory
+
+# Longer or deeper ones are no questions, and tens of thousands of levels end DuckDB's parser, and the process with it.
+_MOST_CHARACTERS = 100_000
+_MOST_LEVELS = 200
 
 _READING_NODES = frozenset({"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE", "STATEMENT_NODE"})
 
@@ -35,24 +48,42 @@ _TABLE_FUNCTIONS = frozenset(
 )
 _CATALOG_FUNCTIONS = re.compile(r"duckdb_[a-z_]+")
 
+# Functions that are called for what they do, not for what they give.
+_ACTIONS = frozenset({"nextval", "setval", "setseed", "write_log"})
+
 _EXPLAIN = re.compile(r"\s*EXPLAIN\b(\s+ANALYZE\b|\s*\([^()]*\))?", re.IGNORECASE)
 
 _REMEDY = "only reading is allowed: SELECT, FROM, VALUES, WITH, DESCRIBE, SHOW, SUMMARIZE, EXPLAIN"
+
+# Types without a counterpart in Parquet or JSON are given as DuckDB writes them.
+_AS_TEXT = re.compile(r"\b(INTERVAL|UNION|BIT|BIGNUM|VARIANT|GEOMETRY|MAP|TIME WITH TIME ZONE)\b")
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """What a question gives: the columns, and the rows in batches that are computed as they are taken, once."""
+
+    schema: pa.Schema
+    batches: Iterator[pa.RecordBatch]
 
 
 def read_only(statement: str) -> None:
     """Admit SQL that only reads.
 
     Raises:
-        InputError: it writes, changes settings, does not parse, or holds no statement.
+        InputError: it writes, changes settings, does not parse, holds no statement, or is too long or too deep.
     """
     import duckdb
 
+    if len(statement) > _MOST_CHARACTERS:
+        problem = f"the statement has {len(statement)} characters, at most {_MOST_CHARACTERS} are read"
+        raise InputError("SQL", "", problem, "ask for less at once")
     with duckdb.connect(":memory:", config={"enable_external_access": "false"}) as parser:
+        _check_depth(statement)
         try:
             statements = parser.extract_statements(statement)
         except duckdb.Error as error:
-            raise InputError("SQL", "", str(error)) from error
+            raise InputError("SQL", "", _line(error)) from error
         if not statements:
             raise InputError("SQL", "", "there is no statement", "write a SELECT")
         for one in statements:
@@ -71,33 +102,109 @@ def query(reader: Reader, sql: str) -> pa.Table:
     Raises:
         InputError: it does not only read, or DuckDB refuses it.
     """
+    with ask(reader, sql) as answer:
+        return pa.Table.from_batches(answer.batches, answer.schema)
+
+
+@contextlib.contextmanager
+def ask(reader: Reader, sql: str, *, timeout: float | None = None, memory_mb: int | None = None) -> Iterator[Answer]:
+    """The answer to SQL on a snapshot, of its last statement: ``with ask(reader, "FROM scenes") as answer: ...``.
+
+    `timeout` [s] ends it, rows taken included. Beyond `memory_mb` [MB] sorts and joins go on in temporary files; values
+    that are built whole, such as one list of everything, count only in part.
+
+    Raises:
+        InputError: it does not only read, DuckDB refuses it, or it takes too long or too much memory.
+    """
+    read_only(sql)
+    with contextlib.ExitStack() as stack:
+        settings: dict[str, str | int] = {"python_enable_replacements": "false"}
+        if memory_mb is not None:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="metascenes-sql-"))
+            settings |= {"memory_limit": f"{memory_mb}MB", "temp_directory": folder, "max_temp_directory_size": _SPILL}
+        connection = stack.enter_context(reader.connect(settings))
+        alarm = _Alarm(connection, timeout)
+        stack.callback(alarm.stop)
+        with _plain_errors(alarm):
+            relation = connection.sql(sql)
+            stream = _portable(relation).to_arrow_reader(BATCH_ROWS)
+        yield Answer(stream.schema, _batches(stream, alarm))
+
+
+def _batches(stream: pa.RecordBatchReader, alarm: _Alarm) -> Iterator[pa.RecordBatch]:
+    while True:
+        with _plain_errors(alarm):
+            if alarm.has_rung:
+                raise alarm.error
+            try:
+                batch = stream.read_next_batch()
+            except StopIteration:
+                return
+        yield batch
+
+
+class _Alarm:
+    """Interrupts a connection when its time is up."""
+
+    def __init__(self, connection: duckdb.DuckDBPyConnection, timeout: float | None) -> None:
+        self._connection, self._timeout, self.has_rung = connection, timeout, False
+        self._timer = threading.Timer(timeout, self._ring) if timeout else None
+        if self._timer:
+            self._timer.daemon = True
+            self._timer.start()
+
+    @property
+    def error(self) -> InputError:
+        """What to say when it has rung."""
+        return InputError("SQL", "", f"it takes longer than {self._timeout:g} s", "ask for less, or give it more time")
+
+    def stop(self) -> None:
+        """Never ring any more."""
+        if self._timer:
+            self._timer.cancel()
+
+    def _ring(self) -> None:
+        self.has_rung = True
+        self._connection.interrupt()
+
+
+@contextlib.contextmanager
+def _plain_errors(alarm: _Alarm) -> Iterator[None]:
+    """Errors of DuckDB, which come through Arrow while rows are taken, in one line."""
     import duckdb
 
-    read_only(sql)
-    with reader.connect() as connection:
-        try:
-            return connection.sql(sql).to_arrow_table()
-        except duckdb.Error as error:
-            raise InputError("SQL", "", str(error)) from error
+    try:
+        yield
+    except InputError:
+        raise
+    except (duckdb.Error, pa.ArrowException, MemoryError, OSError) as error:
+        if alarm.has_rung:
+            raise alarm.error from error
+        if isinstance(error, MemoryError | duckdb.OutOfMemoryException) or "Out of Memory" in str(error):
+            raise InputError("SQL", "", "it takes more memory than it may", "ask for less, or give it more memory") from error
+        raise InputError("SQL", "", _line(error)) from error
 
 
-def format_table(data: pa.Table, output: Output = "table") -> str | bytes:
-    """Rows as a text table, as CSV, as a JSON list of objects, or as a Parquet file (bytes)."""
-    match output:
-        case "table":
-            return _text_table(data)
-        case "csv":
-            return _csv(data)
-        case "json":
-            rows = [{name: _json_value(value) for name, value in row.items()} for row in data.to_pylist()]
-            return json.dumps(rows, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        case "parquet":
-            import pyarrow.parquet as pq
+def _portable(relation: duckdb.DuckDBPyRelation) -> duckdb.DuckDBPyRelation:
+    """The relation with a name of its own for every column, and columns of types that only DuckDB has as text."""
+    unusual = [bool(_AS_TEXT.search(str(one))) for one in relation.types]
+    names = list(_unique(relation.columns))
+    if not any(unusual) and names == relation.columns:
+        return relation
+    columns = [(f"CAST(#{i} AS VARCHAR)" if odd else f"#{i}", name) for i, (odd, name) in enumerate(zip(unusual, names, strict=True), 1)]
+    return relation.project(", ".join(f"{value} AS {quoted(name)}" for value, name in columns))
 
-            sink = io.BytesIO()
-            pq.write_table(data, sink)
-            return sink.getvalue()
-    raise InputError("output", str(output), "there is no such output", f"choose one of {', '.join(OUTPUTS)}")
+
+def _unique(names: list[str]) -> Iterator[str]:
+    """The names, with a number behind those that were there before: ``a``, ``a_1``."""
+    seen: set[str] = set()
+    for name in names:
+        number, free = 0, name
+        while free in seen or (number and free in names):
+            number += 1
+            free = f"{name}_{number}"
+        seen.add(free)
+        yield free
 
 
 def _explained(parser: Any, text: str) -> tuple[str, str]:
@@ -112,11 +219,27 @@ def _explained(parser: Any, text: str) -> tuple[str, str]:
     return (inner[0].type.name if len(inner) == 1 else "EXPLAIN"), text
 
 
+def _check_depth(statement: str) -> None:
+    """Refuse brackets in brackets without end before the parser follows them."""
+    import duckdb
+
+    level = 0
+    data = statement.encode()
+    tokens = duckdb.tokenize(statement)  # where each begins, in bytes
+    ends = [start for start, _ in tokens[1:]] + [len(data)]
+    for (start, kind), end in zip(tokens, ends, strict=False):
+        if kind == duckdb.token_type.operator:
+            for character in data[start:end].decode(errors="replace"):
+                level += (character in "([{") - (character in ")]}")
+                if level > _MOST_LEVELS:
+                    raise InputError("SQL", "", f"brackets are nested more than {_MOST_LEVELS} deep", "ask for less at once")
+
+
 def _check_tree(parser: Any, text: str) -> None:
     """Refuse a statement whose parse tree holds anything that does not read."""
     tree = json.loads(parser.execute("SELECT json_serialize_sql(?)", [text]).fetchall()[0][0])
     if tree.get("error"):
-        raise InputError("SQL", "", str(tree.get("error_message", "cannot be parsed")), _REMEDY)
+        raise InputError("SQL", "", _line(tree.get("error_message", "cannot be parsed")), _REMEDY)
     for node in _nodes(tree):
         kind = node.get("type")
         if isinstance(kind, str) and kind.endswith("_NODE") and kind not in _READING_NODES:
@@ -124,8 +247,10 @@ def _check_tree(parser: Any, text: str) -> None:
             raise InputError("SQL", "", f"{verb} inside a statement is not allowed", _REMEDY)
         if kind == "TABLE_FUNCTION":
             name = str(node.get("function", {}).get("function_name", "")).lower()
-            if name not in _TABLE_FUNCTIONS and not _CATALOG_FUNCTIONS.fullmatch(name):
+            if name not in _TABLE_FUNCTIONS and name not in table_macros() and not _CATALOG_FUNCTIONS.fullmatch(name):
                 raise InputError("SQL", "", f"the table function {name} is not allowed", "read the lake's tables by name")
+        if str(node.get("function_name", "")).lower() in _ACTIONS:
+            raise InputError("SQL", "", f"the function {node['function_name']} is not allowed", _REMEDY)
 
 
 def _nodes(tree: Any) -> Iterator[dict[str, Any]]:
@@ -148,58 +273,6 @@ def _words(kind: str) -> str:
     return kind.replace("_", " ")
 
 
-def _json_value(value: Any) -> Any:
-    """A value as JSON has it: no NaN or infinity, times in ISO 8601, anything unusual as text."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    if isinstance(value, list | tuple):
-        return [_json_value(item) for item in value]
-    if isinstance(value, dict):
-        return {str(name): _json_value(item) for name, item in value.items()}
-    if isinstance(value, datetime):
-        return value.isoformat()
-    return str(value)
-
-
-def _cell(value: Any) -> str:
-    """A value as one line of text."""
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list | tuple | dict):
-        return json.dumps(_json_value(value), ensure_ascii=False)
-    return " ".join(str(_json_value(value)).split())
-
-
-def _csv(data: pa.Table) -> str:
-    import csv
-
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    writer.writerow(data.column_names)
-    for row in zip(*(column.to_pylist() for column in data.columns), strict=True):
-        writer.writerow([_json_value(value) if not isinstance(value, list | dict) else json.dumps(_json_value(value)) for value in row])
-    return sink.getvalue()
-
-
-def _text_table(data: pa.Table, widest: int = 60) -> str:
-    """Rows in columns for a terminal: numbers to the right, long cells cut, the row count below."""
-    names = data.column_names
-    columns = [[_cell(value) for value in column.to_pylist()] for column in data.columns]
-    columns = [[cell if len(cell) <= widest else cell[: widest - 1] + "…" for cell in column] for column in columns]
-    widths = [max([len(name), *map(len, column)]) for name, column in zip(names, columns, strict=True)]
-    types = pa.types
-    right = [types.is_integer(one) or types.is_floating(one) or types.is_decimal(one) for one in data.schema.types]
-
-    def line(cells: Any) -> str:
-        return "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in zip(cells, widths, right, strict=True)).rstrip()
-
-    rule = "  ".join("-" * width for width in widths)
-    body = [line(row) for row in zip(*columns, strict=True)]
-    count = f"({data.num_rows} row{'' if data.num_rows == 1 else 's'})"
-    return "\n".join([line(names), rule, *body, count]) + "\n"
+def _line(error: object) -> str:
+    """An error of DuckDB in one line."""
+    return " ".join(str(error).split())

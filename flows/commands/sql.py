@@ -2,49 +2,196 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
-from typing import Literal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
 
 import click
 
 from flows.commands.options import chosen_snapshot, existing_lake, lake_option, snapshot_options
 
+if TYPE_CHECKING:
+    from warehouse.answers import Output
+
+_FORMS: dict[str, Output] = {".csv": "csv", ".json": "json", ".jsonl": "jsonl", ".ndjson": "jsonl", ".parquet": "parquet", ".txt": "table"}
+"""Forms of an answer by the ending of the file that takes it."""
+
+_GRACE = 10.0  # s; DuckDB looks up from its work at least that often, unless a single value takes it longer
+
+_SLACK = 2**30  # B; threads and allocators reserve more addresses than they use
+
 
 @click.command("sql", short_help="Ask the lake a question in SQL; reads only.")
 @click.argument("statement", required=False)
+@click.option("--file", "source", type=click.Path(dir_okay=False), help="Read the statement from a file; - is standard input.")
 @click.option(
-    "--output", type=click.Choice(["table", "csv", "json", "parquet"]), default="table", show_default=True, help="Form of the answer."
+    "--output",
+    type=click.Choice(["table", "csv", "json", "jsonl", "parquet"]),
+    help="Form of the answer; by default what the ending of --out says, else a table.",
 )
+@click.option("--out", type=click.Path(path_type=Path), help="Write the answer into a file, whole or not at all.")
+@click.option("--force", is_flag=True, help="Let --out replace a file.")
+@click.option("--limit", type=click.IntRange(0), default=1000, show_default=True, help="Rows that a table shows; 0 shows all.")
+@click.option("--timeout", type=click.FloatRange(0), default=600, show_default=True, help="Seconds until it is ended; 0 waits for ever.")
+@click.option("--memory", type=click.FloatRange(0.5), default=3, show_default=True, help="GB that it may use.")
 @click.option("--list", "listing", is_flag=True, help="List tables and views with what they answer.")
 @snapshot_options
 @lake_option
 def command(
     statement: str | None,
-    output: Literal["table", "csv", "json", "parquet"],
+    source: str | None,
+    output: Output | None,
+    out: Path | None,
+    force: bool,
+    limit: int,
+    timeout: float,
+    memory: float,
     listing: bool,
     snapshot_id: int | None,
     release: str | None,
     address: str,
 ) -> None:
-    """Ask the lake a question in SQL. Only statements that read are let through.
+    """Ask the lake a question in SQL. Only statements that read are let through. A STATEMENT of - is read from standard input.
 
     Example: metascenes sql "SELECT category, count(*) FROM instances GROUP BY ALL ORDER BY 2 DESC LIMIT 5"
+
+    Example: metascenes sql "FROM instances" --out instances.parquet
     """
-    from schemas.tables import TABLES
-    from warehouse.sql import format_table, query
-    from warehouse.views import listing as views
+    from warehouse.answers import write_answer
+    from warehouse.sql import ask
 
     if listing:
-        for name, table in TABLES.items():
-            print(f"table  {name:<22} {table.description}")
-        for name, question in views():
-            print(f"view   {name:<22} {question}")
+        _list()
         return
-    if statement is None:
-        raise click.UsageError('give a statement, or --list. Example: metascenes sql "SELECT * FROM scenes"')
+    text = _statement(statement, source)
+    form = output or (_FORMS.get(out.suffix.lower()) if out else None) or "table"
+    if form == "parquet" and out is None and sys.stdout.isatty():
+        raise click.UsageError("Parquet is not for a terminal: name a file with --out")
     lake = existing_lake(address)
-    answer = format_table(query(lake.snapshot(chosen_snapshot(lake, snapshot_id, release)), statement), output)
-    if isinstance(answer, bytes):
-        sys.stdout.buffer.write(answer)
-    else:
-        sys.stdout.write(answer if answer.endswith("\n") else answer + "\n")
+    reader = lake.snapshot(chosen_snapshot(lake, snapshot_id, release))
+    # Deep inside of one value DuckDB neither counts its memory nor looks at the clock, so the process has bounds of its own.
+    with contextlib.ExitStack() as stack:
+        sink = stack.enter_context(_whole_file(out, force, lake.storage.local_path(""))) if out else sys.stdout.buffer
+        stack.enter_context(_ended_after(timeout + _GRACE if timeout else None, timeout))
+        stack.enter_context(_bounded_memory(int(memory * 2**30)))
+        answer = stack.enter_context(ask(reader, text, timeout=timeout or None, memory_mb=int(memory * 700)))
+        rows = write_answer(answer, form, sink, limit or None)
+        sink.flush()
+    if out is not None:
+        click.echo(f"{out}: {rows} row{'' if rows == 1 else 's'}", err=True)
+
+
+def _list() -> None:
+    from schemas.tables import TABLES
+    from warehouse.views import listing as views
+
+    for name, table in TABLES.items():
+        print(f"table  {name:<22} {table.description}")
+    for name, question in views():
+        print(f"view   {name:<22} {question}")
+
+
+def _statement(statement: str | None, source: str | None) -> str:
+    """The statement, from wherever it is."""
+    from schemas.errors import InputError
+
+    if (statement is None) == (source is None):
+        raise click.UsageError('give a statement, --file or --list. Example: metascenes sql "SELECT * FROM scenes"')
+    if statement is not None and statement != "-":
+        return statement
+    place = source or "-"
+    try:
+        data = sys.stdin.buffer.read() if place == "-" else Path(place).read_bytes()
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(place, "", "this is no UTF-8 text", "give a file with SQL") from error
+    except OSError as error:
+        raise InputError(place, "--file", f"cannot be read ({error.strerror or error})", "give a file with SQL") from error
+
+
+@contextlib.contextmanager
+def _whole_file(path: Path, force: bool, lake: Path | None) -> Iterator[BinaryIO]:
+    """A file that gets its name when all of it is written; nothing stays of one that is not.
+
+    Raises:
+        InputError: it is there already, lies in the lake, or cannot be made.
+    """
+    from schemas.errors import InputError
+
+    target = Path(os.path.realpath(path))
+    if lake is not None and target.is_relative_to(os.path.realpath(lake)):
+        raise InputError(str(path), "--out", "lies in the lake, which only its own commands write to", "choose another folder")
+    taken = InputError(str(path), "--out", "is there already", "choose another name, or --force")
+    if target.is_dir() or (target.exists() and not force):
+        raise taken
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    _leftovers.add(temporary)
+    try:
+        try:
+            handle = open(temporary, "xb")  # noqa: SIM115  # closed below: only what goes wrong here is the folder's fault
+        except OSError as error:
+            raise InputError(str(path), "--out", f"cannot be made ({error.strerror or error})", "choose another folder") from error
+        with handle:
+            yield handle
+            handle.flush()
+            os.fsync(handle.fileno())
+        if force:
+            os.replace(temporary, target)
+            return
+        try:
+            os.link(temporary, target)  # fails when another one was faster
+        except FileExistsError:
+            raise taken from None
+        except OSError:  # no hard links on this file system
+            os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
+        _leftovers.discard(temporary)
+
+
+_leftovers: set[Path] = set()
+
+
+@contextlib.contextmanager
+def _ended_after(seconds: float | None, timeout: float) -> Iterator[None]:
+    """End the process after so many seconds, for what cannot be interrupted."""
+
+    def end() -> None:
+        for path in _leftovers:
+            path.unlink(missing_ok=True)
+        print(f"metascenes: SQL: it takes longer than {timeout:g} s; ask for less, or give it more time", file=sys.stderr, flush=True)
+        os._exit(2)
+
+    timer = threading.Timer(seconds, end) if seconds else None
+    if timer:
+        timer.daemon = True
+        timer.start()
+    try:
+        yield
+    finally:
+        if timer:
+            timer.cancel()
+
+
+@contextlib.contextmanager
+def _bounded_memory(size: int) -> Iterator[None]:
+    """Let the process grow by `size` bytes at most; what would take more fails. Only where the system can say and bound it."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (ImportError, OSError):
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    most = pages * resource.getpagesize() + size + _SLACK
+    limits = [one for one in (most, soft, hard) if one != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
