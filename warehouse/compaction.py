@@ -16,8 +16,8 @@ from schemas.runs import Snapshot
 from schemas.tables import TABLES
 from warehouse.adoption import now_utc
 from warehouse.commit import Commit, versions_of
-from warehouse.datafiles import FILE_BYTES, exchange, ranges, write_files
-from warehouse.delta import FOLDER
+from warehouse.datafiles import exchange, ranges, write_files
+from warehouse.delta import FILE_BYTES, FOLDER, file_bytes
 from warehouse.documentation import quoted
 from warehouse.lake import Lake
 from warehouse.references import parquet, workspace
@@ -99,6 +99,7 @@ def _compact_table(
     opened = lake.tables.open(table.name, versions[table.name])
     if opened is None:
         raise InputError(lake.address, table.name, f"version {versions[table.name]} is missing", "restore the folder")
+    target = min(target, file_bytes(opened))
     files = ranges(opened, table.key[0])
     chosen = _worth_rewriting(files, target)
     if not chosen:

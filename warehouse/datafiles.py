@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from warehouse.delta import FOLDER, DeltaTables
+from warehouse.delta import FILE_BYTES, FOLDER, DeltaTables
 from warehouse.storage import Entry, Storage
 
 if TYPE_CHECKING:
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 DATA_FILE = re.compile(r"part-[0-9]{5}-[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}-c[0-9]{3}(\.[a-z0-9]+)?\.parquet")
 
 _LOG_FILE = re.compile(r"([0-9]{20})(\.[0-9a-f-]+)?\.(json|checkpoint(\.[0-9]+\.[0-9]+)?\.parquet)")
-
-# Replacing a few neighboring scenes rewrites one or two files of this size, in a fraction of a second.
-FILE_BYTES = 12 * 2**20
 
 # Longer texts say nothing that would let a reader skip a file.
 _STATISTIC_BYTES = 64

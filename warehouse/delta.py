@@ -7,6 +7,7 @@ half-way) is restored first. Nothing is retried on a conflict: a conflict means 
 from __future__ import annotations
 
 import bisect
+import itertools
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -22,9 +23,14 @@ if TYPE_CHECKING:
 
 FOLDER = "tables"
 
-# A file is rewritten when one of its scenes is replaced. Of instances, 16 MB hold 1,400 scenes and take 0.2 s; smaller files
-# cost every query more than they save (half a millisecond each).
-FILE_BYTES = 16 * 2**20
+# A file is rewritten when one of its scenes is replaced, so it holds no more bytes, and no more rows, than take a fraction of a
+# second. Smaller files would cost every query more than they save: half a millisecond each.
+FILE_BYTES = 12 * 2**20
+_FILE_ROWS = 200_000
+_LEAST_FILE_BYTES = 64 * 2**10
+
+# Enough rows to tell how many bytes a row of a new table takes.
+_SAMPLED_ROWS = 20_000
 
 # Rows of a few scenes are found without decoding the rest of the file: readers skip row groups by their smallest and largest key.
 _ROW_GROUP_ROWS = 16_384
@@ -172,7 +178,7 @@ class TableWriter:
         """Paths of the current Parquet files, relative to the lake."""
         return [] if self._opened is None or self._is_leftover else self._tables.files(self._table.name, self._opened)
 
-    def append(self, data: pa.Table) -> None:
+    def append(self, data: pa.Table | pa.RecordBatchReader) -> None:
         """Add rows."""
         self._write(data, mode="append", schema_mode="merge")
 
@@ -192,15 +198,19 @@ class TableWriter:
         """Put small files together when there are many."""
         if self._opened is None or len(self.files) <= SMALL_FILES_BEFORE_COMPACTION:
             return
-        sizes = pa.table(self._opened.get_add_actions(flatten=True)).column("size_bytes").to_pylist()
-        if sum(size < FILE_BYTES // 2 for size in sizes) > SMALL_FILES_BEFORE_COMPACTION:
+        sizes, target = pa.table(self._opened.get_add_actions(flatten=True)).column("size_bytes").to_pylist(), file_bytes(self._opened)
+        if sum(size < target // 2 for size in sizes) > SMALL_FILES_BEFORE_COMPACTION:
             self._check()
-            self._opened.optimize.compact(
-                target_size=FILE_BYTES, writer_properties=writer_properties(), commit_properties=self._unretried()
-            )
+            self._opened.optimize.compact(target_size=target, writer_properties=writer_properties(), commit_properties=self._unretried())
 
     def _write(
-        self, data: pa.Table, *, mode: Any, schema_mode: Any, predicate: str | None = None, facts: dict[str, str] | None = None
+        self,
+        data: pa.Table | pa.RecordBatchReader,
+        *,
+        mode: Any,
+        schema_mode: Any,
+        predicate: str | None = None,
+        facts: dict[str, str] | None = None,
     ) -> None:
         from deltalake import DeltaTable, write_deltalake
 
@@ -212,6 +222,7 @@ class TableWriter:
             mode, schema_mode, predicate = "error", None, None
         options = self._storage.delta_options()
         address = self._storage.delta_address(f"{FOLDER}/{self._table.name}")
+        data, target = _sampled(data, self._opened)
         write_deltalake(
             address if self._opened is None else self._opened,
             data.cast(self._described(nullable(data.schema), schema_mode)),
@@ -222,7 +233,7 @@ class TableWriter:
             name=self._table.name if is_new else None,
             description=self._table.description if is_new else None,
             storage_options=options,
-            target_file_size=FILE_BYTES,
+            target_file_size=target,
             writer_properties=writer_properties(),
             commit_properties=self._unretried(facts),
         )
@@ -242,6 +253,38 @@ class TableWriter:
         from deltalake import CommitProperties
 
         return CommitProperties(custom_metadata=dict(facts or {}), max_commit_retries=0)
+
+
+def file_bytes(opened: DeltaTable) -> int:
+    """How large a table's files are to be, from what its rows take now [B]."""
+    actions = pa.table(opened.get_add_actions(flatten=True))
+    size, rows = (sum(value or 0 for value in actions.column(name).to_pylist()) for name in ("size_bytes", "num_records"))
+    return _bounded(size / rows) if rows else FILE_BYTES
+
+
+def _bounded(bytes_per_row: float) -> int:
+    return min(FILE_BYTES, max(_LEAST_FILE_BYTES, int(_FILE_ROWS * bytes_per_row)))
+
+
+def _sampled(data: pa.Table | pa.RecordBatchReader, opened: DeltaTable | None) -> tuple[pa.Table | pa.RecordBatchReader, int]:
+    """The rows, and how large their files are to be [B]."""
+    import pyarrow.parquet as pq
+
+    if isinstance(data, pa.Table) and data.num_rows <= _FILE_ROWS:
+        return data, FILE_BYTES
+    if opened is not None and opened.file_uris():
+        return data, file_bytes(opened)
+    if isinstance(data, pa.RecordBatchReader):
+        first = next(iter(data), None)
+        if first is None:
+            return data.schema.empty_table(), FILE_BYTES
+        sample = pa.Table.from_batches([first])
+        data = pa.RecordBatchReader.from_batches(data.schema, itertools.chain([first], data))
+    else:
+        sample = data
+    sample, sink = sample.slice(0, _SAMPLED_ROWS), pa.BufferOutputStream()
+    pq.write_table(sample, sink, compression="zstd", row_group_size=_ROW_GROUP_ROWS)
+    return data, _bounded(sink.tell() / max(1, sample.num_rows))
 
 
 def writer_properties() -> Any:
