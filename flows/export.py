@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import shutil
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from flows.progress import Progress
+from flows.shipment import Shipment, attribution_page, remake_scenes, shipment
 from schemas.errors import InputError
 from schemas.exports import FORMATS, ExportFile
 from tasks.exports.findings import Finding
 from warehouse.lake import Lake
+from warehouse.licenses import Allowed
 from warehouse.release import snapshot_of
+from warehouse.snapshot import Reader
 
 
 @dataclasses.dataclass(frozen=True)
 class WrittenExports:
-    """What was written: how many files, the root file and the package of every USD scene, and checks that did not pass."""
+    """What was written: how many files, the root file and the package of every USD scene, and checks that did not pass.
+
+    `shipment` says what was left out because of its license; None when all licenses were allowed.
+    """
 
     files: int
     usd_scenes: tuple[Path, ...]
     findings: tuple[str, ...]
     usd_packages: tuple[Path, ...] = ()
+    shipment: Shipment | None = None
 
     @property
     def failed_checks(self) -> int:
@@ -39,6 +49,8 @@ def write_exports(
     *,
     release: str | None = None,
     usdz: bool = False,
+    allowed: Allowed | None = None,
+    workers: int = 1,
 ) -> WrittenExports:
     """Write `<out>/usd`, `<out>/habitat` and so on, each replaced as a whole, and check what was written.
 
@@ -46,6 +58,10 @@ def write_exports(
     blobs, byte for byte; only of a release every `scene.usda` says which one it is from. With `usdz`, `<out>/usd` has a
     package of every scene beside its folder: tools edit the folder, and hand on the package. It is made here, since the
     lake would keep every byte of it twice.
+
+    With `allowed`, scenes and objects whose licenses are not among these are left out: scenes without some of their
+    objects are made again, by `workers` processes. Every format's folder then says in `LEFT_OUT.md` what is missing and in
+    `ATTRIBUTION.md` whom to name.
 
     Raises:
         InputError: a scene is not in the lake or has no export, there is no such release, packages are asked for without
@@ -63,30 +79,75 @@ def write_exports(
         raise InputError(lake.address, "export_files", f"no export of {missing[0]}", "see `metascenes status`")
     for name in formats:
         _check_ours(out / name)
-    placed = layout(rows)
-    shared = shared_files(rows, lake.blobs)
-    for name in formats:
-        making = out / f".{name}.making"
-        shutil.rmtree(making, ignore_errors=True)
-        for path, blob in placed.items():
-            if path.startswith(f"{name}/"):
-                _copy(lake, blob, making / path.removeprefix(f"{name}/"))
-        for path, data in shared.items():
-            if path.startswith(f"{name}/"):
-                target = making / path.removeprefix(f"{name}/")
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(data)
-        if name == "usd" and making.exists():
-            _finish_usd(making, release, snapshot_id, usdz)
-        if making.exists():
-            (making / MARK).write_text("Written by `metascenes export`; replaced as a whole by the next one.\n")
-            _replace(making, out / name)
+    with _shipped(lake, reader, rows, formats, allowed, workers) as (rows, blobs, sent, pages):
+        placed = layout(rows)
+        shared = shared_files(rows, blobs)
+        for name in formats:
+            _write_format(out, name, placed, shared, blobs, pages, lambda making: _finish_usd(making, release, snapshot_id, usdz))
     usd = tuple(
         sorted(out / "usd" / row.path for row in rows if row.format == "usd" and row.role == "scene" and row.path.endswith("scene.usda"))
     )
     packages = tuple(path.parent.with_suffix(".usdz") for path in usd) if usdz else ()
     findings = tuple(_findings(out, formats, (*usd, *packages)))
-    return WrittenExports(len(placed) + len(shared) + len(packages), usd, findings, packages)
+    return WrittenExports(len(placed) + len(shared) + len(packages), usd, findings, packages, sent)
+
+
+@contextlib.contextmanager
+def _shipped(
+    lake: Lake, reader: Reader, rows: list[ExportFile], formats: Sequence[str], allowed: Allowed | None, workers: int
+) -> Iterator[tuple[list[ExportFile], Mapping[str, bytes], Shipment | None, dict[str, str]]]:  # fmt: skip
+    """Rows of what may be shipped, their blobs, what was left out, and the pages that say so."""
+    if allowed is None:
+        yield rows, lake.blobs, None, {}
+        return
+    sent = shipment(reader, sorted({row.scene_id for row in rows}), allowed)
+    whole = set(sent.scenes) - sent.kept.keys()
+    pages = {"LEFT_OUT.md": sent.page(allowed), "ATTRIBUTION.md": attribution_page(reader, sent)}
+    with tempfile.TemporaryDirectory(prefix="metascenes-") as place, Progress("scenes made again", len(sent.kept)) as progress:
+        made = remake_scenes(lake, reader, sent, formats, Path(place), workers, progress.advance)
+        yield [*(row for row in rows if row.scene_id in whole), *made], _Blobs(Path(place), lake.blobs), sent, pages
+
+
+class _Blobs(Mapping[str, bytes]):
+    """Blobs of a lake, and files in a folder that are named in the same way."""
+
+    def __init__(self, folder: Path, blobs: Mapping[str, bytes]) -> None:
+        self._folder, self._blobs = folder, blobs
+
+    def __getitem__(self, name: str) -> bytes:
+        file = self._folder / name
+        return file.read_bytes() if file.is_file() else self._blobs[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({*(file.name for file in self._folder.iterdir()), *self._blobs})
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+def _write_format(
+    out: Path, name: str, placed: Mapping[str, str], shared: Mapping[str, bytes], blobs: Mapping[str, bytes], pages: Mapping[str, str],
+    finish_usd: Callable[[Path], None],
+) -> None:  # fmt: skip
+    """Write one format's folder anew and put it in its place."""
+    making = out / f".{name}.making"
+    shutil.rmtree(making, ignore_errors=True)
+    for path, blob in placed.items():
+        if path.startswith(f"{name}/"):
+            _copy(blobs, blob, making / path.removeprefix(f"{name}/"))
+    for path, data in shared.items():
+        if path.startswith(f"{name}/"):
+            target = making / path.removeprefix(f"{name}/")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(data)
+    if name == "usd" and making.exists():
+        finish_usd(making)
+    for page, text in pages.items():  # also where nothing is left: an older export must not pass for this one
+        making.mkdir(parents=True, exist_ok=True)
+        (making / page).write_text(text, encoding="utf-8")
+    if making.exists():
+        (making / MARK).write_text("Written by `metascenes export`; replaced as a whole by the next one.\n")
+        _replace(making, out / name)
 
 
 def _finish_usd(making: Path, release: str | None, snapshot_id: int | None, usdz: bool) -> None:
@@ -126,9 +187,9 @@ def _replace(making: Path, place: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _copy(lake: Lake, blob: str, target: Path) -> None:
+def _copy(blobs: Mapping[str, bytes], blob: str, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_bytes(lake.blobs[blob])
+    target.write_bytes(blobs[blob])
 
 
 def _findings(out: Path, formats: Sequence[str], usd: Sequence[Path]) -> list[str]:
