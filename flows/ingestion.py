@@ -23,7 +23,10 @@ from schemas.errors import InputError, LakeError
 from schemas.record import check
 from schemas.runs import StageRun
 from schemas.tables import TABLES
-from tasks.ingestion import STAGES, IngestionConfig, Kind, Source, find_sources, ingest
+from tasks.ingestion.navmeshes import navigation_rows
+from tasks.ingestion.reading import ingest
+from tasks.ingestion.scene import IngestionConfig, Kind, Source
+from tasks.ingestion.sources import find_sources
 from tasks.stage import Context, Outcome
 from warehouse.history import Key, StageState
 from warehouse.lake import Lake
@@ -38,7 +41,7 @@ _READS: Mapping[str, tuple[str, ...]] = {
     "optimization": ("capture", "candidates"),
     "navigation": ("capture", "candidates", "optimization"),
 }
-"""Stages whose rows those of a stage name."""
+"""Stages that an import can stand for, in order, and those whose rows theirs name."""
 
 Action = Literal["import", "reuse", "report"]
 
@@ -81,6 +84,7 @@ class _Job:
     config: IngestionConfig
     seed: int
     content: str
+    code: str
     attempt: int
 
 
@@ -96,13 +100,13 @@ def import_dataset(
     sources = find_sources(kind, folder, dataset, labels)
     history = lake.history()
     _check_name(history, sources, dataset)
-    config, hashes = IngestionConfig(), FileHashes()
+    config, hashes, code = IngestionConfig(), FileHashes(), code_fingerprint("tasks.ingestion.reading")
     jobs: list[_Job] = []
     found: dict[str, SceneImport] = {}
     for source in sources:
-        job = _Job(lake.address, source, config, seed, _content(source, hashes), 1)
+        job = _Job(lake.address, source, config, seed, _content(source, hashes), code, 1)
         state = history.get((source.scene_id, "capture"))
-        plan = _plan(state, source, _fingerprint(job, "capture"), retry_failed)
+        plan = _plan(state, job, retry_failed)
         found[source.scene_id] = plan
         if plan.action == "import":
             same = state is not None and state.last.fingerprint == _fingerprint(job, "capture")
@@ -143,6 +147,9 @@ def import_scene(job: _Job) -> SceneImport:
     context = Context(scene_id=scene_id, stage="ingestion", seed=job.seed, blobs=lake.blobs, caches=ModuleCaches())
     try:
         outcomes = ingest(job.source, context, job.config)
+        navigation = navigation_rows(job.source, job.config)
+        if navigation is not None:
+            outcomes["navigation"] = navigation
         for outcome in outcomes.values():
             _keep(lake, outcome, scene_id)
     except LakeError as problem:
@@ -150,7 +157,7 @@ def import_scene(job: _Job) -> SceneImport:
     except Exception as problem:
         return _failed(lake, job, started, clock, f"{type(problem).__name__}: {' '.join(str(problem).split())[:500]}", "defect")
     # The first stage last: once it is staged the scene counts as done, so all that belongs to it must be there.
-    for stage in reversed([name for name in STAGES if name in outcomes]):
+    for stage in reversed([name for name in _READS if name in outcomes]):
         outcome = outcomes[stage]
         run = _run(job, stage, started, time.perf_counter() - clock if stage == "capture" else 0.0)
         counts = tuple(f"{table}={len(rows)}" for table, rows in sorted(outcome.rows.items()))
@@ -182,7 +189,6 @@ def _failed(lake: Lake, job: _Job, started: datetime, clock: float, error: str, 
 
 def _run(job: _Job, stage: str, started: datetime, seconds: float) -> StageRun:
     """The row of `stage_runs` of a stage that an import stands for. Its config says that it was an import."""
-    config = _config_json(job)
     return StageRun(
         scene_id=job.source.scene_id,
         stage=stage,
@@ -190,13 +196,8 @@ def _run(job: _Job, stage: str, started: datetime, seconds: float) -> StageRun:
         attempt=job.attempt,
         outcome="done",
         upstream=(),
-        reasons=(
-            f"import={job.content}",
-            f"config={digest(config)}",
-            f"code={code_fingerprint('tasks.ingestion')}",
-            f"seed={job.seed}",
-        ),
-        config=config,
+        reasons=tuple(f"{name}={value}" for name, value in _reasons(job).items()),
+        config=_config_json(job),
         row_counts=(),
         degradations=(),
         error=None,
@@ -209,6 +210,11 @@ def _run(job: _Job, stage: str, started: datetime, seconds: float) -> StageRun:
     )
 
 
+def _reasons(job: _Job) -> dict[str, str]:
+    """Parts of the fingerprint, by name. An import is known by the first."""
+    return {"import": job.content, "config": digest(_config_json(job)), "code": job.code, "seed": str(job.seed)}
+
+
 def _config_json(job: _Job) -> str:
     settings: dict[str, Any] = {"import": job.source.kind, **canonical(job.config)}
     return canonical_json(settings)
@@ -216,7 +222,7 @@ def _config_json(job: _Job) -> str:
 
 def _fingerprint(job: _Job, stage: str) -> str:
     """What a stage's rows follow from: the scene's files and what its dataset says of it, config, code and seed."""
-    return digest("import-1", stage, job.content, _config_json(job), code_fingerprint("tasks.ingestion"), str(job.seed))
+    return digest("import-1", stage, job.content, _config_json(job), job.code, str(job.seed))
 
 
 def _content(source: Source, hashes: FileHashes) -> str:
@@ -229,9 +235,9 @@ def _content(source: Source, hashes: FileHashes) -> str:
     return digest(files, canonical_json(dict(source.about)), problem)
 
 
-def _plan(state: StageState | None, source: Source, fingerprint: str, retry_failed: bool) -> SceneImport:
+def _plan(state: StageState | None, job: _Job, retry_failed: bool) -> SceneImport:
     """What to do with a scene, and why."""
-    scene_id = source.scene_id
+    scene_id, fingerprint = job.source.scene_id, _fingerprint(job, "capture")
     if state is None:
         return SceneImport(scene_id, "import", "never imported")
     if state.done is not None and state.done.fingerprint == fingerprint:
@@ -243,9 +249,9 @@ def _plan(state: StageState | None, source: Source, fingerprint: str, retry_fail
         return SceneImport(scene_id, "report", why, error=last.error or "failed")
     if last.fingerprint == fingerprint:
         return SceneImport(scene_id, "import", f"{last.outcome} before")
-    changed = {part.partition("=")[0]: part for part in (state.done or last).reasons}
-    same_code = changed.get("code") == f"code={code_fingerprint('tasks.ingestion')}"
-    return SceneImport(scene_id, "import", "files changed" if same_code else "files or code changed")
+    before = dict(part.split("=", 1) for part in (state.done or last).reasons)
+    changed = [name for name, value in _reasons(job).items() if before.get(name) != value]
+    return SceneImport(scene_id, "import", f"{', '.join(changed)} changed".replace("import", "files"))
 
 
 def _check_name(history: Mapping[Key, StageState], sources: Sequence[Source], dataset: str) -> None:

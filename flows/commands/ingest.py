@@ -14,7 +14,7 @@ from flows.commands.options import json_option, lake_option, workers_option
 
 if TYPE_CHECKING:
     from flows.ingestion import DatasetImport
-    from tasks.ingestion import Kind
+    from tasks.ingestion.scene import Kind
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -32,7 +32,7 @@ _INSTANCE = re.compile(r"[0-9]{4,9}")
 
 
 def read_habitat(source: Source, labels: LabelMap) -> FinishedScene:
-    """A scene with its stage, its objects and its navmesh.
+    """A scene with its stage and its objects.
 
     Raises:
         InputError: a file cannot be used, or a value in it makes no sense; names both.
@@ -63,9 +63,6 @@ def read_habitat(source: Source, labels: LabelMap) -> FinishedScene:
         objects.append(
             FinishedObject(names[index], template["handle"], raw, label, model, pose, scale, physics=physics)
         )  # fmt: skip
-    navmesh = None
-    if about.get("navmesh"):
-        navmesh = (source.root / about["navmesh"]).read_bytes()
     own = scene.get("user_defined", {})
     stated = own.get("license")
     return FinishedScene(
@@ -75,7 +72,6 @@ def read_habitat(source: Source, labels: LabelMap) -> FinishedScene:
         alignment=Y_UP_TO_Z_UP,
         room_type=own["room_type"] if isinstance(own.get("room_type"), str) else "",
         license=stated if isinstance(stated, str) and stated else about.get("license"),
-        navmesh=navmesh,
         notes=tuple(dict.fromkeys(notes)),
     )
 

@@ -15,10 +15,7 @@ from tasks.exports.habitat import shapes
 from tasks.exports.habitat.library import ENDINGS, Library, Template, read_json, read_library
 from tasks.ingestion.models import material_files
 from tasks.ingestion.scene import Source
-from tasks.ingestion.values import license_line
-
-LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
-"""Files whose first line is a dataset's licence."""
+from tasks.ingestion.values import LICENSES, license_line
 
 _IDS = ("id", "handle", "object_id", "template_name", "name")
 _CATEGORIES = ("clean_category", "main_category", "category", "super_category", "type")

@@ -16,10 +16,9 @@ from schemas.errors import InputError
 from tasks.capture.documents import name_of, read_bytes
 from tasks.capture.labels import Label, LabelMap
 from tasks.ingestion.floors import read_layout
-from tasks.ingestion.habitat_scenes import LICENSES
 from tasks.ingestion.models import ENDINGS, material_files, read_model
 from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, Model, Source, scaled_pose
-from tasks.ingestion.values import json_document, license_line
+from tasks.ingestion.values import LICENSES, json_document, license_line
 from tasks.meshes import surface_of
 from tasks.transforms import translation
 
@@ -148,14 +147,13 @@ def read_metascenes(source: Source, labels: LabelMap) -> FinishedScene:
         alignment=np.eye(4),
         room_type="",
         license=license,
-        navmesh=None,
         notes=tuple(dict.fromkeys([*notes, *more])),
     )
 
 
 def instance_ids(names: list[str]) -> dict[str, str]:
     """Zero-padded ids of instances by their names: a number is its own id, others (`7-1`) follow after the highest."""
-    numbers = {name: int(name) for name in names if re.fullmatch(r"\d{1,6}", name)}
+    numbers = {name: int(name) for name in names if re.fullmatch(r"0|[1-9][0-9]{0,5}", name)}
     taken: dict[int, str] = {}
     for name, number in sorted(numbers.items(), key=lambda item: (item[1], item[0])):
         taken.setdefault(number, name)

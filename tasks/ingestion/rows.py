@@ -10,30 +10,27 @@ import numpy as np
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Instance, Scene
-from schemas.navigation import Navmesh, Split
 from schemas.optimization import Placement
 from tasks.candidates.assets import MAX_FACES, MadeAsset, decimated, make_asset
 from tasks.captions.sentences import shape_word
 from tasks.capture.boxes import oriented_box
 from tasks.capture.instances import modelled_solid
 from tasks.capture.reading import Group
-from tasks.exports.habitat.navmesh_file import read_navmesh
 from tasks.ingestion.ground import scene_room
 from tasks.ingestion.scene import FinishedObject, FinishedScene, IngestionConfig, Model, Source
 from tasks.meshes import Surface, dump_glb, dump_points, surface_of
-from tasks.navigation import split_of
 from tasks.stage import Blobs, Context, Outcome
 from tasks.transforms import flat, translation
 
 PROVIDER, VERSION = "imported", "1"
 """Who made the rows: nobody here; the dataset's own words and meshes."""
 
-STAGES = ("capture", "captions", "candidates", "optimization", "navigation")
-"""Stages whose tables a finished dataset can fill, in order. Selection stays empty: nobody here scored anything."""
-
 
 def scene_rows(scene: FinishedScene, source: Source, context: Context, config: IngestionConfig) -> dict[str, Outcome]:
-    """Rows by stage, in the order of the data path; a stage of which the dataset knows nothing is not there."""
+    """Rows by stage, in the order of the data path; a stage of which the dataset knows nothing is not there.
+
+    Selection stays empty: nobody here scored anything.
+    """
     assets = _Assets(context.scene_id)
     surfaces = [_surface(one) for one in scene.objects]
     found = {"capture": _capture(scene, source, surfaces, context, config)}
@@ -47,9 +44,6 @@ def scene_rows(scene: FinishedScene, source: Source, context: Context, config: I
     found["optimization"] = Outcome(
         placements=placements, supports=[], contacts=[], optimization_steps=[], optimizations=[], certificates=[],
     )  # fmt: skip
-    navigation = _navigation(scene, source, context.scene_id, config)
-    if navigation is not None:
-        found["navigation"] = navigation
     return found
 
 
@@ -221,35 +215,3 @@ def _placement(scene_id: str, one: FinishedObject, asset_id: str, shift: np.ndar
         method="imported",
         remains=one.remains,
     )
-
-
-def _navigation(scene: FinishedScene, source: Source, scene_id: str, config: IngestionConfig) -> Outcome | None:
-    """The navmesh of the dataset, as far as it says what agent it is for; episodes are not read."""
-    if scene.navmesh is None:
-        return None
-    notes, meshes, blobs = [], [], Blobs()
-    try:
-        navmesh = read_navmesh(scene.navmesh)
-        if navmesh.settings is None:
-            notes.append(f"navmesh of version {navmesh.version} left out: it does not say for what agent it is")
-    except ValueError as error:
-        notes, navmesh = [f"navmesh left out: {error}"], None
-    if navmesh is not None and navmesh.settings is not None:
-        areas = np.array([_plan_area(corners) for corners in navmesh.polygons])
-        parts = np.bincount(navmesh.islands, weights=areas) if len(areas) else np.zeros(0)
-        meshes.append(
-            Navmesh(
-                scene_id=scene_id, agent=config.agent, agent_radius_m=float(navmesh.settings["agentRadius"]),
-                agent_height_m=float(navmesh.settings["agentHeight"]), navmesh_blob=blobs.add(scene.navmesh, "navmesh"),
-                area_m2=float(areas.sum()), largest_island_m2=float(parts.max(initial=0.0)), island_count=len(parts),
-                path_finder="imported",
-            )
-        )  # fmt: skip
-    split = Split(room_id=source.room_id, split=split_of(source.room_id, config.test_share))
-    return Outcome(navmeshes=meshes, episodes=[], unreachable_targets=[], splits=[split], blobs=blobs, degradations=notes)
-
-
-def _plan_area(corners: np.ndarray[Any, Any]) -> float:
-    """Area of a polygon of Habitat's frame seen from above [m2]."""
-    x, z = corners[:, 0], corners[:, 2]
-    return 0.5 * abs(float(x @ np.roll(z, -1) - z @ np.roll(x, -1)))

@@ -117,8 +117,8 @@ class FinishedScene:
     """A scene as read, in the world frame.
 
     stage: Floor and walls as the dataset draws them, with the label of each part; empty when it has none. layout: The
-    floor as the dataset states it. alignment: The dataset's frame to the world frame, 4x4. navmesh: Its navmesh file.
-    notes: What had to be left out or assumed, a line each.
+    floor as the dataset states it. alignment: The dataset's frame to the world frame, 4x4. notes: What had
+    to be left out or assumed, a line each.
     """
 
     objects: tuple[FinishedObject, ...]
@@ -127,7 +127,6 @@ class FinishedScene:
     alignment: Array
     room_type: str
     license: str | None
-    navmesh: bytes | None
     notes: tuple[str, ...]
 
 

@@ -9,6 +9,9 @@ from typing import Any
 from schemas.errors import InputError
 from tasks.capture.documents import MAX_TEXT_BYTES, name_of, read_bytes, read_text
 
+LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
+"""Files whose first line is a dataset's licence."""
+
 
 def json_document(path: Path | str, root: Path | None, data: bytes | None = None) -> Any:
     """The value that a JSON file holds; of `data` where it was read before.
