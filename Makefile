@@ -31,7 +31,7 @@ format: $(VENV)/.test-ready  ## Format the code.
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-docs: $(VENV)/.run-ready  ## Write the table pages of the documentation from the schemas.
+docs: $(VENV)/.run-ready  ## Write the pages of tables and views from the schemas and the SQL.
 	$(BIN)/python -m warehouse.documentation
 
 native: $(RECAST)  ## Build the path finder that bakes as habitat-sim; wants Debian's librecast-dev and g++.

@@ -102,4 +102,8 @@ def _literal(text: str) -> str:
 if __name__ == "__main__":  # `make docs`
     from pathlib import Path
 
-    Path(__file__).resolve().parent.parent.joinpath("docs", "tables.md").write_text(tables_page())
+    from warehouse.catalog import views_page
+
+    docs = Path(__file__).resolve().parent.parent / "docs"
+    docs.joinpath("tables.md").write_text(tables_page())
+    docs.joinpath("views.md").write_text(views_page())

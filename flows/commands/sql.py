@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import json
 import os
 import sys
 import threading
@@ -38,7 +40,8 @@ _SLACK = 2**30  # B; threads and allocators reserve more addresses than they use
 @click.option("--limit", type=click.IntRange(0), default=1000, show_default=True, help="Rows that a table shows; 0 shows all.")
 @click.option("--timeout", type=click.FloatRange(0), default=600, show_default=True, help="Seconds until it is ended; 0 waits for ever.")
 @click.option("--memory", type=click.FloatRange(0.5), default=3, show_default=True, help="GB that it may use.")
-@click.option("--list", "listing", is_flag=True, help="List tables and views with what they answer.")
+@click.option("--json", "as_json", is_flag=True, help="The same as --output json; --list gives JSON, too.")
+@click.option("--list", "listing", is_flag=True, help="List tables, views and macros with versions and what they answer.")
 @snapshot_options
 @lake_option
 def command(
@@ -50,6 +53,7 @@ def command(
     limit: int,
     timeout: float,
     memory: float,
+    as_json: bool,
     listing: bool,
     snapshot_id: int | None,
     release: str | None,
@@ -64,8 +68,11 @@ def command(
     from warehouse.answers import write_answer
     from warehouse.sql import ask
 
+    if as_json and output not in (None, "json"):
+        raise click.UsageError(f"--json contradicts --output {output}")
+    output = "json" if as_json else output
     if listing:
-        _list()
+        _list(output)
         return
     text = _statement(statement, source)
     form = output or (_FORMS.get(out.suffix.lower()) if out else None) or "table"
@@ -85,14 +92,17 @@ def command(
         click.echo(f"{out}: {rows} row{'' if rows == 1 else 's'}", err=True)
 
 
-def _list() -> None:
-    from schemas.tables import TABLES
-    from warehouse.views import listing as views
+def _list(output: Output | None) -> None:
+    """Every name that a statement can use."""
+    from warehouse.catalog import entries
 
-    for name, table in TABLES.items():
-        print(f"table  {name:<22} {table.description}")
-    for name, question in views():
-        print(f"view   {name:<22} {question}")
+    if output == "json":
+        print(json.dumps([dataclasses.asdict(entry) for entry in entries()], indent=2, ensure_ascii=False))
+        return
+    width = max(len(entry.signature) for entry in entries())
+    for entry in entries():
+        version = f"v{entry.version}" if entry.version is not None else ""
+        print(f"{entry.kind:<5}  {entry.signature:<{width}}  {version:<3}  {entry.text}")
 
 
 def _statement(statement: str | None, source: str | None) -> str:

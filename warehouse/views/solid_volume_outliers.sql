@@ -1,6 +1,7 @@
 -- Which placed solids are unusually small or large for their category?
 -- Version 1.
--- Solids as in the view placed_solids, farther from the quartiles than 1.5 times the interquartile range.
+-- Solids as in the view placed_solids, farther from the quartiles than 1.5 times the interquartile range. In no order: there may be
+-- hundreds of thousands.
 WITH solids AS MATERIALIZED (
     SELECT scene_id, instance_id, category, solid_volume_m3
     FROM placed_solids
@@ -21,4 +22,3 @@ FROM solids
 JOIN boxes USING (category)
 WHERE solids.solid_volume_m3 < boxes.quartiles[1] - 1.5 * (boxes.quartiles[3] - boxes.quartiles[1])
     OR solids.solid_volume_m3 > boxes.quartiles[3] + 1.5 * (boxes.quartiles[3] - boxes.quartiles[1])
-ORDER BY category, solids.solid_volume_m3, solids.scene_id, solids.instance_id

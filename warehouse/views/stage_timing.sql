@@ -1,6 +1,7 @@
 -- How long does each stage take: in all, per scene (median, 95th percentile) and per object?
 -- Version 1.
--- Runs that made the rows of today. An annotation batch counts as a scene, but has no objects.
+-- Runs that made the rows of today; imports of finished datasets are no runs of the stages.
+-- An annotation batch counts as a scene, but has no objects.
 WITH timed AS (
     SELECT
         runs.stage,
@@ -12,6 +13,7 @@ WITH timed AS (
         sum(runs.seconds) FILTER (counted.objects > 0) AS seconds_of_objects,
         max(runs.peak_memory_mb) AS peak_memory_mb
     FROM current_runs AS runs
+    ANTI JOIN (SELECT scene_id FROM scenes WHERE segmentation = 'objects') AS imported USING (scene_id)
     LEFT JOIN objects_per_scene AS counted USING (scene_id)
     GROUP BY runs.stage
 )

@@ -1,6 +1,6 @@
 -- How long does each stage take on each host: per scene (median, 95th percentile) and per object?
 -- Version 1.
--- Runs that made the rows of today. workers counts the processes of the host that ran the stage.
+-- Runs that made the rows of today; imports of finished datasets are no runs of the stages. workers counts the processes of the host that ran the stage.
 WITH timed AS (
     SELECT
         regexp_replace(runs.host, ':[0-9]+$', '') AS host,
@@ -14,6 +14,7 @@ WITH timed AS (
         sum(runs.seconds) FILTER (counted.objects > 0) AS seconds_of_objects,
         max(runs.peak_memory_mb) AS peak_memory_mb
     FROM current_runs AS runs
+    ANTI JOIN (SELECT scene_id FROM scenes WHERE segmentation = 'objects') AS imported USING (scene_id)
     LEFT JOIN objects_per_scene AS counted USING (scene_id)
     GROUP BY ALL
 )

@@ -1,0 +1,107 @@
+"""The catalog: every table, view and macro of a lake with what it answers, its version and its columns."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+from schemas.tables import TABLES
+from warehouse.documentation import quoted, sql_type
+from warehouse.macros import Macro, macros
+from warehouse.views import View, install, views
+
+if TYPE_CHECKING:
+    import duckdb
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """One name that SQL on a lake can use.
+
+    kind: `table`, `view` or `macro`. version: Of a view or macro; None for tables, whose columns only ever grow. text: What a
+    table holds, or the question that a view or macro answers. signature: Name and parameters of a macro, else the name.
+    """
+
+    kind: str
+    name: str
+    signature: str
+    version: int | None
+    text: str
+    note: str
+
+
+def entries() -> list[Entry]:
+    """Tables in the order of the data path, then views and macros by name."""
+    found = [Entry("table", name, name, None, table.description, "") for name, table in TABLES.items()]
+    found += [Entry("view", view.name, view.name, view.version, view.question, view.note) for view in views()]
+    found += [Entry("macro", macro.name, macro.signature, macro.version, macro.question, macro.note) for macro in macros()]
+    return found
+
+
+def empty_lake() -> duckdb.DuckDBPyConnection:
+    """A DuckDB connection with every table, empty, and every view and macro, as those of a lake without rows."""
+    import duckdb
+
+    connection = duckdb.connect(":memory:")
+    connection.execute("SET TimeZone = 'UTC'")
+    for name, table in TABLES.items():
+        columns = ", ".join(f"{quoted(column.name)} {sql_type(column.type)}" for column in table.columns)
+        connection.execute(f"CREATE TABLE {quoted(name)} ({columns})")
+    install(connection)
+    return connection
+
+
+def described(connection: duckdb.DuckDBPyConnection, one: View | Macro) -> dict[str, Any]:
+    """What of a view or macro a query may rely on: version, parameters, and the columns with their types.
+
+    A scalar macro has none; a table macro's are those that it has with NULL for every parameter without a default.
+    """
+    found: dict[str, Any] = {"name": one.name, "version": one.version}
+    if isinstance(one, View):
+        return found | {"columns": _columns(connection, quoted(one.name))}
+    found |= {"parameters": list(one.parameters), "is_table": one.is_table}
+    if one.is_table:
+        given = ", ".join("NULL" for parameter in one.parameters if ":=" not in parameter)
+        found |= {"columns": _columns(connection, f"{quoted(one.name)}({given})")}
+    return found
+
+
+def views_page() -> str:
+    """`docs/views.md`: every view and macro, Markdown."""
+    parts = [
+        "# Views and macros",
+        "",
+        "Generated from `warehouse/views/` and `warehouse/macros/`: do not edit. One question per file. A version is raised when",
+        "columns of a view, or parameters of a macro, come, go or mean something else. Comments on",
+        "views and macros in SQL say the same (`duckdb_views()`, `duckdb_functions()`, `information_schema.tables`);",
+        "`metascenes sql --list` lists them.",
+        "",
+        "| name | version | question |",
+        "|---|---|---|",
+    ]
+    asked: list[View | Macro] = [*views(), *macros()]
+    parts += [f"| [`{one.name}`](#{one.name}) | {one.version} | {one.question} |" for one in asked]
+    with empty_lake() as connection:
+        parts += ["", *(_section(connection, one) for one in asked)]
+    return "\n".join(parts)
+
+
+def _section(connection: duckdb.DuckDBPyConnection, one: View | Macro) -> str:
+    """The section of a view or macro in the documentation."""
+    lines = [f"## `{one.name}`", "", f"{one.question} Version {one.version}."]
+    if isinstance(one, Macro):
+        kind = "stands in FROM" if one.is_table else "stands where a value stands"
+        lines += ["", f"Macro `{one.signature}`: {kind}."]
+    if one.note:
+        note, example, code = one.note.partition("Example: ")
+        lines += ["", note.strip()] if note.strip() else []
+        lines += ["", "```sql", code.strip(), "```"] if example else []
+    columns = described(connection, one).get("columns", {})
+    if columns:
+        lines += ["", "| column | type |", "|---|---|", *(f"| `{name}` | {kind} |" for name, kind in columns.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _columns(connection: duckdb.DuckDBPyConnection, relation: str) -> dict[str, str]:
+    rows = connection.execute(f"DESCRIBE SELECT * FROM {relation}").fetchall()
+    return {str(row[0]): str(row[1]) for row in rows}
