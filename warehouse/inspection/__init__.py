@@ -71,8 +71,8 @@ def inspect(
         raise
     except Exception as error:  # delta-rs and Arrow have many
         problem = f"cannot be read ({one_line(error)})"
-        findings.append(Finding("log", "tables/snapshots", "", problem, "restore the folder from a backup"))
-        every = ()
+        # All else would look unnamed.
+        return Inspection((Finding("log", "tables/snapshots", "", problem, "restore the folder from a backup"),), 0, 0, 0, 0, 0, 0, 0)
     if not is_whole:
         every = every[-1:]
     findings += snapshot_findings(every)
