@@ -137,7 +137,7 @@ class Reader:
         """Statements that make the view of a table."""
         table = TABLES[name]
         body = relation(table, read_files(paths))
-        if name == "snapshots":
+        if name == "snapshots" and paths:
             body += f" WHERE snapshot_id <= {self.snapshot_id}"
         elif name == "releases" and self.releases:
             rows = ", ".join(f"({', '.join(_literal(getattr(release, c.name)) for c in table.columns)})" for release in self.releases)
