@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from flows.fingerprints import cache_folder
 from schemas.errors import InputError
@@ -70,7 +71,7 @@ def generated_lake(scenes: int, seed: int = 0, progress: Callable[[str], None] |
     Raises:
         InputError: the disk has no room for it.
     """
-    folder = cache_folder() / "bench" / f"lake-{scenes}-{seed}-{_fingerprint()[:16]}"
+    folder = cache_folder() / "bench" / f"lake-{scenes}-{seed}-{_fingerprint(scenes, seed)[:16]}"
     if not (folder / MARKER).exists():
         _remove_outdated(folder.parent)
         needed = scenes * _BYTES_PER_SCENE
@@ -323,13 +324,17 @@ def _sql(value: Any) -> str:
     return f"{value}::BIGINT" if isinstance(value, int) else repr(value)
 
 
-def _fingerprint() -> str:
-    """Hash of what the rows and files depend on besides scenes and seed."""
+def _fingerprint(scenes: int, seed: int) -> str:
+    """Hash of what the rows and files depend on."""
     import duckdb
 
-    found = hashlib.sha256(f"{duckdb.__version__} {delta.FILE_BYTES} {SHARES}".encode())
-    for path in sorted([*_HERE.glob("*.sql"), *(_HERE / "rows").glob("*.sql"), _HERE / "generator.py"]):
+    found = hashlib.sha256(f"{duckdb.__version__} {delta.FILE_BYTES} {SHARES} {_rules()} {_runs()}".encode())
+    for path in sorted([*_HERE.glob("*.sql"), *(_HERE / "rows").glob("*.sql")]):
         found.update(path.read_bytes())
+    for shared in _picks(scenes, seed):
+        found.update(str(shared.schema).encode())
+        for column in shared.columns:
+            found.update(str(pc.sum(pc.cast(column, pa.float64())) if not pa.types.is_string(column.type) else column.unique()).encode())
     for table in TABLES.values():
         found.update(str([(c.name, str(c.type)) for c in table.columns]).encode())
     return found.hexdigest()
