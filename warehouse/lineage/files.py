@@ -31,7 +31,7 @@ from warehouse.lineage.walk import Walk, picked
 
 _HASH = rb"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])"
 
-SHOWN = 20
+SHOWN = 8
 """Uses of an asset or a blob that are walked; all are counted."""
 
 
@@ -90,12 +90,10 @@ def walk_asset(walk: Walk, asset: Asset, depth: int = 0, role: str = "") -> str:
     root = add_asset(walk, asset)
     walk.line(depth, role, root)
     placements = walk.reader.matching("placements", {"asset_id": [asset.asset_id]}, ["asset_id"]).to_pylist()
-    offers = walk.reader.matching("candidates", {"asset_id": [asset.asset_id]}, ["asset_id"]).to_pylist()
     answers = arrow_to_rows(walk.reader.matching("annotations", {"choice": [asset.asset_id]}), Annotation)
-    uses = {
-        "placements": len(placements), "candidates": len(offers), "annotations": len(answers),
-        "scenes": len({row["scene_id"] for row in (*placements, *offers)}),
-    }  # fmt: skip
+    offer = _offer(walk, asset.asset_id, placements[0]["scene_id"] if placements else None)
+    scenes = {row["scene_id"] for row in placements} | {row.scene_id for row in answers}
+    uses = {"placements": len(placements), "annotations": len(answers), "scenes": len(scenes)}
     node = walk.node("uses", asset.asset_id, uses)
     walk.edge(node, root, "of")
     walk.line(depth + 1, "used in", node)
@@ -105,14 +103,20 @@ def walk_asset(walk: Walk, asset: Asset, depth: int = 0, role: str = "") -> str:
             walk.line(depth + 2, "stands in", placement_node(walk, placement))
     for answer in answers[:SHOWN]:
         add_annotation(walk, answer, depth + 2, "chosen by")
-    # Who offered it is the same in every scene but for the slot: one that placed it comes first.
-    placed = {(one["scene_id"], one["instance_id"]) for one in placements}
-    first = min(offers, key=lambda row: ((row["scene_id"], row["instance_id"]) not in placed, *row.values()), default=None)
-    if first is not None:
-        candidate = walk.row(Candidate, first["scene_id"], instance_id=first["instance_id"], slot=first["slot"])
-        if candidate is not None:
-            candidate_node(walk, candidate, depth + 1, "offered as")
+    if offer is not None:
+        candidate_node(walk, offer, depth + 1, "offered as")
     return root
+
+
+def _offer(walk: Walk, asset_id: str, scene_id: str | None) -> Candidate | None:
+    """A candidate that holds an asset, of a scene that placed it, else the first of all; None when nobody offers it.
+
+    Who made the asset is the same wherever it is offered, and there are ten times as many candidates as placements.
+    """
+    if scene_id is None:
+        first = walk.reader.matching("candidates", {"asset_id": [asset_id]}, ["asset_id"]).slice(0, 1).to_pylist()
+        scene_id = first[0]["scene_id"] if first else None
+    return walk.row(Candidate, scene_id, asset_id=asset_id) if scene_id is not None else None
 
 
 def walk_blob(walk: Walk, name: str, owners: Sequence[tuple[Table, str, Any]]) -> str:

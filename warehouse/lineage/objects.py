@@ -84,7 +84,11 @@ def _layout(walk: Walk, row: Placement, depth: int) -> None:
                 walk.missing(node, "selection", f"{scene_id}/{instance_id} of asset {row.asset_id[:12]}", "proposed by"),
             )
         else:
-            walk.line(depth + 1, "uses", f"asset:{row.asset_id}")
+            offered = walk.row(Candidate, scene_id, instance_id=instance_id, asset_id=row.asset_id)
+            if offered is not None:
+                walk.edge(node, candidate_node(walk, offered, depth + 1, "offered as"), "offered as")
+            else:
+                walk.line(depth + 1, "uses", f"asset:{row.asset_id}")
 
 
 def _offered(walk: Walk, instance: Instance, root: str, depth: int) -> None:
