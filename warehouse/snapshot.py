@@ -125,6 +125,8 @@ class Reader:
         connection.execute(f"SET allowed_paths = [{allowed}]")
         connection.execute("SET enable_external_access = false")
         connection.execute("SET TimeZone = 'UTC'")
+        # Every view reads the footers of its tables' files when it is made, and again when it is asked; files never change.
+        connection.execute("SET parquet_metadata_cache = true")
         # In one transaction, which is nearly twice as fast as 260 of them.
         connection.execute("BEGIN")
         connection.execute(";\n".join(statement for table in TABLES for statement in self._view(table, paths[table])))
