@@ -53,6 +53,8 @@ def make_release(
         InputError: the name cannot be used or is taken, there is no such snapshot, or it was removed meanwhile.
         LeaseError: another process holds the lake's lease.
     """
+    import duckdb
+
     reader = _checked(lake, name, snapshot_id, notes)
     release = Release(
         name=name, snapshot_id=reader.snapshot_id, created_at=now_utc(), notes=notes, code_version=_code(), row_counts=(), erased_at=(),
@@ -61,7 +63,7 @@ def make_release(
     with lake.storage.workplace() as folder:
         try:
             release = _build(lake, reader, release, folder, advance)
-        except OSError as error:
+        except (OSError, duckdb.Error) as error:
             _check_kept(lake, reader, error)
             raise
         with lake.leased() as lease:
