@@ -28,7 +28,9 @@ from warehouse.lake import MARKER, Lake
 from warehouse.references import BlobReferences, workspace
 from warehouse.released import FOLDER as RELEASE_FOLDER
 from warehouse.released import RECORD, folder_of, released
+from warehouse.staging import is_left_over
 from warehouse.storage import TEMPORARY, Storage, storage_at
+from warehouse.writer import writer_of
 
 SUMMARY = "backup.json"
 MANIFEST = "backup.parquet"
@@ -102,6 +104,7 @@ def restore(address: str | Path, lake_address: str | Path, *, advance: Advance =
     if begun != own and (others or begun is not None):
         name = UNFINISHED if begun is not None else others[0]
         raise InputError(target.address, name, "the address is not empty", "give a new or empty one")
+    _sweep(target)
     target.write(UNFINISHED, own)
     files = _manifest(source)
     there = {entry.path: entry.size for entry in target.walk("")} if begun is not None else {}
@@ -160,6 +163,7 @@ class _Backup:
             if not same:
                 problem = "the backup's history is not that of the lake: one of them was restored from an older state"
                 raise InputError(self._target.address, entry.path, problem, "give a new or empty address")
+        _sweep(self._target)
         if found is None:
             self._target.write(SUMMARY, json.dumps({"complete": False, "lake": self._identity}).encode())
 
@@ -331,6 +335,13 @@ def _summary(storage: Storage) -> dict[str, object] | None:
     if not isinstance(found, dict):
         raise InputError(storage.address, SUMMARY, "cannot be read", "use another backup")
     return found
+
+
+def _sweep(storage: Storage) -> None:
+    """Remove what a backup or restore that was killed left half-written."""
+    for entry in storage.entries(TEMPORARY):
+        if is_left_over(writer_of(entry.path.rpartition("/")[2]), entry.modified):
+            storage.remove(entry.path)
 
 
 def _sync(storage: Storage) -> None:

@@ -27,6 +27,9 @@ DATA_FILE = re.compile(r"part-[0-9]{5}-[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}
 
 _LOG_FILE = re.compile(r"([0-9]{20})(\.[0-9a-f-]+)?\.(json|checkpoint(\.[0-9]+\.[0-9]+)?\.parquet)")
 
+# Few enough to be held in memory, many enough to be skipped as one.
+_GROUP_ROWS = 122_880
+
 # Longer texts say nothing that would let a reader skip a file.
 _STATISTIC_BYTES = 64
 
@@ -81,15 +84,30 @@ def write_files(
             storage.write(paths[-1], sink.getvalue(), lasting=False)
             sink, writer = io.BytesIO(), None
 
-    for batch in batches:
-        if batch.num_rows:
-            if writer is None:
-                writer = pq.ParquetWriter(sink, schema, compression="zstd", compression_level=1)
-            writer.write_table(pa.Table.from_batches([batch]).cast(schema))
-            if sink.tell() >= most:
-                finish()
+    for group in _row_groups(batches, most):
+        if writer is None:
+            writer = pq.ParquetWriter(sink, schema, compression="zstd", compression_level=1)
+        writer.write_table(group.cast(schema), row_group_size=group.num_rows)
+        if sink.tell() >= most:
+            finish()
     finish()
     return paths
+
+
+def _row_groups(batches: Iterable[pa.RecordBatch], most: int) -> Iterator[pa.Table]:
+    """Batches put together, or cut, to row groups: DuckDB's size, fewer rows where they are large."""
+    kept: list[pa.RecordBatch] = []
+    rows = size = 0
+    for batch in batches:
+        step = max(1, min(_GROUP_ROWS, batch.num_rows * most // max(batch.nbytes, 1)))
+        for start in range(0, batch.num_rows, step):
+            kept.append(batch.slice(start, step))
+            rows, size = rows + kept[-1].num_rows, size + kept[-1].nbytes
+            if rows >= _GROUP_ROWS or size >= most:
+                yield pa.Table.from_batches(kept)
+                kept, rows, size = [], 0, 0
+    if kept:
+        yield pa.Table.from_batches(kept)
 
 
 def exchange(

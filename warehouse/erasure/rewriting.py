@@ -110,8 +110,9 @@ class SceneRows:
         """Those of these blobs that rows of the files name that stay."""
         found: set[str] = set()
         if files and names and table in TABLES:
-            for column in set(TABLES[table].blob_columns) & set(self._columns.get(table, {})):
-                relation, name = parquet(self._lake.storage, files), quoted(column)
+            relation = parquet(self._lake.storage, files)
+            for column in set(TABLES[table].blob_columns) & set(columns_of(self._connection, relation)):
+                name = quoted(column)
                 self._connection.register("wanted", pa.table({"name": pa.array(sorted(names), pa.string())}))
                 stays = f"NOT coalesce({self.condition(table, shared)}, false) AND {name} IN (SELECT name FROM wanted)"
                 sql = f"SELECT DISTINCT {name} FROM {relation} WHERE {stays}"
@@ -123,9 +124,12 @@ class SceneRows:
         """Those of these files that hold a row that goes, or a text that may have to be redacted."""
         if not files or table not in self._columns:
             return []
-        texts = [_holds(quoted(name), kind, traces.cores) for name, kind in self._columns[table].items() if kind.startswith("VARCHAR")]
-        where = " OR ".join([self.condition(table, shared), *texts])
         relation = parquet(self._lake.storage, files, ", filename = true")
+        known = columns_of(self._connection, relation)  # of these files: others may have younger columns
+        texts = [
+            _holds(quoted(name), kind, traces.cores) for name, kind in known.items() if kind.startswith("VARCHAR") and name != "filename"
+        ]
+        where = " OR ".join([self.condition(table, shared), *texts])
         names = {name for (name,) in self._connection.execute(f"SELECT DISTINCT filename FROM {relation} WHERE {where}").fetchall()}
         last = {name.rpartition("/")[2] for name in names}
         return [file for file in files if file.rpartition("/")[2] in last]
