@@ -115,7 +115,7 @@ def import_dataset(
     if not dry_run:
         staged = [scene for scene in found if (state := history.get((scene, "capture"))) is not None and state.is_staged]
         for one in _imported(lake, jobs, staged, workers, f"import of the {kind} dataset {dataset}"):
-            found[one.scene_id] = one
+            found[one.scene_id] = dataclasses.replace(one, why=found[one.scene_id].why)
     return DatasetImport(dataset, kind, tuple(found[source.scene_id] for source in sources))
 
 
@@ -212,7 +212,7 @@ def _run(job: _Job, stage: str, started: datetime, seconds: float) -> StageRun:
 
 def _reasons(job: _Job) -> dict[str, str]:
     """Parts of the fingerprint, by name. An import is known by the first."""
-    return {"import": job.content, "config": digest(_config_json(job)), "code": job.code, "seed": str(job.seed)}
+    return {"import": job.source.kind, "scan": job.content, "config": digest(_config_json(job)), "code": job.code, "seed": str(job.seed)}
 
 
 def _config_json(job: _Job) -> str:
@@ -251,7 +251,7 @@ def _plan(state: StageState | None, job: _Job, retry_failed: bool) -> SceneImpor
         return SceneImport(scene_id, "import", f"{last.outcome} before")
     before = dict(part.split("=", 1) for part in (state.done or last).reasons)
     changed = [name for name, value in _reasons(job).items() if before.get(name) != value]
-    return SceneImport(scene_id, "import", f"{', '.join(changed)} changed".replace("import", "files"))
+    return SceneImport(scene_id, "import", f"{', '.join(changed)} changed")
 
 
 def _check_name(history: Mapping[Key, StageState], sources: Sequence[Source], dataset: str) -> None:

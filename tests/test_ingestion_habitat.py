@@ -45,7 +45,9 @@ def exported(scenes: list[tuple[Rows, dict[str, bytes]]], tmp_path_factory: pyte
 @pytest.fixture(scope="module")
 def lake(exported: Path, tmp_path_factory: pytest.TempPathFactory) -> Lake:
     lake = Lake.open(tmp_path_factory.mktemp("imported") / "lake")
-    assert import_dataset(lake, "habitat", exported, "back").failed == ()
+    done = import_dataset(lake, "habitat", exported, "back")
+    assert done.failed == ()
+    assert {note.rpartition(": ")[2] for one in done.scenes for note in one.notes} == {"episodes are not read"}
     return lake
 
 

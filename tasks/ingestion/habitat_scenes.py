@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import glob
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -70,6 +71,8 @@ class _Facts:
         count = scene.values.get("articulated_object_instances")
         if isinstance(count, list) and count:
             notes.append(f"{scene.file}: {len(count)} articulated objects are left out")
+        for path in sorted(root.glob(f"*/*/content/{glob.escape(scene.handle)}.json.gz")):
+            notes.append(f"{path.relative_to(root).as_posix()}: episodes are not read")
         inside = sorted(file for file in files if file.is_file() and file.resolve().is_relative_to(root))
         return Source("habitat", root, dataset, scene.handle, tuple(inside), about, problem)
 
