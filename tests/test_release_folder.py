@@ -137,10 +137,8 @@ def test_the_card_states_counts_licenses_and_limits(lake: Lake, folder: Path) ->
     assert card.count("CC-BY-4.0") == 1
     page = (folder / "ATTRIBUTION.md").read_text()
     assert "**1 of these have no known license.**" in page
-    assert (
-        "| CC-BY-4.0 | name author and source, link the license, say what was changed | A. Maker | https://models.example/chair\\|1 | 1 | 1 |"
-        in page
-    )
+    asks = "name author and source, link the license, say what was changed"
+    assert f"| CC-BY-4.0 | {asks} | A. Maker | https://models.example/chair\\|1 | 1 | 1 |" in page
     assert "| CC0-1.0 | nothing | unknown | cut from scans of demo | 1 | 1 |" in page
     assert "| unknown | unknown: ask before handing it on | unknown | a drawer | 1 | 1 |" in page
 
@@ -166,7 +164,7 @@ def test_any_duckdb_shell_attaches_the_release_and_reads_all_of_it(lake: Lake, f
     functions = shell(
         f"{attach} SELECT DISTINCT function_name AS name, comment FROM duckdb_functions() WHERE database_name = 'v1'", tmp_path
     )
-    assert {row["name"]: row["comment"] for row in functions} >= {macro.name: macro.comment for macro in macros()}
+    assert {row["name"]: row["comment"] for row in functions}.items() >= {macro.name: macro.comment for macro in macros()}.items()
     assert shell(f"{attach} USE v1; SELECT category FROM top_categories(1)", tmp_path) == [{"category": "text"}]
 
 
@@ -249,7 +247,7 @@ def test_a_snapshot_that_goes_while_it_is_released_is_no_release(tmp_path: Path)
         if table == "scenes":
             vacuum(lake, days=0)
 
-    with pytest.raises(InputError, match="snapshot 1 was removed while it was released"):
+    with pytest.raises(InputError, match="snapshot 1 was removed"):
         make_release(lake, "v1", snapshot_id=1, advance=meanwhile)
     assert releases(lake) == []
     assert not (tmp_path / "lake" / "releases").exists()
