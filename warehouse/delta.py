@@ -105,10 +105,10 @@ class DeltaTables:
             one = ds.field(name).isin(pa.array(values, pa.string()))
             keep = one if keep is None else keep & one
         if len(parts) > 1 and not set(names) <= set(wanted):
-            # Ids of content lie anywhere: look for them alone first, and read the rest where they are.
-            groups = [group for part in parts for group in part.split_by_row_group()]
-            held = ds.FileSystemDataset(groups, schema, data.format, data.filesystem).to_table(columns=["__fragment_index"], filter=keep)
-            parts = [groups[index] for index in sorted(set(held.column(0).to_pylist()))]
+            # Ids of content lie anywhere: look for them alone first, and read the rest of the files that hold them.
+            held = ds.FileSystemDataset(parts, schema, data.format, data.filesystem).to_table(columns=["__filename"], filter=keep)
+            holding = set(held.column(0).unique().to_pylist())
+            parts = [part for part in parts if part.path in holding]
         return ds.FileSystemDataset(parts, schema, data.format, data.filesystem).to_table(columns=names, filter=keep)
 
     def naming(self, files: Sequence[str], column: str, keys: Collection[str], but: Collection[str]) -> pa.Table:
