@@ -169,7 +169,8 @@ def _thing(walk: Walk, file: ExportFile, name: str, local: Path | None) -> Place
     if local is not None and name != inside[0].name:
         from pxr import Usd
 
-        if not Usd.Stage.Open(str(local)).GetPrimAtPath(name).IsValid():
+        stage = Usd.Stage.Open(str(local))  # a prim lives no longer than its stage
+        if not stage.GetPrimAtPath(name).IsValid():
             raise InputError(str(local), name, "there is no such prim", f"the object is {inside[0].name}")
     return inside[0]
 
