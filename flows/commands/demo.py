@@ -49,7 +49,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     policies = POLICIES if lake.snapshot().arrow("episodes").num_rows else ()
     unmeasured = [line for policy in policies for line in run_policy(lake, policy, configuration).failed]
     written = write_exports(lake, out)
-    page = write_report(lake, out / "report.html")
+    page = write_report(lake, out / "report.html").path
     places = {
         "raw scans": out / "scans",
         "USD scenes": out / "usd",

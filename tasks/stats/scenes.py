@@ -112,6 +112,19 @@ def picture_scene(
     return ScenePictures(corner_scan, corner_replica, top_scan, top_replica)
 
 
+def corner_pair(
+    scan: Sequence[trimesh.Trimesh],
+    shell: Sequence[trimesh.Trimesh],
+    objects: Sequence[Sequence[trimesh.Trimesh]],
+    outline: Outline,
+    config: PictureConfig,
+) -> tuple[bytes, bytes]:
+    """JPEG of a scan and of its replica from the corner that `picture_scene` takes."""
+    camera = best_corner(objects or [[part] for part in scan], shell, outline, config)
+    replica = [*opened(shell, outline, camera, config), *shown(objects, outline, camera, config)]
+    return render(opened(scan, outline, camera, config), camera, config), render(replica, camera, config)
+
+
 def corner_camera(outline: Outline, corner: int, config: PictureConfig) -> Camera:
     """A camera above corner 0 to 3 of the room's box, counter-clockwise from (+x, +y), that sees the whole box."""
     corners = outline.corners
@@ -122,21 +135,21 @@ def corner_camera(outline: Outline, corner: int, config: PictureConfig) -> Camer
     turns = (azimuth, np.pi - azimuth, np.pi + azimuth, -azimuth)
     flat, rise = np.cos(config.elevation_radians), np.sin(config.elevation_radians)
     direction = np.array([np.cos(turns[corner]) * flat, np.sin(turns[corner]) * flat, rise])
-    return _fitting_camera(corners, center, direction, config)
+    return fitting_camera(corners, center, direction, config)
 
 
 def top_camera(outline: Outline, config: PictureConfig) -> Camera:
     """A camera straight above the room, its long side across the picture."""
     corners = outline.corners
     size = np.ptp(corners, axis=0)
-    camera = _fitting_camera(corners, corners.mean(axis=0), np.array([0.0, 0.0, 1.0]), config)
+    camera = fitting_camera(corners, corners.mean(axis=0), np.array([0.0, 0.0, 1.0]), config)
     if size[1] <= size[0]:
         return camera
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     pose = camera.pose.copy()
     pose[:3, :3] = turn @ pose[:3, :3]
     turned = dataclasses.replace(camera, pose=pose)
-    return _fitting_camera(corners, corners.mean(axis=0), np.array([0.0, 0.0, 1.0]), config, turned.pose[:3, :3])
+    return fitting_camera(corners, corners.mean(axis=0), np.array([0.0, 0.0, 1.0]), config, turned.pose[:3, :3])
 
 
 def opened(parts: Sequence[trimesh.Trimesh], outline: Outline, camera: Camera, config: PictureConfig) -> list[trimesh.Trimesh]:
@@ -204,7 +217,7 @@ def developed(image: NDArray[np.float32], config: PictureConfig) -> bytes:
     return file.getvalue()
 
 
-def _fitting_camera(points: Array, target: Array, direction: Array, config: PictureConfig, rotation: Array | None = None) -> Camera:
+def fitting_camera(points: Array, target: Array, direction: Array, config: PictureConfig, rotation: Array | None = None) -> Camera:
     """The camera nearest to `target` along `direction` that has all points (n, 3) in its picture, with a small margin."""
     pose = look_at(target + direction, target)
     if rotation is not None:

@@ -55,13 +55,22 @@ PNG_DPI = 200
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """A finished picture. `svg` suits light and dark pages, `png` is for light ones; `alt` says what is to be seen."""
+    """A finished picture. `svg` suits light and dark pages, `png` is for light ones; `alt` says what is to be seen.
+
+    `view` is the one whose rows are drawn, when the picture is not named after it.
+    """
 
     name: str
     title: str
     alt: str
     svg: str
     png: bytes
+    view: str = ""
+
+    @property
+    def source(self) -> str:
+        """The view whose rows are drawn."""
+        return self.view or self.name
 
 
 def in_style(draw: Callable[P, T]) -> Callable[P, T]:
@@ -87,6 +96,19 @@ def canvas(height_inches: float, width_inches: float = WIDTH_INCHES) -> tuple[Fi
         axes.spines[side].set_visible(False)
     axes.set_axisbelow(True)
     return figure, axes
+
+
+def panels(rows: int, columns: int, height_inches: float) -> tuple[Figure, list[Axes]]:
+    """A figure with several pairs of axes, row by row; call it inside a function that is `in_style`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_INCHES, height_inches), layout="constrained")
+    grid = [figure.add_subplot(rows, columns, at + 1) for at in range(rows * columns)]
+    for axes in grid:
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+        axes.set_axisbelow(True)
+    return figure, grid
 
 
 def picture(figure: Figure, name: str, title: str, alt: str) -> Picture:
@@ -119,6 +141,7 @@ _SETTINGS: Any = {
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.labelsize": 9.0,
+    "axes.facecolor": "none",
     "axes.edgecolor": MUTED.light,
     "axes.labelcolor": INK.light,
     "axes.titlecolor": INK.light,

@@ -36,7 +36,7 @@ def word_cloud(counts: Mapping[str, int]) -> Picture | None:
     svg = svg.replace("<svg ", '<svg viewBox="0 0 900 560" ', 1)
     frequent = sorted(words, key=lambda word: (-words[word], word))[:5]
     alt = f"Word cloud of {len(words)} categories. Most frequent: " + ", ".join(f"{word} ({words[word]})" for word in frequent) + "."
-    return Picture("category_counts", "Categories", alt, themed(svg), raster.getvalue())
+    return Picture("category_cloud", "Categories", alt, themed(svg), raster.getvalue(), view="category_counts")
 
 
 def _layout(words: Mapping[str, int]) -> WordCloud:

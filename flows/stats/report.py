@@ -1,0 +1,197 @@
+"""The report of a snapshot: all that it says is gathered, drawn and written."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from flows.stats.queries import Answers, answers_of
+from flows.stats.scenes import Job, carried_out, picture_scene_of, strip_of, thumbnails_of
+from schemas.tables import TABLES
+from warehouse.views import views
+
+if TYPE_CHECKING:
+    from tasks.stats.scenes import PictureConfig, ScenePictures
+    from tasks.stats.style import Picture
+    from tasks.stats.thumbnails import CandidateStrip, SceneTile
+    from warehouse.lake import Lake
+    from warehouse.snapshot import Reader
+
+STAGES: tuple[str, ...] = tuple(dict.fromkeys(table.stage for table in TABLES.values() if table.stage))
+"""Stages in the order of the data path."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Written:
+    """A report that was written: its file, the files of its pictures, what it is about, and the pictures themselves."""
+
+    path: Path
+    files: tuple[Path, ...]
+    snapshot_id: int
+    answers: Answers
+    pictures: tuple[Picture, ...]
+
+
+def report_path(out: Path) -> Path:
+    """The file that a report is written to: `out`, or `report.html` in it when it is a folder."""
+    return out / "report.html" if out.is_dir() or not out.suffix else out
+
+
+def write_report(
+    lake: Lake,
+    out: Path,
+    snapshot_id: int | None = None,
+    *,
+    pictures: Path | None = None,
+    look: PictureConfig | None = None,
+    workers: int | None = None,
+    advance: Callable[[str], None] | None = None,
+) -> Written:
+    """Write the report on a snapshot, the newest by default.
+
+    `out` is the HTML file; in a folder, it is `report.html`. `pictures` is a folder that gets every chart and both galleries as
+    SVG and PNG. `look` says how scenes are pictured, `workers` how many processes do it (one per core by default);
+    `advance` is told each scene and object that was pictured. The same snapshot and releases give the same bytes.
+
+    Raises:
+        InputError: there is no such snapshot.
+    """
+    from tasks.stats.report import Query, ReportContent, render_report
+    from tasks.stats.scenes import PictureConfig
+
+    look = look or PictureConfig()
+    reader = lake.snapshot(snapshot_id)
+    answers = answers_of(reader)
+    charts = draw_charts(answers)
+    scenes, tiles, strips = _pictured(lake, reader.snapshot_id, answers, look, workers, advance)
+    content = ReportContent(
+        answers=answers.rows,
+        totals=answers.totals,
+        queries=[Query(view.name, view.question, view.note, view.query) for view in views()],
+        pictures=charts,
+        scenes=scenes,
+        tiles=tiles,
+        strips=strips,
+        picture_size=(look.width, look.height),
+        stages=STAGES,
+        snapshot_id=reader.snapshot_id,
+        snapshot_time=f"{reader.snapshot.created_at:%Y-%m-%d %H:%M} UTC" if reader.snapshot else "",
+        code_version=_code_version(),
+    )
+    path = report_path(out)
+    _write(path, render_report(content).encode())
+    drawn = [*charts, *_sheets(answers, tiles, strips)]
+    files = []
+    if pictures is not None:
+        for chart in drawn:
+            for suffix, data in (("svg", chart.svg.encode()), ("png", chart.png)):
+                files.append(pictures / f"{chart.name}.{suffix}")
+                _write(files[-1], data)
+    return Written(path, tuple(files), reader.snapshot_id, answers, tuple(drawn))
+
+
+def stage_table(reader: Reader) -> str:
+    """Times per stage as plain text for a terminal."""
+    from tasks.stats import grids
+
+    return grids.stage_table(_stage_timing(reader), STAGES)
+
+
+def stage_rows(reader: Reader) -> list[dict[str, Any]]:
+    """Times per stage as rows of `stage_timing`, in the order of the data path."""
+    from tasks.stats.grids import place
+
+    return sorted(_stage_timing(reader).to_pylist(), key=lambda row: place(row["stage"], STAGES))
+
+
+def _stage_timing(reader: Reader) -> pa.Table:
+    with reader.connect() as connection:
+        return connection.sql("SELECT * FROM stage_timing").to_arrow_table()
+
+
+def draw_charts(answers: Answers) -> list[Picture]:
+    """All charts that have something to show, in the order of the report."""
+    from tasks.stats import charts, counts, timelines, volumes, words
+
+    rows = answers.rows
+    frequent, categories = rows["category_counts"], rows["headline"]["categories"][0].as_py()
+    names = frequent["category"].to_pylist()
+    runs = rows.get("run_timeline.binned", rows["run_timeline"])
+    timed = rows["stage_timing"].num_rows and rows["headline"]["scenes"][0].as_py()
+    drawn = [
+        counts.per_scene(rows["objects_per_scene.histogram"], rows["objects_per_scene.listed"], "objects", "objects"),
+        counts.per_scene(rows["categories_per_scene.histogram"], rows["categories_per_scene.listed"], "categories", "categories"),
+        words.word_cloud(dict(zip(names, frequent["objects"].to_pylist(), strict=True))),
+        counts.category_bars(frequent, categories),
+        counts.room_map(rows["category_by_room_type"]),
+        volumes.volume_boxes(rows["volume_by_category"], rows["volume_outliers"]),
+        volumes.volume_boxes(rows["solid_volume_by_category"], rows["solid_volume_outliers"], "solid", "solid_volume_by_category"),
+        charts.candidate_bars(rows["candidate_wins"]),
+        charts.deep_pair_counts(rows["collision_loss.worst"]),
+        charts.stability_bars(rows["stability"]),
+        charts.navigable_bars(rows["navigability"]),
+        timelines.stage_bars(rows["stage_timing"], STAGES),
+        timelines.scene_bars(rows["scene_timing.slowest"], timed, STAGES),
+        timelines.run_gantt(runs, rows["run_timeline.pauses"], rows["run_timeline.workers"]["workers"][0].as_py(), STAGES),
+        counts.growth(rows["dataset_growth"]),
+    ]
+    return [chart for chart in drawn if chart is not None]
+
+
+def _pictured(
+    lake: Lake, snapshot_id: int, answers: Answers, look: PictureConfig, workers: int | None, advance: Callable[[str], None] | None
+) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip]]:
+    """Pictures of the first scenes, and both galleries."""
+    from flows.progress import Progress
+    from tasks.stats.thumbnails import scene_tile
+
+    shown = answers.scenes
+    jobs: dict[Any, Job] = {scene: (picture_scene_of, (lake, snapshot_id, scene, look)) for scene in shown.pictured}
+    jobs |= {scene: (thumbnails_of, (lake, snapshot_id, scene)) for scene in shown.gallery if scene not in jobs}
+    objects = itertools.groupby(answers.rows["instances.gallery"].to_pylist(), lambda row: (row["scene_id"], row["instance_id"]))
+    strips = {f"{scene}/{instance}": list(rows) for (scene, instance), rows in objects}
+    jobs |= {name: (strip_of, (lake, rows)) for name, rows in strips.items()}
+    with Progress("pictures", len(jobs)) as progress:
+
+        def told(name: str) -> None:
+            progress.advance(name)
+            if advance is not None:
+                advance(name)
+
+        made = carried_out(jobs, workers, told)
+    tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
+    return {scene: made[scene] for scene in shown.pictured}, tiles, [made[name] for name in strips if not isinstance(made[name], str)]
+
+
+def _sheets(answers: Answers, tiles: Sequence[SceneTile], strips: Sequence[CandidateStrip]) -> list[Picture]:
+    """The galleries as one picture each."""
+    from tasks.stats.contact_sheets import candidate_sheet, scene_sheet
+
+    sheets = (scene_sheet(tiles, answers.rows["headline"]["scenes"][0].as_py()), candidate_sheet(strips))
+    return [sheet for sheet in sheets if sheet is not None]
+
+
+def _write(path: Path, data: bytes) -> None:
+    """A file, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    making = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        making.write_bytes(data)
+        making.replace(path)
+    finally:
+        making.unlink(missing_ok=True)
+
+
+def _code_version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("metascenes")
+    except PackageNotFoundError:
+        return "(not installed)"

@@ -1,0 +1,237 @@
+"""Pictures and thumbnails of scenes and of objects with their candidates, from the rows and blobs of a snapshot.
+
+Each is made in a worker process, and what cannot be pictured costs its picture, not the report.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.candidates import Asset
+from schemas.capture import Instance, Room, Scene
+from schemas.errors import InputError, LakeError
+from schemas.navigation import Episode, Navmesh
+from schemas.optimization import Contact, Placement
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from tasks.stats.scenes import Outline, PictureConfig, ScenePictures
+    from tasks.stats.thumbnails import CandidateStrip, CandidateTile
+    from warehouse.lake import Lake
+    from warehouse.snapshot import Reader
+
+R = TypeVar("R")
+
+Job = tuple[Callable[..., Any], tuple[Any, ...]]
+"""A function of this module and its arguments."""
+
+
+def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureConfig) -> ScenePictures:
+    """Pictures of a scene in a snapshot. Runs in a worker process.
+
+    Raises:
+        LakeError: the scene is not there, or one of its meshes cannot be read.
+    """
+    from tasks.replica import placed_parts
+    from tasks.stats.collisions import colliding_pairs, marked_picture
+    from tasks.stats.losses import loss_curve
+    from tasks.stats.scenes import best_corner, picture_scene
+
+    reader = lake.snapshot(snapshot_id)
+    model = _Model.of(lake, reader, scene_id)
+    objects, placements = model.objects, model.placements
+    pictures = picture_scene(model.scan, model.walls, list(objects.values()), model.outline, look)
+    plan = _plan(lake, reader, scene_id, objects, model.room) if model.room and placements else None
+    if not placements or placements[0].method == "imported":  # a finished dataset states one pose: there is no before
+        return dataclasses.replace(pictures, plan=plan)
+    contacts = reader.rows(Contact, scene_id)
+    camera = best_corner(list(objects.values()), model.walls, model.outline, look)
+    proposed = {p.instance_id: placed_parts(p, model.blobs[p.instance_id], "proposed") for p in placements}
+    return dataclasses.replace(
+        pictures,
+        before=marked_picture(proposed, model.shell, colliding_pairs(contacts, "proposed"), model.outline, camera, look),
+        after=marked_picture(objects, model.shell, colliding_pairs(contacts, "optimized"), model.outline, camera, look),
+        loss_curve=loss_curve(reader.arrow("optimization_steps", scene_id), placements[0].method, scene_id),
+        plan=plan,
+    )
+
+
+def thumbnails_of(lake: Lake, snapshot_id: int, scene_id: str) -> tuple[bytes, bytes]:
+    """Small JPEGs of a scan and of its replica. Runs in a worker process.
+
+    Raises:
+        LakeError: the scene is not there, or one of its meshes cannot be read.
+    """
+    from tasks.stats.scenes import corner_pair
+    from tasks.stats.thumbnails import SCENE_LOOK
+
+    model = _Model.of(lake, lake.snapshot(snapshot_id), scene_id)
+    return corner_pair(model.scan, model.walls, list(model.objects.values()), model.outline, SCENE_LOOK)
+
+
+def strip_of(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
+    """An object of the gallery with its candidates. Runs in a worker process.
+
+    `rows` are those of the query `instances.gallery` of one object. A candidate that cannot be pictured says so.
+    """
+    from tasks.stats.thumbnails import CandidateStrip
+
+    first, chosen = rows[0], _chosen(rows)
+    # all as they would stand beside the chosen one, whose front is seen
+    ahead = next((_heading(row).T for row in rows if row["slot"] == chosen), np.eye(3))
+    return CandidateStrip(
+        scene_id=first["scene_id"],
+        instance_id=first["instance_id"],
+        category=first["category"],
+        crop=_crop(lake, first),
+        origin=first["origin"] or "",
+        tiles=tuple(_tile(lake, row, chosen, ahead @ _heading(row)) for row in rows),
+    )
+
+
+def carried_out(jobs: Mapping[Any, Job], workers: int | None, advance: Callable[[str], None]) -> dict[Any, Any]:
+    """What each job gives, by its key; a text where it could not, which says why. One worker means this process."""
+    count = workers or min(os.cpu_count() or 1, 4)
+    if min(count, len(jobs)) <= 1:
+        return {key: _result_or_reason(_call_here, key, job, advance) for key, job in jobs.items()}
+    from flows.pool import WorkerPool
+
+    with WorkerPool(min(count, len(jobs))) as pool, ThreadPoolExecutor(count) as threads:
+        made = threads.map(lambda entry: _result_or_reason(pool.call, entry[0], entry[1], advance), jobs.items())
+        return dict(zip(jobs, made, strict=True))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Model:
+    """A scene as meshes in the world frame [m]: its scan, its room and what was placed in it, by name."""
+
+    scan: list[trimesh.Trimesh]
+    room: Room | None
+    placements: list[Placement]
+    blobs: Mapping[str, bytes]
+    objects: Mapping[str, list[trimesh.Trimesh]]
+    shell: Mapping[str, list[trimesh.Trimesh]]
+    outline: Outline
+
+    @property
+    def walls(self) -> list[trimesh.Trimesh]:
+        return [part for parts in self.shell.values() for part in parts]
+
+    @staticmethod
+    def of(lake: Lake, reader: Reader, scene_id: str) -> _Model:
+        from tasks.meshes import load_glb
+        from tasks.replica import placed_parts, room_shell
+        from tasks.stats.scenes import Outline
+
+        found = reader.rows(Scene, scene_id)
+        if not found:
+            raise InputError("scenes", scene_id, "is not in the snapshot", "run its capture stage")
+        scan = load_glb(lake.blobs[found[0].mesh_blob], f"{scene_id} scan")
+        rooms = reader.rows(Room, scene_id)
+        placements = reader.rows(Placement, scene_id)
+        assets = {asset.asset_id: asset for asset in reader.rows_by_key(Asset, sorted({p.asset_id for p in placements}))}
+        blobs = {p.instance_id: lake.blobs[assets[p.asset_id].mesh_blob] for p in placements}
+        objects = {p.instance_id: placed_parts(p, blobs[p.instance_id]) for p in placements}
+        shell = {name: [part] for name, part in room_shell(rooms[0])} if rooms else {}
+        outline = Outline.of_room(rooms[0]) if rooms else Outline.of_parts(scan)
+        return _Model(scan, rooms[0] if rooms else None, placements, blobs, objects, shell, outline)
+
+
+def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Sequence[trimesh.Trimesh]], room: Room) -> bytes | None:
+    """The floor plan of a scene for the agent with the most episodes; None without a navmesh."""
+    from tasks.stats.plans import floor_plan
+
+    episodes = reader.rows(Episode, scene_id)
+    count = Counter(episode.agent for episode in episodes)
+    navmesh = min(reader.rows(Navmesh, scene_id), key=lambda row: (-count[row.agent], row.agent), default=None)
+    if navmesh is None:
+        return None
+    names = {row.instance_id: f"{row.category} {row.instance_id}" for row in reader.rows(Instance, scene_id)}
+    own = [episode for episode in episodes if episode.agent == navmesh.agent]
+    return floor_plan(lake.blobs[navmesh.navmesh_blob], own, objects, names, room)
+
+
+def _crop(lake: Lake, row: Mapping[str, Any]) -> bytes | None:
+    """How the scan shows an object: its best view, else its faces of the scan; None where there is neither."""
+    from tasks.meshes import load_glb
+    from tasks.stats.thumbnails import OBJECT_PX, fitted, object_thumbnail
+
+    for name, drawn in (
+        (row["view_blob"], lambda data: fitted(data, (OBJECT_PX, OBJECT_PX))),
+        (row["mesh_blob"], lambda data: object_thumbnail(load_glb(data))),
+    ):
+        if name is not None:
+            try:
+                made: bytes = drawn(lake.blobs[name])
+                return made
+            except _UNREADABLE:
+                continue
+    return None
+
+
+def _chosen(rows: Iterable[Mapping[str, Any]]) -> int | None:
+    """The slot of what was placed, the better ranked one when two slots hold it; where nothing was, of what ranks first."""
+    ranked = sorted(rows, key=lambda row: (row["rank"] or math.inf, row["slot"]))
+    placed = [row["slot"] for row in ranked if row["asset_id"] is not None and row["asset_id"] == row["placed_asset_id"]]
+    first = [row["slot"] for row in ranked if row["rank"] == 1 and row["placed_asset_id"] is None]
+    return next(iter(placed + first), None)
+
+
+def _heading(row: Mapping[str, Any]) -> NDArray[np.float64]:
+    """How a candidate is turned onto its instance, (3, 3); not at all when it was not aligned."""
+    return np.eye(3) if row["pose"] is None else np.array(row["pose"], dtype=np.float64).reshape(4, 4)[:3, :3]
+
+
+def _tile(lake: Lake, row: Mapping[str, Any], chosen: int | None, turn: NDArray[np.float64]) -> CandidateTile:
+    from tasks.meshes import load_glb
+    from tasks.stats.thumbnails import CandidateTile, object_thumbnail
+
+    note, picture = row["reason"] or "", None
+    if row["asset_blob"] is not None:
+        try:
+            picture = object_thumbnail(load_glb(lake.blobs[row["asset_blob"]], row["asset_name"]), row["scale"] or (1.0, 1.0, 1.0), turn)
+        except _UNREADABLE as error:
+            note = _reason(error)
+    return CandidateTile(
+        slot=row["slot"],
+        provider=row["provider"],
+        score=row["score"],
+        is_chosen=row["slot"] == chosen,
+        is_fallback=row["is_fallback"],
+        is_filled=row["outcome"] == "filled",
+        note=note,
+        picture=picture,
+    )
+
+
+_UNREADABLE = (LakeError, OSError, KeyError, ValueError)
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, LakeError) else f"{type(error).__name__}: {error}"
+
+
+def _call_here(function: Callable[..., R], *arguments: Any) -> R:
+    return function(*arguments)
+
+
+def _result_or_reason(call: Callable[..., Any], key: Any, job: Job, advance: Callable[[str], None]) -> Any:
+    from flows.pool import WorkerLost
+
+    function, arguments = job
+    try:
+        return call(function, *arguments)
+    except (*_UNREADABLE, WorkerLost) as error:
+        return _reason(error)
+    finally:
+        advance(str(key))
