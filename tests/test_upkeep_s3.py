@@ -28,7 +28,7 @@ def test_upkeep_in_a_store_is_that_in_a_folder(bucket: str, tmp_path: Path) -> N
         fill(lake, release=False)
         before = rows_of_others(lake)
         assert [str(finding) for finding in inspect(lake).findings] == []
-        assert len(compact(lake).tables) > 5
+        assert compact(lake).tables
         assert vacuum(lake, days=0, dry_run=True).snapshots == (1, 2)
         assert vacuum(lake, days=0).snapshots == (1, 2)
         assert erase(lake, HOME, dry_run=True).rows["scenes"] == 1

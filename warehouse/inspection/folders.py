@@ -35,6 +35,9 @@ CHECKSUMS = "SHA256SUMS"
 
 _ROOT_FOLDERS = {BLOB_FOLDER, RELEASE_FOLDER, STAGED_FOLDER, TEMPORARY, "tables"}
 _ROOT_FILES = {MARKER, LEASE_PATH, "erasure.json", "backup.json", "backup.parquet"}
+# A lake whose blobs are somewhere else misses millions.
+_MOST_NAMED = 100
+
 _VACUUM = "`metascenes lake vacuum` removes it"
 _RESTORE = "restore the file from a backup"
 
@@ -53,9 +56,10 @@ def blob_findings(
 ) -> Iterator[Finding]:
     """Blobs that rows name and that are missing or hold something else; with `others`, blobs that nobody names."""
     orphans: list[str] = []
-    size = 0
+    size = lost = 0
     for unnamed, missing in references.compared():
-        for name in missing:
+        lost += len(missing)
+        for name in missing[: max(0, _MOST_NAMED - lost + len(missing))]:
             path = f"{BLOB_FOLDER}/{name[:2]}/{name[2:4]}/{name}"
             yield Finding("blob", path, "", "is missing, which rows name", "restore the file, or run the stage again that makes it")
         for entry in unnamed if others else ():
@@ -79,6 +83,8 @@ def blob_findings(
                     path = f"{BLOB_FOLDER}/{name[:2]}/{name[2:4]}/{name}"
                     yield Finding("content", path, "", "the content differs from the name", _RESTORE)
             advance("blobs")
+    if lost > _MOST_NAMED:
+        yield Finding("blob", BLOB_FOLDER, "", f"{lost - _MOST_NAMED} more blobs are missing, which rows name", _RESTORE)
     if orphans:
         yield Finding("unnamed blob", orphans[0], "", f"nobody names it, nor {len(orphans) - 1} more blobs ({size} B)", _VACUUM, False)
 
