@@ -80,7 +80,7 @@ def _plural(count: Any, one: str, many: str = "") -> str:
 
 
 def _instance(key: str, facts: Facts) -> list[str]:
-    names = f"labelled {facts['raw_label']!r} in the scan, NYU40 {facts['nyu40_label']}"
+    names = f"labeled {facts['raw_label']!r} in the scan, NYU40 {facts['nyu40_label']}"
     size = f"box {_size(facts['box_size'])}, {number(facts['box_volume_m3'])} m3, {_plural(facts['point_count'], 'point')}"
     return [f"{facts['category']} {key}{' (part of the room)' if facts['is_structure'] else ''}", names, size]
 
@@ -252,7 +252,7 @@ def _blob(key: str, facts: Facts) -> list[str]:
 
 
 def _uses(key: str, facts: Facts) -> list[str]:
-    counts = [_plural(facts[name], name.removesuffix("s")) for name in ("placements", "candidates", "annotations")]
+    counts = [_plural(facts[name], name.removesuffix("s")) for name in ("placements", "annotations")]
     return [f"{', '.join(counts)} in {_plural(facts['scenes'], 'scene')}"]
 
 
