@@ -102,11 +102,19 @@ def test_candidates_selections_and_placements(database: Database, rows: list[Any
             win_share=len(won) / filled if filled else None, mean_winning_score=float(np.mean(won)) if won else None,
             placed=sum(
                 (p := placed.get((c.scene_id, c.instance_id))) is not None
-                and (best[c.scene_id, c.instance_id].slot == c.slot if p.origin == "selection" else p.asset_id == c.asset_id)
+                and p.origin == "selection"
+                and best[c.scene_id, c.instance_id].slot == c.slot
                 for c in group
             ),
         )  # fmt: skip
     assert sum(row["wins"] for row in wins.values()) == len(best)
+    assert sum(row["placed"] for row in wins.values()) == sum(p.origin == "selection" for p in placed.values())
+    chosen = Counter(
+        (c.provider, c.slot)
+        for c in of(rows, Candidate)
+        if (p := placed.get((c.scene_id, c.instance_id))) and p.origin == "annotation" and p.asset_id == c.asset_id
+    )
+    assert {key: row["placed"] for key, row in by_key(database.ask("annotation_wins"), "provider", "slot").items()} == dict(chosen)
     for row in database.ask("selection_quality"):
         scores = [r.score for key, r in best.items() if category[key] == row["category"]]
         same(row, objects=len(scores), median_score=float(np.median(scores)), lowest_score=min(scores))

@@ -1,7 +1,6 @@
 -- Which provider's candidates, in which slot, are selected, and which are placed in the end?
 -- Version 1.
--- placed: the object stands there by the selection's choice, counted in the slot that won, or by a person's, counted in every slot
--- that holds the asset.
+-- placed: wins that stand in the scene in the end; the view annotation_wins has those that people put in their place.
 WITH counted AS (
     SELECT
         provider,
@@ -33,35 +32,32 @@ of_slot AS (
     FROM won
     GROUP BY slot
 ),
-of_others AS (
-    SELECT candidates.provider, slot, count(*) AS wins, sum(won.score) AS score, count(*) FILTER (won.is_placed) AS placed
+others AS MATERIALIZED (
+    SELECT candidates.scene_id, candidates.instance_id, slot, candidates.provider
     FROM candidates
     JOIN usual USING (slot)
-    JOIN won USING (scene_id, instance_id, slot)
     WHERE candidates.provider <> usual.provider
-    GROUP BY candidates.provider, slot
+),
+of_others AS (
+    SELECT others.provider, slot, count(*) AS wins, sum(won.score) AS score, count(*) FILTER (won.is_placed) AS placed
+    FROM others
+    JOIN won USING (scene_id, instance_id, slot)
+    GROUP BY others.provider, slot
 ),
 of_usual AS (
     SELECT
         usual.provider,
         slot,
-        of_slot.wins - coalesce(others.wins, 0) AS wins,
-        of_slot.score - coalesce(others.score, 0) AS score,
-        of_slot.placed - coalesce(others.placed, 0) AS placed
+        of_slot.wins - coalesce(rest.wins, 0) AS wins,
+        of_slot.score - coalesce(rest.score, 0) AS score,
+        of_slot.placed - coalesce(rest.placed, 0) AS placed
     FROM usual
     JOIN of_slot USING (slot)
     LEFT JOIN (
         SELECT slot, sum(wins) AS wins, sum(score) AS score, sum(placed) AS placed
         FROM of_others
         GROUP BY slot
-    ) AS others USING (slot)
-),
-of_people AS (
-    SELECT candidates.provider, candidates.slot, count(*) AS placed
-    FROM candidates
-    JOIN placements USING (scene_id, instance_id, asset_id)
-    WHERE placements.origin = 'annotation'
-    GROUP BY candidates.provider, candidates.slot
+    ) AS rest USING (slot)
 ),
 wins AS (
     FROM of_others
@@ -77,8 +73,7 @@ SELECT
     CAST(coalesce(wins.wins, 0) AS BIGINT) AS wins,
     coalesce(wins.wins, 0) / nullif(counted.filled, 0) AS win_share,
     wins.score / nullif(wins.wins, 0) AS mean_winning_score,
-    CAST(coalesce(wins.placed, 0) + coalesce(of_people.placed, 0) AS BIGINT) AS placed
+    CAST(coalesce(wins.placed, 0) AS BIGINT) AS placed
 FROM counted
 LEFT JOIN wins USING (provider, slot)
-LEFT JOIN of_people USING (provider, slot)
 ORDER BY slot, provider
