@@ -88,7 +88,8 @@ def write_exports(
         sorted(out / "usd" / row.path for row in rows if row.format == "usd" and row.role == "scene" and row.path.endswith("scene.usda"))
     )
     packages = tuple(path.parent.with_suffix(".usdz") for path in usd) if usdz else ()
-    findings = tuple(_findings(out, formats, (*usd, *packages)))
+    present = {row.format for row in rows}  # nothing may be left of what was asked for
+    findings = tuple(_findings(out, [name for name in formats if name in present], (*usd, *packages)))
     return WrittenExports(len(placed) + len(shared) + len(packages), usd, findings, packages, sent)
 
 
