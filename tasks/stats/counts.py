@@ -126,7 +126,7 @@ def room_map(cells: pa.Table) -> Picture | None:
         if count:
             strength = 0.06 + 0.42 * share[line, column] / share.max()  # the number on it stays legible on light and on dark ground
             axes.barh(line, 1.0, left=column - 0.5, height=1.0, color=_BLUE, alpha=strength, linewidth=0)
-            axes.text(column, line, thousands(count), ha="center", va="center", fontsize=6.5, color=INK.light)
+            axes.text(column, line, thousands(int(count)), ha="center", va="center", fontsize=6.5, color=INK.light)
     category_axis(axes, [short(name, 22) for name in categories])
     axes.tick_params(axis="y", labelsize=8)
     axes.set_ylim(len(categories) - 0.5, -0.5)
