@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from warehouse.delta import FILE_BYTES, FOLDER, DeltaTables
+from warehouse.delta import FILE_BYTES, FOLDER, ROW_GROUP_ROWS, DeltaTables
 from warehouse.storage import Entry, Storage
 
 if TYPE_CHECKING:
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 DATA_FILE = re.compile(r"part-[0-9]{5}-[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}-c[0-9]{3}(\.[a-z0-9]+)?\.parquet")
 
 _LOG_FILE = re.compile(r"([0-9]{20})(\.[0-9a-f-]+)?\.(json|checkpoint(\.[0-9]+\.[0-9]+)?\.parquet)")
-
-# Few enough to be held in memory, many enough to be skipped as one.
-_GROUP_ROWS = 122_880
 
 # Longer texts say nothing that would let a reader skip a file.
 _STATISTIC_BYTES = 64
@@ -95,15 +92,15 @@ def write_files(
 
 
 def _row_groups(batches: Iterable[pa.RecordBatch], most: int) -> Iterator[pa.Table]:
-    """Batches put together, or cut, to row groups: DuckDB's size, fewer rows where they are large."""
+    """Batches put together, or cut, to row groups: as many rows as delta-rs is told, fewer where they are large."""
     kept: list[pa.RecordBatch] = []
     rows = size = 0
     for batch in batches:
-        step = max(1, min(_GROUP_ROWS, batch.num_rows * most // max(batch.nbytes, 1)))
+        step = max(1, min(ROW_GROUP_ROWS, batch.num_rows * most // max(batch.nbytes, 1)))
         for start in range(0, batch.num_rows, step):
             kept.append(batch.slice(start, step))
             rows, size = rows + kept[-1].num_rows, size + kept[-1].nbytes
-            if rows >= _GROUP_ROWS or size >= most:
+            if rows >= ROW_GROUP_ROWS or size >= most:
                 yield pa.Table.from_batches(kept)
                 kept, rows, size = [], 0, 0
     if kept:

@@ -34,7 +34,7 @@ _LEAST_FILE_BYTES = 64 * 2**10
 _SAMPLED_ROWS = 20_000
 
 # Rows of a few scenes are found without decoding the rest of the file: readers skip row groups by their smallest and largest key.
-_ROW_GROUP_ROWS = 16_384
+ROW_GROUP_ROWS = 16_384
 
 # Beyond this many, small files are put together.
 SMALL_FILES_BEFORE_COMPACTION = 48
@@ -129,14 +129,6 @@ class DeltaTables:
         """Whether a file can hold rows whose `column` is one of the sorted `values`, from what its table's log says."""
         bounds = self._bounds.get(file, {}).get(column)
         return bounds is None or _overlaps(values, *bounds)
-
-    def vacuum(self, table: str, versions: Collection[int]) -> int:
-        """Remove data files that none of these versions names; how many. Only while the lease is held."""
-        opened = self.open(table)
-        if opened is None:
-            return 0
-        kept = sorted({*versions, int(opened.version())})
-        return len(opened.vacuum(retention_hours=0, dry_run=False, enforce_retention_duration=False, full=True, keep_versions=kept))
 
     def sweep(self) -> None:
         """Remove the temporary files of writes that were killed. Only while the lease is held: nobody else writes here."""
@@ -298,7 +290,7 @@ def _sampled(data: pa.Table | pa.RecordBatchReader, opened: DeltaTable | None) -
     else:
         sample = data
     sample, sink = sample.slice(0, _SAMPLED_ROWS), pa.BufferOutputStream()
-    pq.write_table(sample, sink, compression="zstd", row_group_size=_ROW_GROUP_ROWS)
+    pq.write_table(sample, sink, compression="zstd", row_group_size=ROW_GROUP_ROWS)
     return data, _bounded(sink.tell() / max(1, sample.num_rows))
 
 
@@ -306,7 +298,7 @@ def writer_properties() -> Any:
     """How delta-rs writes the lake's Parquet."""
     from deltalake import WriterProperties
 
-    return WriterProperties(compression="ZSTD", max_row_group_size=_ROW_GROUP_ROWS)
+    return WriterProperties(compression="ZSTD", max_row_group_size=ROW_GROUP_ROWS)
 
 
 def _bounds(folder: str, opened: DeltaTable) -> dict[str, dict[str, tuple[str, str]]]:
