@@ -87,7 +87,7 @@ def read_only(statement: str) -> None:
         if not statements:
             raise InputError("SQL", "", "there is no statement", "write a SELECT")
         for one in statements:
-            kind, text = one.type.name, one.query
+            kind, text = _kind(one), one.query
             if kind == "EXPLAIN":
                 kind, text = _explained(parser, text)
             if kind != "SELECT":
@@ -216,7 +216,14 @@ def _explained(parser: Any, text: str) -> tuple[str, str]:
         inner = parser.extract_statements(text)
     except duckdb.Error as error:  # comments between the words, for one
         raise InputError("SQL", "", "EXPLAIN of a statement that cannot be told apart", "write it without comments") from error
-    return (inner[0].type.name if len(inner) == 1 else "EXPLAIN"), text
+    return (_kind(inner[0]) if len(inner) == 1 else "EXPLAIN"), text
+
+
+def _kind(statement: duckdb.Statement) -> str:
+    try:
+        return str(statement.type.name)
+    except ValueError:  # kinds that DuckDB's Python package has no name for
+        return "this kind of statement"
 
 
 def _check_depth(statement: str) -> None:
