@@ -66,4 +66,4 @@ def import_review(file: Path, dry_run: bool, address: str, as_json: bool) -> Non
     verb = "would be imported" if dry_run else "imported"
     found = f"{result['wrong']} of {result['sampled']} sampled answers wrong, {result['returned']} returned"
     known = f", {result['already']} known already" if result["already"] else ""
-    print(f"batch {result['batch_id']}: {result['reviews']} reviews{known} {verb}: {found}")
+    print(f"batch {result['batch_id']}: {result['reviews']} review{'' if result['reviews'] == 1 else 's'}{known} {verb}: {found}")
