@@ -15,6 +15,7 @@ from tasks.stats.scenes import PictureConfig
 from tasks.stats.style import INK
 from tests.furnished import furnished_lake
 from tests.test_stats import CHARTS
+from warehouse.lake import Lake
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -29,7 +30,8 @@ FLAGS = (
     "--disable-sync",
     "--no-first-run",
 )
-DESK, PHONE = {"width": 1360, "height": 900}, {"width": 390, "height": 844}
+DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+OBJECTS = 5
 
 CONTRAST = """
 () => {
@@ -63,6 +65,19 @@ CONTRAST = """
 }
 """
 
+OUTSIDE = """
+width => [...document.querySelectorAll('main *')].filter(node => {
+  // what is wider than the page must be inside something that scrolls by itself
+  const box = node.getBoundingClientRect();
+  if (box.width === 0 || (box.right <= width + 0.5 && box.left >= -0.5)) return false;
+  for (let at = node.parentElement; at; at = at.parentElement) {
+    const over = getComputedStyle(at).overflowX;
+    if (over === 'auto' || over === 'scroll' || over === 'hidden') return false;
+  }
+  return true;
+}).map(node => node.outerHTML.slice(0, 80))
+"""
+
 BOXES = """
 images => images.map(image => {
   const box = image.getBoundingClientRect();
@@ -90,10 +105,14 @@ INKED = """
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("browser")
-    lake = furnished_lake(folder / "lake", scenes=2, objects=5)
-    return write_report(lake, folder / "report.html", look=PictureConfig(width=400, height=280, oversampling=1), workers=1)
+def lake(tmp_path_factory: pytest.TempPathFactory) -> Lake:
+    return furnished_lake(tmp_path_factory.mktemp("browser") / "lake", scenes=2, objects=OBJECTS)
+
+
+@pytest.fixture(scope="module")
+def report(lake: Lake, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("report") / "report.html"
+    return write_report(lake, out, look=PictureConfig(width=400, height=280, oversampling=1), workers=1).path
 
 
 @pytest.fixture(scope="module")
@@ -138,10 +157,11 @@ def test_everything_is_there_without_a_network_and_can_be_read(
 ) -> None:
     page, wrong = opened(viewport=viewport, color_scheme=scheme)
     images = page.evaluate("[...document.images].map(image => [image.complete, image.naturalWidth, image.getBoundingClientRect().width])")
-    assert len(images) == CHARTS + 2 * 8
+    assert len(images) == CHARTS + 2 * 8 + 2 * 2 + OBJECTS
     assert all(complete and natural > 0 and shown > 0 for complete, natural, shown in images)
     page.evaluate("document.querySelectorAll('details').forEach(details => { details.open = true })")
     assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
+    assert page.evaluate(OUTSIDE, viewport["width"]) == []
     found = page.evaluate(CONTRAST)
     assert found["count"] > 300
     assert found["poor"] == []
@@ -210,3 +230,44 @@ def test_people_who_do_not_see_it_find_their_way(opened: Callable[..., tuple[Pag
     assert page.evaluate("[...document.querySelectorAll('input')].every(input => input.getAttribute('aria-label'))")
     assert page.evaluate("[...document.querySelectorAll('table')].every(table => table.caption && table.querySelector('th[scope]'))")
     assert page.evaluate("document.documentElement.lang") == "en"
+
+
+def test_galleries_show_as_many_candidates_as_the_lake_has(opened: Callable[..., tuple[Page, list[str]]], lake: Lake) -> None:
+    page, wrong = opened(viewport=DESK)
+    with lake.snapshot().connect() as connection:
+        slots = dict(connection.sql("SELECT scene_id || ' ' || instance_id, count(*) FROM candidates GROUP BY ALL").fetchall())
+        placed = connection.sql("SELECT count(*) FROM placements").fetchall()[0][0]
+    strips = page.locator(".strip")
+    assert strips.count() == OBJECTS  # one of each category
+    assert placed >= OBJECTS
+    for index in range(strips.count()):
+        strip = strips.nth(index)
+        name = strip.locator("h3 span").inner_text().split(",")[0]
+        assert strip.locator(".candidate").count() == slots[name]
+        chosen = strip.locator(".candidate.chosen")
+        assert chosen.count() == 1
+        assert "chosen" in chosen.inner_text()  # not by color alone
+        assert "chosen" in str(chosen.locator("img").get_attribute("alt"))
+        assert strip.locator(".candidate", has_text="fallback").count() == 1
+        assert strip.locator(".candidate", has_text="empty").count() == 1
+    assert page.locator(".gallery li").count() == 2
+    page.locator(".gallery a").first.click()
+    assert page.evaluate("document.querySelector(location.hash).tagName") == "ARTICLE"
+    assert wrong == []
+
+
+def test_a_film_of_candidates_scrolls_in_its_own_box_by_keyboard(opened: Callable[..., tuple[Page, list[str]]]) -> None:
+    page, wrong = opened(viewport={"width": 220, "height": 700})  # narrower than three thumbnails
+    film = page.locator(".film").first
+    film.focus()
+    assert page.evaluate("document.activeElement.className") == "film"
+    assert film.evaluate("node => node.scrollWidth > node.clientWidth")
+    for _ in range(5):
+        page.keyboard.press("ArrowRight")
+    for _ in range(60):  # it glides
+        if film.evaluate("node => node.scrollLeft") > 20:
+            break
+        page.wait_for_timeout(50)
+    assert film.evaluate("node => node.scrollLeft") > 20
+    assert page.evaluate("scrollX") == 0
+    assert wrong == []
