@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import resource
 import socket
 import time
@@ -95,8 +96,10 @@ def import_dataset(
     """Import a finished dataset under a name. Scenes of it that are no longer in the folder stay in the lake.
 
     Raises:
-        InputError: the folder holds no such dataset, or the name is that of scans which the lake captured itself.
+        InputError: the folder holds no such dataset, or the name is none, or that of scans which the lake captured itself.
     """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", dataset):
+        raise InputError("--dataset", dataset, "is no name for a dataset", "use up to 64 letters, digits, and _ . - after the first")
     sources = find_sources(kind, folder, dataset, labels)
     history = lake.history()
     _check_name(history, sources, dataset)

@@ -191,6 +191,23 @@ def test_the_name_of_scans_that_were_captured_here_is_refused(dataset: Path, tmp
     assert digests(lake.snapshot()) == before
 
 
+@pytest.mark.parametrize("name", ["", "../up", "a/b", "two words", "'; DROP TABLE scenes --", ".hidden", "x" * 65])
+def test_a_name_that_is_none_is_refused(name: str, dataset: Path, lake: Lake) -> None:
+    with pytest.raises(InputError, match="no name") as refused:
+        import_dataset(lake, "habitat", dataset, name)
+    assert refused.value.file == "--dataset"
+    assert not lake.exists
+
+
+def test_a_scene_may_be_empty_but_for_its_stage(dataset: Path, lake: Lake) -> None:
+    edit(scene_file(dataset, SECOND), lambda document: document.update(object_instances=[]))
+    done = import_dataset(lake, "habitat", dataset, "other")
+    assert [(one.objects, one.error) for one in done.scenes] == [(2, None), (0, None)]
+    (room,) = lake.snapshot().rows(Room, done.scenes[1].scene_id)
+    assert room.floor_area_m2 > 1
+    assert actions(import_dataset(lake, "habitat", dataset, "other")) == ["reuse", "reuse"]
+
+
 def test_a_dry_run_writes_nothing(dataset: Path, lake: Lake) -> None:
     done = import_dataset(lake, "habitat", dataset, "other", dry_run=True)
     assert actions(done) == ["import", "import"]
