@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from schemas.errors import InputError
+from schemas.runs import Snapshot
 from schemas.tables import TABLES
 from warehouse.inspection.finding import Finding, one_line
 from warehouse.inspection.folders import (
@@ -81,7 +82,7 @@ def inspect(
     findings += tables.versions()
     advance("versions")
     with workspace(lake.storage) as connection:
-        thorough = _chosen(lake, every, findings) if is_whole else [row.snapshot_id for row in every]
+        thorough = _chosen(lake, every) if is_whole else [row.snapshot_id for row in every]
         done: set[tuple[str, tuple[str, ...]]] = set()
         for number in thorough:
             files = tables.files.at[number]
@@ -123,9 +124,9 @@ def inspect(
     )
 
 
-def _chosen(lake: Lake, every: tuple[object, ...], findings: list[Finding]) -> list[int]:
+def _chosen(lake: Lake, every: Sequence[Snapshot]) -> list[int]:
     """Snapshots whose rows are checked: the last, and those that are released."""
-    numbers = [row.snapshot_id for row in every]  # type: ignore[attr-defined]
+    numbers = [row.snapshot_id for row in every]
     try:
         named = {release.snapshot_id for release in released(lake.storage)}
     except InputError:  # `release_findings` says so
