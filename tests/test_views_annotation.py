@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from schemas.annotation import VERDICTS, Annotation, QualityReview
 from schemas.candidates import Candidate
+from schemas.capture import Instance, Scene
 from schemas.runs import StageRun
 from schemas.selection import Selection
 from tasks.annotation import current
@@ -177,6 +178,13 @@ def test_minutes_of_people_and_of_computers(database: Database, rows: list[Any],
         readings["computation"], scenes=len(computed), objects=count, minutes=total if computed else None,
         minutes_per_scene=total / len(computed) if computed else None, minutes_per_39_objects=39 * total / count if computed else None,
     )  # fmt: skip
+
+
+def test_the_import_of_a_finished_dataset_is_no_computation(database: Database) -> None:
+    rows: list[Any] = [sample(Instance, scene_id=SCENES[0], is_structure=False), stage_run(SCENES[0], "capture", fingerprint(1))]
+    for segmentation, counted in (("objects", 0), ("file", 1)):
+        database.fill(sample(Scene, scene_id=SCENES[0], segmentation=segmentation), *rows)
+        same(by_key(database.ask("annotation_timing"), "reading")["computation"], scenes=counted, objects=counted)
 
 
 def wilson(wrong: int, trials: int) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 -- How long does each stage take on each host: per scene (median, 95th percentile) and per object?
 -- Version 1.
--- Runs that made the rows of today; imports of finished datasets are no runs of the stages. workers counts the processes of the host that ran the stage.
+-- Runs that made the rows of today; imports of finished datasets are no runs of the stages.
+-- workers counts the processes of the host that ran the stage.
 WITH timed AS (
     SELECT
         regexp_replace(runs.host, ':[0-9]+$', '') AS host,
