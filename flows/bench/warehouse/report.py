@@ -99,10 +99,11 @@ def run_warehouse_bench(config: WarehouseBench, advance: Callable[[str], None]) 
 
 
 def questions(lake: Lake) -> dict[str, str]:
-    """What the report asks of a lake, by name."""
-    from warehouse.views import views
+    """What the report asks of the newest snapshot of a lake, by name: the view, and after a dot what is asked of it."""
+    from flows.stats import report_queries, shown_scenes
 
-    return {view.name: f'SELECT * FROM "{view.name}"' for view in views()}
+    with lake.snapshot().connect() as connection:
+        return report_queries(shown_scenes(connection))
 
 
 def size_of(lake: Lake) -> dict[str, Any]:

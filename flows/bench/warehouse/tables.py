@@ -48,7 +48,7 @@ def _print_lakes(report: Mapping[str, Any], console: Console) -> None:
 def _print_answers(report: Mapping[str, Any], sizes: list[str], console: Console) -> None:
     """One line per question, slowest first: median seconds by lake, then the first run and processor time of the largest."""
     headers = [(f"{int(scenes):,}", True) for scenes in sizes]
-    title = "questions of the report: median [s] by scenes of the lake; first run on cold files, processor time and rows of the largest"
+    title = "questions of the report: median seconds by scenes of the lake; first run on cold files, processor time and rows of the largest"
     table = table_of(title, ("", False), *headers, ("first", True), ("processor", True), ("rows", True))
     by_size = {scenes: {one["name"]: one for one in report["answers"][scenes]["answers"]} for scenes in sizes}
     largest = by_size[sizes[-1]]
@@ -57,12 +57,12 @@ def _print_answers(report: Mapping[str, Any], sizes: list[str], console: Console
         one = largest[name]
         add_row(table, name, *cells, f"{one['first_seconds']:.3f}", f"{one['cpu_seconds']:.3f}", f"{one['rows']:,}")
     add_row(table, "open, with all views", *[f"{report['answers'][scenes]['connect_seconds']:.3f}" for scenes in sizes], "", "", "")
-    add_row(table, "memory at most [MB]", *[f"{report['answers'][scenes]['peak_memory_mb']:,.0f}" for scenes in sizes], "", "", "")
+    add_row(table, "memory at most, MB", *[f"{report['answers'][scenes]['peak_memory_mb']:,.0f}" for scenes in sizes], "", "", "")
     console.print(table)
 
 
 def _print_volumes(volumes: Mapping[str, Any], console: Console) -> None:
-    table = table_of("box plot of volumes, 50 categories", ("", False), ("median [s]", True), ("first [s]", True), ("differences", True))
+    table = table_of("box plot of volumes, 50 categories", ("", False), ("seconds", True), ("first run", True), ("differences", True))
     lines = {"lake": "the lake", "sorted": "one file sorted by category and volume", "by_key": "one file sorted by scene and object"}
     for name, text in lines.items():
         one = volumes[name]
@@ -72,7 +72,7 @@ def _print_volumes(volumes: Mapping[str, Any], console: Console) -> None:
 
 
 def _print_growth(report: Mapping[str, Any], sizes: list[str], console: Console) -> None:
-    table = table_of("changes: median [s] by scenes of the lake", ("", False), *[(f"{int(scenes):,}", True) for scenes in sizes])
+    table = table_of("changes: median seconds by scenes of the lake", ("", False), *[(f"{int(scenes):,}", True) for scenes in sizes])
     for name, text in _GROWTH.items():
         add_row(table, text, *[f"{one[name]:.3f}" for one in report["growth"]])
     console.print(table)

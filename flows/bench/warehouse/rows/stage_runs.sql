@@ -1,4 +1,13 @@
 -- Seven stages per scene, two of which were run twice; a failed last attempt in one scene of two hundred; one run per batch.
+WITH counts AS (
+    SELECT
+        scene,
+        sum(filled) AS selections,
+        count(*) FILTER (u(thing, 'touches optimized') < 0.45) + count(*) FILTER (u(thing, 'touches proposed') < 0.45) AS contacts,
+        count(*) FILTER (u(thing, 'reach') < 0.015) AS unreachable
+    FROM objects_now
+    GROUP BY scene
+)
 SELECT
     place_id AS scene_id,
     stage,
@@ -8,10 +17,20 @@ SELECT
     list_transform(reads, lambda above: above || '=' || run_of(above, scene, 1)) AS upstream,
     ['config=' || digest('config', stage), 'code=' || digest('code ' || version, stage), 'seed=0'] AS reasons,
     '{"type": "generated"}' AS config,
-    CASE stage
-        WHEN 'capture' THEN ['scenes=1', 'rooms=1', 'frames=100', 'instances=' || (structures + objects), 'masks=' || 3 * objects]
-        WHEN 'captions' THEN ['captions=' || objects] WHEN 'candidates' THEN ['candidates=' || 10 * objects]
-        WHEN 'navigation' THEN ['navmeshes=1', 'episodes=10'] ELSE []
+    CASE
+        WHEN version = 2 THEN []
+        WHEN stage = 'capture' THEN ['scenes=1', 'rooms=1', 'frames=100', 'instances=' || (structures + objects), 'masks=' || 3 * objects]
+        WHEN stage = 'captions' THEN ['captions=' || objects]
+        WHEN stage = 'candidates' THEN ['candidates=' || 10 * objects]
+        WHEN stage = 'selection' THEN ['selections=' || selections]
+        WHEN stage = 'optimization' THEN [
+            'placements=' || objects, 'supports=' || objects, 'contacts=' || contacts, 'optimization_steps=100', 'optimizations=1',
+            'certificates=' || CASE WHEN is_annotated(scene) THEN 2 * objects ELSE objects END
+        ]
+        WHEN stage = 'navigation' THEN ['navmeshes=1', 'episodes=10', 'unreachable_targets=' || unreachable, 'splits=1']
+        WHEN stage = 'exports' THEN ['export_files=40', 'export_checks=' || len(getvariable('rules'))]
+        WHEN stage = 'annotation' THEN ['annotations=' || 3 * objects, 'quality_reviews=1']
+        ELSE ['trajectories=10']
     END AS row_counts,
     CASE
         WHEN stage = 'captions' AND u(scene, 'degraded') < 0.3 THEN [name_of(structures) || ': no answer, classical caption taken']
@@ -38,4 +57,5 @@ FROM (
         FROM scenes_now
     )
 )
+JOIN counts USING (scene)
 ORDER BY scene_id, stage, fingerprint
