@@ -205,14 +205,25 @@ class Staging:
             places = [self._storage.arrow_path(path) for path in new]
             filesystem, schema = self._storage.arrow_filesystem(), TABLES[_RUNS].arrow_schema
             data = ds.dataset(places, format="parquet", filesystem=filesystem, schema=schema).to_table()
-            if data.num_rows == len(new):
+            if data.num_rows == len(new) and _are_runs(data):
                 return found | dict(zip(new, arrow_to_rows(data, StageRun), strict=True))
         except (pa.ArrowException, OSError):
             pass  # one of them is gone or damaged: file by file shows which
         for path in new:
             with contextlib.suppress(FileNotFoundError):
-                found[path] = arrow_to_rows(self.read(path), StageRun)[0]
+                data = self.read(path)
+                if data.num_rows != 1 or not _are_runs(data):
+                    raise InputError(f"{self._storage.address}/{path}", "", "is no staged run: its columns are others", "remove it")
+                found[path] = arrow_to_rows(data, StageRun)[0]
         return found
+
+
+def _are_runs(data: pa.Table) -> bool:
+    """Whether rows have what every run has: a file that somebody dropped here may hold anything."""
+    needed = [field for field in TABLES[_RUNS].arrow_schema if not field.nullable]
+    if not {field.name for field in needed} <= set(data.column_names):
+        return False
+    return all(data.schema.field(field.name).type == field.type and not data[field.name].null_count for field in needed)
 
 
 def is_left_over(writer: Writer | None, modified: float) -> bool:
