@@ -20,7 +20,7 @@ from warehouse.digest import digests
 from warehouse.inspection import inspect
 from warehouse.lake import Lake
 
-_ALIKE = 4
+_ALIKE = 2
 
 
 def _step_kind(name: str, arguments: tuple[Any, ...]) -> str:
