@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -10,13 +11,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
-from flows.stats import STAGES, answers_of, draw_charts, picture_scene_of, stage_table, write_report
+from flows.cli import cli
+from flows.stats import STAGES, ShownScenes, answers_of, draw_charts, picture_scene_of, report_queries, stage_table, write_report
+from flows.stats.queries import _ORDERS as ORDERS
 from schemas.capture import Room
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.replica import room_shell
 from tasks.stats import collisions, scenes
+from tasks.stats.columns import GRIDS
 from tasks.stats.scenes import Outline, PictureConfig
 from tasks.stats.style import INK
 from tasks.transforms import matrix
@@ -243,3 +248,79 @@ def test_loading_the_flow_loads_no_heavy_package() -> None:
     environment = {**os.environ, "PYTHONPATH": str(root)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=root, env=environment, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def metascenes(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, [str(argument) for argument in arguments], catch_exceptions=True)
+
+
+def test_the_command_says_what_it_would_write_and_writes_nothing(lake: Lake, tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "report.html"
+    asked = ("stats", "--lake", lake.address, "--out", out, "--pictures", tmp_path / "p", "--dry-run")
+    said = json.loads(metascenes(*asked, "--json").output)
+    assert said == {
+        "dry_run": True, "snapshot_id": lake.snapshot().snapshot_id, "scenes": 2, "report": str(out),
+        "pictures_folder": str(tmp_path / "p"),
+    }  # fmt: skip
+    assert f"would write {out} on snapshot {said['snapshot_id']} with 2 scenes" in metascenes(*asked).output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_takes_a_release_and_refuses_an_unknown_one(lake: Lake, tmp_path: Path) -> None:
+    refused = metascenes("stats", "--lake", lake.address, "--release", "v9", "--out", tmp_path / "r.html")
+    assert isinstance(refused.exception, InputError)
+    assert "v9" in str(refused.exception)
+    both = metascenes("stats", "--lake", lake.address, "--release", "v9", "--snapshot", 1, "--stages")
+    assert isinstance(both.exception, InputError)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_gives_stage_times_as_json_in_the_order_of_the_data_path(lake: Lake) -> None:
+    rows = json.loads(metascenes("stats", "--lake", lake.address, "--stages", "--json").output)
+    assert [row["stage"] for row in rows] == [stage for stage in STAGES if stage not in ("annotation", "evaluation")]
+    assert rows[0]["total_seconds"] == 2.0
+
+
+def test_tables_that_are_cut_say_of_how_many_rows(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flows.stats.queries.ROW_LIMIT", 3)
+    monkeypatch.setattr("flows.stats.queries.TIMELINE_RUNS", 5)
+    answers = answers_of(lake.snapshot())
+    checks = lake.snapshot().arrow("export_checks").num_rows
+    with lake.snapshot().connect() as connection:
+        counted = {view: connection.sql(f"SELECT count(*) FROM {view}").fetchall()[0][0] for view in ORDERS}
+    assert checks > 3
+    assert answers.totals == {view: count for view, count in counted.items() if count > 3}
+    assert {view: answers.rows[view].num_rows for view in ORDERS} == {view: min(count, 4) for view, count in counted.items()}
+    assert answers.rows["run_timeline.binned"]["runs"].to_pylist().count(0) < len(answers.rows["run_timeline.binned"])
+    assert sum(answers.rows["run_timeline.binned"]["runs"].to_pylist()) == 14
+
+
+def test_every_table_of_the_report_has_an_order_and_says_how_often_something_was_refused() -> None:
+    assert set(ORDERS) == set(GRIDS) - {"stage_timing"}
+    for view, column in (("unstable_objects", "problem"), ("stability", "refused"), ("density_check", "without_verdict")):
+        assert column in {name for name, _, _ in GRIDS[view][1]}
+
+
+def test_names_of_scenes_are_values_in_what_the_report_asks(lake: Lake) -> None:
+    evil = "demo/x'); DROP VIEW scenes; --"
+    with lake.snapshot().connect() as connection:
+        asked = report_queries(ShownScenes((evil,), (evil,)))
+        assert connection.sql(asked["scene_objects.pictured"]).fetchall() == []
+        assert connection.sql(asked["instances.gallery"]).fetchall() == []
+        assert connection.sql("SELECT count(*) FROM scenes").fetchall() == [(2,)]
+
+
+def test_a_report_is_written_whole_or_not_at_all(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "report.html"
+    out.write_text("an older one")
+
+    def torn(self: Path, data: bytes) -> int:
+        with self.open("wb") as file:
+            file.write(data[:100])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", torn)
+    with pytest.raises(OSError, match="No space"):
+        write_report(lake, out, look=SMALL, workers=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+    assert out.read_text() == "an older one"

@@ -74,9 +74,10 @@ def answers_of(reader: Reader) -> Answers:
     with reader.connect() as connection:
         scenes = shown_scenes(connection)
         asked = report_queries(scenes)
-        rows = {name: connection.sql(sql).to_arrow_table() for name, sql in asked.items() if name not in _WHEN_CUT}
+        cut = _when_cut()
+        rows = {name: connection.sql(sql).to_arrow_table() for name, sql in asked.items() if name not in cut}
         # what is asked only of large lakes: how many rows a table has that is cut, and the timeline in bins
-        for name, (first, limit) in _WHEN_CUT.items():
+        for name, (first, limit) in cut.items():
             if rows[first].num_rows > limit:
                 rows[name] = connection.sql(asked[name]).to_arrow_table()
     totals = {view: rows[f"{view}.count"]["rows"][0].as_py() for view in _ORDERS if f"{view}.count" in rows}
@@ -125,6 +126,11 @@ def report_queries(scenes: ShownScenes) -> dict[str, str]:
     queries |= _timeline()
     queries["instances.gallery"] = _gallery(gallery)
     return queries
+
+
+def _when_cut() -> dict[str, tuple[str, int]]:
+    """Queries that are asked only when another one gave more rows than that."""
+    return {**{f"{view}.count": (view, ROW_LIMIT) for view in _ORDERS}, "run_timeline.binned": ("run_timeline", TIMELINE_RUNS)}
 
 
 def _names(names: Sequence[str]) -> str:
@@ -262,9 +268,3 @@ _FIRST: Mapping[str, str] = {
     "optimization_remains": "instance_id NULLS FIRST, remains",
     "export_verdicts": "format",
 }
-
-_WHEN_CUT: Mapping[str, tuple[str, int]] = {
-    **{f"{view}.count": (view, ROW_LIMIT) for view in _ORDERS},
-    "run_timeline.binned": ("run_timeline", TIMELINE_RUNS),
-}
-"""Queries that are asked only when another one gave more rows than that."""

@@ -97,7 +97,7 @@ GRIDS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] = {
         ),
     ),
     "scene_certificates": (
-        "Plausible scenes, the others first",
+        "Plausibility of scenes, the worst first",
         (
             ("scene_id", "Scene", as_text),
             ("method", "Method", as_text),

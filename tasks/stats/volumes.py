@@ -62,7 +62,7 @@ def volume_boxes(boxes: pa.Table, outliers: pa.Table, of: str = "oriented box", 
     axes.invert_yaxis()
     axes.tick_params(axis="y", labelsize=8, length=0)
     axes.set_xlabel(f"volume of the {of} [m³], logarithmic")
-    what = "Volume" if name == "volume_by_category" else "Volume of the placed assets"
+    what = "Volume" if name == "volume_by_category" else "Solid volume"
     title = f"{what} by category, top {CATEGORY_LIMIT}" if len(stats) >= CATEGORY_LIMIT else f"{what} by category"
     axes.set_title(title)
     medians = {row["category"]: row["median_m3"] for row in shown}
