@@ -17,7 +17,7 @@ from warehouse.inspection import inspect
 from warehouse.lake import Lake
 from warehouse.vacuum import vacuum
 
-pytestmark = pytest.mark.s3
+pytestmark = [pytest.mark.s3, pytest.mark.slow, pytest.mark.timeout(1200)]
 
 __all__ = ["bucket"]
 
