@@ -47,6 +47,53 @@ GRIDS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] = {
             ("peak_memory_mb", "Peak memory [MB]", as_number),
         ),
     ),
+    "annotation_timing": (
+        "Minutes per object: the paper's annotation, people's here, and computation",
+        (
+            ("reading", "Whose", as_text),
+            ("scenes", "Scenes", as_count),
+            ("objects", "Objects", as_count),
+            ("minutes", "Minutes", as_number),
+            ("minutes_per_object", "Per object", as_number),
+            ("minutes_per_39_objects", "Per 39 objects", as_number),
+            ("times_paper", "Times the paper's", as_number),
+        ),
+    ),
+    "annotation_agreement": (
+        "Annotators and the selection",
+        (
+            ("annotator", "Annotator", as_text),
+            ("answers", "Answers", as_count),
+            ("none_fits", "None fits", as_count),
+            ("same_as_selection", "As selected", as_count),
+            ("agreement", "Agreement", as_share),
+        ),
+    ),
+    "annotator_agreement": (
+        "Annotators among themselves",
+        (
+            ("annotator_a", "Annotator", as_text),
+            ("annotator_b", "and", as_text),
+            ("instances", "Objects of both", as_count),
+            ("agreement", "Agreement", as_share),
+            ("chance_agreement", "By chance", as_share),
+            ("cohens_kappa", "Cohen's kappa", as_number),
+        ),
+    ),
+    "quality_history": (
+        "Quality control of annotation batches",
+        (
+            ("batch_id", "Batch", as_text),
+            ("answers", "Answers", as_count),
+            ("round", "Review", as_count),
+            ("reviewer", "By", as_text),
+            ("sampled", "Sampled", as_count),
+            ("wrong", "Wrong", as_count),
+            ("wrong_low", "from", as_share),
+            ("wrong_high", "to", as_share),
+            ("verdict", "Verdict", as_text),
+        ),
+    ),
     "failures": (
         "Failed stages",
         (
