@@ -35,6 +35,7 @@ from warehouse.erasure.traces import Traces, traces_of
 from warehouse.inspection import inspect
 from warehouse.lake import Lake
 from warehouse.release import make_release, releases
+from warehouse.writer import new_token, this_writer
 
 SCENES = [f"demo/scene{number:04d}_00" for number in range(3)]
 HOME = SCENES[1]
@@ -221,6 +222,22 @@ def test_what_cannot_be_erased_is_found_and_the_exit_code_says_so(lake: Lake, tm
     answer = run("--yes")
     assert answer.exit_code == 0
     assert ": 0 hits" in answer.output
+
+
+def test_what_a_killed_release_left_goes_too(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    fill(lake, release=False)  # a release that is made anew would remove it by the way
+    left = tmp_path / "lake" / "tmp" / f"{this_writer().machine}-999999-1-1"
+    left.mkdir(parents=True)
+    pq.write_table(lake.snapshot().arrow("scenes"), left / "scenes.parquet")
+    living = tmp_path / "lake" / "tmp" / new_token()
+    living.mkdir()
+    (living / "README.md").write_text("of nobody")
+    done = erase(lake, HOME)
+    assert done.proof is not None
+    assert done.proof.hits == ()
+    assert not left.exists()
+    assert (living / "README.md").exists()
 
 
 def test_names_that_are_no_scene_are_refused(lake: Lake, tmp_path: Path) -> None:

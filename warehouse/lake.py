@@ -98,17 +98,20 @@ class Lake:
             return None
         return reader.rows(TABLES[table].record, scene_id)
 
-    def commit(self, note: str = "", *, scenes: Collection[str] | None = None, timeout: float = 300.0) -> Snapshot | None:
+    def commit(
+        self, note: str = "", *, scenes: Collection[str] | None = None, runs: Collection[str] | None = None, timeout: float = 300.0
+    ) -> Snapshot | None:
         """Take everything that is staged, by anyone, into a new snapshot; None when there is nothing to take.
 
         With `scenes`, only what is staged for these, nothing for an empty collection: a scene that is still being
         computed would be taken in part, and what its next stages gave before would be withdrawn for the time being.
-        A run of the pipeline gives its own scenes and those that are `abandoned`.
+        A run of the pipeline gives its own scenes and those that are `abandoned`. With `runs`, only staged runs with these
+        tokens: who saw a scene complete may find it begun anew by the time that the lease is free.
 
         Raises:
             LeaseError: another committer holds the lease for more than `timeout` seconds.
         """
-        return self._commit(note, (), scenes, timeout)
+        return self._commit(note, (), scenes, timeout, runs)
 
     def remove_scene(self, scene_id: str, *, timeout: float = 300.0) -> Snapshot | None:
         """Withdraw everything that was computed of a scene; None when there is nothing. Annotations stay: people made them."""
@@ -124,13 +127,17 @@ class Lake:
             return
         with self.leased(timeout) as lease:
             Commit(self.tables, self.staging, lease).sweep(keep)
-            for entry in self.storage.entries(TEMPORARY):
-                if is_left_over(writer_of(entry.path.rpartition("/")[2]), entry.modified):
-                    self.storage.remove(entry.path)
-            place = self.storage.local_path(TEMPORARY)
-            if place is not None:
-                sweep_workplaces(place)
-            self.tables.sweep()
+            self.sweep_temporary()
+
+    def sweep_temporary(self) -> None:
+        """Remove the temporary files and folders of dead writers, and those of table writes. Only while the lease is held."""
+        for entry in self.storage.entries(TEMPORARY):
+            if is_left_over(writer_of(entry.path.rpartition("/")[2]), entry.modified):
+                self.storage.remove(entry.path)
+        place = self.storage.local_path(TEMPORARY)
+        if place is not None:
+            sweep_workplaces(place)
+        self.tables.sweep()
 
     def abandoned(self) -> set[str]:
         """Scenes with complete staged runs of which no writer lives: nobody but another run's commit will take them in.
@@ -158,11 +165,13 @@ class Lake:
         """The lake's lease: ``with lake.leased(): ...``. Who holds it is the only one that commits or removes anything."""
         return Lease(self.storage, timeout=timeout)
 
-    def _commit(self, note: str, removed: Collection[str], scenes: Collection[str] | None, timeout: float) -> Snapshot | None:
+    def _commit(
+        self, note: str, removed: Collection[str], scenes: Collection[str] | None, timeout: float, runs: Collection[str] | None = None
+    ) -> Snapshot | None:
         if not self.exists:
             return None
         with self.leased(timeout) as lease:
-            return Commit(self.tables, self.staging, lease).run(note, removed, scenes)
+            return Commit(self.tables, self.staging, lease).run(note, removed, scenes, runs)
 
     def _committed(self, reader: Reader, scenes: Collection[str] | None = None) -> dict[Key, StageState]:
         only = None if scenes is None else {"scene_id": scenes}

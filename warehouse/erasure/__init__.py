@@ -29,10 +29,8 @@ from warehouse.lake import Lake
 from warehouse.lease import Lease
 from warehouse.references import workspace
 from warehouse.released import released
-from warehouse.staging import is_left_over, quoted_scene
-from warehouse.storage import TEMPORARY
+from warehouse.staging import quoted_scene
 from warehouse.vacuum import forget
-from warehouse.writer import writer_of
 
 NOTE = "erasure"
 
@@ -132,7 +130,7 @@ class _Work:
         self._remove_unnamed_tables()
         self._remove_blobs()
         self._young = forget(self._lake, self._lease, self._lake.snapshot().snapshots).young_blobs
-        self._remove_left_overs()
+        self._lake.sweep_temporary()
         advance("files")
         assets = self._assets_that_stay()
         hashes = {name.partition(".")[0] for name in self._removed_blobs} | (self.plan.assets - assets)
@@ -302,12 +300,6 @@ class _Work:
                 self._lake.tables.read(TABLES["assets"], files, ["asset_id"], {"asset_id": self.plan.assets}).column(0).to_pylist()
             )
         return found
-
-    def _remove_left_overs(self) -> None:
-        for entry in self._lake.storage.entries(TEMPORARY):
-            if is_left_over(writer_of(entry.path.rpartition("/")[2]), entry.modified):
-                self._lake.storage.remove(entry.path)
-        self._lake.tables.sweep()
 
 
 def _settle_batches(lake: Lake, lease: Lease, scene_id: str) -> None:
