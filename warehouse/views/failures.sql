@@ -1,5 +1,11 @@
 -- Which stages of which scenes failed at their last attempt, and what is to be done about it?
 -- Version 1.
+-- Few fail at all: only what failed once is looked at in order of time.
+WITH suspects AS (
+    SELECT DISTINCT scene_id, stage
+    FROM stage_runs
+    WHERE outcome NOT IN ('done', 'withdrawn')
+)
 SELECT
     scene_id,
     stage,
@@ -8,6 +14,7 @@ SELECT
     error,
     count(*) OVER (PARTITION BY scene_id, stage, fingerprint) AS attempts
 FROM stage_runs
+SEMI JOIN suspects USING (scene_id, stage)
 WHERE outcome <> 'withdrawn'
 QUALIFY row_number() OVER (
     PARTITION BY scene_id, stage

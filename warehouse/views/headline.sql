@@ -8,12 +8,16 @@ SELECT
     (SELECT count(*) FROM instances WHERE NOT is_structure) AS objects,
     (SELECT count(DISTINCT category) FROM instances WHERE NOT is_structure) AS categories,
     (SELECT count(*) FROM placements) AS placed_objects,
-    (SELECT count(*) FROM assets) AS assets,
-    (SELECT CAST(coalesce(sum(deep_pairs_after), 0) AS BIGINT) FROM collision_loss) AS deep_pairs,
-    (SELECT CAST(coalesce(sum(free), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS free_objects,
-    (SELECT CAST(coalesce(sum(fixed), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS fixed_objects,
-    (SELECT CAST(coalesce(sum(stable_1cm), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS stable_1cm,
-    (SELECT CAST(coalesce(sum(stable_5cm), 0) AS BIGINT) FROM stability WHERE engine = 'mujoco') AS stable_5cm,
+    (SELECT count(face_count) FROM assets) AS assets,
+    (
+        SELECT count(*)
+        FROM contacts
+        WHERE phase = 'optimized' AND penetration_m > 0.002 AND NOT is_allowed
+    ) AS deep_pairs,
+    (SELECT count(*) FROM certificates WHERE engine = 'mujoco' AND NOT is_fixed) AS free_objects,
+    (SELECT count(*) FROM certificates WHERE engine = 'mujoco' AND is_fixed) AS fixed_objects,
+    (SELECT count(*) FROM certificates WHERE engine = 'mujoco' AND NOT is_fixed AND is_stable_1cm) AS stable_1cm,
+    (SELECT count(*) FROM certificates WHERE engine = 'mujoco' AND NOT is_fixed AND is_stable_5cm) AS stable_5cm,
     (SELECT count(*) FROM episodes) AS episodes,
     (SELECT count(*) FROM export_verdicts) AS exports,
     (SELECT count(*) FROM export_verdicts WHERE passed) AS exports_passed,

@@ -1,16 +1,16 @@
 -- Under which licenses are the scans and the placed assets?
 -- Version 1.
 -- items counts different scans or assets, uses the objects that they stand for; the view license_by_scene says it by scene.
-WITH used AS (
-    SELECT asset_id, count(*) AS uses
-    FROM placements
-    GROUP BY asset_id
+WITH placed AS MATERIALIZED (
+    SELECT asset_id, license
+    FROM assets
+    SEMI JOIN placements USING (asset_id)
 ),
-items AS (
-    SELECT assets.license, count(*) AS items
-    FROM used
-    JOIN assets USING (asset_id)
-    GROUP BY assets.license
+by_scene AS (
+    SELECT placements.scene_id, placed.license, count(*) AS uses
+    FROM placements
+    JOIN placed USING (asset_id)
+    GROUP BY placements.scene_id, placed.license
 )
 SELECT
     'scan' AS material,
@@ -24,11 +24,14 @@ UNION ALL
 SELECT
     'asset' AS material,
     license,
-    any_value(items.items) AS items,
+    items.items,
     CAST(sum(by_scene.uses) AS BIGINT) AS uses,
     count(*) AS scenes
-FROM license_by_scene AS by_scene
-JOIN items USING (license)
-WHERE by_scene.material = 'asset'
-GROUP BY license
+FROM by_scene
+JOIN (
+    SELECT license, count(*) AS items
+    FROM placed
+    GROUP BY license
+) AS items USING (license)
+GROUP BY license, items.items
 ORDER BY material, license
