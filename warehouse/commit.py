@@ -44,9 +44,12 @@ class Commit:
         self._states: dict[Key, StageState] = {}
         self._done: set[Key] = set()
 
-    def run(self, note: str, removed: Collection[str] = (), scenes: Collection[str] | None = None) -> Snapshot | None:
+    def run(
+        self, note: str, removed: Collection[str] = (), scenes: Collection[str] | None = None, runs: Collection[str] | None = None
+    ) -> Snapshot | None:
         """Adopt, replace, withdraw, and append the snapshot; None when there is nothing to do."""
         staged = [one for one in self.remove_adopted() if scenes is None or one.run.scene_id in scenes]
+        staged = [one for one in staged if runs is None or one.token in runs]
         if not staged and not removed:
             return None
         faults = {one.token: fault for one in staged if one.run.outcome == "done" and (fault := self._staging.fault(one))}

@@ -145,12 +145,13 @@ def _write(lake: Lake, numbers: str) -> None:
 def _commit(lake: Lake, scenes: str) -> None:
     """Commit what is complete until every scene is there as staged the last time."""
     while not _are_committed(lake, range(int(scenes)), f"time {TIMES - 1}"):
-        # A committer that was killed may have left runs behind that are committed already: they are complete, too.
-        staged = collections.Counter((one.run.scene_id, one.run.started_at) for one in lake.staging.runs())
-        torn = {scene for (scene, _), stages in staged.items() if stages != len(STAGES)}
-        complete = {scene for scene, _ in staged} - torn
-        if complete:
-            lake.commit("contention", scenes=complete)
+        staged: dict[tuple[str, object], list[str]] = collections.defaultdict(list)
+        for one in lake.staging.runs():
+            staged[one.run.scene_id, one.run.started_at].append(one.token)
+        # By token: another committer may take the scene in first, and its writer begin it anew. Without any, what a killed
+        # committer left behind is removed all the same.
+        if staged:
+            lake.commit("contention", runs={token for tokens in staged.values() if len(tokens) == len(STAGES) for token in tokens})
         time.sleep(0.05)
 
 
