@@ -109,20 +109,35 @@ def _export_file(key: str, facts: Facts) -> list[str]:
     return [facts["file"], what, f"blob {facts['file_blob']}", here, also]
 
 
+def _proposer(facts: Facts) -> str:
+    """Who chose an asset; an imported dataset says at most that people did."""
+    if facts["origin"] == "annotation":
+        return f"annotator {facts['annotator']}" if facts["annotator"] is not None else "annotators of the imported dataset"
+    return "the imported dataset" if facts["origin"] == "imported" else "selection"
+
+
 def _placement(key: str, facts: Facts) -> list[str]:
-    who = f"annotator {facts['annotator']} ({facts['annotation_match']})" if facts["origin"] == "annotation" else "selection"
+    who = _proposer(facts) + (f" ({facts['annotation_match']})" if facts["annotation_match"] is not None else "")
     way = f"from {point(facts['proposed_position_m'])} to {point(facts['optimized_position_m'])} m"
     moved = f"{way}: {number(facts['displacement_m'])} m aside, {number(facts['lift_m'])} m up, by the {facts['method']} method"
+    if facts["displacement_m"] is None:  # one pose is all that there is of it
+        moved = f"at {point(facts['optimized_position_m'])} m, by the {facts['method']} method"
     before, after = facts["proposed_contacts"], facts["optimized_contacts"]
     overlaps = f"overlapped {_text(before)} ({scaled(facts['proposed_penetration_m'], 1e3)} mm deep) before, " if before else ""
     overlaps += f"{_text(after)} ({scaled(facts['optimized_penetration_m'], 1e3)} mm deep) after" if after else "overlaps nothing"
+    if facts["method"] == "imported":  # nobody looked for overlaps
+        overlaps = f"overlaps {UNRECORDED}"
     absent = f"not in {_text(facts['not_in'])}" if facts.get("not_in") else ""
     remains = f"remains: {facts['remains']}" if facts["remains"] else ""
     return [f"placement {key}, proposed by {who}", moved, overlaps, absent, remains]
 
 
 def _support(key: str, facts: Facts) -> list[str]:
-    carrier = facts["parent_id"] or facts["against"] or ("" if facts["relation"] in ("none", "floor") else UNRECORDED)
+    carrier, against = facts["parent_id"] or "", facts["against"] or ""
+    if facts["relation"] == "floor":
+        carrier = f"against {against}" if against else ""
+    elif facts["relation"] != "none":
+        carrier = carrier or against or UNRECORDED
     kind = "fixed" if facts["is_fixed"] else "free to move"
     kept = "" if facts["is_kept"] else ", by something else after the optimization"
     return [f"{facts['relation']} {carrier}".strip() + f", gap {scaled(facts['gap_m'], 1e3)} mm, {kind}{kept}"]
@@ -233,7 +248,7 @@ def _stage(key: str, facts: Facts) -> list[str]:
 
 
 def _object(facts: Facts) -> str:
-    who = f"annotator {facts['annotator']}" if facts["origin"] == "annotation" else "selection"
+    who = _proposer(facts)
     return f"{facts['instance_id']} {_text(facts['category'])}: asset {facts['asset_id'][:12]} by {who}"
 
 
