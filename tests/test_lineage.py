@@ -463,14 +463,22 @@ def test_what_is_no_exported_scene_is_refused_in_one_line(format: str, data: byt
         assert places(format, "file", data) == []
 
 
-def test_an_object_of_others_has_fewer_links(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("origin", "displacement_m", "who"),
+    [("annotation", 0.125, "annotators of the imported dataset"), ("imported", None, "the imported dataset")],
+)
+def test_an_object_of_others_has_fewer_links(tmp_path: Path, origin: str, displacement_m: float | None, who: str) -> None:
+    """Placements as imports write them: of MetaScenes people chose the assets, of Habitat nobody says."""
     lake = Lake.open(tmp_path / "lake")
     blob = lake.blobs.put(b"glTF", "glb")
     asset = sample(Asset, asset_id=blob.split(".")[0], mesh_blob=blob, provider="imported")
     of = {"scene_id": "others/room_1", "instance_id": "0007"}
     pose = tuple(float(i % 5 == 0) for i in range(16))
     instance = sample(Instance, **of, box_pose=pose, points_blob=lake.blobs.put(b"ply", "ply"), best_frames=())
-    placement = sample(Placement, **of, origin="selection", asset_id=asset.asset_id, proposed_pose=pose, optimized_pose=pose)
+    placement = sample(
+        Placement, **of, origin=origin, annotator=None, annotation_match=None, method="imported", asset_id=asset.asset_id,
+        proposed_pose=pose, optimized_pose=pose, displacement_m=displacement_m, lift_m=displacement_m,
+    )  # fmt: skip
     offer = sample(Candidate, **of, slot=1, provider="imported", outcome="filled", asset_id=asset.asset_id)
     scene = sample(Scene, scene_id="others/room_1", scan="room_1", mesh_blob=blob)
     rows = {
@@ -491,8 +499,13 @@ def test_an_object_of_others_has_fewer_links(tmp_path: Path) -> None:
     said = outline(lineage, settings_of)
     assert "code not recorded" in said
     assert "settings: not recorded" in said
+    assert f"proposed by {who}  [" in said
+    assert ("0.125 m aside" in said) == (displacement_m is not None)
+    assert "overlaps not recorded" in said, "nobody looked for overlaps"
     assert "hash of its files not recorded" in said
-    assert explain(lake, "others/room_1").problems == ()
+    of_scene = explain(lake, "others/room_1")
+    assert of_scene.problems == ()
+    assert f"asset {asset.asset_id[:12]} by {who}\n" in outline(of_scene, settings_of)
     assert explain(lake, asset.asset_id).problems == ()
     for ending in FORMATS:
         assert picture(lineage, ending)

@@ -74,7 +74,8 @@ def _layout(walk: Walk, row: Placement, depth: int) -> None:
             walk.edge(certificate, node, "certifies")
             walk.line(depth + 1, "certified by", certificate)
     _episodes(walk, node, scene_id, instance_id, depth + 1)
-    if row.origin == "annotation":
+    # Of a finished dataset whose assets people chose, their answers are nowhere.
+    if row.origin == "annotation" and row.method != "imported":
         _annotated(walk, row, node, depth + 1)
     elif not _selected(walk, scene_id, instance_id, row.asset_id, node, "proposed by", depth + 1):
         if walk.run(scene_id, "selection") is not None:
