@@ -220,6 +220,25 @@ def test_a_file_has_the_form_of_its_ending(lake: Lake, tmp_path: Path, ending: s
     assert list(tmp_path.iterdir()) == [file]
 
 
+def test_an_ending_that_says_nothing_is_refused(lake: Lake, tmp_path: Path) -> None:
+    for name in ("answer", "answer.xlsx", "answer.csv.gz"):
+        assert "has no ending that says" in str(ask(lake, "SELECT 1 AS n", "--out", tmp_path / name).exception)
+    assert list(tmp_path.iterdir()) == []
+    assert ask(lake, "SELECT 1 AS n", "--out", tmp_path / "answer", "--output", "csv").exit_code == 0
+    assert (tmp_path / "answer").read_text() == "n\n1\n"
+
+
+def test_a_table_in_a_file_has_all_rows_unless_told_otherwise(lake: Lake, tmp_path: Path) -> None:
+    sql, file = "SELECT range AS n FROM range(1500)", tmp_path / "answer.txt"
+    done = ask(lake, sql, "--out", file)
+    assert file.read_text().splitlines()[2:] == [f"{n:4}" for n in range(1500)] + ["(1500 rows)"]
+    assert done.stderr == f"{file}: 1500 rows\n"
+    done = ask(lake, sql, "--out", file, "--force", "--limit", 10)
+    assert file.read_text().splitlines()[-1] == "(the first 10 of 1500 rows)"
+    assert done.stderr == f"{file}: the first 10 of 1500 rows\n"
+    assert ask(lake, sql).stdout.splitlines()[-1] == "(the first 1000 of 1500 rows)"
+
+
 def test_a_file_is_written_whole_or_not_at_all(lake: Lake, tmp_path: Path) -> None:
     file, before = tmp_path / "answer.csv", state(Path(lake.address))
     late = "SELECT CASE WHEN range = 999999 THEN error('late') ELSE range END AS n FROM range(1000000)"

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _FORMS: dict[str, Output] = {".csv": "csv", ".json": "json", ".jsonl": "jsonl", ".ndjson": "jsonl", ".parquet": "parquet", ".txt": "table"}
 """Forms of an answer by the ending of the file that takes it."""
 
+_TABLE_ROWS = 1000
+"""Rows that a terminal shows where nobody says how many."""
+
 _GRACE = 10.0  # s; DuckDB looks up from its work at least that often, unless a single value takes it longer
 
 _SLACK = 2**30  # B; threads and allocators reserve more addresses than they use
@@ -37,7 +40,7 @@ _SLACK = 2**30  # B; threads and allocators reserve more addresses than they use
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Write the answer into a file, whole or not at all.")
 @click.option("--force", is_flag=True, help="Let --out replace a file.")
-@click.option("--limit", type=click.IntRange(0), default=1000, show_default=True, help="Rows that a table shows; 0 shows all.")
+@click.option("--limit", type=click.IntRange(0), help="Rows that a table shows; 0 shows all.  [default: 1000; in a file all]")
 @click.option("--timeout", type=click.FloatRange(0), default=600, show_default=True, help="Seconds until it is ended; 0 waits for ever.")
 @click.option("--memory", type=click.FloatRange(0.5), default=3, show_default=True, help="GB that it may use.")
 @click.option("--json", "as_json", is_flag=True, help="The same as --output json; --list gives JSON, too.")
@@ -50,7 +53,7 @@ def command(
     output: Output | None,
     out: Path | None,
     force: bool,
-    limit: int,
+    limit: int | None,
     timeout: float,
     memory: float,
     as_json: bool,
@@ -75,7 +78,8 @@ def command(
         _list(output)
         return
     text = _statement(statement, source)
-    form = output or (_FORMS.get(out.suffix.lower()) if out else None) or "table"
+    form = output or (_form_of(out) if out and not out.is_dir() else "table")
+    most = limit if limit is not None else 0 if out else _TABLE_ROWS
     if form == "parquet" and out is None and sys.stdout.isatty():
         raise click.UsageError("Parquet is not for a terminal: name a file with --out")
     lake = existing_lake(address)
@@ -86,10 +90,21 @@ def command(
         stack.enter_context(_ended_after(timeout + _GRACE if timeout else None, timeout))
         stack.enter_context(_bounded_memory(int(memory * 2**30)))
         answer = stack.enter_context(ask(reader, text, timeout=timeout or None, memory_mb=int(memory * 700)))
-        rows = write_answer(answer, form, sink, limit or None)
+        rows = write_answer(answer, form, sink, most or None)
         sink.flush()
     if out is not None:
-        click.echo(f"{out}: {rows} row{'' if rows == 1 else 's'}", err=True)
+        shown = f"the first {most} of " if form == "table" and 0 < most < rows else ""
+        click.echo(f"{out}: {shown}{rows} row{'' if rows == 1 else 's'}", err=True)
+
+
+def _form_of(out: Path) -> Output:
+    """What the ending of a file says."""
+    from schemas.errors import InputError
+
+    form = _FORMS.get(out.suffix.lower())
+    if form is None:
+        raise InputError(str(out), "--out", "has no ending that says what form to write", f"use one of {', '.join(_FORMS)}, or --output")
+    return form
 
 
 def _list(output: Output | None) -> None:
