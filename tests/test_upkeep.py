@@ -12,6 +12,8 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from deltalake import DeltaTable
+from deltalake.exceptions import DeltaError
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +26,7 @@ from tests.samples import fingerprint, sample, stage_run
 from tests.test_erasure import kills
 from tests.whole_scenes import stage_batch, stage_whole_scene
 from warehouse.compaction import NOTE, compact
+from warehouse.delta import DeltaTables
 from warehouse.digest import digests
 from warehouse.inspection import inspect
 from warehouse.lake import Lake
@@ -205,6 +208,46 @@ def test_reader_of_a_kept_snapshot_goes_on_while_a_vacuum_runs(lake: Lake) -> No
     vacuum(lake, days=0)
     assert all(lake.storage.exists(file) for paths in files.values() for file in paths)
     assert len(reader.rows(Caption)) == 6
+
+
+def test_reader_that_opens_while_a_vacuum_runs_finds_its_snapshot(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = lake.snapshot()
+    real = DeltaTables.files
+
+    def overtaken(self: DeltaTables, table: str, opened: DeltaTable) -> list[str]:
+        """The files of a table, after which a vacuum puts others in their place, once."""
+        found = real(self, table, opened)
+        monkeypatch.setattr(DeltaTables, "files", real)
+        assert vacuum(Lake.open(lake.address), days=0).snapshots
+        assert not lake.storage.exists(found[0])
+        return found
+
+    monkeypatch.setattr(DeltaTables, "files", overtaken)
+    reader = lake.snapshot()
+    assert reader.snapshot == before.snapshot
+    assert reader.arrow("captions").equals(before.arrow("captions"))
+
+
+def test_log_that_is_shortened_while_it_is_read_is_read_again(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = Path(lake.address) / "tables" / "snapshots" / "_delta_log"
+    moved = log.with_name("moved")
+    log.rename(moved)
+    shutil.copytree(moved, log)
+    (log / f"{0:020}.json").unlink()  # a log without its beginning and without a checkpoint, as a reader may meet it
+    looks: list[float] = []
+
+    def put_back(seconds: float) -> None:
+        looks.append(seconds)
+        if len(looks) == 2:
+            shutil.rmtree(log)
+            moved.rename(log)
+
+    monkeypatch.setattr("warehouse.delta.time.sleep", put_back)
+    assert len(lake.snapshot().rows(Caption)) == 6
+    assert len(looks) == 2
+    next(log.glob("*.json")).write_text("nonsense")  # what stays broken is told
+    with pytest.raises(DeltaError):
+        lake.snapshot()
 
 
 def test_commands_say_what_they_do(lake: Lake) -> None:

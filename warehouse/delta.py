@@ -9,6 +9,7 @@ from __future__ import annotations
 import bisect
 import itertools
 import re
+import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,9 @@ ROW_GROUP_ROWS = 16_384
 # Beyond this many, small files are put together.
 SMALL_FILES_BEFORE_COMPACTION = 48
 
+# A vacuum or an erasure may shorten a log between listing and reading it. Readers do not wait for it, they look again.
+LOOK_AGAIN_SECONDS = (0.02, 0.1, 0.5)
+
 # Columns that rows are looked up by.
 _LOOKED_UP = ("scene_id", "asset_id", "room_id", "batch_id")
 
@@ -55,18 +59,28 @@ class DeltaTables:
         self._bounds: dict[str, dict[str, tuple[str, str]]] = {}
 
     def open(self, table: str, version: int | None = None) -> DeltaTable | None:
-        """A table at a version (default: its head); None when it was never written."""
+        """A table at a version (default: its head); None when it was never written.
+
+        Raises:
+            DeltaError: its log cannot be read.
+        """
         from deltalake import DeltaTable
-        from deltalake.exceptions import TableNotFoundError
+        from deltalake.exceptions import DeltaError, TableNotFoundError
 
         folder = f"{FOLDER}/{table}"
         # Asking the storage is ten times cheaper than letting delta-rs fail.
         if version is None and not self._storage.names(f"{folder}/_delta_log"):
             return None
-        try:
-            return DeltaTable(self._storage.delta_address(folder), version=version, storage_options=self._storage.delta_options())
-        except TableNotFoundError:
-            return None
+        for pause in (*LOOK_AGAIN_SECONDS, None):
+            try:
+                return DeltaTable(self._storage.delta_address(folder), version=version, storage_options=self._storage.delta_options())
+            except TableNotFoundError:
+                return None
+            except DeltaError:
+                if pause is None:
+                    raise
+                time.sleep(pause)
+        raise AssertionError("the last look returns or raises")
 
     def files(self, table: str, opened: DeltaTable) -> list[str]:
         """Paths of a version's Parquet files, relative to the lake, sorted.

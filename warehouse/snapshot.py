@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from functools import cached_property
@@ -16,7 +17,7 @@ from schemas.runs import Snapshot
 from schemas.tables import TABLES
 from warehouse import views
 from warehouse.commit import versions_of
-from warehouse.delta import DeltaTables
+from warehouse.delta import LOOK_AGAIN_SECONDS, DeltaTables
 from warehouse.documentation import comment_statements, quoted, sql_type
 from warehouse.released import released
 from warehouse.storage import Storage
@@ -36,9 +37,7 @@ class Reader:
     def __init__(self, storage: Storage, tables: DeltaTables, snapshot_id: int | None = None) -> None:
         self._storage, self._tables = storage, tables
         self._files: dict[str, list[str]] = {}
-        opened = tables.open("snapshots")
-        self._files["snapshots"] = tables.files("snapshots", opened) if opened is not None else []
-        rows = arrow_to_rows(tables.read(TABLES["snapshots"], self._files["snapshots"]), Snapshot)
+        rows = self._listed()
         self.snapshots: tuple[Snapshot, ...] = tuple(sorted(rows, key=lambda row: row.snapshot_id))
         if snapshot_id is not None:
             self.snapshots = tuple(row for row in self.snapshots if row.snapshot_id <= snapshot_id)
@@ -46,6 +45,19 @@ class Reader:
                 remedy = f"the lake has snapshots {_ranges([row.snapshot_id for row in rows])}" if rows else "the lake has no snapshot yet"
                 raise InputError(storage.address, "snapshot", f"there is no snapshot {snapshot_id}", remedy)
         self.snapshot: Snapshot | None = self.snapshots[-1] if self.snapshots else None
+
+    def _listed(self) -> list[Snapshot]:
+        """All snapshots, and note the file that they are in. A vacuum may have put another in its place before it is read."""
+        for pause in (*LOOK_AGAIN_SECONDS, None):
+            opened = self._tables.open("snapshots")
+            self._files["snapshots"] = self._tables.files("snapshots", opened) if opened is not None else []
+            try:
+                return arrow_to_rows(self._tables.read(TABLES["snapshots"], self._files["snapshots"]), Snapshot)
+            except FileNotFoundError:
+                if pause is None:
+                    raise
+                time.sleep(pause)
+        raise AssertionError("the last look returns or raises")
 
     @property
     def snapshot_id(self) -> int:
@@ -125,8 +137,6 @@ class Reader:
         connection.execute(f"SET allowed_paths = [{allowed}]")
         connection.execute("SET enable_external_access = false")
         connection.execute("SET TimeZone = 'UTC'")
-        # Files never change. Every view that asks a table would read the ends of all its files again: three times the work.
-        connection.execute("SET parquet_metadata_cache = true")
         # Every view reads the footers of its tables' files when it is made, and again when it is asked; files never change.
         connection.execute("SET parquet_metadata_cache = true")
         # In one transaction, which is nearly twice as fast as 260 of them.
