@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from schemas.errors import InputError
+from schemas.errors import InputError, LakeError
 from schemas.record import Table
 from warehouse.references import parquet, workspace
 from warehouse.storage import Storage
@@ -50,6 +50,18 @@ _LOOKED_UP = ("scene_id", "asset_id", "room_id", "batch_id")
 _CONFIGURATION = {"delta.enableExpiredLogCleanup": "false", "delta.deletedFileRetentionDuration": "interval 0 hours"}
 
 
+class LogError(LakeError):
+    """A table's log that cannot be read, its folder, and the reason that delta-rs gives."""
+
+    def __init__(self, folder: str, reason: str) -> None:
+        self.folder = folder
+        self.reason = (reason.strip().splitlines() or ["no reason is given"])[0]  # delta-rs adds its own stack
+        super().__init__(folder, reason)
+
+    def __str__(self) -> str:
+        return f"{self.folder}: cannot be read ({self.reason}); `metascenes doctor lake` says what is damaged"
+
+
 class DeltaTables:
     """The Delta tables of a lake, by name of the table."""
 
@@ -62,7 +74,7 @@ class DeltaTables:
         """A table at a version (default: its head); None when it was never written.
 
         Raises:
-            DeltaError: its log cannot be read.
+            LogError: its log cannot be read.
         """
         from deltalake import DeltaTable
         from deltalake.exceptions import DeltaError, TableNotFoundError
@@ -76,9 +88,9 @@ class DeltaTables:
                 return DeltaTable(self._storage.delta_address(folder), version=version, storage_options=self._storage.delta_options())
             except TableNotFoundError:
                 return None
-            except DeltaError:
+            except DeltaError as error:
                 if pause is None:
-                    raise
+                    raise LogError(f"{self._storage.address}/{folder}/_delta_log", str(error)) from error
                 time.sleep(pause)
         raise AssertionError("the last look returns or raises")
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from warehouse.delta import LogError
+
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
@@ -26,4 +28,4 @@ class Finding:
 
 def one_line(error: BaseException) -> str:
     """An error of a library in a few words."""
-    return " ".join(str(error).split())[:200]
+    return " ".join(str(error.reason if isinstance(error, LogError) else error).split())[:200]
