@@ -114,20 +114,23 @@ def attribution_page(reader: Reader, sent: Shipment) -> str:
     placed = []
     with reader.connect() as connection:
         rows = connection.execute(
-            "SELECT scene_id, instance_id, asset_id, assets.license, assets.author, assets.source"
+            "SELECT scene_id, instance_id, asset_id, assets.license, assets.author, assets.source, assets.provider"
             " FROM placements JOIN assets USING (asset_id)"
         )
         shipped = set(sent.scenes)
         while batch := rows.fetchmany(10_000):
             placed += [
-                (scene, asset, license_, author, source)
-                for scene, instance, asset, license_, author, source in batch
+                (scene, asset, license_, author, source, provider)
+                for scene, instance, asset, license_, author, source, provider in batch
                 if scene in shipped and (scene not in sent.kept or instance in sent.kept[scene])
             ]
     # Assets that were cut from another scan have its license, but it is no scan of this export.
-    sources = {source.removeprefix("scan ") for _, _, _, _, source in placed}
+    sources = {source.removeprefix("scan ") for _, _, _, _, source, _ in placed}
     licenses = {scene: scans[scene][1] for scene in {*sent.scenes, *sources} if scene in scans}
-    held = [(scene, asset, of_asset(license_, source, licenses), author, source) for scene, asset, license_, author, source in placed]
+    held = [
+        (scene, asset, of_asset(license_, source, licenses), author, source, provider)
+        for scene, asset, license_, author, source, provider in placed
+    ]
     return attribution_of_rows({scene: scans[scene] for scene in sent.scenes}, held).page("Attribution")
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import pyarrow.parquet as pq
@@ -20,15 +23,19 @@ from schemas.candidates import Asset
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
 from schemas.optimization import Placement
+from schemas.releases import Release
 from schemas.tables import TABLES
 from tests.conftest import REPOSITORY
 from tests.lake_load import scene_id, stage_scene
 from tests.samples import fingerprint, sample, stage_run
+from tests.view_answers import Database
 from warehouse.delta import nullable
 from warehouse.digest import digests
 from warehouse.lake import Lake
 from warehouse.macros import macros
 from warehouse.release import make_release, release_of, releases
+from warehouse.release.attribution import attribution_of, attribution_of_rows
+from warehouse.release.card import data_card
 from warehouse.release.catalog import attach_release, variable_of
 from warehouse.vacuum import vacuum
 from warehouse.views import views
@@ -141,6 +148,61 @@ def test_the_card_states_counts_licenses_and_limits(lake: Lake, folder: Path) ->
     assert f"| CC-BY-4.0 | {asks} | A. Maker | https://models.example/chair\\|1 | 1 | 1 |" in page
     assert "| CC0-1.0 | nothing | unknown | cut from scans of demo | 1 | 1 |" in page
     assert "| unknown | unknown: ask before handing it on | unknown | a drawer | 1 | 1 |" in page
+
+
+@pytest.fixture(scope="module")
+def several() -> Iterator[Database]:
+    """Two scenes captured here, and a scene of each of two imported datasets, which share an asset."""
+    with Database() as made:
+        rows: list[Any] = []
+        for scene, objects in (("demo/a", 3), ("demo/b", 1), ("hssd/c", 2), ("ycb/d", 1)):
+            dataset = scene.partition("/")[0]
+            shown = "scannet" if dataset == "demo" else "habitat"
+            rows.append(sample(Scene, scene_id=scene, dataset=dataset, scan_format=shown, license=None if dataset == "ycb" else "CC0-1.0"))
+            for number in range(objects):
+                of = {"scene_id": scene, "instance_id": f"{number:04}"}
+                rows.append(sample(Instance, **of, is_structure=False, nyu40_id=number % 2, category=f"thing {number}", box_volume_m3=2.0))
+                asset = "shared" if number == 0 and dataset != "demo" else f"{dataset} {number}"
+                rows.append(sample(Placement, **of, asset_id=fingerprint(asset)))
+        rows += [
+            sample(Asset, asset_id=fingerprint(name), provider=provider, license="CC-BY-4.0", author="A. Maker", source=source)
+            for name, provider, source in (
+                ("demo 0", "retrieval", "chair.glb"), ("demo 1", "retrieval", "chair.glb"), ("demo 2", "scan_crop_closed", "scan demo/a"),
+                ("shared", "imported", "objects/chair.glb"), ("hssd 1", "imported", "objects/lamp.glb"),
+            )
+        ]  # fmt: skip
+        failed = stage_run("demo/b", "exports", fingerprint("failed"))
+        rows.append(dataclasses.replace(failed, outcome="failed", error="out of luck", error_kind="defect"))
+        made.fill(*rows)
+        yield made
+
+
+def test_assets_of_imported_datasets_are_credited_to_the_dataset(several: Database) -> None:
+    credits = {(one.what, one.items, one.scenes) for one in attribution_of(several.connection).assets}
+    assert credits == {
+        ("chair.glb", 2, 2), ("cut from scans of demo", 1, 1),
+        ("dataset hssd, ycb: objects/chair.glb", 1, 2), ("dataset hssd: objects/lamp.glb", 1, 1),
+    }  # fmt: skip
+    scans = {row["scene_id"]: (row["dataset"], row["license"]) for row in several.ask("scenes")}
+    columns = "scene_id, asset_id, license, author, source, provider"
+    placed = several.connection.sql(f"SELECT {columns} FROM placements JOIN assets USING (asset_id)").fetchall()
+    assert attribution_of_rows(scans, placed) == attribution_of(several.connection), "an export of everything credits the same"
+
+
+def test_a_card_of_several_datasets_tells_them_apart(several: Database) -> None:
+    release = sample(Release, name="v1", objects=7)
+    card = data_card(release, several.connection, attribution_of(several.connection), [])
+    for line in (
+        "| demo | 2 | 2 | 4 | 1 | 4 | 100 | 2 |",
+        "| hssd | 1 | 2 | 2 | 1 | 2 | 100 | 2 |",
+        "| ycb | 1 | 1 | 1 | 0 | 1 | 100 | 2 |",
+    ):
+        assert line in card
+    assert "What failed at its last attempt (`failures`); what an earlier attempt gave may be in it:\n\n| scene |" in card
+    several.connection.execute("BEGIN")
+    several.connection.execute("DELETE FROM scenes WHERE dataset <> 'demo'")
+    assert "dataset_comparison" not in data_card(release, several.connection, attribution_of(several.connection), [])
+    several.connection.execute("ROLLBACK")
 
 
 def shell(sql: str, folder: Path) -> list[dict[str, object]]:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from warehouse.licenses import UNKNOWN, duties, is_unknown, of_asset
 
 if TYPE_CHECKING:
     import duckdb
+
+IMPORTED = "imported"
+"""Provider of the assets of finished datasets."""
 
 
 @dataclasses.dataclass(frozen=True, order=True)
@@ -62,15 +65,24 @@ def attribution_of(connection: duckdb.DuckDBPyConnection) -> Attribution:
     """The attribution of all scenes that a connection reads."""
     scans = connection.execute("SELECT coalesce(license, ''), dataset, count(*) FROM scenes GROUP BY ALL").fetchall()
     assets = connection.execute(
-        "SELECT assets.license, coalesce(assets.author, ''), assets.source, scenes.license, count(DISTINCT assets.asset_id),"
-        " count(DISTINCT placements.scene_id) FROM placements JOIN assets USING (asset_id)"
+        "WITH imported AS (SELECT asset_id, list(DISTINCT split_part(scene_id, '/', 1)) AS datasets FROM placements"
+        f" JOIN assets USING (asset_id) WHERE assets.provider = '{IMPORTED}' GROUP BY asset_id)"
+        " SELECT assets.license, coalesce(assets.author, ''), assets.source, list_sort(coalesce(imported.datasets, [])) AS datasets,"
+        " scenes.license, count(DISTINCT assets.asset_id), count(DISTINCT placements.scene_id)"
+        " FROM placements JOIN assets USING (asset_id) LEFT JOIN imported USING (asset_id)"
         " LEFT JOIN scenes ON assets.source = 'scan ' || scenes.scene_id GROUP BY ALL"
     ).fetchall()
     return _attribution(
         [(license_, dataset, count) for license_, dataset, count in scans],
-        [(of_asset(license_, source, {source.removeprefix("scan "): scan}), author, source, items, scenes)
-         for license_, author, source, scan, items, scenes in assets],
+        [(of_asset(license_, source, {source.removeprefix("scan "): scan}), author, _source(source, datasets), items, scenes)
+         for license_, author, source, datasets, scan, items, scenes in assets],
     )  # fmt: skip
+
+
+def _source(source: str, datasets: Iterable[str]) -> str:
+    """Where an asset came from. Of one that was imported, the file alone does not say from which dataset."""
+    named = ", ".join(sorted(datasets))
+    return f"dataset {named}: {source or UNKNOWN}" if named and not source.startswith("scan ") else source
 
 
 def _attribution(scans: Sequence[tuple[str, str, int]], assets: Sequence[tuple[str, str, str, int, int]]) -> Attribution:
@@ -89,17 +101,22 @@ def _attribution(scans: Sequence[tuple[str, str, int]], assets: Sequence[tuple[s
 
 
 def attribution_of_rows(
-    scans: Mapping[str, tuple[str, str | None]], placed: Sequence[tuple[str, str, str, str | None, str]]
+    scans: Mapping[str, tuple[str, str | None]], placed: Sequence[tuple[str, str, str, str | None, str, str]]
 ) -> Attribution:
-    """The attribution of some scenes. scans: dataset and license by scene. placed: scene, asset, license, author, source.
+    """The attribution of some scenes. scans: dataset and license by scene. placed: scene, asset, license, author, source, provider.
 
     The license of an asset that was cut from a scan is looked up among `scans`.
     """
     licenses = {scene: license_ for scene, (_, license_) in scans.items()}
     counts = Counter((license_ or "", dataset) for dataset, license_ in scans.values())
     items: dict[tuple[str, str, str], tuple[set[str], set[str]]] = {}
-    for scene, asset, license_, author, source in placed:
-        found = items.setdefault((of_asset(license_, source, licenses), author or "", source), (set(), set()))
+    datasets: dict[str, set[str]] = {}
+    for scene, asset, _, _, _, provider in placed:
+        if provider == IMPORTED:
+            datasets.setdefault(asset, set()).add(scene.partition("/")[0])
+    for scene, asset, license_, author, source, _ in placed:
+        whence = _source(source, datasets.get(asset, ()))
+        found = items.setdefault((of_asset(license_, source, licenses), author or "", whence), (set(), set()))
         found[0].add(asset)
         found[1].add(scene)
     return _attribution(

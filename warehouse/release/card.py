@@ -43,6 +43,11 @@ _PER_SCENE = """
         UNION ALL SELECT 'categories', categories FROM categories_per_scene)
     GROUP BY what ORDER BY what DESC
 """
+_DATASETS = """
+    SELECT dataset, scenes, median_objects_per_scene AS "objects per scene, median", objects, categories AS "categories in the label map",
+        placed_objects AS "placed objects", round(100 * placed_share, 1) AS "placed [%]", median_box_volume_m3 AS "box, median [m3]"
+    FROM dataset_comparison ORDER BY dataset
+"""
 _CATEGORIES = 'SELECT category, objects, scenes, round(100 * share, 1) AS "share [%]" FROM category_counts ORDER BY objects DESC, category'
 _WINS = """
     SELECT provider, CAST(sum(filled) AS BIGINT) AS filled, CAST(sum(fallbacks) AS BIGINT) AS fallbacks, CAST(sum(wins) AS BIGINT) AS wins
@@ -144,9 +149,12 @@ def _licenses(attribution: Attribution) -> str:
 
 
 def _figures(ask: _Answers) -> str:
-    parts = ["## Figures", "", ask.table(_PER_SCENE), "The most frequent categories:", "", ask.table(_CATEGORIES, most=10),
+    parts = ["## Figures", "", ask.table(_PER_SCENE)]
+    if ask.row("SELECT count(DISTINCT dataset) FROM scenes")[0] > 1:
+        parts += ["These and all figures below are of all datasets together. By dataset (`dataset_comparison`):", "", ask.table(_DATASETS)]
+    parts += ["The most frequent categories:", "", ask.table(_CATEGORIES, most=10),
              "Candidates by provider:", "", ask.table(_WINS), "Layout, stability, navigation and exports:", "", ask.table(_LAYOUT),
-             "Time of the stages per scene:", "", ask.table(_TIMES)]  # fmt: skip
+             "Time of the stages per scene (annotation, evaluation: per batch; imports aside):", "", ask.table(_TIMES)]  # fmt: skip
     return "\n".join(parts)
 
 
@@ -163,13 +171,13 @@ def _limits(release: Release, ask: _Answers, attribution: Attribution) -> str:
         f"- {fallbacks:,} of {answers:,} answers of captions and candidates are fallbacks: their provider had nothing, another stood in.",
         f"- {unplaced:,} of {release.objects:,} objects have no asset in their place.",
         f"- {unstable:,} placed objects do not stay within 5 cm and 5 degrees; {refused:,} could not be simulated (`unstable_objects`).",
-        f"- {unreachable:,} objects are the target of no episode, since no view point of them can be reached (`unreachable_targets`).",
+        f"- {unreachable:,} objects are such that no episode could be made for them (`unreachable_objects` says why).",
         f"- {unknown[0]:,} scans and {unknown[1]:,} placed assets have no known license; {authors:,} placed assets no known author.",
         "",
         "What had to be left out or done otherwise (`degradation_counts`):",
         "",
         ask.table("SELECT stage, degradation, times, scenes FROM degradation_counts ORDER BY times DESC, stage, degradation"),
-        "What failed and is not in it (`failures`):",
+        "What failed at its last attempt (`failures`); what an earlier attempt gave may be in it:",
         "",
         ask.table("SELECT scene_id AS scene, stage, error_kind AS kind, error FROM failures ORDER BY scene_id, stage"),
         "Checks of exports that are not passed (`broken_rules`):",
