@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -249,6 +250,21 @@ def test_log_that_is_shortened_while_it_is_read_is_read_again(lake: Lake, monkey
         lake.snapshot()
     assert "\n" not in str(told.value)
     assert "unknown" not in str(told.value)
+
+
+@pytest.mark.parametrize(("damage", "said"), [("missing", "is missing, which snapshot"), ("cut off", "cannot be read")])
+def test_data_file_that_is_damaged_is_named(lake: Lake, damage: str, said: str) -> None:
+    name = lake.snapshot().files("instances")[0]
+    file = Path(lake.address) / name
+    data = file.read_bytes()
+    file.unlink()
+    if damage == "cut off":
+        file.write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match=f"{re.escape(name)}: {said}") as told:
+        lake.snapshot().connect()
+    assert "\n" not in str(told.value)
+    file.write_bytes(data)
+    lake.snapshot().connect().close()
 
 
 def test_commands_say_what_they_do(lake: Lake) -> None:

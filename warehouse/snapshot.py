@@ -127,6 +127,9 @@ class Reader:
         `memory_limit`, `threads` and `temp_directory`.
 
         It can still write over those very files when asked to: run other people's SQL through `warehouse.sql.query`.
+
+        Raises:
+            InputError: a data file of the snapshot is missing or damaged.
         """
         import duckdb
 
@@ -141,11 +144,31 @@ class Reader:
         connection.execute("SET parquet_metadata_cache = true")
         # In one transaction, which is nearly twice as fast as 260 of them.
         connection.execute("BEGIN")
-        connection.execute(";\n".join(statement for table in TABLES for statement in self._view(table, paths[table])))
+        try:
+            connection.execute(";\n".join(statement for table in TABLES for statement in self._view(table, paths[table])))
+        except duckdb.Error as error:
+            connection.close()
+            self._check_files()
+            raise error
         views.install(connection)
         connection.execute("COMMIT")
         connection.execute("SET lock_configuration = true")
         return connection
+
+    def _check_files(self) -> None:
+        """Raise an error that names the data file when one is missing or damaged: DuckDB speaks of permissions and patterns."""
+        import pyarrow.parquet as pq
+
+        for file in (file for table in TABLES for file in self.files(table)):
+            try:
+                pq.read_metadata(self._storage.arrow_path(file), filesystem=self._storage.arrow_filesystem())
+            except FileNotFoundError as error:
+                problem = f"is missing, which snapshot {self.snapshot_id} names"
+                remedy = "ask again if a vacuum or an erasure ran; else `metascenes doctor lake` says what is damaged"
+                raise InputError(self._storage.address, file, problem, remedy) from error
+            except (pa.ArrowException, OSError) as error:
+                problem = f"cannot be read ({error})"
+                raise InputError(self._storage.address, file, problem, "`metascenes doctor lake` says what is damaged") from error
 
     def _view(self, name: str, paths: list[str]) -> list[str]:
         """Statements that make the view of a table."""
