@@ -1,6 +1,7 @@
 -- How often did people choose what the selection had ranked first?
 -- Version 1.
--- Of each annotator the answer that counts (view current_answers). agreement is a share of the answers that chose something.
+-- Of each annotator the answer that counts (view current_answers). agreement is a share of the answers that chose something. Instances
+-- that were numbered anew since are not told apart.
 SELECT
     answers.annotator,
     count(*) AS answers,

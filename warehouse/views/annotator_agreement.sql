@@ -1,9 +1,9 @@
 -- How often do two annotators choose the same for the same instance, and how much more often than by chance?
 -- Version 1.
--- Of each annotator the answer that counts (view current_answers); 'none fits' is a choice like any other. agreement is the share of
--- equal choices. cohens_kappa (Cohen 1960) is (agreement - chance) / (1 - chance), with chance from how often either annotator takes
--- which slot (the lowest that holds the asset; an asset that is no candidate any more stands for itself): 1 is full agreement, 0 what
--- chance gives, missing where chance alone would agree always.
+-- Of each annotator the answer that counts (view current_answers); 'none fits' is a choice like any other. agreement is the share of equal
+-- choices. cohens_kappa (Cohen 1960) is (agreement - chance) / (1 - chance), with chance from how often either annotator takes which slot
+-- (the lowest that holds the asset; an asset that is no candidate any more stands for itself): 1 is full agreement, 0 what chance gives,
+-- missing where chance alone would agree always. Instances that were numbered anew since are not told apart.
 WITH labeled AS (
     SELECT
         answers.scene_id,

@@ -1,5 +1,6 @@
 -- Whom do the placed assets come from, and under which license?
 -- Version 1.
+-- LicenseRef-scan stands for the license of the scan that an asset was cut from (assets.source).
 WITH used AS (
     SELECT asset_id, count(*) AS uses
     FROM placements

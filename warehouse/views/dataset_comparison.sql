@@ -1,8 +1,9 @@
 -- How do the datasets of the lake compare: scenes, objects, categories, sizes, licenses, stability?
 -- Version 1.
 -- A finished dataset that was imported (formats metascenes and habitat) has no scans of its own here; what it does not state is missing.
--- Stability is MuJoCo's verdict on the objects that are free to move; known_share is that of objects whose label the label map has.
--- The dataset is the first word of scene_id: joining tables of millions of rows with scenes takes twice as long.
+-- Stability is MuJoCo's verdict on the objects that are free to move; known_share is that of objects whose label the label map has. The
+-- dataset is the first word of scene_id: joining tables of millions of rows with scenes takes twice as long. categories counts those that
+-- the label map has, assets those that are placed; LicenseRef-scan is the license of the scan.
 WITH counted AS (
     SELECT
         split_part(scene_id, '/', 1) AS dataset,

@@ -1,5 +1,6 @@
 -- How far did the optimization move the objects of each category?
 -- Version 1.
+-- objects counts all that are placed; one of an imported dataset that states a single pose has no displacement.
 SELECT
     instances.category,
     count(*) AS objects,

@@ -1,6 +1,6 @@
 -- What does the lake hold, in one row?
 -- Version 1.
--- Stability is MuJoCo's verdict on the objects that are free to move.
+-- Stability is MuJoCo's verdict on the objects that are free to move. assets counts those of all candidates, placed or not.
 SELECT
     (SELECT count(*) FROM scenes) AS scenes,
     (SELECT count(DISTINCT room_id) FROM scenes) AS rooms,

@@ -1,7 +1,8 @@
 -- Under which licenses are the scan and the placed assets of each scene?
 -- Version 1.
--- Asked of a release, it says under which licenses the release is. items counts different assets, uses the objects that they stand for.
--- In no order: there may be hundreds of thousands.
+-- Asked of a release, it says under which licenses the release is. items counts different assets, uses the objects that they stand for. In
+-- no order: there may be hundreds of thousands. LicenseRef-scan stands for the license of the scan that an asset was cut from
+-- (assets.source).
 SELECT
     scene_id,
     'scan' AS material,

@@ -1,6 +1,7 @@
 -- Under which licenses are the scans and the placed assets?
 -- Version 1.
 -- items counts different scans or assets, uses the objects that they stand for; the view license_by_scene says it by scene.
+-- LicenseRef-scan stands for the license of the scan that an asset was cut from (assets.source).
 WITH placed AS MATERIALIZED (
     SELECT asset_id, license
     FROM assets

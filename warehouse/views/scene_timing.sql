@@ -1,5 +1,6 @@
 -- How long did each scene take, and which of its stages took longest?
 -- Version 1.
+-- The run of an import of a finished dataset counts as well, all its time as capture.
 SELECT
     runs.scene_id,
     count(*) AS stages,
