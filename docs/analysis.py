@@ -218,7 +218,8 @@ def _(BLUE, ask, chart):
     reach = ask("SELECT scene_id, agent, navigable_share, episodes FROM navigability ORDER BY scene_id, agent")
     _shares = [share for share in reach["navigable_share"] if share is not None]
     _figure, _axes = chart("What share of a scene's floor can an agent reach?", "share of the floor", "scenes")
-    _axes.hist(_shares, bins=20, range=(0, 1), color=BLUE, edgecolor="white")
+    # beyond 1 where a navmesh has storeys and the floor is one
+    _axes.hist(_shares, bins=20, range=(0, max([1, *_shares])), color=BLUE, edgecolor="white")
     _figure
     return (reach,)
 

@@ -64,7 +64,7 @@ def command(
 ) -> None:
     """Ask the lake a question in SQL. Only statements that read are let through. A STATEMENT of - is read from standard input.
 
-    Example: metascenes sql "SELECT category, count(*) FROM instances GROUP BY ALL ORDER BY 2 DESC LIMIT 5"
+    Example: metascenes sql "SELECT category, count(*) FROM instances WHERE NOT is_structure GROUP BY ALL"
 
     Example: metascenes sql "FROM instances" --out instances.parquet
     """

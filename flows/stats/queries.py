@@ -235,7 +235,7 @@ _ORDERS: Mapping[str, str] = {
     "support_counts": "lost DESC, unsupported DESC, scene_id",
     "density_check": "implausible DESC, objects DESC, category",
     "navigability": "navigable_share, scene_id, agent",
-    "navigation_metrics": "policy, run_name, split, success_distance_m",
+    "navigation_metrics": "policy, run_name, agent, split, success_distance_m",
     "unreachable_objects": "scene_id, instance_id",
     "export_verdicts": "passed, scene_id, format",
     "license_counts": "material, license",

@@ -248,6 +248,7 @@ GRIDS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] = {
         (
             ("policy", "Policy", as_text),
             ("run_name", "Run", as_text),
+            ("agent", "Agent", as_text),
             ("split", "Split", as_text),
             ("success_distance_m", "Success below [m]", as_number),
             ("n", "Trajectories", as_count),
