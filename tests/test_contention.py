@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from flows.bench.warehouse.contention import CAPTIONS, SLOTS, contention, rows_per_scene, scene_id, seen_wrong, stage_scene
 from warehouse.lake import Lake
 
@@ -61,3 +63,13 @@ def test_a_scene_has_the_rows_that_are_counted(tmp_path: Path) -> None:
     assert reader.arrow("captions").num_rows == CAPTIONS
     assert reader.arrow("candidates").num_rows == CAPTIONS * SLOTS
     assert reader.arrow("assets").num_rows == SLOTS
+
+
+@pytest.mark.timeout(120)
+def test_a_process_that_dies_of_an_error_ends_it_and_is_told(tmp_path: Path) -> None:
+    Lake.open(tmp_path / "lake").blobs.put(b"contention", "glb")
+    (tmp_path / "lake" / "staged").write_text("no folder")  # nobody can stage
+    found = contention(tmp_path / "lake", scenes=2, writers=4, committers=1, readers=1, kills=0)
+    assert len(found.errors) >= 1
+    assert "staged" in found.errors[0]
+    assert (found.commits, found.lost) == (0, 2 * rows_per_scene() + 2 * (SLOTS - 1) + 1)

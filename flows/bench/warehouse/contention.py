@@ -70,18 +70,23 @@ class Contention:
 def contention(
     folder: Path, *, scenes: int = 200, writers: int = 8, committers: int = 2, readers: int = 2, kills: int = 10, seed: int = 0
 ) -> Contention:
-    """Let `writers` stage, `committers` compete and `readers` poll on a new lake; committers are killed `kills` times meanwhile."""
+    """Let `writers` stage, `committers` compete and `readers` poll on a new lake; committers are killed `kills` times meanwhile.
+
+    It is over before everything is committed when a process dies of an error.
+    """
     from warehouse.lake import Lake
 
     lake = Lake.open(folder)
     started = time.monotonic()
-    share = [range(first, scenes, writers) for first in range(writers)]
+    share = [range(first, scenes, writers) for first in range(min(writers, scenes))]
     staging = [_process("write", lake, ",".join(map(str, numbers))) for numbers in share]
     reading = [_process("read", lake, str(scenes)) for _ in range(readers)]
     committing = [_process("commit", lake, str(scenes)) for _ in range(committers)]
     random_ = random.Random(seed)
     killed = in_commit = 0
     while any(process.poll() is None for process in (*staging, *committing)):
+        if any(process.poll() not in (None, 0) for process in (*staging, *committing, *reading)):
+            break  # the others would wait for it for ever
         time.sleep(random_.uniform(0.0, 0.2))
         victim = next((i for i, process in enumerate(committing) if process.poll() is None and _holds_lease(lake, process.pid)), None)
         if killed < kills and victim is not None:
@@ -92,8 +97,9 @@ def contention(
             killed += 1
             committing[victim] = _process("commit", lake, str(scenes))
     seconds = time.monotonic() - started
-    for process in reading:
-        process.send_signal(signal.SIGTERM)
+    for process in (*staging, *committing, *reading):
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
     errors, seen = [], collections.Counter[str]()
     for process in (*staging, *committing, *reading):
         out, error = process.communicate()
@@ -197,15 +203,15 @@ def _accounts(reader: Reader, scenes: int) -> tuple[int, int, int]:
     for table, column, count in (("scenes", "license", 1), ("captions", "sentence", CAPTIONS), ("candidates", "reason", CAPTIONS * SLOTS)):
         rows = reader.arrow(table)
         keys = list(zip(*(rows.column(name).to_pylist() for name in _keys(table)), strict=True))
-        lost += scenes * count - len(set(keys))
+        lost += max(scenes * count - len(set(keys)), 0)
         doubled += len(keys) - len(set(keys))
         wrong |= {
             scene for scene, tag in zip(rows.column("scene_id").to_pylist(), rows.column(column).to_pylist(), strict=True) if tag != last
         }
     assets = reader.arrow("assets").column("asset_id").to_pylist()
-    lost += scenes * (SLOTS - 1) + 1 - len(set(assets))
+    lost += max(scenes * (SLOTS - 1) + 1 - len(set(assets)), 0)
     doubled += len(assets) - len(set(assets))
-    return max(lost, 0), doubled, len(wrong)
+    return lost, doubled, len(wrong)
 
 
 def _keys(table: str) -> tuple[str, ...]:

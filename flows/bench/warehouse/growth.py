@@ -38,9 +38,10 @@ _RUNS = 3
 class Growth:
     """Times [s] on a lake with this many scenes; medians of three.
 
-    commit_new_seconds: `BATCH` scenes that the lake does not have, all tables and the snapshot. commit_again_seconds: as many
-    neighboring scenes with new rows in the place of theirs. neighbors_seconds, scattered_seconds: `REPLACED` scenes of
-    `TABLE`, one after the other in the lake or evenly spread over it. scene_seconds: all rows of one scene, all tables.
+    commit_new_seconds: `BATCH` scenes that the lake does not have, all tables of scenes and the snapshot; assets and splits,
+    which scenes share, stay. commit_again_seconds: as many neighboring scenes with new rows in the place of theirs.
+    neighbors_seconds, scattered_seconds: `REPLACED` scenes of `TABLE`, one after the other in the lake or evenly spread over
+    it; of a table that is open, without the snapshot. scene_seconds: all rows of one scene, all tables of scenes.
     """
 
     scenes: int
@@ -66,12 +67,13 @@ def growth(scenes: int, seed: int = 0, advance: Callable[[str], None] | None = N
         told("commits of scenes anew")
         neighbors = [_replace_seconds(lake, _spread(names, i)[:REPLACED]) for i in range(_RUNS)]
         told("neighbors replaced")
-        scattered = _replace_seconds(lake, names[:: max(1, len(names) // REPLACED)][:REPLACED])
+        step = max(1, len(names) // REPLACED)
+        scattered = [_replace_seconds(lake, names[i * step // _RUNS :: step][:REPLACED]) for i in range(_RUNS)]
         told("scattered scenes replaced")
         one = [_scene_seconds(lake, names[len(names) // (i + 2)]) for i in range(_RUNS)]
         told("one scene read")
     median = statistics.median
-    return Growth(scenes, rows, median(new), median(again), median(neighbors), scattered, median(one))
+    return Growth(scenes, rows, median(new), median(again), median(neighbors), median(scattered), median(one))
 
 
 def steps() -> int:
@@ -121,7 +123,7 @@ def _commit_seconds(lake: Lake, scenes: Sequence[str], prefix: str) -> float:
 
 
 def _replace_seconds(lake: Lake, scenes: Sequence[str]) -> float:
-    """Time that replacing these scenes' rows of the table takes, as a commit does it."""
+    """Time that replacing these scenes' rows takes in the table once it is open, as a commit does it."""
     reader, table = lake.snapshot(), TABLES[TABLE]
     opened = lake.tables.open(TABLE)
     rows: pa.Table = lake.tables.read(table, lake.tables.files(TABLE, opened) if opened else reader.files(TABLE), only={"scene_id": scenes})

@@ -144,6 +144,9 @@ def goals(report: Mapping[str, Any]) -> list[dict[str, Any]]:
         seen = report["contention"]
         found.append(goal("contention: processes that died of an error", len(seen["errors"]), "==", 0))
         found += [goal(f"contention: {name}", seen[name], "==", 0) for name in ("halves", "mixed", "lost", "doubled")]
+        # Without these the zeros would say nothing.
+        found.append(goal("contention: snapshots that readers looked at", seen["reads"], ">=", 1))
+        found.append(goal("contention: committers killed in mid-commit", seen["in_commit"], ">=", 1))
     if "refusals" in report:
         found.append(goal("attempts that were not refused", sum(not one["refused"] for one in report["refusals"]), "==", 0))
         found.append(goal("attempts that changed something", sum(not one["unchanged"] for one in report["refusals"]), "==", 0))
