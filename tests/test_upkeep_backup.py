@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -11,6 +12,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
@@ -199,6 +202,23 @@ def test_damaged_backups_are_refused(lake: Lake, tmp_path: Path, damage: str) ->
     assert not (tmp_path / "new" / "lake.json").exists()
     with pytest.raises(InputError):  # nobody takes it for a lake
         stage_whole_scene(Lake.open(tmp_path / "new"), SCENES[0], "x", at=0) if damage in ("changed", "cut", "gone") else restore("x", "y")
+
+
+@pytest.mark.parametrize("place", ["../outside", "tables/../../outside", "{folder}/outside"])
+def test_a_backup_does_not_choose_where_files_go(lake: Lake, tmp_path: Path, place: str) -> None:
+    backup(lake, tmp_path / "backup")
+    path = place.format(folder=tmp_path)
+    file = tmp_path / "backup" / path
+    file.write_bytes(b"x")
+    listed = pq.read_table(tmp_path / "backup" / "backup.parquet").to_pylist()
+    more = {"path": path, "size": 1, "sha256": hashlib.sha256(b"x").hexdigest()}
+    pq.write_table(pa.Table.from_pylist([*listed, more]), tmp_path / "backup" / "backup.parquet")
+    before = {name for name in tmp_path.rglob("*") if "restored" not in name.parts}
+    with pytest.raises(InputError, match="which is no file of a lake"):
+        restore(tmp_path / "backup", tmp_path / "deep" / "restored")
+    assert {name for name in tmp_path.rglob("*") if "deep" not in name.parts} == before
+    assert not (tmp_path / "deep" / "outside").exists()
+    assert not Lake.open(tmp_path / "deep" / "restored").exists
 
 
 def test_damaged_lakes_are_not_backed_up(lake: Lake, tmp_path: Path) -> None:

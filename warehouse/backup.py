@@ -317,6 +317,11 @@ def _manifest(storage: Storage) -> list[_File]:
         raise InputError(storage.address, MANIFEST, "is missing", "use another backup") from None
     except pa.ArrowException as error:
         raise InputError(storage.address, MANIFEST, "cannot be read", "use another backup") from error
+    for row in rows:
+        # Whoever wrote the list must not choose where on this machine a restore writes.
+        parts = str(row["path"]).split("/")
+        if not parts[0] or ".." in parts or "\\" in str(row["path"]):
+            raise InputError(storage.address, MANIFEST, f"names {row['path']!r}, which is no file of a lake", "use another backup")
     return [_File(row["path"], row["size"], row["sha256"]) for row in rows]
 
 
