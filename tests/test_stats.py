@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 from flows.cli import cli
 from flows.stats import STAGES, ShownScenes, answers_of, draw_charts, picture_scene_of, report_queries, stage_table, write_report
 from flows.stats.queries import _ORDERS as ORDERS
-from schemas.capture import Room
+from schemas.capture import Room, Scene
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.replica import room_shell
@@ -26,8 +26,10 @@ from tasks.stats.scenes import Outline, PictureConfig
 from tasks.stats.style import INK
 from tasks.transforms import matrix
 from tests.furnished import furnished_lake, solid
+from tests.samples import fingerprint, sample, stage_run
 from tests.test_stats_charts import texts
 from warehouse.lake import Lake
+from warehouse.release import make_release
 from warehouse.views import listing
 
 CHARTS = 14
@@ -266,7 +268,31 @@ def test_the_command_says_what_it_would_write_and_writes_nothing(lake: Lake, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_takes_a_release_and_refuses_an_unknown_one(lake: Lake, tmp_path: Path) -> None:
+def test_a_report_on_a_release_names_it(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    for number, name in enumerate(("ours/a", "theirs/a")):
+        row = sample(Scene, scene_id=name, dataset=name.partition("/")[0], mesh_blob=lake.blobs.put(b"none", "glb"))
+        lake.stage_rows(stage_run(name, "capture", fingerprint(name)), {"scenes": [row], "rooms": [], "instances": []})
+        lake.commit()
+        if not number:
+            make_release(lake, "v1")
+    text = {}
+    for name, words in {"release": ["--release", "v1"], "newest": []}.items():
+        out = tmp_path / f"{name}.html"
+        assert metascenes("stats", "--lake", lake.address, "--out", out, *words).exit_code == 0
+        text[name] = Page(out.read_text()).text
+    assert "Snapshot 1 of " in text["release"]
+    assert "released as v1. A release is kept for good" in " ".join(text["release"].split())
+    assert 'metascenes sql --release v1 "SELECT' in text["release"]
+    assert "ours" in text["release"]
+    assert "theirs" not in text["release"]
+    assert 'metascenes sql --snapshot 2 "SELECT' in text["newest"]
+    assert "--release v1" not in text["newest"]
+    for name in ("ours", "theirs"):
+        assert f'<td>{name}</td><td class="n">1</td>' in (tmp_path / "newest.html").read_text(), "a scene of each dataset"
+
+
+def test_the_command_refuses_an_unknown_release(lake: Lake, tmp_path: Path) -> None:
     refused = metascenes("stats", "--lake", lake.address, "--release", "v9", "--out", tmp_path / "r.html")
     assert isinstance(refused.exception, InputError)
     assert "v9" in str(refused.exception)

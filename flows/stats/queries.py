@@ -219,6 +219,7 @@ ORDER BY filled.alike DESC, filled.category, filled.slot"""
 
 
 _ORDERS: Mapping[str, str] = {
+    "dataset_comparison": "dataset",
     "annotation_timing": "reading DESC",
     "annotation_agreement": "answers DESC, annotator",
     "annotator_agreement": "instances DESC, annotator_a, annotator_b",

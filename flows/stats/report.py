@@ -82,6 +82,7 @@ def write_report(
         stages=STAGES,
         snapshot_id=reader.snapshot_id,
         snapshot_time=f"{reader.snapshot.created_at:%Y-%m-%d %H:%M} UTC" if reader.snapshot else "",
+        releases=[release.name for release in reader.releases if release.snapshot_id == reader.snapshot_id],
         code_version=_code_version(),
     )
     path = report_path(out)

@@ -47,6 +47,23 @@ GRIDS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] = {
             ("peak_memory_mb", "Peak memory [MB]", as_number),
         ),
     ),
+    "dataset_comparison": (
+        "Datasets side by side",
+        (
+            ("dataset", "Dataset", as_text),
+            ("scenes", "Scenes", as_count),
+            ("objects", "Objects", as_count),
+            ("median_objects_per_scene", "Per scene, median", as_number),
+            ("categories", "Categories known", as_count),
+            ("known_share", "Objects of these", as_share),
+            ("median_box_volume_m3", "Box, median [m\u00b3]", as_number),
+            ("placed_share", "Placed", as_share),
+            ("assets", "Placed assets", as_count),
+            ("mean_displacement_m", "Moved, mean [m]", as_number),
+            ("free_objects", "Free, certified", as_count),
+            ("stable_5cm_share", "Within 5 cm and 5\u00b0", as_share),
+        ),
+    ),
     "annotation_timing": (
         "Minutes per object: the paper's annotation, people's here, and computation",
         (

@@ -32,6 +32,7 @@ class ReportContent:
     answers: Rows by name of the query. totals: How many rows a view has of which only the first are there.
     scenes: Pictures by scene; a reason in their place where there are none. picture_size: Width and height of these pictures [px].
     tiles, strips: The galleries. stages: Stages in the order of the data path.
+    releases: Names that the snapshot is released under.
     """
 
     answers: Mapping[str, pa.Table]
@@ -45,6 +46,7 @@ class ReportContent:
     stages: Sequence[str]
     snapshot_id: int
     snapshot_time: str
+    releases: Sequence[str]
     code_version: str
 
 
@@ -70,6 +72,7 @@ def render_report(content: ReportContent) -> str:
         queries=content.queries,
         snapshot_id=content.snapshot_id,
         snapshot_time=content.snapshot_time,
+        releases=content.releases,
         code_version=content.code_version,
         picture_width=content.picture_size[0],
         picture_height=content.picture_size[1],
