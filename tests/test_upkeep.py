@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from tests.lake_load import scene_id, stage_scene
 from tests.samples import fingerprint, sample, stage_run
 from tests.test_erasure import kills
 from tests.whole_scenes import stage_batch, stage_whole_scene
+from warehouse import adoption
 from warehouse.compaction import NOTE, compact
 from warehouse.delta import DeltaTables, LogError
 from warehouse.digest import digests
@@ -208,6 +210,19 @@ def test_reader_of_a_kept_snapshot_goes_on_while_a_vacuum_runs(lake: Lake) -> No
     vacuum(lake, days=0)
     assert all(lake.storage.exists(file) for paths in files.values() for file in paths)
     assert len(reader.rows(Caption)) == 6
+
+
+def test_snapshot_that_was_the_last_one_until_now_stays_however_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    now = adoption.now_utc()
+    for number, days_ago in enumerate((40, 30, 0)):
+        monkeypatch.setattr("warehouse.commit.now_utc", lambda days_ago=days_ago: now - timedelta(days=days_ago))
+        stage_scene(lake, number, "x", at=number)
+        lake.commit()
+    reader = lake.snapshot(2)  # somebody reads it since yesterday, when it was the newest
+    assert vacuum(lake, days=7).snapshots == (1,)
+    assert len(reader.rows(Caption)) == 10
+    assert vacuum(lake, days=0).snapshots == (2,)
 
 
 def test_reader_that_opens_while_a_vacuum_runs_finds_its_snapshot(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ class Vacuumed:
 
 
 def vacuum(lake: Lake, *, days: float = RECENT_DAYS, dry_run: bool = False) -> Vacuumed:
-    """Remove snapshots older than `days` that are not released, and what only they named: data files, logs, blobs.
+    """Remove snapshots that are not released and that others replaced over `days` ago, and what only they named: files, logs, blobs.
 
     Blobs that somebody put within the last day stay. With `dry_run`, says what would go and changes nothing.
 
@@ -119,5 +119,8 @@ def _remove_blobs(lake: Lake, references: BlobReferences, lease: Lease, dry_run:
 
 
 def _kept(every: Sequence[Snapshot], released: set[int], days: float) -> list[Snapshot]:
+    """Released snapshots, the last one, and those that were the last one at any time within `days`: somebody may read them yet."""
     oldest = now_utc() - timedelta(days=days)
-    return [row for row in every if row is every[-1] or row.snapshot_id in released or row.created_at >= oldest]
+    replaced = [row.created_at for row in every[1:]]
+    recent = {row.snapshot_id for row, at in zip(every, replaced, strict=False) if at >= oldest}
+    return [row for row in every if row is every[-1] or row.snapshot_id in released | recent]

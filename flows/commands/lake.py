@@ -57,7 +57,7 @@ def compact(tables: tuple[str, ...], dry_run: bool, address: str, as_json: bool)
 
 
 @command.command("vacuum")
-@click.option("--days", type=click.FloatRange(min=0), default=7.0, show_default=True, help="Keep all snapshots that are younger.")
+@click.option("--days", type=click.FloatRange(min=0), default=7.0, show_default=True, help="Keep snapshots that were replaced since.")
 @dry_run_option
 @lake_option
 @json_option
