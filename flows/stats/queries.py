@@ -220,10 +220,6 @@ ORDER BY filled.alike DESC, filled.category, filled.slot"""
 
 _ORDERS: Mapping[str, str] = {
     "dataset_comparison": "dataset",
-    "annotation_timing": "reading DESC",
-    "annotation_agreement": "answers DESC, annotator",
-    "annotator_agreement": "instances DESC, annotator_a, annotator_b",
-    "quality_history": "answered_until DESC NULLS LAST, batch_id, round",
     "failures": "scene_id, stage",
     "broken_rules": "format, rule, scene_id, message",
     "degradation_counts": "times DESC, stage, degradation",
