@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pyarrow as pa
 import pytest
 from click.testing import CliRunner
 
-from flows.bench.warehouse import generator, refusals, report, volumes
+from flows.bench.warehouse import generator, growth, refusals, report, volumes
 from flows.bench.warehouse.answers import peak_memory_mb, time_answers
 from flows.bench.warehouse.generator import copied_lake, generated_lake
 from flows.commands.bench import command
@@ -247,11 +248,20 @@ def test_without_pandas_the_benchmark_says_what_to_do(cache: Path, monkeypatch: 
         report.run_warehouse_bench(report.WarehouseBench(scenes=100, parts=("volumes",)), lambda what: None)
 
 
+def test_growth_is_measured_on_lakes_smaller_than_a_commit(cache: Path) -> None:
+    told: list[str] = []
+    found = growth.growth(10, advance=told.append)
+    assert found.scenes == 10
+    assert found.rows == generated_lake(10).snapshot().arrow("instances").num_rows
+    assert all(value > 0 for value in dataclasses.astuple(found))
+    assert told[-1] == "one scene read"
+
+
 def test_goals_follow_the_figures() -> None:
     seen = {"errors": [], "halves": 0, "mixed": 0, "lost": 1, "doubled": 0, "reads": 0, "in_commit": 1}
-    growth = [{"neighbors_seconds": 0.1, "scattered_seconds": 0.6}]
+    measured = [{"neighbors_seconds": 0.1, "scattered_seconds": 0.6}]
     attempts = [{"refused": True, "unchanged": True}, {"refused": False, "unchanged": True}]
-    goals = report.goals({"scenes": 1, "contention": seen, "growth": growth, "refusals": attempts})
+    goals = report.goals({"scenes": 1, "contention": seen, "growth": measured, "refusals": attempts})
     missed = {goal["goal"] for goal in goals if not goal["met"]}
     assert missed == {
         "contention: lost",

@@ -61,7 +61,7 @@ def growth(scenes: int, seed: int = 0, advance: Callable[[str], None] | None = N
         lake = copied_lake(original, Path(folder) / "lake")
         names = sorted(lake.snapshot().arrow("scenes").column("scene_id").to_pylist())
         rows = _count(lake, TABLE)
-        new = [_commit_seconds(lake, names[i * BATCH : (i + 1) * BATCH], f"new{i}_") for i in range(_RUNS)]
+        new = [_commit_seconds(lake, names[i * BATCH % len(names) :][:BATCH], f"new{i}_") for i in range(_RUNS)]
         told("commits of new scenes")
         again = [_commit_seconds(lake, _spread(names, i)[:BATCH], "") for i in range(_RUNS)]
         told("commits of scenes anew")
