@@ -29,13 +29,14 @@ def test_upkeep_in_a_store_is_that_in_a_folder(bucket: str, tmp_path: Path) -> N
         before = rows_of_others(lake)
         assert [str(finding) for finding in inspect(lake).findings] == []
         assert compact(lake).tables
-        assert vacuum(lake, days=0, dry_run=True).snapshots == (1, 2)
-        assert vacuum(lake, days=0).snapshots == (1, 2)
         assert erase(lake, HOME, dry_run=True).rows["scenes"] == 1
         done = erase(lake, HOME)
         assert done.proof is not None
         assert done.proof.hits == ()
         assert done.proof.files > 50
+        # After it: a vacuum leaves young blobs that no row names any more, and nobody knows then whose they are.
+        assert vacuum(lake, days=0, dry_run=True).snapshots == (3,)
+        assert vacuum(lake, days=0).snapshots == (3,)
         assert {**rows_of_others(lake), "stage_runs": []} == {**before, "stage_runs": []}
         assert [str(finding) for finding in inspect(lake).findings] == []
     assert {**digests(lakes[0].snapshot()), "stage_runs": ""} == {**digests(lakes[1].snapshot()), "stage_runs": ""}
