@@ -167,6 +167,12 @@ def test_every_question_is_timed_and_answered(lake: Lake) -> None:
     assert 50 < found["peak_memory_mb"] <= peak_memory_mb() * 1.001
 
 
+def test_what_is_asked_only_of_large_answers_is_not_asked_of_small_ones(lake: Lake) -> None:
+    asked_for = {"scenes": "SELECT * FROM scenes", "many": "SELECT 1", "few": "SELECT 2"}
+    found = time_answers(lake.address, asked_for, 2, {"many": ("scenes", SCENES - 1), "few": ("scenes", SCENES)})
+    assert [answer.name for answer in found["answers"]] == ["scenes", "many"]
+
+
 def test_every_view_answers(lake: Lake) -> None:
     with lake.snapshot().connect() as connection:
         empty = [view.name for view in views() if not connection.sql(f'FROM "{view.name}" LIMIT 1').to_arrow_table().num_rows]

@@ -74,7 +74,7 @@ def answers_of(reader: Reader) -> Answers:
     with reader.connect() as connection:
         scenes = shown_scenes(connection)
         asked = report_queries(scenes)
-        cut = _when_cut()
+        cut = when_cut()
         rows = {name: connection.sql(sql).to_arrow_table() for name, sql in asked.items() if name not in cut}
         # what is asked only of large lakes: how many rows a table has that is cut, and the timeline in bins
         for name, (first, limit) in cut.items():
@@ -128,7 +128,7 @@ def report_queries(scenes: ShownScenes) -> dict[str, str]:
     return queries
 
 
-def _when_cut() -> dict[str, tuple[str, int]]:
+def when_cut() -> dict[str, tuple[str, int]]:
     """Queries that are asked only when another one gave more rows than that."""
     return {**{f"{view}.count": (view, ROW_LIMIT) for view in _ORDERS}, "run_timeline.binned": ("run_timeline", TIMELINE_RUNS)}
 

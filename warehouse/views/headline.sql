@@ -8,18 +8,31 @@ SELECT
     (SELECT count(*) FROM instances WHERE NOT is_structure) AS objects,
     (SELECT count(DISTINCT category) FROM instances WHERE NOT is_structure) AS categories,
     (SELECT count(*) FROM placements) AS placed_objects,
-    (SELECT count(face_count) FROM assets) AS assets,
+    (SELECT count(*) FROM assets) AS assets,
     (
         SELECT count(*)
         FROM contacts
         WHERE phase = 'optimized' AND penetration_m > 0.002 AND NOT is_allowed
     ) AS deep_pairs,
-    (SELECT count(*) FROM certificates WHERE engine = 'mujoco' AND NOT is_fixed) AS free_objects,
-    (SELECT count(*) FROM certificates WHERE engine = 'mujoco' AND is_fixed) AS fixed_objects,
-    (SELECT count(*) FROM certificates WHERE engine = 'mujoco' AND NOT is_fixed AND is_stable_1cm) AS stable_1cm,
-    (SELECT count(*) FROM certificates WHERE engine = 'mujoco' AND NOT is_fixed AND is_stable_5cm) AS stable_5cm,
+    judged.free_objects,
+    judged.fixed_objects,
+    judged.stable_1cm,
+    judged.stable_5cm,
     (SELECT count(*) FROM episodes) AS episodes,
-    (SELECT count(*) FROM export_verdicts) AS exports,
-    (SELECT count(*) FROM export_verdicts WHERE passed) AS exports_passed,
+    exported.exports,
+    exported.passed AS exports_passed,
     (SELECT count(*) FROM failures) AS failures,
     (SELECT coalesce(sum(seconds), 0) FROM current_runs) AS total_seconds
+FROM (
+    SELECT count(*) AS exports, count(*) FILTER (passed) AS passed
+    FROM export_verdicts
+) AS exported,
+(
+    SELECT
+        count(*) FILTER (NOT is_fixed) AS free_objects,
+        count(*) FILTER (is_fixed) AS fixed_objects,
+        count(*) FILTER (NOT is_fixed AND is_stable_1cm) AS stable_1cm,
+        count(*) FILTER (NOT is_fixed AND is_stable_5cm) AS stable_5cm
+    FROM certificates
+    WHERE engine = 'mujoco'
+) AS judged

@@ -76,9 +76,11 @@ def run_warehouse_bench(config: WarehouseBench, advance: Callable[[str], None]) 
     }  # fmt: skip
     largest = lakes[config.scenes]
     if "answers" in config.parts:
+        from flows.stats.queries import when_cut
+
         report["answers"] = {}
         for scenes, lake in lakes.items():
-            report["answers"][scenes] = _alone(time_answers, lake.address, questions(lake), config.runs)
+            report["answers"][scenes] = _alone(time_answers, lake.address, questions(lake), config.runs, when_cut())
             advance(f"answers of {scenes:,} scenes")
     if "volumes" in config.parts:
         report["volumes"] = _alone(time_volumes, largest.address, config.runs)
