@@ -240,6 +240,21 @@ def test_what_a_killed_release_left_goes_too(tmp_path: Path) -> None:
     assert (living / "README.md").exists()
 
 
+def test_blobs_that_may_be_of_the_scene_are_no_proof(lake: Lake) -> None:
+    """A vacuum took away the rows that said whose a blob is, and the blob is too young to go."""
+    command = ["lake", "erase", HOME, "--yes", "--lake", lake.address]
+    name = lake.blobs.put(b"whose mesh is this?", "glb")
+    found = CliRunner().invoke(cli, command)
+    assert found.exit_code == 1
+    assert "not proven" in found.output
+    path = lake.blobs.path(name)
+    for blob in lake.blobs:
+        os.utime(lake.blobs.path(blob), (0, 0))
+    found = CliRunner().invoke(cli, command)
+    assert (found.exit_code, "not proven" in found.output) == (0, False), found.output
+    assert not path.exists()
+
+
 def test_names_that_are_no_scene_are_refused(lake: Lake, tmp_path: Path) -> None:
     for wrong in ("scene0001_00", "demo/", "demo/x'; DROP TABLE scenes; --", "../x"):
         with pytest.raises(InputError, match="is no scene"):

@@ -125,7 +125,8 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     """Erase a scene from all tables, blobs, snapshots, releases and this machine's caches, and search the lake for what is left.
 
     Only releases and the last snapshot stay, without the scene. There is no way back but a backup from before. Exit
-    code 1 says that something of the scene was found; the same command again goes on where this one was stopped.
+    code 1 says that something of the scene was found, or that blobs which no row names are too young to be removed: a
+    vacuum of the same day may have left them of this scene. The same command again goes on where this one was stopped.
 
     Example: metascenes lake erase scannet/scene0001_00 --dry-run --lake ./lake
     """
@@ -143,7 +144,7 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     with Progress("erasing", sum(1 for _ in lake.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
         done = run(lake, scene, dry_run=dry_run, advance=progress.advance, elsewhere=forget)
     _tell_erased(done, sum(cached), dry_run, as_json)
-    if done.proof is not None and done.proof.hits:
+    if done.proof is not None and (done.proof.hits or done.young_blobs):
         raise click.exceptions.Exit(1)
 
 
@@ -167,7 +168,8 @@ def _tell_erased(done: Erasure, cached: int, dry_run: bool, as_json: bool) -> No
     if done.releases:
         print(f"releases {'to be ' if dry_run else ''}written anew: {', '.join(done.releases)}")
     if done.young_blobs:
-        print(f"{done.young_blobs} blobs that no row names are younger than a day and stay; `metascenes lake vacuum` removes them tomorrow")
+        whose = f"{done.young_blobs} blobs that no row names are younger than a day and stay, of whatever scene"
+        print(f"not proven: {whose}; give the same command again in a day")
     if done.proof is not None:
         proof = done.proof
         print(f"searched {proof.files} files, {_megabytes(proof.bytes)}, {proof.rows} rows: {len(proof.hits)} hits")

@@ -95,6 +95,7 @@ def erase(
             if work.is_unknown:
                 proof = search(lake.storage, work.plan.traces, advance)
                 if not proof.hits:
+                    work.remove_unnamed_blobs()  # a vacuum may have taken away what said whose they are
                     return work.result(proof)
             work.carry_out(advance, elsewhere)
         return work.result(search(lake.storage, work.final_traces, advance))
@@ -129,7 +130,7 @@ class _Work:
         erase_from_releases(self._lake, self.plan, self._lease, advance)
         self._remove_unnamed_tables()
         self._remove_blobs()
-        self._young = forget(self._lake, self._lease, self._lake.snapshot().snapshots).young_blobs
+        self.remove_unnamed_blobs()
         self._lake.sweep_temporary()
         advance("files")
         assets = self._assets_that_stay()
@@ -138,6 +139,10 @@ class _Work:
         elsewhere(self.plan.traces, frozenset(hashes))
         self._lake.storage.remove(PLAN_PATH)
         self._is_carried_out = True
+
+    def remove_unnamed_blobs(self) -> None:
+        """Remove blobs that no row names, whosever they are, but those that a run may be about to name."""
+        self._young = forget(self._lake, self._lease, self._lake.snapshot().snapshots).young_blobs
 
     def result(self, proof: Proof | None) -> Erasure:
         """What was done."""
