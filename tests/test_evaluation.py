@@ -38,7 +38,7 @@ from tests.conftest import REPOSITORY
 from tests.samples import fingerprint, sample, stage_run
 from tests.test_navigation import CONFIG, SCENE, living_room
 from tests.test_recast import native
-from tests.test_views import Database, by_key, same
+from tests.view_answers import Database, by_key, same
 from warehouse.lake import Lake
 
 quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

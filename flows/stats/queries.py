@@ -219,6 +219,10 @@ ORDER BY filled.alike DESC, filled.category, filled.slot"""
 
 
 _ORDERS: Mapping[str, str] = {
+    "annotation_timing": "reading DESC",
+    "annotation_agreement": "answers DESC, annotator",
+    "annotator_agreement": "instances DESC, annotator_a, annotator_b",
+    "quality_history": "answered_until DESC NULLS LAST, batch_id, round",
     "dataset_comparison": "dataset",
     "failures": "scene_id, stage",
     "broken_rules": "format, rule, scene_id, message",
