@@ -53,7 +53,7 @@ def _print_answers(report: Mapping[str, Any], sizes: list[str], console: Console
     by_size = {scenes: {one["name"]: one for one in report["answers"][scenes]["answers"]} for scenes in sizes}
     largest = by_size[sizes[-1]]
     for name in sorted(largest, key=lambda name: -largest[name]["seconds"]):
-        cells = [f"{by_size[scenes][name]['seconds']:.3f}" for scenes in sizes]
+        cells = [f"{by_size[scenes][name]['seconds']:.3f}" if name in by_size[scenes] else "-" for scenes in sizes]
         one = largest[name]
         add_row(table, name, *cells, f"{one['first_seconds']:.3f}", f"{one['cpu_seconds']:.3f}", f"{one['rows']:,}")
     add_row(table, "open, with all views", *[f"{report['answers'][scenes]['connect_seconds']:.3f}" for scenes in sizes], "", "", "")
