@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from schemas.errors import InputError
 from tests.conftest import REPOSITORY
 from tests.lake_load import scene_id, stage_scene
 from tests.samples import fingerprint, stage_run
+from tests.services import environment_of, s3_server
 from warehouse.digest import digests
 from warehouse.lake import Lake
 from warehouse.lease import PATH, Lease, LeaseError
@@ -26,47 +26,13 @@ from warehouse.storage import storage_at
 
 pytestmark = pytest.mark.s3
 
-for package in ("moto", "s3fs", "flask"):
-    pytest.importorskip(package)
-
 
 @pytest.fixture(scope="module")
 def bucket() -> Iterator[str]:
     """A bucket on a server of its own, with the environment that leads to it."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    environment = {
-        "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}", "AWS_ACCESS_KEY_ID": "testing", "AWS_SECRET_ACCESS_KEY": "testing",
-        "AWS_DEFAULT_REGION": "us-east-1", "AWS_EC2_METADATA_DISABLED": "true",
-    }  # fmt: skip
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment.items():
-            patch.setenv(name, value)
-        for name in ("AWS_PROFILE", "AWS_SESSION_TOKEN", "AWS_ENDPOINT_URL_S3", "HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
-            patch.delenv(name, raising=False)
-        try:
-            _wait_for(port)
-            import s3fs
-
-            s3fs.S3FileSystem.clear_instance_cache()
-            s3fs.S3FileSystem(endpoint_url=environment["AWS_ENDPOINT_URL"]).mkdir("lakes")
-            yield "lakes"
-        finally:
-            server.kill()
-            server.wait()
-
-
-def _wait_for(port: int) -> None:
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.1)
-    raise TimeoutError("moto's server did not start")
+    with s3_server() as s3, environment_of(s3):
+        s3.make_bucket("lakes")
+        yield "lakes"
 
 
 def test_same_rows_and_blobs_as_in_a_folder(bucket: str, tmp_path: Path) -> None:

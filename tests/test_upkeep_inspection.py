@@ -21,6 +21,7 @@ from schemas.captions import Caption
 from schemas.tables import TABLES
 from tests.samples import fingerprint, stage_run
 from tests.whole_scenes import stage_batch, stage_whole_scene
+from warehouse.claims import path_of
 from warehouse.commit import Commit, versions_of
 from warehouse.compaction import compact
 from warehouse.datafiles import exchange, write_files
@@ -115,6 +116,17 @@ def flip_middle(path: Path) -> None:
 
 def dead_lease(lake: Lake) -> None:
     lake.storage.create("lease.json", json.dumps({"token": DEAD, "host": "here", "expires": 9e9, "life": 60}).encode())
+
+
+def dead_claim(lake: Lake) -> None:
+    holder = {"token": DEAD, "host": "here", "expires": 9e9, "life": 60, "scene_id": SCENES[0], "since": 0.0}
+    lake.storage.create(path_of(SCENES[0]), json.dumps(holder).encode())
+
+
+def dead_run(lake: Lake) -> None:
+    with lake.presence({"scans": "scans"}) as presence:
+        told = lake.storage.read(f"runs/{presence.run.token}.json")
+    lake.storage.create(f"runs/{DEAD}.json", told.replace(presence.run.token.encode(), DEAD.encode()))
 
 
 def half_staged(lake: Lake) -> None:
@@ -261,6 +273,10 @@ DAMAGES: dict[str, tuple[Callable[[Lake], Any], str, str, bool]] = {
         False,
     ),
     "temporary file of the dead": (lambda lake: overwrite(Path(lake.address) / "tmp" / DEAD, b"x"), "temporary file", "died", False),
+    "claim of the dead": (dead_claim, "claim", f"died while it computed {SCENES[0]}", False),
+    "run of the dead": (dead_run, "run", "died at work", False),
+    "stranger among claims": (lambda lake: overwrite(Path(lake.address) / "claims/demo.json", b"{}"), "foreign file", "demo.json", False),
+    "stranger among runs": (lambda lake: overwrite(Path(lake.address) / "runs/notes/a.txt", b"x"), "foreign file", "a.txt", False),
     "lease of the dead": (dead_lease, "lease", "died", False),
     "release without a record": (
         lambda lake: one(lake, "releases/v1/release.json").unlink(),

@@ -21,10 +21,15 @@ from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
 from warehouse.adoption import overlaid, plan
 from warehouse.blobs import BlobStore
+from warehouse.claims import Claim, Claims, claims_of, sweep_claims
 from warehouse.commit import Commit
 from warehouse.delta import DeltaTables
 from warehouse.history import Key, StageState, states
 from warehouse.lease import Lease
+from warehouse.looks import Looks
+from warehouse.outline import COLUMNS as OUTLINE_COLUMNS
+from warehouse.outline import Outline, outline_of
+from warehouse.presence import LiveRun, Presence, runs_of, sweep_runs
 from warehouse.snapshot import Reader
 from warehouse.staging import Staging, is_left_over
 from warehouse.storage import TEMPORARY, Storage, storage_at
@@ -118,7 +123,7 @@ class Lake:
         return self._commit(f"remove {scene_id}", (scene_id,), (scene_id,), timeout)
 
     def sweep(self, keep: Collection[tuple[str, str, str]] = (), *, timeout: float = 300.0) -> None:
-        """Remove what can be of no use to anybody: temporary and staged files of dead writers, runs that cannot be adopted.
+        """Remove what can be of no use to anybody: temporary and staged files and claims of the dead, runs that cannot be adopted.
 
         `keep` names (scene, stage, fingerprint) that may still be adopted. What other living processes staged stays,
         and so do files whose names give no writer.
@@ -128,6 +133,8 @@ class Lake:
         with self.leased(timeout) as lease:
             Commit(self.tables, self.staging, lease).sweep(keep)
             self.sweep_temporary()
+            sweep_claims(self.storage)
+            sweep_runs(self.storage)
 
     def sweep_temporary(self) -> None:
         """Remove the temporary files and folders of dead writers, and those of table writes. Only while the lease is held."""
@@ -147,11 +154,26 @@ class Lake:
         staged = self.staging.runs()
         return {one.run.scene_id for one in staged} - {one.run.scene_id for one in staged if not one.is_abandoned}
 
+    def last_commit(self) -> str:
+        """A cheap sign of whether there is a new snapshot: it changes with every one."""
+        return max((name for name in self.storage.names("tables/snapshots/_delta_log") if name.endswith(".json")), default="")
+
+    def has_staged(self, scene_id: str) -> bool:
+        """Whether anything of a scene is staged, by anyone, whole or not."""
+        return self.staging.has(scene_id)
+
     def history(self, scenes: Collection[str] | None = None) -> dict[Key, StageState]:
         """The state of every (scene, stage), staged runs that a commit would take included; of `scenes` when they are given."""
         current = self._committed(self.snapshot(), scenes)
         staged = [one for one in self.staging.runs() if scenes is None or one.run.scene_id in scenes]
         return overlaid(current, plan(current, staged)) if staged else current
+
+    def outline(self) -> Outline:
+        """The history of all scenes in outline, for telling how things stand; cheaper than `history` by far."""
+        staged = self.staging.runs()  # first: what is committed meanwhile is in the snapshot then
+        runs = self.tables.read(TABLES["stage_runs"], self.snapshot().files("stage_runs"), OUTLINE_COLUMNS)
+        states = self.history({one.run.scene_id for one in staged}) if staged else {}
+        return outline_of(runs, states, [one.run for one in staged])
 
     def snapshot(self, snapshot_id: int | None = None) -> Reader:
         """A snapshot, the last one by default. A lake without snapshots reads as empty tables.
@@ -164,6 +186,31 @@ class Lake:
     def leased(self, timeout: float = 300.0) -> Lease:
         """The lake's lease: ``with lake.leased(): ...``. Who holds it is the only one that commits or removes anything."""
         return Lease(self.storage, timeout=timeout)
+
+    def claims(self, life: float = 60.0) -> Claims:
+        """The scenes that this run computes, so that others leave them to it: ``with lake.claims() as claims: ...``.
+
+        A claim that is not renewed for `life` seconds may be taken over from another machine.
+        """
+        self._prepare()
+        return Claims(self.storage, life)
+
+    def claimed(self) -> dict[str, Claim]:
+        """Who computes which scene now: the claims of living runs by scene."""
+        return claims_of(self.storage)
+
+    def presence(self, facts: Mapping[str, Any] | None = None) -> Presence:
+        """Tell others that a run is at work: ``with lake.presence(facts) as presence: ...``; `facts` are fields of LiveRun."""
+        self._prepare()
+        return Presence(self.storage, facts)
+
+    def live_runs(self) -> list[LiveRun]:
+        """The runs that are at work, the oldest first."""
+        return runs_of(self.storage)
+
+    def looks(self, scans: str) -> Looks:
+        """What watchers of the scans at an address remember."""
+        return Looks(self.storage, scans, self._prepare)
 
     def _commit(
         self, note: str, removed: Collection[str], scenes: Collection[str] | None, timeout: float, runs: Collection[str] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import tempfile
 import time
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from schemas.errors import InputError
+from schemas.errors import InputError, LakeError
 from warehouse.storage import Entry
 from warehouse.workplace import workplace
 
@@ -35,11 +36,7 @@ class S3Storage:
 
     @cached_property
     def _files(self) -> Any:
-        try:
-            import s3fs
-        except ImportError as error:
-            raise InputError(self.address, "", "lakes on S3 need the package s3fs", "pip install s3fs") from error
-        return s3fs.S3FileSystem(endpoint_url=_endpoint(), use_listings_cache=False)
+        return object_store(self.address)
 
     def read(self, path: str) -> bytes:
         """See Storage."""
@@ -205,6 +202,42 @@ class S3Storage:
                 return False
             raise
         return True
+
+
+def object_store(address: str) -> Any:
+    """The S3-compatible store that the environment names, as an fsspec file system; `address` is for the error.
+
+    Raises:
+        InputError: the package that talks to it is not installed.
+    """
+    try:
+        import s3fs
+    except ImportError as error:
+        raise InputError(address, "", "addresses on S3 need the package s3fs", "pip install s3fs") from error
+    from botocore.exceptions import ConnectionError as StoreError
+    from botocore.exceptions import HTTPClientError
+    from fsspec.asyn import sync_wrapper
+
+    class ObjectStore(s3fs.S3FileSystem):
+        """The same, with a word of ours for a store that does not answer."""
+
+        async def _call_s3(self, *arguments: Any, **named: Any) -> Any:
+            try:
+                return await super()._call_s3(*arguments, **named)
+            except (StoreError, HTTPClientError) as error:
+                raise StoreAway(address, _endpoint() or "Amazon S3") from error
+
+        call_s3 = sync_wrapper(_call_s3)
+
+    return ObjectStore(endpoint_url=_endpoint(), use_listings_cache=False)
+
+
+class StoreAway(LakeError, ConnectionError):
+    """A store that does not answer; it may later."""
+
+    def __init__(self, address: str, endpoint: str) -> None:
+        shown = re.sub(r"//[^/@]*@", "//...@", endpoint)  # a name and a password, for those who put them there
+        super().__init__(f"{address}: the store at {shown} does not answer; check AWS_ENDPOINT_URL and that it runs")
 
 
 def _endpoint() -> str | None:

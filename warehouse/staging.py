@@ -95,6 +95,10 @@ class Staging:
         ]
         return sorted(found, key=lambda staged: (staged.run.scene_id, staged.run.stage, staged.run.started_at, staged.token))
 
+    def has(self, scene_id: str) -> bool:
+        """Whether any file is staged for a scene."""
+        return bool(self._storage.names(FOLDER, f"{quoted_scene(scene_id)}@"))
+
     def rows(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
         """Rows that the newest complete staged run of a fingerprint left in a table; None when there is no such run."""
         record = TABLES[table].record

@@ -14,6 +14,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     import pyarrow.fs
 
 TEMPORARY = "tmp"
+
+LOCK_SECONDS = 60.0
+"""The lock is held while one small file is compared and replaced."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -321,10 +325,27 @@ class LocalStorage:
         with _thread_lock:
             descriptor = os.open(self.folder, os.O_RDONLY)
             try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
+                self._wait_for(partial(fcntl.flock, descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB))
                 yield
             finally:
                 os.close(descriptor)
+
+    def _wait_for(self, lock: Callable[[], None]) -> None:
+        """Take a lock that others hold for milliseconds. A holder that was stopped in these must not stop everybody.
+
+        Raises:
+            TimeoutError: it is held for too long.
+        """
+        deadline, pause = time.monotonic() + LOCK_SECONDS, 0.0005
+        while True:
+            try:
+                return lock()
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    text = f"{self.address}: another process has held the lock on this folder for {LOCK_SECONDS:g} s; is it stopped?"
+                    raise TimeoutError(text) from None
+                time.sleep(pause)
+                pause = min(2 * pause, 0.02)
 
 
 _thread_lock = threading.Lock()

@@ -82,7 +82,9 @@ def _process_start(pid: int) -> str | None:
     try:
         # The second field is the program's name in brackets and may hold anything, so count from the last bracket.
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        return None if fields[0] in ("Z", "X") else fields[19]
+        if fields[0] in ("Z", "X") and len(os.listdir(f"/proc/{pid}/task")) < 2:
+            return None
+        return fields[19]  # of a killed process whose first thread is gone, others may still be in the middle of a write
     except (FileNotFoundError, ProcessLookupError):
         if Path("/proc/self/stat").exists():
             return None

@@ -16,6 +16,7 @@ from schemas.record import SCENE_PATTERN
 from schemas.runs import Snapshot
 from schemas.tables import TABLES
 from warehouse.adoption import SCENE_STAGES, now_utc
+from warehouse.claims import remove_claim, sweep_claims
 from warehouse.commit import Commit, versions_of
 from warehouse.datafiles import exchange, files_of
 from warehouse.delta import FOLDER as TABLE_FOLDER
@@ -27,6 +28,7 @@ from warehouse.erasure.rewriting import SceneRows
 from warehouse.erasure.traces import Traces, traces_of
 from warehouse.lake import Lake
 from warehouse.lease import Lease
+from warehouse.presence import sweep_runs
 from warehouse.references import workspace
 from warehouse.released import released
 from warehouse.staging import quoted_scene
@@ -124,6 +126,7 @@ class _Work:
     def carry_out(self, advance: Advance, elsewhere: Elsewhere) -> None:
         """Everything, in an order that a kill cannot hurt."""
         self.plan.write(self._lake.storage)
+        remove_claim(self._lake.storage, self._scene)  # before its staged runs: who computes it finds that out first
         self._remove_staged()
         advance("staged runs")
         self._put_in_force(advance)
@@ -132,6 +135,8 @@ class _Work:
         self._remove_blobs()
         self.remove_unnamed_blobs()
         self._lake.sweep_temporary()
+        sweep_claims(self._lake.storage)  # a claim or a folder of scans may name the scene, too
+        sweep_runs(self._lake.storage)
         advance("files")
         assets = self._assets_that_stay()
         hashes = {name.partition(".")[0] for name in self._removed_blobs} | (self.plan.assets - assets)

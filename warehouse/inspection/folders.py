@@ -18,10 +18,16 @@ from schemas.releases import Release
 from schemas.runs import Snapshot
 from schemas.tables import TABLES
 from warehouse.blobs import FOLDER as BLOB_FOLDER
+from warehouse.claims import FOLDER as CLAIM_FOLDER
+from warehouse.claims import claims_of, dead_claims, path_of
 from warehouse.inspection.finding import Finding, one_line
 from warehouse.lake import MARKER, Lake
 from warehouse.lease import PATH as LEASE_PATH
 from warehouse.lease import holder_of
+from warehouse.looks import FOLDER as LOOK_FOLDER
+from warehouse.presence import FOLDER as RUN_FOLDER
+from warehouse.presence import dead_runs, runs_of
+from warehouse.presence import path_of as path_of_run
 from warehouse.references import BlobReferences
 from warehouse.released import FOLDER as RELEASE_FOLDER
 from warehouse.released import RECORD, folder_of, released
@@ -33,11 +39,12 @@ from warehouse.writer import writer_of
 
 CHECKSUMS = "SHA256SUMS"
 
-_ROOT_FOLDERS = {BLOB_FOLDER, RELEASE_FOLDER, STAGED_FOLDER, TEMPORARY, "tables"}
+_ROOT_FOLDERS = {BLOB_FOLDER, CLAIM_FOLDER, LOOK_FOLDER, RELEASE_FOLDER, RUN_FOLDER, STAGED_FOLDER, TEMPORARY, "tables"}
 _ROOT_FILES = {MARKER, LEASE_PATH, "erasure.json", "backup.json", "backup.parquet"}
 # A lake whose blobs are somewhere else misses millions.
 _MOST_NAMED = 100
 
+_NEXT_RUN = "the next run removes it"
 _VACUUM = "`metascenes lake vacuum` removes it"
 _RESTORE = "restore the file from a backup"
 
@@ -175,7 +182,7 @@ def staged_findings(lake: Lake) -> Iterator[Finding]:
             if writer is None:
                 yield Finding("foreign file", entry.path, "", "is none of the lake's", "move it away", False)
             elif is_left_over(writer, entry.modified):
-                yield Finding("unfinished run", entry.path, "", "was left by a run that was killed", "the next run removes it", False)
+                yield Finding("unfinished run", entry.path, "", "was left by a run that was killed", _NEXT_RUN, False)
 
 
 def root_findings(lake: Lake) -> Iterator[Finding]:
@@ -191,11 +198,27 @@ def root_findings(lake: Lake) -> Iterator[Finding]:
             yield Finding("foreign file", name, "", "is none of the lake's", "move it away", False)
     for entry in lake.storage.walk(TEMPORARY):
         if is_left_over(writer_of(entry.path.split("/")[1]), entry.modified):
-            yield Finding("temporary file", entry.path, "", "was left by a process that died", "the next run removes it", False)
+            yield Finding("temporary file", entry.path, "", "was left by a process that died", _NEXT_RUN, False)
     holder = holder_of(lake.storage)
     if holder is not None and holder.is_gone:
         problem = f"{holder.host} ({holder.token}) died while it held the lease"
         yield Finding("lease", LEASE_PATH, "", problem, "the next commit takes it over", False)
+    yield from _run_findings(lake)
+
+
+def _run_findings(lake: Lake) -> Iterator[Finding]:
+    """Claims and presences of runs that died, and files among them that are none."""
+    there = [entry.path for folder in (CLAIM_FOLDER, RUN_FOLDER) for entry in lake.storage.walk(folder)]
+    known = {path_of(scene) for scene in claims_of(lake.storage)} | {path_of_run(run.token) for run in runs_of(lake.storage)}
+    for path, claim in dead_claims(lake.storage).items():
+        known.add(path)
+        yield Finding("claim", path, "", f"{claim.host} ({claim.token}) died while it computed {claim.scene_id}", _NEXT_RUN, False)
+    for path, run in dead_runs(lake.storage).items():
+        known.add(path)
+        yield Finding("run", path, "", f"{run.host} ({run.token}) died at work", _NEXT_RUN, False)
+    for path in sorted(set(there) - known):
+        if lake.storage.exists(path):  # not given back meanwhile
+            yield Finding("foreign file", path, "", "is none of the lake's", "move it away", False)
 
 
 def snapshot_findings(snapshots: Sequence[Snapshot]) -> Iterator[Finding]:
