@@ -38,7 +38,7 @@ class CaptureConfig:
     """
 
     label_map: str | None = None  # The project's own map; ScanNet's is research-only, so users bring it themselves.
-    label_map_sha256: str = ""  # From the file.
+    label_map_sha256: str = dataclasses.field(init=False)  # From the file.
     max_view_frames: int = 60  # A walk through a room repeats itself: more frames find no better views, but cost 20 ms each.
     views_per_instance: int = 3  # Enough for a caption model to see two sides and one occlusion.
     view_size_px: int = 256  # What caption and selection models take in; larger crops only fill the lake.
@@ -50,8 +50,7 @@ class CaptureConfig:
         for name in ("max_view_frames", "views_per_instance", "view_size_px", "max_points", "max_faces"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
-        if not self.label_map_sha256:
-            object.__setattr__(self, "label_map_sha256", label_map(self.label_map).sha256)
+        object.__setattr__(self, "label_map_sha256", label_map(self.label_map).sha256)
 
 
 def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:

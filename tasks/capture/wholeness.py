@@ -1,0 +1,264 @@
+"""Whether a scan's files are all there and whole, as far as a glance tells: a copy that is under way, or that broke off.
+
+Damage of other kinds is none of this: the reader says what is wrong and what to do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from schemas.errors import InputError
+from tasks.capture.documents import name_of
+from tasks.capture.formats import Scan, glb_file
+from tasks.capture.layout import FrameLayout, frame_layout, scannet_layout
+from tasks.capture.sens import open_sens
+
+_TEMPORARY = re.compile(
+    r"\..+\.[A-Za-z0-9]{6}"  # rsync's `.name.XXXXXX`
+    r"|.+\.(?=[0-9]*[A-Fa-f])[0-9A-Fa-f]{8}"  # the AWS tools' `name.XXXXXXXX`; eight digits alone are a date
+    r"|.+\.(?:part|partial|filepart|tmp|temp|crdownload|download|aria2|gstmp|swp)"
+    r"|\.rsync-partial|\.~tmp~"
+)
+
+_HEADER_BYTES = 65536
+_SIZES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8,
+          "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}  # fmt: skip
+_CUT_JSON_LETTERS = 16
+"""An error this close to the end of a text is its end: the longest word of JSON, `-Infinity`, and some blanks."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Gap:
+    """What a scan lacks: file and reason. `is_readable`: its reader would make do with what is there, so it may be meant so."""
+
+    what: str
+    is_readable: bool = False
+
+
+def is_temporary(path: str) -> bool:
+    """Whether a file's name, or that of a folder above it, is one that copying programs use until a file is whole."""
+    return any(_TEMPORARY.fullmatch(name) for name in path.split("/"))
+
+
+def find_gap(scan: Scan) -> Gap | None:
+    """What is missing of a scan on this machine, or cut; what its reader cannot do without comes first. None: it looks whole.
+
+    Opens every file, and reads JSON and small texts whole. A file that vanishes meanwhile is a gap.
+    """
+    try:
+        gaps = list(_GAPS[scan.format](scan))
+    except FileNotFoundError as error:
+        return Gap(f"{Path(str(error.filename)).name}: vanished while it was looked at")
+    except InputError:  # the reader says so, too, and says it better
+        return None
+    return next((gap for gap in gaps if not gap.is_readable), gaps[0] if gaps else None)
+
+
+def _scannet(scan: Scan) -> Iterator[Gap]:
+    layout = scannet_layout(scan.path)
+    if layout is None:
+        yield Gap(f"{scan.path.name}: holds no ScanNet scan any more")
+        return
+    if layout.mesh is None and layout.sens is None and layout.frames is None:
+        yield Gap(f"{layout.scan}_vh_clean_2.ply: is missing")
+    if layout.aggregation is not None and not layout.segments:
+        yield Gap(f"{layout.scan}_vh_clean_2.0.010000.segs.json: is missing")
+    if layout.aggregation is not None and layout.mesh is None:
+        yield Gap(f"{layout.scan}_vh_clean_2.ply: is missing")
+    if layout.segments and layout.aggregation is None:
+        yield Gap(f"{layout.scan}.aggregation.json: is missing", is_readable=True)
+    for path in (layout.metadata, layout.aggregation, layout.sens, *layout.meshes, *layout.segments):
+        if path is not None:
+            yield from _file_gaps(path, scan.path)
+    yield from _counted(layout.mesh, layout.segments, scan.path)
+    if layout.frames is not None:
+        yield from _frames(layout.frames, scan.path, stated=layout.metadata is not None)
+
+
+def _posed_rgbd(scan: Scan) -> Iterator[Gap]:
+    layout = frame_layout(scan.path)
+    if layout is None or not layout.frames:
+        yield Gap(f"{scan.path.name}: holds no frames any more")
+        return
+    yield from _frames(layout, scan.path, stated=False)
+    if layout.trajectory is None and not any(frame.pose for frame in layout.frames):
+        yield Gap(f"{scan.path.name}: poses are missing")
+
+
+def _glb(scan: Scan) -> Iterator[Gap]:
+    path = glb_file(scan.path)
+    yield from _file_gaps(path, path.parent)
+
+
+_GAPS: dict[str, Callable[[Scan], Iterator[Gap]]] = {"scannet": _scannet, "posed_rgbd": _posed_rgbd, "glb": _glb}
+
+
+def _frames(layout: FrameLayout, folder: Path, stated: bool) -> Iterator[Gap]:
+    """Gaps of exported frames. `stated`: the scan's metadata may state the intrinsics."""
+    for path in layout.files:
+        yield from _file_gaps(path, folder)
+    for what, files in (("depth", [f.depth for f in layout.frames]), ("pose", [f.pose for f in layout.frames])):
+        there = sum(path is not None for path in files)
+        if there < len(files) and (there or what == "depth"):
+            yield Gap(f"{folder.name}: {len(files)} color images and {there} of {what}", is_readable=there > 0)
+    for beside in {frame.depth.parent for frame in layout.frames if frame.depth is not None}:
+        ours = {frame.depth.suffix for frame in layout.frames if frame.depth is not None}
+        count = sum(path.suffix in ours and not path.name.startswith(".") for path in beside.iterdir())
+        if beside != layout.folder and count > len(layout.frames):
+            yield Gap(f"{folder.name}: {len(layout.frames)} color images and {count} of depth", is_readable=True)
+    if layout.trajectory is not None:
+        lines = [line for line in layout.trajectory.read_bytes().splitlines() if line.strip() and not line.startswith(b"#")]
+        if len(lines) < len(layout.frames):
+            yield Gap(f"{name_of(layout.trajectory, folder)}: has {len(lines)} lines for {len(layout.frames)} frames", is_readable=True)
+    if layout.color_intrinsics is None:
+        yield Gap(f"{folder.name}: intrinsics are missing", is_readable=stated)
+
+
+def _file_gaps(path: Path, folder: Path) -> Iterator[Gap]:
+    """What a file's own words about its length say."""
+    name, size = name_of(path, folder), path.stat().st_size
+    if not size:
+        yield Gap(f"{name}: is empty")
+        return
+    check = _CHECKS.get(path.suffix.lower())
+    gap = check(path, size) if check is not None else None
+    if gap is not None:
+        yield dataclasses.replace(gap, what=f"{name}: {gap.what}")
+
+
+def _ply(path: Path, size: int) -> Gap | None:
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES)
+        end = head.find(b"end_header")
+        start = head.find(b"\n", end) + 1
+        if not head.startswith(b"ply"[: len(head)]):
+            return None
+        if end < 0 or not start:
+            return Gap("ends inside its header") if size < _HEADER_BYTES else None
+        elements = _elements(head[:end].decode("latin-1"))
+        if b"format ascii" in head[:end]:
+            rows = sum(count for count, _ in elements)
+            file.seek(start)
+            lines = sum(chunk.count(b"\n") for chunk in iter(lambda: file.read(2**20), b""))
+            file.seek(-1, 2)
+            whole = file.read(1) == b"\n"
+            return Gap(f"declares {rows} rows and has {lines}") if lines + (not whole) < rows else None if whole else _no_line_end()
+    needed = start + sum(count * row for count, row in elements)
+    return Gap(f"needs {needed} bytes at least and has {size}") if size < needed else None
+
+
+def _elements(header: str) -> list[tuple[int, int]]:
+    """Count and least bytes of a row of every element; a list has three items at least, as faces do."""
+    found: list[tuple[int, int]] = []
+    for line in header.splitlines():
+        words = line.split()
+        if words[:1] == ["element"] and len(words) == 3 and words[2].isascii() and words[2].isdigit() and len(words[2]) < 19:
+            found.append((int(words[2]), 0))
+        elif words[:1] == ["property"] and found:
+            size = _SIZES.get(words[1], 0) if words[1] != "list" else _SIZES.get(words[2], 0) + 3 * _SIZES.get(words[-2], 0)
+            found[-1] = (found[-1][0], found[-1][1] + size)
+    return found
+
+
+def _counted(mesh: Path | None, segments: tuple[Path, ...], folder: Path) -> Iterator[Gap]:
+    """Segments that index another number of vertices than their mesh has: one of both is of an older copy."""
+    for path in segments:
+        own = folder / f"{re.sub(r'([.][0-9]+[.][0-9]+)?[.]segs[.]json$', '', path.name)}.ply"
+        if mesh is None or not own.is_file():
+            continue
+        with own.open("rb") as file:
+            head = file.read(_HEADER_BYTES)
+        declared = re.search(rb"element vertex ([0-9]{1,18})\s", head)
+        try:
+            indices = json.loads(path.read_bytes()).get("segIndices")
+        except (ValueError, AttributeError, RecursionError):
+            continue
+        if declared and isinstance(indices, list) and len(indices) != int(declared[1]):
+            what = f"{name_of(path, folder)}: has {len(indices)} values for the {int(declared[1])} vertices of {own.name}"
+            yield Gap(what, is_readable=True)
+
+
+def _json(path: Path, size: int) -> Gap | None:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+        json.loads(text)
+    except UnicodeDecodeError as error:
+        return Gap("ends inside a letter") if error.end >= size - 1 and error.reason == "unexpected end of data" else None
+    except json.JSONDecodeError as error:
+        is_cut = error.pos >= len(text.rstrip()) - _CUT_JSON_LETTERS or error.msg.startswith("Unterminated")
+        return Gap("ends before its JSON does") if is_cut else None
+    except RecursionError:
+        return None
+    return None
+
+
+def _text(path: Path, size: int) -> Gap | None:
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        return None if file.read(1) in b"\r\n" else _no_line_end()
+
+
+def _no_line_end() -> Gap:
+    return Gap("does not end with a line", is_readable=True)
+
+
+def _sens(path: Path, size: int) -> Gap | None:
+    try:
+        open_sens(path, "")
+    except InputError as error:
+        is_cut = "the file ends" in error.problem or error.field == "frame count"
+        return Gap(f"{error.field}: {error.problem}") if is_cut else None
+    return None
+
+
+def _png(path: Path, size: int) -> Gap | None:
+    return None if _tail(path, size, 12).endswith(b"IEND\xaeB`\x82") else Gap("is cut")
+
+
+def _jpeg(path: Path, size: int) -> Gap | None:
+    # Some cameras write more behind the end of the image, so that its absence there proves little.
+    return None if _tail(path, size, 4096).rstrip(b"\0").endswith(b"\xff\xd9") else Gap("does not end as a JPEG", is_readable=True)
+
+
+def _netpbm(path: Path, size: int) -> Gap | None:
+    with path.open("rb") as file:
+        head = file.read(4096)
+    match = re.match(rb"P([56])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,5})\s", head)
+    if match is None:
+        return Gap("ends inside its header") if size < 32 else None
+    kind, width, height, top = (int(value) for value in match.groups())
+    needed = match.end() + width * height * (3 if kind == 6 else 1) * (2 if top > 255 else 1)
+    return Gap(f"needs {needed} bytes and has {size}") if size < needed else None
+
+
+def _bmp(path: Path, size: int) -> Gap | None:
+    with path.open("rb") as file:
+        head = file.read(6)
+    needed = struct.unpack("<I", head[2:6])[0] if len(head) == 6 else 54
+    return Gap(f"needs {needed} bytes and has {size}") if size < needed else None
+
+
+def _glb_length(path: Path, size: int) -> Gap | None:
+    with path.open("rb") as file:
+        head = file.read(12)
+    if not head.startswith(b"glTF"[: len(head)]):
+        return None
+    needed = struct.unpack("<I", head[8:12])[0] if len(head) == 12 else 12
+    return Gap(f"needs {needed} bytes and has {size}") if size < needed else None
+
+
+def _tail(path: Path, size: int, count: int) -> bytes:
+    with path.open("rb") as file:
+        file.seek(max(0, size - count))
+        return file.read()
+
+
+_CHECKS: dict[str, Callable[[Path, int], Gap | None]] = {
+    ".ply": _ply, ".json": _json, ".txt": _text, ".log": _text, ".freiburg": _text, ".sens": _sens, ".glb": _glb_length,
+    ".png": _png, ".jpg": _jpeg, ".jpeg": _jpeg, ".pgm": _netpbm, ".ppm": _netpbm, ".bmp": _bmp,
+}  # fmt: skip
