@@ -12,6 +12,7 @@ import click
 COMMANDS = {
     "demo": "Make raw scans of furnished rooms and turn them into replica scenes.",
     "run": "Turn a folder of scans into replica scenes in a lake.",
+    "watch": "Turn new and changed scans into replica scenes as they arrive.",
     "scan": "Scan a furnished GLB scene with the virtual scanner.",
     "sql": "Ask the lake a question in SQL; reads only.",
     "explain": "Say what an object, a scene, an asset or a file was made from.",
@@ -21,7 +22,8 @@ COMMANDS = {
     "annotate": "Import what annotators chose, and what reviewers say of it.",
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",
-    "status": "Say what is done and what failed, from the lake alone.",
+    "status": "Say what is done, running, failed and stale, from the lake alone.",
+    "deploy": "Schedule runs on a Prefect server, or start one with a worker.",
     "lake": "Compact, vacuum, back up, restore the lake, or erase a scene from it.",
     "doctor": "Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.",
     "bench": "Measure quality and speed on this machine.",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from schemas.errors import InputError
 from tasks.pipeline import STAGES
@@ -22,16 +24,20 @@ class Configuration:
 
 
 def configure(
-    file: Path | None = None, settings: Sequence[str] = (), library: Path | None = None, seed: int | None = None
+    file: Path | None = None,
+    settings: Sequence[str] = (),
+    library: Path | None = None,
+    seed: int | None = None,
+    tables: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Configuration:
-    """Configs of all stages: their defaults, then a TOML file's tables, then `stage.field=value` settings.
+    """Configs of all stages: their defaults, then a TOML file's tables, then `tables`, then `stage.field=value` settings.
 
     Raises:
         InputError: names a stage or field that does not exist, or a value of the wrong type; or exports would take
             other convex pieces or another MuJoCo than certificates, or another robot than episodes.
     """
     told: dict[str, Any] = {}
-    origin = "defaults"
+    origin = TABLES if tables else "defaults"
     if file is not None:
         origin = file.name
         try:
@@ -45,29 +51,49 @@ def configure(
     library = library or (Path(named_library) if named_library else None)
     if library is not None and not library.is_dir():
         raise InputError(str(library), "library", "is not a folder", "name a folder of GLB files")
-    configs = {stage.name: stage.config() for stage in STAGES}
-    for name, table in told.items():
-        if name not in configs or not isinstance(table, dict):
-            raise InputError(origin, name, "is no stage", f"stages are {', '.join(configs)}")
-        for field, value in table.items():
-            configs[name] = _with(configs[name], [field], value, origin, f"{name}.{field}")
+    configs = configs_with(configs_with({stage.name: stage.config() for stage in STAGES}, told, origin), tables or {})
     for setting in settings:
         path, sign, text = setting.partition("=")
         stage, *fields = path.strip().split(".")
         if not sign or stage not in configs or not fields:
             raise InputError("--set", setting, "is not stage.field=value", f"stages are {', '.join(configs)}")
         configs[stage] = _with(configs[stage], fields, _value(text), "--set", path)
+    _check_agreement(configs, "--set" if origin == "defaults" else origin)
+    return Configuration(configs, library, seed)
+
+
+TABLES = "stages"
+"""How errors name the tables that came as the parameter of a run."""
+
+
+def configs_with(configs: Mapping[str, Any], tables: Mapping[str, Any], origin: str = TABLES) -> dict[str, Any]:
+    """Stages' configs with what tables say, a table of fields for each stage that is told anything.
+
+    The fields of a table are set together, so that their order does not matter.
+
+    Raises:
+        InputError: names a stage or field that does not exist, or a value that breaks its type or its config's own rules.
+    """
+    made = dict(configs)
+    for name, table in tables.items():
+        if name not in configs or not isinstance(table, Mapping):
+            raise InputError(origin, name, "is no stage" if name not in configs else "is no table", f"stages are {', '.join(configs)}")
+        made[name] = _with_table(configs[name], table, origin, name)
+    return made
+
+
+def _check_agreement(configs: Mapping[str, Any], origin: str) -> None:
+    """Refuse configs of two stages that contradict each other."""
     if configs["exports"].pieces != configs["optimization"].pieces:
         problem = "differ from optimization.pieces: what is exported would not be what is certified"
-        raise InputError(origin if told else "--set", "exports.pieces", problem, "set both alike")
+        raise InputError(origin, "exports.pieces", problem, "set both alike")
     if configs["exports"].mjcf.engine != configs["optimization"].certificate.mujoco:
         problem = "differs from optimization.certificate.mujoco: what is exported would not fall as it is certified"
-        raise InputError(origin if told else "--set", "exports.mjcf.engine", problem, "set both alike")
+        raise InputError(origin, "exports.mjcf.engine", problem, "set both alike")
     for field in ("forward_m", "turn_degrees", "success_m"):
         if getattr(configs["exports"].habitat, field) != getattr(configs["navigation"], field):
             problem = f"differs from navigation.{field}: the robot of the dataset would not be that of its episodes"
-            raise InputError(origin if told else "--set", f"exports.habitat.{field}", problem, "set both alike")
-    return Configuration(configs, library, seed)
+            raise InputError(origin, f"exports.habitat.{field}", problem, "set both alike")
 
 
 def _value(text: str) -> Any:
@@ -79,53 +105,109 @@ def _value(text: str) -> Any:
 
 
 def _with(config: Any, fields: Sequence[str], value: Any, origin: str, path: str) -> Any:
-    """`config` with one field, named by its path, set to `value`, checked against the type of the present one.
+    """`config` with one field, named by its path, set to `value`."""
+    field, *rest = fields
+    if not rest:
+        return _with_table(config, {field: value}, origin, path.rpartition(".")[0])
+    _check_known(config, field, origin, path)
+    present = getattr(config, field)
+    if not dataclasses.is_dataclass(present):
+        raise InputError(origin, path, f"{field} has no fields of its own", "shorten the path")
+    return dataclasses.replace(config, **{field: _with(present, rest, value, origin, path)})
+
+
+def _with_table(config: Any, table: Mapping[str, Any], origin: str, path: str) -> Any:
+    """`config` with a table's fields, each checked against its type, all set at once."""
+    told = {field: _told(config, field, value, origin, f"{path}.{field}") for field, value in table.items()}
+    try:
+        return dataclasses.replace(config, **told)
+    except (TypeError, ValueError) as error:
+        defaults = ", ".join(f"{field} {getattr(config, field)!r}" for field in told)
+        raise InputError(origin, f"{path}.{next(iter(told))}" if len(told) == 1 else path, str(error), f"it was {defaults}") from error
+
+
+def _told(config: Any, field: str, value: Any, origin: str, path: str) -> Any:
+    """What a field is to hold.
 
     Where several configs may stand in a field, a word names one (`method = "paper"`), alone or as `kind` of a table.
     """
-    field, *rest = fields
-    known = [f.name for f in dataclasses.fields(config)]
-    if field not in known:
-        raise InputError(origin, path, f"{type(config).__name__} has no field {field}", f"it has {', '.join(known)}")
-    present = getattr(config, field)
-    if rest:
-        if not dataclasses.is_dataclass(present):
-            raise InputError(origin, path, f"{field} has no fields of its own", "shorten the path")
-        return dataclasses.replace(config, **{field: _with(present, rest, value, origin, path)})
-    kinds = _kinds(config, field)
-    if kinds and (isinstance(value, str) or (isinstance(value, dict) and "kind" in value)):
+    _check_known(config, field, origin, path)
+    present, kinds = getattr(config, field), kinds_of(type(config), field)
+    if kinds and (isinstance(value, str) or (isinstance(value, Mapping) and "kind" in value)):
         kind, value = (value, {}) if isinstance(value, str) else (value["kind"], {k: v for k, v in value.items() if k != "kind"})
-        if kind not in kinds:
+        if not isinstance(kind, str) or kind not in kinds:
             raise InputError(origin, path, f"there is no {kind!r}", f"it is one of {', '.join(kinds)}")
         present = kinds[kind]()
-    if isinstance(value, dict) and dataclasses.is_dataclass(present):
-        for name, inner in value.items():
-            present = _with(present, [name], inner, origin, f"{path}.{name}")
-        return dataclasses.replace(config, **{field: present})
+    if isinstance(value, Mapping) and dataclasses.is_dataclass(present):
+        return _with_table(present, value, origin, path)
     try:
-        return dataclasses.replace(config, **{field: _coerce(present, value)})
-    except (TypeError, ValueError) as error:
+        return _coerce(types_of(type(config))[field], value)
+    except TypeError as error:
         raise InputError(origin, path, str(error), f"the default is {present!r}") from error
 
 
-def _kinds(config: Any, field: str) -> dict[str, type]:
+def _check_known(config: Any, field: str, origin: str, path: str) -> None:
+    known = [f.name for f in dataclasses.fields(config) if f.init]
+    if field not in known:
+        raise InputError(origin, path, f"{type(config).__name__} has no field {field}", f"it has {', '.join(known)}")
+
+
+def types_of(config: Any) -> dict[str, Any]:
+    """The types of a config's fields."""
+    return get_type_hints(config)
+
+
+def kinds_of(config: Any, field: str) -> dict[str, type]:
     """The configs that a field may hold, by name in lower case without `Config`, where its type is a union of configs."""
-    held = get_args(get_type_hints(type(config))[field])
+    held = get_args(types_of(config)[field])
     return (
         {kind.__name__.removesuffix("Config").lower(): kind for kind in held} if held and all(map(dataclasses.is_dataclass, held)) else {}
     )
 
 
-def _coerce(present: Any, value: Any) -> Any:
-    """`value` in the type of `present`; tuples are given as lists."""
-    if isinstance(present, bool) or isinstance(value, bool):
-        if isinstance(present, bool) and isinstance(value, bool):
+def _coerce(kind: Any, value: Any) -> Any:
+    """`value` in a field's type: whole numbers are numbers, too, tuples are given as lists.
+
+    Raises:
+        TypeError: it does not fit.
+    """
+    match get_origin(kind) or kind:
+        case _ if kind in (bool, str, NoneType) and type(value) is kind:
             return value
-        raise TypeError(f"{value!r} does not fit")
-    if isinstance(present, float) and isinstance(value, int | float):
-        return float(value)
-    if isinstance(present, tuple) and isinstance(value, list) and not any(dataclasses.is_dataclass(p) for p in present):
-        return tuple(_coerce(present[0], v) if present else v for v in value)
-    if present is None or (type(value) is type(present) and not isinstance(present, tuple)):
-        return value
-    raise TypeError(f"{value!r} is not a {type(present).__name__}")
+        case _ if kind is int and type(value) in (int, float) and math.isfinite(value) and value == int(value):
+            return int(value)  # JSON does not tell 2.0 from 2
+        case _ if kind is float and type(value) in (int, float) and math.isfinite(value):
+            return float(value)
+        case origin if origin is Literal and any(type(value) is type(word) and value == word for word in get_args(kind)):
+            return value
+        case origin if origin in (Union, UnionType):
+            for held in get_args(kind):
+                try:
+                    return _coerce(held, value)
+                except TypeError:
+                    continue
+        case origin if origin is tuple and isinstance(value, list | tuple):
+            return _coerced_items(get_args(kind), value)
+    raise TypeError(f"{value!r} is not {_described(kind)}")
+
+
+def _coerced_items(kinds: tuple[Any, ...], values: Sequence[Any]) -> tuple[Any, ...]:
+    if len(kinds) == 2 and kinds[1] is ...:
+        return tuple(_coerce(kinds[0], value) for value in values)
+    if len(kinds) != len(values):
+        raise TypeError(f"{len(values)} values given, there are {len(kinds)}")
+    return tuple(_coerce(kind, value) for kind, value in zip(kinds, values, strict=True))
+
+
+_WORDS = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a text", NoneType: "null"}
+
+
+def _described(kind: Any) -> str:
+    """A type in words."""
+    if kind in _WORDS:
+        return _WORDS[kind]
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}"
+    if get_origin(kind) in (Union, UnionType):
+        return " or ".join(_described(held) for held in get_args(kind))
+    return "a list of what belongs here" if get_origin(kind) is tuple else "a table"

@@ -1,10 +1,12 @@
-"""What this machine remembers of a scene outside of the lake: cached convex pieces, surfaces, and hashes of scan files."""
+"""What this machine remembers of a scene outside of the lake: cached convex pieces, surfaces, hashes of scan files, and
+mirrors of scans that lie in a store."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Collection
 from pathlib import Path
@@ -19,7 +21,7 @@ def erase_from_caches(traces: Traces, hashes: Collection[str], folder: Path | No
 
     Values that are kept under a blob's name go when the blob went. Keys of others (convex pieces) are hashes that do not
     say whose they are, so that all of these go where anything of the scene was ever kept: they are computed again when
-    they are needed. Hashes of scan files go where a path names the scene.
+    they are needed. Hashes of scan files go where a path names the scene, and so do mirrors of its scan.
     """
     root = folder or cache_folder()
     gone = set(hashes)
@@ -29,7 +31,22 @@ def erase_from_caches(traces: Traces, hashes: Collection[str], folder: Path | No
         if path.is_file() and (path.name.partition(".")[0] in gone if is_blob else bool(gone)):
             path.unlink(missing_ok=True)
             count += 1
-    return count + _erase_paths(root / "file_hashes.json", traces)
+    return count + _erase_mirrors(root / "scans", traces) + _erase_paths(root / "file_hashes.json", traces)
+
+
+def _erase_mirrors(folder: Path, traces: Traces) -> int:
+    """Remove the versions of the scene's scan that were fetched from a store, and the links to them."""
+    count = 0
+    for facts in sorted(folder.glob("*/versions/*.json")):
+        said = json.loads(facts.read_text())
+        if any(traces.in_text(str(said.get(name, ""))) for name in ("scene", "scan", "content")):
+            facts.unlink(missing_ok=True)
+            shutil.rmtree(facts.with_suffix(""), ignore_errors=True)
+            count += 1
+    for link in folder.glob("*/views/**/*"):
+        if link.is_symlink() and not link.exists():
+            link.unlink(missing_ok=True)
+    return count
 
 
 def _erase_paths(store: Path, traces: Traces) -> int:

@@ -13,6 +13,8 @@ import dataclasses
 import hashlib
 import json
 import os
+import re
+import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
@@ -67,8 +69,41 @@ def annotations_digest(rows: Iterable[Mapping[str, object]]) -> str:
 def code_fingerprint(module: str) -> str:
     """Hash of a module and all modules of ours that it imports, anywhere in them; comments and docstrings do not count.
 
-    Data files (CSV, JSON) in the folders of those modules count as code.
+    Data files (CSV, JSON) in the folders of those modules count as code. Parsing them all takes seconds, so what was found
+    for exactly these contents is remembered between processes.
     """
+    store = FileCache(cache_folder())
+    known = _remembered(store)
+    if module not in known:
+        known[module] = _fingerprint_of(module)
+        if _contents_of_rooms.__wrapped__() == _contents_of_rooms():  # no file was edited meanwhile
+            store[CODE_STORE] = json.dumps({"contents": _contents_of_rooms(), "modules": known}).encode()
+    return known[module]
+
+
+CODE_STORE = "code_fingerprints.json"
+
+
+def _remembered(store: Mapping[str, bytes]) -> dict[str, str]:
+    """Fingerprints of modules that were found for the files as they are now."""
+    try:
+        read = json.loads(store[CODE_STORE])
+        found = {str(name): str(value) for name, value in read["modules"].items()} if read["contents"] == _contents_of_rooms() else {}
+    except (KeyError, ValueError, TypeError, AttributeError):
+        return {}
+    return {name: value for name, value in found.items() if re.fullmatch("[0-9a-f]{64}", value)}
+
+
+@cache
+def _contents_of_rooms() -> str:
+    """Hash of all that fingerprints of code are made of: every file that may count, Python's grammar, and how it is done."""
+    paths = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.suffix in (".py", ".csv", ".json")]
+    parts = [f"{path.relative_to(ROOT).as_posix()}={hashlib.sha256(path.read_bytes()).hexdigest()}" for path in sorted(paths)]
+    return digest(sys.version, hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), *parts)
+
+
+def _fingerprint_of(module: str) -> str:
+    """The fingerprint of a module's code, from its files."""
     seen: dict[str, Path] = {}
     queue = [module]
     while queue:

@@ -1,124 +1,318 @@
 """The flow that turns scans into replica scenes: `flows.pipeline.replicate`, fanned out over scenes.
 
-A scene is one Prefect task on a thread, which walks its stages through one warm process pool: threads cost Prefect
-3 ms a task where its process runners cost 55 to 90, and Python geometry needs processes.
+By default a task is a thread, which hands the stages of its scenes to one warm process pool: threads cost Prefect 3 ms a
+task where its process runners cost 55 to 90, and Python geometry needs processes. The same tasks run on Prefect's process
+runner, on Dask and on Ray.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import uuid
-from collections.abc import Mapping, Sequence
+import contextlib
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from prefect import flow, task
-from prefect.futures import PrefectFuture, as_completed
-from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
+from prefect.cache_policies import NO_CACHE
+from prefect.states import Completed, Failed, State
+from prefect.tasks import exponential_backoff
 
-from flows.configuration import Configuration, configure
+from flows.artifacts import Board, committed, flow_run_name, run_log, task_run_name
+from flows.configuration import configure
+from flows.fanout.batch import Batch
+from flows.fanout.coordinator import Coordinator, FanOut, Outcome
+from flows.fanout.pools import shared_pool
+from flows.fanout.runners import Runner, task_runner
+from flows.parameters import StageTables
+from flows.patience import patiently
 from flows.plan import Plan, ScenePlan, make_plan
-from flows.pool import WorkerPool
-from flows.report import RunReport, report_of
-from flows.scene import SceneResult, run_scene, settle
-from tasks.capture.formats import find_scans
+from flows.progress import current
+from flows.report import RunReport, keep, report_of
+from flows.scans import found_scans, settled
+from flows.scene import STAGE_SECONDS, SceneResult, settle
+from schemas.runs import StageRun
+from tasks.capture.formats import Scan
 from warehouse.lake import Lake
 
-COMMIT_SCENES = 25
-"""Scenes per commit: a commit rewrites a part of every table (0.3 to 0.8 s), and what is uncommitted is still staged."""
+# Prefect prints a traceback for every line that its server does not take; the board says once that it is away.
+logging.raiseExceptions = False
+
+LOST_RETRIES = 2
+"""A worker may be lost to something else on the machine twice; a third time the scene itself is the likely reason."""
 
 
-THREADS = 16
-"""Scenes in flight at most; each thread only waits for the pool, which has as many processes as were asked for."""
-
-_RUNNER: TaskRunner[PrefectFuture[Any]] = ThreadPoolTaskRunner(max_workers=THREADS)  # type: ignore[assignment]  # invariant generic
+class WorkerGone(Exception):
+    """A worker died while it computed a stage; the text says which."""
 
 
-@dataclasses.dataclass(frozen=True)
-class _Work:
-    """What the scene tasks of one run share; it stays in this process, so that Prefect sees names only."""
-
-    plans: Mapping[str, ScenePlan]
-    lake: Lake
-    configuration: Configuration
-    pool: WorkerPool
-    processes: int
+def is_worth_another_try(task: Any, task_run: Any, state: State[Any]) -> bool:
+    """Prefect's retry condition: a lost worker is tried again; bad input, a timeout or a defect gives the same once more."""
+    return isinstance(state.result(raise_on_failure=False), WorkerGone)
 
 
-_WORK: dict[str, _Work] = {}
+class Work:
+    """A stage to compute, as a parameter that Prefect leaves alone; `run` is what came of it."""
+
+    def __init__(self, compute: Callable[[], StageRun]) -> None:
+        self.compute = compute
+        self.run: StageRun | None = None
 
 
-@task(name="replicate-scene", task_run_name="{scene_id}", persist_result=False)
-def replicate_scene(scene_id: str, run: str) -> SceneResult:
-    """One scene through its stages."""
-    work = _WORK[run]
-    return run_scene(work.lake, work.plans[scene_id], work.configuration, work.pool, work.processes)
+class Results(list[SceneResult]):
+    """Results of a task's scenes. Prefect writes what a failed task returns into its log: the message there says enough."""
+
+    def __repr__(self) -> str:
+        return f"results of {len(self)} scenes"
 
 
-@flow(name="replicate", persist_result=False, task_runner=_RUNNER)
+@task(name="stage", task_run_name="{name}", persist_result=False, cache_policy=NO_CACHE)
+def compute_stage(name: str, work: Work) -> Any:
+    """One stage of one scene."""
+    work.run = work.compute()
+    return None if work.run.outcome == "done" else Failed(message=work.run.error or work.run.outcome)
+
+
+@task(
+    name="scenes",
+    task_run_name="{name}",
+    retries=LOST_RETRIES,
+    retry_delay_seconds=exponential_backoff(2),
+    retry_jitter_factor=0.5,
+    retry_condition_fn=is_worth_another_try,
+    persist_result=False,
+    cache_policy=NO_CACHE,
+)
+def compute_scenes(name: str, batch: Batch) -> Any:
+    """Some scenes through their stages. What is finished when a worker is lost is not computed again."""
+    from prefect.runtime import task_run
+
+    def around(scene_id: str, stage: str, work: Callable[[], StageRun]) -> StageRun:
+        with _limited(stage, batch.limits):
+            if not batch.shows_stages:
+                return work()
+            told = Work(work)
+            state = compute_stage(task_run_name(scene_id, stage), told, return_state=True)
+        if told.run is None:
+            raise state.result(raise_on_failure=False)
+        return told.run
+
+    results = Results(batch.compute(around))
+    lost = [result for result in results if result.is_lost]
+    if lost and task_run.run_count <= LOST_RETRIES:
+        raise WorkerGone("; ".join(result.retried[-1] for result in lost))
+    failed = [f"{result.scene_id}: {result.failed}: {result.error}" for result in results if result.failed]
+    return Failed(message="; ".join(failed)[:2000], data=results) if failed else results
+
+
+def _limited(stage: str, limits: Mapping[str, str]) -> contextlib.AbstractContextManager[None]:
+    """A slot of the stage's global concurrency limit; nothing where it has none."""
+    if stage not in limits:
+        return contextlib.nullcontext()
+    from flows.limits import limited
+
+    return limited(stage, limits)
+
+
+class _Tasks:
+    """Batches as Prefect tasks. A runner that broke is replaced by a new one."""
+
+    def __init__(self, make_runner: Callable[[], Any]) -> None:
+        self._make_runner = make_runner
+        self._runner: Any = None
+        self._is_broken = False
+        self._from: dict[Any, Any] = {}
+        self._stack = contextlib.ExitStack()
+
+    def submit(self, batch: Batch) -> Any:
+        """See flows.fanout.coordinator.Tasks."""
+        parameters = {"name": task_run_name([scene.scan.scene_id for scene in batch.scenes]), "batch": batch}
+        if self._is_broken:
+            self._renew()
+        try:
+            future = self._runner.submit(compute_scenes, parameters=parameters)
+        except BrokenExecutor:
+            self._renew()
+            future = self._runner.submit(compute_scenes, parameters=parameters)
+        self._from[future.task_run_id] = self._runner
+        return future
+
+    def results(self, future: Any) -> list[SceneResult]:
+        """See flows.fanout.coordinator.Tasks."""
+        runner = self._from.pop(future.task_run_id)
+        try:
+            found = future.result(raise_on_failure=False)
+            if isinstance(found, BaseException):
+                raise found
+        except BrokenExecutor:  # one of its processes was killed; the others have ended with it
+            self._is_broken = self._is_broken or runner is self._runner
+            raise
+        results: list[SceneResult] = found
+        return results
+
+    def _renew(self) -> None:
+        current().say("worker processes were lost; new ones are started")
+        self._stack.close()
+        self._runner = self._stack.enter_context(self._make_runner())
+        self._is_broken = False
+
+    def __enter__(self) -> _Tasks:
+        self._runner = self._stack.enter_context(self._make_runner())
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        self._stack.__exit__(*exception)
+
+
+def _name() -> str:
+    from prefect.runtime import flow_run
+
+    told = flow_run.parameters
+    return flow_run_name(told["scans"], told["lake"], dataset=told.get("dataset"))
+
+
+@flow(name="replicate", flow_run_name=_name, persist_result=False, validate_parameters=True)
 def replicate(
     scans: str,
     lake: str,
     format: str = "auto",
     dataset: str | None = None,
-    workers: int = 2,
+    workers: int | None = None,
     library: str | None = None,
     seed: int | None = None,
     config_file: str | None = None,
-    settings: Sequence[str] = (),
+    settings: list[str] = [],  # noqa: B006  # a default that Prefect's form shows; it is never changed
+    stages: StageTables = {},  # noqa: B006
     retry_failed: bool = False,
-) -> RunReport:
-    """Replica scenes of all scans in a folder, into a lake. Scenes are independent: one that fails stops no other.
+    scenes: list[str] = [],  # noqa: B006
+    first: str | None = None,
+    last: str | None = None,
+    since: str | None = None,
+    until: str | None = None,
+    runner: Runner = "pool",
+    dask_address: str | None = None,
+    batch: int | None = None,
+    limits: dict[str, str] = {},  # noqa: B006
+    keep_free_gb: float | None = None,
+    quota_gb: float | None = None,
+    stage_seconds: float = STAGE_SECONDS,
+    settle_seconds: float = 0.0,
+) -> Any:
+    """Replica scenes of the scans at an address, into a lake. Scenes are independent: one that fails stops no other.
+
+    The run fails when a scene failed that had not failed before on the same input. Its result is a `flows.report.RunReport`.
 
     Args:
-        scans: Folder of scans, or one scan.
+        scans: Folder of scans, one scan, or s3://bucket/prefix.
         lake: Address of the lake: a folder or s3://bucket/prefix.
         format: Scan format, or 'auto'.
         dataset: Name of the dataset; by default what the format says.
-        workers: Worker processes.
+        workers: Worker processes; by default one for every core of the machine that runs this.
         library: Folder of GLB assets for retrieval.
         seed: Run seed.
         config_file: TOML file with a table per stage.
         settings: Single values, `stage.field=value`.
+        stages: What stages are told, a table each.
         retry_failed: Compute again what failed on unchanged input.
+        scenes: Only these scenes: ids or shell patterns.
+        first: Only scenes from this id on.
+        last: Only scenes up to this id.
+        since: Only scans that arrived on this date or later.
+        until: Only scans that arrived on this date or earlier.
+        runner: What computes: 'pool', 'processes', 'dask' or 'ray'.
+        dask_address: Scheduler of a Dask cluster; by default one is started on this machine.
+        batch: Scenes per task; by default it follows from how long they take.
+        limits: Global concurrency limits by stage.
+        keep_free_gb: Stop before less is free on the disk.
+        quota_gb: Stop before the lake holds more.
+        stage_seconds: Time limit of one stage of one scene.
+        settle_seconds: Leave scans that changed less long ago to a later run: they may still be on their way.
     """
     configuration = configure(
-        Path(config_file) if config_file else None, list(settings), library=Path(library) if library else None, seed=seed
+        Path(config_file) if config_file else None, settings, Path(library) if library else None, seed, tables=stages or None
     )
-    store = Lake.open(lake)
-    found, unusable = find_scans(Path(scans), format, dataset)
-    plan = make_plan(store, found, unusable, configuration, retry_failed)
-    return carry_out(plan, store, configuration, workers)
+    if limits:
+        from flows.limits import check_limits
+
+        check_limits(limits)
+    fan_out = FanOut(workers or os.cpu_count() or 1, runner, dask_address, batch, limits, keep_free_gb, quota_gb, stage_seconds)
+
+    began = datetime.now(UTC)
+
+    def once() -> RunReport:
+        store = Lake.open(lake)
+        found, unusable = found_scans(scans, format, dataset, scenes=scenes, first=first, last=last, since=since, until=until)
+        if settle_seconds > 0:
+            found, arriving = settled(found, settle_seconds, by_change="://" not in scans)
+            for scan in arriving:
+                run_log(f"{scan.scene_id}: changed less than {settle_seconds:g} s ago, or is being copied; left to a later run")
+        plan = make_plan(store, found, unusable, configuration, retry_failed)
+
+        def replan(scan: Scan, retry: bool) -> ScenePlan | None:
+            again = make_plan(store, [scan], (), configuration, retry)
+            return again.scenes[0] if again.scenes else None
+
+        coordinator = Coordinator(plan, store, configuration, fan_out, replan, retry_failed=retry_failed)
+        return _carry_out(plan, store, coordinator, scans, dataset, fan_out, began)
+
+    report = patiently(once)
+    keep(report)
+    return state_of(report)
 
 
-def carry_out(plan: Plan, lake: Lake, configuration: Configuration, workers: int) -> RunReport:
+def state_of(report: RunReport) -> State[Any]:
+    """How a run ends in Prefect: failed where a scene failed anew, or was not begun."""
+    anew = [line for line in report.failures if line not in report.known]
+    parts = [f"{len(report.done)} scenes done", f"{len(report.unchanged) + len(report.shared)} up to date"]
+    if report.known:
+        parts.append(f"{len(report.known)} failed before")
+    if anew:
+        parts.append(f"{len(anew)} failed: {anew[0]}" + (" and others" if len(anew) > 1 else ""))
+    if report.postponed:
+        parts.append(f"{len(report.postponed)} postponed: {report.stopped}")
+    message = ", ".join(parts)
+    return Failed(message=message, data=report) if anew or report.postponed else Completed(message=message, data=report)
+
+
+def _carry_out(
+    plan: Plan, lake: Lake, coordinator: Coordinator, scans: str, dataset: str | None, fan_out: FanOut, began: datetime
+) -> RunReport:
     """Compute what a plan says, commit it in batches, and leave no staged or temporary file behind."""
     keep = {(s.scan.scene_id, step.stage, step.fingerprint.value) for s in plan.scenes for step in s.steps}
     lake.sweep(keep)
-    results: list[SceneResult] = []
-    if plan.todo:
-        with WorkerPool(workers) as pool:
-            spare = max(1, workers // len(plan.todo))  # with fewer scenes than workers, a scene may use more than one
-            results = _fan_out(plan, _Work({s.scan.scene_id: s for s in plan.scenes}, lake, configuration, pool, spare))
-    settle(lake, plan)
-    return report_of(plan, results)
+    outcome = Outcome()
+    with Board() as board:
+        board.begin(plan, lake.address, scans, dataset)
+        if plan.todo:
+            with _workers(coordinator.run_id, fan_out) as tasks:
+                outcome = coordinator.run(tasks, board.advance, {"scans": scans})
+        settle(lake, plan)
+        report = report_of(plan, outcome, began)
+        for line in (*report.retried, *report.failures):
+            run_log(line, warning=True)
+        if report.done:
+            committed(lake.address, lake.snapshot().snapshot_id, scans, len(report.done))
+        board.end(report, plan, lake, _outputs(lake))
+    return report
 
 
-def _fan_out(plan: Plan, work: _Work) -> list[SceneResult]:
-    """One Prefect task per scene; finished scenes are committed in batches."""
-    run = uuid.uuid4().hex
-    _WORK[run] = work
-    results: list[SceneResult] = []
-    finished: list[str] = []
-    try:
-        futures = [replicate_scene.submit(scene.scan.scene_id, run) for scene in plan.todo]
-        for future in as_completed(futures):
-            result = future.result()
-            results.append(result)
-            finished.append(result.scene_id)
-            if len(finished) >= COMMIT_SCENES:
-                work.lake.commit(scenes=finished)
-                finished = []
-    finally:
-        del _WORK[run]
-    return results
+def _outputs(lake: Lake) -> dict[str, str]:
+    """What was made from a lake and lies beside it: the report that the flow `statistics` draws by default."""
+    from flows.stats.flow import beside
+
+    if lake.storage.local_path("") is None:  # of a store nobody can be asked cheaply
+        return {}
+    report = Path(beside(lake.address))
+    return {"report": str(report)} if report.is_file() else {}
+
+
+@contextlib.contextmanager
+def _workers(run: str, fan_out: FanOut) -> Iterator[_Tasks]:
+    """Where tasks run. The pool ends before the threads that wait for it do, or they would wait for ever."""
+    with _Tasks(lambda: task_runner(fan_out.runner, fan_out.workers, fan_out.dask_address)) as tasks, contextlib.ExitStack() as pool:
+        if fan_out.runner == "pool":
+            pool.enter_context(shared_pool(run, fan_out.workers))
+        yield tasks

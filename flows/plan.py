@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -57,21 +57,16 @@ class ScenePlan:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What a run would do: scenes with their steps, and scans that cannot be used at all."""
+    """What a run would do: scenes with their steps, and scans that cannot be used at all. `snapshot_id` is what it was made from."""
 
     scenes: tuple[ScenePlan, ...]
     unusable: tuple[InputError, ...]
+    snapshot_id: int = 0
 
     @property
     def todo(self) -> tuple[ScenePlan, ...]:
         """Scenes with something to compute."""
         return tuple(scene for scene in self.scenes if scene.todo)
-
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """What failed before on unchanged input, or cannot be used: a line each."""
-        known = [f"{s.scan.scene_id}: {s.failure.stage}: {s.failure.before.error}" for s in self.scenes if s.failure and s.failure.before]
-        return (*(str(error) for error in self.unusable), *known)
 
     def counts(self) -> Counter[Action]:
         """How many steps there are of each action."""
@@ -88,9 +83,11 @@ def make_plan(
 ) -> Plan:
     """Hold scans against the lake. Nothing is computed or written but the cache of file hashes."""
     hashes = hashes or FileHashes()
+    snapshot_id = lake.snapshot().snapshot_id  # before the history is read: what is committed meanwhile counts as news
+    told = {stage.name: (canonical_json(configuration.stages[stage.name]), code_fingerprint(MODULES[stage.name])) for stage in SCENE_STAGES}
     library = _library_hash(configuration.library, hashes)
     history = lake.history({scan.scene_id for scan in scans})
-    annotations = _history_digests(lake, scans)
+    annotations = annotation_digests(lake, {scan.scene_id for scan in scans})
     scenes, errors = [], list(unusable)
     for scan in scans:
         try:
@@ -101,21 +98,20 @@ def make_plan(
             continue
         outside = {"scan": content, "library": library}
         past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
-        scenes.append(ScenePlan(scan, _steps(outside, annotations.get(scan.scene_id, ""), past, configuration, retry_failed)))
+        scenes.append(ScenePlan(scan, _steps(outside, annotations.get(scan.scene_id, ""), past, told, configuration.seed, retry_failed)))
     hashes.save()
-    return Plan(tuple(scenes), tuple(errors))
-
-
-def stage_fingerprint(stage: Stage, inputs: tuple[str, ...], configuration: Configuration) -> Fingerprint:
-    """The fingerprint of a stage on given inputs."""
-    config = canonical_json(configuration.stages[stage.name])
-    return Fingerprint(inputs, config, code_fingerprint(MODULES[stage.name]), configuration.seed)
+    return Plan(tuple(scenes), tuple(errors), snapshot_id)
 
 
 def _steps(
-    outside: Mapping[str, str], annotations: str, past: Mapping[str, object], configuration: Configuration, retry_failed: bool
+    outside: Mapping[str, str],
+    annotations: str,
+    past: Mapping[str, object],
+    told: Mapping[str, tuple[str, str]],
+    seed: int,
+    retry_failed: bool,
 ) -> tuple[Step, ...]:
-    """The steps of one scene."""
+    """The steps of one scene. `told` holds config and code of every stage, the same texts for all scenes."""
     steps: list[Step] = []
     by_stage: dict[str, Step] = {}
     for stage in SCENE_STAGES:
@@ -125,7 +121,7 @@ def _steps(
         inputs = tuple(f"{name}={outside[name]}" for name in stage.outside if name in outside)
         if stage.history:
             inputs += (f"annotations={annotations}",)
-        fingerprint = stage_fingerprint(stage, (*inputs, *read), configuration)
+        fingerprint = Fingerprint((*inputs, *read), *told[stage.name], seed)
         action, why, attempt, before = _action(stage, fingerprint, past[stage.name], [by_stage[o.name] for o in above], retry_failed)
         step = Step(stage.name, action, why, fingerprint, read, attempt, before)
         steps.append(step)
@@ -169,11 +165,11 @@ def _library_hash(library: Path | None, hashes: FileHashes) -> str:
     return hashes.tree(library, library_files(library))
 
 
-def _history_digests(lake: Lake, scans: Sequence[Scan]) -> dict[str, str]:
-    """Hash of each scene's annotations as they stand in the lake; no entry where there are none."""
-    wanted = {scan.scene_id for scan in scans}
+def annotation_digests(lake: Lake, scenes: Collection[str] | None = None) -> dict[str, str]:
+    """Hash of each scene's annotations as they stand in the lake, of `scenes` if given; no entry where there are none."""
     per_scene: dict[str, list[Mapping[str, object]]] = {}
-    for row in lake.snapshot().arrow("annotations").to_pylist():
-        if row["scene_id"] in wanted:
+    only = next(iter(scenes)) if scenes is not None and len(scenes) == 1 else None  # a scene is planned again: not all is read
+    for row in lake.snapshot().arrow("annotations", only).to_pylist():
+        if scenes is None or row["scene_id"] in scenes:
             per_scene.setdefault(row["scene_id"], []).append(row)
     return {scene: annotations_digest(rows) for scene, rows in per_scene.items()}

@@ -49,18 +49,28 @@ class WorkerPool:
     """
 
     def __init__(self, workers: int) -> None:
-        import multiprocessing
-
-        from pebble import ProcessPool
-
+        self._workers = workers
         self._lock = threading.Lock()
         self._open: set[Any] = set()
         self._stopped = False
         self._environment = {name: os.environ.get(name) for name in ONE_THREAD}
         os.environ.update(ONE_THREAD)  # a spawned worker reads these before it imports anything
-        self._pool = ProcessPool(
-            max_workers=workers, context=multiprocessing.get_context("spawn"), initializer=start_worker, initargs=(os.getpid(),)
+        self._pool = self._started()
+
+    def _started(self) -> Any:
+        import multiprocessing
+
+        from pebble import ProcessPool
+
+        return ProcessPool(
+            max_workers=self._workers, context=multiprocessing.get_context("spawn"), initializer=start_worker, initargs=(os.getpid(),)
         )
+
+    def _replace(self, broken: Any) -> None:
+        """Start anew after all workers died at once, which pebble does not survive. The lock is held."""
+        if self._pool is broken and not self._stopped:
+            self._pool = self._started()
+            threading.Thread(target=_end, args=(broken,), name="broken-pool", daemon=True).start()
 
     def call(self, function: Callable[..., T], *arguments: Any, timeout: float | None = None) -> T:
         """`function(*arguments)` in a worker; waits for the result.
@@ -72,19 +82,29 @@ class WorkerPool:
         """
         from concurrent.futures import CancelledError
         from concurrent.futures import TimeoutError as FutureTimeout
+        from concurrent.futures.process import BrokenProcessPool
 
         from pebble import ProcessExpired
 
         with self._lock:
             if self._stopped:
                 raise PoolStopped("the run is ending")
-            future = self._pool.schedule(function, args=arguments, timeout=timeout)
+            try:
+                future = self._pool.schedule(function, args=arguments, timeout=timeout)
+            except RuntimeError:  # broken, and nobody has noticed yet
+                self._replace(self._pool)
+                future = self._pool.schedule(function, args=arguments, timeout=timeout)
+            pool = self._pool
             self._open.add(future)
         try:
             result: T = future.result()
             return result
         except ProcessExpired as error:
             raise WorkerLost(f"the worker died (exit code {error.exitcode})") from error
+        except BrokenProcessPool as error:
+            with self._lock:
+                self._replace(pool)
+            raise WorkerLost("all workers died at once") from error
         except FutureTimeout as error:
             raise WorkerTimeout(f"took longer than {timeout:g} s") from error
         except CancelledError as error:
@@ -96,22 +116,33 @@ class WorkerPool:
     def __enter__(self) -> WorkerPool:
         return self
 
+    def stop(self) -> None:
+        """End the workers at once. Threads that wait for a result get an answer, or nobody could ever end."""
+        with self._lock:
+            self._stopped = True
+            waiting = list(self._open)
+        for future in waiting:
+            future.cancel()
+        self._pool.stop()
+        self._pool.join()
+
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if kind is None:
             self._pool.close()
-        else:  # threads that wait for a result must get an answer, or nobody could ever end
-            with self._lock:
-                self._stopped = True
-                waiting = list(self._open)
-            for future in waiting:
-                future.cancel()
-            self._pool.stop()
-        self._pool.join()
+            self._pool.join()
+        else:
+            self.stop()
         for name, value in self._environment.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def _end(pool: Any) -> None:
+    """Let go of a broken pool: of its threads, and of workers that it started last."""
+    pool.stop()
+    pool.join()
 
 
 def spread_over(processes: int) -> Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]:

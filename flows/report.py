@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from datetime import datetime
+from typing import TYPE_CHECKING
 
 from flows.plan import Plan
-from flows.scene import SceneResult
+
+if TYPE_CHECKING:
+    from flows.fanout.coordinator import Outcome
 
 
 @dataclasses.dataclass(frozen=True)
 class RunReport:
-    """Scenes computed, failed and left as they were, and one line per failure."""
+    """Scenes computed, failed and left as they were, and one line per failure.
+
+    `shared` scenes were computed by another run meanwhile. `postponed` ones were not begun, for the reason in `stopped`.
+    `known` failures are those of earlier runs on unchanged input; `retried` says which workers were lost.
+    """
 
     done: tuple[str, ...]
     failed: tuple[str, ...]
@@ -19,18 +26,60 @@ class RunReport:
     failures: tuple[str, ...]
     steps: int
     degradations: tuple[str, ...]
+    shared: tuple[str, ...] = ()
+    postponed: tuple[str, ...] = ()
+    stopped: str | None = None
+    known: tuple[str, ...] = ()
+    retried: tuple[str, ...] = ()
 
 
-def report_of(plan: Plan, results: Sequence[SceneResult]) -> RunReport:
-    """The report of a plan that was carried out with these results."""
+def report_of(plan: Plan, outcome: Outcome | None = None, began: datetime | None = None) -> RunReport:
+    """The report of a plan; `outcome` is what came of the scenes that it computed.
+
+    What failed since `began` is this run's failure, although the plan found it in the lake: the run had to start over.
+    """
+    from flows.mirror import FetchError
+
+    results = sorted(outcome.results, key=lambda result: result.scene_id) if outcome else []
+    elsewhere = outcome.failed_elsewhere if outcome else {}
+    shared, postponed = (set(outcome.shared), set(outcome.postponed)) if outcome else (set(), set())
     computed = {result.scene_id for result in results}
-    failed = {r.scene_id for r in results if r.failed} | {s.scan.scene_id for s in plan.scenes if s.failure}
-    failures = [f"{r.scene_id}: {r.failed}: {r.error}" for r in sorted(results, key=lambda r: r.scene_id) if r.failed]
+    failed = {r.scene_id for r in results if r.failed} | {s.scan.scene_id for s in plan.scenes if s.failure} | set(elsewhere)
+    known: list[str] = []
+    anew: list[str] = []
+    for error in plan.unusable:
+        (anew if isinstance(error, FetchError) else known).append(str(error))
+    for scene in plan.scenes:
+        step = scene.failure
+        if step is not None and step.before is not None:
+            is_new = began is not None and step.before.started_at >= began
+            (anew if is_new else known).append(f"{scene.scan.scene_id}: {step.stage}: {step.before.error}")
+    known += [f"{scene}: {text}" for scene, text in sorted(elsewhere.items())]
+    anew += [f"{r.scene_id}: {r.failed}: {r.error}" for r in results if r.failed]
+    others = computed | failed | shared | postponed
     return RunReport(
-        done=tuple(sorted(r.scene_id for r in results if not r.failed)),
+        done=tuple(r.scene_id for r in results if not r.failed),
         failed=tuple(sorted(failed)),
-        unchanged=tuple(s.scan.scene_id for s in plan.scenes if s.scan.scene_id not in computed and not s.failure),
-        failures=(*plan.failures, *failures),
+        unchanged=tuple(s.scan.scene_id for s in plan.scenes if s.scan.scene_id not in others),
+        failures=(*known, *anew),
         steps=sum(len(r.ran) for r in results),
-        degradations=tuple(text for r in sorted(results, key=lambda r: r.scene_id) for text in r.degradations),
+        degradations=tuple(text for r in results for text in r.degradations),
+        shared=tuple(sorted(shared)),
+        postponed=tuple(sorted(postponed)),
+        stopped=outcome.stopped if outcome else None,
+        known=tuple(known),
+        retried=tuple(outcome.retried) if outcome else (),
     )
+
+
+_kept: list[RunReport] = []
+
+
+def keep(report: RunReport) -> None:
+    """Keep the report of the run that ends now: a server that is away then makes Prefect forget it."""
+    _kept[:] = [report]
+
+
+def kept() -> RunReport | None:
+    """The report that was kept, once."""
+    return _kept.pop() if _kept else None

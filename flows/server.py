@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import socket
 import subprocess
 import sys
 import tempfile
 import time
+import urllib.parse
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,9 +25,15 @@ from schemas.errors import LakeError
 START_SECONDS = 120
 """First start on a machine migrates an empty database: 10 s on two idle cores, much more on busy ones."""
 
+DATABASE = "PREFECT_API_DATABASE_CONNECTION_URL"
+SHORTEST_SECRET = 4
+"""Shorter pieces of a password are part of any text."""
+
 QUIET = {
     "DO_NOT_TRACK": "1",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "PREFECT_SERVER_UI_V2_ENABLED": "false",  # its pages ask amplitude.com for a configuration, analytics or not; the older ones ask nobody
+    "PREFECT_SERVER_UI_SHOW_PROMOTIONAL_CONTENT": "false",
     "PREFECT_LOGGING_LEVEL": "CRITICAL",
     "PREFECT_LOGGING_ROOT_LEVEL": "CRITICAL",
     "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
@@ -33,6 +41,9 @@ QUIET = {
     "PREFECT_CLI_PROMPT": "false",
 }
 """No telemetry; and on the command line the lake's own words instead of Prefect's log. What a user set stays as it is."""
+
+NAMED = {name: value for name, value in QUIET.items() if "LOGGING" not in name} | {"PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL": "CRITICAL"}
+"""The same where the server is somebody's own: it keeps the log of the run, and the command line does not print it."""
 
 
 @contextlib.contextmanager
@@ -45,9 +56,8 @@ def prefect_server() -> Iterator[str]:
         LakeError: the server did not start.
     """
     named = os.environ.get("PREFECT_API_URL")
-    for name, value in QUIET.items():
-        if not (named and "LOGGING" in name):
-            os.environ.setdefault(name, value)
+    for name, value in (NAMED if named else QUIET).items():
+        os.environ.setdefault(name, value)
     if named:
         yield named
         return
@@ -88,8 +98,8 @@ def _wait_until_healthy(process: subprocess.Popen[bytes], address: str, said: IO
     while time.monotonic() < give_up:
         if process.poll() is not None:
             said.seek(0)
-            lines = said.read().decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"]
-            raise LakeError(f"the Prefect server did not start: {lines[-1]}")
+            reason = _reason(said.read().decode(errors="replace")) or f"exit code {process.returncode}"
+            raise LakeError(f"the Prefect server did not start: {without_secrets(reason)}{_database_hint()}")
         try:
             with urllib.request.urlopen(f"{address}/health", timeout=2) as reply:
                 if reply.status == 200:
@@ -100,14 +110,40 @@ def _wait_until_healthy(process: subprocess.Popen[bytes], address: str, said: IO
     raise LakeError(f"the Prefect server did not answer within {START_SECONDS} s; set PREFECT_API_URL to one that runs")
 
 
+_RAISED = re.compile(r"^[A-Za-z_][\w.]*([Ee]rror|Exception|Timeout)\b.*")
+
+
+def _reason(said: str) -> str:
+    """The line that says why a server ended: its last exception, else its last words."""
+    lines = [line.strip() for line in said.strip().splitlines()]
+    return next((line for line in reversed(lines) if _RAISED.match(line)), lines[-1] if lines else "")
+
+
+def _database_hint() -> str:
+    return f" (its database is what {DATABASE} names)" if os.environ.get(DATABASE) else ""
+
+
+def without_secrets(text: str) -> str:
+    """A text for people without the credentials of the database that the environment names, in whole or in pieces."""
+    credentials = os.environ.get(DATABASE, "").partition("://")[2].rpartition("@")[0]
+    password = credentials.partition(":")[2]
+    pieces = [urllib.parse.unquote(password), *re.split(r"[:@/]", password)]
+    for secret in sorted({credentials, password, *pieces}, key=len, reverse=True):
+        if len(secret) >= SHORTEST_SECRET:
+            text = text.replace(secret, "***")
+    return re.sub(r"(\w://)[^\s@/]*@", r"\1***@", text)
+
+
 def main(descriptor: int, parent: int) -> None:
     """Serve Prefect's API on a listening socket until `parent` is gone."""
     from flows.pool import follow_parent
 
     follow_parent(parent)
+    for name in ("PREFECT_LOGGING_LEVEL", "PREFECT_LOGGING_ROOT_LEVEL", "PREFECT_SERVER_LOGGING_LEVEL"):
+        os.environ[name] = "ERROR"  # nobody sees it but `prefect_server`, which looks there for the reason of a failed start
     import uvicorn
 
-    uvicorn.run("prefect.server.api.server:create_app", factory=True, fd=descriptor, log_level="critical", timeout_keep_alive=5)
+    uvicorn.run("prefect.server.api.server:create_app", factory=True, fd=descriptor, log_level="error", timeout_keep_alive=5)
 
 
 if __name__ == "__main__":

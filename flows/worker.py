@@ -6,6 +6,7 @@ Pool workers import this module; it does not import Prefect.
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 import resource
 import socket
@@ -71,7 +72,7 @@ def execute(job: Job, spread: Spread | None = None) -> StageRun:
     except RowsGone as problem:
         error, kind = str(problem), "lost"
     except Exception as problem:
-        error, kind = _one_line(problem), "defect"
+        error, kind = _one_line(problem), "lost" if _passes(problem) else "defect"
         if os.environ.get("METASCENES_TRACEBACK"):
             traceback.print_exc(file=sys.stderr)
     run = StageRun(
@@ -187,6 +188,13 @@ def _found(rows: list[Any] | None, table: str, scene_id: str) -> list[Any]:
     if rows is None:
         raise RowsGone(f"{scene_id}: {table}: the rows that this stage reads were replaced by another run; run again")
     return rows
+
+
+def _passes(error: Exception) -> bool:
+    """Whether it is no fault of the scan or ours, so that another try may do better: a store that is away, a full disk."""
+    from flows.patience import is_away
+
+    return is_away(error) or (isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT))
 
 
 def _one_line(error: BaseException) -> str:

@@ -740,7 +740,9 @@ def test_the_command_says_how_well_and_exits_as_a_scheduler_expects(lake: Lake, 
     status = subprocess.run(
         [sys.executable, "-m", "flows.cli", "status", "--lake", lake.address, "--json"], capture_output=True, text=True, cwd=REPOSITORY
     )
-    assert json.loads(status.stdout) == {"scenes": {SCENE: {"navigation": "done"}}, "errors": []}  # a batch is no scene
+    told = json.loads(status.stdout)
+    assert (told["scenes"], told["errors"]) == ({SCENE: {"navigation": "done"}}, [])
+    assert sum(told["counts"].values()) == 1, "a batch is no scene"
     (tmp_path / "b.json").write_text("{}")
     for words in ([], ["--policy", "expert", str(tmp_path / "b.json")], [str(tmp_path / "b.json")], [str(tmp_path / "none.json")]):
         assert ask(*words).returncode == 2

@@ -171,6 +171,35 @@ def test_the_place_of_the_code_does_not_count(code: Path, monkeypatch: pytest.Mo
     assert fingerprint() == here
 
 
+def test_what_is_remembered_of_code_counts_for_these_files_only(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("METASCENES_CACHE", str(tmp_path / "cache"))
+    store = tmp_path / "cache" / fingerprints.CODE_STORE
+    computed: list[str] = []
+    compute = fingerprints._fingerprint_of
+
+    def counted(module: str) -> str:
+        computed.append(module)
+        return compute(module)
+
+    monkeypatch.setattr(fingerprints, "_fingerprint_of", counted)
+    found = {module: fingerprint(module) for module in (COPIED_STAGE, "tasks.navigation", COPIED_STAGE)}
+    assert {module: fingerprint(module) for module in found} == found
+    assert computed == list(found), "each once, in whatever process"
+    whole = store.read_text()
+    for damage in ("", "{", "[]", "null", '{"contents": 1}', whole[: len(whole) // 2], whole.replace(found[COPIED_STAGE], "0")):
+        store.write_text(damage)
+        assert fingerprint() == found[COPIED_STAGE], damage
+    file = code / "tasks" / "captions" / "colors.py"
+    text = file.read_text()
+    file.write_text(text + "\nADDED = 1\n")
+    assert fingerprint() != found[COPIED_STAGE]
+    file.write_text(text)
+    assert fingerprint() == found[COPIED_STAGE]
+    shutil.rmtree(store.parent)
+    store.parent.write_text("no folder")
+    assert fingerprint() == found[COPIED_STAGE]
+
+
 def test_comments_docstrings_and_blank_lines_do_not_count(code: Path) -> None:
     before = fingerprint()
     module = code / "tasks" / "captions" / "colors.py"

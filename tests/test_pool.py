@@ -100,6 +100,35 @@ def test_a_crash_costs_a_neighbor_nothing() -> None:
         assert slow.result(timeout=LIMIT) is None
 
 
+def test_the_pool_goes_on_after_all_workers_died_at_once() -> None:
+    """Killed while they compute, between tasks, and again: what was under way is lost, and nothing else."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    with WorkerPool(2) as pool, ThreadPoolExecutor(2) as threads:
+        for pause in (0.0, 0.3, 0.0):
+            found = {process.pid for process in threads.map(lambda _: psutil.Process(pool.call(slow_pid, timeout=LIMIT)), range(2))}
+            under_way = [threads.submit(pool.call, time.sleep, 30, timeout=LIMIT) for _ in range(2)] if pause else []
+            time.sleep(pause)
+            for pid in found:
+                os.kill(pid, signal.SIGKILL)
+            for one in under_way:
+                with pytest.raises(WorkerLost):
+                    one.result(timeout=LIMIT)
+            for _ in range(3):  # a task that was handed to a dying worker is lost with it
+                try:
+                    assert pool.call(divmod, 9, 2, timeout=LIMIT) == (4, 1)
+                    break
+                except WorkerLost:
+                    continue
+            else:
+                pytest.fail("the pool does not come back")
+
+
+def slow_pid() -> int:
+    time.sleep(0.2)
+    return os.getpid()
+
+
 def test_a_task_over_its_time_is_stopped_and_the_pool_goes_on(pool: WorkerPool) -> None:
     worker = pool.call(os.getpid, timeout=LIMIT)
     clock = time.perf_counter()

@@ -28,6 +28,18 @@ def json_option(function: F) -> F:
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object, for scripts.")(function)
 
 
+def scans_options(function: F) -> F:
+    """`--scans ADDRESS`, `--format` (as `scan_format`), `--dataset`: where scans lie and how they are read."""
+    formats = click.Choice(["auto", "scannet", "posed_rgbd", "glb"])
+    for option in (
+        click.option("--dataset", help="Name of the dataset; by default what the format says."),
+        click.option("--format", "scan_format", type=formats, default="auto", show_default=True, help="Scan format."),
+        click.option("--scans", required=True, metavar="ADDRESS", help="Folder of scans, one scan, or s3://bucket/prefix."),
+    ):
+        function = option(function)
+    return function
+
+
 def snapshot_options(function: F) -> F:
     """`--snapshot N` and `--release NAME`, as `snapshot_id` and `release`; `chosen_snapshot` says which snapshot is meant."""
     for option in (

@@ -10,86 +10,105 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flows.commands.options import configuration_options, json_option, lake_option, workers_option
+from flows.commands.options import configuration_options, json_option, lake_option, scans_options, workers_option
+from flows.fanout.runners import RUNNERS
 
 if TYPE_CHECKING:
+    from prefect.states import State
+
     from flows.plan import Plan
     from flows.report import RunReport
     from warehouse.lake import Lake
 
 
 @click.command("run", short_help="Turn a folder of scans into replica scenes in a lake.")
-@click.option("--scans", required=True, type=click.Path(path_type=Path), help="Folder of scans, or one scan.")
-@click.option(
-    "--format",
-    "scan_format",
-    type=click.Choice(["auto", "scannet", "posed_rgbd", "glb"]),
-    default="auto",
-    show_default=True,
-    help="Scan format.",
-)
-@click.option("--dataset", help="Name of the dataset; by default what the format says.")
+@scans_options
 @lake_option
 @configuration_options
 @workers_option
+@click.option("--scene", "scenes", multiple=True, metavar="ID", help="Only this scene; shell patterns match several; may be repeated.")
+@click.option("--first", metavar="ID", help="Only scenes from this id on.")
+@click.option("--last", metavar="ID", help="Only scenes up to this id.")
+@click.option("--since", metavar="DATE", help="Only scans that arrived on this date or later.")
+@click.option("--until", metavar="DATE", help="Only scans that arrived on this date or earlier.")
+@click.option("--runner", type=click.Choice(RUNNERS), default="pool", show_default=True, help="What computes.")
+@click.option("--dask-address", metavar="ADDRESS", help="Scheduler of a Dask cluster, with --runner dask; by default one is started here.")
+@click.option("--batch", type=click.IntRange(1), help="Scenes per Prefect task; by default it follows from how long they take.")
+@click.option(
+    "--keep-free", "keep_free_gb", type=click.FloatRange(0), metavar="GB", help="Stop before less is free on the disk; 2 by default."
+)
+@click.option("--quota", "quota_gb", type=click.FloatRange(0, min_open=True), metavar="GB", help="Stop before the lake holds more.")
 @click.option("--retry-failed", is_flag=True, help="Compute again what failed on unchanged input.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done and why; do nothing.")
 @json_option
-def command(scans: Path, scan_format: str, dataset: str | None, address: str, config_file: Path | None, settings: tuple[str, ...],
-            library: Path | None, seed: int | None, workers: int, retry_failed: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
+def command(scans: str, scan_format: str, dataset: str | None, address: str, config_file: Path | None, settings: tuple[str, ...],
+            library: Path | None, seed: int | None, workers: int, scenes: tuple[str, ...], first: str | None, last: str | None,
+            since: str | None, until: str | None, runner: str, dask_address: str | None, batch: int | None, keep_free_gb: float | None,
+            quota_gb: float | None, retry_failed: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
     """Turn a folder of scans into replica scenes in a lake.
 
-    Only what is missing, changed or stale is computed. Exit code 1 says that some scenes failed; each is named.
+    Only what is missing, changed or stale is computed. Several runs on one lake share the work. Exit code 1 says that some
+    scenes failed, or that there was no room on the disk for all; each is named.
 
     Example: metascenes run --scans ./scans --format auto --lake ./lake
     """
     from flows.configuration import configure
     from flows.plan import make_plan
-    from tasks.capture.formats import find_scans
+    from flows.scans import found_scans
     from warehouse.lake import Lake
 
     configuration = configure(config_file, settings, library, seed)
     lake = Lake.open(address)
-    found, unusable = find_scans(scans, scan_format, dataset)
+    found, unusable = found_scans(scans, scan_format, dataset, scenes=scenes, first=first, last=last, since=since, until=until)
     plan = make_plan(lake, found, unusable, configuration, retry_failed)
     if dry_run:
         print(json.dumps(_plan_json(plan)) if as_json else _plan_text(plan))
         return
-    report = carry_out(plan, lake, threads=workers, scans=str(scans), lake=address, format=scan_format, dataset=dataset, workers=workers,
-                       library=str(library) if library else None, seed=seed, config_file=str(config_file) if config_file else None,
-                       settings=list(settings), retry_failed=retry_failed)  # fmt: skip
+    report = carry_out(
+        plan, lake, scans=scans, lake=address, format=scan_format, dataset=dataset, workers=workers,
+        library=str(library) if library else None, seed=seed, config_file=str(config_file) if config_file else None,
+        settings=list(settings), retry_failed=retry_failed, scenes=list(scenes), first=first, last=last, since=since, until=until,
+        runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb, quota_gb=quota_gb,
+    )  # fmt: skip
     print(json.dumps(dataclasses.asdict(report)) if as_json else summary(report))
     tell(report)
-    if report.failures:
+    if report.failures or report.postponed:
         raise click.exceptions.Exit(1)
 
 
-def carry_out(plan: Plan, store: Lake, *, threads: int, **parameters: Any) -> RunReport:
-    """Run `flows.pipeline.replicate` on this machine; Prefect and its server start only when there is something to compute."""
+def carry_out(plan: Plan, store: Lake, **parameters: Any) -> RunReport:
+    """Run `flows.pipeline.replicate` in this process; Prefect and its server start only when there is something to compute."""
     from flows.report import report_of
 
     if not plan.todo:
         from flows.scene import settle
 
         settle(store, plan)  # what an interrupted run had finished and not yet committed
-        return report_of(plan, [])
+        return report_of(plan)
     from flows.progress import Progress, listen
+    from flows.report import RunReport, kept
     from flows.server import prefect_server
 
     steps = sum(len(scene.todo) for scene in plan.scenes)
     with Progress("stages", steps) as progress, prefect_server():
         listen(progress)
+        kept()
         try:
-            from prefect.task_runners import ThreadPoolTaskRunner
-
             from flows.pipeline import replicate
 
-            runner: Any = ThreadPoolTaskRunner(max_workers=threads + 1)
-            local = replicate.with_options(task_runner=runner)
-            report: RunReport = local(**parameters)
+            state: State[Any] = replicate(**parameters, return_state=True)  # type: ignore[assignment]  # it is a sync flow
+            found = state.result(raise_on_failure=False)
+        except Exception as error:
+            found = error
         finally:
             listen(None)
-    return report
+    report = kept()  # what was done is done, whatever Prefect's server has to say
+    if report is not None:
+        if not isinstance(found, RunReport):
+            print(f"note: Prefect's server does not know how the run ended ({type(found).__name__}); the lake does", file=sys.stderr)
+        return report
+    assert isinstance(found, BaseException)
+    raise found
 
 
 MAX_NOTES = 20
@@ -104,16 +123,22 @@ def tell(report: RunReport) -> None:
         print(f"note: and {len(report.degradations) - MAX_NOTES} more in stage_runs.degradations", file=sys.stderr)
     for line in report.failures:
         print(f"failed: {line}", file=sys.stderr)
+    if report.postponed:
+        print(f"stopped: {report.stopped}; {len(report.postponed)} scenes were not begun, {report.postponed[0]} first", file=sys.stderr)
 
 
 def summary(report: RunReport) -> str:
     """A run's report in a line."""
-    if not report.done and not report.failed and not report.failures:
+    if not (report.done or report.failed or report.failures or report.shared or report.postponed):
         return f"nothing to do: {len(report.unchanged)} scenes are up to date"
     parts = [f"{len(report.done)} scenes done"]
     if report.failures:
         parts.append(f"{len(report.failures)} failed")
     parts.append(f"{len(report.unchanged)} unchanged")
+    if report.shared:
+        parts.append(f"{len(report.shared)} computed by another run")
+    if report.postponed:
+        parts.append(f"{len(report.postponed)} postponed")
     parts.append(f"{report.steps} stage runs")
     if report.degradations:
         parts.append(f"{len(report.degradations)} degradations (in the table stage_runs)")

@@ -1,0 +1,1 @@
+"""Scenes over workers: which are taken, in what portions, by whom, and when their rows are committed."""
