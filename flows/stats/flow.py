@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import base64
 import io
+import itertools
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +15,15 @@ import pyarrow as pa
 from prefect import flow
 from prefect.artifacts import create_image_artifact, create_link_artifact, create_markdown_artifact, create_table_artifact
 
+from flows.artifacts import Ticker, link_of, public_address, short_name
 from flows.stats.report import Written, write_report
+from schemas.errors import InputError
 from tasks.stats.columns import GRIDS
 from tasks.stats.grids import Grid, grid
 from tasks.stats.style import Picture
 from warehouse.lake import Lake
 from warehouse.release import snapshot_of
+from warehouse.storage import storage_at
 
 PREFIX = "statistics"
 """Keys of all artifacts begin with it."""
@@ -30,12 +35,21 @@ IMAGE_WIDTH = 1000
 """Pixels; wider pictures are made smaller, and become JPEGs, so that an artifact stays a few hundred kB."""
 
 
-@flow(name="statistics", persist_result=False)
+def _name() -> str:
+    """`statistics of lake`, and of which snapshot or release."""
+    from prefect.runtime import flow_run
+
+    told = flow_run.parameters
+    which = told.get("release") or (f"snapshot {told['snapshot']}" if told.get("snapshot") else "")
+    return f"statistics of {short_name(told['lake'])}" + (f", {which}" if which else "")
+
+
+@flow(name="statistics", flow_run_name=_name, persist_result=False)
 def statistics(
     lake: str,
     snapshot: int | None = None,
     release: str | None = None,
-    out: str = "report.html",
+    out: str | None = None,
     pictures: str | None = None,
     workers: int | None = None,
 ) -> str:
@@ -45,26 +59,61 @@ def statistics(
         lake: Address of the lake: a folder or s3://bucket/prefix.
         snapshot: Snapshot to report on; the newest by default.
         release: Release to report on, instead of a snapshot.
-        out: Report to write, on the machine that runs the flow.
-        pictures: Folder that gets every picture as SVG and PNG.
+        out: Report to write: a file or folder of the machine that runs the flow, or s3://bucket/name.html. By default it is
+            beside the lake: `lake-report.html` for a lake `lake`.
+        pictures: Folder that gets every picture as SVG and PNG, on the machine that runs the flow.
         workers: Worker processes; one per core by default.
 
     Returns:
         Where the report is.
     """
     store = Lake.open(lake)
-    written = write_report(
-        store, Path(out), snapshot_of(store, release, snapshot), pictures=Path(pictures) if pictures else None, workers=workers
-    )
-    leave_artifacts(written)
-    return str(written.path)
+    chosen = snapshot_of(store, release, snapshot)
+    place = public_address(out or beside(store.address))
+    ticker = Ticker(_key("progress"), f"Statistics of {public_address(lake)}")
+    done = itertools.count(1)
+    total = 0
+
+    def expect(count: int) -> None:
+        nonlocal total
+        total = count
+
+    try:
+        with tempfile.TemporaryDirectory(prefix="metascenes-") as making:
+            is_local = "://" not in place
+            written = write_report(
+                store, Path(place) if is_local else Path(making) / "report.html", chosen,
+                pictures=Path(pictures) if pictures else None, workers=workers,
+                advance=lambda name: ticker.advance(next(done), total, name), expect=expect,
+            )  # fmt: skip
+            if is_local:
+                place = str(written.path.absolute())
+            else:
+                folder, _, name = place.rpartition("/")
+                storage_at(folder).write(name, written.path.read_bytes())
+        keys = leave_artifacts(written, place)
+        ticker.finish(f"{place}, {len(keys)} artifacts")
+    finally:
+        ticker.close()
+    return place
 
 
-def leave_artifacts(written: Written) -> list[str]:
-    """Artifacts of a report, and their keys. Must be called inside a flow run."""
+def beside(lake: str) -> str:
+    """Where the report of a lake lies by default: next to it, so that it outlives the working folder of a run.
+
+    Raises:
+        InputError: the lake is a whole bucket: nothing lies beside it.
+    """
+    folder, _, name = lake.rstrip("/").rpartition("/")
+    if folder.endswith(":/"):
+        raise InputError(lake, "out", "the lake is a whole bucket, there is no place beside it", "say where the report shall be")
+    return f"{folder}/{name}-report.html"
+
+
+def leave_artifacts(written: Written, address: str) -> list[str]:
+    """Artifacts of a report that lies at an address, and their keys. Must be called inside a flow run."""
     about = f"Snapshot {written.snapshot_id}."
-    path = written.path.resolve()
-    create_link_artifact(link=path.as_uri(), link_text=path.name, key=_key("report"), description=f"The whole report. {about}")
+    create_link_artifact(link=link_of(address), link_text=address, key=_key("report"), description=f"The whole report. {about}")
     create_markdown_artifact(markdown=_summary(written), key=_key("summary"), description=about)
     keys = [_key("report"), _key("summary")]
     for view in TABLES:

@@ -52,12 +52,14 @@ def write_report(
     look: PictureConfig | None = None,
     workers: int | None = None,
     advance: Callable[[str], None] | None = None,
+    expect: Callable[[int], None] | None = None,
 ) -> Written:
     """Write the report on a snapshot, the newest by default.
 
     `out` is the HTML file; in a folder, it is `report.html`. `pictures` is a folder that gets every chart and both galleries as
     SVG and PNG. `look` says how scenes are pictured, `workers` how many processes do it (one per core by default);
-    `advance` is told each scene and object that was pictured. The same snapshot and releases give the same bytes.
+    `advance` is told each scene and object that was pictured, `expect` how many there will be. The same snapshot and releases
+    give the same bytes.
 
     Raises:
         InputError: there is no such snapshot.
@@ -69,7 +71,7 @@ def write_report(
     reader = lake.snapshot(snapshot_id)
     answers = answers_of(reader)
     charts = draw_charts(answers)
-    scenes, tiles, strips = _pictured(lake, reader.snapshot_id, answers, look, workers, advance)
+    scenes, tiles, strips = _pictured(lake, reader.snapshot_id, answers, look, workers, advance, expect)
     content = ReportContent(
         answers=answers.rows,
         totals=answers.totals,
@@ -146,8 +148,9 @@ def draw_charts(answers: Answers) -> list[Picture]:
 
 
 def _pictured(
-    lake: Lake, snapshot_id: int, answers: Answers, look: PictureConfig, workers: int | None, advance: Callable[[str], None] | None
-) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip]]:
+    lake: Lake, snapshot_id: int, answers: Answers, look: PictureConfig, workers: int | None, advance: Callable[[str], None] | None,
+    expect: Callable[[int], None] | None = None,
+) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip]]:  # fmt: skip
     """Pictures of the first scenes, and both galleries."""
     from flows.progress import Progress
     from tasks.stats.thumbnails import scene_tile
@@ -158,6 +161,8 @@ def _pictured(
     objects = itertools.groupby(answers.rows["instances.gallery"].to_pylist(), lambda row: (row["scene_id"], row["instance_id"]))
     strips = {f"{scene}/{instance}": list(rows) for (scene, instance), rows in objects}
     jobs |= {name: (strip_of, (lake, rows)) for name, rows in strips.items()}
+    if expect is not None:
+        expect(len(jobs))
     with Progress("pictures", len(jobs)) as progress:
 
         def told(name: str) -> None:
