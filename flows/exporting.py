@@ -1,0 +1,84 @@
+"""The flow that writes exports into a folder: `flows.exporting.export`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+from prefect import flow
+from prefect.artifacts import create_link_artifact
+from prefect.states import Completed, Failed
+
+from flows.artifacts import artifact_key, run_log, short_name
+from flows.export import write_exports
+from flows.patience import patiently
+from flows.shipment import summary
+from schemas.errors import InputError
+from warehouse.lake import Lake
+from warehouse.licenses import Allowed
+
+HOURS = 12
+"""10,000 scenes are 70 GB of small files, checked one by one."""
+
+Format = Literal["usd", "habitat", "mjcf", "urdf", "glb"]
+
+SHOWN = 20
+"""Findings that a run's log names; the others are counted."""
+
+
+def _name() -> str:
+    from prefect.runtime import flow_run
+
+    told = flow_run.parameters
+    return f"{'release ' + told['release'] if told.get('release') else short_name(told['lake'])} -> {short_name(told['out'])}"
+
+
+@flow(name="export", flow_run_name=_name, persist_result=False, timeout_seconds=HOURS * 3600)
+def export(
+    lake: str,
+    out: str,
+    formats: list[Format] = ["usd", "habitat", "mjcf", "urdf", "glb"],  # noqa: B006
+    scenes: list[str] = [],  # noqa: B006
+    snapshot: int | None = None,
+    release: str | None = None,
+    licenses: list[str] = [],  # noqa: B006
+    usdz: bool = False,
+    workers: int | None = None,
+) -> Any:
+    """Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder, and check what was written.
+
+    The run fails when a check does.
+
+    Args:
+        lake: Address of the lake: a folder or s3://bucket/prefix.
+        out: Folder to write into, on the machine that runs the flow.
+        formats: Formats to write.
+        scenes: Only these scenes, by id.
+        snapshot: Snapshot to export; the newest by default.
+        release: Release to export, instead of a snapshot.
+        licenses: Leave out what has another license: 'CC0-1.0', 'CC-BY-*', 'unknown'; all by default.
+        usdz: Also pack every USD scene into one file.
+        workers: Worker processes; one per core by default.
+    """
+    if "://" in out:
+        raise InputError(out, "out", "is no folder", "name a folder of the machine that runs the flow")
+    store = Lake.open(lake)
+    if not store.exists:
+        raise InputError(lake, "lake", "there is no lake", "name its folder; `metascenes run` makes one")
+    allowed = Allowed.parse(tuple(licenses)) if licenses else None
+    place = Path(out)
+    written = patiently(
+        lambda: write_exports(
+            store, place, formats, scenes, snapshot, release=release, usdz=usdz, allowed=allowed, workers=workers or os.cpu_count() or 1
+        )
+    )
+    left_out = list(summary(written.shipment)) if written.shipment is not None else []
+    text = f"{written.files} files below {place}; {written.failed_checks} checks failed"
+    run_log(text)
+    for line in (*left_out, *written.findings[:SHOWN]):
+        run_log(line, warning=True)
+    create_link_artifact(
+        link=place.resolve().as_uri(), link_text=place.name, key=artifact_key("export", lake), description="\n\n".join([text, *left_out])
+    )
+    return Failed(message=f"{text}: {written.findings[0]}") if written.findings else Completed(message=text)
