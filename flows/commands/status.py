@@ -1,47 +1,162 @@
-"""`metascenes status`: what the lake says of its scenes."""
+"""`metascenes status`: how things stand, from the lake alone."""
 
 from __future__ import annotations
 
+import dataclasses
+import gc
 import json
-from collections import defaultdict
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
-@click.command("status", short_help="Say what is done and what failed, from the lake alone.")
+    from flows.configuration import Configuration
+    from flows.status import SceneStatus, Status
+    from warehouse.lake import Lake
+
+SHOWN = 20
+"""Scenes that are listed unless all are wanted."""
+
+
+@click.command("status", short_help="Say what is done, running, failed and stale, from the lake alone.")
 @lake_option
+@click.option("--config", "config_file", type=click.Path(path_type=Path, dir_okay=False), help="TOML file that the next run will be given.")
+@click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="One value that it will be given; may be repeated.")
+@click.option("--seed", type=int, help="Run seed that it will be given.")
+@click.option("--all", "show_all", is_flag=True, help=f"List all scenes that are not simply done, not the first {SHOWN} only.")
 @json_option
-def command(address: str, as_json: bool) -> None:
-    """Say what is done and what failed, per scene and stage, from the lake alone.
+def command(address: str, config_file: Path | None, settings: tuple[str, ...], seed: int | None, show_all: bool, as_json: bool) -> None:
+    """Say what is done, running, failed and stale, why, and how long it will take, from the lake alone.
+
+    Stale is what the next run would redo: the code, annotations, or, with --config, --set or --seed, what it is told
+    have changed. Scans and assets are not looked at: what no run has seen yet, or has changed since, is not counted.
+
+    Without a run at work the time left is that of one worker. With --json: counts (scenes by state), seconds_left,
+    running (scene_id, stage, host, since), todo (by scene and stage: action, why), runs (those at work, with left and
+    seconds_left), scenes (outcome by scene and stage), errors.
 
     Example: metascenes status --lake ./lake
     """
-    from tasks.pipeline import SCENE_STAGES
+    lake = existing_lake(address)
+    configuration = None
+    if config_file is not None or settings or seed is not None:
+        from flows.configuration import configure
 
-    names = [stage.name for stage in SCENE_STAGES]
-    states: dict[str, dict[str, str]] = defaultdict(dict)
-    errors: list[str] = []
-    for (scene, stage), state in sorted(existing_lake(address).history().items()):
-        last = state.last
-        kept = " (older rows kept)" if state.done is not None else ""
-        if stage not in names:  # a batch's, which is no scene
-            pass
-        elif last.outcome != "done":
-            states[scene][stage] = last.outcome + kept
-        else:
-            states[scene][stage] = "done" if state.done is not None else "withdrawn"
-        if last.outcome in ("failed", "lost"):
-            errors.append(f"{scene}: {stage}: {last.error}")
+        configuration = configure(config_file, settings, seed=seed)
+    gc.disable()  # of 100,000 small things, none of which is garbage, it would look at all again and again
+    try:
+        status, scenes, wrong = _asked(lake, configuration, bool(config_file or settings), seed is not None)
+    finally:
+        gc.enable()
     if as_json:
-        print(json.dumps({"scenes": states, "errors": errors}))
+        print(json.dumps({**_json(status), "scenes": scenes, "errors": wrong}))
         return
-    for scene, stages in states.items():
-        done = [name for name in names if stages.get(name) == "done"]
-        rest = ", ".join(f"{name} {stages.get(name, 'not done')}" for name in names if name not in done)
-        print(f"{scene:<32} {len(done)}/{len(names)} stages done{'; ' + rest if rest else ''}")
-    for error in errors:
-        print(error)
-    if not states:
+    _print(status, wrong, show_all)
+
+
+def _asked(
+    lake: Lake, configuration: Configuration | None, configs: bool, seed: bool
+) -> tuple[Status, dict[str, dict[str, str]], list[str]]:
+    """How the lake stands, what it says of every stage, and the errors."""
+    from flows.plan import annotation_digests
+    from flows.status import errors, expected, recorded_states, status_of
+
+    claims, runs = lake.claimed(), lake.live_runs()  # first: what is given back later is in the history
+    outline = lake.outline()
+    brought = expected(annotation_digests(lake), configuration, configs=configs, seed=seed)
+    return status_of(outline, claims, runs, brought), recorded_states(outline.states), errors(outline.states)
+
+
+def _json(status: Status) -> dict[str, Any]:
+    from flows.status import when
+
+    running = [
+        {"scene_id": scene.scene_id, "stage": scene.stage, "host": scene.claim.host, "since": when(scene.claim.since).isoformat()}
+        for scene in status.scenes
+        if scene.claim is not None
+    ]
+    todo = {
+        scene.scene_id: {one.stage: {"action": one.action, "why": one.why} for one in scene.todo} for scene in status.scenes if scene.todo
+    }
+    runs = [
+        {**dataclasses.asdict(one.run), "started_at": one.run.started_at.isoformat(), "seconds_left": one.seconds_left}
+        for one in status.runs
+    ]
+    return {"counts": status.counts(), "seconds_left": status.seconds_left, "running": running, "todo": todo, "runs": runs}
+
+
+def _print(status: Status, wrong: Sequence[str], show_all: bool) -> None:
+    if not status.scenes and not status.runs:
         print("the lake is empty")
+        return
+    print(summary(status))
+    now = time.time()
+    for one in status.runs:
+        run = one.run
+        how = f"{run.workers} workers" + (f" ({run.runner})" if run.runner else "")
+        since = _span(now - run.started_at.timestamp())
+        print(
+            f"run on {run.host} for {since}: {how}, {run.done} of {run.scenes} scenes done, {run.failed} failed; {_left(one.seconds_left)}"
+        )
+    order = ("running", "failed", "stale", "unfinished")
+    listed = sorted(
+        (scene for scene in status.scenes if scene.state != "done"), key=lambda scene: (order.index(scene.state), scene.scene_id)
+    )
+    for scene in listed if show_all else listed[:SHOWN]:
+        print(f"{scene.scene_id:<32} {scene.state:<10} {_what(scene, now)}")
+    if not show_all and len(listed) > SHOWN:
+        print(f"and {len(listed) - SHOWN} more scenes (--all lists them)")
+    for line in wrong if show_all else wrong[:SHOWN]:
+        print(line)
+    if not show_all and len(wrong) > SHOWN:
+        print(f"and {len(wrong) - SHOWN} more errors (--all lists them)")
+
+
+def summary(status: Status) -> str:
+    """How things stand, in a line."""
+    counts = status.counts()
+    parts = [f"{counts['done']} done", *(f"{count} {state}" for state, count in counts.items() if count and state != "done")]
+    if status.runs:
+        return f"{', '.join(parts)}; {_left(status.seconds_left)}"
+    if status.seconds_left == 0:
+        return ", ".join(parts)
+    return f"{', '.join(parts)}; {_left(status.seconds_left)} for one worker"
+
+
+def _what(scene: SceneStatus, now: float) -> str:
+    """What is to be said of a scene: who is at it, or what the next run would do and why."""
+    if scene.claim is not None:
+        return f"{scene.stage or 'begun'}, for {_span(now - scene.claim.since)}, on {scene.claim.host}"
+    told = [f"{one.stage} failed" for one in scene.todo if one.has_failed]
+    causes: dict[str, list[str]] = {}
+    waiting = following = 0
+    for one in scene.todo:
+        if one.action == "wait":
+            waiting += 1
+        elif one.why.endswith("will be redone"):
+            following += 1
+        elif one.action == "run" or not one.has_failed:
+            causes.setdefault(one.why, []).append(one.stage)
+    told += [f"{', '.join(stages)}: {why}" for why, stages in causes.items()]
+    for count, what in ((following, "follow"), (waiting, "wait")):
+        if count:
+            told.append(f"{count} stages {what}" if count > 1 else f"1 stage {what}s")
+    return "; ".join(told)
+
+
+def _left(seconds: float | None) -> str:
+    return "time left unknown" if seconds is None else f"about {_span(seconds)} left"
+
+
+def _span(seconds: float) -> str:
+    """A span of time in the unit that fits."""
+    for unit, size in (("s", 1), ("min", 60), ("h", 3600), ("d", 86_400)):
+        if seconds < 99 * size or unit == "d":
+            return f"{max(seconds, 0) / size:.0f} {unit}" if seconds >= 9.5 * size or size == 1 else f"{seconds / size:.1f} {unit}"
+    raise AssertionError("the last unit takes all")
