@@ -58,11 +58,9 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
     from flows.bench.optimization.tables import print_report
     from flows.progress import Progress
 
-    chosen = tuple(dict.fromkeys(word.strip() for word in methods.split(",")))
-    unknown = [word for word in chosen if word not in METHODS]
-    if unknown:
-        raise click.BadParameter(f"{unknown[0]!r} is none of {', '.join(METHODS)}", param_hint="--methods")
-    config = BenchConfig(methods=chosen, rooms=rooms, seed=seed, lake=address, moves_only=moves_only, processes=processes)
+    config = BenchConfig(
+        methods=_chosen(methods, METHODS, "--methods"), rooms=rooms, seed=seed, lake=address, moves_only=moves_only, processes=processes
+    )
     with Progress("measured", steps_of(config)) as progress:
         report = run_bench(config, progress.advance)
     _tell(report, print_report, as_json)
@@ -140,14 +138,61 @@ def warehouse(scenes: int, seed: int, runs: int, parts: str, as_json: bool) -> N
     from flows.bench.warehouse.tables import print_warehouse
     from flows.progress import Progress
 
-    chosen = tuple(dict.fromkeys(word.strip() for word in parts.split(",") if word.strip())) or PARTS
-    unknown = [word for word in chosen if word not in PARTS]
-    if unknown:
-        raise click.BadParameter(f"{unknown[0]!r} is none of {', '.join(PARTS)}", param_hint="--parts")
-    config = WarehouseBench(scenes=scenes, seed=seed, runs=runs, parts=chosen)
+    config = WarehouseBench(scenes=scenes, seed=seed, runs=runs, parts=_chosen(parts, PARTS, "--parts"))
     with Progress("measured", steps_of(config)) as progress:
         report = run_warehouse_bench(config, progress.advance)
     _tell(report, print_warehouse, as_json)
+
+
+@command.command("flows")
+@click.option("--scenes", default="10,100,1000", show_default=True, help="Numbers of small scenes to run, with commas between.")
+@click.option("--runners", default="pool,processes,dask", show_default=True, help="Runners to compare, with commas between.")
+@click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Worker processes of every run.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same scenes and kills.")
+@click.option("--parts", default="", help="Measure only these, with commas between: startup, overhead, speed, sharing, chaos.")
+@click.option("--speed-scenes", type=click.IntRange(4), default=100, show_default=True, help="Scenes that one worker and two are timed on.")
+@click.option("--chaos-scenes", type=click.IntRange(1), default=50, show_default=True, help="Scenes of the run that is disturbed.")
+@click.option("--kills", type=click.IntRange(0), default=12, show_default=True, help="How many times something is killed in it.")
+@json_option
+def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_scenes: int, chaos_scenes: int, kills: int,
+          as_json: bool) -> None:  # fmt: skip
+    """Measure the flows: what orchestration costs, two workers beside one, memory, two runs at once, and chaos.
+
+    Small scenes are run by `metascenes run` as anybody would; all seven stages of one take about half a second. Chaos kills
+    workers, runs, the Prefect server and its PostgreSQL at random, and needs PostgreSQL's programs (Debian: postgresql).
+
+    The exit code is 1 when a goal is missed, 2 when nothing could be measured, and else 0.
+
+    Example: metascenes bench flows --scenes 10,100 --runners pool
+    """
+    from flows.bench.flows.report import PARTS, RUNNERS, FlowsBench, run_flows_bench, steps_of
+    from flows.bench.flows.tables import print_flows
+    from flows.progress import Progress
+
+    numbers = _words(scenes)
+    if not numbers or not all(word.isdigit() and int(word) for word in numbers):
+        raise click.BadParameter(f"{scenes!r} is no list of numbers from 1", param_hint="--scenes")
+    config = FlowsBench(
+        scenes=tuple(map(int, numbers)), runners=_chosen(runners, RUNNERS, "--runners"), workers=workers, seed=seed,
+        parts=_chosen(parts, PARTS, "--parts"), speed_scenes=speed_scenes, chaos_scenes=chaos_scenes, kills=kills,
+    )  # fmt: skip
+    with Progress("measured", steps_of(config)) as progress:
+        report = run_flows_bench(config, progress.advance)
+    _tell(report, print_flows, as_json)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    """Words with commas between, each once."""
+    return tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+
+
+def _chosen(text: str, known: tuple[str, ...], option: str) -> tuple[str, ...]:
+    """Words with commas between, each of which must be known; all that are known where there are none."""
+    words = _words(text) or known
+    unknown = [word for word in words if word not in known]
+    if unknown:
+        raise click.BadParameter(f"{unknown[0]!r} is none of {', '.join(known)}", param_hint=option)
+    return words
 
 
 def _tell(report: dict[str, Any], show: Callable[[Mapping[str, Any], Console], None], as_json: bool) -> None:
