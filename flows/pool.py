@@ -3,31 +3,16 @@
 from __future__ import annotations
 
 import os
-import signal
 import threading
-import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from types import TracebackType
 from typing import Any, TypeVar
 
+from flows.child import start_worker
 from tasks.stage import in_turn
 
 T = TypeVar("T")
-
-THREAD_LIMITS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "RAYON_NUM_THREADS",
-)
-ONE_THREAD = dict.fromkeys(THREAD_LIMITS, "1")
-"""Native libraries keep to one thread per worker: the workers are the parallelism."""
-
-WATCH_SECONDS = 0.2
-"""How often a worker looks whether its parent lives. Short against any stage, free against any core."""
 
 
 class WorkerLost(Exception):
@@ -53,8 +38,6 @@ class WorkerPool:
         self._lock = threading.Lock()
         self._open: set[Any] = set()
         self._stopped = False
-        self._environment = {name: os.environ.get(name) for name in ONE_THREAD}
-        os.environ.update(ONE_THREAD)  # a spawned worker reads these before it imports anything
         self._pool = self._started()
 
     def _started(self) -> Any:
@@ -132,11 +115,6 @@ class WorkerPool:
             self._pool.join()
         else:
             self.stop()
-        for name, value in self._environment.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def _end(pool: Any) -> None:
@@ -176,20 +154,3 @@ def _own_processes(processes: int) -> Any:
     multiprocessing.current_process().daemon = False  # else it may have no processes of its own
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(processes, mp_context=context, initializer=start_worker, initargs=(os.getpid(),))
-
-
-def start_worker(parent: int) -> None:
-    """What a worker does first: leave Ctrl-C to the coordinator, and follow it when it goes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    follow_parent(parent)
-
-
-def follow_parent(parent: int) -> None:
-    """Make this process end soon after `parent` does, however that ended."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH_SECONDS)
-        os._exit(1)
-
-    threading.Thread(target=watch, name="follow-parent", daemon=True).start()

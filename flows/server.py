@@ -136,7 +136,7 @@ def without_secrets(text: str) -> str:
 
 def main(descriptor: int, parent: int) -> None:
     """Serve Prefect's API on a listening socket until `parent` is gone."""
-    from flows.pool import follow_parent
+    from flows.child import follow_parent
 
     follow_parent(parent)
     for name in ("PREFECT_LOGGING_LEVEL", "PREFECT_LOGGING_ROOT_LEVEL", "PREFECT_SERVER_LOGGING_LEVEL"):

@@ -89,7 +89,13 @@ class Prefect:
         )
 
     def ask(self, path: str, body: Mapping[str, Any] | None = None, method: str = "") -> httpx.Response:
-        return httpx.request(method or ("GET" if body is None else "POST"), f"{self.server.url}/{path}", json=body, timeout=60)
+        method = method or ("GET" if body is None else "POST")
+        for _ in range(20):
+            answer = httpx.request(method, f"{self.server.url}/{path}", json=body, timeout=60)
+            if answer.status_code != 503:  # its SQLite is locked for the moment: Prefect's own client asks again, too
+                break
+            time.sleep(0.5)
+        return answer
 
     def deployment(self, name: str) -> dict[str, Any]:
         found: dict[str, Any] = self.ask(f"deployments/name/{name}").raise_for_status().json()

@@ -6,7 +6,8 @@ import contextlib
 import threading
 from collections.abc import Iterator
 
-from flows.pool import PoolStopped, WorkerPool, follow_parent
+from flows.child import follow_parent
+from flows.pool import PoolStopped, WorkerPool
 
 _shared: dict[str, WorkerPool | None] = {}
 """By run; None of a run that is over."""
