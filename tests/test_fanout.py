@@ -31,6 +31,7 @@ from flows.scans import settled
 from flows.scene import SceneResult, SceneWork, job_of
 from flows.worker import _passes, lost_run
 from schemas.errors import InputError
+from schemas.runs import StageRun
 from tasks.capture.formats import find_scans
 from tests.scans import write_scans
 from warehouse.lake import Lake
@@ -202,6 +203,12 @@ def test_scenes_whose_worker_went_wait_again_and_a_scene_that_takes_every_worker
     assert "the worker is gone" in told.failures[0]
     assert len(told.done) == 39
     assert sum(names[7] in line for line in outcome.retried) == LOST_SCENES - 1
+    lake.commit()
+    (row,) = lake.snapshot().rows(StageRun)
+    assert (row.scene_id, row.stage, row.outcome, row.attempt) == (names[7], "capture", "lost", LOST_SCENES)
+    assert "the worker is gone" in str(row.error)
+    again = make_plan(lake, [found.scenes[7].scan], (), configure()).scenes[0].steps[0]
+    assert (again.action, again.why, again.attempt) == ("run", "lost before", LOST_SCENES + 1)
 
 
 def test_scenes_of_another_run_are_waited_for_and_not_computed(plan: tuple[Plan, Lake]) -> None:

@@ -21,7 +21,8 @@ from flows.fanout.pace import Pace
 from flows.fanout.quota import Quota
 from flows.plan import Plan, ScenePlan
 from flows.progress import current
-from flows.scene import STAGE_SECONDS, SceneResult
+from flows.scene import STAGE_SECONDS, SceneResult, job_of
+from flows.worker import lost_run
 from warehouse.lake import Lake
 from warehouse.presence import Presence
 
@@ -181,8 +182,19 @@ class Coordinator:
                 current().say(text)
                 backlog.give_back(scene)
             else:
-                given_up.append(SceneResult(scene_id, (), scene.todo[0].stage, why, (), is_lost=True))
+                given_up.append(self._give_up(scene, why))
         return given_up
+
+    def _give_up(self, scene: ScenePlan, why: str) -> SceneResult:
+        """A scene that took its worker along every time: its next stage is lost, which the lake is told."""
+        scene_id = scene.scan.scene_id
+        states = self._lake.history({scene_id})
+        done = {stage: state.done.fingerprint for (_, stage), state in states.items() if state.done is not None}
+        step = next((step for step in scene.todo if done.get(step.stage) != step.fingerprint.value), scene.todo[-1])
+        text = f"{why}; its worker was lost {LOST_SCENES} times"
+        job = dataclasses.replace(job_of(self._lake, scene, step, self._configuration), attempt=step.attempt + LOST_SCENES - 1)
+        self._lake.stage_rows(lost_run(job, "lost", text, 0.0), {})
+        return SceneResult(scene_id, (), step.stage, text, (), is_lost=True)
 
     def _take_in(self, result: SceneResult, batch: Batch, backlog: Backlog, committer: Committer, told: Told) -> None:
         self._outcome.results.append(result)
