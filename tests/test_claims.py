@@ -330,6 +330,31 @@ def test_a_claim_is_renewed_and_given_back_when_the_run_ends_in_an_error(address
     assert lake.claimed() == {}
 
 
+class Distant(LocalStorage):
+    """A folder behind a wire on which every write takes its time."""
+
+    is_far = False
+
+    def swap(self, path: str, data: bytes | None, tag: str) -> bool:
+        if self.is_far:
+            time.sleep(0.1)
+        return super().swap(path, data, tag)
+
+
+def test_many_claims_on_a_distant_store_are_all_renewed_within_their_life(tmp_path: Path) -> None:
+    (tmp_path / "lake").mkdir()
+    storage, names = Distant(tmp_path / "lake"), [f"scannet/scene{number:04d}_00" for number in range(64)]
+    with Claims(storage, life=3.0) as claims:
+        assert all(claims.claim(name) for name in names)
+        storage.is_far = True  # 6.4 s in turn
+        end = time.monotonic() + 7.0
+        while time.monotonic() < end:
+            assert claims.held() == set(names)
+            assert not any(claim.expires < time.time() for claim in claims_of(storage).values())
+            time.sleep(0.2)
+        storage.is_far = False
+
+
 class Forgetful(LocalStorage):
     """A folder behind a wire that loses the answers of some writes: they are made, and their writer does not hear of it."""
 

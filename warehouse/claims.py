@@ -11,6 +11,7 @@ import dataclasses
 import json
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 
 from warehouse.lease import LIFE_SECONDS, Hold, Holder, parsed
@@ -20,6 +21,9 @@ from warehouse.storage import Storage
 from warehouse.writer import new_token
 
 FOLDER = "claims"
+
+RENEWERS = 16
+"""Claims renewed at a time. A distant store takes 0.1 s for one: thousands are then renewed well within their life."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,11 +100,15 @@ class Claims:
     def _renew(self) -> None:
         with self._lock:
             holds = dict(self._holds)
-        for scene_id, hold in holds.items():
-            # The storage may be back at the next renewal; if not, others take the scene over when the claim runs out.
-            with contextlib.suppress(Exception):
-                if not hold.renew():
-                    self._lose(scene_id, hold)
+        if holds:
+            with ThreadPoolExecutor(min(RENEWERS, len(holds)), thread_name_prefix="claims") as renewers:
+                list(renewers.map(self._renew_one, holds, holds.values()))
+
+    def _renew_one(self, scene_id: str, hold: Hold) -> None:
+        # The storage may be back at the next renewal; if not, others take the scene over when the claim runs out.
+        with contextlib.suppress(Exception):
+            if not hold.renew():
+                self._lose(scene_id, hold)
 
     def _lose(self, scene_id: str, hold: Hold) -> None:
         with self._lock:
