@@ -208,7 +208,8 @@ def test_lease_is_renewed_and_its_loss_is_noticed(tmp_path: Path) -> None:
         assert json.loads(storage.read(PATH))["expires"] > first
         lease.check()
         stolen = json.dumps({"token": "ffffffff-12-34-1", "host": "elsewhere", "expires": time.time() + 99, "life": 60}).encode()
-        storage.write(PATH, stolen)
+        while (found := storage.read_tagged(PATH)) is None or not storage.swap(PATH, stolen, found[1]):
+            time.sleep(0.001)  # renewed in between
         time.sleep(0.3)
         with pytest.raises(LeaseError, match="was lost to another process"):
             lease.check()
