@@ -26,12 +26,12 @@ def is_away(error: Exception) -> bool:
     return isinstance(error, OSError) and "Generic S3 error" in str(error)  # as delta-rs says it
 
 
-def patiently(work: Callable[[], T], pauses: Sequence[float] = PAUSES) -> T:
-    """What `work` gives, tried again after each pause where the lake was away or in use. Bad input is not tried again.
+def patiently(work: Callable[[], T], pauses: Sequence[float] | None = None) -> T:
+    """What `work` gives, tried again after each pause (`PAUSES`) where the lake was away or in use. Bad input is not tried again.
 
     What `work` raises the last time goes on.
     """
-    for pause in pauses:
+    for pause in PAUSES if pauses is None else pauses:
         try:
             return work()
         except Exception as error:

@@ -17,6 +17,7 @@ import secrets
 import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -24,6 +25,7 @@ import time
 import urllib.request
 from collections.abc import Iterator, Mapping
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +194,8 @@ class PrefectServer(Service):
         super().__init__("prefect", folder)
         home = folder / "prefect"
         home.mkdir(exist_ok=True)
+        if database_url is None:
+            have_been_started(home)
         self.url = f"http://127.0.0.1:{self.port}/api"
         self.environment = {
             "PREFECT_HOME": str(home),
@@ -279,6 +283,36 @@ def prefect_server_process(folder: Path, database_url: str | None = None, **sett
         yield service
     finally:
         service.stop()
+
+
+@cache
+def _migrated_database() -> Path:
+    """SQLite as a first start of Prefect's server leaves it. It is kept beside pytest's own cache, for as long as Prefect is the same."""
+    kept = REPOSITORY / ".pytest_cache" / f"prefect-{metadata.version('prefect')}.db"
+    if not kept.exists():
+        with tempfile.TemporaryDirectory(prefix="metascenes-prefect-") as folder:
+            made = Path(folder) / "prefect.db"
+            surroundings = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
+            surroundings |= {"PREFECT_HOME": folder, "PREFECT_API_DATABASE_CONNECTION_URL": f"sqlite+aiosqlite:///{made}"}
+            command = [sys.executable, "-m", "prefect", "server", "database", "upgrade", "-y"]
+            done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=False)
+            if done.returncode:
+                raise RuntimeError(f"{' '.join(command)}: {done.stdout}{done.stderr}")
+            with contextlib.closing(sqlite3.connect(made)) as database:
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            kept.parent.mkdir(exist_ok=True)
+            meanwhile = kept.with_name(f"{kept.name}.{os.getpid()}")
+            shutil.copyfile(made, meanwhile)
+            meanwhile.replace(kept)
+    return kept
+
+
+def have_been_started(home: Path) -> Path:
+    """Give a PREFECT_HOME that is new the database of one in which a server ran before: the first start takes several times as long."""
+    home.mkdir(parents=True, exist_ok=True)
+    if not (home / "prefect.db").exists():
+        shutil.copyfile(_migrated_database(), home / "prefect.db")
+    return home
 
 
 @contextlib.contextmanager

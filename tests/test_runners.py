@@ -9,14 +9,15 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pyarrow.parquet as pq
 import pytest
 
-from tests.scans import write_scan, write_scans
-from tests.services import prefect_server_process, s3_server
+from flows.bench.flows.small_scenes import SETTINGS, write_small_scans
+from tests.services import have_been_started, prefect_server_process, s3_server
 from warehouse.digest import digests
 from warehouse.lake import Lake
 
@@ -25,12 +26,20 @@ from warehouse.lake import Lake
 def home(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     folder = tmp_path_factory.mktemp("home")
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "METASCENES_"))}
-    return {**kept, "HOME": str(folder), "XDG_CACHE_HOME": str(folder / ".cache"), "NUMBA_CACHE_DIR": str(folder / "numba")}
+    have_been_started(folder / ".prefect")
+    return {**kept, "HOME": str(folder), "XDG_CACHE_HOME": str(folder / ".cache")}
+
+
+@pytest.fixture(scope="module")
+def served(home: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """The environment of runs that share a server, which is there sooner than one of their own."""
+    with prefect_server_process(tmp_path_factory.mktemp("server")) as server:
+        yield {**home, "PREFECT_API_URL": server.url}
 
 
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_scans(tmp_path_factory.mktemp("scans"), 2)
+    return write_small_scans(tmp_path_factory.mktemp("scans"), 2)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +52,8 @@ def lake(home: dict[str, str], scans: Path, tmp_path_factory: pytest.TempPathFac
 
 
 def command(scans: Path, lake: Path, *more: object) -> list[str]:
-    return [sys.executable, "-m", "flows.cli", "run", "--scans", str(scans), "--lake", str(lake), "--workers", "2", *map(str, more)]
+    given = [part for setting in SETTINGS for part in ("--set", setting)]
+    return [sys.executable, "-m", "flows.cli", "run", "--scans", str(scans), "--lake", str(lake), "--workers", "2", *given, *map(str, more)]
 
 
 def run(home: dict[str, str], scans: Path, lake: Path, *more: object) -> subprocess.CompletedProcess[str]:
@@ -61,8 +71,8 @@ def leftovers(lake: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("runner", ["processes", "dask"])
-def test_every_runner_gives_the_same_rows_and_blobs(home: dict[str, str], scans: Path, lake: Path, tmp_path: Path, runner: str) -> None:
-    done = run(home, scans, tmp_path / "lake", "--runner", runner, "--batch", 2)
+def test_every_runner_gives_the_same_rows_and_blobs(served: dict[str, str], scans: Path, lake: Path, tmp_path: Path, runner: str) -> None:
+    done = run(served, scans, tmp_path / "lake", "--runner", runner, "--batch", 2)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     assert digests(Lake.open(tmp_path / "lake").snapshot()) == digests(Lake.open(lake).snapshot())
@@ -93,9 +103,9 @@ def staged_runs(lake: Path, outcome: str | None = None) -> set[tuple[str, str]]:
 
 def test_a_lost_worker_is_retried_and_bad_input_is_not(home: dict[str, str], lake: Path, tmp_path: Path) -> None:
     scans, target = tmp_path / "scans", tmp_path / "lake"
-    write_scans(scans, 1)
-    broken = write_scan(scans, "scene0009_00")
-    ply = next(broken.glob("*.ply"))
+    write_small_scans(scans, 1)
+    write_small_scans(scans, 1, first=9)
+    ply = next((scans / "scene0009_00").glob("*.ply"))
     ply.write_bytes(ply.read_bytes()[:-1000])
     process = subprocess.Popen(command(scans, target), env=home, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 300
@@ -128,17 +138,17 @@ def test_a_lost_worker_is_retried_and_bad_input_is_not(home: dict[str, str], lak
     assert leftovers(target) == []
 
 
-def test_a_run_stops_politely_before_the_disk_is_full_and_goes_on_later(home: dict[str, str], scans: Path, tmp_path: Path) -> None:
+def test_a_run_stops_politely_before_the_disk_is_full_and_goes_on_later(served: dict[str, str], scans: Path, tmp_path: Path) -> None:
     target = tmp_path / "lake"
-    full = run(home, scans, target, "--keep-free", 1e9)
+    full = run(served, scans, target, "--keep-free", 1e9)
     assert full.returncode == 1
     assert "--keep-free is 1e+09 GB" in full.stderr
     assert "2 scenes were not begun" in full.stderr
     assert Lake.open(target).history() == {}
     assert leftovers(target) == []
-    first = run(home, scans, target, "--scene", "*0000_00")
+    first = run(served, scans, target, "--scene", "*0000_00")
     assert first.returncode == 0, first.stderr
-    over = run(home, scans, target, "--quota", 1e-6)
+    over = run(served, scans, target, "--quota", 1e-6)
     assert over.returncode == 1
     assert "metascenes lake vacuum" in over.stderr
     assert {scene for scene, _ in Lake.open(target).history()} == {"scannet/scene0000_00"}
@@ -146,20 +156,22 @@ def test_a_run_stops_politely_before_the_disk_is_full_and_goes_on_later(home: di
 
 REPLICATE = """
 import sys
+from flows import patience
 from flows.server import prefect_server
+patience.PAUSES = (1.0,) * 100
 with prefect_server():
     from flows.pipeline import replicate
-    state = replicate(scans=sys.argv[1], lake=sys.argv[2], workers=1, return_state=True)
+    state = replicate(scans=sys.argv[1], lake=sys.argv[2], workers=1, settings=sys.argv[3:], return_state=True)
     print(state.name, state.message)
 """
 
 
 @pytest.mark.s3
 def test_a_flow_waits_for_a_store_that_is_away(home: dict[str, str], tmp_path: Path) -> None:
-    write_scans(tmp_path / "scans", 1)
+    write_small_scans(tmp_path / "scans", 1)
     with s3_server() as store:
         store.kill()
-        arguments = [sys.executable, "-c", REPLICATE, str(tmp_path / "scans"), "s3://bucket/lake"]
+        arguments = [sys.executable, "-c", REPLICATE, str(tmp_path / "scans"), "s3://bucket/lake", *SETTINGS]
         process = subprocess.Popen(arguments, env={**home, **store.access}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert process.stderr is not None
         said = next(line for line in process.stderr if "trying again" in line)
@@ -174,7 +186,7 @@ def test_a_flow_waits_for_a_store_that_is_away(home: dict[str, str], tmp_path: P
 
 @pytest.mark.slow
 def test_a_server_that_is_gone_at_the_end_takes_nothing_from_the_run(home: dict[str, str], tmp_path: Path) -> None:
-    write_scans(tmp_path / "scans", 1)
+    write_small_scans(tmp_path / "scans", 1)
     with prefect_server_process(tmp_path / "server") as server:
         told = {"PREFECT_API_URL": server.url, "PREFECT_CLIENT_MAX_RETRIES": "1", "PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30"}
         process = subprocess.Popen(
