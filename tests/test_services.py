@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import psutil
 import pytest
 
+from flows.bench.flows.small_scenes import SETTINGS, write_small_scans
 from tests.conftest import REPOSITORY
-from tests.scans import OBJECTS, write_scan
 from tests.services import (
     ROLE,
     S3,
@@ -31,6 +31,7 @@ from tests.services import (
     PrefectServer,
     environment_of,
     free_port,
+    have_been_started,
     postgres_server,
     prefect_server_process,
     s3_server,
@@ -40,11 +41,7 @@ from warehouse.lake import Lake
 
 pytestmark = [pytest.mark.postgres, pytest.mark.s3]
 
-QUICK = (
-    "capture.max_points=2000", "selection.alignment.starts=1", "selection.alignment.yaw_count=4", "optimization.method.chains=1",
-    "optimization.method.max_moves=500", "optimization.certificate.seconds=0.2", "navigation.train_episodes=4",
-    "navigation.test_episodes=4", 'exports.formats=["glb"]',
-)  # fmt: skip
+QUICK = SETTINGS
 """Settings that make every stage short; each still does its own work."""
 
 LAKE = "s3://lakes/services/lake"
@@ -69,10 +66,12 @@ def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
             yield Services(postgres, prefect, s3, surroundings(folder / "home") | s3.access | {"PREFECT_API_URL": prefect.url})
 
 
-def surroundings(home: Path) -> dict[str, str]:
-    """The environment of somebody who has set nothing, with a home of their own."""
+def surroundings(home: Path, started_before: bool = False) -> dict[str, str]:
+    """The environment of somebody who has set nothing, with a home of their own, in which Prefect's server may have run before."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PREFECT_", "METASCENES_", "AWS_", "DO_NOT_TRACK"))}
     home.mkdir(exist_ok=True)
+    if started_before:
+        have_been_started(home / ".prefect")
     return kept | {"HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache")}
 
 
@@ -86,11 +85,10 @@ def run(environment: dict[str, str], scans: Path, lake: str | Path, *more: str) 
     return report
 
 
-def scan(folder: Path, number: int, shift: float = 0.0) -> None:
-    """A room with two things in it, anew if it is there."""
-    name = f"scene{number:04d}_00"
-    shutil.rmtree(folder / name, ignore_errors=True)
-    write_scan(folder, name, size=(3.4 + 0.1 * number, 3.0, 2.5), objects=OBJECTS[:1] + OBJECTS[3:], shift=(shift, 0.0))
+def scan(folder: Path, number: int, version: int = 0) -> None:
+    """A small room with a thing in it, anew if it is there; another one with every version."""
+    shutil.rmtree(folder / f"scene{number:04d}_00", ignore_errors=True)
+    write_small_scans(folder, 1, seed=version, first=number)
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +135,7 @@ def test_a_run_on_the_services_gives_what_one_without_them_gives(
 ) -> None:
     assert sorted(first["done"]) == SCENES
     assert recorded(services.postgres, SCENES) == ["COMPLETED"]
-    alone = run(surroundings(tmp_path / "home"), scans, tmp_path / "lake")
+    alone = run(surroundings(tmp_path / "home", started_before=True), scans, tmp_path / "lake")
     assert sorted(alone["done"]) == SCENES
     assert digests(Lake.open(LAKE).snapshot()) == digests(Lake.open(tmp_path / "lake").snapshot())
     assert recorded(services.postgres, SCENES) == ["COMPLETED"], "the other run had a server of its own"
@@ -152,7 +150,7 @@ def test_what_is_redone_does_not_hang_on_the_database(services: Services, first:
     again = run(services.environment, scans, LAKE)
     assert (again["done"], sorted(again["unchanged"]), again["steps"]) == ([], SCENES, 0)
     assert (digests(Lake.open(LAKE).snapshot()), attempts(LAKE)) == (before, counted)
-    scan(scans, 1, shift=0.05)
+    scan(scans, 1, version=1)
     changed = run(services.environment, scans, LAKE)
     assert (changed["done"], changed["unchanged"]) == (SCENES[1:], SCENES[:1])
     assert recorded(services.postgres, SCENES[1:]) == ["COMPLETED"], "only this run is known to the new database"
@@ -164,7 +162,7 @@ def test_what_is_redone_does_not_hang_on_the_database(services: Services, first:
 @pytest.mark.slow
 def test_another_server_redoes_nothing_but_what_changed(services: Services, first: dict[str, Any], scans: Path, tmp_path: Path) -> None:
     counted = attempts(LAKE)
-    scan(scans, 0, shift=0.05)
+    scan(scans, 0, version=1)
     with prefect_server_process(tmp_path) as other:
         changed = run(services.environment | {"PREFECT_API_URL": other.url}, scans, LAKE)
         assert (changed["done"], changed["unchanged"]) == (SCENES[:1], SCENES[1:])
