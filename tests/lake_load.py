@@ -3,7 +3,7 @@
 writer LAKE FIRST COUNT ROUNDS   stage and commit scenes FIRST .. FIRST+COUNT, ROUNDS times over
 hold LAKE                        take the lease, say so, and hold it until killed
 half LAKE                        stage half a run and a temporary file, say so, and wait to be killed
-crashes LAKE FOLDER              commit copies of LAKE, dying at every step in turn (see `crashes`)
+crashes LAKE FOLDER STRIDE       commit copies of LAKE, dying at every STRIDE-th step in turn (see `crashes`)
 """
 
 from __future__ import annotations
@@ -116,13 +116,13 @@ def _forked(work: Callable[[], None]) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def crashes(prepared: Path, folder: Path) -> None:
-    """For every step n of a commit: copy the lake, commit until step n, look at it, commit again, sweep, look again.
+def crashes(prepared: Path, folder: Path, stride: int) -> None:
+    """For every `stride`-th step n of a commit: copy the lake, commit until step n, look at it, commit again, sweep, look again.
 
     Prints one JSON object per n: exit code of the first commit, the digests of what readers see after it (null: the
     lake could not be read), after the second commit, and the files that are left in staged/ and tmp/.
     """
-    for step in range(1, 1000):
+    for step in range(1, 1000, stride):
         copy = folder / "lake"
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(prepared, copy)
@@ -156,7 +156,7 @@ def crashes(prepared: Path, folder: Path) -> None:
 if __name__ == "__main__":
     command, address, *rest = sys.argv[1:]
     if command == "crashes":
-        crashes(Path(address), Path(rest[0]))
+        crashes(Path(address), Path(rest[0]), int(rest[1]))
     elif command == "writer":
         writer(Lake.open(address), *map(int, rest))
     elif command == "half":

@@ -92,9 +92,10 @@ def test_installing_twice_changes_nothing(connection: duckdb.DuckDBPyConnection)
 
 def test_the_page_is_what_the_files_say() -> None:
     page = Path(__file__).parent.parent / "docs" / "views.md"
-    assert page.read_text() == views_page(), "write it with: python -m tests.test_catalog"
+    said = views_page()
+    assert page.read_text() == said, "write it with: python -m tests.test_catalog"
     for name, one in ASKED.items():
-        assert f"\n## `{name}`\n\n{one.question} Version {one.version}.\n" in views_page()
+        assert f"\n## `{name}`\n\n{one.question} Version {one.version}.\n" in said
 
 
 def test_every_example_of_a_macro_runs(connection: duckdb.DuckDBPyConnection) -> None:

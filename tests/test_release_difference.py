@@ -80,7 +80,7 @@ steps = st.lists(
 )
 
 
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(history=steps)
 def test_every_pair_of_snapshots_differs_as_its_rows_say(history: list, tmp_path_factory: pytest.TempPathFactory) -> None:
     lake = Lake.open(tmp_path_factory.mktemp("history") / "lake")
@@ -118,7 +118,7 @@ def test_lists_that_end_elsewhere_differ(tmp_path: Path) -> None:
         lake.stage_rows(stage_run(scene, "capture", fingerprint(i), at=i), rows)
         lake.commit()
     for one in range(1, len(LISTS) + 1):
-        for other in range(1, len(LISTS) + 1):
+        for other in range(one, len(LISTS) + 1):
             found = difference(lake, lake.snapshot(one), lake.snapshot(other))
             rooms = next(table for table in found.tables if table.table == "rooms")
             assert (rooms.added, rooms.changed, rooms.removed) == (0, int(one != other), 0), (LISTS[one - 1], LISTS[other - 1])
