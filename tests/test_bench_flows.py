@@ -34,6 +34,7 @@ from schemas.runs import StageRun
 from tasks.capture.formats import find_scans
 from tasks.pipeline import SCENE_STAGES
 from tests.samples import fingerprint, stage_run
+from tests.services import have_been_started
 from warehouse.digest import digests
 from warehouse.lake import Lake
 
@@ -91,6 +92,7 @@ def test_figures_are_those_of_the_lake_and_the_clock(plain: tuple[Path, Figures,
 @pytest.mark.timeout(600)
 def test_the_plain_loop_and_the_flow_give_the_same_lake(plain: tuple[Path, Figures, float], tmp_path: Path) -> None:
     """Otherwise one would be held against something else."""
+    have_been_started(tmp_path / "prefect")
     measured_run("pool", plain[0].parent / "scans", tmp_path / "lake", 1, tmp_path)
     assert digests(Lake.open(tmp_path / "lake").snapshot()) == digests(Lake.open(plain[0]).snapshot())
 

@@ -16,7 +16,7 @@ from flows.bench.flows.sharing import shared_runs
 from flows.bench.flows.small_scenes import write_small_scans
 from flows.bench.flows.verdicts import _doubled, verdict_on
 from schemas.runs import StageRun
-from tests.services import postgres_binaries
+from tests.services import have_been_started, postgres_binaries
 from warehouse.lake import Lake
 
 pytestmark = pytest.mark.postgres
@@ -36,6 +36,7 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Process]]
 def prepared(folder: Path, count: int) -> tuple[Path, Lake]:
     """Small scans, and the lake of a run that nobody disturbs."""
     scans = write_small_scans(folder / "scans", count)
+    have_been_started(folder / "prefect")
     measured_run("pool", scans, folder / "lake", 2, folder)
     return scans, Lake.open(folder / "lake")
 

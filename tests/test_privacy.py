@@ -21,7 +21,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.conftest import REPOSITORY
-from tests.services import ROLE, START_SECONDS, environment_of, free_port, postgres_server, prefect_server_process, s3_server
+from tests.services import (
+    ROLE,
+    START_SECONDS,
+    environment_of,
+    free_port,
+    have_been_started,
+    postgres_server,
+    prefect_server_process,
+    s3_server,
+)
 from tests.test_services import QUICK, scan, surroundings
 
 Lines = Callable[[], list[str]]
@@ -78,6 +87,7 @@ def test_a_server_with_its_telemetry_on_is_seen_reaching_out(watched: tuple[dict
     """The check above can fail: what is set by a user stays as it is, and then the server calls its makers."""
     environment, seen = watched
     environment |= {"DO_NOT_TRACK": "0", "PREFECT_SERVER_ANALYTICS_ENABLED": "true"}
+    have_been_started(Path(environment["HOME"]) / ".prefect")
     with subprocess.Popen([sys.executable, "-c", SERVES], env=environment, cwd=REPOSITORY, stdin=subprocess.PIPE) as process:
         give_up = time.monotonic() + START_SECONDS
         while not seen() and time.monotonic() < give_up:
@@ -235,7 +245,7 @@ def listening(parent: psutil.Process) -> set[str]:
 
 @pytest.mark.parametrize("kind", ["run", "deploy"])
 def test_our_servers_listen_on_the_loopback_alone(kind: str, tmp_path: Path) -> None:
-    environment = surroundings(tmp_path / "home")
+    environment = surroundings(tmp_path / "home", started_before=True)
     (tmp_path / "scans").mkdir()
     deploy = ["-m", "flows.cli", "deploy", "--local", "--port", free_port(), "--scans", tmp_path / "scans", "--lake", tmp_path / "lake"]
     command = [sys.executable, *map(str, deploy if kind == "deploy" else ["-c", SERVES])]
