@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import math
 import os
 import queue
+import statistics
 import threading
 import time
 import uuid
@@ -22,7 +24,7 @@ from hypothesis import strategies as st
 from flows.configuration import configure
 from flows.fanout.batch import Batch
 from flows.fanout.coordinator import LOST_SCENES, Coordinator, FanOut
-from flows.fanout.pace import SHARE, TASK_SECONDS, Pace
+from flows.fanout.pace import RECENT, SHARE, TASK_SECONDS, Pace
 from flows.fanout.quota import Quota
 from flows.mirror import FetchError
 from flows.plan import Plan, make_plan
@@ -87,12 +89,20 @@ def test_tasks_are_large_enough_to_pay_and_small_enough_to_share(runner: str, wo
     assert pace.batch_size(waiting) == 1, "nothing is known yet"
     for index, one in enumerate(seconds):
         pace.saw(result(f"s/{index}", one))
-    size, mean = pace.batch_size(waiting), sum(seconds) / len(seconds)
+    size, usual = pace.batch_size(waiting), statistics.median(seconds[-RECENT:])
     assert 1 <= size <= waiting
     if size < waiting // (4 * workers):
-        assert TASK_SECONDS[runner] <= SHARE * size * mean * 1.001, "the task's cost is a small part of it"
+        assert TASK_SECONDS[runner] <= SHARE * size * usual * 1.001, "the task's cost is a small part of it"
     assert size == 1 or size <= waiting / (4 * workers), "every worker gets several"
     assert Pace(runner, workers, 7).batch_size(waiting) == 7
+
+
+def test_the_first_scenes_whose_workers_had_to_start_are_soon_forgotten() -> None:
+    pace = Pace("pool", 2)
+    for seconds in (40.0, 35.0, 0.6, 0.6, 0.6):
+        pace.saw(result("s/1", seconds))
+    assert pace.batch_size(1000) == math.ceil(TASK_SECONDS["pool"] / SHARE / 0.6)
+    assert not pace.shows_stages
 
 
 class Futures:

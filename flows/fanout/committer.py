@@ -12,8 +12,8 @@ from warehouse.lake import Lake
 COMMIT_SCENES = 25
 """Scenes per commit at least: a commit rewrites a part of every table (1 to 4 s), and what is uncommitted is still staged."""
 
-COMMIT_SECONDS = 20.0
-"""From one commit to the next at least, so that commits of short scenes stay a small part of the work."""
+COMMIT_SHARE = 0.02
+"""Part of the time that commits of short scenes may take: after one of two seconds the next one waits for a hundred."""
 
 PAUSE_SECONDS = 5.0
 """From one commit to the next in any case, above all after one that failed."""
@@ -30,7 +30,7 @@ class Committer:
         self._waiting: list[str] = []
         self._change = threading.Condition()
         self._ends = False
-        self._last = -1e9
+        self._last, self._took = -1e9, 0.0
         self.snapshots: list[int] = []
         """Snapshots that were made, in order."""
         self._thread = threading.Thread(target=self._work, name="committer", daemon=True)
@@ -56,7 +56,7 @@ class Committer:
         since = time.monotonic() - self._last
         if since < PAUSE_SECONDS:
             return False
-        return len(self._waiting) >= MANY_SCENES or (len(self._waiting) >= COMMIT_SCENES and since >= COMMIT_SECONDS)
+        return len(self._waiting) >= MANY_SCENES or (len(self._waiting) >= COMMIT_SCENES and since * COMMIT_SHARE >= self._took)
 
     def _work(self) -> None:
         while True:
@@ -67,9 +67,10 @@ class Committer:
                     return
                 scenes, self._waiting = self._waiting, []
                 self._last = time.monotonic()
-            snapshot = None
+            snapshot, begun = None, time.monotonic()
             try:
                 snapshot = self._lake.commit(scenes=scenes)
+                self._took = time.monotonic() - begun
             except BaseException as error:  # a lease held for long, a store that is away, a panic of delta-rs: all is still staged
                 current().say(f"commit put off: {type(error).__name__}: {' '.join(str(error).split())}")
                 with self._change:

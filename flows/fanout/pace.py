@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
+import statistics
+from collections import deque
 
 from flows.scene import SceneResult
 
 SHARE = 0.02
 """Part of the work that tasks may cost. A run is to lose less than 5 % to orchestration in all, commits included."""
 
-TASK_SECONDS = {"pool": 0.02, "processes": 0.1, "dask": 0.1, "ray": 0.1}
-"""What one task costs [s], measured without work: threads 3 to 13 ms, processes, Dask and Ray 55 to 90 ms."""
+TASK_SECONDS = {"pool": 0.08, "processes": 0.15, "dask": 0.15, "ray": 0.15}
+"""What one task costs [s], measured without work: threads 3 to 13 ms, processes, Dask and Ray 55 to 90 ms; and 60 ms of the server."""
 
 STAGE_TASK_SECONDS = 0.015
 """What a task within a task costs [s]."""
+
+
+RECENT = 15
+"""Scenes that say how long the next one takes. Their median: the first ones of every worker wait for imports and compilers."""
 
 
 class Pace:
@@ -24,16 +30,14 @@ class Pace:
 
     def __init__(self, runner: str, workers: int, batch: int | None = None) -> None:
         self._task_seconds, self._workers, self._fixed = TASK_SECONDS[runner], workers, batch
-        self._seconds = 0.0
-        self._scenes = 0
-        self._stages = 0
+        self._scenes: deque[float] = deque(maxlen=RECENT)
+        self._stages: deque[float] = deque(maxlen=RECENT)
 
     def saw(self, result: SceneResult) -> None:
         """Take in how long a scene took."""
         if result.ran:
-            self._seconds += result.seconds
-            self._scenes += 1
-            self._stages += len(result.ran)
+            self._scenes.append(result.seconds)
+            self._stages.append(result.seconds / len(result.ran))
 
     def batch_size(self, waiting: int) -> int:
         """Scenes for the next task, when so many wait for one. Every worker still gets several tasks."""
@@ -41,10 +45,10 @@ class Pace:
             return self._fixed
         if not self._scenes:
             return 1
-        wanted = math.ceil(self._task_seconds / SHARE / max(self._seconds / self._scenes, 1e-3))
+        wanted = math.ceil(self._task_seconds / SHARE / max(statistics.median(self._scenes), 1e-3))
         return max(1, min(wanted, waiting // (4 * self._workers)))
 
     @property
     def shows_stages(self) -> bool:
         """Whether stages are long enough to be tasks of their own, which a person can follow."""
-        return not self._stages or self._seconds / self._stages * SHARE >= STAGE_TASK_SECONDS
+        return not self._stages or statistics.median(self._stages) * SHARE >= STAGE_TASK_SECONDS
