@@ -155,13 +155,15 @@ def whole_report(**changes: object) -> dict:
     made = [reporting._plain(figures(100.0, samples=samples, runner=runner)) for runner in (PLAIN, "pool", "dask")]
     real = reporting._plain(figures(700.0, workers=1, scenes=10))
     timed = [figures(30, 1, scenes=100), figures(16, 2, scenes=100)]
+    speed = [reporting._plain(one) for one in timed]
     sharing = Sharing(9, 3, 10.0, (0, 0), (4, 5), (1, 2), (), (), SOUND)
     kills = (Kill("worker", 1.0, 1), Kill("run", 2.0, 1), Kill("database", 3.0, 2))
     chaos = Chaos(50, 99.0, (-9, 1, 0), kills, ("a: capture",), (), (), 0, SOUND)
     report = {
         "machine": {"processor": "a", "cores": 2, "system": "b", "python": "3", "versions": {}}, "seed": 0, "workers": 2,
-        "startup": {"import": 1.0}, "real": real, "overhead": made, "speed": [reporting._plain(one) for one in timed],
-        "speed_up": speed_up(timed), "sharing": dataclasses.asdict(sharing), "chaos": dataclasses.asdict(chaos),
+        "startup": {"import": 1.0}, "real": real, "overhead": made, "speed": speed,
+        "speed_up": speed_up(timed), "room_speed": speed, "room_speed_up": speed_up(timed),
+        "sharing": dataclasses.asdict(sharing), "chaos": dataclasses.asdict(chaos),
     }  # fmt: skip
     report |= changes
     report["goals"] = goals(report)
@@ -183,7 +185,8 @@ def test_goals_are_missed_by_what_they_are_about() -> None:
     assert len(missed(whole_report(chaos=chaos | {"verdict": broken}))) == 1
     for change in ({"codes": (0, 1)}, {"hung": 1}, {"redone": ("a",)}, {"unsaid": ("a",)}, {"kills": ()}, {"lost": ()}):
         assert len(missed(whole_report(chaos=chaos | change))) == 1, change
-    assert missed(whole_report(speed_up=1.79)) == ["two workers are so many times as fast as one"]
+    assert missed(whole_report(speed_up=1.79)) == ["small scenes: two workers are so many times as fast as one"]
+    assert missed(whole_report(room_speed_up=1.79)) == ["rooms: two workers are so many times as fast as one"]
     large = [one | {"peak_memory_mb": 2500.0, "growth_mb": 150.0} for one in good["overhead"]]
     assert len(missed(whole_report(overhead=large))) == 2
     slow = [one | {"overhead_seconds": 1.0} for one in good["overhead"]]

@@ -151,11 +151,12 @@ def warehouse(scenes: int, seed: int, runs: int, parts: str, as_json: bool) -> N
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same scenes and kills.")
 @click.option("--parts", default="", help="Measure only these, with commas between: startup, overhead, speed, sharing, chaos.")
 @click.option("--speed-scenes", type=click.IntRange(4), default=100, show_default=True, help="Scenes that one worker and two are timed on.")
+@click.option("--speed-rooms", type=click.IntRange(2), default=6, show_default=True, help="Rooms of about 25 things that they are, too.")
 @click.option("--chaos-scenes", type=click.IntRange(1), default=50, show_default=True, help="Scenes of the run that is disturbed.")
 @click.option("--kills", type=click.IntRange(0), default=12, show_default=True, help="How many times something is killed in it.")
 @json_option
-def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_scenes: int, chaos_scenes: int, kills: int,
-          as_json: bool) -> None:  # fmt: skip
+def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_scenes: int, speed_rooms: int, chaos_scenes: int,
+          kills: int, as_json: bool) -> None:  # fmt: skip
     """Measure the flows: what orchestration costs, two workers beside one, memory, two runs at once, and chaos.
 
     Small scenes are run by `metascenes run` as anybody would; all seven stages of one take about half a second. Chaos kills
@@ -174,7 +175,8 @@ def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_
         raise click.BadParameter(f"{scenes!r} is no list of numbers from 1", param_hint="--scenes")
     config = FlowsBench(
         scenes=tuple(map(int, numbers)), runners=_chosen(runners, RUNNERS, "--runners"), workers=workers, seed=seed,
-        parts=_chosen(parts, PARTS, "--parts"), speed_scenes=speed_scenes, chaos_scenes=chaos_scenes, kills=kills,
+        parts=_chosen(parts, PARTS, "--parts"), speed_scenes=speed_scenes, speed_rooms=speed_rooms,
+        chaos_scenes=chaos_scenes, kills=kills,
     )  # fmt: skip
     with Progress("measured", steps_of(config)) as progress:
         report = run_flows_bench(config, progress.advance)

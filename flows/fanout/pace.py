@@ -11,8 +11,8 @@ from flows.scene import SceneResult
 SHARE = 0.02
 """Part of the work that tasks may cost. A run is to lose less than 5 % to orchestration in all, commits included."""
 
-TASK_SECONDS = {"pool": 0.08, "processes": 0.15, "dask": 0.15, "ray": 0.15}
-"""What one task costs [s], measured without work: threads 3 to 13 ms, processes, Dask and Ray 55 to 90 ms; and 60 ms of the server."""
+TASK_SECONDS = {"pool": 0.05, "processes": 0.13, "dask": 0.13, "ray": 0.13}
+"""What one task costs [s]: threads 3 to 13 ms, processes, Dask and Ray 55 to 90 ms, and the server's processor about 40 ms more."""
 
 STAGE_TASK_SECONDS = 0.015
 """What a task within a task costs [s]."""

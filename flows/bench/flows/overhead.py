@@ -9,12 +9,17 @@ from pathlib import Path
 
 from flows.bench.flows.runs import PLAIN, Figures, measured_run
 from flows.bench.flows.small_scenes import SETTINGS, write_small_scans
+from tasks.scanner.demo import demo_scan, demo_scans
 
 WARM_SCENES = 2
 """Scenes of a run before the measured ones: afterwards Prefect's database and compiled code are there."""
 
 SPEED_SCENES = 100
 """Scenes that one worker is timed on beside two: enough that the end, when one of two has nothing left, does not count."""
+
+
+SPEED_ROOMS = 6
+"""Rooms that one worker is timed on beside two: the same number for both of two, and not all of the same size."""
 
 
 def overheads(
@@ -43,12 +48,22 @@ def speed_ups(folder: Path, scenes: int, seed: int, runs: int, advance: Callable
 
 def real_run(folder: Path, seed: int) -> Figures:
     """A generated room of about 25 things, recorded by the virtual scanner, through the pool with default settings."""
-    from tasks.scanner.demo import demo_scan
-
     scans = folder / "real"
     if not scans.exists():
         demo_scan(scans, 0, seed)
     return _measured(folder, "pool", scans, 1, ())
+
+
+def room_speed_ups(folder: Path, rooms: int, seed: int, advance: Callable[[str], None]) -> list[Figures]:
+    """So many generated rooms of about 25 things, with default settings, on the pool by one worker and by two."""
+    scans = folder / f"rooms{rooms}"
+    if not scans.exists():
+        demo_scans(scans, seed, rooms)
+    found = []
+    for workers in (1, 2):
+        found.append(_measured(folder, "pool", scans, workers, ()))
+        advance(f"{rooms} rooms, {workers} workers")
+    return found
 
 
 def speed_up(figures: Sequence[Figures]) -> float:

@@ -9,7 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from flows.bench.flows.chaos import Chaos, disturbed_run
-from flows.bench.flows.overhead import SPEED_SCENES, overheads, real_run, small_scans, speed_up, speed_ups, warm_up
+from flows.bench.flows.overhead import (
+    SPEED_ROOMS,
+    SPEED_SCENES,
+    overheads,
+    real_run,
+    room_speed_ups,
+    small_scans,
+    speed_up,
+    speed_ups,
+    warm_up,
+)
 from flows.bench.flows.runs import PLAIN, Figures, measured_run
 from flows.bench.flows.services import plain_server, postgres_programs, services
 from flows.bench.flows.sharing import Sharing, shared_runs
@@ -49,6 +59,7 @@ class FlowsBench:
     parts: tuple[str, ...] = PARTS
     speed_scenes: int = SPEED_SCENES
     speed_runs: int = 2
+    speed_rooms: int = SPEED_ROOMS
     shared_scenes: int = _SHARED_SCENES
     chaos_scenes: int = 50
     kills: int = 12
@@ -56,8 +67,13 @@ class FlowsBench:
 
 def steps_of(config: FlowsBench) -> int:
     """How many times `run_flows_bench` tells that something is done."""
-    counts = {"startup": 1, "overhead": len(config.scenes) * (len(config.runners) + 1) + 1, "speed": 2 * config.speed_runs, "sharing": 1,
-              "chaos": 1}  # fmt: skip
+    counts = {
+        "startup": 1,
+        "overhead": len(config.scenes) * (len(config.runners) + 1) + 1,
+        "speed": 2 * config.speed_runs + 2,
+        "sharing": 1,
+        "chaos": 1,
+    }
     return 1 + sum(counts[part] for part in config.parts)
 
 
@@ -91,6 +107,9 @@ def _report(config: FlowsBench, folder: Path, advance: Callable[[str], None]) ->
         timed = speed_ups(folder, config.speed_scenes, config.seed, config.speed_runs, advance)
         report["speed"] = [_plain(one) for one in timed]
         report["speed_up"] = speed_up(timed)
+        timed = room_speed_ups(folder, config.speed_rooms, config.seed, advance)
+        report["room_speed"] = [_plain(one) for one in timed]
+        report["room_speed_up"] = speed_up(timed)
     if "sharing" in config.parts:
         report["sharing"] = dataclasses.asdict(_sharing(config, folder))
         advance("two runs at once")
@@ -118,7 +137,8 @@ def goals(report: Mapping[str, Any]) -> list[dict[str, Any]]:
                 found.append(goal(f"coordinator's memory, {one['scenes']:,} scenes [MB]", one["peak_memory_mb"], "<=", MEMORY_MB))
                 found.append(goal("its growth in the second half [MB per 1,000 scenes]", one["growth_mb"], "<=", GROWTH_MB))
     if "speed_up" in report:
-        found.append(goal("two workers are so many times as fast as one", report["speed_up"], ">=", SPEED_UP))
+        found.append(goal("small scenes: two workers are so many times as fast as one", report["speed_up"], ">=", SPEED_UP))
+        found.append(goal("rooms: two workers are so many times as fast as one", report["room_speed_up"], ">=", SPEED_UP))
     if "sharing" in report:
         seen = report["sharing"]
         found.append(goal("two runs at once: commands that failed", sum(code != 0 for code in seen["codes"]), "==", 0))

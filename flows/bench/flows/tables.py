@@ -66,12 +66,15 @@ def _print_memory(report: Mapping[str, Any], console: Console) -> None:
 
 
 def _print_speed(report: Mapping[str, Any], console: Console) -> None:
-    table = table_of("one worker and two", ("scenes", True), ("workers", True), ("work s", True), ("whole run s", True), ("load", True))
-    for one in report["speed"]:
-        add_row(
-            table, f"{one['scenes']:,}", str(one["workers"]), f"{one['work_seconds']:.1f}", f"{one['seconds']:.1f}", f"{one['load']:.1f}"
-        )
-    console.print(table)
+    for what, runs in (("small scenes", report["speed"]), ("rooms of about 25 things", report["room_speed"])):
+        table = table_of(f"one worker and two, {what}", ("scenes", True), ("workers", True), ("work s", True), ("whole run s", True),
+                         ("load", True))  # fmt: skip
+        for one in runs:
+            add_row(
+                table, f"{one['scenes']:,}", str(one["workers"]), f"{one['work_seconds']:.1f}", f"{one['seconds']:.1f}",
+                f"{one['load']:.1f}",
+            )  # fmt: skip
+        console.print(table)
 
 
 def _print_sharing(seen: Mapping[str, Any], console: Console) -> None:
