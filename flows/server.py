@@ -92,6 +92,15 @@ def prefect_server() -> Iterator[str]:
                 process.wait()
 
 
+def is_healthy(address: str) -> bool:
+    """Whether the Prefect API at an address (`http://host:port/api`) says that it is well."""
+    try:
+        with urllib.request.urlopen(f"{address}/health", timeout=2) as reply:
+            return bool(reply.status == 200)
+    except OSError:
+        return False
+
+
 def _wait_until_healthy(process: subprocess.Popen[bytes], address: str, said: IO[bytes]) -> None:
     """Return once the server answers."""
     give_up = time.monotonic() + START_SECONDS
@@ -100,12 +109,9 @@ def _wait_until_healthy(process: subprocess.Popen[bytes], address: str, said: IO
             said.seek(0)
             reason = _reason(said.read().decode(errors="replace")) or f"exit code {process.returncode}"
             raise LakeError(f"the Prefect server did not start: {without_secrets(reason)}{_database_hint()}")
-        try:
-            with urllib.request.urlopen(f"{address}/health", timeout=2) as reply:
-                if reply.status == 200:
-                    return
-        except OSError:
-            time.sleep(0.1)
+        if is_healthy(address):
+            return
+        time.sleep(0.1)
     process.kill()
     raise LakeError(f"the Prefect server did not answer within {START_SECONDS} s; set PREFECT_API_URL to one that runs")
 

@@ -14,10 +14,9 @@ import signal
 import subprocess
 import sys
 import time
-import urllib.request
 from collections.abc import Iterator, Mapping, Sequence
 
-from flows.server import QUIET, START_SECONDS
+from flows.server import QUIET, START_SECONDS, is_healthy
 from schemas.errors import InputError, LakeError
 
 NO_TELEMETRY = {name: value for name, value in QUIET.items() if "LOGGING" not in name}
@@ -61,7 +60,7 @@ def server(host: str = "127.0.0.1", port: int = 4200) -> Iterator[tuple[str, sub
     command = [sys.executable, "-m", "prefect", "server", "start", "--host", host, "--port", str(port)]
     with guarded(command, {**SERVER, **os.environ, "PREFECT_API_URL": address}, quiet=True) as process:
         give_up = time.monotonic() + START_SECONDS
-        while not _is_healthy(address):
+        while not is_healthy(address):
             if process.poll() is not None:
                 raise LakeError(f"the Prefect server did not start; `{' '.join(command[1:])}` says why")
             if time.monotonic() > give_up:
@@ -85,14 +84,6 @@ def first_to_end(services: Mapping[str, subprocess.Popen[bytes]]) -> str:
             if process.poll() is not None:
                 return name
         time.sleep(LOOK_SECONDS)
-
-
-def _is_healthy(address: str) -> bool:
-    try:
-        with urllib.request.urlopen(f"{address}/health", timeout=2) as reply:
-            return bool(reply.status == 200)
-    except OSError:
-        return False
 
 
 @contextlib.contextmanager

@@ -22,7 +22,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import metadata
@@ -30,6 +29,8 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+
+from flows.server import is_healthy
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 START_SECONDS = 120
@@ -213,11 +214,7 @@ class PrefectServer(Service):
 
     def answers(self) -> bool:
         """Whether the API says that it is well."""
-        try:
-            with urllib.request.urlopen(f"{self.url}/health", timeout=2) as reply:
-                return bool(reply.status == 200)
-        except OSError:
-            return False
+        return is_healthy(self.url)
 
 
 class S3(Service):

@@ -14,13 +14,12 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
 from flows.bench.flows.runs import surroundings
-from flows.server import QUIET
+from flows.server import QUIET, is_healthy
 from schemas.errors import InputError, LakeError
 
 START_SECONDS = 120
@@ -122,11 +121,7 @@ class Server(Process):
 
     def answers(self) -> bool:
         """Whether the API says that it is well."""
-        try:
-            with urllib.request.urlopen(f"{self.url}/health", timeout=2) as reply:
-                return bool(reply.status == 200)
-        except OSError:
-            return False
+        return is_healthy(self.url)
 
     def _started(self, log: IO[bytes]) -> subprocess.Popen[bytes]:
         with socket.socket() as listener:
