@@ -11,7 +11,11 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from schemas.errors import InputError
+from schemas.files import read_file
 from tasks.pipeline import STAGES
+
+MAX_BYTES = 2**20
+"""Settings of all stages take some ten thousand bytes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,8 +45,8 @@ def configure(
     if file is not None:
         origin = file.name
         try:
-            told = tomllib.loads(file.read_text())
-        except (OSError, ValueError) as error:
+            told = tomllib.loads(read_file(file, file.name, MAX_BYTES).decode("utf-8-sig"))
+        except ValueError as error:
             raise InputError(file.name, "content", str(error), "give a TOML file with one table per stage") from error
     named_seed, named_library = told.pop("seed", 0), told.pop("library", None)
     if type(named_seed) is not int or not isinstance(named_library, str | None):

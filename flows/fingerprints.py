@@ -22,13 +22,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from schemas.files import open_file
+
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("schemas", "tasks")
-MECHANISM = ("tasks.stage", "schemas.tables", "schemas.record", "schemas.errors")
+MECHANISM = ("tasks.stage", "schemas.tables", "schemas.record", "schemas.errors", "schemas.files")
 """Modules that carry rows around and compute none: a change there redoes nothing."""
 
 RACY_SECONDS = 2.0
 """A file changed this recently may change again within its time stamp's resolution: its hash is not remembered."""
+
+MAX_HASHED_BYTES = 128 * 2**30
+"""No reader takes a larger file."""
 
 
 def digest(*parts: str) -> str:
@@ -177,14 +182,19 @@ class FileHashes:
             self._known = {path: entry for path, entry in read.items() if isinstance(entry, list) and len(entry) == 5}
 
     def hash(self, path: Path) -> str:
-        """SHA-256 of a file's content."""
+        """SHA-256 of a file's content.
+
+        Raises:
+            InputError: it is no regular file, or has more than MAX_HASHED_BYTES bytes.
+            OSError: it cannot be read.
+        """
         stat = path.stat()
         mark = [stat.st_size, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns]
         key = str(path.resolve())
         known = self._known.get(key)
         if known and known[:4] == mark:
             return str(known[4])
-        with path.open("rb") as file:
+        with open_file(path, path.name, MAX_HASHED_BYTES) as file:
             value = hashlib.file_digest(file, "sha256").hexdigest()
         if time.time() - max(stat.st_mtime, stat.st_ctime) > RACY_SECONDS:
             self._known[key] = [*mark, value]

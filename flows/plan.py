@@ -96,6 +96,9 @@ def make_plan(
         except OSError as error:
             errors.append(InputError(scan.path.name, "files", str(error), "check that they can be read"))
             continue
+        except InputError as error:
+            errors.append(error)
+            continue
         outside = {"scan": content, "library": library}
         past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
         scenes.append(ScenePlan(scan, _steps(outside, annotations.get(scan.scene_id, ""), past, told, configuration.seed, retry_failed)))

@@ -9,20 +9,21 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from schemas.errors import InputError
+from schemas.files import read_file
 
 
 def read_limited(file: Path, name: str, most_bytes: int) -> bytes:
     """Content of a file that people call `name`.
 
     Raises:
-        InputError: it cannot be read, or is larger than `most_bytes`.
+        InputError: it cannot be read, is no regular file, or is larger than `most_bytes`.
     """
     try:
         if file.stat().st_size > most_bytes:
             raise InputError(name, "", f"is larger than {most_bytes >> 20} MB", "split the batch into files")
-        return file.read_bytes()
     except OSError as error:
         raise InputError(name, "", f"cannot be read ({error.strerror})", "check the path and its permissions") from error
+    return read_file(file, name, most_bytes)
 
 
 def parse_json(raw: bytes, name: str, first_line: int = 1) -> Any:

@@ -11,6 +11,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from schemas.errors import InputError
+from schemas.files import read_file
+
+MAX_LIST_BYTES = 2**20
+"""Some ten thousand licenses; SPDX knows seven hundred."""
 
 UNKNOWN = "unknown"
 """What stands for a license that nobody stated."""
@@ -53,8 +57,8 @@ class Allowed:
         for value in values:
             if value.startswith("@"):
                 try:
-                    lines = Path(value[1:]).read_text(encoding="utf-8").splitlines()
-                except (OSError, UnicodeError) as error:
+                    lines = read_file(Path(value[1:]), value[1:], MAX_LIST_BYTES).decode().splitlines()
+                except UnicodeError as error:
                     raise InputError(
                         value[1:], "licenses", f"cannot be read ({error})", "name a text file with a license per line"
                     ) from error

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.files import read_file
 
 MAX_TEXT_BYTES = 16 * 2**20
 """Metadata, poses and trajectories are small: 16 MiB holds a trajectory of 100,000 frames."""
@@ -33,15 +34,9 @@ def read_bytes(path: Path, name: str, limit: int) -> bytes:
     """The content of a file.
 
     Raises:
-        InputError: it is missing, unreadable, or larger than `limit` bytes.
+        InputError: it is missing, unreadable, no regular file, or larger than `limit` bytes.
     """
-    try:
-        size = path.stat().st_size
-        if size > limit:
-            raise InputError(name, "size", f"is {size} bytes, more than {limit}", "is it the right file?")
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(name, "file", f"cannot be read ({error.strerror})", _AGAIN) from error
+    return read_file(path, name, limit, _AGAIN)
 
 
 def read_text(path: Path, name: str) -> str:

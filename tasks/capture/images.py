@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.files import open_file
 from tasks.capture.documents import read_bytes
 
 MAX_PIXELS = 64_000_000
@@ -27,13 +28,15 @@ def image_size(path: Path, name: str) -> tuple[int, int]:
     """Width and height [px] from an image's header.
 
     Raises:
-        InputError: it is no image, or larger than MAX_PIXELS.
+        InputError: it is no image, no regular file, or larger than MAX_PIXELS.
     """
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with open_file(path, name, MAX_IMAGE_BYTES) as file, Image.open(file) as image:
             width, height = image.size
+    except InputError:
+        raise
     except Exception as error:  # the decoder raises whatever the bytes lead it to
         raise InputError(name, "image", f"cannot be read ({_reason(error)})", _AGAIN) from error
     if not 0 < width * height <= MAX_PIXELS:

@@ -9,6 +9,7 @@ color and depth u64, bytes of color and depth u64, the color image, the depth im
 from __future__ import annotations
 
 import dataclasses
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -17,7 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.files import open_file
 from tasks.capture.images import MAX_PIXELS, decode_color
+
+MAX_SENS_BYTES = 128 * 2**30
+"""ScanNet's longest scans have 5 GB; a walk of an hour at full rate stays below this."""
 
 _FRAME = struct.Struct("<16f4Q")
 _COLOR_KINDS = {0: "raw", 1: "png", 2: "jpeg"}
@@ -79,7 +84,7 @@ class SensFile:
 
     def _slice(self, start: int, count: int) -> bytes:
         try:
-            with self.path.open("rb") as stream:
+            with open_file(self.path, self.name, MAX_SENS_BYTES) as stream:
                 stream.seek(start)
                 return stream.read(count)
         except OSError as error:
@@ -93,9 +98,8 @@ def open_sens(path: Path, name: str) -> SensFile:
         InputError: it is no container of version 4, it is cut, or it states sizes that cannot be.
     """
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
-            return _read(stream, size, path, name)
+        with open_file(path, name, MAX_SENS_BYTES) as stream:
+            return _read(stream, os.fstat(stream.fileno()).st_size, path, name)
     except OSError as error:
         raise InputError(name, "file", f"cannot be read ({error.strerror})", _AGAIN) from error
 

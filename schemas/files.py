@@ -1,0 +1,75 @@
+"""Opening what others wrote: regular files of an agreed size, so that no pipe, device or endless file holds anybody up.
+
+Whatever people hand in (scans, libraries, settings, batches, datasets, exports to be checked) is opened here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+from schemas.errors import InputError
+
+_KINDS = {
+    stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFDIR: "a folder",
+}  # fmt: skip
+
+
+def open_file(path: Path, name: str, most_bytes: int) -> BufferedReader:
+    """A file, open for reading. What is no regular file is not opened at all: to open a pipe waits, to open a device may act.
+
+    Raises:
+        InputError: it is no regular file, or has more than `most_bytes` bytes; names it as `name`.
+        OSError: it does not exist or cannot be read.
+    """
+    _check(path.stat(), name, most_bytes)
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    try:
+        _check(os.fstat(descriptor), name, most_bytes)  # another file may have taken its place
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def read_file(path: Path, name: str, most_bytes: int, remedy: str = "check the path and its permissions") -> bytes:
+    """The content of a file.
+
+    Raises:
+        InputError: it is missing, unreadable, no regular file, or longer than `most_bytes`; says `remedy` where it cannot be read.
+    """
+    try:
+        with open_file(path, name, most_bytes) as file:
+            data = file.read(os.fstat(file.fileno()).st_size)
+            while more := file.read(1 << 20):  # it grows, or the kernel makes it while it is read and says that it is empty
+                data += more
+                if len(data) > most_bytes:
+                    raise too_large(name, f"more than {most_bytes}", most_bytes)
+            return data
+    except OSError as error:
+        raise InputError(name, "file", f"cannot be read ({error.strerror or error})", remedy) from error
+
+
+def check_file(path: Path, name: str, most_bytes: int) -> None:
+    """Refuse what `open_file` would refuse, without opening it.
+
+    Raises:
+        InputError: it is no regular file, or has more than `most_bytes` bytes; names it as `name`.
+        OSError: it does not exist.
+    """
+    _check(path.stat(), name, most_bytes)
+
+
+def _check(found: os.stat_result, name: str, most_bytes: int) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+        raise InputError(name, "file", f"is {kind}, not a regular file", "put the file itself in its place")
+    if found.st_size > most_bytes:
+        raise too_large(name, str(found.st_size), most_bytes)
+
+
+def too_large(name: str, size: str, most_bytes: int) -> InputError:
+    """The refusal of a file that has more than `most_bytes` bytes."""
+    return InputError(name, "size", f"is {size} bytes, at most {most_bytes} are read", "is it the right file?")
