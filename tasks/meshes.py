@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import itertools
+import warnings
+from collections import Counter
 from collections.abc import Mapping, MutableMapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
+from tasks.containers import weigh_glb
 from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 
 if TYPE_CHECKING:
     import trimesh
-
-MAX_FACES = 20_000_000
-"""More faces than any scan that a worker with 8 GB can hold; a file with more is refused before it is unpacked."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,38 +67,106 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     Every part's `metadata["name"]` is its node's name. Textures and vertex colors stay.
 
     Raises:
-        InputError: the file is no GLB, holds no triangles, triangles of vertices that are not there, or coordinates that are
-            not finite.
+        InputError: the file is no GLB, would take more than the budget, holds no triangles, triangles of vertices that are
+            not there, coordinates that are not finite, or images that cannot be decoded.
     """
     import trimesh
 
+    weigh_glb(data, file)
     try:
-        scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here
+            scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
+        poses = _poses(scene.graph)
     except Exception as error:  # the loader raises whatever the bytes lead it to
         raise InputError(
-            file, "content", f"is not a readable GLB ({type(error).__name__}: {error})", "export it again as glTF binary"
+            file, "content", f"is not a readable GLB ({type(error).__name__}: {error})"[:300], "export it again as glTF binary"
         ) from error
-    if sum(len(getattr(g, "faces", ())) for g in scene.geometry.values()) > MAX_FACES:
-        raise InputError(file, "faces", f"more than {MAX_FACES} triangles", "decimate the mesh")
-    for geometry in scene.geometry.values():
-        _keep_encoded(geometry)
+    _check_looks(scene, file)
     parts = []
-    for node in sorted(scene.graph.nodes_geometry):
-        pose, name = scene.graph[node]
-        geometry = scene.geometry[name]
+    for node in sorted(scene.graph.nodes_geometry, key=str):
+        geometry = scene.geometry[scene.graph.transforms.node_data[node]["geometry"]]
         if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
             continue
-        if geometry.faces.min() < 0 or geometry.faces.max() >= len(geometry.vertices):
+        if geometry.vertices.shape[1:] != (3,) or geometry.faces.min() < 0 or geometry.faces.max() >= len(geometry.vertices):
             raise InputError(file, f"node {node}", "has triangles of vertices that are not there", "export it again")
-        part = geometry.copy()
-        part.apply_transform(Y_UP_TO_Z_UP @ pose)
-        part.metadata["name"] = node
+        part = _copied(geometry)
+        with np.errstate(invalid="ignore", over="ignore"):  # what comes of it is looked at below
+            part.apply_transform(Y_UP_TO_Z_UP @ poses[node])
+        part.metadata["name"] = str(node)
         if not np.isfinite(part.vertices).all():
             raise InputError(file, f"node {node}", "has coordinates that are not finite", "export it again")
         parts.append(part)
     if not parts:
         raise InputError(file, "meshes", "holds no triangles", "export it with its geometry")
     return parts
+
+
+def _poses(graph: Any) -> dict[Any, NDArray[np.float64]]:
+    """Pose of every node of a scene in its base frame, 4x4, each from that of the node above it.
+
+    Raises:
+        ValueError: nodes lie below themselves.
+    """
+    parents, edges = graph.transforms.parents, graph.transforms.edge_data
+    poses: dict[Any, NDArray[np.float64]] = {graph.base_frame: np.eye(4)}
+    for node in graph.nodes_geometry:
+        way = [node]
+        while way[-1] not in poses:
+            if len(way) > len(parents):
+                raise ValueError(f"node {node} lies below itself")
+            way.append(parents[way[-1]])
+        for above, below in itertools.pairwise(reversed(way)):
+            poses[below] = poses[above] @ edges[above, below]["matrix"]
+    return poses
+
+
+def _copied(geometry: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A mesh of its own that shares its material: images are kept once, however often they are placed."""
+    import trimesh
+
+    copied, visual = geometry.copy(include_visual=False), cast(Any, geometry.visual)
+    if visual.kind == "texture":
+        uv = None if visual.uv is None else visual.uv.copy()
+        copied.visual = trimesh.visual.TextureVisuals(uv=uv, material=visual.material)
+    else:
+        copied.visual = visual.copy()
+    return copied
+
+
+def _check_looks(scene: trimesh.Scene, file: str) -> None:
+    """Remember images as they are in the file, then decode them, once each; refuse what is no material.
+
+    Raises:
+        InputError: images are larger than the budget or cannot be decoded, a texture is no image, a factor no color.
+    """
+    images: dict[int, Any] = {}
+    drawn: Counter[str] = Counter(scene.graph.transforms.node_data[node]["geometry"] for node in scene.graph.nodes_geometry)
+    pixels = 0
+    for name, geometry in scene.geometry.items():
+        _keep_encoded(geometry)
+        geometry.metadata.clear()  # extras are not read, and would be copied with every placement
+        material = getattr(getattr(geometry, "visual", None), "material", None)
+        factor = getattr(material, "baseColorFactor", None)
+        if factor is not None and (np.ndim(factor) != 1 or len(factor) < 3 or not np.isfinite(np.asarray(factor)).all()):
+            raise InputError(file, f"mesh {name}", "has a baseColorFactor that is no color", "give four numbers from 0 to 1")
+        for _, texture, image in _textures(geometry, of_any_kind=True):
+            if not hasattr(image, "info"):
+                raise InputError(file, f"mesh {name}", f"has a {texture} that is no texture", "export it again with its images")
+            images[id(image)] = image
+            pixels += image.size[0] * image.size[1] * max(drawn[name], 1)
+    sizes = [image.size[0] * image.size[1] for image in images.values()]
+    for count, most, what in (
+        (max(sizes, default=0), BUDGET.pixels, "one has"), (sum(sizes), BUDGET.all_pixels, "they have"),
+        (pixels, BUDGET.drawn_pixels, "as often as they are placed, they have"),
+    ):  # fmt: skip
+        if count > most:
+            raise InputError(file, "images", f"{what} {count} pixels, more than {most}", "shrink them")
+    for image in images.values():
+        try:
+            image.load()
+        except Exception as error:  # the decoder raises whatever the bytes lead it to
+            raise InputError(file, "images", f"cannot be decoded ({type(error).__name__}: {error})"[:200], "export it again") from error
 
 
 def dump_glb(parts: Sequence[trimesh.Trimesh], names: Sequence[str] | None = None) -> bytes:
@@ -132,11 +202,11 @@ class _EncodedImage:
         file.write(self._data)
 
 
-def _textures(part: Any) -> list[tuple[Any, str, Any]]:
-    """Material, attribute and image of every texture of a part."""
+def _textures(part: Any, of_any_kind: bool = False) -> list[tuple[Any, str, Any]]:
+    """Material, attribute and image of every texture of a part; what is no image only if asked for."""
     material = getattr(getattr(part, "visual", None), "material", None)
     found = [(material, name, getattr(material, name, None)) for name in _TEXTURES] if material is not None else []
-    return [(m, name, image) for m, name, image in found if hasattr(image, "info")]
+    return [(m, name, image) for m, name, image in found if hasattr(image, "info") or (of_any_kind and image is not None)]
 
 
 def _keep_encoded(part: Any) -> None:

@@ -16,10 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasks import exports
+from tasks.containers import close_glb, open_glb
 from tasks.exports.bodies import Replica
 from tasks.exports.glb import glb_files
 from tasks.exports.glb.rules import RULES, check_glb
-from tasks.exports.gltf import close_glb, open_glb
 from tasks.meshes import canonical, load_glb
 from tasks.replica import room_shell
 from tests.replicas import Thing, cube, furnished, rows_of
@@ -260,6 +260,8 @@ def grow_bounds(document: Document) -> None:
 
 
 BOX = "box_0004"
+ENDLESS = {"componentType": 5126, "count": 10**9, "type": "VEC3"}
+
 DAMAGES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "cut file": ("container", lambda data: data[: len(data) // 2], "is not a GLB"),
     "no glTF": ("container", lambda data: b"not a binary at all" * 5, "is not a GLB"),
@@ -282,6 +284,7 @@ DAMAGES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "position that is no number": ("geometry", spoil_position, "not finite"),
     "triangle of no vertex": ("geometry", spoil_index, "names vertex"),
     "no bounds": ("geometry", edited(drop_bounds), "bounds"),
+    "more than there is": ("budget", edited(lambda d: d["accessors"].append(ENDLESS)), "ask for"),
     "wrong bounds": ("geometry", edited(grow_bounds), "lie within"),
     "indices between numbers": ("buffers", edited(shift_indices), "no multiple of its numbers' size"),
     "corners that make no triangle": ("geometry", edited(drop_corner), "no multiple of 3"),

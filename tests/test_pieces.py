@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
-from tasks.exports.gltf import close_glb, node_textures, open_glb, scaled_glb
+from tasks.containers import close_glb, open_glb
+from tasks.exports.gltf import node_textures, scaled_glb
 from tasks.exports.shading import corner_normals, linear_colors
 from tasks.furniture import generate
 from tasks.mass import mass_properties

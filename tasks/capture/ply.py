@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.documents import read_bytes
-from tasks.meshes import MAX_FACES, Surface
+from tasks.meshes import Surface
 
 MAX_PLY_BYTES = 2 * 2**30
-"""A binary mesh of MAX_FACES triangles and their vertices stays below 0.6 GB; text needs some three times that."""
+"""A binary mesh of BUDGET.faces triangles and their vertices stays below 0.6 GB; text needs some three times that."""
 
 MAX_EXTENT_M = 200.0
 """Larger than any building that a hand-held scan covers; beyond it the unit is not the metre, or a vertex is broken."""
@@ -56,8 +57,8 @@ def read_ply(path: Path, name: str) -> Surface:
     if counts.get("face", 0) < 1:
         raise InputError(name, "element face", "the mesh has no faces", "export the scan as a triangle mesh")
     for what in ("vertex", "face"):
-        if counts[what] > MAX_FACES:
-            raise InputError(name, f"element {what}", f"declares {counts[what]}, more than {MAX_FACES}", "decimate the mesh")
+        if counts[what] > BUDGET.faces:
+            raise InputError(name, f"element {what}", f"declares {counts[what]}, more than {BUDGET.faces}", "decimate the mesh")
     columns = _binary(data, start, order, elements, name)
     if columns is None:
         columns = _by_library(data, name)

@@ -1,57 +1,18 @@
-"""GLB containers opened without decoding: scale a whole file, take its textures out as they are.
+"""GLBs changed without decoding: scale a whole file, take its textures out as they are.
 
 A texture that is decoded and encoded again costs time and, as JPEG, quality; nothing here does that.
 """
 
 from __future__ import annotations
 
-import json
-import struct
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from schemas.errors import InputError
+from tasks.containers import close_glb, open_glb
 
-_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _EXTENSIONS = {"image/png": "png", "image/jpeg": "jpg"}
-
-
-def open_glb(data: bytes, file: str = "asset.glb") -> tuple[dict[str, Any], bytes]:
-    """The JSON document and the binary chunk of a GLB (glTF 2.0, section 4.4).
-
-    Raises:
-        InputError: the bytes are no GLB of version 2.
-    """
-    try:
-        magic, version, length = struct.unpack_from("<III", data, 0)
-        if magic != _MAGIC or version != 2 or length > len(data):
-            raise ValueError(f"magic {magic:#x}, version {version}, length {length} of {len(data)}")
-        size, kind = struct.unpack_from("<II", data, 12)
-        if kind != _JSON:
-            raise ValueError("the first chunk is not JSON")
-        document = json.loads(data[20 : 20 + size])
-        if not isinstance(document, dict):
-            raise ValueError("the JSON chunk is no object")
-        offset, binary = 20 + size, b""
-        if offset + 8 <= length:
-            size, kind = struct.unpack_from("<II", data, offset)
-            binary = data[offset + 8 : offset + 8 + size] if kind == _BIN else b""
-    except (struct.error, ValueError) as error:
-        raise InputError(file, "container", f"is not a GLB ({error})", "export it again as glTF binary") from error
-    return document, binary
-
-
-def close_glb(document: dict[str, Any], binary: bytes) -> bytes:
-    """A GLB of a JSON document and a binary chunk; inverse of `open_glb`."""
-    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 4)
-    body = binary + b"\0" * (-len(binary) % 4)
-    chunks = struct.pack("<II", len(text), _JSON) + text
-    if body:
-        chunks += struct.pack("<II", len(body), _BIN) + body
-    return struct.pack("<III", _MAGIC, 2, 12 + len(chunks)) + chunks
 
 
 def scaled_glb(data: bytes, scale: ArrayLike, file: str = "asset.glb") -> bytes:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.documents import name_of, read_bytes
-from tasks.meshes import MAX_FACES, load_glb
+from tasks.meshes import load_glb
 from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 
 if TYPE_CHECKING:
@@ -96,8 +97,8 @@ def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[
     parts = [mesh for _, mesh in sorted(scene.geometry.items()) if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not parts:
         raise InputError(name, "meshes", "holds no triangles", "export it with its geometry")
-    if sum(len(part.faces) for part in parts) > MAX_FACES:
-        raise InputError(name, "faces", f"more than {MAX_FACES} triangles", "decimate the mesh")
+    if sum(len(part.faces) for part in parts) > BUDGET.faces:
+        raise InputError(name, "faces", f"more than {BUDGET.faces} triangles", "decimate the mesh")
     for part in parts:
         if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
             raise InputError(name, "faces", "name vertices that are not there", "export it again")

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from schemas.errors import InputError
+from tasks.containers import close_glb, open_glb
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
 from tasks.exports.files import File
-from tasks.exports.gltf import close_glb, open_glb
 from tasks.exports.mjcf import described
 from tasks.meshes import dump_glb
 from tasks.replica import room_shell

@@ -6,8 +6,7 @@ What glTF allows, but makes a scene less useful to a simulator, is a warning.
 from __future__ import annotations
 
 import io
-import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from tasks.containers import open_glb, over_budget
 from tasks.exports.findings import Finding
-from tasks.exports.gltf import open_glb
 
 RULES: dict[str, str] = {
     "container": "the file is a GLB of version 2 whose JSON says so",
+    "budget": "opening it takes no more memory, pixels, faces, nodes and depth than a budget allows",
     "shape": "every value is of the kind that glTF has there",
     "references": "everything that is named by its number is there",
     "buffers": "buffers lie inside the file, views inside buffers, accessors inside views and at multiples of their numbers' size",
@@ -41,6 +41,7 @@ _REFERENCES = (
 _LISTS = (
     "accessors", "bufferViews", "buffers", "images", "materials", "meshes", "nodes", "samplers", "scenes", "textures",
 )  # fmt: skip
+_FARTHEST = 1e30  # no number of a scene is larger, and its square still is a number
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
@@ -56,6 +57,9 @@ def check_glb(path: Path) -> list[Finding]:
     version = document.get("asset", {}).get("version") if isinstance(document.get("asset"), dict) else None
     if version != "2.0":
         return [Finding("container", path.name, f"asset.version is {version!r}, not '2.0'")]
+    excess = over_budget(document, binary)
+    if excess is not None:
+        return [Finding("budget", f"{path.name} {excess[0]}", excess[1])]
     findings = list(_shape(path.name, document))
     if not findings:
         for check in (_references, _buffers, _geometry, _images, _tree, _poses, _labels):
@@ -114,13 +118,24 @@ def _shape(file: str, document: Document) -> Iterator[Finding]:
             fine = isinstance(attributes, dict) and "POSITION" in attributes and all(map(_is_index, attributes.values()))
             if not fine or not all(_is_index(primitive.get(key, 0)) for key in ("indices", "material", "mode")):
                 yield Finding("shape", where, "a primitive has no POSITION, or what is no index")
+    yield from _material_shapes(file, document)
+
+
+def _material_shapes(file: str, document: Document) -> Iterator[Finding]:
+    """What is read of a material."""
+    for i, material in enumerate(_listed(document, "materials")):
+        where, plain = f"{file} material {material.get('name', i)}", material.get("pbrMetallicRoughness", {})
+        if not isinstance(plain, dict):
+            yield Finding("shape", where, "pbrMetallicRoughness is no object")
+        elif "baseColorFactor" in plain and not _are_numbers(plain["baseColorFactor"], 4):
+            yield Finding("shape", where, "baseColorFactor is not 4 finite numbers")
 
 
 def _are_numbers(values: Any, count: int) -> bool:
     """Whether a value is so many finite numbers."""
     if not isinstance(values, list) or len(values) != count:
         return False
-    return all(isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) for value in values)
+    return all(isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _FARTHEST for value in values)
 
 
 def _are_indices(values: Any) -> bool:
@@ -163,8 +178,8 @@ def _textures(value: Any) -> Iterator[Any]:
     """Numbers of the textures of a material, those of its extensions too."""
     if isinstance(value, dict):
         for name, inner in value.items():
-            if name.endswith("Texture") and isinstance(inner, dict):
-                yield inner.get("index")
+            if name.endswith("Texture"):
+                yield inner.get("index") if isinstance(inner, dict) else inner
             elif name != "extras":
                 yield from _textures(inner)
 
@@ -221,11 +236,20 @@ def _values(document: Document, binary: bytes, index: int) -> NDArray[Any] | Non
     return np.ndarray((accessor["count"], width), kind, binary, start, (stride, kind.itemsize))
 
 
+def _is_held(document: Document, index: int, primitive: Document) -> bool:
+    """Whether the file holds the numbers of an accessor, plainly or packed; those of others are zeros."""
+    accessor, extensions = document["accessors"][index], primitive.get("extensions")
+    return not accessor["count"] or "bufferView" in accessor or "sparse" in accessor or bool(extensions)
+
+
 def _geometry(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
     for i, mesh in enumerate(_listed(document, "meshes")):
         where = f"{file} mesh {mesh.get('name', i)}"
         for primitive in mesh["primitives"]:
             accessor = document["accessors"][primitive["attributes"]["POSITION"]]
+            for name, index in (("POSITION", primitive["attributes"]["POSITION"]), ("indices", primitive.get("indices"))):
+                if index is not None and not _is_held(document, index, primitive):
+                    yield Finding("geometry", where, f"{name} is {document['accessors'][index]['count']} zeros that no buffer holds")
             points = _values(document, binary, primitive["attributes"]["POSITION"])
             if points is None:
                 continue
@@ -235,9 +259,11 @@ def _geometry(file: str, document: Document, binary: bytes) -> Iterator[Finding]
             low, high = accessor.get("min"), accessor.get("max")
             if not _are_numbers(low, 3) or not _are_numbers(high, 3):
                 yield Finding("geometry", where, "does not state the bounds of its positions")
-            elif points.dtype.kind == "f" and not np.allclose([points.min(axis=0), points.max(axis=0)], [low, high], rtol=1e-5, atol=1e-6):
-                yield Finding("geometry", where, f"positions lie within {points.min(axis=0).tolist()} and {points.max(axis=0).tolist()}, "
-                              f"not {low} and {high}")  # fmt: skip
+            elif points.dtype.kind == "f":
+                held = np.array([points.min(axis=0), points.max(axis=0)])
+                if not np.allclose(held, np.array([low, high], dtype=np.float64), rtol=1e-5, atol=1e-6):
+                    said = f"positions lie within {held[0].tolist()} and {held[1].tolist()}, not {low} and {high}"
+                    yield Finding("geometry", where, said)
             for name, other in primitive["attributes"].items():
                 count = document["accessors"][other]["count"]
                 if count != len(points):
@@ -246,8 +272,9 @@ def _geometry(file: str, document: Document, binary: bytes) -> Iterator[Finding]
             if primitive.get("mode", 4) == 4 and count % 3:
                 yield Finding("geometry", where, f"has {count} corners of triangles, no multiple of 3")
             corners = _values(document, binary, primitive["indices"]) if "indices" in primitive else None
-            if corners is not None and len(corners) and corners.max() >= len(points):
-                yield Finding("geometry", where, f"names vertex {corners.max()} of {len(points)}")
+            for corner in (corners.min(), corners.max()) if corners is not None and len(corners) else ():
+                if not 0 <= corner < len(points):
+                    yield Finding("geometry", where, f"names vertex {corner} of {len(points)}")
 
 
 def _images(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
@@ -281,8 +308,8 @@ def _tree(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
         if parents > 1:
             yield Finding("tree", f"{file} node {nodes[child].get('name', child)}", f"has {parents} parents")
     roots = _roots(document)
-    for root in sorted(set(roots)):
-        if count[root] or roots.count(root) > 1:
+    for root, times in sorted(Counter(roots).items()):
+        if count[root] or times > 1:
             yield Finding("tree", f"{file} node {nodes[root].get('name', root)}", "is at the top of the scene, but not only there")
     reached, queue = set(), list(roots)
     while queue:
@@ -290,12 +317,12 @@ def _tree(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
         if node not in reached:
             reached.add(node)
             queue += nodes[node].get("children", [])
-    lost = [node for node in range(len(nodes)) if node not in reached and count[node]]
+    above = _above(document)
+    lost = [node for node in range(len(nodes)) if node not in reached and count[node]][:1]
     at: set[int] = set()
     while lost and lost[0] not in at:  # up from a node that is not reached: to a root that no scene has, or in a circle
         at.add(lost[0])
-        above = [i for i, node in enumerate(nodes) if lost[0] in node.get("children", [])]
-        lost = above[:1]
+        lost = above[lost[0]][:1]
     if lost:
         yield Finding("tree", f"{file} node {nodes[lost[0]].get('name', lost[0])}", "lies below itself")
     if not roots:
@@ -308,18 +335,25 @@ def _roots(document: Document) -> list[int]:
     return list(scenes[document.get("scene", 0)].get("nodes", []))
 
 
-def _is_seen(document: Document, root: int) -> bool:
-    """Whether a node, or one below it, has a mesh."""
-    reached: set[int] = set()
-    queue = [root]
+def _above(document: Document) -> dict[int, list[int]]:
+    """Nodes that have a node as their child, by that node."""
+    found: dict[int, list[int]] = defaultdict(list)
+    for i, node in enumerate(_listed(document, "nodes")):
+        for child in node.get("children", []):
+            found[child].append(i)
+    return found
+
+
+def _seen(document: Document) -> set[int]:
+    """Nodes that have a mesh, or one below them has."""
+    above, found = _above(document), set[int]()
+    queue = [i for i, node in enumerate(_listed(document, "nodes")) if "mesh" in node]
     while queue:
         node = queue.pop()
-        if "mesh" in document["nodes"][node]:
-            return True
-        if node not in reached:
-            reached.add(node)
-            queue += document["nodes"][node].get("children", [])
-    return False
+        if node not in found:
+            found.add(node)
+            queue += above.get(node, [])
+    return found
 
 
 def _matrix(where: str, node: Document) -> Iterator[Finding]:
@@ -337,7 +371,7 @@ def _matrix(where: str, node: Document) -> Iterator[Finding]:
 def _poses(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
     for i, node in enumerate(_listed(document, "nodes")):
         where = f"{file} node {node.get('name', i)}"
-        length = float(np.linalg.norm(node.get("rotation", [0, 0, 0, 1])))
+        length = float(np.linalg.norm(np.array(node.get("rotation", [0, 0, 0, 1]), dtype=np.float64)))
         if abs(length - 1.0) > 1e-4:
             yield Finding("rigid_pose", where, f"rotation has length {length:.6g}")
         if "matrix" in node:
@@ -360,7 +394,7 @@ def _poses(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
 
 def _labels(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
     nodes, roots = _listed(document, "nodes"), _roots(document)
-    names = Counter(str(nodes[root].get("name", "")) for root in roots)
+    names, seen = Counter(str(nodes[root].get("name", "")) for root in roots), _seen(document)
     for root in roots:
         name, about = str(nodes[root].get("name", "")), nodes[root].get("extras")
         is_object = isinstance(about, dict) and bool(about.get("category"))  # to glTF itself names are for people
@@ -368,7 +402,7 @@ def _labels(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
             yield Finding("names", f"{file} node {root}", "has no name", is_object)
         elif names[name] > 1:
             yield Finding("names", f"{file} node {name}", f"{names[name]} nodes have this name", is_object)
-        if is_object and not _is_seen(document, root):
+        if is_object and root not in seen:
             yield Finding("geometry", f"{file} node {name or root}", "is an object without a mesh")
         if name != "room" and not is_object:
             yield Finding("labels", f"{file} node {name or root}", "has no category in its extras", False)

@@ -1,0 +1,87 @@
+"""JSON, XML, gzip and the heads of images, unpacked within the budget: what would take too much is refused before it is taken."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import warnings
+from typing import Any
+from xml.etree import ElementTree
+
+from schemas.budget import BUDGET
+
+_COSTS = {b"[": 88, b"{": 240, b",": 40, b":": 60, b'"': 25}
+"""Bytes of memory behind every such sign of a JSON text, more rather than less (CPython 3.11 and 3.12)."""
+
+
+def json_value(data: bytes | str, **hooks: Any) -> Any:
+    """The value in a JSON text; `hooks` are those of `json.loads`.
+
+    Raises:
+        ValueError: it is no JSON, would take more memory than `BUDGET.memory_bytes`, or is nested deeper than `BUDGET.depth`.
+    """
+    raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    needed = len(raw) + sum(raw.count(sign) * cost for sign, cost in _COSTS.items())
+    if needed > BUDGET.memory_bytes:
+        raise ValueError(f"its values take about {needed >> 20} MB, more than {BUDGET.memory_bytes >> 20}")
+    too_deep = f"is nested deeper than {BUDGET.depth} values"
+    try:
+        value = json.loads(data, **hooks)
+    except RecursionError as error:
+        raise ValueError(too_deep) from error
+    level, depth = [value], 1
+    while level := [inner for one in level if isinstance(one, dict | list) for inner in _within(one)]:
+        depth += 1
+        if depth > BUDGET.depth:
+            raise ValueError(too_deep)
+    return value
+
+
+def _within(value: Any) -> list[Any]:
+    """The lists and objects directly inside a list or an object."""
+    return [inner for inner in (value.values() if isinstance(value, dict) else value) if type(inner) in (dict, list)]
+
+
+def gunzip(data: bytes) -> bytes:
+    """What gzip packed.
+
+    Raises:
+        ValueError: it is larger than `BUDGET.unpacked_bytes`.
+        OSError, EOFError, zlib.error: it is no gzip, or cut.
+    """
+    with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+        text = packed.read(BUDGET.unpacked_bytes + 1)
+    if len(text) > BUDGET.unpacked_bytes:
+        raise ValueError(f"unpacks to more than {BUDGET.unpacked_bytes >> 20} MB")
+    return text
+
+
+def xml_root(data: bytes) -> ElementTree.Element:
+    """The root of an XML text.
+
+    Raises:
+        ValueError: it is larger than `BUDGET.xml_bytes`, or has more elements or attributes than `BUDGET.elements`.
+        xml.etree.ElementTree.ParseError, LookupError: it is no XML, or in an unknown encoding.
+    """
+    if len(data) > BUDGET.xml_bytes:
+        raise ValueError(f"is {len(data)} bytes, more than {BUDGET.xml_bytes}")
+    if data.count(b"<") > 2 * BUDGET.elements or data.count(b"=") > 4 * BUDGET.elements:
+        raise ValueError(f"has more than {BUDGET.elements} elements, or more than {4 * BUDGET.elements} attributes")
+    return ElementTree.fromstring(data)
+
+
+def image_pixels(data: bytes) -> int | None:
+    """Pixels that an image's head declares, None where it has none that can be read."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here
+            with Image.open(io.BytesIO(data)) as image:
+                width, height = image.size
+    except Image.DecompressionBombError:
+        return 2 * BUDGET.pixels  # at the least
+    except Exception:  # the reader raises whatever the bytes lead it to
+        return None
+    return width * height

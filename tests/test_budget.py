@@ -1,0 +1,152 @@
+"""Small files that ask for much are refused before they are unpacked; sound files are read as before."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from tasks.exports.glb.rules import check_glb
+from tasks.meshes import load_glb, surface_of
+from tasks.unpacking import json_value
+from tests import attacks
+
+LOADED = """
+import sys
+from pathlib import Path
+from schemas.errors import InputError
+from tasks.meshes import load_glb, surface_of
+for name in sys.argv[1:]:
+    try:
+        surface_of(load_glb(Path(name).read_bytes(), "scene.glb"))
+    except InputError as error:
+        print(error)
+    else:
+        print("read")
+"""
+
+CHECKED = """
+import sys
+from pathlib import Path
+from tasks.exports.glb.rules import check_glb
+for name in sys.argv[1:]:
+    print([str(finding) for finding in check_glb(Path(name)) if finding.is_error])
+"""
+
+
+@pytest.fixture(scope="module")
+def bombs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("bombs")
+    paths = {name: folder / f"{name}.glb" for name in attacks.GLB_BOMBS}
+    for name, path in paths.items():
+        path.write_bytes(attacks.GLB_BOMBS[name]())
+    return paths
+
+
+def test_a_glb_that_asks_for_more_than_the_budget_is_refused(bombs: dict[str, Path]) -> None:
+    said = attacks.below_ceiling(LOADED, *bombs.values()).splitlines()
+    assert len(said) == len(bombs)
+    for name, line in zip(bombs, said, strict=True):
+        assert line.startswith("scene.glb: "), (name, line)
+
+
+def test_the_check_of_a_glb_says_what_asks_for_more_than_the_budget(bombs: dict[str, Path]) -> None:
+    said = attacks.below_ceiling(CHECKED, *bombs.values()).splitlines()
+    assert len(said) == len(bombs)
+    for name, line in zip(bombs, said, strict=True):
+        assert line.startswith(("['budget: ", "['container: ")), (name, line)
+
+
+def test_a_small_accessor_that_no_buffer_holds_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "scene.glb"
+    path.write_bytes(attacks.glb([{"mesh": 0}], [0], accessors=[{"componentType": 5126, "count": 3, "type": "VEC3"}]))
+    assert "POSITION is 3 zeros that no buffer holds" in str(check_glb(path))
+
+
+def test_what_lies_just_within_the_budget_is_read() -> None:
+    assert len(load_glb(attacks.nested(BUDGET.depth))) == BUDGET.depth
+    with pytest.raises(InputError, match=f"deeper than {BUDGET.depth}"):
+        load_glb(attacks.nested(BUDGET.depth + 1))
+    assert json_value("[" * BUDGET.depth + "1" + "]" * BUDGET.depth)
+    for depth in (BUDGET.depth + 1, 900, 100_000):
+        with pytest.raises(ValueError, match="nested deeper"):
+            json_value("[" * depth + "]" * depth)
+
+
+def test_nodes_stand_where_those_above_them_put_them() -> None:
+    turn = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]  # a quarter turn about glTF's up axis
+    chain = [{"translation": [1, 0, 0], "rotation": turn, "children": [i + 1]} for i in range(4)]
+    (part,) = load_glb(attacks.glb([*chain, {"mesh": 0, "name": "chair", "translation": [0, 2, 0]}], [0]))
+    # four steps, each a meter ahead and a quarter turn: back where they began; then two meters up
+    assert np.allclose(part.vertices, [[0, 0, 2], [1, 0, 2], [0, 0, 3]], atol=1e-9)
+
+
+def test_nodes_that_lie_below_themselves_are_refused() -> None:
+    with pytest.raises(InputError, match="lies below itself"):
+        load_glb(attacks.glb([{"children": [1]}, {"mesh": 0, "children": [0]}], [0]))
+
+
+@pytest.mark.parametrize(
+    "material",
+    [{"pbrMetallicRoughness": {"baseColorTexture": value}} for value in (5, "wood", True, 1.5)]
+    + [{"pbrMetallicRoughness": {"baseColorFactor": value}} for value in (1, [], [1, 1], ["a"] * 4, [[1, 1, 1, 1]])]
+    + [{"normalTexture": 1}, {"pbrMetallicRoughness": 3}],
+    ids=str,
+)  # fmt: skip
+def test_a_material_of_odd_values_is_refused_and_found(material: dict[str, object], tmp_path: Path) -> None:
+    data = attacks.textured(attacks.png(4), material)
+    with pytest.raises(InputError, match=r"^chair\.glb: "):
+        load_glb(data, "chair.glb")
+    path = tmp_path / "chair.glb"
+    path.write_bytes(data)
+    assert any(finding.rule in ("shape", "references") for finding in check_glb(path))
+
+
+def test_a_cut_texture_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^chair\.glb: images: cannot be decoded"):
+        load_glb(attacks.textured(attacks.png(400)[:200]), "chair.glb")
+
+
+ODD = (float("nan"), 1e400, 10**400, 10**30, -1, 1.5, "3", None, True, [], {})
+
+
+@pytest.mark.parametrize("place", [
+    "accessors.0.count", "accessors.0.byteOffset", "accessors.0.componentType", "accessors.0.type", "accessors.0.min", "accessors.0.max",
+    "accessors.0.bufferView", "bufferViews.0.byteLength", "bufferViews.0.byteOffset", "bufferViews.0.byteStride", "bufferViews.0.buffer",
+    "buffers.0.byteLength", "nodes.0.mesh", "nodes.0.children", "nodes.0.translation", "nodes.0.rotation", "nodes.0.scale", "nodes.0.name",
+    "nodes.0.matrix", "nodes.0.extras", "scenes.0.nodes", "scenes", "scene", "meshes.0.primitives", "meshes.0.primitives.0.attributes",
+    "meshes.0.primitives.0.attributes.POSITION", "meshes.0.primitives.0.mode", "meshes.0.primitives.0.indices",
+    "meshes.0.primitives.0.material", "nodes", "meshes", "accessors", "bufferViews", "buffers", "asset", "asset.version",
+])  # fmt: skip
+@pytest.mark.parametrize("shape", ["value", "list of 3", "list of 4"])
+def test_odd_values_anywhere_are_findings_or_refusals_and_no_defect(place: str, shape: str, tmp_path: Path) -> None:
+    for value in ODD:
+        made = attacks.document([{"mesh": 0, "name": "chair"}], [0])
+        at, keys = made, [int(key) if key.isdigit() else key for key in place.split(".")]
+        for key in keys[:-1]:
+            at = at[key]  # type: ignore[index]
+        at[keys[-1]] = value if shape == "value" else [value] * int(shape[-1])  # type: ignore[index]
+        data = attacks.close_glb(made, attacks.TRIANGLE.tobytes())
+        path = tmp_path / "scene.glb"
+        path.write_bytes(data)
+        json.dumps([str(finding) for finding in check_glb(path)])
+        with contextlib.suppress(InputError):
+            surface_of(load_glb(data))
+
+
+def test_every_model_of_others_is_read_and_found_as_sound_as_before(realdata: Callable[[str], Path]) -> None:
+    files = sorted(realdata("assets").glob("*.glb")) + sorted(realdata("scene_aws_small_house").rglob("*.glb"))
+    files += sorted(realdata("habitat_sim_test_assets").rglob("*.glb"))
+    assert len(files) > 50
+    for file in files:
+        assert not [finding for finding in check_glb(file) if finding.rule in ("budget", "container")], file
+        try:
+            load_glb(file.read_bytes(), file.name)
+        except InputError as error:
+            raise AssertionError(file) from error
