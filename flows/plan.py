@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from flows.configuration import Configuration
-from flows.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint
+from flows.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint, digest
 from schemas.errors import InputError
 from schemas.runs import StageRun
 from tasks.capture.formats import Scan, scan_files
@@ -160,12 +160,20 @@ def _action(
 
 
 def _library_hash(library: Path | None, hashes: FileHashes) -> str:
-    """Hash of the library's files, or 'none'."""
+    """Hash of the library's files, or 'none'. Files that cannot be read count as such: the stage leaves them out and says so."""
     if library is None:
         return "none"
     from tasks.candidates.library import library_files
 
-    return hashes.tree(library, library_files(library))
+    told = []
+    for path in library_files(library):
+        try:
+            value = hashes.hash(path)
+        except (OSError, InputError):
+            value = "unreadable"
+        name = path.relative_to(library).as_posix().encode(errors="backslashreplace").decode()
+        told.append(f"{name}={value}")
+    return digest(*told)
 
 
 def annotation_digests(lake: Lake, scenes: Collection[str] | None = None) -> dict[str, str]:

@@ -74,10 +74,10 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
 
     weigh_glb(data, file)
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), np.errstate(invalid="ignore", over="ignore"):
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here
             scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
-        poses = _poses(scene.graph)
+            poses = _poses(scene.graph)
     except Exception as error:  # the loader raises whatever the bytes lead it to
         raise InputError(
             file, "content", f"is not a readable GLB ({type(error).__name__}: {error})"[:300], "export it again as glTF binary"

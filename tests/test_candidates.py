@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from flows.fingerprints import FileHashes
+from flows.plan import _library_hash
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance
 from schemas.errors import InputError
@@ -33,6 +36,7 @@ from tasks.furniture import generate
 from tasks.meshes import Surface, dump_glb, dump_points, load_glb, sample_surface, surface_of
 from tasks.stage import Blobs, Context, Outcome
 from tasks.transforms import flat, transform_points, yaw_pose
+from tests import attacks
 
 Array = NDArray[np.float64]
 OPEN_BACK, OPEN_BOTTOM = "back", "bottom"
@@ -342,10 +346,42 @@ def test_a_library_is_indexed_whatever_lies_in_it(tmp_path: Path) -> None:
     low, high = surface_of(load_glb(made.files[made.asset.mesh_blob])).bounds
     assert np.allclose([*(low + high)[:2], low[2]], 0, atol=1e-6)
     assert np.allclose(made.asset.extents, (0.8, 1.2, 0.7), atol=1e-5)
-    (folder / "index.json").write_text("{")
-    assert "index.json not used" in index_library(folder).problems[0]
+    for broken in ("{", "[" * 900 + "]" * 900, "[" * 100_000, "[{" * 4_000_000):
+        (folder / "index.json").write_text(broken)
+        assert "index.json not used" in index_library(folder).problems[0]
     with pytest.raises(InputError, match="is no folder"):
         index_library(tmp_path / "nowhere")
+
+
+def test_a_bad_file_of_a_library_is_left_out_and_named_and_the_others_are_used(tmp_path: Path) -> None:
+    """Whatever is wrong with one file, every scene goes on with the others."""
+    folder = write_library(tmp_path / "lib", chair=("chair", (0.5, 0.5, 0.9)))
+    sound = index_library(folder).entries
+    bad = {
+        "number": attacks.textured(attacks.png(4), {"pbrMetallicRoughness": {"baseColorTexture": 7}}),
+        "text": attacks.textured(attacks.png(4), {"pbrMetallicRoughness": {"baseColorTexture": "wood"}}),
+        "factor": attacks.textured(attacks.png(4), {"pbrMetallicRoughness": {"baseColorFactor": 1}}),
+        "cut": attacks.textured(attacks.png(300)[:100]),
+        "hollow": attacks.without_buffer(),
+        "deep": attacks.nested(),
+        "json": attacks.deep_json(),
+    }
+    for name, data in bad.items():
+        (folder / f"{name}.glb").write_bytes(data)
+    (folder / "endless.glb").symlink_to("/dev/zero")
+    with (folder / "large.glb").open("wb") as file:
+        file.truncate(2**38)
+    (folder / os.fsdecode(b"\xff.glb")).write_bytes((folder / "chair.glb").read_bytes())
+    (folder / "index.json").write_text(json.dumps([{"file": "chair.glb", "category": "chair", "author": "A. \ud800"}]))
+    index = index_library(folder)
+    assert [(entry.file, entry.author) for entry in index.entries] == [("chair.glb", "A. ?")]
+    assert np.array_equal(index.entries[0].descriptor.extents, sound[0].descriptor.extents)
+    named = [problem.split()[1] for problem in index.problems]
+    assert named == [*sorted(f"{name}.glb" for name in [*bad, "large"]), "?.glb"]
+    assert all(len(problem.splitlines()) == 1 and problem.isprintable() for problem in index.problems)
+    made = _library_hash(folder, FileHashes(tmp_path / "hashes.json"))  # a plan is made of it all the same
+    (folder / "cut.glb").unlink()
+    assert _library_hash(folder, FileHashes(tmp_path / "hashes.json")) != made
 
 
 @pytest.mark.parametrize(

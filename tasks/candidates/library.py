@@ -7,26 +7,25 @@ Beside the files an `index.json` may lie, a list of `{"file", "category", "licen
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.files import read_file
 from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, make_asset
 from tasks.candidates.descriptors import Descriptor, describe
 from tasks.captions.physics import known_name
 from tasks.meshes import load_glb, sample_surface, surface_of
+from tasks.unpacking import json_value
 
 SAMPLES = 1500
 """Surface points per file for its descriptor."""
-
-MAX_FILE_BYTES = 256 * 1024**2
-"""Larger files are whole scenes, not objects."""
 
 CACHED_FILES, CACHED_ASSETS = 20_000, 64
 """How many descriptors (6 kB each) and finished assets (megabytes each) a process keeps."""
@@ -78,18 +77,22 @@ def index_library(folder: Path) -> LibraryIndex:
     Raises:
         InputError: there is no such folder.
     """
-    files = [path for path in library_files(folder) if path.suffix.lower() == ".glb"]
-    listed, problems = _listed(folder)
-    license_text = _license(folder)
+    files = library_files(folder)
+    listed, problems = _listed(folder / "index.json") if folder / "index.json" in files else ({}, [])
+    license_text = _license([path for path in files if path.name in _LICENSES])
     entries = []
     for path in files:
+        if path.suffix.lower() != ".glb":
+            continue
         file = path.relative_to(folder).as_posix()
         facts = listed.get(file, {})
         try:
+            file.encode()  # names are kept in rows
             stat = path.stat()
             descriptor = _descriptor(path, stat.st_size, stat.st_mtime_ns)
-        except (InputError, ValueError, OSError) as error:
-            problems.append(f"library: {file} left out: {_reason(error)}")
+        except Exception as error:  # of a file of others, whatever it leads to: it is left out, and the run goes on
+            kind = "" if isinstance(error, InputError | ValueError | OSError) else f"{type(error).__name__}: "
+            problems.append(f"library: {_plain(file)} left out: {kind}{_reason(error)}")
             continue
         entries.append(
             LibraryEntry(
@@ -119,16 +122,14 @@ def library_asset(entry: LibraryEntry) -> MadeAsset:
 @lru_cache(maxsize=CACHED_ASSETS)
 def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str]) -> MadeAsset:
     file, category, license_text, author, source = facts
-    parts = load_glb(path.read_bytes(), file)
+    parts = load_glb(read_file(path, file, BUDGET.asset_bytes), file)
     return make_asset(parts, provider="library", name=path.stem, category=category, source=source, license=license_text, author=author)
 
 
 @lru_cache(maxsize=CACHED_FILES)
 def _descriptor(path: Path, size: int, modified_ns: int) -> Descriptor:
     """Descriptor of a GLB; size and time of change are there for the cache."""
-    if size > MAX_FILE_BYTES:
-        raise ValueError(f"has {size} bytes, more than {MAX_FILE_BYTES}")
-    surface = surface_of(load_glb(path.read_bytes(), path.name))
+    surface = surface_of(load_glb(read_file(path, path.name, BUDGET.asset_bytes), path.name))
     extents = np.ptp(surface.bounds, axis=0)
     ordered = np.sort(extents)
     if ordered[1] < MIN_EXTENT_M or ordered[2] > MAX_EXTENT_M:
@@ -149,33 +150,37 @@ def category_of(stem: str) -> str:
     return " ".join(kept)
 
 
-def _listed(folder: Path) -> tuple[dict[str, Mapping[str, Any]], list[str]]:
+def _listed(path: Path) -> tuple[dict[str, Mapping[str, Any]], list[str]]:
     """Entries of index.json by file, and what is wrong with it."""
-    path = folder / "index.json"
-    if not path.is_file():
-        return {}, []
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
+        content = json_value(read_file(path, path.name, BUDGET.text_bytes))
+    except (ValueError, InputError) as error:
         return {}, [f"library: index.json not used, categories come from file names: {_reason(error)}"]
     if not isinstance(content, list):
         return {}, ["library: index.json not used, categories come from file names: it is no list"]
     return {str(entry["file"]): entry for entry in content if isinstance(entry, dict) and "file" in entry}, []
 
 
-def _license(folder: Path) -> str:
-    """First line of the library's licence file, "unknown" without one."""
-    for name in _LICENSES:
-        if (folder / name).is_file():
-            lines = (folder / name).read_text(encoding="utf-8", errors="replace").split("\n")
-            return next((line.strip()[:120] for line in lines if line.strip()), "unknown")
+def _license(files: Sequence[Path]) -> str:
+    """First line of the first of the library's licence files that has one, "unknown" without one."""
+    for path in sorted(files, key=lambda path: _LICENSES.index(path.name)):
+        try:
+            lines = read_file(path, path.name, BUDGET.text_bytes).decode(errors="replace").split("\n")
+        except InputError:
+            continue
+        return next((line.strip()[:120] for line in lines if line.strip()), "unknown")
     return "unknown"
 
 
 def _text(facts: Mapping[str, Any], name: str) -> str:
     value = facts.get(name)
-    return value.strip() if isinstance(value, str) else ""
+    return _plain(value.strip()) if isinstance(value, str) else ""
+
+
+def _plain(text: str) -> str:
+    """A text that can be kept: half of a pair of surrogates, and bytes of a name that are none, become question marks."""
+    return text.encode("utf-8", "replace").decode()
 
 
 def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+    return _plain(" ".join(str(error).split()))[:200]

@@ -6,7 +6,7 @@ What glTF allows, but makes a scene less useful to a simulator, is a warning.
 from __future__ import annotations
 
 import io
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from tasks.containers import open_glb, over_budget
 from tasks.exports.findings import Finding
+from tasks.exports.glb.tree import Document, listed, roots_of, seen_of, tree
 
 RULES: dict[str, str] = {
     "container": "the file is a GLB of version 2 whose JSON says so",
@@ -45,8 +46,6 @@ _FARTHEST = 1e30  # no number of a scene is larger, and its square still is a nu
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
-Document = dict[str, Any]
-
 
 def check_glb(path: Path) -> list[Finding]:
     """Everything that is wrong with a GLB, sorted; empty for one that can be used as it is."""
@@ -62,15 +61,11 @@ def check_glb(path: Path) -> list[Finding]:
         return [Finding("budget", f"{path.name} {excess[0]}", excess[1])]
     findings = list(_shape(path.name, document))
     if not findings:
-        for check in (_references, _buffers, _geometry, _images, _tree, _poses, _labels):
+        for check in (_references, _buffers, _geometry, _images, tree, _poses, _labels):
             findings += check(path.name, document, binary)
             if check in (_references, _buffers) and findings:
                 break  # what follows goes along references, into buffers
     return sorted(set(findings))
-
-
-def _listed(document: Document, name: str) -> list[Document]:
-    return list(document.get(name, []))
 
 
 def _is_index(value: Any) -> bool:
@@ -85,30 +80,30 @@ def _shape(file: str, document: Document) -> Iterator[Finding]:
             yield Finding("shape", f"{file} {name}", "is no list of objects")
             return
     for kind, key, _ in _REFERENCES:
-        for i, value in enumerate(_listed(document, kind)):
+        for i, value in enumerate(listed(document, kind)):
             if key in value and not _is_index(value[key]):
                 yield Finding("shape", f"{file} {kind} {i}", f"{key} is {value[key]!r}, no index")
     for kind, keys in (("bufferViews", ("byteOffset", "byteLength", "byteStride")), ("accessors", ("byteOffset", "count", "componentType")),
                        ("buffers", ("byteLength",))):  # fmt: skip
-        for i, value in enumerate(_listed(document, kind)):
+        for i, value in enumerate(listed(document, kind)):
             for key in keys:
                 if not _is_index(value.get(key, 0)) or (key in ("byteLength", "count", "componentType") and key not in value):
                     yield Finding("shape", f"{file} {kind} {i}", f"{key} is {value.get(key)!r}, no number of bytes or things")
-    for i, accessor in enumerate(_listed(document, "accessors")):
+    for i, accessor in enumerate(listed(document, "accessors")):
         if not isinstance(accessor.get("type"), str):
             yield Finding("shape", f"{file} accessors {i}", f"type is {accessor.get('type')!r}, no text")
-    for i, node in enumerate(_listed(document, "nodes")):
+    for i, node in enumerate(listed(document, "nodes")):
         for key, count in (("translation", 3), ("rotation", 4), ("scale", 3), ("matrix", 16)):
             if key in node and not _are_numbers(node[key], count):
                 yield Finding("rigid_pose", f"{file} node {node.get('name', i)}", f"{key} is not {count} finite numbers")
         if not _are_indices(node.get("children", [])):
             yield Finding("shape", f"{file} node {node.get('name', i)}", "children are no indices")
-    for i, scene in enumerate(_listed(document, "scenes")):
+    for i, scene in enumerate(listed(document, "scenes")):
         if not _are_indices(scene.get("nodes", [])):
             yield Finding("shape", f"{file} scene {i}", "nodes are no indices")
     if "scene" in document and not _is_index(document["scene"]):
         yield Finding("shape", f"{file} scene", "is no index")
-    for i, mesh in enumerate(_listed(document, "meshes")):
+    for i, mesh in enumerate(listed(document, "meshes")):
         where, primitives = f"{file} mesh {mesh.get('name', i)}", mesh.get("primitives")
         if not isinstance(primitives, list) or not primitives:
             yield Finding("shape", where, "has no primitives")
@@ -123,7 +118,7 @@ def _shape(file: str, document: Document) -> Iterator[Finding]:
 
 def _material_shapes(file: str, document: Document) -> Iterator[Finding]:
     """What is read of a material."""
-    for i, material in enumerate(_listed(document, "materials")):
+    for i, material in enumerate(listed(document, "materials")):
         where, plain = f"{file} material {material.get('name', i)}", material.get("pbrMetallicRoughness", {})
         if not isinstance(plain, dict):
             yield Finding("shape", where, "pbrMetallicRoughness is no object")
@@ -144,29 +139,29 @@ def _are_indices(values: Any) -> bool:
 
 def _references(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
     for kind, key, target in _REFERENCES:
-        count = len(_listed(document, target))
-        for i, value in enumerate(_listed(document, kind)):
+        count = len(listed(document, target))
+        for i, value in enumerate(listed(document, kind)):
             if key in value and value[key] >= count:
                 yield Finding("references", f"{file} {kind} {value.get('name', i)}", f"{key} {value[key]} of {count} {target}")
-    counts = {name: len(_listed(document, name)) for name in _LISTS}
-    for i, mesh in enumerate(_listed(document, "meshes")):
+    counts = {name: len(listed(document, name)) for name in _LISTS}
+    for i, mesh in enumerate(listed(document, "meshes")):
         for primitive in mesh["primitives"]:
             named = [("accessors", value) for value in primitive["attributes"].values()]
             named += [(kind, primitive[key]) for key, kind in (("indices", "accessors"), ("material", "materials")) if key in primitive]
             for kind, value in named:
                 if value >= counts[kind]:
                     yield Finding("references", f"{file} mesh {mesh.get('name', i)}", f"names {value} of {counts[kind]} {kind}")
-    for i, material in enumerate(_listed(document, "materials")):
+    for i, material in enumerate(listed(document, "materials")):
         for value in _textures(material):
             if not _is_index(value) or value >= counts["textures"]:
                 yield Finding(
                     "references", f"{file} material {material.get('name', i)}", f"names {value!r} of {counts['textures']} textures"
                 )
-    for i, node in enumerate(_listed(document, "nodes")):
+    for i, node in enumerate(listed(document, "nodes")):
         for child in node.get("children", []):
             if child >= counts["nodes"]:
                 yield Finding("references", f"{file} node {node.get('name', i)}", f"child {child} of {counts['nodes']} nodes")
-    for i, scene in enumerate(_listed(document, "scenes")):
+    for i, scene in enumerate(listed(document, "scenes")):
         for root in scene.get("nodes", []):
             if root >= counts["nodes"]:
                 yield Finding("references", f"{file} scene {i}", f"node {root} of {counts['nodes']} nodes")
@@ -185,17 +180,17 @@ def _textures(value: Any) -> Iterator[Any]:
 
 
 def _buffers(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
-    for i, buffer in enumerate(_listed(document, "buffers")):
+    for i, buffer in enumerate(listed(document, "buffers")):
         if "uri" in buffer:
             yield Finding("buffers", f"{file} buffer {i}", "lies outside of the file's own chunk")
         elif i or buffer["byteLength"] > len(binary):
             yield Finding("buffers", f"{file} buffer {i}", f"has {len(binary) if not i else 0} bytes, says {buffer['byteLength']}")
-    sizes = [buffer["byteLength"] for buffer in _listed(document, "buffers")]
-    for i, view in enumerate(_listed(document, "bufferViews")):
+    sizes = [buffer["byteLength"] for buffer in listed(document, "buffers")]
+    for i, view in enumerate(listed(document, "bufferViews")):
         if "buffer" not in view or view.get("byteOffset", 0) + view["byteLength"] > sizes[view["buffer"]]:
             yield Finding("buffers", f"{file} bufferView {i}", "reaches beyond its buffer")
-    views = _listed(document, "bufferViews")
-    for i, accessor in enumerate(_listed(document, "accessors")):
+    views = listed(document, "bufferViews")
+    for i, accessor in enumerate(listed(document, "accessors")):
         if accessor["componentType"] not in _TYPES or accessor.get("type") not in _COUNTS:
             yield Finding("buffers", f"{file} accessor {i}", f"is of no known type ({accessor['componentType']}, {accessor.get('type')})")
         elif (
@@ -243,7 +238,7 @@ def _is_held(document: Document, index: int, primitive: Document) -> bool:
 
 
 def _geometry(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
-    for i, mesh in enumerate(_listed(document, "meshes")):
+    for i, mesh in enumerate(listed(document, "meshes")):
         where = f"{file} mesh {mesh.get('name', i)}"
         for primitive in mesh["primitives"]:
             accessor = document["accessors"][primitive["attributes"]["POSITION"]]
@@ -278,7 +273,7 @@ def _geometry(file: str, document: Document, binary: bytes) -> Iterator[Finding]
 
 
 def _images(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
-    for i, image in enumerate(_listed(document, "images")):
+    for i, image in enumerate(listed(document, "images")):
         where = f"{file} image {image.get('name', i)}"
         if "bufferView" not in image:
             yield Finding("images", where, "lies outside of the file" if "uri" in image else "has no contents")
@@ -301,61 +296,6 @@ def _unreadable(data: bytes) -> str | None:
     return None
 
 
-def _tree(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
-    nodes = _listed(document, "nodes")
-    count = Counter(child for node in nodes for child in node.get("children", []))
-    for child, parents in sorted(count.items()):
-        if parents > 1:
-            yield Finding("tree", f"{file} node {nodes[child].get('name', child)}", f"has {parents} parents")
-    roots = _roots(document)
-    for root, times in sorted(Counter(roots).items()):
-        if count[root] or times > 1:
-            yield Finding("tree", f"{file} node {nodes[root].get('name', root)}", "is at the top of the scene, but not only there")
-    reached, queue = set(), list(roots)
-    while queue:
-        node = queue.pop()
-        if node not in reached:
-            reached.add(node)
-            queue += nodes[node].get("children", [])
-    above = _above(document)
-    lost = [node for node in range(len(nodes)) if node not in reached and count[node]][:1]
-    at: set[int] = set()
-    while lost and lost[0] not in at:  # up from a node that is not reached: to a root that no scene has, or in a circle
-        at.add(lost[0])
-        lost = above[lost[0]][:1]
-    if lost:
-        yield Finding("tree", f"{file} node {nodes[lost[0]].get('name', lost[0])}", "lies below itself")
-    if not roots:
-        yield Finding("tree", f"{file} scene", "has no nodes")
-
-
-def _roots(document: Document) -> list[int]:
-    """Nodes at the top of the scene that is shown."""
-    scenes = _listed(document, "scenes")
-    return list(scenes[document.get("scene", 0)].get("nodes", []))
-
-
-def _above(document: Document) -> dict[int, list[int]]:
-    """Nodes that have a node as their child, by that node."""
-    found: dict[int, list[int]] = defaultdict(list)
-    for i, node in enumerate(_listed(document, "nodes")):
-        for child in node.get("children", []):
-            found[child].append(i)
-    return found
-
-
-def _seen(document: Document) -> set[int]:
-    """Nodes that have a mesh, or one below them has."""
-    above, found = _above(document), set[int]()
-    queue = [i for i, node in enumerate(_listed(document, "nodes")) if "mesh" in node]
-    while queue:
-        node = queue.pop()
-        if node not in found:
-            found.add(node)
-            queue += above.get(node, [])
-    return found
-
-
 def _matrix(where: str, node: Document) -> Iterator[Finding]:
     """A pose as a matrix, column after column, which has to be one of a translation, a rotation and a scale (glTF 2.0, 3.5.3)."""
     if any(key in node for key in ("translation", "rotation", "scale")):
@@ -369,7 +309,7 @@ def _matrix(where: str, node: Document) -> Iterator[Finding]:
 
 
 def _poses(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
-    for i, node in enumerate(_listed(document, "nodes")):
+    for i, node in enumerate(listed(document, "nodes")):
         where = f"{file} node {node.get('name', i)}"
         length = float(np.linalg.norm(np.array(node.get("rotation", [0, 0, 0, 1]), dtype=np.float64)))
         if abs(length - 1.0) > 1e-4:
@@ -393,8 +333,8 @@ def _poses(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
 
 
 def _labels(file: str, document: Document, binary: bytes) -> Iterator[Finding]:
-    nodes, roots = _listed(document, "nodes"), _roots(document)
-    names, seen = Counter(str(nodes[root].get("name", "")) for root in roots), _seen(document)
+    nodes, roots = listed(document, "nodes"), roots_of(document)
+    names, seen = Counter(str(nodes[root].get("name", "")) for root in roots), seen_of(document)
     for root in roots:
         name, about = str(nodes[root].get("name", "")), nodes[root].get("extras")
         is_object = isinstance(about, dict) and bool(about.get("category"))  # to glTF itself names are for people
