@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 from flows import outcome
 from flows.progress import current
-from schemas.errors import InputError
+from schemas.errors import check_address
+from schemas.text import one_line
 
 if TYPE_CHECKING:
     from flows.plan import Plan
@@ -41,15 +42,10 @@ def public_address(address: str) -> str:
     """An address as it may be shown: an absolute folder, or a URL as it is.
 
     Raises:
-        InputError: the URL carries a user name or a password.
+        InputError: the URL carries credentials.
     """
-    if "://" not in address:
-        return str(Path(address).expanduser().absolute())
-    scheme, _, rest = address.partition("://")
-    if "@" in rest.partition("/")[0]:
-        shown = f"{scheme}://...@{rest.partition('/')[0].rpartition('@')[2]}"
-        raise InputError(shown, "", "the address carries a user name or a password", "give credentials by the environment")
-    return address
+    check_address(address)
+    return address if "://" in address else str(Path(address).expanduser().absolute())
 
 
 def link_of(address: str) -> str:
@@ -335,7 +331,7 @@ def _status(error: BaseException) -> int:
 
 
 def _line(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}".rstrip(": ")
+    return f"{type(error).__name__}: {one_line(error)[:200]}".rstrip(": ")
 
 
 def _log(text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import sys
@@ -65,11 +66,20 @@ def cli() -> None:
 
 def main() -> None:
     """Entry point. Exit codes: 0 done, 1 some scenes failed, 2 misuse or input that cannot be used, 3 a defect of ours,
-    130 interrupted, 143 terminated."""
+    130 interrupted, 141 nobody reads on, 143 terminated."""
+    from flows.terminal import guarded
+
+    with guarded():
+        _main()
+
+
+def _main() -> None:
     from schemas.errors import LakeError
+    from schemas.text import one_line
 
     try:
         code = cli(standalone_mode=False)  # click hands back the code of an Exit instead of raising it
+        sys.stdout.flush()
         sys.exit(code if isinstance(code, int) else 0)
     except click.ClickException as error:
         error.show()
@@ -77,9 +87,9 @@ def main() -> None:
     except click.Abort:  # what click makes of Ctrl-C
         _end(130)
     except (LakeError, OSError, UnicodeError) as error:
-        _say_and_exit(" ".join(str(error).split()), error, 2)
+        _say_and_exit(one_line(error), error, 2)
     except Exception as error:
-        _say_and_exit(f"unexpected {type(error).__name__}: {' '.join(str(error).split())} (METASCENES_TRACEBACK=1 shows where)", error, 3)
+        _say_and_exit(f"unexpected {type(error).__name__}: {one_line(error)} (METASCENES_TRACEBACK=1 shows where)", error, 3)
     except BaseException as signal:
         if isinstance(signal, SystemExit):
             raise
@@ -88,8 +98,11 @@ def main() -> None:
 
 def _end(code: int) -> None:
     """Leave at once: threads of Prefect's may still be at work and would be waited for. What is finished is staged."""
+    from schemas.errors import LakeError
+
     print("interrupted; the same command goes on where this one stopped", file=sys.stderr, flush=True)
-    sys.stdout.flush()
+    with contextlib.suppress(LakeError, SystemExit):
+        sys.stdout.flush()
     os._exit(code)
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from schemas.errors import InputError, LakeError
+from schemas.errors import InputError, LakeError, check_address
 
 if TYPE_CHECKING:
     from prefect.client.orchestration import SyncPrefectClient
@@ -55,6 +55,7 @@ class Schedule:
         for name in ("scans", "lake", "out", "pool"):
             if not getattr(self, name).strip() or "{{" in getattr(self, name):
                 raise InputError(f"--{name}", getattr(self, name), "cannot be used", "name it in full")
+            check_address(getattr(self, name), f"--{name}")
 
     def check_crons(self) -> None:
         """Refuse what is no cron line."""

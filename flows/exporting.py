@@ -12,6 +12,7 @@ from prefect.states import Completed, Failed
 
 from flows.artifacts import artifact_key, run_log, short_name
 from flows.export import write_exports
+from flows.parameters import Address
 from flows.patience import patiently
 from flows.shipment import summary
 from schemas.errors import InputError
@@ -36,8 +37,8 @@ def _name() -> str:
 
 @flow(name="export", flow_run_name=_name, persist_result=False, timeout_seconds=HOURS * 3600)
 def export(
-    lake: str,
-    out: str,
+    lake: Address,
+    out: Address,
     formats: list[Format] = ["usd", "habitat", "mjcf", "urdf", "glb"],  # noqa: B006
     scenes: list[str] = [],  # noqa: B006
     snapshot: int | None = None,

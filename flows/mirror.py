@@ -27,6 +27,7 @@ from flows.listing import ListedPath, ScanFile, ScanListing, files_of, listed_fo
 from flows.progress import Progress
 from flows.scans import listings
 from schemas.errors import InputError, LakeError
+from schemas.text import one_line
 from tasks.capture.formats import Scan, find_scans, scan_files
 from warehouse.s3 import object_store
 from warehouse.workplace import workplace
@@ -395,4 +396,4 @@ def _reason(error: BaseException) -> str:
     if code in ("PreconditionFailed", "412"):
         return "changed since it was listed"
     text = (error.strerror or str(error)) if isinstance(error, OSError) else ""
-    return f"{type(error).__name__}{': ' if text or code else ''}{' '.join((code or text).split())[:120]}"
+    return f"{type(error).__name__}{': ' if text or code else ''}{one_line(code or text)[:120]}"

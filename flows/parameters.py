@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias, Union, get_args, get_orig
 from pydantic import AfterValidator, WithJsonSchema
 
 from flows.configuration import configs_with, kinds_of, types_of
-from schemas.errors import LakeError
+from schemas.errors import LakeError, check_address
 from tasks.pipeline import STAGES
 from tasks.stage import Stage
 
@@ -101,6 +101,26 @@ def _value(kind: Any) -> Schema | None:
         return None
     raise TypeError(f"{kind} has no schema yet")
 
+
+def checked_address(address: str) -> str:
+    """The same address, if it carries no credentials: parameters are kept by the server, and shown.
+
+    Raises:
+        ValueError: it does.
+    """
+    try:
+        check_address(address)
+    except LakeError as error:
+        raise ValueError(str(error)) from error
+    return address
+
+
+Address = Annotated[
+    str,
+    AfterValidator(checked_address),
+    WithJsonSchema({"type": "string", "pattern": r"^(?!\s*(?:[A-Za-z][A-Za-z0-9+.-]*://|[Ss]3:/*)[^/]*[@:?])(?![Ss]3:[^?]*\?)"}),
+]
+"""A folder or s3://bucket/prefix without credentials; the server refuses others before it writes a run down."""
 
 StageTables = Annotated[dict[str, dict[str, Any]], AfterValidator(checked_tables), WithJsonSchema(stages_schema())]
 """A table of fields for each stage that is told anything, as in a TOML file: `{"navigation": {"max_steps": 250}}`."""

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from flows.artifacts import run_log
 from flows.progress import current
+from schemas.text import one_line
 from warehouse.lease import LeaseError
 
 T = TypeVar("T")
@@ -37,7 +38,7 @@ def patiently(work: Callable[[], T], pauses: Sequence[float] | None = None) -> T
         except Exception as error:
             if not is_away(error):
                 raise
-            text = f"{type(error).__name__}: {' '.join(str(error).split())}; trying again in {pause:g} s"
+            text = f"{type(error).__name__}: {one_line(error)}; trying again in {pause:g} s"
             current().say(text)
             run_log(text, warning=True)
             time.sleep(pause)

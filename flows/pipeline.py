@@ -27,7 +27,7 @@ from flows.fanout.batch import Batch
 from flows.fanout.coordinator import Coordinator, FanOut, Outcome
 from flows.fanout.pools import shared_pool
 from flows.fanout.runners import Runner, task_runner
-from flows.parameters import StageTables
+from flows.parameters import Address, StageTables
 from flows.patience import patiently
 from flows.plan import Plan, ScenePlan, make_plan
 from flows.progress import current
@@ -176,8 +176,8 @@ def _name() -> str:
 
 @flow(name="replicate", flow_run_name=_name, persist_result=False, validate_parameters=True)
 def replicate(
-    scans: str,
-    lake: str,
+    scans: Address,
+    lake: Address,
     format: str = "auto",
     dataset: str | None = None,
     workers: int | None = None,

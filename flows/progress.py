@@ -7,6 +7,8 @@ import threading
 from types import TracebackType
 from typing import Any
 
+from schemas.text import shown
+
 
 class Progress:
     """A bar over (scene, stage) steps on standard error when that is a terminal; silent otherwise."""
@@ -21,12 +23,12 @@ class Progress:
         """One step is over; `text` says which."""
         if self._bar is not None:
             with self._lock:
-                self._bar.update(self._task, advance=1, what=text)
+                self._bar.update(self._task, advance=1, what=shown(text))
 
     def say(self, text: str) -> None:
         """A line above the bar; plain on standard error when there is none."""
         if self._bar is not None:
-            self._bar.console.print(text, highlight=False, markup=False)
+            self._bar.console.print(shown(text), highlight=False, markup=False)
         else:
             print(text, file=sys.stderr, flush=True)
 
@@ -36,14 +38,16 @@ class Progress:
             from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
             from rich.progress import Progress as Bar
 
+            from flows.terminal import drawn
+
             columns = (
                 TextColumn("{task.description}"),
                 BarColumn(),
                 MofNCompleteColumn(),
                 TimeElapsedColumn(),
-                TextColumn("{task.fields[what]}"),
+                TextColumn("{task.fields[what]}", markup=False),
             )
-            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._bar = Bar(*columns, console=Console(file=drawn(sys.stderr)), transient=True, redirect_stdout=False, redirect_stderr=False)
             self._bar.start()
             self._task = self._bar.add_task(self._title, total=self._total, what="")
         return self

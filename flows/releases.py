@@ -8,6 +8,7 @@ from prefect import flow
 from prefect.states import Completed, State
 
 from flows.artifacts import run_log, short_name
+from flows.parameters import Address
 from flows.patience import patiently
 from schemas.errors import InputError
 from warehouse.lake import Lake
@@ -25,7 +26,7 @@ def _name() -> str:
 
 
 @flow(name="release", flow_run_name=_name, persist_result=False, timeout_seconds=HOURS * 3600)
-def release(lake: str, name: str | None = None, notes: str = "", snapshot: int | None = None, dry_run: bool = False) -> Any:
+def release(lake: Address, name: str | None = None, notes: str = "", snapshot: int | None = None, dry_run: bool = False) -> Any:
     """Freeze a snapshot of all tables as a release: plain Parquet, data card, attribution, checksums, a DuckDB file.
 
     Args:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from flows.listing import ScanListing, files_of
-from schemas.errors import InputError
+from schemas.errors import InputError, check_address
 from tasks.capture.formats import Scan, find_scans, scan_files
 
 DAY_SECONDS = 86_400.0
@@ -49,9 +49,10 @@ def scan_source(address: str | Path) -> ScanSource:
     """The scans at an address: a folder, one scan, or `s3://bucket/prefix` with endpoint and credentials as lakes have them.
 
     Raises:
-        InputError: the address is of no known kind.
+        InputError: the address is of no known kind, or carries credentials.
     """
     text = str(address)
+    check_address(text, "--scans")
     if isinstance(address, str) and address.startswith("s3://"):
         from flows.mirror import S3Source
 

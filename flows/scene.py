@@ -17,6 +17,7 @@ from flows.pool import PoolStopped, WorkerLost, WorkerPool, WorkerTimeout
 from flows.progress import current
 from flows.worker import Job, execute, lost_run
 from schemas.runs import StageRun
+from schemas.text import one_line
 from tasks.pipeline import STAGES
 from warehouse.lake import Lake
 
@@ -73,7 +74,7 @@ class SceneWork:
         except PoolStopped:
             raise
         except Exception as error:  # a full disk, a lake that went away: this scene's, until others say the same
-            text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            text = f"{type(error).__name__}: {one_line(error)}"
             full = isinstance(error, OSError) and error.errno in NO_ROOM
             self.result = self._result(self.plan.todo[len(self._ran)].stage, text, is_full=full)
         return self.result

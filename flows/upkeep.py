@@ -8,6 +8,7 @@ from prefect import flow
 from prefect.states import Completed
 
 from flows.artifacts import run_log, short_name
+from flows.parameters import Address
 from flows.patience import patiently
 from schemas.errors import InputError
 from warehouse.compaction import compact
@@ -25,7 +26,7 @@ def _name() -> str:
 
 
 @flow(name="upkeep", flow_run_name=_name, persist_result=False, timeout_seconds=HOURS * 3600)
-def upkeep(lake: str, days: float = 7.0, compacts: bool = True, dry_run: bool = False) -> Any:
+def upkeep(lake: Address, days: float = 7.0, compacts: bool = True, dry_run: bool = False) -> Any:
     """Put small files of the tables together, then remove old snapshots and what only they name. Releases stay.
 
     Args:

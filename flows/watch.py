@@ -13,6 +13,7 @@ from prefect.states import Failed
 from flows.arrivals import HERE, SETTLE_SECONDS, Arrival, Look, look, remember, request_key, watch_report
 from flows.artifacts import MAX_ROWS, artifact_key, flow_run_name, public_address, run_log
 from flows.fingerprints import digest
+from flows.parameters import Address
 from schemas.errors import InputError
 from warehouse.lake import Lake
 
@@ -29,8 +30,8 @@ def _name() -> str:
 
 @flow(name="watch", flow_run_name=_name, persist_result=False)
 def watch(
-    scans: str,
-    lake: str,
+    scans: Address,
+    lake: Address,
     settle_seconds: float = SETTLE_SECONDS,
     deployment: str | None = "replicate/backfill",
     format: str = "auto",

@@ -24,6 +24,7 @@ from schemas.errors import InputError, LakeError, RecordError
 from schemas.record import check
 from schemas.runs import StageRun
 from schemas.tables import TABLES
+from schemas.text import one_line
 from tasks.stage import Context, Outcome, Stage
 from warehouse.lake import Lake
 
@@ -202,4 +203,4 @@ def _one_line(error: BaseException) -> str:
     frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent.name]
     ours = [f for f in frames if "/tasks/" in f.filename or "/warehouse/" in f.filename or "/flows/" in f.filename]
     place = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:500]}{place}"
+    return f"{type(error).__name__}: {one_line(error)[:500]}{place}"

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
+from schemas.text import concealed, one_line
+
 
 class LakeError(Exception):
-    """Anything the project refuses on purpose. Its text is one line, fit for a terminal."""
+    """Anything the project refuses on purpose. Its text is one line, fit for a terminal, a log and a row of the lake: no
+    credentials of an address, and no characters that would command the terminal."""
+
+    def __init__(self, *said: object) -> None:
+        super().__init__(*(one_line(part) if isinstance(part, str) else part for part in said))
 
 
 class InputError(LakeError):
@@ -17,10 +23,7 @@ class InputError(LakeError):
     """
 
     def __init__(self, file: str | PurePath, field: str, problem: str, remedy: str = "") -> None:
-        self.file = str(file)
-        self.field = field
-        self.problem = " ".join(problem.split())
-        self.remedy = " ".join(remedy.split())
+        self.file, self.field, self.problem, self.remedy = map(one_line, (file, field, problem, remedy))
         super().__init__(self.file, self.field, self.problem, self.remedy)
 
     def __str__(self) -> str:
@@ -28,12 +31,25 @@ class InputError(LakeError):
         return f"{head}; {self.remedy}" if self.remedy else head
 
 
+def check_address(address: object, field: str = "") -> None:
+    """Refuse an address with credentials in it: it would be written down in settings, in logs and on servers.
+
+    Raises:
+        InputError: says so, without them.
+    """
+    text = str(address)
+    if concealed(text) != text:
+        raise InputError(
+            text, field, "the address carries credentials", "give them by the environment: AWS_ACCESS_KEY_ID, AWS_PROFILE, ..."
+        )
+
+
 class RecordError(LakeError):
     """A row that breaks its schema: names table, row, field and rule."""
 
     def __init__(self, table: str, row: str, field: str, rule: str) -> None:
-        self.table, self.row, self.field, self.rule = table, row, field, rule
-        super().__init__(table, row, field, rule)
+        self.table, self.row, self.field, self.rule = map(one_line, (table, row, field, rule))
+        super().__init__(self.table, self.row, self.field, self.rule)
 
     def __str__(self) -> str:
         return f"{self.table}: row {self.row}: {self.field}: {self.rule}"

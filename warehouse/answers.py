@@ -16,10 +16,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from schemas.errors import InputError
+from schemas.text import escaped
 from warehouse.sql import Answer
 
 Output = Literal["table", "csv", "json", "jsonl", "parquet"]
 OUTPUTS: tuple[Output, ...] = ("table", "csv", "json", "jsonl", "parquet")
+
+# Characters beyond JSON's own that are written out: those that turn the reading direction over, hide or command a terminal.
+_COMMANDS = r"[\x7f\p{Cc}\p{Cf}\p{Zl}\p{Zp}]"
 
 _TEXT = pa.large_string()  # a batch of wide rows may hold more than 2 GB
 
@@ -114,7 +118,7 @@ def _json_object(names: Sequence[str], parts: Sequence[pa.Array], count: int) ->
     """One JSON object a row."""
     if not parts:
         return pa.array(["{}"] * count, _TEXT)
-    heads = [f"{', ' if index else '{'}{json.dumps(name, ensure_ascii=False)}: " for index, name in enumerate(names)]
+    heads = [f"{', ' if index else '{'}{escaped(json.dumps(name, ensure_ascii=False))}: " for index, name in enumerate(names)]
     pieces = list(itertools.chain.from_iterable(zip(heads, parts, strict=True)))
     return _joined(*pieces, "}", null="null")
 
@@ -125,6 +129,8 @@ def _escaped(text: pa.Array) -> pa.Array:
     if pc.any(pc.match_substring_regex(text, "[\x00-\x1f]")).as_py():
         for code in range(32):
             text = pc.replace_substring(text, chr(code), json.dumps(chr(code))[1:-1])
+    if pc.any(pc.match_substring_regex(text, _COMMANDS)).as_py():
+        text = pa.array([value if value is None else escaped(value) for value in text.to_pylist()], _TEXT)
     return text
 
 
@@ -182,7 +188,7 @@ def _write_table(answer: Answer, sink: BinaryIO, limit: int | None, widest: int 
         count += batch.num_rows
     data = pa.Table.from_batches(shown, answer.schema)
     columns = [[cell if len(cell) <= widest else cell[: widest - 1] + "…" for cell in _cells(column)] for column in data.columns]
-    names = [" ".join(name.split()) for name in data.column_names]
+    names = [escaped(" ".join(name.split())) for name in data.column_names]
     widths = [max([len(name), *map(len, column)]) for name, column in zip(names, columns, strict=True)]
     types = pa.types
     right = [types.is_integer(one) or types.is_floating(one) or types.is_decimal(one) for one in data.schema.types]
@@ -203,7 +209,7 @@ def _cells(column: pa.ChunkedArray) -> list[str]:
     if pa.types.is_floating(column.type):
         return ["" if value is None else f"{value:.6g}" for value in column.to_pylist()]
     texts = itertools.chain.from_iterable(plain_text(chunk).to_pylist() for chunk in column.chunks)
-    return ["" if text is None else " ".join(text.split()) for text in texts]
+    return ["" if text is None else escaped(" ".join(text.split())) for text in texts]
 
 
 class _Counted:

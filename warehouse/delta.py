@@ -17,6 +17,7 @@ import pyarrow as pa
 
 from schemas.errors import InputError, LakeError
 from schemas.record import Table
+from schemas.text import one_line
 from warehouse.references import parquet, workspace
 from warehouse.storage import Storage
 
@@ -54,8 +55,8 @@ class LogError(LakeError):
     """A table's log that cannot be read, its folder, and the reason that delta-rs gives."""
 
     def __init__(self, folder: str, reason: str) -> None:
-        self.folder = folder
-        self.reason = (reason.strip().splitlines() or ["no reason is given"])[0]  # delta-rs adds its own stack
+        self.folder = one_line(folder)
+        self.reason = one_line((reason.strip().splitlines() or ["no reason is given"])[0])  # delta-rs adds its own stack
         super().__init__(folder, reason)
 
     def __str__(self) -> str:

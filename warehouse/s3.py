@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import tempfile
 import time
 from collections.abc import Iterator
@@ -236,8 +235,11 @@ class StoreAway(LakeError, ConnectionError):
     """A store that does not answer; it may later."""
 
     def __init__(self, address: str, endpoint: str) -> None:
-        shown = re.sub(r"//[^/@]*@", "//...@", endpoint)  # a name and a password, for those who put them there
-        super().__init__(f"{address}: the store at {shown} does not answer; check AWS_ENDPOINT_URL and that it runs")
+        super().__init__(address, endpoint)
+
+    def __str__(self) -> str:
+        address, endpoint = self.args
+        return f"{address}: the store at {endpoint} does not answer; check AWS_ENDPOINT_URL and that it runs"
 
 
 def _endpoint() -> str | None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from schemas.errors import InputError
+from schemas.text import one_line
 from warehouse.documentation import quoted
 from warehouse.macros import table_macros
 from warehouse.snapshot import Reader
@@ -282,4 +283,4 @@ def _words(kind: str) -> str:
 
 def _line(error: object) -> str:
     """An error of DuckDB in one line."""
-    return " ".join(str(error).split())
+    return one_line(error)

@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from schemas.errors import InputError
+from schemas.errors import InputError, check_address
 from warehouse.workplace import workplace
 from warehouse.writer import new_token
 
@@ -113,7 +113,12 @@ class Storage(Protocol):
 
 
 def storage_at(address: str | Path) -> Storage:
-    """The storage at an address: a folder, or `s3://bucket/prefix`."""
+    """The storage at an address: a folder, or `s3://bucket/prefix`.
+
+    Raises:
+        InputError: the address is of another kind, or carries credentials.
+    """
+    check_address(address)
     if isinstance(address, str) and address.startswith("s3://"):
         from warehouse.s3 import S3Storage
 

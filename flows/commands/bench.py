@@ -204,7 +204,9 @@ def _tell(report: dict[str, Any], show: Callable[[Mapping[str, Any], Console], N
     else:
         from rich.console import Console
 
-        show(report, Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else 120))
+        from flows.terminal import drawn
+
+        show(report, Console(file=drawn(sys.stdout), highlight=False, width=None if sys.stdout.isatty() else 120))
     if any(goal["met"] is False for goal in report["goals"]):
         click.get_current_context().exit(1)
 

@@ -71,6 +71,7 @@ def command(
 
     Example: metascenes sql "FROM instances" --out instances.parquet
     """
+    from flows.terminal import output as terminal_output
     from warehouse.answers import write_answer
     from warehouse.sql import ask
 
@@ -89,7 +90,7 @@ def command(
     reader = lake.snapshot(chosen_snapshot(lake, snapshot_id, release))
     # Deep inside of one value DuckDB neither counts its memory nor looks at the clock, so the process has bounds of its own.
     with contextlib.ExitStack() as stack:
-        sink = stack.enter_context(_whole_file(out, force, lake.storage.local_path(""))) if out else sys.stdout.buffer
+        sink = stack.enter_context(_whole_file(out, force, lake.storage.local_path(""))) if out else terminal_output()
         stack.enter_context(_ended_after(timeout + _GRACE if timeout else None, timeout))
         stack.enter_context(_bounded_memory(int(memory * 2**30)))
         answer = stack.enter_context(ask(reader, text, timeout=timeout or None, memory_mb=int(memory * 700)))

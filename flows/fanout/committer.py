@@ -7,6 +7,7 @@ import time
 from types import TracebackType
 
 from flows.progress import current
+from schemas.text import one_line
 from warehouse.lake import Lake
 
 COMMIT_SCENES = 25
@@ -72,7 +73,7 @@ class Committer:
                 snapshot = self._lake.commit(scenes=scenes)
                 self._took = time.monotonic() - begun
             except BaseException as error:  # a lease held for long, a store that is away, a panic of delta-rs: all is still staged
-                current().say(f"commit put off: {type(error).__name__}: {' '.join(str(error).split())}")
+                current().say(f"commit put off: {type(error).__name__}: {one_line(error)}")
                 with self._change:
                     self._waiting = [*scenes, *self._waiting]
                     self._last = time.monotonic()

@@ -23,6 +23,7 @@ from flows.plan import Plan, ScenePlan
 from flows.progress import current
 from flows.scene import STAGE_SECONDS, SceneResult, job_of
 from flows.worker import lost_run
+from schemas.text import one_line
 from warehouse.lake import Lake
 from warehouse.presence import Presence
 
@@ -171,7 +172,7 @@ class Coordinator:
         try:
             return tasks.results(future)
         except Exception as error:
-            why = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            why = f"{type(error).__name__}: {one_line(error)}"
         given_up = []
         for scene in batch.scenes:
             scene_id = scene.scan.scene_id

@@ -16,6 +16,7 @@ from prefect import flow
 from prefect.artifacts import create_image_artifact, create_link_artifact, create_markdown_artifact, create_table_artifact
 
 from flows.artifacts import Ticker, link_of, public_address, short_name
+from flows.parameters import Address
 from flows.stats.report import Written, write_report
 from schemas.errors import InputError
 from tasks.stats.columns import GRIDS
@@ -46,10 +47,10 @@ def _name() -> str:
 
 @flow(name="statistics", flow_run_name=_name, persist_result=False)
 def statistics(
-    lake: str,
+    lake: Address,
     snapshot: int | None = None,
     release: str | None = None,
-    out: str | None = None,
+    out: Address | None = None,
     pictures: str | None = None,
     workers: int | None = None,
 ) -> str:

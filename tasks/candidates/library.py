@@ -18,6 +18,7 @@ import numpy as np
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.text import one_line
 from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, make_asset
 from tasks.candidates.descriptors import Descriptor, describe
 from tasks.captions.physics import known_name
@@ -183,4 +184,4 @@ def _plain(text: str) -> str:
 
 
 def _reason(error: Exception) -> str:
-    return _plain(" ".join(str(error).split()))[:200]
+    return _plain(one_line(error))[:200]

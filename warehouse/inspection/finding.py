@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from schemas import text
 from warehouse.delta import LogError
 
 
@@ -28,4 +29,4 @@ class Finding:
 
 def one_line(error: BaseException) -> str:
     """An error of a library in a few words."""
-    return " ".join(str(error.reason if isinstance(error, LogError) else error).split())[:200]
+    return text.one_line(error.reason if isinstance(error, LogError) else error)[:200]
