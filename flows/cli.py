@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 import traceback
+from typing import NoReturn
 
 import click
 
@@ -86,14 +87,28 @@ def _main() -> None:
         sys.exit(2)
     except click.Abort:  # what click makes of Ctrl-C
         _end(130)
-    except (LakeError, OSError, UnicodeError) as error:
+    except (LakeError, UnicodeError) as error:
         _say_and_exit(one_line(error), error, 2)
-    except Exception as error:
-        _say_and_exit(f"unexpected {type(error).__name__}: {one_line(error)} (METASCENES_TRACEBACK=1 shows where)", error, 3)
-    except BaseException as signal:
-        if isinstance(signal, SystemExit):
-            raise
-        _end(143 if type(signal).__name__ == "TerminationSignal" else 130)
+    except SystemExit:
+        raise
+    except BaseException as error:
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":  # a library in Rust that gave up
+            _end(143 if type(error).__name__ == "TerminationSignal" else 130)
+        _explain(error)
+
+
+def _explain(error: BaseException) -> NoReturn:
+    """Say what the operating system refused, whichever library says so; everything else is a defect of ours."""
+    from schemas.text import one_line
+    from warehouse.refusals import Refused, number_of
+
+    number = number_of(error)
+    if number is not None and not isinstance(error, ConnectionError):
+        place = next((str(name) for name in (getattr(error, "filename", None), getattr(error, "filename2", None)) if name), None)
+        _say_and_exit(str(Refused(place, number)) if place else one_line(error), error, 2)
+    if isinstance(error, OSError):
+        _say_and_exit(one_line(error), error, 2)
+    _say_and_exit(f"unexpected {type(error).__name__}: {one_line(error)} (METASCENES_TRACEBACK=1 shows where)", error, 3)
 
 
 def _end(code: int) -> None:
@@ -106,7 +121,7 @@ def _end(code: int) -> None:
     os._exit(code)
 
 
-def _say_and_exit(text: str, error: Exception, code: int) -> None:
+def _say_and_exit(text: str, error: BaseException, code: int) -> NoReturn:
     """One line for people, the traceback for those who ask, and an exit code that a scheduler can trust."""
     print(f"metascenes: {text}", file=sys.stderr)
     if os.environ.get("METASCENES_TRACEBACK"):

@@ -19,6 +19,7 @@ from schemas.errors import InputError, LakeError
 from schemas.record import Table
 from schemas.text import one_line
 from warehouse.references import parquet, workspace
+from warehouse.refusals import named, told
 from warehouse.storage import Storage
 
 if TYPE_CHECKING:
@@ -119,6 +120,10 @@ class DeltaTables:
         files = [file for file in files if all(self._may_hold(file, name, values) for name, values in wanted.items())]
         if not files or not all(wanted.values()):
             return pa.schema([schema.field(name) for name in names]).empty_table()
+        with named(self._storage):
+            return self._rows(schema, files, names, wanted)
+
+    def _rows(self, schema: pa.Schema, files: Sequence[str], names: Sequence[str], wanted: Mapping[str, Sequence[str]]) -> pa.Table:
         import pyarrow.dataset as ds
 
         paths = [self._storage.arrow_path(file) for file in files]
@@ -196,11 +201,16 @@ class TableWriter:
             return
         if self._opened is None or self._opened.version() < version:
             problem = f"version {version} is missing, which the snapshot names"
-            raise InputError(f"{self._storage.address}/{FOLDER}/{self._table.name}", "", problem, "restore the folder")
+            raise InputError(self._address, "", problem, "restore the folder")
         if self._opened.version() > version:
             self._check()
-            self._opened.restore(version, commit_properties=self._unretried())
-            self._opened.update_incremental()
+            with told(self._address):
+                self._opened.restore(version, commit_properties=self._unretried())
+                self._opened.update_incremental()
+
+    @property
+    def _address(self) -> str:
+        return f"{self._storage.address}/{FOLDER}/{self._table.name}"
 
     @property
     def version(self) -> int | None:
@@ -235,7 +245,10 @@ class TableWriter:
         sizes, target = pa.table(self._opened.get_add_actions(flatten=True)).column("size_bytes").to_pylist(), file_bytes(self._opened)
         if sum(size < target // 2 for size in sizes) > SMALL_FILES_BEFORE_COMPACTION:
             self._check()
-            self._opened.optimize.compact(target_size=target, writer_properties=writer_properties(), commit_properties=self._unretried())
+            with told(self._address):
+                self._opened.optimize.compact(
+                    target_size=target, writer_properties=writer_properties(), commit_properties=self._unretried()
+                )
 
     def _write(
         self,
@@ -257,20 +270,21 @@ class TableWriter:
         options = self._storage.delta_options()
         address = self._storage.delta_address(f"{FOLDER}/{self._table.name}")
         data, target = _sampled(data, self._opened)
-        write_deltalake(
-            address if self._opened is None else self._opened,
-            data.cast(self._described(nullable(data.schema), schema_mode)),
-            mode=mode,
-            schema_mode=schema_mode,
-            predicate=predicate,
-            configuration=_CONFIGURATION if is_new else None,
-            name=self._table.name if is_new else None,
-            description=self._table.description if is_new else None,
-            storage_options=options,
-            target_file_size=target,
-            writer_properties=writer_properties(),
-            commit_properties=self._unretried(facts),
-        )
+        with told(self._address):
+            write_deltalake(
+                address if self._opened is None else self._opened,
+                data.cast(self._described(nullable(data.schema), schema_mode)),
+                mode=mode,
+                schema_mode=schema_mode,
+                predicate=predicate,
+                configuration=_CONFIGURATION if is_new else None,
+                name=self._table.name if is_new else None,
+                description=self._table.description if is_new else None,
+                storage_options=options,
+                target_file_size=target,
+                writer_properties=writer_properties(),
+                commit_properties=self._unretried(facts),
+            )
         if self._opened is None:
             self._opened = DeltaTable(address, version=0, storage_options=options)
 

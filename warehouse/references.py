@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from schemas.tables import TABLES
 from warehouse.blobs import FOLDER
 from warehouse.documentation import quoted
+from warehouse.refusals import named
 from warehouse.storage import Entry, Storage
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def workspace(storage: Storage, memory: str = _MEMORY) -> Iterator[duckdb.DuckDB
     """A DuckDB database in a temporary file, which can read the lake's files and spills to disk beyond `memory`."""
     import duckdb
 
-    with tempfile.TemporaryDirectory(prefix="metascenes-") as folder:
+    with named(storage), tempfile.TemporaryDirectory(prefix="metascenes-") as folder:
         connection = duckdb.connect(str(Path(folder) / "work.duckdb"))
         try:
             connection.execute("SET TimeZone = 'UTC'")

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from schemas.errors import InputError, check_address
+from warehouse.refusals import told
 from warehouse.workplace import workplace
 from warehouse.writer import new_token
 
@@ -303,7 +304,7 @@ class LocalStorage:
             problem = f"the lake's folder cannot be made or written to ({error.strerror or error})"
             raise InputError(self.address, "", problem, "give a folder that you can write to") from error
         try:
-            with handle:
+            with told(self.address), handle:
                 handle.write(data)
                 handle.flush()
                 os.fsync(handle.fileno())
@@ -314,13 +315,14 @@ class LocalStorage:
     def _placed(self, path: str, place: Callable[[Path], None], lasting: bool = True) -> None:
         """Call `place` with the target of `path`, and make the new name last."""
         target = self.folder / path
-        try:
-            place(target)
-        except FileNotFoundError:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            place(target)
-        if lasting:
-            _sync_folder(target.parent)
+        with told(str(target)):
+            try:
+                place(target)
+            except FileNotFoundError:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                place(target)
+            if lasting:
+                _sync_folder(target.parent)
 
     @contextlib.contextmanager
     def _exclusive(self) -> Iterator[None]:

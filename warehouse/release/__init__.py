@@ -19,6 +19,7 @@ from schemas.releases import NAME_PATTERN, Release
 from warehouse.adoption import now_utc
 from warehouse.documentation import tables_page
 from warehouse.lake import Lake
+from warehouse.refusals import named
 from warehouse.release.attribution import attribution_of
 from warehouse.release.card import ReleaseFile, data_card
 from warehouse.release.catalog import open_catalog, write_catalog
@@ -60,7 +61,7 @@ def make_release(
         name=name, snapshot_id=reader.snapshot_id, created_at=now_utc(), notes=notes, code_version=_code(), row_counts=(), erased_at=(),
         **dict.fromkeys(_COUNTS, 0),
     )  # fmt: skip
-    with lake.storage.workplace() as folder:
+    with named(lake.storage), lake.storage.workplace() as folder:
         try:
             release = _build(lake, reader, release, folder, advance)
         except (OSError, duckdb.Error) as error:
@@ -92,7 +93,7 @@ def rewrite_release(lake: Lake, release: Release, check: Callable[[], None] = la
 
     For who holds the lake's lease; `check` raises when that is lost.
     """
-    with lake.storage.workplace() as folder:
+    with named(lake.storage), lake.storage.workplace() as folder:
         made = _build(lake, lake.snapshot(release.snapshot_id), release, folder, None)
         _move_in(lake, release.name, folder, check)
         lake.storage.write(f"{folder_of(release.name)}/{RECORD}", (folder / RECORD).read_bytes())

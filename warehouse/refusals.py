@@ -1,0 +1,107 @@
+"""What the operating system refuses (a full disk, a file that may not be written, one that is gone), said in one way.
+
+Delta-rs, DuckDB and Arrow each have errors of their own for it, and delta-rs panics now and then: whoever waits for room,
+and whoever reads the line, must not have to know them all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from schemas.errors import InputError, LakeError
+from schemas.text import one_line
+
+if TYPE_CHECKING:
+    from warehouse.storage import Storage
+
+REMEDIES = {
+    errno.ENOSPC: "free some room and give the command again",
+    errno.EDQUOT: "free some room and give the command again",
+    errno.EFBIG: "raise the limit on the size of files and give the command again",
+    errno.EROFS: "give one that can be written to",
+    errno.EACCES: "check who may read and write it",
+    errno.EPERM: "check who may read and write it",
+    errno.EMFILE: "raise the limit on open files (ulimit -n)",
+    errno.ENFILE: "raise the limit on open files (ulimit -n)",
+    errno.EIO: "check the disk",
+    errno.ENOTDIR: "check the address: a part of it is a file",
+    errno.EISDIR: "check the address: it is a folder",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ENOENT: "check that it is there",
+}
+"""What to do about what the system refuses, by its number."""
+
+_IN_WORDS = {os.strerror(number): number for number in REMEDIES}
+_FOREIGN = ("_duckdb", "duckdb", "deltalake", "pyarrow", "pyo3_runtime", "builtins", "_internal")
+
+
+class Refused(LakeError, OSError):
+    """What the operating system refused: where, its number, and what to do."""
+
+    def __init__(self, place: str, number: int) -> None:
+        super().__init__(place, number)
+        self.errno = number
+
+    def __str__(self) -> str:
+        place, number = self.args
+        return f"{place}: {os.strerror(number)}; {REMEDIES.get(number, 'give the command again')}"
+
+
+def number_of(error: BaseException) -> int | None:
+    """The number of what the system refused, where an error of Python's or of a library we use says so."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno
+    if not type(error).__module__.startswith(_FOREIGN):
+        return None
+    text = str(error)
+    return next((number for words, number in _IN_WORDS.items() if words in text), None)
+
+
+@contextlib.contextmanager
+def told(place: str) -> Iterator[None]:
+    """Make a `Refused` at a place of what libraries say of the system, and an Exception of what is none: delta-rs' panics.
+
+    Raises:
+        Refused: the system refuses it.
+        RuntimeError: delta-rs panicked for another reason.
+    """
+    try:
+        yield
+    except LakeError:
+        raise
+    except BaseException as error:
+        is_panic = type(error).__name__ == "PanicException"
+        if not (is_panic or isinstance(error, Exception)):
+            raise
+        number = number_of(error)
+        if number is not None and not isinstance(error, FileNotFoundError):
+            raise Refused(place, number) from error
+        if is_panic:
+            raise RuntimeError(f"{place}: delta-rs gave up: {one_line(error)}") from error
+        raise
+
+
+@contextlib.contextmanager
+def named(storage: Storage) -> Iterator[None]:
+    """Name the file of a lake that DuckDB or Arrow finds missing or damaged; for other things as `told`.
+
+    Raises:
+        InputError: a data file is missing or damaged.
+    """
+    with told(storage.address):
+        try:
+            yield
+        except Exception as error:
+            if isinstance(error, LakeError) or not (isinstance(error, OSError) or type(error).__module__.startswith(_FOREIGN)):
+                raise
+            found = re.search(r"(?:^|[/'\"\s])(tables/[^\s'\"]+\.parquet)", str(error))
+            if found is None:
+                raise
+            is_gone = isinstance(error, FileNotFoundError) or number_of(error) == errno.ENOENT or "No files found" in str(error)
+            problem = "is missing" if is_gone else f"cannot be read ({one_line(error)[:200]})"
+            raise InputError(storage.address, found[1], problem, "`metascenes doctor lake` says what is damaged") from error
