@@ -5,10 +5,14 @@ BIN := $(VENV)/bin
 # Outside of a virtual environment pip refuses: a broken .venv must never lead it into the system's Python.
 PIP := PIP_REQUIRE_VIRTUALENV=1 $(BIN)/python -m pip --disable-pip-version-check --no-input
 OUT ?= demo
+KILLS ?= 1000
+MINUTES ?= 120
+SEED ?= 0
+CHAOS ?= chaos
 
 RECAST := native/build/libmetascenes_recast.so
 
-.PHONY: help demo test test-all check format docs native lock clean
+.PHONY: help demo test test-all chaos check format docs native lock clean
 
 help:  ## Say what there is to make.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -21,6 +25,9 @@ test: $(VENV)/.test-ready check  ## Lint, types and the tests that run in minute
 
 test-all: $(VENV)/.test-ready check  ## The same and the slow ones.
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+chaos: $(VENV)/.run-ready  ## Kill whatever works on small lakes, KILLS times or for MINUTES; goes on where it was stopped.
+	$(BIN)/metascenes bench chaos --kills $(KILLS) --minutes $(MINUTES) --seed $(SEED) --folder $(CHAOS)
 
 check: $(VENV)/.test-ready  ## Lint and types.
 	$(BIN)/ruff check .

@@ -30,6 +30,8 @@ def import_annotations(lake: Lake, file: Path, dry_run: bool = False) -> dict[st
             already with other answers is refused: answers are history, and history is not rewritten.
     """
     batch = read_batch(file)
+    if not dry_run:
+        _take_in(lake, batch.batch_id)
     reader = lake.snapshot()
     instances: list[Instance] = [row for scene in batch.scene_ids for row in reader.rows(Instance, scene)]
     candidates: list[Candidate] = [row for scene in batch.scene_ids for row in reader.rows(Candidate, scene)]
@@ -62,6 +64,8 @@ def import_reviews(lake: Lake, file: Path, dry_run: bool = False) -> dict[str, A
             A review that is in the lake already and says something else is refused: reviews are history.
     """
     batch = read_reviews(file)
+    if not dry_run:
+        _take_in(lake, batch.batch_id)
     reader = lake.snapshot()
     check_reviews(batch, len(_of_batch(reader, Annotation, batch.batch_id)))
     inputs = {"annotation_batch": None, "review_batch": batch, "instances": (), "candidates": ()}
@@ -82,6 +86,12 @@ def import_reviews(lake: Lake, file: Path, dry_run: bool = False) -> dict[str, A
         "wrong": sum(row.wrong for row in rows),
         "returned": sum(row.verdict == "returned" for row in rows),
     }
+
+
+def _take_in(lake: Lake, batch_id: str) -> None:
+    """Commit what an import of the batch staged that was killed, so that it is not done a second time."""
+    if batch_id in lake.abandoned():
+        lake.commit(f"annotation batch {batch_id}", scenes=[batch_id])
 
 
 def _computed(lake: Lake, batch_id: str, inputs: dict[str, Any]) -> dict[str, list[Any]]:

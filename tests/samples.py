@@ -1,74 +1,17 @@
-"""Rows for tests, made from the schemas: one valid row of any record type, and Hypothesis strategies of them."""
+"""Rows for tests, made from the schemas: one valid row of any record type (the benchmarks' own), and Hypothesis strategies of them."""
 
 from __future__ import annotations
 
-import hashlib
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any
 
 import pyarrow as pa
 from hypothesis import strategies as st
 
-from schemas.optimization import BODY_PATTERN
+from flows.bench.samples import START, fingerprint, sample, stage_run
 from schemas.record import Column, table_of
-from schemas.runs import StageRun
 
-START = datetime(2026, 1, 1, tzinfo=UTC)
-
-
-def fingerprint(*words: object) -> str:
-    """A fingerprint made of words."""
-    return hashlib.sha256("|".join(map(str, words)).encode()).hexdigest()
-
-
-def stage_run(scene_id: str, stage: str, print_: str, *upstream: str, at: float = 0.0, **values: Any) -> StageRun:
-    """A done run that started `at` seconds after START."""
-    given: dict[str, Any] = {
-        "scene_id": scene_id, "stage": stage, "fingerprint": print_, "attempt": 1, "outcome": "done", "upstream": upstream,
-        "reasons": (), "config": "{}", "row_counts": (), "degradations": (), "error": None, "error_kind": None,
-        "started_at": START + timedelta(seconds=at), "seconds": 1.0, "host": "here:1", "peak_memory_mb": 1.0, "snapshot_id": 0,
-    }  # fmt: skip
-    return StageRun(**(given | values))
-
-
-def sample(record: type, **values: Any) -> Any:
-    """A valid row of a record type; `values` are taken as given, the others made up from the column."""
-    return record(**{c.name: values[c.name] if c.name in values else _made_up(c) for c in table_of(record).columns})
-
-
-_PATTERNS = {
-    r"[0-9]{4,}": "0001",
-    r"[0-9]{6}": "000001",
-    r"[0-9a-f]{64}": "a" * 64,
-    r"[A-Za-z0-9][A-Za-z0-9_.-]*": "batch-1",
-    BODY_PATTERN: "wall_00",
-}
-
-
-def _made_up(column: Column) -> Any:
-    if column.nullable:
-        return None
-    if column.values:
-        return column.values[0]
-    if column.blob:
-        return "b" * 64 + ".glb"
-    if column.pattern:
-        return _PATTERNS.get(column.pattern, "demo/room_a")
-    if pa.types.is_list(column.type):
-        inner = column.type.value_type
-        number: Any = max(1, int(column.minimum or 1)) if pa.types.is_integer(inner) else max(1.0, column.minimum or 1.0)
-        if column.maximum is not None:
-            number = min(number, type(number)(column.maximum))
-        item: Any = "word" if pa.types.is_string(inner) else (1.0, 2.0) if pa.types.is_list(inner) else number
-        return (item,) * (column.length or 2)
-    if pa.types.is_string(column.type):
-        return "text"
-    if pa.types.is_boolean(column.type):
-        return True
-    if pa.types.is_timestamp(column.type):
-        return START
-    number = max(1.0, column.minimum or 1.0) if column.maximum is None else min(max(1.0, column.minimum or 1.0), column.maximum)
-    return int(number) if pa.types.is_integer(column.type) else number
+__all__ = ["START", "fingerprint", "rows", "sample", "stage_run"]
 
 
 def rows(record: type, most: int = 4) -> st.SearchStrategy[list[Any]]:

@@ -202,6 +202,18 @@ def test_staged_batches_are_settled_first(lake: Lake) -> None:
     assert {row["batch_id"] for row in lake.snapshot().arrow("annotations").to_pylist()} == {"mixed", "late"}
 
 
+def test_no_text_of_ours_in_a_release_looks_like_a_scene(tmp_path: Path) -> None:
+    """An example in the catalog once named the first scene of the demo, whose erasure was never proven therefore."""
+    lake = Lake.open(tmp_path / "lake")
+    for scene in SCENES[:2]:
+        stage_whole_scene(lake, scene, "old", at=0)
+    lake.commit()
+    make_release(lake, "v1")
+    done = erase(lake, "demo/scene0000_00")
+    assert done.proof is not None
+    assert done.proof.hits == ()
+
+
 def test_what_cannot_be_erased_is_found_and_the_exit_code_says_so(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METASCENES_CACHE", str(tmp_path / "cache"))
     stranger = Path(lake.address) / "notes.txt"

@@ -17,11 +17,12 @@ import pyarrow.ipc
 import pyarrow.parquet as pq
 import pytest
 
+from flows.bench.samples import _made_up
 from schemas.record import table_of
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from tests.conftest import REPOSITORY
-from tests.samples import _made_up, fingerprint, stage_run
+from tests.samples import fingerprint, stage_run
 from tests.test_sql import state
 from warehouse.delta import nullable
 from warehouse.lake import Lake

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -181,6 +182,36 @@ def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_
     with Progress("measured", steps_of(config)) as progress:
         report = run_flows_bench(config, progress.advance)
     _tell(report, print_flows, as_json)
+
+
+@command.command("chaos")
+@click.option("--kills", type=click.IntRange(1), default=1000, show_default=True, help="Stop after so many kills.")
+@click.option("--minutes", type=click.FloatRange(min=0), default=120.0, show_default=True, help="Begin no batch after so many minutes.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same stories and kills.")
+@click.option("--kinds", default="", help="Only these, with commas between: lake, writers, clock, clock writers, disk, runs, configs.")
+@click.option(
+    "--folder", type=click.Path(path_type=Path, file_okay=False), default=Path("chaos"), show_default=True,
+    help="Where the journal is kept, from which the same command goes on.",
+)  # fmt: skip
+@json_option
+def chaos(kills: int, minutes: float, seed: int, kinds: str, folder: Path, as_json: bool) -> None:
+    """Kill whatever works on small lakes, in batches, and hold each lake against one that nobody disturbed.
+
+    SIGKILL hits scenes' workers, commits, compactions, vacuums, releases, erasures, backups, restores and imports of annotations
+    before chosen steps and at random moments; eight writers and upkeep at once; runs, their workers, and two runs of different
+    settings on one lake. Clocks are wrong and jump (Debian: libfaketime), disks are full (wants root, to mount small ones).
+
+    The exit code is 1 when a batch found a fault, 2 when a kind cannot be done here, and else 0.
+
+    Example: metascenes bench chaos --kills 100 --minutes 10 --kinds lake,writers
+    """
+    from flows.bench.kills.campaign import KINDS, Campaign, run_campaign
+    from flows.bench.kills.tables import print_campaign
+    from flows.progress import Progress
+
+    with Progress("kills", kills) as progress:
+        report = run_campaign(Campaign(folder, kills, minutes, seed, _chosen(kinds, KINDS, "--kinds")), progress.advance)
+    _tell(report, print_campaign, as_json)
 
 
 def _words(text: str) -> tuple[str, ...]:

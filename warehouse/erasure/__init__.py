@@ -269,6 +269,7 @@ class _Work:
         self._lake.staging.remove(self._staged)
         for name in self._lake.storage.names("staged", f"{quoted_scene(self._scene)}@"):
             self._lake.storage.remove(f"staged/{name}")  # without the run's own row
+        self._lake.staging.remove_incomplete()  # a batch whose writer died may tell of the scene, and nobody will take it in
 
     def _remove_unnamed_tables(self) -> None:
         """Remove what a commit that died left of tables that no snapshot names."""

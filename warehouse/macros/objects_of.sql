@@ -1,7 +1,7 @@
 -- Which objects does a scene hold, and what stands for each?
 -- Version 1.
 -- Rows of the view scene_objects.
--- Example: FROM objects_of('demo/scene0000_00')
+-- Example: FROM objects_of('<dataset>/<scan>')
 CREATE MACRO objects_of(scene) AS TABLE
 SELECT *
 FROM scene_objects
