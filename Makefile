@@ -12,7 +12,7 @@ CHAOS ?= chaos
 
 RECAST := native/build/libmetascenes_recast.so
 
-.PHONY: help demo test test-all chaos check format docs native lock clean
+.PHONY: help demo test test-all chaos fuzz check format docs native lock clean
 
 help:  ## Say what there is to make.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -28,6 +28,10 @@ test-all: $(VENV)/.test-ready check  ## The same and the slow ones.
 
 chaos: $(VENV)/.run-ready  ## Kill whatever works on small lakes, KILLS times or for MINUTES; goes on where it was stopped.
 	$(BIN)/metascenes bench chaos --kills $(KILLS) --minutes $(MINUTES) --seed $(SEED) --folder $(CHAOS)
+
+# As in `make fuzz FUZZ="--targets ply,sens --count 500 --jobs 2"`; `FUZZ=--help` says what else there is.
+fuzz: $(VENV)/.test-ready  ## Tens of thousands of changed inputs for all that reads files of others; goes on where it stopped.
+	$(BIN)/python -m tests.fuzzing $(FUZZ)
 
 check: $(VENV)/.test-ready  ## Lint and types.
 	$(BIN)/ruff check .

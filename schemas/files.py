@@ -52,6 +52,14 @@ def read_file(path: Path, name: str, most_bytes: int, remedy: str = "check the p
         raise InputError(name, "file", f"cannot be read ({error.strerror or error})", remedy) from error
 
 
+def is_there(path: Path) -> bool:
+    """Whether a path that some file names is that of a regular file. A name that no file can have, too long or with a zero, is of none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def check_file(path: Path, name: str, most_bytes: int) -> None:
     """Refuse what `open_file` would refuse, without opening it.
 

@@ -54,7 +54,7 @@ def find_gap(scan: Scan) -> Gap | None:
         gaps = list(_GAPS[scan.format](scan))
     except FileNotFoundError as error:
         return Gap(f"{Path(str(error.filename)).name}: vanished while it was looked at")
-    except InputError:  # the reader says so, too, and says it better
+    except (InputError, OSError):  # the reader says so, too, and says it better
         return None
     return next((gap for gap in gaps if not gap.is_readable), gaps[0] if gaps else None)
 
@@ -192,7 +192,7 @@ def _json(path: Path, size: int) -> Gap | None:
     except json.JSONDecodeError as error:
         is_cut = error.pos >= len(text.rstrip()) - _CUT_JSON_LETTERS or error.msg.startswith("Unterminated")
         return Gap("ends before its JSON does") if is_cut else None
-    except RecursionError:
+    except (ValueError, RecursionError):  # a number of thousands of digits, thousands of levels: the reader says so
         return None
     return None
 

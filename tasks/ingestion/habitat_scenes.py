@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from schemas.errors import InputError
+from schemas.files import is_there
 from tasks.capture.documents import name_of, read_text
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
@@ -73,7 +74,7 @@ class _Facts:
             notes.append(f"{scene.file}: {len(count)} articulated objects are left out")
         for path in sorted(root.glob(f"*/*/content/{glob.escape(scene.handle)}.json.gz")):
             notes.append(f"{path.relative_to(root).as_posix()}: episodes are not read")
-        inside = sorted(file for file in files if file.is_file() and file.resolve().is_relative_to(root))
+        inside = sorted(file for file in files if is_there(file) and file.resolve().is_relative_to(root))
         return Source("habitat", root, dataset, scene.handle, tuple(inside), about, problem)
 
     def _stage(self, scene: Template, files: set[Path], notes: list[str]) -> dict[str, Any] | None:
@@ -112,9 +113,9 @@ class _Facts:
             path = template.folder / asset
             if not path.resolve().is_relative_to(root):
                 raise InputError(template.file, key, f"{asset!r} leaves the dataset's folder", "copy it in")
-            if key == "render_asset" and not path.is_file():
+            if key == "render_asset" and not is_there(path):
                 raise InputError(template.file, key, f"{asset!r} does not exist", "copy the dataset again")
-            if path.is_file():
+            if is_there(path):
                 said[name] = path.resolve().relative_to(root).as_posix()
                 files |= {path.resolve(), *material_files(path.resolve(), root)}
         return said
@@ -124,7 +125,7 @@ class _Facts:
         path = self._library.navmeshes.get(handle, "")
         if handle and not path:
             notes.append(f"{scene.file}: navmesh_instance: {handle!r} is no navmesh of the dataset")
-        elif path and not (self._library.root / path).is_file():
+        elif path and not is_there(self._library.root / path):
             notes.append(f"{scene.file}: navmesh_instance: {path} does not exist")
             path = ""
         if path:

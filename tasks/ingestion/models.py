@@ -12,6 +12,7 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from schemas.files import is_there
 from tasks.capture.documents import name_of, read_bytes
 from tasks.meshes import load_glb
 from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
@@ -107,14 +108,14 @@ def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[
 
 def material_files(path: Path, root: Path) -> list[Path]:
     """Files that an OBJ's materials name, sorted, those that exist inside `root`; empty for other kinds."""
-    if path.suffix.lower() != ".obj" or not path.is_file():
+    if path.suffix.lower() != ".obj" or not is_there(path):
         return []
     found: set[Path] = set()
     libraries = _named(path, rb"mtllib")
     for library in (path.parent / name for name in libraries):
         found.add(library)
         found |= {library.parent / name for name in _named(library, rb"map_\w+|bump|disp|norm|refl")}
-    return sorted(file for file in found if file.is_file() and file.resolve().is_relative_to(root))
+    return sorted(file for file in found if is_there(file) and file.resolve().is_relative_to(root))
 
 
 def _named(path: Path, keyword: bytes) -> list[str]:

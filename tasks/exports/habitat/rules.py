@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.files import is_there
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 from tasks.exports.habitat.episode_rules import EPISODE_RULES, check_episodes
@@ -172,7 +173,7 @@ def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list
     found = {}
     for name, path in sorted(library.navmeshes.items()):
         file = library.root / str(path)
-        if not file.is_file():
+        if not is_there(file):
             said = f"navmesh_instances: {name}: {path} does not exist; the scene would have no navmesh"
             findings.append(Finding("files_exist", library.config, said))
             continue
@@ -213,7 +214,7 @@ def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
     """Ids of every lexicon, by name."""
     found = {}
     for name, path in sorted(library.semantics.items()):
-        if not (library.root / path).is_file():
+        if not is_there(library.root / path):
             said = f"semantic_scene_descriptor_instances: {name}: {path} does not exist; habitat-sim stops"
             findings.append(Finding("files_exist", library.config, said))
             continue

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.files import is_there
 from tasks.exports.findings import Finding
 from tasks.exports.usd.prims import dent
 from tasks.optimization.mujoco_engine import LONGEST_TIMESTEP_S, mujoco_module
@@ -80,7 +81,7 @@ def _elements(path: Path, root: Path, findings: list[Finding], seen: set[Path]) 
     for _, element in list(found):
         if element.tag == "include" and element.get("file"):
             other = root / element.attrib["file"]
-            if other.is_file() and other.resolve() not in seen:
+            if is_there(other) and other.resolve() not in seen:
                 found += _elements(other, root, findings, seen)
     return found
 
@@ -114,7 +115,7 @@ def _paths(path: Path, elements: Pairs) -> Iterator[Finding]:
                 continue
             if not _is_inside(name):
                 yield Finding("closed_paths", _where(file, element), f"{key} {PurePosixPath(name).name!r} is absolute or leaves the folder")
-            elif not (root / (folder if element.tag != "include" else "") / name).is_file():
+            elif not is_there(root / (folder if element.tag != "include" else "") / name):
                 yield Finding("closed_paths", _where(file, element), f"{key} {name!r} does not exist")
 
 

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.files import is_there
 from tasks.exports.findings import Finding
 from tasks.exports.urdf import POSES
 from tasks.exports.usd.prims import dent
@@ -37,6 +38,7 @@ RULES: dict[str, str] = {
 
 _UNREAD = "is of a kind that cannot be read here"
 _HULL_TOLERANCE = 2e-3  # metres; as for USD
+_FARTHEST_M = 1e6  # what is computed of positions still has digits that matter
 _PRODUCTS = 20_000_000  # vertices times triangles that are compared: 160 MB
 _COUNTS = {"xyz": 3, "rpy": 3, "rgba": 4, "scale": 3, "size": 3}
 _NUMBERS = {"value", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "radius", "length", "lower", "upper", "effort", "velocity"}
@@ -184,7 +186,7 @@ def _mesh(path: Path, where: str, name: str, known: dict[Path, Any]) -> tuple[li
     if not name or pure.is_absolute() or ".." in pure.parts or ":" in name or "\\" in name:
         return [Finding("closed_paths", where, f"mesh {pure.name!r} is absolute or leaves the folder")], None
     target = path.parent / name
-    if not target.is_file():
+    if not is_there(target):
         return [Finding("closed_paths", where, f"mesh {name!r} does not exist")], None
     if target not in known:
         known[target] = _read(target)
@@ -194,12 +196,12 @@ def _mesh(path: Path, where: str, name: str, known: dict[Path, Any]) -> tuple[li
     findings = []
     for library in re.findall(rb"^mtllib +(\S+)", target.read_bytes(), re.M) if target.suffix.lower() == ".obj" else ():
         material = target.parent / library.decode(errors="replace")
-        if not material.is_file():
+        if not is_there(material):
             findings.append(Finding("closed_paths", where, f"{name} names {material.name!r}, which does not exist"))
             continue
         for image in re.findall(rb"^map_Kd +(\S+)", material.read_bytes(), re.M):
             picture = target.parent / image.decode(errors="replace")
-            if not picture.is_file():
+            if not is_there(picture):
                 findings.append(Finding("closed_paths", where, f"{material.name} names {picture.name!r}, which does not exist"))
     return findings, loaded
 
@@ -226,8 +228,12 @@ def _sound(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Any:
     """Positions and triangles, or what is wrong with them."""
     if not len(faces):
         return "has no triangles"
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        return "has positions that are not three numbers"
     if not np.isfinite(vertices).all():
         return "has positions that are not finite"
+    if np.abs(vertices).max() > _FARTHEST_M:
+        return "has positions farther away than 1,000 km"
     return (vertices, faces) if faces.min() >= 0 and faces.max() < len(vertices) else "has triangles of no vertices"
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from schemas.files import is_there
 from tasks.exports.findings import Finding
 from tasks.exports.usd.package import names_in
 from tasks.exports.usd.prims import bodies, cloud_of, is_body, is_collider, is_deformable, moves, number, subtree, traverse, vector
@@ -97,7 +98,7 @@ def _exists(target: PurePosixPath, root: PurePosixPath, packed: Sequence[str]) -
         folder = target.parent.relative_to(root).as_posix()
         places = [PurePosixPath(name) for name in packed] if packed else [PurePosixPath(p) for p in Path(target.parent).glob("*")]
         return any(tile.fullmatch(place.name) and (not packed or place.parent.as_posix() == folder) for place in places)
-    return target.relative_to(root).as_posix() in packed if packed else Path(target).is_file()
+    return target.relative_to(root).as_posix() in packed if packed else is_there(Path(target))
 
 
 def _climbs(text: str) -> int:

@@ -1,0 +1,347 @@
+"""What is fuzzed: every door at which files of others come in.
+
+The list follows from what the project declares: the outside inputs of stages, scan formats, commands of `doctor`, layouts
+and mesh files of imports, flows that are deployed. What each needs besides is a sound input, in `seeds`; a door without
+one is an error. Readers within (a PLY, a container of frames) are fuzzed by themselves, too, many more times; that nothing
+which opens a file is forgotten is the test in `tests/test_fuzzing.py`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import LakeError
+from tests.fuzzing import seeds
+from tests.fuzzing.doors import PARSER, STAGE, Refused, Target
+
+
+@cache
+def targets() -> dict[str, Target]:
+    """All doors by name."""
+    found = [*_outside_inputs(), *_scan_formats(), *_doctors(), *_imports(), *_models(), *_readers()]
+    names = [target.name for target in found]
+    assert len(set(names)) == len(names)
+    return {target.name: target for target in found}
+
+
+def _outside_inputs() -> list[Target]:
+    """What stages declare to come from outside of the lake, but for scans, which have formats."""
+    from tasks.pipeline import STAGES
+
+    names = sorted({name for stage in STAGES for name in stage.outside if name != "scan"})
+    return [Target(name.removesuffix("_batch"), PARSER, getattr(seeds, name), globals()[f"_read_{name}"]) for name in names]
+
+
+def _scan_formats() -> list[Target]:
+    from tasks.capture.formats import FORMATS
+
+    return [Target(f"capture {name}", STAGE, lambda name=name: seeds.capture(name), _captured(name)) for name in FORMATS]
+
+
+def _doctors() -> list[Target]:
+    from flows.commands.doctor import command
+
+    foreign = sorted(set(command.commands) - {"lake"})  # a lake is nobody else's file
+    quick = {"glb", "urdf"}  # the others run a parser that is not ours, or look at a whole dataset
+    return [
+        Target(
+            f"doctor {name}",
+            PARSER if name in quick else STAGE,
+            seeds.glb if name == "glb" else getattr(seeds, f"doctor_{name}"),
+            _doctor(name),
+        )
+        for name in foreign
+    ]
+
+
+def _imports() -> list[Target]:
+    from tasks.ingestion.scene import KINDS
+
+    return [Target(f"import {kind}", STAGE, getattr(seeds, f"import_{kind}"), _imported(kind)) for kind in sorted(KINDS)]
+
+
+def _models() -> list[Target]:
+    from tasks.ingestion.models import ENDINGS
+
+    return [Target(f"model {ending}", PARSER, lambda ending=ending: seeds.models(ending), _model(ending)) for ending in ENDINGS]
+
+
+def _readers() -> list[Target]:
+    """Parsers of files within those: they are cheap, so that much more can be tried."""
+    return [
+        Target("glb", PARSER, seeds.glb, _read_glb),
+        Target("ply", PARSER, seeds.ply, _read_ply),
+        Target("sens", PARSER, seeds.sens, _read_sens),
+        Target("posed_rgbd", PARSER, seeds.posed_rgbd, _read_posed_rgbd),
+        Target("poses", PARSER, seeds.poses, _read_poses),
+        Target("images", PARSER, seeds.images, _read_images),
+        Target("labels", PARSER, seeds.labels, _read_labels),
+        Target("navmesh", PARSER, seeds.navmesh, _read_navmesh),
+        Target("scannet", PARSER, lambda: seeds.capture("scannet"), _read_scannet),
+        Target("settings", PARSER, seeds.settings, _read_settings),
+        Target("parameters", PARSER, seeds.parameters, _read_parameters),
+    ]
+
+
+def _read_library(folder: Path) -> None:
+    from tasks.candidates.library import index_library, library_asset
+
+    for entry in index_library(folder).entries:
+        with contextlib.suppress(LakeError, ValueError):  # what the stage takes for "left out"
+            library_asset(entry)
+
+
+def _read_annotation_batch(folder: Path) -> None:
+    from tasks.annotation.batch import read_batch
+
+    read_batch(folder / "batch.json")
+
+
+def _read_review_batch(folder: Path) -> None:
+    from tasks.annotation.review import read_reviews
+
+    read_reviews(folder / "reviews.json")
+
+
+def _read_trajectory_batch(folder: Path) -> None:
+    from tasks.evaluation.batch import read_batch
+
+    for path in sorted(folder.glob("batch.*")) or [folder / "batch.json"]:
+        read_batch(path)
+
+
+def _captured(format_: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        from schemas.record import check
+        from schemas.tables import TABLES
+        from tasks import capture
+        from tasks.capture.fusion import FusionConfig
+        from tasks.capture.wholeness import find_gap
+        from tasks.stage import Context
+
+        config = capture.CaptureConfig(fusion=FusionConfig(voxel_m=0.2))  # as coarse as tells a room: more inputs in the same time
+        scans, _ = capture.find_scans(folder, format_)
+        for scan in scans:
+            find_gap(scan)
+            capture.scan_files(scan)
+            outcome = capture.run(scan=scan, context=Context(scan.scene_id, "capture", 0, {}), config=config)
+            for table, rows in outcome.rows.items():
+                try:
+                    check(rows, TABLES[table].record)
+                except LakeError as error:
+                    raise AssertionError(f"rows that break their schema: {error}") from error
+
+    return read
+
+
+def _doctor(name: str) -> Callable[[Path], None]:
+    folders = {"habitat": ".", "urdf": "."}
+
+    def read(folder: Path) -> None:
+        import click
+
+        from flows.commands.doctor import command
+
+        files = [folder] if name in folders else sorted(path for path in folder.glob("scene.*"))
+        for path in files:
+            try:
+                with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding="utf-8")):
+                    command.main([name, str(path)], prog_name="doctor", standalone_mode=False)
+            except click.exceptions.Exit as done:
+                if done.exit_code not in (0, 1):
+                    raise
+            except click.UsageError as error:
+                raise Refused(str(error)) from error
+
+    return read
+
+
+def _imported(kind: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        from tasks.ingestion.navmeshes import navigation_rows
+        from tasks.ingestion.reading import ingest
+        from tasks.ingestion.scene import IngestionConfig
+        from tasks.ingestion.sources import find_sources
+        from tasks.stage import Context
+
+        names = folder / "instance_id_to_name" if kind == "metascenes" else None
+        config = IngestionConfig()
+        refused: LakeError | None = None
+        for source in find_sources(kind, folder, "others", names):  # type: ignore[arg-type]
+            try:
+                ingest(source, Context(source.scene_id, "capture", 0, {}), config)
+                navigation_rows(source, config)
+            except LakeError as error:
+                refused = error
+        if refused is not None:
+            raise refused
+
+    return read
+
+
+def _model(ending: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        from tasks.ingestion.models import is_convex, material_files, read_model
+
+        path = folder / f"model{ending}"
+        material_files(path, folder.resolve())
+        parts, _ = read_model(path, folder.resolve(), is_z_up=True)
+        is_convex(parts)
+
+    return read
+
+
+def _read_glb(folder: Path) -> None:
+    from tasks.capture.documents import read_bytes
+    from tasks.exports.gltf import node_textures, open_glb
+    from tasks.meshes import load_glb, surface_of
+
+    data = read_bytes(folder / "scene.glb", "scene.glb", 2**26)
+    with contextlib.suppress(LakeError):
+        open_glb(data)
+    surface_of(load_glb(data))
+    del node_textures  # of the lake's own assets only
+
+
+def _read_ply(folder: Path) -> None:
+    from tasks.capture.ply import read_ply
+
+    read_ply(folder / "mesh.ply", "mesh.ply")
+
+
+def _read_sens(folder: Path) -> None:
+    from tasks.capture.sens import open_sens
+
+    container = open_sens(folder / "scan.sens", "scan.sens")
+    for index in range(min(4, len(container.frames))):
+        for image in (container.color, container.depth):
+            with contextlib.suppress(LakeError):
+                image(index)
+
+
+def _read_posed_rgbd(folder: Path) -> None:
+    from tasks.capture.formats import find_scans, scan_files
+    from tasks.capture.posed_rgbd import read_posed_rgbd
+    from tasks.capture.wholeness import find_gap
+
+    for scan in find_scans(folder, "posed_rgbd")[0]:
+        find_gap(scan)
+        scan_files(scan)
+        for frame in read_posed_rgbd(scan).frames:
+            for image in (frame.color, frame.depth):
+                with contextlib.suppress(LakeError):
+                    _ = image is not None and image()
+
+
+def _read_poses(folder: Path) -> None:
+    from tasks.capture.trajectory import read_trajectory
+
+    for described in ("", "world-to-camera, OpenGL, qw qx qy qz"):
+        read_trajectory(folder / "poses.txt", "poses.txt", ["0", "1", "2.5"], described)
+
+
+def _read_images(folder: Path) -> None:
+    from tasks.capture.images import image_size, read_color, read_depth
+
+    for path in sorted(folder.iterdir()):
+        size = image_size(path, path.name)
+        for read in (lambda path, size: read_color(path, path.name, size), lambda path, size: read_depth(path, path.name, size, 1000.0)):
+            with contextlib.suppress(LakeError):
+                read(path, size)
+
+
+def _read_labels(folder: Path) -> None:
+    from tasks.capture.labels import label_map
+
+    label_map(str(folder / "labels.csv"))["chair"]
+
+
+def _read_navmesh(folder: Path) -> None:
+    from tasks.capture.documents import read_bytes
+    from tasks.exports.habitat import navmesh_file
+    from tasks.navigation.navmesh import polygon_areas, polygon_islands, read_navmesh
+    from tasks.navigation.regions import walkable_region
+
+    data = read_bytes(folder / "scene.navmesh", "scene.navmesh", 2**26)
+    with contextlib.suppress(LakeError, ValueError):  # the second reader says ValueError, and what calls it knows
+        _ = navmesh_file.read_navmesh(data).islands
+    found = read_navmesh(data)
+    for tile in found.tiles:
+        polygon_areas(tile)
+        polygon_islands(tile)
+    walkable_region(found)
+
+
+def _read_scannet(folder: Path) -> None:
+    from tasks.capture.formats import find_scans, scan_files
+    from tasks.capture.scannet import read_scannet
+    from tasks.capture.wholeness import find_gap
+
+    for scan in find_scans(folder, "scannet")[0]:
+        find_gap(scan)
+        scan_files(scan)
+        read_scannet(scan)
+
+
+def _read_settings(folder: Path) -> None:
+    from flows.configuration import configure
+
+    refused: LakeError | None = None
+    lines = folder / "sets.txt"
+    settings = lines.read_text(errors="replace").splitlines() if lines.is_file() and lines.stat().st_size < 2**24 else []
+    for setting in settings:
+        try:
+            configure(settings=[setting])
+        except LakeError as error:
+            refused = error
+    configure(file=folder / "settings.toml" if not settings else None, settings=settings)
+    if refused is not None:
+        raise refused
+
+
+@cache
+def deployed() -> dict[str, dict[str, Any]]:
+    """Parameters of the deployments of `prefect.yaml`, by the flow that they run."""
+    import yaml
+
+    from flows.deployments import deployment_file
+
+    found: dict[str, dict[str, Any]] = {}
+    for one in yaml.safe_load(deployment_file().read_text())["deployments"]:
+        found.setdefault(one["entrypoint"], {}).update(one.get("parameters", {}))
+    return found
+
+
+@cache
+def _flow(entrypoint: str) -> Any:
+    from importlib import import_module
+
+    module, _, name = entrypoint.rpartition(".")
+    return getattr(import_module(module), name)
+
+
+def _read_parameters(folder: Path) -> None:
+    """What the server hands to a worker: JSON, held against the types of the flow."""
+    from prefect.exceptions import ParameterBindError, ParameterTypeError, SignatureMismatchError
+    from pydantic import TypeAdapter, ValidationError
+
+    from flows.parameters import StageTables
+
+    try:
+        document = json.loads((folder / "parameters.json").read_bytes())
+        flow, told = _flow(str(document["flow"])), dict(document["parameters"])
+    except Exception as error:  # not ours: the server has read it before
+        raise Refused("no parameters of a flow") from error
+    try:
+        if isinstance(told.get("stages"), dict):
+            with contextlib.suppress(ValidationError):
+                TypeAdapter(StageTables).validate_python(told["stages"])
+        flow.validate_parameters(told)
+    except (ParameterTypeError, ParameterBindError, SignatureMismatchError) as error:
+        raise Refused(str(error)[:200]) from error

@@ -1,0 +1,182 @@
+"""Fuzzing in little: every door has a target, every reader is come by, faults of readers are found, inputs that failed once do not."""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from schemas.exports import FORMATS
+from tests.conftest import REPOSITORY
+from tests.fuzzing import broken
+from tests.fuzzing.campaign import Campaign, Reading, Record, child, events, read_inputs
+from tests.fuzzing.cases import Odd, packed, read_case, unpacked, write_case
+from tests.fuzzing.child import Limits
+from tests.fuzzing.doors import PARSER
+from tests.fuzzing.targets import targets
+
+COUNTEREXAMPLES = sorted((REPOSITORY / "tests" / "counterexamples" / "inputs").glob("*.json"))
+
+OPENERS = {
+    "open", "open_file", "read_file", "read_bytes", "read_text", "read_limited", "read_json", "frombuffer", "fromstring", "unpack",
+    "unpack_from", "loads", "load", "load_scene", "load_mesh", "from_xml_path", "from_xml_string", "Open", "DictReader", "decompress",
+    "iterparse", "ZipFile", "safe_load", "loadtxt", "genfromtxt",
+}  # fmt: skip
+"""Names of what takes bytes that were read, or reads them."""
+
+OWN = {
+    "tasks/stats/": "draws rows of the lake",
+    "tasks/lineage/": "draws rows of the lake",
+    "tasks/optimization/": "reads answers of its own child",
+    "tasks/scanner/": "reads what it wrote",
+    "tasks/navigation/habitat.py bake_stage": "reads what habitat-sim wrote",
+    "tasks/navigation/recast.py RecastPathFinder.": "is given navmeshes that were read",
+    "tasks/exports/habitat/dataset.py": "joins our own exports",
+    "tasks/exports/files.py files_below": "reads what was just exported",
+    "tasks/exports/usd/package.py package": "packs what was just exported",
+    "tasks/exports/wavefront.py as_png": "turns textures of the lake",
+    "tasks/captions/physics.py materials": "reads the package's own table",
+    "tasks/meshes.py asset_surface": "reads blobs of the lake",
+    "tasks/meshes.py read_points": "reads blobs of the lake",
+    "tasks/pieces.py _unpacked": "reads its own cache",
+    "tasks/replica.py": "reads blobs of the lake",
+}
+"""Where files are read that nobody else has written, and what they are. Everywhere else, a function that reads is to be fuzzed."""
+
+
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("seeds")
+
+
+@pytest.fixture(scope="module")
+def short(seeds: Path) -> tuple[dict[str, Record], set[str]]:
+    """What came of a few inputs for every target, and which functions sound ones come by."""
+    counts = {name: 60 if target.count == PARSER else 6 for name, target in targets().items()}
+    records = {name: Record(name, count) for name, count in counts.items()}
+    read_inputs(counts, 12, Reading(seeds), records)
+    reached: set[str] = set()
+    with child(dict.fromkeys(counts, 0), 0, Reading(seeds), reached=True) as (process, _):
+        for event in events(process, Reading(seeds).patience):
+            reached |= set(event.get("functions", ()))
+    return records, reached
+
+
+def test_every_format_has_a_target() -> None:
+    """The list is made from what the project declares; a new door without a sound input does not even make a list."""
+    assert {f"doctor {name}" for name in FORMATS} <= set(targets())
+    assert all(target.seeds() for target in targets().values())
+    published = {path.parent.name for path in (REPOSITORY / "tasks").rglob("*.schema.json")}
+    assert published == {"annotation", "evaluation"}, "a new kind of batch: it comes in as an outside input of a stage"
+
+
+def _functions(path: Path) -> Iterator[tuple[str, ast.FunctionDef]]:
+    def below(node: ast.AST, prefix: str) -> Iterator[tuple[str, ast.FunctionDef]]:
+        for inner in ast.iter_child_nodes(node):
+            if isinstance(inner, ast.FunctionDef):
+                yield prefix + inner.name, inner
+                yield from below(inner, f"{prefix}{inner.name}.<locals>.")
+            elif isinstance(inner, ast.ClassDef):
+                yield from below(inner, f"{prefix}{inner.name}.")
+            else:
+                yield from below(inner, prefix)
+
+    yield from below(ast.parse(path.read_text()), "")
+
+
+def _opens(function: ast.FunctionDef) -> bool:
+    for node in ast.walk(function):
+        if isinstance(node, ast.Call):
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if name in OPENERS:
+                return True
+    return False
+
+
+@pytest.fixture(scope="module")
+def replayed(seeds: Path) -> dict[str, str]:
+    """What came of inputs that failed once, by file."""
+    found: dict[str, str] = {}
+    left = list(COUNTEREXAMPLES)
+    while left:
+        files: dict[str, list[str]] = defaultdict(list)
+        for path in left:
+            files[json.loads(path.read_text())["target"]].append(str(path))
+        begun = ""
+        with child(dict.fromkeys(files, 0), 0, Reading(seeds), files=files) as (process, _):
+            for event in events(process, Reading(seeds).patience):
+                if event["event"] == "start":
+                    begun = files[event["target"]][event["sound"]]
+                elif event["event"] == "read":
+                    found[begun] = f"{event['outcome']} {event['error']}"
+                    begun = ""
+            process.wait()
+        if begun:
+            found[begun] = f"failed: the process ended with {process.returncode}"
+        elif any(str(path) not in found for path in left):
+            raise AssertionError("the child ended without a word")
+        left = [path for path in left if str(path) not in found]
+    return found
+
+
+@pytest.mark.parametrize("path", COUNTEREXAMPLES, ids=lambda path: path.stem)
+def test_an_input_that_failed_once_is_read_or_refused(path: Path, replayed: dict[str, str]) -> None:
+    assert replayed[str(path)].split()[0] in ("read", "refused"), replayed[str(path)]
+
+
+EXPECTED = {
+    "raises": "KeyError", "spins": "took more seconds", "waits": "waited for ever", "fills": "took 0.", "hides": "MemoryError",
+    "dies": "ended its process with SIGSEGV", "leaves": "SystemExit", "says_lines": "refusal of several lines",
+    "says_what_cannot_be_printed": "refusal that cannot be printed",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Record]]:
+    out = tmp_path_factory.mktemp("broken")
+    reading = Reading(out / "seeds", "tests.fuzzing.broken", Limits(seconds=1.0, bytes=170 << 20), patience=3.0)
+    counts = {name: 2 if name in ("spins", "waits", "dies", "fills") else 5 for name in broken.targets()}
+    campaign = Campaign(out, counts, 0, reading=reading)
+    campaign.run(2, 60.0, lambda record: None)
+    return out, campaign.records
+
+
+@pytest.mark.parametrize("name", sorted(broken.targets()))
+def test_a_fault_is_found_told_and_kept(name: str, found: tuple[Path, dict[str, Record]]) -> None:
+    out, records = found
+    record = records[name]
+    assert record.inputs == record.wanted
+    if name == "refuses":
+        assert record.failed == 0
+        assert record.refused > 0
+        return
+    assert record.failed > 0
+    assert record.read + record.failed == record.wanted, "an input that is as it was is read, every other fails"
+    assert [failure.error.startswith(EXPECTED[name]) for failure in record.failures.values()] == [True]
+    (kept,) = (out / "failures" / name).glob("*.json")
+    document = json.loads(kept.read_text())
+    assert document["target"] == name
+    assert unpacked(document["files"]) != {"a.json": broken.SOUND}
+
+
+def test_a_campaign_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    reading = Reading(tmp_path / "seeds", "tests.fuzzing.broken")
+    first = Campaign(tmp_path, {"refuses": 5, "raises": 5}, 0, reading=reading)
+    first.run(1, 60.0, lambda record: None)
+    again = Campaign(tmp_path, {"refuses": 8}, 0, reading=reading)
+    assert again.records["refuses"].inputs == 5
+    again.run(1, 60.0, lambda record: None)
+    assert again.records["refuses"].inputs == 8
+    assert Campaign(tmp_path, {"raises": 5}, 0, reading=reading).records["raises"].inputs == 5
+    assert Campaign(tmp_path, {"raises": 5}, 1, reading=reading).records["raises"].inputs == 0
+
+
+def test_a_case_is_the_same_on_disk_and_as_a_counterexample(tmp_path: Path) -> None:
+    case = {"a/b.json": b"{}\r\n", "c.bin": bytes(range(256)), "d": Odd("link", "nowhere"), "e": Odd("folder"), "f.txt": b"x\n" * 5000}
+    write_case(case, tmp_path / "case")
+    assert read_case(tmp_path / "case") == {name: content for name, content in case.items() if isinstance(content, bytes)}
+    assert unpacked(json.loads(json.dumps(packed(case)))) == case
