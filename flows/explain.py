@@ -23,6 +23,7 @@ from warehouse.lineage.objects import walk_object
 from warehouse.lineage.scenes import walk_scene
 from warehouse.lineage.targets import Target, find_target, split_thing
 from warehouse.lineage.walk import Walk
+from warehouse.reviews import standing_answers
 
 
 def explain(lake: Lake, asked: str, snapshot_id: int | None = None) -> Lineage:
@@ -179,6 +180,6 @@ def _check_annotations(walk: Walk) -> None:
     """A layout was made from the annotations that the snapshot has now."""
     for run in walk.lineage("").runs.values():
         if "annotations" in run.inputs:
-            now = annotations_digest(walk.reader.arrow("annotations", run.scene_id).to_pylist())
+            now = annotations_digest(standing_answers(walk.reader, run.scene_id).to_pylist())
             if now != run.inputs["annotations"]:
                 walk.problem("stale", run.id, f"{run.stage} of {run.scene_id} read other annotations than there are now")

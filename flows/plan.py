@@ -16,6 +16,7 @@ from tasks.capture.formats import Scan, scan_files
 from tasks.pipeline import MODULES, SCENE_STAGES, upstream
 from tasks.stage import Stage
 from warehouse.lake import Lake
+from warehouse.reviews import standing_answers
 
 Action = Literal["reuse", "run", "report", "wait"]
 
@@ -39,10 +40,11 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class ScenePlan:
-    """The steps of one scene, in the order of the stages."""
+    """The steps of one scene, in the order of the stages. `snapshot_id` is what they were made from; None is the newest."""
 
     scan: Scan
     steps: tuple[Step, ...]
+    snapshot_id: int | None = None
 
     @property
     def todo(self) -> tuple[Step, ...]:
@@ -87,7 +89,7 @@ def make_plan(
     told = {stage.name: (canonical_json(configuration.stages[stage.name]), code_fingerprint(MODULES[stage.name])) for stage in SCENE_STAGES}
     library = _library_hash(configuration.library, hashes)
     history = lake.history({scan.scene_id for scan in scans})
-    annotations = annotation_digests(lake, {scan.scene_id for scan in scans})
+    annotations = annotation_digests(lake, {scan.scene_id for scan in scans}, snapshot_id)
     scenes, errors = [], list(unusable)
     for scan in scans:
         try:
@@ -101,7 +103,8 @@ def make_plan(
             continue
         outside = {"scan": content, "library": library}
         past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
-        scenes.append(ScenePlan(scan, _steps(outside, annotations.get(scan.scene_id, ""), past, told, configuration.seed, retry_failed)))
+        steps = _steps(outside, annotations.get(scan.scene_id, ""), past, told, configuration.seed, retry_failed)
+        scenes.append(ScenePlan(scan, steps, snapshot_id))
     hashes.save()
     return Plan(tuple(scenes), tuple(errors), snapshot_id)
 
@@ -176,11 +179,11 @@ def _library_hash(library: Path | None, hashes: FileHashes) -> str:
     return digest(*told)
 
 
-def annotation_digests(lake: Lake, scenes: Collection[str] | None = None) -> dict[str, str]:
-    """Hash of each scene's annotations as they stand in the lake, of `scenes` if given; no entry where there are none."""
+def annotation_digests(lake: Lake, scenes: Collection[str] | None = None, snapshot_id: int | None = None) -> dict[str, str]:
+    """Hash of each scene's annotations that count in a snapshot, of `scenes` if given; no entry where there are none."""
     per_scene: dict[str, list[Mapping[str, object]]] = {}
     only = next(iter(scenes)) if scenes is not None and len(scenes) == 1 else None  # a scene is planned again: not all is read
-    for row in lake.snapshot().arrow("annotations", only).to_pylist():
+    for row in standing_answers(lake.snapshot(snapshot_id), only).to_pylist():
         if scenes is None or row["scene_id"] in scenes:
             per_scene.setdefault(row["scene_id"], []).append(row)
     return {scene: annotations_digest(rows) for scene, rows in per_scene.items()}

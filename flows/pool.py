@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from types import TracebackType
@@ -36,7 +37,8 @@ class WorkerPool:
     def __init__(self, workers: int) -> None:
         self._workers = workers
         self._lock = threading.Lock()
-        self._open: set[Any] = set()
+        self._open: dict[Any, tuple[str, ...] | None] = {}
+        self._begun: dict[Any, float] = {}
         self._stopped = False
         self._pool = self._started()
 
@@ -55,8 +57,16 @@ class WorkerPool:
             self._pool = self._started()
             threading.Thread(target=_end, args=(broken,), name="broken-pool", daemon=True).start()
 
-    def call(self, function: Callable[..., T], *arguments: Any, timeout: float | None = None) -> T:
-        """`function(*arguments)` in a worker; waits for the result.
+    def under_way(self) -> dict[tuple[str, ...], float]:
+        """Labels of the calls that a worker is at, and since when [s since the epoch]: when this was first asked of each."""
+        with self._lock:
+            for future, label in self._open.items():
+                if label is not None and future.running():
+                    self._begun.setdefault(future, time.time())
+            return {label: self._begun[future] for future, label in self._open.items() if label is not None and future in self._begun}
+
+    def call(self, function: Callable[..., T], *arguments: Any, timeout: float | None = None, label: tuple[str, ...] | None = None) -> T:
+        """`function(*arguments)` in a worker; waits for the result. `label` names it among those that are under way.
 
         Raises:
             WorkerLost: the worker died.
@@ -78,7 +88,7 @@ class WorkerPool:
                 self._replace(self._pool)
                 future = self._pool.schedule(function, args=arguments, timeout=timeout)
             pool = self._pool
-            self._open.add(future)
+            self._open[future] = label
         try:
             result: T = future.result()
             return result
@@ -94,7 +104,8 @@ class WorkerPool:
             raise PoolStopped("the run is ending") from error
         finally:
             with self._lock:
-                self._open.discard(future)
+                self._open.pop(future, None)
+                self._begun.pop(future, None)
 
     def __enter__(self) -> WorkerPool:
         return self

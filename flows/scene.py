@@ -134,6 +134,7 @@ def job_of(lake: Lake, plan: ScenePlan, step: Step, configuration: Configuration
         upstream=step.upstream,
         attempt=step.attempt,
         outside=tuple((name, outside[name]) for name in stage.outside),
+        snapshot_id=plan.snapshot_id,
     )
 
 
@@ -141,7 +142,7 @@ def _run_job(lake: Lake, job: Job, pool: WorkerPool, timeout: float) -> StageRun
     """Run a job in the pool; what its worker could not say any more is said, and staged, here."""
     clock = time.perf_counter()
     try:
-        return pool.call(execute, job, timeout=timeout)
+        return pool.call(execute, job, timeout=timeout, label=(job.scene_id, job.stage))
     except WorkerLost as error:
         state = lake.history({job.scene_id}).get((job.scene_id, job.stage))
         if state is not None and state.done is not None and state.done.fingerprint == job.fingerprint:

@@ -10,14 +10,15 @@ BATCH_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_.-]*"
 """What names an annotation batch, and a review of one."""
 
 VERDICTS = ("accepted", "returned")
-"""What a reviewer can say of a batch: good as it is, or back to the annotators. A returned batch is corrected by a new one."""
+"""What a reviewer can say of a batch: good as it is, or back to the annotators. A returned batch is corrected by a new one;
+its own answers count for nothing, until a later review accepts it."""
 
 
 @record(
     "annotations", key=("batch_id", "scene_id", "instance_id", "annotator"), stage="annotation", grain="annotation_batch", rule="append"
 )
 class Annotation:
-    """One annotator's answer for one instance. History is kept; the newest batch wins."""
+    """One annotator's answer for one instance. History is kept; the newest batch wins that was not returned."""
 
     batch_id: str = column("Annotation batch", pattern=BATCH_PATTERN)
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
@@ -38,7 +39,7 @@ class Annotation:
 
 @record("quality_reviews", key=("batch_id", "review_id"), stage="annotation", grain="annotation_batch", rule="append")
 class QualityReview:
-    """What a reviewer found in a sample of a batch's answers. History is kept: a batch may be reviewed again."""
+    """What a reviewer found in a sample of a batch's answers. History is kept: a batch may be reviewed again, the last verdict holds."""
 
     batch_id: str = column("Annotation batch that was reviewed", pattern=BATCH_PATTERN)
     review_id: str = column("Review, unique among those of its batch", pattern=BATCH_PATTERN)
@@ -46,6 +47,9 @@ class QualityReview:
     reviewed_at: datetime = column("When the review was finished")
     sampled: int = column("Answers of the batch that were looked at", minimum=1)
     wrong: int = column("Answers among them that the reviewer would have given otherwise", minimum=0)
-    verdict: str = column("What is to become of the batch: 'returned' answers are given again, in a batch of their own", values=VERDICTS)
+    verdict: str = column(
+        "What is to become of the batch: 'returned' answers are given again, in a batch of their own, and no scene is made from them",
+        values=VERDICTS,
+    )
     note: str | None = column("What the reviewer has to say; missing when nothing")
     source_file: str = column("File that the review came from")

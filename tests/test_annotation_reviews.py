@@ -15,6 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.cli import cli
+from flows.plan import annotation_digests
+from flows.worker import Job, RowsGone, history_rows
 from schemas import record as record_module
 from schemas.annotation import Annotation, QualityReview
 from schemas.candidates import Candidate
@@ -24,6 +26,7 @@ from schemas.tables import TABLES
 from tasks.annotation import REVIEW_SCHEMA_FILE, ReviewBatch, check_reviews, read_reviews
 from tests.samples import fingerprint, sample, stage_run
 from warehouse.lake import Lake
+from warehouse.reviews import standing_answers
 
 SCENE, ASSET = "demo/room_a", "a" * 64
 
@@ -169,6 +172,63 @@ def test_reviews_enter_the_lake_once_and_change_no_answer(tmp_path: Path) -> Non
     assert "says something else" in str(other.exception)
     assert lake.snapshot().rows(QualityReview) == kept
     assert "already" in metascenes("annotate", "import", tmp_path / "b.json", "--lake", tmp_path / "lake").output
+
+
+def imported(lake: Lake, folder: Path, batch: str, day: int, *answers: dict[str, Any]) -> None:
+    """Import a batch of answers."""
+    rows = [{"scene_id": SCENE, "annotator": "ada", "answered_at": f"2026-03-{day:02d}T10:00:00Z", "choice": 1} | one for one in answers]
+    (folder / f"{batch}.json").write_text(json.dumps({"batch_id": batch, "annotations": rows}))
+    assert metascenes("annotate", "import", folder / f"{batch}.json", "--lake", lake.address).exit_code == 0
+
+
+def reviewed(lake: Lake, folder: Path, batch: str, name: str, day: int, verdict: str) -> None:
+    """Review a batch."""
+    one = review(review_id=name, reviewed_at=f"2026-04-{day:02d}T10:00:00Z", sampled=1, wrong=0, verdict=verdict)
+    file = write(folder / "r.json", one, batch_id=batch)
+    assert metascenes("annotate", "review", file, "--lake", lake.address).exit_code == 0
+
+
+def test_the_last_review_says_whether_a_batch_counts(tmp_path: Path) -> None:
+    lake = annotated(tmp_path / "lake")
+    imported(lake, tmp_path, "old", 1, {"instance_id": "0001"})
+    imported(lake, tmp_path, "new", 2, {"instance_id": "0001"}, {"instance_id": "0002"})
+
+    def standing() -> list[str]:
+        rows = standing_answers(lake.snapshot(), SCENE).to_pylist()
+        assert sorted(row["batch_id"] for row in lake.snapshot().arrow("annotations").to_pylist()) == ["new", "new", "old"], "history"
+        return sorted(row["batch_id"] for row in rows)
+
+    first = annotation_digests(lake)[SCENE]
+    assert standing() == ["new", "new", "old"]
+    reviewed(lake, tmp_path, "new", "r1", 3, "accepted")
+    assert (standing(), annotation_digests(lake)[SCENE]) == (["new", "new", "old"], first), "what is accepted changes nothing"
+    reviewed(lake, tmp_path, "new", "r2", 5, "returned")
+    assert (standing(), annotation_digests(lake)[SCENE] != first) == (["old"], True)
+    reviewed(lake, tmp_path, "new", "r3", 4, "accepted")
+    assert standing() == ["old"], "a review that was finished before the last one and comes later decides nothing"
+    reviewed(lake, tmp_path, "new", "r4", 6, "accepted")
+    assert (standing(), annotation_digests(lake)[SCENE]) == (["new", "new", "old"], first)
+    reviewed(lake, tmp_path, "old", "r1", 6, "returned")
+    reviewed(lake, tmp_path, "new", "r5", 7, "returned")
+    assert standing() == []
+    assert annotation_digests(lake) == {}, "as where nobody answered"
+
+
+def test_a_stage_reads_the_answers_that_its_fingerprint_names(tmp_path: Path) -> None:
+    lake = annotated(tmp_path / "lake")
+    imported(lake, tmp_path, "old", 1, {"instance_id": "0001"})
+    planned = lake.snapshot().snapshot_id
+    told = (f"annotations={annotation_digests(lake)[SCENE]}",)
+    job = Job(lake.address, SCENE, "optimization", None, "{}", 0, fingerprint(9), told, (), 1, snapshot_id=planned)
+    imported(lake, tmp_path, "new", 2, {"instance_id": "0001"})
+    assert [row.batch_id for row in history_rows(lake, "annotations", job)] == ["old"]
+    reviewed(lake, tmp_path, "new", "r1", 3, "returned")
+    assert [row.batch_id for row in history_rows(lake, "annotations", job)] == ["old"]
+    reviewed(lake, tmp_path, "old", "r1", 4, "returned")
+    with pytest.raises(RowsGone, match="changed while this stage was under way"):
+        history_rows(lake, "annotations", dataclasses.replace(job, snapshot_id=None))
+    later = dataclasses.replace(job, reasons=("annotations=",))
+    assert history_rows(lake, "annotations", later) == []
 
 
 def test_answers_older_than_the_column_seconds_read_as_not_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,12 @@ import psutil
 import pytest
 
 from flows.bench.flows.small_scenes import SETTINGS
+from schemas.annotation import Annotation
+from schemas.optimization import Placement
+from schemas.selection import Selection
 from tasks.pipeline import SCENE_STAGES, STAGES, upstream
+from tasks.transforms import flat, translation
+from tests.samples import fingerprint, sample, stage_run
 from tests.scans import OBJECTS, write_scan
 from warehouse.digest import digests
 from warehouse.lake import Lake
@@ -230,6 +235,54 @@ def test_an_annotation_redoes_its_scene_from_optimization_on(home: dict[str, str
     assert "batch.json" in refused.stderr
     assert "9999" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
+
+
+def test_no_answer_of_a_returned_batch_reaches_a_scene(home: dict[str, str], lake: Path, scans: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "lake"
+    shutil.copytree(lake, copy)
+    store = Lake.open(copy)
+    (scene, instance), *_ = store.snapshot().connect().execute(
+        "SELECT scene_id, instance_id FROM selections GROUP BY ALL HAVING count(*) > 3 ORDER BY ALL"
+    ).fetchall()  # fmt: skip
+    ranked = [row.asset_id for row in store.snapshot().rows(Selection, scene) if row.instance_id == instance]
+    file = tmp_path / "file.json"
+
+    def annotate(batch: str, day: int, choice: str) -> None:
+        answer = {"scene_id": scene, "instance_id": instance, "annotator": "ada", "answered_at": f"2026-01-{day:02d}T03:04:05Z"}
+        file.write_text(json.dumps({"batch_id": batch, "annotations": [answer | {"choice": choice}]}))
+        assert metascenes(home, "annotate", "import", file, "--lake", copy).returncode == 0
+
+    def review(batch: str, name: str, day: int, verdict: str) -> None:
+        said = {"review_id": name, "reviewer": "rita", "reviewed_at": f"2026-02-{day:02d}T03:04:05Z", "sampled": 1, "wrong": 1}
+        file.write_text(json.dumps({"batch_id": batch, "reviews": [said | {"verdict": verdict}]}))
+        assert metascenes(home, "annotate", "review", file, "--lake", copy).returncode == 0
+
+    def placed() -> tuple[str, str, str | None]:
+        """What stands there after a run, which had nothing to do but this scene from the optimization on."""
+        assert {key[0] for key in stale(copy, scans, home)} <= {scene}
+        done = run(home, scans, copy, "--scene", scene)
+        assert done.returncode == 0, done.stderr
+        assert stale(copy, scans, home) == {}
+        (row,) = [row for row in store.snapshot().rows(Placement, scene) if row.instance_id == instance]
+        told = [text for state in store.history({scene}).values() if state.done is not None for text in state.done.degradations]
+        assert not [text for text in told if "gone" in text], "an orphaned answer of a returned batch is nothing to mend"
+        return row.asset_id, row.origin, row.annotator
+
+    box = {"box_pose": flat(translation([40.0, 0.0, 0.0])), "box_size": (1.0, 1.0, 1.0)}
+    orphan = sample(Annotation, batch_id="gone", scene_id=scene, instance_id=instance, annotator="bob", choice=ranked[3], **box)
+    store.stage_rows(stage_run("gone", "annotation", fingerprint("gone")), {"annotations": [orphan]})
+    store.commit()
+    review("gone", "r1", 1, "returned")
+    annotate("older", 1, ranked[1])
+    annotate("newer", 2, ranked[2])
+    review("newer", "r1", 1, "accepted")
+    assert placed() == (ranked[2], "annotation", "ada")
+    review("newer", "r2", 2, "returned")
+    assert placed() == (ranked[1], "annotation", "ada"), "the accepted older batch"
+    review("older", "r1", 3, "returned")
+    assert placed() == (ranked[0], "selection", None), "as if nobody had answered"
+    review("newer", "r3", 4, "accepted")
+    assert placed() == (ranked[2], "annotation", "ada"), "reviewed again"
 
 
 def test_a_statement_that_writes_is_refused_in_one_line(home: dict[str, str], lake: Path, tmp_path: Path) -> None:

@@ -50,7 +50,8 @@ def import_batch(file: Path, dry_run: bool, address: str, as_json: bool) -> None
 def import_review(file: Path, dry_run: bool, address: str, as_json: bool) -> None:
     """Import reviews of an annotation batch that is in the lake; all of the file or nothing.
 
-    The view quality_history shows them. They change no scene: answers that were returned are given again in a new batch.
+    The view quality_history shows them. Where the last review of a batch returned it, none of its answers counts any more:
+    the next run makes its scenes again without them. They are given again in a new batch.
 
     Example: metascenes annotate review review.json --lake ./lake
     """

@@ -10,7 +10,7 @@ from schemas.annotation import Annotation
 
 
 def winning(annotations: Sequence[Annotation]) -> dict[str, Annotation]:
-    """The answer that counts for every instance of one scene, by instance id.
+    """The answer that counts for every instance of one scene, by instance id. Those of returned batches are not among `annotations`.
 
     1. Of each annotator, the answer from the newest batch counts, the others are history. A batch is as new as the
        annotator's latest answer in it.

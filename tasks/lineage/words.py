@@ -187,7 +187,11 @@ def _annotation(key: str, facts: Facts) -> list[str]:
     chose = f"chose asset {facts['choice'][:12]}" if facts["choice"] else "found that no candidate fits"
     where = f", placed at {point(facts['position_m'])} m" if facts["position_m"] else ""
     named = f"as instance {facts['instance_id']}, from {facts['source_file']}"
-    return [f"{facts['annotator']} in batch {facts['batch_id']} {chose}{where}", f"{named}, answered {moment(facts['answered_at'])}"]
+    returned = " (returned: it counts no more)" if facts.get("is_returned") else ""
+    return [
+        f"{facts['annotator']} in batch {facts['batch_id']}{returned} {chose}{where}",
+        f"{named}, answered {moment(facts['answered_at'])}",
+    ]
 
 
 def _candidate(key: str, facts: Facts) -> list[str]:

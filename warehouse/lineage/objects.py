@@ -187,7 +187,12 @@ def _annotated(walk: Walk, placement: Placement, node: str, depth: int) -> None:
     answers = walk.rows(Annotation, scene_id)
     same = [row for row in answers if row.annotator == placement.annotator and row.choice == placement.asset_id]
     # Instances are numbered anew when a scan is captured again: then who chose what is all that the placement says.
-    winner = max(same, key=lambda row: (row.instance_id == instance_id, row.answered_at, row.batch_id), default=None)
+    # An answer of a returned batch won only where the layout is older than the review.
+    winner = max(
+        same,
+        key=lambda row: (row.batch_id not in walk.returned, row.instance_id == instance_id, row.answered_at, row.batch_id),
+        default=None,
+    )
     if winner is None:
         key = f"{scene_id}/{instance_id} by {placement.annotator}"
         walk.line(depth, "chosen by", walk.missing(node, "annotation", key, "chosen by"))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from datetime import datetime
+from functools import cached_property
 from typing import Any, TypeVar
 
 from schemas.lineage import Edge, Lineage, Node, Place, Problem, RunFacts
 from schemas.record import table_of
 from schemas.runs import StageRun
 from warehouse.history import StageState, states
+from warehouse.reviews import returned_batches
 from warehouse.snapshot import Reader
 
 R = TypeVar("R")
@@ -35,6 +37,11 @@ class Walk:
         self._states: dict[str, dict[str, StageState]] = {}
         self._rows: dict[tuple[str, str], list[Any]] = {}
         self._stage_runs: dict[tuple[str, str], str | None] = {}
+
+    @cached_property
+    def returned(self) -> frozenset[str]:
+        """Annotation batches whose last review returned them."""
+        return returned_batches(self.reader)
 
     def rows(self, record_type: type[R], scene_id: str) -> list[R]:
         """Rows of a scene, sorted by key. That they are as many as their stage's run wrote is checked when they are first read."""

@@ -110,11 +110,14 @@ def scene_of_lake(lake: Lake, scene_id: str) -> BenchScene:
     from schemas.candidates import Asset
     from schemas.captions import Caption
     from schemas.capture import Instance, Room
+    from schemas.record import arrow_to_rows
     from schemas.selection import Selection
+    from warehouse.reviews import standing_answers
 
     reader = lake.snapshot()
-    records = {"instances": Instance, "captions": Caption, "rooms": Room, "selections": Selection, "annotations": Annotation}
+    records = {"instances": Instance, "captions": Caption, "rooms": Room, "selections": Selection}
     rows: dict[str, list[Any]] = {table: reader.rows(record, scene_id) for table, record in records.items()}
+    rows["annotations"] = arrow_to_rows(standing_answers(reader, scene_id), Annotation)
     named = {row.asset_id for row in rows["selections"]} | {row.choice for row in rows["annotations"] if row.choice}
     rows["assets"] = reader.rows_by_key(Asset, sorted(named))
     return BenchScene(scene_id, rows, lake.blobs)
