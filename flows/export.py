@@ -12,8 +12,10 @@ from pathlib import Path
 
 from flows.progress import Progress
 from flows.shipment import Shipment, attribution_page, remake_scenes, shipment
+from schemas.capture import Scene
 from schemas.errors import InputError
-from schemas.exports import FORMATS, ExportFile
+from schemas.exports import FORMATS, ExportCheck, ExportFile
+from schemas.licenses import OF_THE_SCAN
 from tasks.exports.findings import Finding
 from warehouse.lake import Lake
 from warehouse.licenses import Allowed
@@ -22,10 +24,26 @@ from warehouse.snapshot import Reader
 
 
 @dataclasses.dataclass(frozen=True)
+class Chosen:
+    """The rows of a snapshot to export, and in which formats.
+
+    `missing` says what of all that could be meant is not there: scenes without an export, or without one in a format that
+    others have, a line each. `absent` are formats of which there is nothing at all.
+    """
+
+    rows: tuple[ExportFile, ...]
+    formats: tuple[str, ...]
+    missing: tuple[str, ...]
+    absent: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
 class WrittenExports:
     """What was written: how many files, the root file and the package of every USD scene, and checks that did not pass.
 
-    `shipment` says what was left out because of its license; None when all licenses were allowed.
+    `shipment` says what was left out because of its license; None when all licenses were allowed. `missing` is what the
+    lake has not; `removed` are older exports that were taken away because it has nothing in their place; `emptied` are
+    formats of which nothing may be shipped.
     """
 
     files: int
@@ -33,17 +51,66 @@ class WrittenExports:
     findings: tuple[str, ...]
     usd_packages: tuple[Path, ...] = ()
     shipment: Shipment | None = None
+    missing: tuple[str, ...] = ()
+    removed: tuple[Path, ...] = ()
+    emptied: tuple[str, ...] = ()
 
     @property
     def failed_checks(self) -> int:
         """Rules that are broken by the folder as written."""
         return len(self.findings)
 
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why this is not the export that was asked for, a line each; empty where it is."""
+        return (*self.findings, *(f"{name}: the allowed licenses leave nothing of it" for name in self.emptied))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of it, a line each."""
+        return (*self.missing, *(f"{place}: an older export was removed: the lake has none in this format" for place in self.removed))
+
+
+def chosen_exports(lake: Lake, reader: Reader, formats: Sequence[str] = (), scenes: Sequence[str] = ()) -> Chosen:
+    """What of a snapshot is meant by formats and scenes. No format means all that the lake has, no scene the same.
+
+    Raises:
+        InputError: there is nothing of a format or a scene that is named, or nothing at all.
+    """
+    known = [row.scene_id for row in reader.rows(Scene)]
+    rows = [row for row in reader.rows(ExportFile) if not scenes or row.scene_id in scenes]
+    has: dict[str, set[str]] = {}
+    for row in rows:
+        has.setdefault(row.scene_id, set()).add(row.format)
+    there = {name for found in has.values() for name in found}
+    wanted = tuple(dict.fromkeys(formats)) or tuple(name for name in FORMATS if name in there)
+    for scene in sorted(set(scenes)):
+        lacks = [name for name in formats if name not in has.get(scene, ())] if has.get(scene) else [""]
+        if lacks:
+            what = f"no {lacks[0]} export".replace("  ", " ")
+            only = f"it has {', '.join(sorted(has[scene]))}; " if has.get(scene) else ""
+            raise InputError(lake.address, "export_files", f"{what} of {scene}", f"{only}see `metascenes status`")
+    for name in wanted:
+        if name not in there:
+            only = f"it has {', '.join(sorted(there))}; " if there else ""
+            remedy = f"{only}`exports.formats` says what a run makes"
+            raise InputError(lake.address, "export_files", f"the lake has no {name} export", remedy)
+    if not rows:
+        raise InputError(lake.address, "export_files", "the lake has no exports", "see `metascenes status`")
+    missing = []
+    for scene in sorted(set(scenes) or {*known, *has}):
+        lacks = [name for name in wanted if name not in has.get(scene, ())]
+        if lacks:
+            missing.append(f"{scene}: no {', '.join(lacks) if has.get(scene) else ''} export".replace("  ", " "))
+    absent = () if formats else tuple(name for name in FORMATS if name not in there)
+    missing += [f"{name}: the lake has no export in this format" for name in absent]
+    return Chosen(tuple(row for row in rows if row.format in wanted), wanted, tuple(missing), absent)
+
 
 def write_exports(
     lake: Lake,
     out: Path,
-    formats: Sequence[str] = FORMATS,
+    formats: Sequence[str] = (),
     scenes: Sequence[str] = (),
     snapshot_id: int | None = None,
     *,
@@ -54,9 +121,11 @@ def write_exports(
 ) -> WrittenExports:
     """Write `<out>/usd`, `<out>/habitat` and so on, each replaced as a whole, and check what was written.
 
-    Scenes whose checks in the lake did not pass are written all the same; the findings name them. Files are the lake's
-    blobs, byte for byte; only of a release every `scene.usda` says which one it is from. With `usdz`, `<out>/usd` has a
-    package of every scene beside its folder: tools edit the folder, and hand on the package. It is made here, since the
+    Without formats all are written that the lake has; of the others, what an older export left goes: it must not pass for
+    one of this lake. Scenes whose checks in the lake did not pass are written all the same; the findings name them. Files
+    are the lake's blobs, byte for byte; only of a release every `scene.usda` says which one it is from, and scenes whose
+    files name the license of a scan `LicenseRef-scan`, as older versions did, are made again. With `usdz`, `<out>/usd` has
+    a package of every scene beside its folder: tools edit the folder, and hand on the package. It is made here, since the
     lake would keep every byte of it twice.
 
     With `allowed`, scenes and objects whose licenses are not among these are left out: scenes without some of their
@@ -64,49 +133,87 @@ def write_exports(
     `ATTRIBUTION.md` whom to name.
 
     Raises:
-        InputError: a scene is not in the lake or has no export, there is no such release, packages are asked for without
-            USD, or `<out>/<format>` holds what no export wrote.
+        InputError: a scene or format that is named is not in the lake, or nothing is; there is no such release, packages
+            are asked for without USD, or `<out>/<format>` holds what no export wrote.
     """
     from tasks.exports.layout import layout, shared_files
 
     snapshot_id = snapshot_of(lake, release, snapshot_id)
-    if usdz and "usd" not in formats:
-        raise InputError("--usdz", "format", "asks for packages of USD scenes, which are not exported", "add --format usd")
     reader = lake.snapshot(snapshot_id)
-    rows = [row for row in reader.rows(ExportFile) if row.format in formats and (not scenes or row.scene_id in scenes)]
-    missing = sorted(set(scenes) - {row.scene_id for row in rows})
-    if missing:
-        raise InputError(lake.address, "export_files", f"no export of {missing[0]}", "see `metascenes status`")
-    for name in formats:
+    chosen = chosen_exports(lake, reader, formats, scenes)
+    if usdz and "usd" not in chosen.formats:
+        raise InputError("--usdz", "format", "asks for packages of USD scenes, which are not exported", "add --format usd")
+    for name in (*chosen.formats, *chosen.absent):
         _check_ours(out / name)
-    with _shipped(lake, reader, rows, formats, allowed, workers) as (rows, blobs, sent, pages):
-        placed = layout(rows)
-        shared = shared_files(rows, blobs)
-        for name in formats:
-            _write_format(out, name, placed, shared, blobs, pages, lambda making: _finish_usd(making, release, snapshot_id, usdz))
+    with _shipped(lake, reader, chosen, allowed, workers) as goods:
+        placed = layout(goods.rows)
+        shared = shared_files(goods.rows, goods.blobs)
+        for name in chosen.formats:
+            _write_format(
+                out, name, placed, shared, goods.blobs, goods.pages, lambda making: _finish_usd(making, release, snapshot_id, usdz)
+            )
+    removed = tuple(out / name for name in chosen.absent if (out / name / MARK).is_file())
+    for place in removed:
+        shutil.rmtree(place)
     usd = tuple(
-        sorted(out / "usd" / row.path for row in rows if row.format == "usd" and row.role == "scene" and row.path.endswith("scene.usda"))
+        sorted(
+            out / "usd" / row.path for row in goods.rows if row.format == "usd" and row.role == "scene" and row.path.endswith("scene.usda")
+        )
     )
     packages = tuple(path.parent.with_suffix(".usdz") for path in usd) if usdz else ()
-    present = {row.format for row in rows}  # nothing may be left of what was asked for
-    findings = tuple(_findings(out, [name for name in formats if name in present], (*usd, *packages)))
-    return WrittenExports(len(placed) + len(shared) + len(packages), usd, findings, packages, sent)
+    present = {row.format for row in goods.rows}  # nothing may be left of what was asked for
+    findings = [*_findings(out, [name for name in chosen.formats if name in present], (*usd, *packages)), *goods.incomplete]
+    emptied = tuple(name for name in chosen.formats if name not in present)
+    files = len(placed) + len(shared) + len(packages)
+    return WrittenExports(files, usd, tuple(findings), packages, goods.shipment, chosen.missing, removed, emptied)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Goods:
+    """What is written: rows, their blobs, what was left out, the pages that say so, and scenes that lack something."""
+
+    rows: list[ExportFile]
+    blobs: Mapping[str, bytes]
+    shipment: Shipment | None
+    pages: dict[str, str]
+    incomplete: list[str]
 
 
 @contextlib.contextmanager
-def _shipped(
-    lake: Lake, reader: Reader, rows: list[ExportFile], formats: Sequence[str], allowed: Allowed | None, workers: int
-) -> Iterator[tuple[list[ExportFile], Mapping[str, bytes], Shipment | None, dict[str, str]]]:  # fmt: skip
-    """Rows of what may be shipped, their blobs, what was left out, and the pages that say so."""
-    if allowed is None:
-        yield rows, lake.blobs, None, {}
+def _shipped(lake: Lake, reader: Reader, chosen: Chosen, allowed: Allowed | None, workers: int) -> Iterator[_Goods]:
+    """What of the chosen rows may be shipped, as it is or made again."""
+    rows, pages, sent = list(chosen.rows), {}, None
+    again: dict[str, frozenset[str] | None] = dict.fromkeys(_unresolved(lake, reader, rows))
+    if allowed is not None:
+        sent = shipment(reader, sorted({row.scene_id for row in rows}), allowed)
+        rows = [row for row in rows if row.scene_id in sent.scenes]
+        again = {scene: None for scene in again if scene in sent.scenes} | dict(sent.kept)
+        pages = {"LEFT_OUT.md": sent.page(allowed), "ATTRIBUTION.md": attribution_page(reader, sent)}
+    whole = {row.scene_id for row in rows} - again.keys()
+    rows = [row for row in rows if row.scene_id in whole]
+    lacking = [row for row in reader.rows(ExportCheck) if row.scene_id in whole]
+    if not again:
+        yield _Goods(rows, lake.blobs, sent, pages, _incomplete(lacking, chosen.formats))
         return
-    sent = shipment(reader, sorted({row.scene_id for row in rows}), allowed)
-    whole = set(sent.scenes) - sent.kept.keys()
-    pages = {"LEFT_OUT.md": sent.page(allowed), "ATTRIBUTION.md": attribution_page(reader, sent)}
-    with tempfile.TemporaryDirectory(prefix="metascenes-") as place, Progress("scenes made again", len(sent.kept)) as progress:
-        made = remake_scenes(lake, reader, sent, formats, Path(place), workers, progress.advance)
-        yield [*(row for row in rows if row.scene_id in whole), *made], _Blobs(Path(place), lake.blobs), sent, pages
+    with tempfile.TemporaryDirectory(prefix="metascenes-") as place, Progress("scenes made again", len(again)) as progress:
+        made, checks = remake_scenes(lake, reader, again, chosen.formats, Path(place), workers, progress.advance)
+        blobs = _Blobs(Path(place), lake.blobs)
+        yield _Goods([*rows, *made], blobs, sent, pages, _incomplete([*lacking, *checks], chosen.formats))
+
+
+def _unresolved(lake: Lake, reader: Reader, rows: Sequence[ExportFile]) -> list[str]:
+    """Scenes whose files say no more of an asset's license than that it is the scan's."""
+    with reader.connect() as connection:
+        cut = "SELECT DISTINCT scene_id FROM placements JOIN assets USING (asset_id) WHERE assets.license = ?"
+        scenes = {scene for (scene,) in connection.execute(cut, [OF_THE_SCAN]).fetchall()}
+    files = [row for row in rows if row.scene_id in scenes and row.role == "scene"]
+    return sorted({row.scene_id for row in files if OF_THE_SCAN.encode() in lake.blobs[row.file_blob]})
+
+
+def _incomplete(checks: Sequence[ExportCheck], formats: Sequence[str]) -> list[str]:
+    """Scenes that lack objects, a line each: no file that is there says so."""
+    found = [row for row in checks if row.rule == "complete" and row.format in formats and not row.passed]
+    return [f"{row.scene_id}: {row.format}: {row.rule}: {row.message}" for row in sorted(found, key=lambda row: (row.scene_id, row.format))]
 
 
 class _Blobs(Mapping[str, bytes]):

@@ -39,7 +39,7 @@ def _name() -> str:
 def export(
     lake: Address,
     out: Address,
-    formats: list[Format] = ["usd", "habitat", "mjcf", "urdf", "glb"],  # noqa: B006
+    formats: list[Format] = [],  # noqa: B006
     scenes: list[str] = [],  # noqa: B006
     snapshot: int | None = None,
     release: str | None = None,
@@ -49,12 +49,12 @@ def export(
 ) -> Any:
     """Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder, and check what was written.
 
-    The run fails when a check does.
+    The run fails when a check does, and where the allowed licenses leave nothing of a format.
 
     Args:
         lake: Address of the lake: a folder or s3://bucket/prefix.
         out: Folder to write into, on the machine that runs the flow.
-        formats: Formats to write.
+        formats: Formats to write; all that the lake has by default.
         scenes: Only these scenes, by id.
         snapshot: Snapshot to export; the newest by default.
         release: Release to export, instead of a snapshot.
@@ -77,9 +77,9 @@ def export(
     left_out = list(summary(written.shipment)) if written.shipment is not None else []
     text = f"{written.files} files below {place}; {written.failed_checks} checks failed"
     run_log(text)
-    for line in (*left_out, *written.findings[:SHOWN]):
+    for line in (*left_out, *written.notes[:SHOWN], *written.problems[:SHOWN]):
         run_log(line, warning=True)
     create_link_artifact(
         link=place.resolve().as_uri(), link_text=place.name, key=artifact_key("export", lake), description="\n\n".join([text, *left_out])
     )
-    return Failed(message=f"{text}: {written.findings[0]}") if written.findings else Completed(message=text)
+    return Failed(message=f"{text}: {written.problems[0]}") if written.problems else Completed(message=text)

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from schemas.capture import Instance
-from schemas.exports import ExportFile
+from schemas.exports import ExportCheck, ExportFile
+from schemas.licenses import UNKNOWN, of_asset, scan_of, stated
 from schemas.navigation import Episode
 from schemas.optimization import Placement, Support
 from warehouse.lake import Lake
-from warehouse.licenses import UNKNOWN, Allowed, is_unknown, of_asset
+from warehouse.licenses import Allowed, with_licenses_of_scans
 from warehouse.release.attribution import attribution_of_rows, cell
 from warehouse.snapshot import Reader
 
@@ -77,9 +78,10 @@ def shipment(reader: Reader, scenes: Sequence[str], allowed: Allowed) -> Shipmen
     """What of some scenes may be shipped under the allowed licenses."""
     scans = scan_licenses(reader)
     left_out = [
-        LeftOut(scene, None, f"scan of {scans[scene][0]}", _shown(scans[scene][1]), "the license of its scan is not allowed")
+        LeftOut(scene, None, f"scan of {dataset}", stated(license_), "the license of its scan is not allowed")
         for scene in scenes
-        if scene in scans and not allowed.permits(scans[scene][1])
+        for dataset, license_ in [scans.get(scene, (UNKNOWN, None))]
+        if not allowed.permits(license_)
     ]
     refused = {one.scene_id for one in left_out}
     open_scenes = [scene for scene in scenes if scene not in refused]
@@ -125,7 +127,7 @@ def attribution_page(reader: Reader, sent: Shipment) -> str:
                 if scene in shipped and (scene not in sent.kept or instance in sent.kept[scene])
             ]
     # Assets that were cut from another scan have its license, but it is no scan of this export.
-    sources = {source.removeprefix("scan ") for _, _, _, _, source, _ in placed}
+    sources = {scan_of(source) for _, _, _, _, source, _ in placed}
     licenses = {scene: scans[scene][1] for scene in {*sent.scenes, *sources} if scene in scans}
     held = [
         (scene, asset, of_asset(license_, source, licenses), author, source, provider)
@@ -135,29 +137,37 @@ def attribution_page(reader: Reader, sent: Shipment) -> str:
 
 
 def remake_scenes(
-    lake: Lake, reader: Reader, sent: Shipment, formats: Sequence[str], folder: Path, workers: int, advance: Callable[[str], None]
-) -> list[ExportFile]:
-    """Make the scenes again of which only some objects are kept; their rows. Files lie in `folder`, named as blobs are."""
-    arguments = [(lake.address, reader.snapshot_id, scene, sent.kept[scene], tuple(formats), folder) for scene in sorted(sent.kept)]
-    rows: list[ExportFile] = []
+    lake: Lake,
+    reader: Reader,
+    scenes: Mapping[str, frozenset[str] | None],
+    formats: Sequence[str],
+    folder: Path,
+    workers: int,
+    advance: Callable[[str], None],
+) -> tuple[list[ExportFile], list[ExportCheck]]:
+    """Make scenes again; their rows. `scenes`: the objects that each keeps, None for all. Files lie in `folder`, named as blobs are."""
+    arguments = [(lake.address, reader.snapshot_id, scene, scenes[scene], tuple(formats), folder) for scene in sorted(scenes)]
+    files: list[ExportFile] = []
+    checks: list[ExportCheck] = []
     if workers <= 1 or len(arguments) <= 1:
         for one in arguments:
-            rows += remake_scene(*one)
+            made = remake_scene(*one)
+            files, checks = files + made[0], checks + made[1]
             advance(one[2])
-        return rows
+        return files, checks
     from flows.pool import WorkerPool
 
     with WorkerPool(min(workers, len(arguments))) as pool, ThreadPoolExecutor(min(workers, len(arguments))) as threads:
         for one, made in zip(arguments, threads.map(lambda given: pool.call(remake_scene, *given), arguments), strict=True):
-            rows += made
+            files, checks = files + made[0], checks + made[1]
             advance(one[2])
-    return rows
+    return files, checks
 
 
 def remake_scene(
-    address: str, snapshot_id: int, scene_id: str, kept: frozenset[str], formats: tuple[str, ...], folder: Path
-) -> list[ExportFile]:
-    """Export a scene of a snapshot with some of its objects, as the lake's own export was configured. Runs in a worker.
+    address: str, snapshot_id: int, scene_id: str, kept: frozenset[str] | None, formats: tuple[str, ...], folder: Path
+) -> tuple[list[ExportFile], list[ExportCheck]]:
+    """Export a scene of a snapshot with some of its objects, None for all, as the lake's own export was configured. Runs in a worker.
 
     Raises:
         LakeError: rows or blobs that the export needs cannot be read.
@@ -173,9 +183,11 @@ def remake_scene(
     rows: dict[str, list[Any]] = {
         table: reader.rows(TABLES[table].record, scene_id) for table in exports.STAGE.reads if table != "assets"
     }  # fmt: skip
-    rows["placements"] = [row for row in rows["placements"] if row.instance_id in kept]
-    rows["episodes"] = [row for row in rows["episodes"] if row.instance_id in kept]
-    rows["assets"] = reader.rows_by_key(Asset, sorted({row.asset_id for row in rows["placements"]}))
+    if kept is not None:
+        rows["placements"] = [row for row in rows["placements"] if row.instance_id in kept]
+        rows["episodes"] = [row for row in rows["episodes"] if row.instance_id in kept]
+    assets = reader.rows_by_key(Asset, sorted({row.asset_id for row in rows["placements"]}))
+    rows["assets"] = with_licenses_of_scans(assets, lambda: reader, scene_id)
     config, seed = _told(reader, scene_id)
     config = dataclasses.replace(config, formats=tuple(name for name in config.formats if name in formats))
     context = Context(scene_id=scene_id, stage="exports", seed=seed, blobs=lake.blobs, caches=ModuleCaches())
@@ -183,7 +195,7 @@ def remake_scene(
     made: list[ExportFile] = outcome.rows["export_files"]
     for row in made:
         (folder / row.file_blob).write_bytes(outcome.blobs[row.file_blob])
-    return made
+    return made, outcome.rows["export_checks"]
 
 
 def _told(reader: Reader, scene_id: str) -> tuple[Any, int]:
@@ -250,10 +262,6 @@ def _with_what_they_carry(reader: Reader, scene: str, barred: Mapping[str, tuple
                 found[child] = LeftOut(scene, child, categories.get(child, UNKNOWN), "", f"stood on or in {parent}, which is left out")
                 waiting.append(child)
     return list(found.values()), placed
-
-
-def _shown(license_: str | None) -> str:
-    return UNKNOWN if license_ is None or is_unknown(license_) else license_
 
 
 def summary(sent: Shipment) -> list[str]:

@@ -13,25 +13,33 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from flows.fingerprints import ModuleCaches
+import pyarrow as pa
+
+from flows.fingerprints import ModuleCaches, annotations_digest
 from flows.pool import spread_over
 from schemas.errors import InputError, LakeError, RecordError
-from schemas.record import check
+from schemas.record import arrow_to_rows, check
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from schemas.text import one_line
 from tasks.stage import Context, Outcome, Stage
 from warehouse.lake import Lake
+from warehouse.licenses import with_licenses_of_scans
+from warehouse.reviews import standing_answers
+from warehouse.snapshot import Reader
 
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """One stage to run on one scene (or batch). Travels to a worker process, which may use `processes` of its own."""
+    """One stage to run on one scene (or batch). Travels to a worker process, which may use `processes` of its own.
+
+    `snapshot_id` is the snapshot that it was planned from; None is the newest.
+    """
 
     lake: str
     scene_id: str
@@ -45,6 +53,7 @@ class Job:
     attempt: int
     outside: tuple[tuple[str, Any], ...] = ()
     processes: int = 1
+    snapshot_id: int | None = None
 
 
 Spread = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
@@ -129,9 +138,11 @@ def _run(stage: Stage, job: Job, lake: Lake, spread: Spread) -> Outcome:
     for table in stage.reads:
         if table in inputs:  # a batch brings the rows of the scenes that it names
             continue
-        inputs[table] = _rows(lake, table, job.scene_id, None if table in stage.history else fingerprints.get(TABLES[table].stage))
+        inputs[table] = _rows(lake, table, job.scene_id, fingerprints.get(TABLES[table].stage))
     for table in stage.history:
-        inputs[table] = _rows(lake, table, job.scene_id, None)
+        inputs[table] = history_rows(lake, table, job)
+    if "assets" in inputs:
+        inputs["assets"] = with_licenses_of_scans(inputs["assets"], lake.snapshot, job.scene_id)
     context = Context(scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches(), spread=spread)
     outcome = stage.run(**inputs, context=context, config=job.config)
     if set(outcome.rows) != set(stage.writes):
@@ -162,6 +173,29 @@ def _check_owner(table: str, rows: list[Any], job: Job) -> None:
 
 class RowsGone(LakeError):
     """Rows that a stage reads are neither staged nor in the lake any more: another run replaced them meanwhile."""
+
+
+def history_rows(lake: Lake, table: str, job: Job) -> list[Any]:
+    """Rows of a history that count: those that the job's fingerprint names, also where more came in since it was planned.
+
+    Else rows would pass for those of a state that they were not made from, and never be made again.
+
+    Raises:
+        RowsGone: the lake has no state any more in which it was as it was planned.
+    """
+    planned = next((part.partition("=")[2] for part in job.reasons if part.startswith(f"{table}=")), None)
+    for snapshot_id in (None, job.snapshot_id):
+        try:
+            rows = HISTORIES[table](lake.snapshot(snapshot_id), job.scene_id)
+        except InputError:  # removed since
+            continue
+        if planned is None or annotations_digest(rows.to_pylist()) == planned:
+            return list(arrow_to_rows(rows, TABLES[table].record))
+    raise RowsGone(f"{job.scene_id}: {table}: they changed while this stage was under way; run again")
+
+
+HISTORIES: Mapping[str, Callable[[Reader, str | None], pa.Table]] = {"annotations": standing_answers}
+"""How the rows of each history that count are read."""
 
 
 def _rows(lake: Lake, table: str, scene_id: str, fingerprint: str | None) -> list[Any]:

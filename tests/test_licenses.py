@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
-from warehouse.licenses import OF_THE_SCAN, UNKNOWN, Allowed, duties, is_unknown, of_asset
+from schemas.licenses import OF_THE_SCAN, UNKNOWN, is_unknown, of_asset
+from warehouse.licenses import Allowed, duties
 
 NAMES = ("CC0-1.0", "CC-BY-4.0", "CC-BY-NC-4.0", "MIT", "MIT-0", "ScanNet Terms of Use, see the site")
 

@@ -7,22 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from schemas.candidates import Asset
 from schemas.errors import InputError
 from schemas.files import read_file
-
-MAX_LIST_BYTES = 2**20
-"""Some ten thousand licenses; SPDX knows seven hundred."""
-
-UNKNOWN = "unknown"
-"""What stands for a license that nobody stated."""
-
-OF_THE_SCAN = "LicenseRef-scan"
-"""The license of assets that were cut from a scan: the scan's own."""
-
-_UNSTATED = frozenset({"", "unknown", "not stated", "noassertion", "none"})
+from schemas.licenses import OF_THE_SCAN, is_unknown, of_asset, scan_of
+from warehouse.snapshot import Reader
 
 # Nothing needs to be named or added, at most thanks are due.
 _FREE = re.compile(r"cc0-1\.0|mit-0|0bsd|unlicense|pddl-1\.0|cc-pddc|wtfpl|public domain", re.IGNORECASE)
@@ -123,17 +116,20 @@ class Allowed:
         return False
 
 
-def is_unknown(license_: str | None) -> bool:
-    """Whether nobody stated the license."""
-    return license_ is None or license_.strip().lower() in _UNSTATED
+def with_licenses_of_scans(assets: Sequence[Asset], snapshot: Callable[[], Reader], scene_id: str) -> list[Asset]:
+    """A scene's assets, those that were cut from other scans with the license of these, as `snapshot` has it.
 
-
-def of_asset(license_: str, source: str, scans: Mapping[str, str | None]) -> str:
-    """The license that holds for an asset: that of its scan where it was cut from one. `scans`: license by scene."""
-    if license_ != OF_THE_SCAN:
-        return UNKNOWN if is_unknown(license_) else license_
-    found = scans.get(source.removeprefix("scan "))
-    return UNKNOWN if found is None or is_unknown(found) else found
+    The scene's own scan is left to whoever has its row: it may not be in a snapshot yet.
+    """
+    sources = {scan_of(asset.source) for asset in assets if asset.license == OF_THE_SCAN} - {scene_id}
+    if not sources:
+        return list(assets)
+    rows = snapshot().matching("scenes", {"scene_id": sources}, ["license"]).to_pylist()
+    scans = {row["scene_id"]: row["license"] for row in rows}
+    return [
+        asset if scan_of(asset.source) == scene_id else replace(asset, license=of_asset(asset.license, asset.source, scans))
+        for asset in assets
+    ]
 
 
 def duties(license_: str | None) -> str:

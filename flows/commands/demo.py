@@ -28,7 +28,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     from flows.configuration import configure
     from flows.demo import make_scans
     from flows.evaluation import run_policy
-    from flows.export import write_exports
+    from flows.export import WrittenExports, write_exports
     from flows.plan import make_plan
     from flows.stats import stage_table, write_report
     from tasks.capture.formats import find_scans
@@ -46,7 +46,8 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     replicated = time.perf_counter() - clock - scanned
     policies = POLICIES if lake.snapshot().arrow("episodes").num_rows else ()
     unmeasured = [line for policy in policies for line in run_policy(lake, policy, configuration).failed]
-    written = write_exports(lake, out)
+    has_exports = lake.snapshot().arrow("export_files").num_rows > 0  # else the run says what failed
+    written = write_exports(lake, out) if has_exports else WrittenExports(0, (), ())
     page = write_report(lake, out / "report.html").path
     places = {
         "raw scans": out / "scans",
@@ -73,7 +74,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
             print(f"{'open in usdview':<16} {scene}")
         print(f'{"ask the lake":<16} metascenes sql --lake {out / "lake"} "SELECT * FROM objects_per_scene"')
     tell(report)
-    for line in unmeasured:
+    for line in (*written.problems, *unmeasured):
         click.echo(f"failed: {line}", err=True)
-    if report.failures or written.failed_checks or unmeasured:
+    if report.failures or written.problems or unmeasured:
         raise click.exceptions.Exit(1)

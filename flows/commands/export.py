@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options, workers_option
 from schemas.exports import FORMATS
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warehouse.lake import Lake
+    from warehouse.licenses import Allowed
+    from warehouse.snapshot import Reader
+
 
 @click.command("export", short_help="Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.")
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write into.")
-@click.option("--format", "formats", multiple=True, type=click.Choice(FORMATS), help="Format; all by default; may be repeated.")
+@click.option(
+    "--format", "formats", multiple=True, type=click.Choice(FORMATS), help="Format; all that the lake has by default; may be repeated."
+)
 @click.option("--scene", "scenes", multiple=True, metavar="SCENE_ID", help="Scene; all by default; may be repeated.")
 @snapshot_options
 @click.option(
@@ -41,35 +51,26 @@ def command(
     scenes are made again without them and checked again. What has no known license passes only where `unknown` is
     allowed. What was left out is printed, and written to LEFT_OUT.md beside ATTRIBUTION.md in every format's folder.
 
-    Exit code 1 says that a check did not pass; each is named.
+    Exit code 1 says that a check did not pass, or that the allowed licenses leave nothing of a format; each is named. A format
+    or a scene that is named and not in the lake is misuse: nothing is written.
 
     Example: metascenes export --lake ./lake --out ./replicas --release v1 --license-allow CC0-1.0 --license-allow MIT-0
     """
     from flows.export import write_exports
-    from flows.shipment import shipment, summary
-    from schemas.exports import ExportFile
+    from flows.shipment import summary
     from warehouse.licenses import Allowed
 
     lake = existing_lake(address)
-    chosen = formats or FORMATS
     allowed = Allowed.parse(licenses) if licenses else None
     if dry_run:
-        reader = lake.snapshot(chosen_snapshot(lake, snapshot_id, release))
-        rows = [row for row in reader.rows(ExportFile) if row.format in chosen and (not scenes or row.scene_id in scenes)]
-        sent = shipment(reader, sorted({row.scene_id for row in rows}), allowed) if allowed is not None else None
-        count = sum(sent is None or row.scene_id in sent.scenes for row in rows)
-        if as_json:
-            print(json.dumps({"files": count} | ({"left_out": sent.told()} if sent is not None else {})))
-            return
-        print(f"{'at most ' if sent is not None and sent.kept else ''}{count} files would be written below {out}")
-        for line in summary(sent) if sent is not None else ():
-            print(line)
+        _plan(lake, lake.snapshot(chosen_snapshot(lake, snapshot_id, release)), out, formats, scenes, allowed, as_json)
         return
-    written = write_exports(lake, out, chosen, scenes, snapshot_id, release=release, usdz=usdz, allowed=allowed, workers=workers)
+    written = write_exports(lake, out, formats, scenes, snapshot_id, release=release, usdz=usdz, allowed=allowed, workers=workers)
     if as_json:
         packages = [str(path) for path in written.usd_packages]
         scenes_written = [str(path) for path in written.usd_scenes]
         said = {"files": written.files, "usd_scenes": scenes_written, "usd_packages": packages, "findings": written.findings}
+        said |= {"notes": written.notes, "emptied": written.emptied}
         print(json.dumps(said | ({"left_out": written.shipment.told()} if written.shipment is not None else {})))
     else:
         print(f"{written.files} files below {out}; {written.failed_checks} checks failed")
@@ -77,7 +78,41 @@ def command(
             print(scene)
         for line in summary(written.shipment) if written.shipment is not None else ():
             print(line)
-    for line in written.findings:
+    _tell(() if as_json else written.notes, written.problems)
+
+
+def _plan(
+    lake: Lake, reader: Reader, out: Path, formats: tuple[str, ...], scenes: tuple[str, ...], allowed: Allowed | None, as_json: bool
+) -> None:
+    """Say what would be written."""
+    from flows.export import chosen_exports
+    from flows.shipment import shipment, summary
+
+    chosen = chosen_exports(lake, reader, formats, scenes)
+    sent = shipment(reader, sorted({row.scene_id for row in chosen.rows}), allowed) if allowed is not None else None
+    rows = [row for row in chosen.rows if sent is None or row.scene_id in sent.scenes]
+    emptied = [name for name in chosen.formats if name not in {row.format for row in rows}]
+    if as_json:
+        said = {"files": len(rows), "notes": chosen.missing, "emptied": emptied}
+        print(json.dumps(said | ({"left_out": sent.told()} if sent is not None else {})))
+    else:
+        print(f"{'at most ' if sent is not None and sent.kept else ''}{len(rows)} files would be written below {out}")
+        for line in summary(sent) if sent is not None else ():
+            print(line)
+    _tell(() if as_json else chosen.missing, [f"{name}: the allowed licenses leave nothing of it" for name in emptied])
+
+
+SHOWN = 20
+"""Notes that are printed; the others are counted."""
+
+
+def _tell(notes: Sequence[str], problems: Sequence[str]) -> None:
+    """Say on standard error what is not as was asked; where that is more than a note, end with exit code 1."""
+    for line in notes[:SHOWN]:
+        click.echo(f"note: {line}", err=True)
+    if len(notes) > SHOWN:
+        click.echo(f"note: and {len(notes) - SHOWN} more of this kind", err=True)
+    for line in problems:
         click.echo(f"failed: {line}", err=True)
-    if written.findings:
+    if problems:
         raise click.exceptions.Exit(1)

@@ -15,6 +15,7 @@ from schemas.candidates import Asset
 from schemas.captions import Caption
 from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError
+from schemas.licenses import of_asset, stated
 from schemas.optimization import Placement, Support
 from tasks.exports.config import ExportsConfig
 from tasks.mass import MassProperties
@@ -117,13 +118,16 @@ def gather(
 ) -> tuple[Replica, list[str]]:  # fmt: skip
     """The replica of one scene, and what had to be left out of it. `cache` remembers convex pieces between runs.
 
+    Assets have the license that holds for them: what was cut from the scene's own scan has that of the scan.
+
     Raises:
         InputError: the scene has no room.
     """
     if len(rooms) != 1:
         raise InputError("rooms", "scene_id", f"{len(rooms)} rooms for one scene", "run capture on the scene again")
     room = rooms[0]
-    by_asset = {asset.asset_id: asset for asset in assets}
+    scans = {scene.scene_id: scene.license for scene in scenes}
+    by_asset = {asset.asset_id: licensed(asset, scans) for asset in assets}
     by_instance = {instance.instance_id: instance for instance in instances}
     by_caption = {caption.instance_id: caption for caption in captions}
     fixed = {support.instance_id for support in supports if support.is_fixed}
@@ -144,8 +148,12 @@ def gather(
             missed.append(f"{placement.instance_id}: no caption; mass from a density of {config.default_density_kg_m3:g} kg/m3")
         is_fixed = placement.instance_id in fixed
         bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, is_fixed, config))
-    license_ = next((scene.license for scene in scenes if scene.license), None) or "unknown"
-    return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), license_), missed
+    return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), stated(scans.get(room.scene_id))), missed
+
+
+def licensed(asset: Asset, scans: Mapping[str, str | None]) -> Asset:
+    """An asset with the license that holds for it. `scans`: license by scene."""
+    return dataclasses.replace(asset, license=of_asset(asset.license, asset.source, scans))
 
 
 def _shape(

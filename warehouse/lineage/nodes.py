@@ -9,6 +9,7 @@ from schemas.annotation import Annotation
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene
 from schemas.exports import ExportCheck, ExportFile
+from schemas.licenses import OF_THE_SCAN, of_asset, scan_of
 from schemas.lineage import Place
 from schemas.optimization import Contact, Placement
 from warehouse.lineage.walk import Walk, picked, position
@@ -77,6 +78,9 @@ def add_asset(walk: Walk, asset: Asset) -> str:
         asset, "provider", "name", "category", "source", "license", "author", "extents", "volume_m3", "is_watertight", "face_count",
         "mesh_blob", "pieces_blob",
     )  # fmt: skip
+    if asset.license == OF_THE_SCAN:
+        scans = {scene.scene_id: scene.license for scene in walk.rows(Scene, scan_of(asset.source))}
+        facts["license"] = of_asset(asset.license, asset.source, scans)
     node = walk.node("asset", asset.asset_id, facts)
     walk.check_blobs(node, (asset.mesh_blob, asset.pieces_blob))
     return node
@@ -171,6 +175,7 @@ def add_annotation(walk: Walk, row: Annotation, depth: int, role: str) -> str:
     """An answer with the run that took its batch in; the id of its node."""
     names = ("batch_id", "annotator", "answered_at", "choice", "instance_id", "source_file")
     facts = picked(row, *names) | {"position_m": position(row.pose), "ranked": len(row.ranking)}
+    facts["is_returned"] = row.batch_id in walk.returned
     node = walk.node("annotation", answer_key(row), facts, walk.run(row.batch_id, "annotation"))
     walk.line(depth, role, node)
     if row.choice is not None:

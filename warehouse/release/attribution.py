@@ -7,7 +7,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from warehouse.licenses import UNKNOWN, duties, is_unknown, of_asset
+from schemas.licenses import UNKNOWN, is_unknown, of_asset, stated
+from warehouse.licenses import duties
 
 if TYPE_CHECKING:
     import duckdb
@@ -86,10 +87,7 @@ def _source(source: str, datasets: Iterable[str]) -> str:
 
 
 def _attribution(scans: Sequence[tuple[str, str, int]], assets: Sequence[tuple[str, str, str, int, int]]) -> Attribution:
-    made = [
-        Credit(UNKNOWN if is_unknown(license_) else license_, UNKNOWN, f"dataset {dataset}", count, count)
-        for license_, dataset, count in scans
-    ]
+    made = [Credit(stated(license_), UNKNOWN, f"dataset {dataset}", count, count) for license_, dataset, count in scans]
     # Assets that were cut from scans are many sources; their credit is the dataset's.
     summed: dict[tuple[str, str, str], Counter[str]] = {}
     for license_, author, source, items, scenes in assets:

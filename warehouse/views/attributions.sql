@@ -1,13 +1,13 @@
 -- Whom do the placed assets come from, and under which license?
--- Version 1.
--- LicenseRef-scan stands for the license of the scan that an asset was cut from (assets.source).
+-- Version 2.
+-- What was cut from a scan has its license (view asset_licenses).
 WITH used AS (
     SELECT asset_id, count(*) AS uses
     FROM placements
     GROUP BY asset_id
 )
 SELECT
-    assets.license,
+    held.license,
     coalesce(assets.author, 'unknown') AS author,
     assets.provider,
     assets.source,
@@ -15,5 +15,6 @@ SELECT
     CAST(sum(used.uses) AS BIGINT) AS uses
 FROM used
 JOIN assets USING (asset_id)
+JOIN asset_licenses AS held USING (asset_id)
 GROUP BY ALL
-ORDER BY assets.license, author, assets.provider, assets.source
+ORDER BY held.license, author, assets.provider, assets.source

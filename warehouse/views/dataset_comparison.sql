@@ -1,9 +1,10 @@
 -- How do the datasets of the lake compare: scenes, objects, categories, sizes, licenses, stability?
--- Version 1.
+-- Version 2.
 -- A finished dataset that was imported (formats metascenes and habitat) has no scans of its own here; what it does not state is missing.
 -- Stability is MuJoCo's verdict on the objects that are free to move; known_share is that of objects whose label the label map has. The
 -- dataset is the first word of scene_id: joining tables of millions of rows with scenes takes twice as long. categories counts those that
--- the label map has, assets those that are placed; LicenseRef-scan is the license of the scan.
+-- the label map has, assets those that are placed; licenses are those of scans and of placed assets (view
+-- asset_licenses), unknown where nobody stated one.
 WITH counted AS (
     SELECT
         split_part(scene_id, '/', 1) AS dataset,
@@ -27,7 +28,7 @@ scanned AS (
         list_sort(list(DISTINCT scenes.scan_format)) AS formats,
         count(*) AS scenes,
         count(DISTINCT scenes.room_id) AS rooms,
-        list_sort(list(DISTINCT coalesce(scenes.license, 'not stated'))) AS licenses,
+        list_sort(list(DISTINCT stated_license(scenes.license))) AS licenses,
         quantile_cont(rooms.floor_area_m2, 0.5) AS median_floor_area_m2,
         quantile_cont(coalesce(per_scene.objects, 0), 0.5) AS median_objects_per_scene
     FROM scenes
@@ -51,10 +52,11 @@ placed AS (
         count(*) AS assets,
         CAST(sum(used.uses) AS BIGINT) AS placed_objects,
         sum(used.moved_m) / nullif(sum(used.moves), 0) AS mean_displacement_m,
-        list_sort(list(DISTINCT assets.license)) AS licenses,
+        list_sort(list(DISTINCT held.license)) AS licenses,
         quantile_cont(assets.volume_m3, 0.5) AS median_asset_volume_m3
     FROM used
     JOIN assets USING (asset_id)
+    JOIN asset_licenses AS held USING (asset_id)
     GROUP BY used.dataset
 ),
 certified AS (

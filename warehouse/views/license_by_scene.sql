@@ -1,12 +1,12 @@
 -- Under which licenses are the scan and the placed assets of each scene?
--- Version 1.
+-- Version 2.
 -- Asked of a release, it says under which licenses the release is. items counts different assets, uses the objects that they stand for. In
--- no order: there may be hundreds of thousands. LicenseRef-scan stands for the license of the scan that an asset was cut from
--- (assets.source).
+-- no order: there may be hundreds of thousands. What was cut from a scan has its license (view asset_licenses); unknown is what nobody
+-- stated.
 SELECT
     scene_id,
     'scan' AS material,
-    coalesce(license, 'not stated') AS license,
+    stated_license(license) AS license,
     CAST(1 AS BIGINT) AS items,
     CAST(1 AS BIGINT) AS uses
 FROM scenes
@@ -14,7 +14,7 @@ UNION ALL
 SELECT
     used.scene_id,
     'asset' AS material,
-    assets.license,
+    held.license,
     count(*) AS items,
     CAST(sum(used.uses) AS BIGINT) AS uses
 FROM (
@@ -22,5 +22,5 @@ FROM (
     FROM placements
     GROUP BY scene_id, asset_id
 ) AS used
-JOIN assets USING (asset_id)
-GROUP BY used.scene_id, assets.license
+JOIN asset_licenses AS held USING (asset_id)
+GROUP BY used.scene_id, held.license

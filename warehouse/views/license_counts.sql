@@ -1,10 +1,10 @@
 -- Under which licenses are the scans and the placed assets?
--- Version 1.
+-- Version 2.
 -- items counts different scans or assets, uses the objects that they stand for; the view license_by_scene says it by scene.
--- LicenseRef-scan stands for the license of the scan that an asset was cut from (assets.source).
+-- What was cut from a scan has its license (view asset_licenses); unknown is what nobody stated.
 WITH placed AS MATERIALIZED (
     SELECT asset_id, license
-    FROM assets
+    FROM asset_licenses
     SEMI JOIN placements USING (asset_id)
 ),
 by_scene AS (
@@ -15,7 +15,7 @@ by_scene AS (
 )
 SELECT
     'scan' AS material,
-    coalesce(license, 'not stated') AS license,
+    stated_license(license) AS license,
     count(*) AS items,
     count(*) AS uses,
     count(*) AS scenes

@@ -1,6 +1,6 @@
 -- What is each object of a scene, what stands for it, and how far was that moved?
--- Version 1.
--- 'settled' is what MuJoCo says of the optimized pose.
+-- Version 2.
+-- 'settled' is what MuJoCo says of the optimized pose. What was cut from a scan has its license (view asset_licenses).
 SELECT
     instances.scene_id,
     instances.instance_id,
@@ -11,7 +11,7 @@ SELECT
     captions.mass_kg,
     assets.provider,
     assets.name AS asset_name,
-    assets.license,
+    held.license,
     placements.origin,
     selections.score,
     selections.chamfer_m,
@@ -27,6 +27,7 @@ FROM instances
 LEFT JOIN captions USING (scene_id, instance_id)
 LEFT JOIN placements USING (scene_id, instance_id)
 LEFT JOIN assets ON assets.asset_id = placements.asset_id
+LEFT JOIN asset_licenses AS held ON held.asset_id = placements.asset_id
 LEFT JOIN (
     SELECT scene_id, instance_id, asset_id, score, chamfer_m
     FROM selections
