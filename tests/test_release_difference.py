@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from flows.cli import cli
 from schemas.captions import Caption
-from schemas.capture import Room, Scene
+from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError
 from schemas.record import Table
 from schemas.tables import TABLES
@@ -51,6 +51,12 @@ def compared(before: Reader, after: Reader) -> tuple[dict[str, tuple[int, int, i
         named[what] = {
             kind: sorted(name for name, seen in about[what].items() if (table_name, kind) in seen) for kind in ("added", "removed")
         }
+        if what == "objects":  # walls, floors and ceilings are none; what was one of them and is a thing now was added
+            rows = [{f"{r.scene_id}/{r.instance_id}": r.is_structure for r in side.rows(Instance)} for side in (before, after)]
+            old, new = ({name for name, is_structure in side.items() if not is_structure} for side in rows)
+            parts = (rows[0].keys() | rows[1].keys()) - old - new
+            about[what] = {name: seen for name, seen in about[what].items() if name not in parts}
+            named[what] = {"added": sorted(about[what].keys() & new - old), "removed": sorted(about[what].keys() & old - new)}
         moved = {*named[what]["added"], *named[what]["removed"]}
         named[what]["changed"] = sorted(name for name in about[what] if name not in moved)
     return counts, named
@@ -169,6 +175,31 @@ def test_a_word_means_a_release_a_number_or_the_newest(tmp_path: Path) -> None:
         named_snapshot(lake, "v2")
     with pytest.raises(InputError, match="there is no snapshot 9"):
         named_snapshot(lake, "9")
+
+
+def test_walls_and_floors_are_no_objects(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    scene = scene_id(0)
+
+    def captured(at: int, *structures: bool) -> None:
+        things = [sample(Instance, scene_id=scene, instance_id=f"{i:04d}", is_structure=part) for i, part in enumerate(structures)]
+        points = lake.blobs.put(b"points", "ply")
+        things = [dataclasses.replace(row, points_blob=points, mesh_blob=None, view_blob=None) for row in things]
+        run = stage_run(scene, "capture", fingerprint("capture", at), at=at)
+        lake.stage_rows(run, {"scenes": [], "instances": things})
+        lake.commit()
+
+    captured(1)
+    captured(2, True, True, False, False, False)
+    captured(3, True, False, True, False)
+    objects = difference(lake, lake.snapshot(1), lake.snapshot(2)).objects
+    assert (objects.added.count, objects.changed.count, objects.removed.count) == (3, 0, 0), "three things, and two walls"
+    objects = difference(lake, lake.snapshot(2), lake.snapshot(3)).objects
+    assert objects.added.names == (f"{scene}/0001",), "a wall that turned out to be a thing"
+    assert objects.removed.names == (f"{scene}/0002", f"{scene}/0004"), "a thing that is a wall, and one that is gone"
+    assert objects.changed.count == 0
+    (instances,) = [one for one in difference(lake, lake.snapshot(1), lake.snapshot(2)).tables if one.table == "instances"]
+    assert instances.added == 5, "rows are rows"
 
 
 def test_a_changed_caption_changes_its_object_and_its_scene_alone(tmp_path: Path) -> None:

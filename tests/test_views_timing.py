@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from schemas.annotation import Annotation
+from schemas.evaluation import Trajectory
 from schemas.record import rows_to_arrow
 from schemas.runs import StageRun
+from tests.samples import fingerprint, sample, stage_run
 from tests.view_answers import (
+    SCENES,
     Database,
     by_key,
     objects_of,
@@ -57,7 +61,8 @@ def test_runs_and_times_agree_with_the_history_of_the_lake(database: Database, h
         each = sum(s for scene, s in seconds.items() if counted[scene]) / total if total else None
         values = list(seconds.values())
         same(
-            row, scenes=len(values), total_seconds=float(sum(values)), median_seconds=float(np.median(values)), objects=total,
+            row, scenes=len(values), runs=len(values), total_seconds=float(sum(values)), objects=total,
+            median_seconds=float(np.median(values)),
             p95_seconds=float(np.percentile(values, 95)), slowest_seconds=max(values), seconds_per_object=each,
         )  # fmt: skip
     hosts = by_key(database.ask("stage_timing_by_host"), "host", "stage")
@@ -67,7 +72,8 @@ def test_runs_and_times_agree_with_the_history_of_the_lake(database: Database, h
         times, total = [r.seconds for r in there.values()], sum(objects.get(scene, 0) for scene in there)
         spent = sum(r.seconds for scene, r in there.items() if objects.get(scene, 0))
         same(
-            row, scenes=len(there), workers=len({r.host for r in there.values()}), total_seconds=float(sum(times)), objects=total,
+            row, scenes=len(there), runs=len(there), workers=len({r.host for r in there.values()}), total_seconds=float(sum(times)),
+            objects=total,
             median_seconds=float(np.median(times)), p95_seconds=float(np.percentile(times, 95)), slowest_seconds=max(times),
             seconds_per_object=spent / total if total else None, peak_memory_mb=max(r.peak_memory_mb for r in there.values()),
         )  # fmt: skip
@@ -86,3 +92,23 @@ def test_runs_and_times_agree_with_the_history_of_the_lake(database: Database, h
         assert row["runs"] == sum(run.outcome != "withdrawn" for run in of_stage)
     degraded = Counter((run.stage, re.sub(r"^\d+: ", "", text)) for run in current.values() for text in run.degradations)
     assert {(row["stage"], row["degradation"]): row["times"] for row in database.ask("degradation_counts")} == dict(degraded)
+
+
+def test_scenes_of_batches_are_counted_once_and_runs_as_they_are(database: Database) -> None:
+    batches = {"expert": SCENES[:2], "chance": SCENES[:2], "gone": (), "answers": SCENES[1:]}
+    stages = {"expert": "evaluation", "chance": "evaluation", "gone": "evaluation", "answers": "annotation"}
+    rows: list[Any] = [stage_run(name, stages[name], fingerprint(name), host=f"{name[0]}:1") for name in batches]
+    rows += [stage_run(scene, "capture", fingerprint(scene)) for scene in SCENES]
+    for name, about in batches.items():
+        kind, more = (Annotation, {"choice": None}) if name == "answers" else (Trajectory, {})
+        key = "episode_id" if kind is Trajectory else "instance_id"
+        rows += [sample(kind, batch_id=name, scene_id=scene, **{key: f"{n:04d}"}, **more) for scene in about for n in range(3)]
+    database.fill(*rows)
+    timing = by_key(database.ask("stage_timing"), "stage")
+    assert {stage: (row["scenes"], row["runs"]) for stage, row in timing.items()} == {
+        "capture": (3, 3), "evaluation": (2, 3), "annotation": (2, 1),
+    }  # fmt: skip
+    hosts = by_key(database.ask("stage_timing_by_host"), "host", "stage")
+    assert {key: (row["scenes"], row["runs"]) for key, row in hosts.items() if key[1] == "evaluation"} == {
+        ("e", "evaluation"): (2, 1), ("c", "evaluation"): (2, 1), ("g", "evaluation"): (0, 1),
+    }  # fmt: skip

@@ -40,6 +40,7 @@ GRIDS: Mapping[str, tuple[str, tuple[tuple[str, str, Format], ...]]] = {
         (
             ("stage", "Stage", as_text),
             ("scenes", "Scenes", as_count),
+            ("runs", "Runs", as_count),
             ("total_seconds", "Total [s]", as_number),
             ("median_seconds", "Median [s]", as_number),
             ("p95_seconds", "95th percentile [s]", as_number),

@@ -44,25 +44,26 @@ def portable(text: str) -> str:
 
 
 def stage_table(timing: pa.Table, stages: Sequence[str]) -> str:
-    """Times per stage as plain text: total, median and 95th percentile per scene, and per object. Rows of `stage_timing`."""
+    """Times per stage as plain text: total, median and 95th percentile per run, and per object. Rows of `stage_timing`."""
     rows = sorted(timing.to_pylist(), key=lambda row: place(row["stage"], stages))
     if not rows:
         return "no stage has run"
-    lines = [("stage", "scenes", "total s", "median s", "p95 s", "s per object")]
+    lines = [("stage", "scenes", "runs", "total s", "median s", "p95 s", "s per object")]
     for row in rows:
         each = row["seconds_per_object"]
         lines.append(
             (
                 row["stage"],
                 str(row["scenes"]),
+                str(row["runs"]),
                 f"{row['total_seconds']:.2f}",
                 f"{row['median_seconds']:.2f}",
                 f"{row['p95_seconds']:.2f}",
                 "-" if each is None else f"{each:.3f}",
             )
         )
-    lines.append(("all", "", f"{sum(row['total_seconds'] for row in rows):.2f}", "", "", ""))
-    widths = [max(len(line[i]) for line in lines) for i in range(6)]
+    lines.append(("all", "", "", f"{sum(row['total_seconds'] for row in rows):.2f}", "", "", ""))
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     aligned = (
         [text.ljust(width) if at == 0 else text.rjust(width) for at, (text, width) in enumerate(zip(line, widths, strict=True))]
         for line in lines

@@ -23,7 +23,7 @@ _BLUE, _ORANGE = SERIES[0].light, SERIES[1].light
 
 @in_style
 def stage_bars(timing: pa.Table, stages: Sequence[str]) -> Picture | None:
-    """Median and 95th percentile of the seconds that each stage takes for a scene. Rows of `stage_timing`."""
+    """Median and 95th percentile of the seconds that a run of each stage takes, of a scene or of a batch. Rows of `stage_timing`."""
     by_stage = {row["stage"]: row for row in timing.to_pylist()}
     order = [stage for stage in stages if stage in by_stage]
     if not order:
@@ -40,11 +40,11 @@ def stage_bars(timing: pa.Table, stages: Sequence[str]) -> Picture | None:
     category_axis(axes, order)
     axes.margins(x=0.14)
     axes.set_xlim(left=0)
-    axes.set_xlabel("seconds per scene: median (bar), 95th percentile (mark)")
+    axes.set_xlabel("seconds per run: median (bar), 95th percentile (mark)")
     title = "Time per stage"
     axes.set_title(title)
     slowest = order[int(np.argmax(median))]
-    alt = f"Seconds per scene and stage. Slowest: {slowest}, median {median.max():.2f} s."
+    alt = f"Seconds per run of each stage. Slowest: {slowest}, median {median.max():.2f} s."
     return picture(figure, "stage_timing", title, alt)
 
 

@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from schemas.licenses import is_unknown
 from schemas.releases import Release
 from schemas.tables import TABLES
-from warehouse.licenses import is_unknown
 from warehouse.release.attribution import Attribution, cell
 from warehouse.release.catalog import variable_of
 
@@ -31,7 +31,7 @@ _MOST_LINES = 20
 
 _SOURCES = """
     SELECT dataset, scan_format AS format, segmentation AS "instances from", count(*) AS scenes,
-        string_agg(DISTINCT coalesce(license, 'unknown'), ', ' ORDER BY coalesce(license, 'unknown')) AS licenses
+        string_agg(DISTINCT stated_license(license), ', ' ORDER BY stated_license(license)) AS licenses
     FROM scenes GROUP BY ALL ORDER BY ALL
 """
 _ANSWERS = """
@@ -67,7 +67,8 @@ _LAYOUT = """
     ORDER BY figure
 """
 _TIMES = """
-    SELECT stage, scenes, round(median_seconds, 2) AS "median [s]", round(p95_seconds, 2) AS "p95 [s]" FROM stage_timing ORDER BY stage
+    SELECT stage, scenes, runs, round(median_seconds, 2) AS "median [s]", round(p95_seconds, 2) AS "p95 [s]"
+    FROM stage_timing ORDER BY stage
 """
 _UNPLACED = """
     SELECT count(*) FROM (SELECT scene_id, instance_id FROM instances WHERE NOT is_structure
@@ -154,7 +155,7 @@ def _figures(ask: _Answers) -> str:
         parts += ["These and all figures below are of all datasets together. By dataset (`dataset_comparison`):", "", ask.table(_DATASETS)]
     parts += ["The most frequent categories:", "", ask.table(_CATEGORIES, most=10),
              "Candidates by provider:", "", ask.table(_WINS), "Layout, stability, navigation and exports:", "", ask.table(_LAYOUT),
-             "Time of the stages per scene (annotation, evaluation: per batch; imports aside):", "", ask.table(_TIMES)]  # fmt: skip
+             "Time of the stages per run (annotation, evaluation: of a batch; imports aside):", "", ask.table(_TIMES)]  # fmt: skip
     return "\n".join(parts)
 
 

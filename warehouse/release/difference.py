@@ -62,7 +62,7 @@ class Difference:
     """From one snapshot to another: rows by table, scenes (`scannet/scene0001_00`) and objects (`scannet/scene0001_00/0007`).
 
     A scene or object that both have is changed when any row about it was added, changed or removed in a table that a stage
-    writes.
+    writes. Walls, floors and ceilings are no objects.
     """
 
     before: int
@@ -98,8 +98,8 @@ def difference(lake: Lake, before: Reader, after: Reader, most: int | None = 20)
             before.snapshot_id,
             after.snapshot_id,
             tuple(tables),
-            _things(connection, "scenes", most),
-            _things(connection, "instances", most),
+            _scenes(connection, most),
+            _objects(connection, lake, before, after, most),
         )
 
 
@@ -141,15 +141,41 @@ def _hashed(column: Column) -> list[str]:
     return [name, f"len({name})", *inner]
 
 
-def _things(connection: duckdb.DuckDBPyConnection, table: str, most: int | None) -> Changes:
-    """What became of the things that the rows of `table` stand for."""
-    stages = ", ".join(f"'{name}'" for name, one in TABLES.items() if one.stage)
-    known = "scene_id" if table == "scenes" else "scene_id || '/' || instance_id"
+_STAGED = ", ".join(f"'{name}'" for name, table in TABLES.items() if table.stage)
+
+
+def _scenes(connection: duckdb.DuckDBPyConnection, most: int | None) -> Changes:
+    """What became of scenes."""
     connection.execute(
-        f"CREATE OR REPLACE TABLE thing AS SELECT {known} AS name,"
-        f" coalesce(max(kind) FILTER (about = '{table}' AND kind <> 'changed'), 'changed') AS kind"
-        f" FROM differing WHERE about IN ({stages}) AND {known} IS NOT NULL GROUP BY ALL"
+        "CREATE OR REPLACE TABLE thing AS SELECT scene_id AS name,"
+        " coalesce(max(kind) FILTER (about = 'scenes' AND kind <> 'changed'), 'changed') AS kind"
+        f" FROM differing WHERE about IN ({_STAGED}) AND scene_id IS NOT NULL GROUP BY ALL"
     )
+    return _changes(connection, most)
+
+
+def _objects(connection: duckdb.DuckDBPyConnection, lake: Lake, before: Reader, after: Reader, most: int | None) -> Changes:
+    """What became of objects: instances that are no part of the room. One that becomes such a part is removed."""
+    table = TABLES["instances"]
+    for name, reader in (("was", before), ("is_now", after)):
+        rows = relation(table, read_files([lake.storage.duckdb_path(file) for file in sorted(reader.files(table.name))]))
+        connection.execute(
+            f"CREATE OR REPLACE TABLE {name} AS SELECT scene_id, instance_id, NOT is_structure AS is_object FROM ({rows})"
+            " SEMI JOIN differing USING (scene_id, instance_id)"
+        )
+    connection.execute(
+        "CREATE OR REPLACE TABLE thing AS SELECT scene_id || '/' || instance_id AS name,"
+        " CASE WHEN new.is_object AND old.is_object IS DISTINCT FROM true THEN 'added'"
+        " WHEN old.is_object AND new.is_object IS DISTINCT FROM true THEN 'removed' ELSE 'changed' END AS kind"
+        f" FROM (SELECT DISTINCT scene_id, instance_id FROM differing WHERE about IN ({_STAGED}) AND instance_id IS NOT NULL) AS about"
+        " LEFT JOIN was AS old USING (scene_id, instance_id) LEFT JOIN is_now AS new USING (scene_id, instance_id)"
+        " WHERE coalesce(old.is_object OR new.is_object, old.is_object, new.is_object, true)"  # nothing is known of what has no row
+    )
+    return _changes(connection, most)
+
+
+def _changes(connection: duckdb.DuckDBPyConnection, most: int | None) -> Changes:
+    """What became of the things in the table `thing`."""
     limit = f"LIMIT {most}" if most is not None else ""
 
     def names(kind: str) -> Names:
