@@ -149,6 +149,11 @@ def agree(outcome: Outcome) -> None:
     for name, row in placements.items():
         assert row.remains is None or f"{name}: {row.remains}" in summary.remains
     assert all(text in outcome.degradations for text in summary.remains)
+    for row in outcome.rows["certificates"]:
+        is_unstable = row.problem is not None or not (row.is_stable_1cm and row.is_stable_5cm)
+        said = [line for line in summary.remains if line.startswith(f"{row.instance_id}: ") and f"({row.engine})" in line]
+        assert bool(said or row.problem) == is_unstable, "all that is unstable is named, and nothing else"
+        assert not is_unstable or placements[row.instance_id].remains
     settled = {row.instance_id: row for row in outcome.rows["certificates"] if row.engine == "mujoco"}
     for name, row in placements.items():
         assert row.settled_pose == settled[name].settled_pose

@@ -85,10 +85,10 @@ def run(
     bodies, unknown = bodies_of(interior, captions, config.bodies)
     certified = certify(bodies, poses, interior.shell, config.certificate)
     lost, allowed = lost_supports(interior, poses), allowed_depths(interior, before)
-    remains = remains_of(interior, poses, after, resolution, lost, allowed)
+    remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)
     contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)
     contacts += contact_rows(scene_id, interior, poses, after, "optimized", allowed)
-    undone = [*said, *resolution.said, *(f"{one.name}: no certificate: {one.problem}" for one in certified if one.problem is not None)]
+    undone = [*said, *resolution.said]
     said = [*undone, *unknown, *resolution.noted, *set_down(interior, config.supports)]
     said += [f"{name}: {text}" for name, text in remains.items()]
     return Outcome(

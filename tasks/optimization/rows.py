@@ -127,9 +127,12 @@ def allowed_depths(interior: Interior, before: Sequence[Penetration]) -> dict[tu
 
 def remains_of(
     interior: Interior, poses: Array, after: Sequence[Penetration], resolution: Resolution, lost: Collection[str],
-    allowed: Mapping[tuple[str, str], float],
+    allowed: Mapping[tuple[str, str], float], certified: Sequence[Certified],
 ) -> dict[str, str]:  # fmt: skip
-    """What is still wrong with things at their optimized poses, by instance, one line each."""
+    """What is still wrong with things at their optimized poses, by instance, one line each.
+
+    All are among them that an engine found unstable or could not simulate.
+    """
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     known = set(interior.names)
     lines: dict[str, list[str]] = {name: [] for name in interior.names}
@@ -160,6 +163,12 @@ def remains_of(
             top = max(float(hull.vertices[:, 2].max()) for hull in solid.placed(poses[i]))
             if top > interior.room.height_m + ABOVE_M and solid.name not in fixed:
                 lines[solid.name].append(f"it reaches {top - interior.room.height_m:.2f} m above the ceiling")
+    for one in certified:
+        if one.problem is not None:
+            lines[one.name].append(f"no certificate: {one.problem}")
+        elif not (one.is_stable_1cm and one.is_stable_5cm):
+            moved, tilted = 100 * (one.displacement_m or 0.0), np.degrees(one.tilt_radians or 0.0)
+            lines[one.name].append(f"left alone it moves by {moved:.1f} cm and tilts by {tilted:.1f} degrees ({one.engine})")
     return {name: "; ".join(texts) for name, texts in sorted(lines.items()) if texts}
 
 
