@@ -65,13 +65,18 @@ class Todo(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class SceneStatus:
-    """A scene: its state, what the next run would do, and who is at it, at which stage if that can be told."""
+    """A scene: its state, what the next run would do, and who has claimed it.
+
+    `stage`: what a worker is at, if that can be told, `since` when [s since the epoch]. A scene that is claimed and not
+    running waits for a worker.
+    """
 
     scene_id: str
     state: State
     todo: tuple[Todo, ...]
     claim: Claim | None = None
     stage: str | None = None
+    since: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +124,10 @@ def status_of(
     for (scene, stage), state in outline.states.items():
         if stage in _ABOVE:
             by_scene.setdefault(scene, {})[stage] = state
-    scenes = tuple(_scene_status(scene, past, claims.get(scene), brought) for scene, past in sorted(by_scene.items()))
+    works = _at_work(claims, runs, by_scene)
+    scenes = tuple(
+        _scene_status(scene, past, claims.get(scene), works.get(scene, "waits"), brought) for scene, past in sorted(by_scene.items())
+    )
     at_work = tuple(RunStatus(run, _seconds_of(run, medians, now)) for run in runs)
     if at_work:
         known = [run.seconds_left for run in at_work if run.seconds_left is not None]
@@ -149,11 +157,47 @@ def errors(states: Mapping[Key, StageOutline]) -> list[str]:
     return [f"{scene}: {stage}: {last.error}" for (scene, stage), last in sorted(wrong, key=lambda one: one[0])]
 
 
-def _scene_status(scene_id: str, past: Mapping[str, StageOutline], claim: Claim | None, brought: Expected) -> SceneStatus:
+_Work = tuple[str | None, float]
+"""What a worker is at: the stage, None where the lake does not tell, and since when."""
+
+
+def _at_work(
+    claims: Mapping[str, Claim], runs: Sequence[LiveRun], by_scene: Mapping[str, Mapping[str, StageOutline]]
+) -> dict[str, _Work | None]:
+    """The claimed scenes that a worker is at; None: the history has to say at which stage. The others wait for one.
+
+    Runs claim scenes ahead of their workers. Those that do not tell what they are at have no more scenes at work than
+    workers: those that got on since they were claimed, then those that were claimed first.
+    """
+    told: dict[str, _Work | None] = {}
+    for run in runs:
+        told |= {scene: work for scene, work in (run.at_work or {}).items() if scene in claims}
+    silent = [run for run in runs if run.at_work is None]
+    if runs and not silent:
+        return told
+    # A run that says nothing of its runner is none that claims ahead.
+    places = sum(run.workers for run in silent) if silent and all(run.runner for run in silent) else len(claims)
+
+    def rank(scene: str) -> tuple[bool, float, str]:
+        return (not _since_claim(by_scene.get(scene, {}), claims[scene].since), claims[scene].since, scene)
+
+    return told | dict.fromkeys(sorted(claims.keys() - told.keys(), key=rank)[:places])
+
+
+def _since_claim(past: Mapping[str, StageOutline], since: float) -> dict[str, float]:
+    """Stages that were done since a claim, and when each ended."""
+    lasts = {stage: state.last for stage, state in past.items()}
+    return {stage: last.started + last.seconds for stage, last in lasts.items() if last.started >= since and last.outcome == "done"}
+
+
+def _scene_status(
+    scene_id: str, past: Mapping[str, StageOutline], claim: Claim | None, work: _Work | Literal["waits"] | None, brought: Expected
+) -> SceneStatus:
     is_import = "capture" in past and any(part.startswith("import=") for part in past["capture"].last.parts)
     todo = _imported(past) if is_import else _todo(scene_id, past, brought)
-    if claim is not None:
-        return SceneStatus(scene_id, "running", todo, claim, _stage_at_work(past, todo, claim.since))
+    if claim is not None and work != "waits":
+        stage, since = work or _stage_at_work(past, todo, claim.since)
+        return SceneStatus(scene_id, "running", todo, claim, stage, since)
     state: State = "done"
     if any(one.has_failed for one in todo):
         state = "failed"
@@ -161,7 +205,7 @@ def _scene_status(scene_id: str, past: Mapping[str, StageOutline], claim: Claim 
         state = "stale"
     elif todo:
         state = "unfinished"
-    return SceneStatus(scene_id, state, todo)
+    return SceneStatus(scene_id, state, todo, claim)
 
 
 def _imported(past: Mapping[str, StageOutline]) -> tuple[Todo, ...]:
@@ -244,11 +288,13 @@ def _why(stage: Stage, state: StageOutline, brings: Sequence[str], found: Mappin
     return f"{', '.join(sorted(names, key=_ORDER.index))} changed" if names else "withdrawn"
 
 
-def _stage_at_work(past: Mapping[str, StageOutline], todo: Sequence[Todo], since: float) -> str | None:
-    """The first stage after those that were done since the claim which is still to do; None where the lake does not tell."""
+def _stage_at_work(past: Mapping[str, StageOutline], todo: Sequence[Todo], since: float) -> _Work:
+    """The first stage after those that were done since the claim which is still to do, None where the lake does not tell; it
+    began when the last of them ended, or with the claim."""
     names = list(_ABOVE)
-    fresh = [names.index(stage) for stage, state in past.items() if state.last.started >= since and state.last.outcome == "done"]
-    return next((one.stage for one in todo if names.index(one.stage) > max(fresh, default=-1)), None)
+    fresh = _since_claim(past, since)
+    last = max((names.index(stage) for stage in fresh), default=-1)
+    return next((one.stage for one in todo if names.index(one.stage) > last), None), max(fresh.values(), default=since)
 
 
 def _seconds_of(run: LiveRun, medians: Mapping[str, float], now: float) -> float | None:

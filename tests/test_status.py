@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from flows.cli import cli
-from flows.commands.status import _span
+from flows.commands.status import _span, _what
 from flows.configuration import Configuration, configure
 from flows.fingerprints import FileHashes
 from flows.plan import Plan, ScenePlan, Step, annotation_digests, make_plan
@@ -38,6 +38,7 @@ from tests.samples import fingerprint, sample, stage_run
 from tests.scans import write_scan, write_scans
 from tests.test_claims import said, started
 from tests.test_pipeline import home, run, start  # noqa: F401
+from warehouse.claims import Claim
 from warehouse.history import states
 from warehouse.lake import Lake
 from warehouse.outline import COLUMNS, Execution, outline_of
@@ -226,7 +227,7 @@ def test_the_outline_is_the_history(drawn: list[tuple[Any, ...]]) -> None:
     found = outline_of(rows_to_arrow(rows, StageRun).select(list(COLUMNS)), {})
 
     def outlined(one: StageRun | None) -> Execution | None:
-        return Execution(one.fingerprint, one.outcome, one.reasons, one.error, one.started_at.timestamp()) if one else None
+        return Execution(one.fingerprint, one.outcome, one.reasons, one.error, one.started_at.timestamp(), one.seconds) if one else None
 
     assert found.states == {
         key: (outlined(state.done), outlined(state.last)) for key, state in states(rows_to_arrow(rows, StageRun)).items()
@@ -364,6 +365,45 @@ def test_a_run_in_another_process_is_seen_at_its_stage_and_not_any_more_once_it_
     assert found["counts"] == {"done": 1, "running": 0, "failed": 0, "stale": 0, "unfinished": 1}
     assert found["todo"] == {name: {"exports": {"action": "run", "why": "navigation changed"}}}
     assert {one.scene_id: one.state for one in asked(lake, configuration).scenes} == {name: "unfinished", other: "stale"}
+
+
+def claimed(lake: Lake, *scenes: str, runs: list[LiveRun], since: float) -> Status:
+    """How things stand with scenes that were claimed one second after the other."""
+    claims = {name: Claim("t", "h", since + 1e6, 1e6, name, since + number) for number, name in enumerate(scenes)}
+    outline = lake.outline()
+    return status_of(outline, claims, runs, expected(annotation_digests(lake)), since + 1000)
+
+
+def test_scenes_that_wait_for_a_worker_are_not_running_and_a_stage_is_as_old_as_it_is(lake: Lake, scans: list[Scan]) -> None:
+    begun = datetime(2026, 5, 1, tzinfo=UTC)
+    since, (name, other), new = begun.timestamp(), (scan.scene_id for scan in scans), "scannet/scene0009_00"
+    telling = LiveRun("t", "h", begun, workers=1, runner="pool", at_work={name: ("selection", since + 700)})
+    found = {one.scene_id: one for one in claimed(lake, name, other, new, runs=[telling], since=since).scenes}
+    assert {scene: one.state for scene, one in found.items()} == {name: "running", other: "done", new: "unfinished"}
+    assert (found[name].stage, found[name].since) == ("selection", since + 700)
+    assert _what(found[name], since + 1000) == "selection, for 5.0 min, on h"
+    assert _what(found[new], since + 1000).startswith("waits for a worker on h; ")
+    none = LiveRun("t", "h", begun, workers=2, runner="pool", at_work={})
+    assert claimed(lake, name, new, runs=[none], since=since).counts()["running"] == 0
+
+
+def test_of_a_run_that_does_not_tell_no_more_scenes_run_than_it_has_workers(lake: Lake, scans: list[Scan]) -> None:
+    begun = datetime(2026, 5, 1, tzinfo=UTC)
+    since, new = begun.timestamp(), [f"scannet/scene000{n}_00" for n in (7, 8, 9)]
+    silent = LiveRun("t", "h", begun, workers=2, runner="dask", scenes=4)
+
+    def states(*scenes: str) -> dict[str, str]:
+        return {one.scene_id: one.state for one in claimed(lake, *scenes, runs=[silent], since=since).scenes if one.scene_id in scenes}
+
+    assert states(*new) == {new[0]: "running", new[1]: "running", new[2]: "unfinished"}, "those that were claimed first"
+    late = scans[0].scene_id
+    step = next(
+        step for step in plan_of(lake, scans, configure(None, ["navigation.max_steps=78"])).scenes[0].steps if step.stage == "navigation"
+    )
+    lake.stage_rows(executed(late, step, 0, started_at=begun + timedelta(seconds=500), seconds=60.0), {})
+    assert states(*new, late) == {new[0]: "running", new[1]: "unfinished", new[2]: "unfinished", late: "running"}, "and who got on"
+    (one,) = [one for one in claimed(lake, *new, late, runs=[silent], since=since).scenes if one.scene_id == late]
+    assert (one.stage, one.since) == ("exports", since + 560), "it began when the one before ended, not with the claim"
 
 
 MEDIANS = {"capture": 10.0, "exports": 30.0}

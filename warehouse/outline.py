@@ -22,13 +22,14 @@ _NEWEST_FIRST = ("snapshot_id", "started_at", "fingerprint", "attempt")
 
 
 class Execution(NamedTuple):
-    """One execution of a stage. `parts` are the `reasons` of its row; `started` is in seconds since the epoch."""
+    """One execution of a stage. `parts` are the `reasons` of its row; `started` is in seconds since the epoch, `seconds` what it took."""
 
     fingerprint: str
     outcome: str
     parts: tuple[str, ...]
     error: str | None
     started: float
+    seconds: float = 0.0
 
 
 class StageOutline(NamedTuple):
@@ -107,12 +108,13 @@ def _rows(runs: pa.Table) -> list[tuple[Key, Execution]]:
     parts = [tuple(values[begin:end]) for begin, end in pairwise(ends)]
     # As integers: Arrow's way to Python's dates is slow.
     started = (np.asarray(runs.column("started_at").cast(pa.timestamp("us", "UTC")).cast(pa.int64())) / 1e6).tolist()
-    executions = map(Execution, prints, outcomes, parts, errors, started)
+    seconds = np.asarray(runs.column("seconds")).tolist()
+    executions = map(Execution, prints, outcomes, parts, errors, started, seconds)
     return list(zip(zip(scenes, stages, strict=True), executions, strict=True))
 
 
 def _execution(run: StageRun) -> Execution:
-    return Execution(run.fingerprint, run.outcome, run.reasons, run.error, run.started_at.timestamp())
+    return Execution(run.fingerprint, run.outcome, run.reasons, run.error, run.started_at.timestamp(), run.seconds)
 
 
 def _medians(runs: pa.Table, others: Iterable[StageRun]) -> dict[str, float]:

@@ -30,6 +30,7 @@ class LiveRun:
 
     `scenes` are those that it has to compute, `left` the stage runs that are still to do, by stage. `done`, `failed` and
     `postponed` count scenes. `seconds_done` is the sum of its finished stage runs' wall time [s]. `scans` is where its scans lie.
+    `at_work` are the scenes that its workers are at: the stage, and since when [s since the epoch]; None where it cannot tell.
     """
 
     token: str
@@ -44,6 +45,7 @@ class LiveRun:
     failed: int = 0
     postponed: int = 0
     seconds_done: float = 0.0
+    at_work: Mapping[str, tuple[str, float]] | None = None
 
 
 class Presence:
@@ -94,7 +96,9 @@ class Presence:
 
     def _write(self) -> None:
         run, now = self._run, time.time()
-        fields = dataclasses.asdict(dataclasses.replace(run, left=dict(run.left)))
+        fields = dataclasses.asdict(
+            dataclasses.replace(run, left=dict(run.left), at_work=None if run.at_work is None else dict(run.at_work))
+        )
         fields |= {"started_at": run.started_at.isoformat(), "expires": now + self._life, "life": self._life}
         self._storage.write(path_of(run.token), json.dumps(fields).encode(), lasting=False)
         self._written, self._renewed = run, now
@@ -150,4 +154,9 @@ def _run(fields: Mapping[str, Any]) -> LiveRun:
         failed=int(fields["failed"]),
         postponed=int(fields["postponed"]),
         seconds_done=float(fields["seconds_done"]),
+        at_work=_at_work(fields.get("at_work")),  # an older version says nothing of it
     )
+
+
+def _at_work(told: Mapping[str, Any] | None) -> dict[str, tuple[str, float]] | None:
+    return None if told is None else {str(scene): (str(stage), float(since)) for scene, (stage, since) in told.items()}

@@ -77,9 +77,15 @@ def _json(status: Status) -> dict[str, Any]:
     from flows.status import when
 
     running = [
-        {"scene_id": scene.scene_id, "stage": scene.stage, "host": scene.claim.host, "since": when(scene.claim.since).isoformat()}
+        {
+            "scene_id": scene.scene_id,
+            "stage": scene.stage,
+            "host": scene.claim.host,
+            "since": when(scene.claim.since if scene.since is None else scene.since).isoformat(),
+            "claimed": when(scene.claim.since).isoformat(),
+        }
         for scene in status.scenes
-        if scene.claim is not None
+        if scene.claim is not None and scene.state == "running"
     ]
     todo = {
         scene.scene_id: {one.stage: {"action": one.action, "why": one.why} for one in scene.todo} for scene in status.scenes if scene.todo
@@ -131,9 +137,11 @@ def summary(status: Status) -> str:
 
 def _what(scene: SceneStatus, now: float) -> str:
     """What is to be said of a scene: who is at it, or what the next run would do and why."""
-    if scene.claim is not None:
-        return f"{scene.stage or 'begun'}, for {_span(now - scene.claim.since)}, on {scene.claim.host}"
-    told = [f"{one.stage} failed" for one in scene.todo if one.has_failed]
+    if scene.claim is not None and scene.state == "running":
+        since = scene.claim.since if scene.since is None else scene.since
+        return f"{scene.stage or 'begun'}, for {_span(now - since)}, on {scene.claim.host}"
+    told = [f"waits for a worker on {scene.claim.host}"] if scene.claim is not None else []
+    told += [f"{one.stage} failed" for one in scene.todo if one.has_failed]
     causes: dict[str, list[str]] = {}
     waiting = following = 0
     for one in scene.todo:

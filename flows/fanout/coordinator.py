@@ -18,6 +18,7 @@ from flows.fanout.backlog import Backlog, Replan
 from flows.fanout.batch import Batch
 from flows.fanout.committer import Committer
 from flows.fanout.pace import Pace
+from flows.fanout.pools import at_work
 from flows.fanout.quota import Quota
 from flows.plan import Plan, ScenePlan
 from flows.progress import current
@@ -113,7 +114,7 @@ class Coordinator:
     def run(self, tasks: Tasks, told: Told, facts: Mapping[str, Any]) -> Outcome:
         """Compute until nothing is left, or the disk is nearly full. `facts` are told to others that look at the lake."""
         facts = {**facts, "workers": self._fan_out.workers, "runner": self._fan_out.runner, "scenes": self._scenes}
-        facts["left"] = dict(self._left)
+        facts |= {"left": dict(self._left), "at_work": at_work(self.run_id)}
         with self._lake.presence(facts) as presence, self._lake.claims() as claims, Committer(self._lake) as committer:
             backlog = Backlog(self._lake, self._plan, claims, committer, self._replan, self._retry_failed)
             self._loop(tasks, backlog, committer, presence, told)
@@ -147,6 +148,8 @@ class Coordinator:
             try:
                 future = done.get(timeout=min(WAIT_SECONDS, backlog.pause or WAIT_SECONDS))
             except queue.Empty:
+                if presence.run.at_work != (now := at_work(self.run_id)):
+                    presence.tell({"at_work": now})
                 continue
             batch = in_flight.pop(future.task_run_id)
             for result in self._results(tasks, future, batch, backlog):
@@ -231,6 +234,7 @@ class Coordinator:
         results = self._outcome.results
         presence.tell(
             {
+                "at_work": at_work(self.run_id),
                 "left": {stage: count for stage, count in self._left.items() if count > 0},
                 "done": sum(result.failed is None for result in results),
                 "failed": sum(result.failed is not None for result in results),

@@ -27,6 +27,14 @@ def shared_pool(run: str, workers: int) -> Iterator[WorkerPool]:
             _shared[run] = None
 
 
+def at_work(run: str) -> dict[str, tuple[str, float]] | None:
+    """Scenes of a run that workers are at: stage, and since when [s since the epoch]; None where this process cannot tell."""
+    pool = _shared.get(run)
+    if pool is None:
+        return None
+    return {label[0]: (label[1], since) for label, since in pool.under_way().items()}
+
+
 def pool_of(run: str) -> WorkerPool:
     """The pool that computes a task of a run: the shared one, else this process's own.
 
