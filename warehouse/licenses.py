@@ -17,6 +17,9 @@ from schemas.files import read_file
 from schemas.licenses import OF_THE_SCAN, is_unknown, of_asset, scan_of
 from warehouse.snapshot import Reader
 
+MAX_LIST_BYTES = 2**20
+"""Some ten thousand licenses; SPDX knows seven hundred."""
+
 # Nothing needs to be named or added, at most thanks are due.
 _FREE = re.compile(r"cc0-1\.0|mit-0|0bsd|unlicense|pddl-1\.0|cc-pddc|wtfpl|public domain", re.IGNORECASE)
 
