@@ -57,6 +57,7 @@ def summary(report: RunReport, plan: Plan, runs: Mapping[tuple[str, str], StageR
     counts = {
         "done": len(report.done),
         "failed": len(report.failed),
+        "checks of exports that failed": len(report.broken),
         "scans that cannot be used": len(plan.unusable),
         "up to date": len(report.unchanged),
         "computed by another run": len(report.shared),
@@ -153,7 +154,8 @@ def todo(plan: Plan) -> str:
 
 def counts(report: RunReport) -> str:
     """What came of it, in a line."""
-    named = {"done": report.done, "failed": report.failures, "up to date": report.unchanged, "shared": report.shared}
+    failed = [line for line in report.failures if line not in report.broken]
+    named = {"done": report.done, "failed": failed, "failed checks": report.broken, "up to date": report.unchanged, "shared": report.shared}
     return ", ".join(f"{len(found)} {name}" for name, found in (named | {"postponed": report.postponed}).items() if found or name == "done")
 
 

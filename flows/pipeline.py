@@ -31,7 +31,7 @@ from flows.parameters import Address, StageTables
 from flows.patience import patiently
 from flows.plan import Plan, ScenePlan, make_plan
 from flows.progress import current
-from flows.report import RunReport, keep, report_of
+from flows.report import RunReport, broken_checks, keep, report_of
 from flows.scans import found_scans, settled
 from flows.scene import STAGE_SECONDS, SceneResult, settle
 from schemas.runs import StageRun
@@ -273,8 +273,10 @@ def state_of(report: RunReport) -> State[Any]:
         parts.append(f"{len(anew)} failed: {anew[0]}" + (" and others" if len(anew) > 1 else ""))
     if report.postponed:
         parts.append(f"{len(report.postponed)} postponed: {report.stopped}")
+    elif report.stopped:
+        parts.append(report.stopped)
     message = ", ".join(parts)
-    return Failed(message=message, data=report) if anew or report.postponed else Completed(message=message, data=report)
+    return Failed(message=message, data=report) if anew or report.stopped else Completed(message=message, data=report)
 
 
 def _carry_out(
@@ -290,7 +292,7 @@ def _carry_out(
             with _workers(coordinator.run_id, fan_out) as tasks:
                 outcome = coordinator.run(tasks, board.advance, {"scans": scans})
         settle(lake, plan)
-        report = report_of(plan, outcome, began)
+        report = report_of(plan, outcome, began, broken_checks(lake, {scene.scan.scene_id for scene in plan.scenes}))
         for line in (*report.retried, *report.failures):
             run_log(line, warning=True)
         if report.done:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from flows.plan import Plan
 
 if TYPE_CHECKING:
     from flows.fanout.coordinator import Outcome
+    from warehouse.lake import Lake
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,7 +19,8 @@ class RunReport:
     """Scenes computed, failed and left as they were, and one line per failure.
 
     `shared` scenes were computed by another run meanwhile. `postponed` ones were not begun, for the reason in `stopped`.
-    `known` failures are those of earlier runs on unchanged input; `retried` says which workers were lost.
+    `known` failures are those of earlier runs on unchanged input; `retried` says which workers were lost. `broken` are those
+    failures that are checks which an export did not pass: its scene is done all the same.
     """
 
     done: tuple[str, ...]
@@ -31,10 +34,27 @@ class RunReport:
     stopped: str | None = None
     known: tuple[str, ...] = ()
     retried: tuple[str, ...] = ()
+    broken: tuple[str, ...] = ()
 
 
-def report_of(plan: Plan, outcome: Outcome | None = None, began: datetime | None = None) -> RunReport:
-    """The report of a plan; `outcome` is what came of the scenes that it computed.
+def broken_checks(lake: Lake, scenes: Collection[str] | None = None) -> dict[str, tuple[str, ...]]:
+    """Checks that exports in the lake did not pass, by scene, of `scenes` if given: a line each that names format and rule."""
+    if not lake.exists or (scenes is not None and not scenes):
+        return {}
+    found: dict[str, tuple[str, ...]] = {}
+    # Without SQL: its views read the footers of all tables first. Files in which all have passed are not read.
+    for row in lake.snapshot().matching("export_checks", {"passed": {False}}, ["passed", "message"]).to_pylist():
+        scene = row["scene_id"]
+        if scenes is None or scene in scenes:
+            text = " ".join(str(row["message"]).split())
+            found[scene] = (*found.get(scene, ()), f"{scene}: exports: {row['format']} breaks the rule {row['rule']}: {text}")
+    return found
+
+
+def report_of(
+    plan: Plan, outcome: Outcome | None = None, began: datetime | None = None, broken: Mapping[str, Sequence[str]] | None = None
+) -> RunReport:
+    """The report of a plan; `outcome` is what came of the scenes that it computed, `broken` the checks of their exports.
 
     What failed since `began` is this run's failure, although the plan found it in the lake: the run had to start over.
     """
@@ -56,6 +76,9 @@ def report_of(plan: Plan, outcome: Outcome | None = None, began: datetime | None
             (anew if is_new else known).append(f"{scene.scan.scene_id}: {step.stage}: {step.before.error}")
     known += [f"{scene}: {text}" for scene, text in sorted(elsewhere.items())]
     anew += [f"{r.scene_id}: {r.failed}: {r.error}" for r in results if r.failed]
+    lines = [(scene, line) for scene, told in sorted((broken or {}).items()) for line in told]
+    known += [line for scene, line in lines if scene not in computed]
+    anew += [line for scene, line in lines if scene in computed]
     others = computed | failed | shared | postponed
     return RunReport(
         done=tuple(r.scene_id for r in results if not r.failed),
@@ -69,6 +92,7 @@ def report_of(plan: Plan, outcome: Outcome | None = None, began: datetime | None
         stopped=outcome.stopped if outcome else None,
         known=tuple(known),
         retried=tuple(outcome.retried) if outcome else (),
+        broken=tuple(line for _, line in lines),
     )
 
 

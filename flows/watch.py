@@ -135,7 +135,7 @@ def _replicate(parameters: dict[str, Any]) -> list[str]:
     report = state.result(raise_on_failure=False)
     if isinstance(report, BaseException):
         raise report
-    return [*report.failures, *(f"{scene}: {report.stopped}" for scene in report.postponed)]
+    return [*report.failures, *(f"{scene}: {report.stopped}" for scene in report.postponed or ["the run"] if report.stopped)]
 
 
 def _leave_table(found: Look, scans: str, lake: str) -> None:

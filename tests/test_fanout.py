@@ -21,9 +21,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from flows.commands.run import summary
 from flows.configuration import configure
 from flows.fanout.batch import Batch
-from flows.fanout.coordinator import LOST_SCENES, Coordinator, FanOut
+from flows.fanout.coordinator import LOST_SCENES, Coordinator, FanOut, Outcome
 from flows.fanout.pace import RECENT, SHARE, TASK_SECONDS, Pace
 from flows.fanout.quota import Quota
 from flows.mirror import FetchError
@@ -45,7 +46,7 @@ def test_the_quota_measures_what_is_there(tmp_path: Path) -> None:
     name = lake.blobs.put(os.urandom(2_000_000), "bin")
     assert name in lake.blobs
     assert Quota(lake, keep_free_gb=0, quota_gb=0.01).reason() is None
-    assert "holds 0.0 GB" in str(Quota(lake, keep_free_gb=0, quota_gb=0.002).reason())
+    assert "holds 2 MB, --quota is 2 MB" in str(Quota(lake, keep_free_gb=0, quota_gb=0.002).reason())
     assert Quota(lake, keep_free_gb=0).reason() is None
     assert "has" in str(Quota(lake, keep_free_gb=1e9).reason())
 
@@ -57,7 +58,7 @@ class OnePool:
         self.calls = 0
         self._error = error
 
-    def call(self, function: Any, job: Any, timeout: float) -> Any:
+    def call(self, function: Any, job: Any, timeout: float, label: Any) -> Any:
         self.calls += 1
         return lost_run(job, "lost", self._error, 0.0)
 
@@ -178,6 +179,91 @@ def coordinator(plan: Plan, lake: Lake, **fan_out: Any) -> Coordinator:
     scenes = {scene.scan.scene_id: scene for scene in plan.scenes}
     spread = FanOut(keep_free_gb=0, **fan_out)
     return Coordinator(plan, lake, configure(), spread, lambda scan, retry: scenes[scan.scene_id], retry_failed=False)
+
+
+class Filling(Futures):
+    """Tasks each of whose scenes leaves 100 kB in a lake."""
+
+    def __init__(self, lake: Lake) -> None:
+        super().__init__(lambda name: False)
+        self._lake = lake
+
+    def submit(self, batch: Batch) -> Any:
+        for _ in batch.scenes:
+            self._lake.blobs.put(os.urandom(100_000), "bin")
+        return super().submit(batch)
+
+
+@pytest.mark.parametrize(("runner", "workers"), [("pool", 1), ("pool", 3), ("dask", 3)])
+def test_a_quota_is_kept_from_the_first_scene_on(plan: tuple[Plan, Lake], runner: str, workers: int) -> None:
+    from flows.pipeline import state_of
+
+    found, lake = plan
+    made = coordinator(found, lake, workers=workers, runner=runner, quota_gb=0.45e-3)
+    outcome = made.run(Filling(lake), lambda *_: None, {"scans": "scans"})
+    assert len(outcome.results) == 4, "as many as fit; looked at before it was too late"
+    assert len(outcome.postponed) == 36
+    assert outcome.stopped is not None
+    assert outcome.stopped.startswith("the lake holds 0.4 MB, and a scene takes about 0.1 MB, --quota is 0.45 MB"), outcome.stopped
+    assert sum(entry.size for entry in lake.storage.walk("")) < 450_000
+    told = report_of(found, outcome)
+    assert state_of(told).is_failed()
+    again = coordinator(found, lake, workers=workers, runner=runner, quota_gb=0.3e-3)
+    assert again.run(Filling(lake), lambda *_: None, {"scans": "scans"}).results == [], "looked at before the first scene"
+
+
+def test_scenes_that_filled_the_lake_together_are_not_passed_over(plan: tuple[Plan, Lake]) -> None:
+    from flows.pipeline import state_of
+
+    found, lake = plan
+    few = dataclasses.replace(found, scenes=found.scenes[:3])
+    outcome = coordinator(few, lake, workers=3, quota_gb=0.15e-3).run(Filling(lake), lambda *_: None, {"scans": "scans"})
+    assert (len(outcome.results), outcome.postponed) == (3, [])
+    assert "--quota is 0.15 MB" in str(outcome.stopped)
+    assert state_of(report_of(few, outcome)).is_failed()
+    enough = coordinator(few, lake, workers=3, quota_gb=1.0).run(Filling(lake), lambda *_: None, {"scans": "scans"})
+    assert (len(enough.results), enough.stopped) == (3, None)
+
+
+def test_the_lake_is_measured_after_every_commit_and_else_only_where_it_may_be_full(tmp_path: Path) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    lake.blobs.put(os.urandom(1000), "bin")
+    quota, walks = Quota(lake, keep_free_gb=0, quota_gb=1.0), []
+    measure = lake.storage.walk
+    lake.storage.walk = lambda place: walks.append(place) or measure(place)  # type: ignore[method-assign, func-returns-value]
+    assert quota.reason() is None
+    assert len(walks) == 1, "before the first scene"
+    quota.ended(scenes=1)
+    quota.reason()
+    assert len(walks) == 2, "nobody knows yet what a scene takes"
+    quota._took = 1e6  # so large that a look takes days
+    for _ in range(5):
+        quota.ended(scenes=1)
+        quota.reason()
+    assert len(walks) == 2, "by far not full"
+    quota._took = 0.0
+    quota.ended(commits=1)
+    quota.reason()
+    assert len(walks) == 3
+
+
+def test_checks_that_exports_do_not_pass_fail_the_run(plan: tuple[Plan, Lake]) -> None:
+    from flows.pipeline import state_of
+
+    found, _ = plan
+    (first, second), line = (scene.scan.scene_id for scene in found.scenes[:2]), "exports: urdf breaks the rule complete: 1 of 2 objects"
+    broken = {name: (f"{name}: {line}",) for name in (first, second)}
+    told = report_of(found, Outcome(results=[result(first)]), None, broken)
+    assert (told.done, told.failed) == ((first,), ())
+    assert told.failures == (f"{second}: {line}", f"{first}: {line}")
+    assert set(told.broken) == set(told.failures)
+    assert told.known == (f"{second}: {line}",), "of a scene that this run did not compute"
+    state = state_of(told)
+    assert state.is_failed()
+    assert f"{first}: {line}" in str(state.message)
+    assert state_of(report_of(found, None, None, {second: broken[second]})).is_completed(), "nothing is new"
+    assert "2 checks of exports failed" in summary(told)
+    assert " failed, 2" not in summary(told)
 
 
 @pytest.mark.parametrize(("runner", "batch"), [("pool", None), ("dask", 1), ("dask", 3)])

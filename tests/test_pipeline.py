@@ -18,6 +18,8 @@ import pytest
 
 from flows.bench.flows.small_scenes import SETTINGS
 from schemas.annotation import Annotation
+from schemas.candidates import Asset
+from schemas.exports import FORMATS
 from schemas.optimization import Placement
 from schemas.selection import Selection
 from tasks.pipeline import SCENE_STAGES, STAGES, upstream
@@ -283,6 +285,34 @@ def test_no_answer_of_a_returned_batch_reaches_a_scene(home: dict[str, str], lak
     assert placed() == (ranked[0], "selection", None), "as if nobody had answered"
     review("newer", "r3", 4, "accepted")
     assert placed() == (ranked[2], "annotation", "ada"), "reviewed again"
+
+
+def test_a_check_that_an_export_does_not_pass_fails_the_run_and_is_named(
+    home: dict[str, str], lake: Path, scans: Path, tmp_path: Path
+) -> None:
+    copy, scene = tmp_path / "lake", "scannet/scene0000_00"
+    shutil.copytree(lake, copy)
+    reader = Lake.open(copy).snapshot()
+    (first, *rest) = reader.rows(Placement, scene)
+    (asset,) = reader.rows_by_key(Asset, [first.asset_id])
+    assert first.asset_id not in {row.asset_id for row in [*rest, *reader.rows(Placement, "scannet/scene0001_00")]}
+    (file,) = (copy / "blobs").rglob(asset.mesh_blob)
+    file.chmod(0o644)
+    file.write_bytes(b"no mesh")
+    line = f"{scene}: exports: urdf breaks the rule complete: 2 of 3 objects"
+    done = run(home, scans, copy, "--set", "exports.default_friction=0.61")
+    assert done.returncode == 1, done.stderr
+    assert f"failed: {line}" in done.stderr
+    assert "2 scenes done" in done.stdout
+    assert f"{len(FORMATS)} checks of exports failed" in done.stdout
+    again = run(home, scans, copy, "--set", "exports.default_friction=0.61")
+    assert (again.returncode, f"failed: {line}" in again.stderr) == (1, True), "said again, as every failure is"
+    assert "2 unchanged" in again.stdout
+    told = metascenes(home, "status", "--lake", copy).stdout
+    assert line in told
+    assert f"{len(FORMATS)} checks of exports failed" in told.splitlines()[0]
+    assert line in json.loads(metascenes(home, "status", "--lake", copy, "--json").stdout)["broken_checks"]
+    assert len(json.loads(run(home, scans, copy, "--set", "exports.default_friction=0.61", "--json").stdout)["broken"]) == len(FORMATS)
 
 
 def test_a_statement_that_writes_is_refused_in_one_line(home: dict[str, str], lake: Path, tmp_path: Path) -> None:

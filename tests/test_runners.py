@@ -148,6 +148,11 @@ def test_a_run_stops_politely_before_the_disk_is_full_and_goes_on_later(served: 
     assert leftovers(target) == []
     first = run(served, scans, target, "--scene", "*0000_00")
     assert first.returncode == 0, first.stderr
+    small = run(served, scans, tmp_path / "small", "--quota", 1e-4, "--workers", 1)
+    assert small.returncode == 1
+    assert "--quota is 0.1 MB" in small.stderr
+    assert "1 scenes were not begun" in small.stderr
+    assert len({scene for scene, _ in Lake.open(tmp_path / "small").history()}) == 1, "the first filled it"
     over = run(served, scans, target, "--quota", 1e-6)
     assert over.returncode == 1
     assert "metascenes lake vacuum" in over.stderr

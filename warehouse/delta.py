@@ -107,7 +107,7 @@ class DeltaTables:
         return paths
 
     def read(
-        self, table: Table, files: Sequence[str], columns: Sequence[str] | None = None, only: Mapping[str, Collection[str]] | None = None
+        self, table: Table, files: Sequence[str], columns: Sequence[str] | None = None, only: Mapping[str, Collection[Any]] | None = None
     ) -> pa.Table:
         """Rows of Parquet files under the schema of `table`; columns that a file lacks are null.
 
@@ -134,7 +134,7 @@ class DeltaTables:
         parts = [part for fragment in data.get_fragments() if (part := _row_groups(fragment, wanted)) is not None]
         keep: Any = None
         for name, values in wanted.items():
-            one = ds.field(name).isin(pa.array(values, pa.string()))
+            one = ds.field(name).isin(pa.array(values, schema.field(name).type))
             keep = one if keep is None else keep & one
         if len(parts) > 1 and not set(names) <= set(wanted):
             # Ids of content lie anywhere: look for them alone first, and read the rest of the files that hold them.

@@ -110,8 +110,8 @@ class Reader:
         rows = self._tables.read(declared, self.files(declared.name) if keys else [], only={declared.key[0]: set(keys)})
         return arrow_to_rows(rows.sort_by([(name, "ascending") for name in declared.key]), record_type)
 
-    def matching(self, table: str, only: Mapping[str, Collection[str]], columns: Collection[str] | None = None) -> pa.Table:
-        """Rows of a table whose columns of text hold one of the given values each, sorted by key; all columns, or those named.
+    def matching(self, table: str, only: Mapping[str, Collection[Any]], columns: Collection[str] | None = None) -> pa.Table:
+        """Rows of a table whose columns of text or truth hold one of the given values each, sorted by key; all columns, or those named.
 
         Columns of the key are always among them. Quick by scene and asset; other columns are read through.
         """

@@ -37,7 +37,13 @@ if TYPE_CHECKING:
 @click.option(
     "--keep-free", "keep_free_gb", type=click.FloatRange(0), metavar="GB", help="Stop before less is free on the disk; 2 by default."
 )
-@click.option("--quota", "quota_gb", type=click.FloatRange(0, min_open=True), metavar="GB", help="Stop before the lake holds more.")
+@click.option(
+    "--quota",
+    "quota_gb",
+    type=click.FloatRange(0, min_open=True),
+    metavar="GB",
+    help="Stop before the lake holds more, as far as the scenes so far tell.",
+)
 @click.option("--retry-failed", is_flag=True, help="Compute again what failed on unchanged input.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done and why; do nothing.")
 @json_option
@@ -48,7 +54,7 @@ def command(scans: str, scan_format: str, dataset: str | None, address: str, con
     """Turn a folder of scans into replica scenes in a lake.
 
     Only what is missing, changed or stale is computed. Several runs on one lake share the work. Exit code 1 says that some
-    scenes failed, or that there was no room on the disk for all; each is named.
+    scenes failed, that an export did not pass a check, or that there was no room for all on the disk or below --quota; each is named.
 
     Example: metascenes run --scans ./scans --format auto --lake ./lake
     """
@@ -72,19 +78,19 @@ def command(scans: str, scan_format: str, dataset: str | None, address: str, con
     )  # fmt: skip
     print(json.dumps(dataclasses.asdict(report)) if as_json else summary(report))
     tell(report)
-    if report.failures or report.postponed:
+    if report.failures or report.postponed or report.stopped:
         raise click.exceptions.Exit(1)
 
 
 def carry_out(plan: Plan, store: Lake, **parameters: Any) -> RunReport:
     """Run `flows.pipeline.replicate` in this process; Prefect and its server start only when there is something to compute."""
-    from flows.report import report_of
+    from flows.report import broken_checks, report_of
 
     if not plan.todo:
         from flows.scene import settle
 
         settle(store, plan)  # what an interrupted run had finished and not yet committed
-        return report_of(plan)
+        return report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
     from flows.progress import Progress, listen
     from flows.report import RunReport, kept
     from flows.server import prefect_server
@@ -125,6 +131,8 @@ def tell(report: RunReport) -> None:
         print(f"failed: {line}", file=sys.stderr)
     if report.postponed:
         print(f"stopped: {report.stopped}; {len(report.postponed)} scenes were not begun, {report.postponed[0]} first", file=sys.stderr)
+    elif report.stopped:
+        print(f"failed: {report.stopped}", file=sys.stderr)
 
 
 def summary(report: RunReport) -> str:
@@ -132,8 +140,10 @@ def summary(report: RunReport) -> str:
     if not (report.done or report.failed or report.failures or report.shared or report.postponed):
         return f"nothing to do: {len(report.unchanged)} scenes are up to date"
     parts = [f"{len(report.done)} scenes done"]
-    if report.failures:
-        parts.append(f"{len(report.failures)} failed")
+    if failed := len(report.failures) - len(report.broken):
+        parts.append(f"{failed} failed")
+    if report.broken:
+        parts.append(f"{len(report.broken)} checks of exports failed")
     parts.append(f"{len(report.unchanged)} unchanged")
     if report.shared:
         parts.append(f"{len(report.shared)} computed by another run")

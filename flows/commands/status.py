@@ -39,7 +39,7 @@ def command(address: str, config_file: Path | None, settings: tuple[str, ...], s
 
     Without a run at work the time left is that of one worker. With --json: counts (scenes by state), seconds_left,
     running (scene_id, stage, host, since), todo (by scene and stage: action, why), runs (those at work, with left and
-    seconds_left), scenes (outcome by scene and stage), errors.
+    seconds_left), scenes (outcome by scene and stage), errors, broken_checks.
 
     Example: metascenes status --lake ./lake
     """
@@ -51,26 +51,28 @@ def command(address: str, config_file: Path | None, settings: tuple[str, ...], s
         configuration = configure(config_file, settings, seed=seed)
     gc.disable()  # of 100,000 small things, none of which is garbage, it would look at all again and again
     try:
-        status, scenes, wrong = _asked(lake, configuration, bool(config_file or settings), seed is not None)
+        status, scenes, wrong, broken = _asked(lake, configuration, bool(config_file or settings), seed is not None)
     finally:
         gc.enable()
     if as_json:
-        print(json.dumps({**_json(status), "scenes": scenes, "errors": wrong}))
+        print(json.dumps({**_json(status), "scenes": scenes, "errors": wrong, "broken_checks": broken}))
         return
-    _print(status, wrong, show_all)
+    _print(status, wrong, broken, show_all)
 
 
 def _asked(
     lake: Lake, configuration: Configuration | None, configs: bool, seed: bool
-) -> tuple[Status, dict[str, dict[str, str]], list[str]]:
-    """How the lake stands, what it says of every stage, and the errors."""
+) -> tuple[Status, dict[str, dict[str, str]], list[str], list[str]]:
+    """How the lake stands, what it says of every stage, the errors, and the checks that exports did not pass."""
     from flows.plan import annotation_digests
+    from flows.report import broken_checks
     from flows.status import errors, expected, recorded_states, status_of
 
     claims, runs = lake.claimed(), lake.live_runs()  # first: what is given back later is in the history
     outline = lake.outline()
     brought = expected(annotation_digests(lake), configuration, configs=configs, seed=seed)
-    return status_of(outline, claims, runs, brought), recorded_states(outline.states), errors(outline.states)
+    broken = [line for lines in broken_checks(lake).values() for line in lines]
+    return status_of(outline, claims, runs, brought), recorded_states(outline.states), errors(outline.states), broken
 
 
 def _json(status: Status) -> dict[str, Any]:
@@ -97,11 +99,12 @@ def _json(status: Status) -> dict[str, Any]:
     return {"counts": status.counts(), "seconds_left": status.seconds_left, "running": running, "todo": todo, "runs": runs}
 
 
-def _print(status: Status, wrong: Sequence[str], show_all: bool) -> None:
+def _print(status: Status, errors: Sequence[str], broken: Sequence[str], show_all: bool) -> None:
     if not status.scenes and not status.runs:
         print("the lake is empty")
         return
-    print(summary(status))
+    print(summary(status) + (f"; {len(broken)} checks of exports failed" if broken else ""))
+    wrong = [*errors, *broken]
     now = time.time()
     for one in status.runs:
         run = one.run

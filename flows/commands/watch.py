@@ -136,7 +136,12 @@ class _Watcher:
         scenes = [arrival.scan for arrival in due]
         plan = make_plan(lake, *found_scans(self.scans, self.format, self.dataset, scenes=scenes), configuration)
         report = carry_out(plan, lake, scans=self.scans, lake=lake.address, format=self.format, dataset=self.dataset, scenes=scenes, **told)
-        return watch_report(found, due, HERE, (*report.failures, *(f"{scene}: {report.stopped}" for scene in report.postponed)))
+        return watch_report(
+            found,
+            due,
+            HERE,
+            (*report.failures, *(f"{scene}: {report.stopped}" for scene in report.postponed or ["the run"] if report.stopped)),
+        )
 
 
 def _text(report: WatchReport) -> str:

@@ -108,7 +108,12 @@ class Coordinator:
 
     @property
     def window(self) -> int:
-        """Tasks in flight at most: one for every worker, and what it takes up next. Threads hold theirs while they wait."""
+        """Tasks in flight at most: one for every worker, and what it takes up next. Threads hold theirs while they wait.
+
+        Under a quota none waits: what it takes up next is to be decided when there is a worker.
+        """
+        if self._fan_out.quota_gb is not None:
+            return self._fan_out.workers
         return self._fan_out.workers + 1 if self._fan_out.runner == "pool" else 2 * self._fan_out.workers
 
     def run(self, tasks: Tasks, told: Told, facts: Mapping[str, Any]) -> Outcome:
@@ -134,8 +139,11 @@ class Coordinator:
         done: queue.SimpleQueue[Future] = queue.SimpleQueue()
         in_flight: dict[Any, Batch] = {}
         while True:
-            while len(in_flight) < self.window and len(backlog) and not self._is_stopped(quota):
-                scenes = backlog.take(self._pace.batch_size(len(backlog)))
+            quota.ended(commits=len(committer.snapshots))
+            while (
+                len(in_flight) < self.window and len(backlog) and not self._is_stopped(quota, len(in_flight)) and quota.fits(len(in_flight))
+            ):
+                scenes = backlog.take(1 if self._fan_out.quota_gb is not None else self._pace.batch_size(len(backlog)))
                 self._skip(backlog, presence)
                 if not scenes:
                     break
@@ -144,6 +152,7 @@ class Coordinator:
                 in_flight[future.task_run_id] = batch
                 future.add_done_callback(done.put)
             if not in_flight and (self._outcome.stopped or not len(backlog)):
+                self._outcome.stopped = self._outcome.stopped or quota.excess()
                 return
             try:
                 future = done.get(timeout=min(WAIT_SECONDS, backlog.pause or WAIT_SECONDS))
@@ -154,11 +163,12 @@ class Coordinator:
             batch = in_flight.pop(future.task_run_id)
             for result in self._results(tasks, future, batch, backlog):
                 self._take_in(result, batch, backlog, committer, told)
+                quota.ended(scenes=1, commits=len(committer.snapshots))
             self._tell(presence)
 
-    def _is_stopped(self, quota: Quota) -> bool:
+    def _is_stopped(self, quota: Quota, under_way: int) -> bool:
         """Whether no further scene may begin; says so once."""
-        if self._outcome.stopped is None and (reason := quota.reason()):
+        if self._outcome.stopped is None and (reason := quota.reason(under_way)):
             self._outcome.stopped = reason
             current().say(f"stopping: {reason}")
         return self._outcome.stopped is not None
