@@ -17,7 +17,7 @@ from flows.listing import ScanListing, files_of
 from flows.scans import DAY_SECONDS, ScanSource, scan_source
 from schemas.errors import InputError
 from schemas.runs import StageRun
-from tasks.capture.formats import Scan, scan_files
+from tasks.capture.formats import Scan, survey
 from tasks.capture.wholeness import Gap, find_gap, is_temporary
 from warehouse.history import StageState
 from warehouse.lake import Lake
@@ -44,7 +44,7 @@ class Arrival:
 
     `attempt` counts the runs that were asked for this content before, `run` is the last of them, asked for at `asked_at` [s
     since the epoch]; `asks` counts those for any content. `is_overdue`: it has been incomplete for more than a day, and nobody
-    was told within the last one.
+    was told within the last one. left_out: Links out of the folder of scans, in a line.
     """
 
     scan: str
@@ -57,6 +57,7 @@ class Arrival:
     asked_at: float = 0.0
     asks: int = 0
     is_overdue: bool = False
+    left_out: str = ""
 
 
 @dataclasses.dataclass
@@ -125,6 +126,7 @@ def look(
     format: str = "auto",
     dataset: str | None = None,
     *,
+    links_into: Sequence[str] = (),
     now: float | None = None,
     hashes: FileHashes | None = None,
 ) -> Look:
@@ -136,7 +138,7 @@ def look(
         InputError: no such place, or an unknown format.
     """
     hashes = hashes or FileHashes()
-    source = scan_source(scans)
+    source = scan_source(scans, links_into)
     try:
         before = _memory(scans, lake).read()
         now = time.time() if now is None else now
@@ -221,11 +223,11 @@ class _Watcher:
         """Remember what a scan lacks and the hash of its content."""
         entry = self._after[_key(scan.scene_id)]
         gap = find_gap(scan)
-        root = scan.path if scan.path.is_dir() else scan.path.parent
-        content = self._hashes.tree(root, scan_files(scan))
+        files, left_out = survey(scan)
+        content = self._hashes.tree(scan.folder, files)
         if scan.path == listing.scan.path and ScanListing(scan, files_of(scan)).mark != listing.mark:
             raise InputError(scan.scene_id, "files", "changed while they were looked at")
-        entry |= {"content": content, "gap": gap.what if gap else "", "is_readable": gap is None or gap.is_readable}
+        entry |= {"content": content, "gap": gap.what if gap else "", "is_readable": gap is None or gap.is_readable, "left_out": left_out}
         # Within the resolution of time stamps a file may change without a sign of it: then the next look looks again.
         entry["is_lasting"] = self._settle >= RACY_SECONDS
 
@@ -233,9 +235,10 @@ class _Watcher:
         """The state of a scan that has settled."""
         entry = self._after[_key(found.scan)]
         content, gap = str(entry["content"]), Gap(str(entry["gap"]), bool(entry["is_readable"]))
+        found = dataclasses.replace(found, left_out=str(entry.get("left_out", "")))
         if not entry.pop("is_lasting", True):
-            for key in ("content", "gap", "is_readable"):
-                del entry[key]
+            for key in ("content", "gap", "is_readable", "left_out"):
+                entry.pop(key, None)
         last, done = (capture.last, capture.done) if capture else (None, None)
         if last is not None and last.outcome == "failed" and _content(last) == content:
             return dataclasses.replace(found, state="failed before", why=last.error or "", content=content)
@@ -323,7 +326,7 @@ class WatchReport:
     """What a look found, by scene id, and which scans it asked a run for. `run` is that run, '' when there was nothing to ask.
 
     `waiting` says why, `overdue` are those of them that have been incomplete for more than a day and were not told of today.
-    `failures` are those of the run, where it was done at once.
+    `failures` are those of the run, where it was done at once. `left_out` says which links of which scan are not followed.
     """
 
     new: tuple[str, ...]
@@ -335,6 +338,7 @@ class WatchReport:
     asked: tuple[str, ...] = ()
     run: str = ""
     failures: tuple[str, ...] = ()
+    left_out: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def __str__(self) -> str:
         total = len(self.new) + len(self.changed) + len(self.waiting) + len(self.failed_before) + self.known
@@ -351,4 +355,5 @@ def watch_report(found: Look, asked: Iterable[Arrival] = (), run: str = "", fail
 
     overdue = tuple(f"{arrival.scan}: {arrival.why}" for arrival in found.arrivals if arrival.is_overdue)
     return WatchReport(tuple(named("new")), tuple(named("changed")), named("waiting"), named("failed before"), len(named("known")),
-                       overdue, tuple(arrival.scan for arrival in asked), run, tuple(failures))  # fmt: skip
+                       overdue, tuple(arrival.scan for arrival in asked), run, tuple(failures),
+                       {arrival.scan: arrival.left_out for arrival in found.arrivals if arrival.left_out})  # fmt: skip

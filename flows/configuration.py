@@ -10,12 +10,10 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
 from tasks.pipeline import STAGES
-
-MAX_BYTES = 2**20
-"""Settings of all stages take some ten thousand bytes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +43,7 @@ def configure(
     if file is not None:
         origin = file.name
         try:
-            told = tomllib.loads(read_file(file, file.name, MAX_BYTES).decode("utf-8-sig"))
+            told = tomllib.loads(read_file(file, file.name, BUDGET.settings_bytes).decode("utf-8-sig"))
         except ValueError as error:
             raise InputError(file.name, "content", str(error), "give a TOML file with one table per stage") from error
     named_seed, named_library = told.pop("seed", 0), told.pop("library", None)

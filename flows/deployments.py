@@ -32,7 +32,7 @@ RUNS_AT_ONCE = 4
 @dataclasses.dataclass(frozen=True)
 class Schedule:
     """What `prefect.yaml` asks of its surroundings. out: folder for the report and exports, on the machine of the worker.
-    nightly, watch, weekly: cron lines, in `timezone`."""
+    nightly, watch, weekly: cron lines, in `timezone`. links_into: folders that links of scans may lead into, as in PATH."""
 
     scans: str
     lake: str
@@ -42,6 +42,7 @@ class Schedule:
     nightly: str = "0 1 * * *"
     watch: str = "*/5 * * * *"
     weekly: str = "0 12 * * SUN"
+    links_into: str = ""
 
     def __post_init__(self) -> None:
         from zoneinfo import ZoneInfo

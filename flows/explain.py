@@ -14,6 +14,7 @@ from schemas.candidates import Asset
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
 from schemas.exports import ExportFile
+from schemas.files import read_file
 from schemas.lineage import Lineage, Place, RunFacts
 from tasks.lineage.places import places
 from warehouse.lake import Lake
@@ -130,7 +131,9 @@ def _walk(walk: Walk, lake: Lake, target: Target, local: Path | None) -> str:
 
 def _content(lake: Lake, file: ExportFile, local: Path) -> str:
     """How a file on disk compares with the lake's."""
-    data = local.read_bytes()
+    from schemas.budget import BUDGET
+
+    data = read_file(local, str(local), BUDGET.scene_bytes)
     if file.file_blob.startswith(hashlib.sha256(data).hexdigest()):
         return "as in the lake"
     stated = _stated_release(data) if file.path.endswith("scene.usda") and file.file_blob in lake.blobs else None

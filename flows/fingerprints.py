@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from schemas.files import open_file
+from schemas.files import open_file, sane_bytes
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("schemas", "tasks")
@@ -31,9 +31,6 @@ MECHANISM = ("tasks.stage", "schemas.tables", "schemas.record", "schemas.errors"
 
 RACY_SECONDS = 2.0
 """A file changed this recently may change again within its time stamp's resolution: its hash is not remembered."""
-
-MAX_HASHED_BYTES = 128 * 2**30
-"""No reader takes a larger file."""
 
 
 def digest(*parts: str) -> str:
@@ -181,11 +178,11 @@ class FileHashes:
         if isinstance(read, dict):  # anything else was not written by us, or not whole
             self._known = {path: entry for path, entry in read.items() if isinstance(entry, list) and len(entry) == 5}
 
-    def hash(self, path: Path) -> str:
-        """SHA-256 of a file's content.
+    def hash(self, path: Path, name: str = "") -> str:
+        """SHA-256 of a file's content; `name` is what errors call it.
 
         Raises:
-            InputError: it is no regular file, or has more than MAX_HASHED_BYTES bytes.
+            InputError: it is no regular file, or has more bytes than files of its kind.
             OSError: it cannot be read.
         """
         stat = path.stat()
@@ -194,7 +191,7 @@ class FileHashes:
         known = self._known.get(key)
         if known and known[:4] == mark:
             return str(known[4])
-        with open_file(path, path.name, MAX_HASHED_BYTES) as file:
+        with open_file(path, name or path.name, sane_bytes(path)) as file:
             value = hashlib.file_digest(file, "sha256").hexdigest()
         if time.time() - max(stat.st_mtime, stat.st_ctime) > RACY_SECONDS:
             self._known[key] = [*mark, value]
@@ -202,8 +199,9 @@ class FileHashes:
         return value
 
     def tree(self, root: Path, files: Iterable[Path]) -> str:
-        """Hash of a set of files: their paths relative to `root` and their contents."""
-        return digest(*(f"{path.relative_to(root).as_posix()}={self.hash(path)}" for path in sorted(files)))
+        """Hash of a set of files: their paths relative to `root` and their contents; raises what `hash` raises."""
+        named = [(path, path.relative_to(root).as_posix()) for path in sorted(files)]
+        return digest(*(f"{name}={self.hash(path, f'{root.name}/{name}')}" for path, name in named))
 
     def save(self) -> None:
         """Write what was learned. Two runs may write at once: the last one wins, whole."""

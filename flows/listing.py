@@ -15,6 +15,8 @@ from typing import Any, ClassVar, cast
 from flows.fingerprints import digest
 from schemas.errors import InputError
 from tasks.capture.formats import Scan, scan_files
+from tasks.capture.layout import leads_up
+from tasks.capture.premises import Premises
 
 MAX_NAME_BYTES = 255
 """The longest name that file systems take."""
@@ -159,11 +161,9 @@ def files_of(scan: Scan) -> tuple[ScanFile, ...]:
     Raises:
         OSError: the scan's folder cannot be listed.
     """
-    whole = scan.path.is_dir()
-    root = scan.path if whole else scan.path.parent
-    found = {
-        file.path: file for file in (_listed(root, root) if isinstance(root, ListedPath) else _scanned(root, "", DEPTH if whole else 0))
-    }
+    whole, root = scan.path.is_dir(), scan.folder
+    listed = _listed(root, root) if isinstance(root, ListedPath) else _scanned(root, "", DEPTH if whole else 0, scan.premises)
+    found = {file.path: file for file in listed}
     if whole:
         return tuple(sorted(found.values()))
     name = scan.path.name
@@ -179,14 +179,16 @@ def _listed(folder: ListedPath, root: ListedPath) -> Iterator[ScanFile]:
             yield from _listed(path, root)
 
 
-def _scanned(folder: Path, below: str, depth: int) -> Iterator[ScanFile]:
+def _scanned(folder: Path, below: str, depth: int, premises: Premises) -> Iterator[ScanFile]:
     with os.scandir(folder) as entries:
         for entry in entries:
             try:
+                if entry.is_symlink() and not premises.admits(Path(entry.path)):
+                    continue
                 if entry.is_file():
                     stat = entry.stat()
                     yield ScanFile(f"{below}{entry.name}", stat.st_size, stat.st_mtime_ns, str(stat.st_ctime_ns))
-                elif depth and entry.is_dir():
-                    yield from _scanned(Path(entry.path), f"{below}{entry.name}/", depth - 1)
+                elif depth and entry.is_dir() and not leads_up(Path(entry.path)):
+                    yield from _scanned(Path(entry.path), f"{below}{entry.name}/", depth - 1, premises)
             except FileNotFoundError:  # renamed or removed since the folder was listed, as a copy under way does
                 continue

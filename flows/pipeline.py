@@ -200,6 +200,7 @@ def replicate(
     quota_gb: float | None = None,
     stage_seconds: float = STAGE_SECONDS,
     settle_seconds: float = 0.0,
+    links_into: list[str] = [],  # noqa: B006
 ) -> Any:
     """Replica scenes of the scans at an address, into a lake. Scenes are independent: one that fails stops no other.
 
@@ -230,6 +231,7 @@ def replicate(
         quota_gb: Stop before the lake holds more.
         stage_seconds: Time limit of one stage of one scene.
         settle_seconds: Leave scans that changed less long ago to a later run: they may still be on their way.
+        links_into: Folders that links out of the folder of scans may lead into, as those of a store are.
     """
     configuration = configure(
         Path(config_file) if config_file else None, settings, Path(library) if library else None, seed, tables=stages or None
@@ -244,7 +246,9 @@ def replicate(
 
     def once() -> RunReport:
         store = Lake.open(lake)
-        found, unusable = found_scans(scans, format, dataset, scenes=scenes, first=first, last=last, since=since, until=until)
+        found, unusable = found_scans(
+            scans, format, dataset, scenes=scenes, first=first, last=last, since=since, until=until, links_into=links_into
+        )
         if settle_seconds > 0:
             found, arriving = settled(found, settle_seconds, by_change="://" not in scans)
             for scan in arriving:

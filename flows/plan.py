@@ -12,7 +12,7 @@ from flows.configuration import Configuration
 from flows.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint, digest
 from schemas.errors import InputError
 from schemas.runs import StageRun
-from tasks.capture.formats import Scan, scan_files
+from tasks.capture.formats import Scan, survey
 from tasks.pipeline import MODULES, SCENE_STAGES, upstream
 from tasks.stage import Stage
 from warehouse.lake import Lake
@@ -59,11 +59,15 @@ class ScenePlan:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What a run would do: scenes with their steps, and scans that cannot be used at all. `snapshot_id` is what it was made from."""
+    """What a run would do: scenes with their steps, and scans that cannot be used at all. `snapshot_id` is what it was made from.
+
+    left_out: A line for each scan that has links out of the folder of scans.
+    """
 
     scenes: tuple[ScenePlan, ...]
     unusable: tuple[InputError, ...]
     snapshot_id: int = 0
+    left_out: tuple[str, ...] = ()
 
     @property
     def todo(self) -> tuple[ScenePlan, ...]:
@@ -90,23 +94,24 @@ def make_plan(
     library = _library_hash(configuration.library, hashes)
     history = lake.history({scan.scene_id for scan in scans})
     annotations = annotation_digests(lake, {scan.scene_id for scan in scans}, snapshot_id)
-    scenes, errors = [], list(unusable)
+    scenes, errors, notes = [], list(unusable), []
     for scan in scans:
         try:
-            root = scan.path if scan.path.is_dir() else scan.path.parent
-            content = hashes.tree(root, scan_files(scan))
+            files, note = survey(scan)
+            content = hashes.tree(scan.folder, files)
         except OSError as error:
             errors.append(InputError(scan.path.name, "files", str(error), "check that they can be read"))
             continue
         except InputError as error:
             errors.append(error)
             continue
+        notes += [f"{scan.scene_id}: {note}"] if note else []
         outside = {"scan": content, "library": library}
         past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
         steps = _steps(outside, annotations.get(scan.scene_id, ""), past, told, configuration.seed, retry_failed)
         scenes.append(ScenePlan(scan, steps, snapshot_id))
     hashes.save()
-    return Plan(tuple(scenes), tuple(errors), snapshot_id)
+    return Plan(tuple(scenes), tuple(errors), snapshot_id, tuple(notes))
 
 
 def _steps(

@@ -79,6 +79,8 @@ def report_of(
     lines = [(scene, line) for scene, told in sorted((broken or {}).items()) for line in told]
     known += [line for scene, line in lines if scene not in computed]
     anew += [line for scene, line in lines if scene in computed]
+    notes = [text for r in results for text in r.degradations]
+    notes += [line for line in plan.left_out if not any(line.partition(": ")[2] in text for text in notes)]
     others = computed | failed | shared | postponed
     return RunReport(
         done=tuple(r.scene_id for r in results if not r.failed),
@@ -86,7 +88,7 @@ def report_of(
         unchanged=tuple(s.scan.scene_id for s in plan.scenes if s.scan.scene_id not in others),
         failures=(*known, *anew),
         steps=sum(len(r.ran) for r in results),
-        degradations=tuple(text for r in results for text in r.degradations),
+        degradations=tuple(notes),
         shared=tuple(sorted(shared)),
         postponed=tuple(sorted(postponed)),
         stopped=outcome.stopped if outcome else None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import fnmatch
+import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Protocol
 from flows.listing import ScanListing, files_of
 from schemas.errors import InputError, check_address
 from tasks.capture.formats import Scan, find_scans, scan_files
+from tasks.capture.premises import stores
 
 DAY_SECONDS = 86_400.0
 
@@ -35,7 +37,8 @@ class ScanSource(Protocol):
         """The same scans as files of this machine, each whole; and an error for each that could not be had whole."""
 
     def folder(self, only: Iterable[str] | None = None) -> Path:
-        """A local folder that `find_scans` reads, with the scans of these scene ids at least (None: all of them).
+        """A local folder that `find_scans` reads, with the scans of these scene ids at least (None: all of them). Of a store it
+        is one of links into the cache folder.
 
         Raises:
             InputError: a scan could not be fetched whole.
@@ -45,33 +48,36 @@ class ScanSource(Protocol):
         """What `fetch` and `folder` gave may be removed from now on."""
 
 
-def scan_source(address: str | Path) -> ScanSource:
+def scan_source(address: str | Path, links_into: Sequence[str] = ()) -> ScanSource:
     """The scans at an address: a folder, one scan, or `s3://bucket/prefix` with endpoint and credentials as lakes have them.
 
+    links_into: Folders that links out of the folder may lead into; each text is one, or several as in PATH.
+
     Raises:
-        InputError: the address is of no known kind, or carries credentials.
+        InputError: the address is of no known kind, or carries credentials; or one of the folders does not exist.
     """
     text = str(address)
     check_address(text, "--scans")
+    allowed = stores(folder for listed in links_into for folder in listed.split(os.pathsep) if folder)
     if isinstance(address, str) and address.startswith("s3://"):
         from flows.mirror import S3Source
 
         return S3Source(address)
     if isinstance(address, str) and "://" in address:
         raise InputError(address.partition("://")[0] + "://", "--scans", "is not supported", "give a folder or s3://bucket/prefix")
-    return FolderSource(Path(text))
+    return FolderSource(Path(text), allowed)
 
 
 class FolderSource:
     """Scans in a folder of this machine, read where they lie."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, links_into: Sequence[Path] = ()) -> None:
         self.address = str(path)
-        self._path = path
+        self._path, self._links_into = path, tuple(links_into)
 
     def find(self, format: str = "auto", dataset: str | None = None) -> tuple[list[Scan], list[InputError]]:
         """See ScanSource."""
-        return find_scans(self._path, format, dataset)
+        return find_scans(self._path, format, dataset, self._links_into)
 
     def listing(self, format: str = "auto", dataset: str | None = None) -> tuple[dict[str, ScanListing], list[InputError]]:
         """See ScanSource."""
@@ -113,6 +119,7 @@ def found_scans(
     last: str | None = None,
     since: str | None = None,
     until: str | None = None,
+    links_into: Sequence[str] = (),
 ) -> tuple[list[Scan], list[InputError]]:
     """The chosen scans at an address, ready to be read from this machine's files, and what is wrong with the rest. Where
     `scenes` names each of them, nothing is said of the rest.
@@ -121,9 +128,10 @@ def found_scans(
     fetched stays at least until this process ends.
 
     Raises:
-        InputError: no such place, an unknown format, or a choice that cannot be (see `chosen`).
+        InputError: no such place, an unknown format, a folder of `links_into` that does not exist, or a choice that cannot be (see
+            `chosen`).
     """
-    source = scan_source(address)
+    source = scan_source(address, links_into)
     found, errors = source.find(format, dataset)
     wanted = chosen(found, scenes=scenes, first=first, last=last, since=since, until=until)
     ready, missing = source.fetch(wanted)
@@ -201,11 +209,10 @@ def settled(scans: Sequence[Scan], seconds: float, by_change: bool = True) -> tu
     now = time.time()
     for scan in scans:
         try:
-            folder = scan.path if scan.path.is_dir() else scan.path.parent
             states = [file.stat() for file in scan_files(scan)]
             moments = [max(one.st_mtime, one.st_ctime) if by_change else one.st_mtime for one in states]
             age = now - max(moments, default=0.0)
-            is_busy = age < seconds or any(is_temporary(entry.name) for entry in folder.iterdir())
+            is_busy = age < seconds or any(is_temporary(entry.name) for entry in scan.folder.iterdir())
             if not is_busy and age < DAY_SECONDS:
                 gap = find_gap(scan)
                 is_busy = gap is not None and not gap.is_readable

@@ -37,6 +37,7 @@ def watch(
     format: str = "auto",
     dataset: str | None = None,
     dry_run: bool = False,
+    links_into: list[str] = [],  # noqa: B006  # a default that Prefect's form shows; it is never changed
 ) -> Any:
     """Find new and changed scans by content, and ask one run for them. Scans that are still being copied wait.
 
@@ -51,14 +52,15 @@ def watch(
         format: Scan format, or 'auto'.
         dataset: Name of the dataset; by default what the format says.
         dry_run: Only look.
+        links_into: Folders that links out of the folder of scans may lead into.
     """
     store = Lake.open(lake)
-    found = look(scans, store, settle_seconds, format, dataset)
+    found = look(scans, store, settle_seconds, format, dataset, links_into=links_into)
     due = found.due(is_over)[:MAX_SCANS]
     has_news = found.is_news
     run = ""
     failures: list[str] = []
-    parameters = request(scans, lake, format, dataset, due)
+    parameters = request(scans, lake, format, dataset, due, links_into)
     if due and not dry_run:
         if deployment is not None:
             run = ask(deployment, parameters, request_key(scans, store.address, due))
@@ -84,11 +86,15 @@ def watch(
     return report
 
 
-def request(scans: str, lake: str, format: str, dataset: str | None, due: Sequence[Arrival]) -> dict[str, Any]:
+def request(
+    scans: str, lake: str, format: str, dataset: str | None, due: Sequence[Arrival], links_into: Sequence[str] = ()
+) -> dict[str, Any]:
     """Parameters of `replicate` for these scans; what a deployment states by itself is left to it."""
     scans, lake = (place if "://" in place else str(Path(place).absolute()) for place in (scans, lake))
     stated: dict[str, Any] = {"scans": scans, "lake": lake, "scenes": [arrival.scan for arrival in due]}
-    return stated | ({"format": format} if format != "auto" else {}) | ({"dataset": dataset} if dataset else {})
+    stated |= {"format": format} if format != "auto" else {}
+    stated |= {"links_into": [str(Path(folder).absolute()) for folder in links_into if folder]} if any(links_into) else {}
+    return stated | ({"dataset": dataset} if dataset else {})
 
 
 def ask(deployment: str, parameters: dict[str, Any], key: str) -> str:
@@ -148,7 +154,7 @@ def _leave_table(found: Look, scans: str, lake: str) -> None:
         {
             "scan": one.scan,
             "state": one.state,
-            "why": f"{'for more than a day: ' * one.is_overdue}{one.why}",
+            "why": f"{'for more than a day: ' * one.is_overdue}{'; '.join(filter(None, (one.why, one.left_out)))}",
             "MB": round(one.size_bytes / 1e6, 1),
         }
         for one in shown

@@ -60,6 +60,15 @@ def is_there(path: Path) -> bool:
         return False
 
 
+def sane_bytes(path: Path) -> int:
+    """How many bytes a file of its kind may have before anything looks into it; readers have limits of their own."""
+    return _SANE_BYTES.get(path.suffix.lower(), 2**31)
+
+
+_SANE_BYTES = {".txt": 2**24, ".log": 2**24, ".csv": 2**26, ".png": 2**28, ".jpg": 2**28, ".jpeg": 2**28, ".ppm": 2**28,
+               ".pgm": 2**28, ".bmp": 2**28, ".tif": 2**28, ".tiff": 2**28, ".json": 2**29, ".sens": 2**37}  # fmt: skip
+
+
 def check_file(path: Path, name: str, most_bytes: int) -> None:
     """Refuse what `open_file` would refuse, without opening it.
 
@@ -68,6 +77,18 @@ def check_file(path: Path, name: str, most_bytes: int) -> None:
         OSError: it does not exist.
     """
     _check(path.stat(), name, most_bytes)
+
+
+def stays_in(path: Path, *folders: Path) -> bool:
+    """Whether a path leads into one of some folders, every link on the way followed; a link in a circle leads nowhere.
+
+    What it leads to need not exist.
+    """
+    try:
+        real = path.resolve()
+    except (OSError, RuntimeError):  # Python's own error for circles
+        return False
+    return any(real.is_relative_to(folder.resolve()) for folder in folders)
 
 
 def _check(found: os.stat_result, name: str, most_bytes: int) -> None:

@@ -170,3 +170,77 @@ def test_shared_tables_name_who_shares_them() -> None:
         if table.rule == "share":
             assert table.key[0] in {c.name for c in TABLES[table.shared_by].columns}
     assert {stage.grain for stage in SCENE_STAGES} == {"scene"}
+
+
+OPENERS = {"read_text", "read_bytes", "load_mesh", "ZipFile", "from_xml_path"}
+OWN = {
+    "schemas/files.py": "the one place",
+    "flows/commands/sql.py": "the answer that is written, and /proc",
+    "flows/demo.py": "what the demo wrote",
+    "flows/deployments.py": "prefect.yaml of the package",
+    "flows/erasure.py": "caches of this machine",
+    "flows/export.py": "the export that is written",
+    "flows/fingerprints.py": "code, and caches of this machine",
+    "flows/mirror.py": "the mirror of this machine",
+    "flows/stats/flow.py": "the report that was written",
+    "flows/terminal.py": "descriptors of the process",
+    "tasks/batches.py": "the schema of the package",
+    "tasks/captions/physics.py": "tables of the package",
+    "tasks/exports/files.py": "the export that is written",
+    "tasks/exports/mjcf/rules.py": "MuJoCo opens by itself",
+    "tasks/exports/urdf/rules.py": "trimesh opens by itself",
+    "tasks/exports/usd/package.py": "a file that is open",
+    "tasks/navigation/habitat.py": "what a child process of ours wrote",
+    "tasks/optimization/newton_engine.py": "what a child process of ours wrote",
+    "tasks/optimization/newton_script.py": "what its parent wrote",
+    "tasks/scanner/folder.py": "the scan that is written",
+    "tasks/stats/report.py": "the template of the package",
+    "warehouse/macros.py": "SQL of the package",
+    "warehouse/release/__init__.py": "the release that is written",
+    "warehouse/release/tables.py": "the release that is written",
+    "warehouse/staging.py": "the lake",
+    "warehouse/storage.py": "the lake",
+    "warehouse/views.py": "SQL of the package",
+    "warehouse/writer.py": "/proc",
+}
+"""Modules that open files by themselves, and which: never what people hand in. That goes through `schemas.files`."""
+
+
+def opens(node: ast.AST) -> bool:
+    """Whether a call opens a file by its path."""
+    if not isinstance(node, ast.Call):
+        return False
+    if isinstance(node.func, ast.Name):
+        return node.func.id in {"open", "ZipFile"}
+    if not isinstance(node.func, ast.Attribute):
+        return False
+    owner, name = ast.unparse(node.func.value), node.func.attr
+    first = node.args[0] if node.args else next((k.value for k in node.keywords if k.arg == "mode"), None)
+    is_bytes = isinstance(first, ast.Call) and ast.unparse(first.func) == "io.BytesIO"
+    if name in OPENERS:
+        return not is_bytes
+    if (owner, name) in {("Image", "open"), ("np", "load"), ("gzip", "open"), ("trimesh", "load"), ("trimesh", "load_scene")}:
+        return not is_bytes and not (isinstance(first, ast.Name) and first.id == "file")
+    is_mode = isinstance(first, ast.Constant) and isinstance(first.value, str) and set(first.value) <= set("rwxabt+")
+    return (owner, name) == ("os", "open") or (name == "open" and (is_mode or any(k.arg in ("newline", "encoding") for k in node.keywords)))
+
+
+def test_what_people_hand_in_is_opened_in_one_place() -> None:
+    found = {
+        path.relative_to(REPOSITORY).as_posix()
+        for room in ROOMS
+        for path in modules(room)
+        if "bench" not in path.parts and any(map(opens, ast.walk(ast.parse(path.read_text()))))
+    }
+    assert found - set(OWN) == set(), "open what people hand in with schemas.files"
+    assert set(OWN) - found == set(), "they open nothing any more"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["open(path)", "path.open('rb')", "path.read_bytes()", "path.read_text(encoding='utf-8')", "Image.open(path)", "np.load(path)",
+     "os.open(path, 0)", "path.open(newline='')", "trimesh.load_scene(path)", "zipfile.ZipFile(path)", "gzip.open(path)"],
+)  # fmt: skip
+def test_the_look_for_what_is_opened_sees_it(text: str) -> None:
+    assert any(map(opens, ast.walk(ast.parse(text))))
+    assert not any(map(opens, ast.walk(ast.parse("Lake.open(path), tables.open('scenes'), Image.open(io.BytesIO(data))"))))

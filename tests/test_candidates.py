@@ -332,6 +332,10 @@ def test_a_library_is_indexed_whatever_lies_in_it(tmp_path: Path) -> None:
     (folder / "LICENSE").write_text("\nCC-BY-4.0\nmore words")
     (tmp_path / "outside.glb").write_bytes((folder / "b.glb").read_bytes())
     (folder / "link.glb").symlink_to(tmp_path / "outside.glb")
+    (folder / "more").symlink_to(tmp_path)
+    (folder / "gone.glb").symlink_to("nothing.glb")
+    (folder / "loop.glb").symlink_to("loop.glb")
+    os.mkfifo(folder / "pipe.glb")
     listed = {"file": "b.glb", "category": "dining table", "licence": "MIT-0", "author": "A. Maker"}
     (folder / "index.json").write_text(json.dumps([listed]))
     index = index_library(folder)
@@ -339,8 +343,15 @@ def test_a_library_is_indexed_whatever_lies_in_it(tmp_path: Path) -> None:
         ("SomeChair_01.glb", "chair", "CC-BY-4.0", None),
         ("b.glb", "dining table", "MIT-0", "A. Maker"),
     ]
-    assert len(index.problems) == 1
-    assert "broken.glb left out" in index.problems[0]
+    assert len(index.problems) == 6
+    assert "broken.glb left out" in index.problems[-1]
+    assert index.problems[:-1] == tuple(f"library: {name} left out: {why}" for name, why in [
+        ("gone.glb", "a link that leads nowhere"),
+        ("link.glb", "a link that leads out of the library"),
+        ("loop.glb", "a link that leads nowhere"),
+        ("more", "a link that leads out of the library"),
+        ("pipe.glb", "no regular file"),
+    ])  # fmt: skip
     assert [path.name for path in library_files(folder)] == ["LICENSE", "SomeChair_01.glb", "b.glb", "broken.glb", "index.json"]
     made = library_asset(index.entries[1])
     low, high = surface_of(load_glb(made.files[made.asset.mesh_blob])).bounds
@@ -377,11 +388,21 @@ def test_a_bad_file_of_a_library_is_left_out_and_named_and_the_others_are_used(t
     assert [(entry.file, entry.author) for entry in index.entries] == [("chair.glb", "A. ?")]
     assert np.array_equal(index.entries[0].descriptor.extents, sound[0].descriptor.extents)
     named = [problem.split()[1] for problem in index.problems]
-    assert named == [*sorted(f"{name}.glb" for name in [*bad, "large"]), "?.glb"]
+    assert named == ["endless.glb", *sorted(f"{name}.glb" for name in [*bad, "large"]), "?.glb"]
     assert all(len(problem.splitlines()) == 1 and problem.isprintable() for problem in index.problems)
     made = _library_hash(folder, FileHashes(tmp_path / "hashes.json"))  # a plan is made of it all the same
     (folder / "cut.glb").unlink()
     assert _library_hash(folder, FileHashes(tmp_path / "hashes.json")) != made
+
+
+@pytest.mark.parametrize("name", ["LICENSE", "LICENSE.txt", "index.json"])
+def test_a_librarys_own_files_are_no_links_to_others(tmp_path: Path, name: str) -> None:
+    folder = write_library(tmp_path / "lib", chair=("chair", (0.5, 0.5, 0.9)))
+    (tmp_path / "secret").write_text("[]\nsecret")
+    (folder / name).symlink_to(tmp_path / "secret")
+    index = index_library(folder)
+    assert [entry.license for entry in index.entries] == ["unknown"]
+    assert index.problems == (f"library: {name} left out: a link that leads out of the library",)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from flows.erasure import erase_from_caches
 from flows.fanout.quota import GB, KEEP_FREE_GB
-from flows.fingerprints import FileHashes
+from flows.fingerprints import FileHashes, cache_folder
 from flows.listing import MAX_NAME_BYTES, ScanFile, listed_folder, usable_paths
 from flows.mirror import FetchError, S3Source
 from flows.scans import DAY_SECONDS, arrived, chosen, found_scans, scan_source, settled
@@ -368,14 +368,14 @@ def test_scans_of_all_kinds_and_places(server: S3, cache: Path, tmp_path: Path) 
     assert not (found[3].path / "notes").exists(), "what no reader reads is not fetched"
     assert (found[4].path / "scene0001_00.sens").is_file(), "unless the scan would not be known without"
     source = scan_source(f"s3://{root}")
-    assert [scan.scene_id for scan in find_scans(source.folder())[0]] == [scan.scene_id for scan in found]
+    assert [scan.scene_id for scan in find_scans(source.folder(), links_into=[cache_folder()])[0]] == [scan.scene_id for scan in found]
     for single, scene in (
         (f"{root}/a.glb", "glb/a"),
         (f"{root}/deep/kitchen", "rgbd/kitchen"),
         (f"{root}/scene0001_00", "scannet/scene0001_00"),
     ):
         own = scan_source(f"s3://{single}")
-        assert [scan.scene_id for scan in find_scans(own.folder())[0]] == [scene]
+        assert [scan.scene_id for scan in find_scans(own.folder(), links_into=[cache_folder()])[0]] == [scene]
         assert [scan.scene_id for scan in found_scans(f"s3://{single}")[0]] == [scene]
     assert not list(tmp_path.rglob("escape*"))
     found, errors = found_scans("s3://store/kinds/nothing")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flows.commands.options import json_option, lake_option
+from flows.commands.options import json_option, lake_option, links_option
 
 if TYPE_CHECKING:
     from flows.deployments import Item, Schedule
@@ -22,6 +22,7 @@ NOTIFY = "METASCENES_NOTIFY_URL"
 
 @click.command("deploy", short_help="Schedule runs on a Prefect server, or start one with a worker.")
 @click.option("--scans", envvar="METASCENES_SCANS", required=True, metavar="ADDRESS", help="Folder of scans, or s3://bucket/prefix.")
+@links_option
 @lake_option
 @click.option("--out", envvar="METASCENES_OUT", metavar="FOLDER", help="Folder for report and exports; by default ./metascenes.")
 @click.option("--timezone", envvar="METASCENES_TIMEZONE", default="UTC", show_default=True, help="Time zone, as in Europe/Berlin.")
@@ -42,7 +43,8 @@ NOTIFY = "METASCENES_NOTIFY_URL"
 @click.option("--dry-run", is_flag=True, help="Say what would be set up; change nothing, start nothing.")
 @json_option
 def command(
-    scans: str, address: str, out: str | None, timezone: str, nightly: str, watch: str, weekly: str, pool: str, gpu_slots: int | None,
+    scans: str, links_into: tuple[str, ...], address: str, out: str | None,
+    timezone: str, nightly: str, watch: str, weekly: str, pool: str, gpu_slots: int | None,
     vlm_per_second: float | None, runs_at_once: int | None, notify_env: str | None, no_notify: bool, local: bool, host: str, port: int,
     dry_run: bool, as_json: bool,
 ) -> None:  # fmt: skip
@@ -69,6 +71,7 @@ def command(
         nightly=nightly,
         watch=watch,
         weekly=weekly,
+        links_into=os.pathsep.join(_whole(folder) for folder in links_into),
     )
     notify_env = notify_env or (NOTIFY if os.environ.get(NOTIFY) and not no_notify else None)
     if dry_run:

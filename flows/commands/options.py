@@ -28,12 +28,21 @@ def json_option(function: F) -> F:
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object, for scripts.")(function)
 
 
+def links_option(function: F) -> F:
+    """`--links-into FOLDER`, as `links_into`."""
+    return click.option(
+        "--links-into", multiple=True, metavar="FOLDER", envvar="METASCENES_LINKS_INTO", type=click.Path(file_okay=False),
+        help="Links out of --scans may lead into this folder, such as a store of DVC or git-annex; may be repeated.",
+    )(function)  # fmt: skip
+
+
 def scans_options(function: F) -> F:
-    """`--scans ADDRESS`, `--format` (as `scan_format`), `--dataset`: where scans lie and how they are read."""
+    """`--scans ADDRESS`, `--links-into`, `--format` (as `scan_format`), `--dataset`: where scans lie and how they are read."""
     formats = click.Choice(["auto", "scannet", "posed_rgbd", "glb"])
     for option in (
         click.option("--dataset", help="Name of the dataset; by default what the format says."),
         click.option("--format", "scan_format", type=formats, default="auto", show_default=True, help="Scan format."),
+        links_option,
         click.option("--scans", required=True, metavar="ADDRESS", help="Folder of scans, one scan, or s3://bucket/prefix."),
     ):
         function = option(function)

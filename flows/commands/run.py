@@ -47,7 +47,8 @@ if TYPE_CHECKING:
 @click.option("--retry-failed", is_flag=True, help="Compute again what failed on unchanged input.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done and why; do nothing.")
 @json_option
-def command(scans: str, scan_format: str, dataset: str | None, address: str, config_file: Path | None, settings: tuple[str, ...],
+def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: str | None, address: str,
+            config_file: Path | None, settings: tuple[str, ...],
             library: Path | None, seed: int | None, workers: int, scenes: tuple[str, ...], first: str | None, last: str | None,
             since: str | None, until: str | None, runner: str, dask_address: str | None, batch: int | None, keep_free_gb: float | None,
             quota_gb: float | None, retry_failed: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
@@ -65,7 +66,9 @@ def command(scans: str, scan_format: str, dataset: str | None, address: str, con
 
     configuration = configure(config_file, settings, library, seed)
     lake = Lake.open(address)
-    found, unusable = found_scans(scans, scan_format, dataset, scenes=scenes, first=first, last=last, since=since, until=until)
+    found, unusable = found_scans(
+        scans, scan_format, dataset, scenes=scenes, first=first, last=last, since=since, until=until, links_into=links_into
+    )
     plan = make_plan(lake, found, unusable, configuration, retry_failed)
     if dry_run:
         print(json.dumps(_plan_json(plan)) if as_json else _plan_text(plan))
@@ -74,7 +77,7 @@ def command(scans: str, scan_format: str, dataset: str | None, address: str, con
         plan, lake, scans=scans, lake=address, format=scan_format, dataset=dataset, workers=workers,
         library=str(library) if library else None, seed=seed, config_file=str(config_file) if config_file else None,
         settings=list(settings), retry_failed=retry_failed, scenes=list(scenes), first=first, last=last, since=since, until=until,
-        runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb, quota_gb=quota_gb,
+        links_into=list(links_into), runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb, quota_gb=quota_gb,
     )  # fmt: skip
     print(json.dumps(dataclasses.asdict(report)) if as_json else summary(report))
     tell(report)
@@ -160,6 +163,7 @@ def _plan_text(plan: Plan) -> str:
     for scene in plan.scenes:
         for step in scene.steps:
             lines.append(f"{scene.scan.scene_id:<32} {step.stage:<13} {step.action:<7} {step.why}")
+    lines += [f"left out: {line}" for line in plan.left_out]
     lines += [f"unusable: {error}" for error in plan.unusable]
     counts = plan.counts()
     lines.append(f"{len(plan.scenes)} scenes: {counts['run']} stage runs to do, {counts['reuse']} up to date, "
@@ -179,4 +183,9 @@ def _plan_json(plan: Plan) -> dict[str, Any]:
         for scene in plan.scenes
         for step in scene.steps
     ]
-    return {"steps": steps, "unusable": [str(error) for error in plan.unusable], "counts": dict(plan.counts())}
+    return {
+        "steps": steps,
+        "unusable": [str(error) for error in plan.unusable],
+        "left_out": list(plan.left_out),
+        "counts": dict(plan.counts()),
+    }

@@ -27,6 +27,8 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     import numpy as np
 
     from schemas.errors import InputError
+    from schemas.files import read_file
+    from tasks.capture.glb_scene import MAX_GLB_BYTES
     from tasks.meshes import load_glb
     from tasks.scanner import ScannerConfig, scan_scene
 
@@ -40,7 +42,8 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
     try:
-        truth = scan_scene(load_glb(scene.read_bytes(), scene.name), making, scan, config, np.random.default_rng(seed))
+        parts = load_glb(read_file(scene, scene.name, MAX_GLB_BYTES), scene.name)
+        truth = scan_scene(parts, making, scan, config, np.random.default_rng(seed))
         for made in sorted(making.iterdir()):
             made.rename(out / made.name)
     finally:

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 @workers_option
 @click.option("--dry-run", is_flag=True, help="Say what was found; remember and do nothing.")
 @json_option
-def command(scans: str, scan_format: str, dataset: str | None, address: str, settle: float, every: float, once: bool,
+def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: str | None, address: str, settle: float,
+            every: float, once: bool,
             deployment: str | None, config_file: Path | None, settings: tuple[str, ...], library: Path | None, seed: int | None,
             workers: int, dry_run: bool, as_json: bool) -> None:  # fmt: skip
     """Turn new and changed scans into replica scenes as they arrive. Scans that are still being copied wait.
@@ -50,7 +51,7 @@ def command(scans: str, scan_format: str, dataset: str | None, address: str, set
     if deployment is not None and not os.environ.get("PREFECT_API_URL"):
         raise InputError("--deployment", deployment, "no Prefect server is named", "set PREFECT_API_URL")
     parameters = {"workers": workers, "library": str(library) if library else None, "seed": seed, "settings": list(settings),
-                  "config_file": str(config_file) if config_file else None}  # fmt: skip
+                  "config_file": str(config_file) if config_file else None, "links_into": list(links_into)}  # fmt: skip
     watcher = _Watcher(scans, address, settle, scan_format, dataset, deployment, parameters, dry_run)
     while True:
         try:
@@ -91,7 +92,7 @@ class _Watcher:
         from warehouse.lake import Lake
 
         lake = Lake.open(self.address)
-        found = look(self.scans, lake, self.settle, self.format, self.dataset)
+        found = look(self.scans, lake, self.settle, self.format, self.dataset, links_into=self.parameters["links_into"])
         report = watch_report(found)
         if (report.new or report.changed) and not self.dry_run:
             report = self._computed(found, lake) if self.deployment is None else self._asked(found, lake, self.deployment)
@@ -113,7 +114,8 @@ class _Watcher:
         due = found.due(is_over)[:MAX_SCANS]
         if not due:
             return watch_report(found)
-        run = ask(deployment, request(self.scans, lake.address, self.format, self.dataset, due), request_key(self.scans, lake.address, due))
+        asked = request(self.scans, lake.address, self.format, self.dataset, due, self.parameters["links_into"])
+        run = ask(deployment, asked, request_key(self.scans, lake.address, due))
         found.asked(due, run)
         return watch_report(found, due, run)
 
@@ -134,7 +136,8 @@ class _Watcher:
         config_file, library = (Path(told[name]) if told[name] else None for name in ("config_file", "library"))
         configuration = configure(config_file, told["settings"], library, told["seed"])
         scenes = [arrival.scan for arrival in due]
-        plan = make_plan(lake, *found_scans(self.scans, self.format, self.dataset, scenes=scenes), configuration)
+        ready = found_scans(self.scans, self.format, self.dataset, scenes=scenes, links_into=told["links_into"])
+        plan = make_plan(lake, *ready, configuration)
         report = carry_out(plan, lake, scans=self.scans, lake=lake.address, format=self.format, dataset=self.dataset, scenes=scenes, **told)
         return watch_report(
             found,
@@ -149,4 +152,5 @@ def _text(report: WatchReport) -> str:
     lines = [f"{scan:<32} {state}" for state, scans in (("new", report.new), ("changed", report.changed)) for scan in scans]
     lines += [f"{scan:<32} waiting: {why}" for scan, why in report.waiting.items()]
     lines += [f"{scan:<32} failed before: {why}" for scan, why in report.failed_before.items()]
+    lines += [f"{scan:<32} left out: {what}" for scan, what in report.left_out.items()]
     return "\n".join([*lines, str(report)])

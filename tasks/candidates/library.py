@@ -7,6 +7,7 @@ Beside the files an `index.json` may lie, a list of `{"file", "category", "licen
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -17,7 +18,7 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import read_file
+from schemas.files import read_file, stays_in
 from schemas.text import one_line
 from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, make_asset
 from tasks.candidates.descriptors import Descriptor, describe
@@ -56,17 +57,23 @@ class LibraryIndex:
 def library_files(folder: Path) -> list[Path]:
     """Files whose content decides what a library holds, sorted: GLBs below `folder`, its index and licence.
 
-    Links that lead out of the folder are left out.
+    Links that lead out of the folder are left out, and pipes and devices.
 
     Raises:
         InputError: there is no such folder.
     """
+    return [path for path in _named_files(folder) if path.is_file() and not _why(path, folder)]
+
+
+def _named_files(folder: Path) -> list[Path]:
+    """Everything below `folder` that has the name of a library's file, whatever it is, and links to folders; sorted."""
     if not folder.is_dir():
         raise InputError(folder, "library", "is no folder", "name the folder that holds the library's GLB files")
-    root = folder.resolve()
-    found = [path for path in folder.rglob("*") if path.suffix.lower() == ".glb" and path.is_file()]
-    found += [folder / name for name in ("index.json", *_LICENSES) if (folder / name).is_file()]
-    return sorted(path for path in found if path.resolve().is_relative_to(root))
+    found = []
+    for place, folders, files in os.walk(folder):
+        found += [Path(place, name) for name in files if name.lower().endswith(".glb")]
+        found += [path for path in (Path(place, name) for name in folders) if path.is_symlink()]
+    return sorted([*found, *(folder / name for name in ("index.json", *_LICENSES) if os.path.lexists(folder / name))])
 
 
 _LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
@@ -79,8 +86,10 @@ def index_library(folder: Path) -> LibraryIndex:
         InputError: there is no such folder.
     """
     files = library_files(folder)
+    unused = [(path.relative_to(folder).as_posix(), why) for path in _named_files(folder) if (why := _why(path, folder))]
     listed, problems = _listed(folder / "index.json") if folder / "index.json" in files else ({}, [])
     license_text = _license([path for path in files if path.name in _LICENSES])
+    problems += [f"library: {_plain(file)} left out: {why}" for file, why in unused]
     entries = []
     for path in files:
         if path.suffix.lower() != ".glb":
@@ -171,6 +180,15 @@ def _license(files: Sequence[Path]) -> str:
             continue
         return next((line.strip()[:120] for line in lines if line.strip()), "unknown")
     return "unknown"
+
+
+def _why(path: Path, folder: Path) -> str:
+    """Why a file that has the name of a library's is not looked at; '' where it is."""
+    if not path.exists():
+        return "a link that leads nowhere"
+    if not stays_in(path, folder):
+        return "a link that leads out of the library"
+    return "" if path.is_file() or path.is_dir() else "no regular file"
 
 
 def _text(facts: Mapping[str, Any], name: str) -> str:

@@ -93,12 +93,11 @@ def settings(text: str) -> dict[str, str]:
     return {key.strip(): value.strip() for key, mark, value in pairs if mark and key.strip()}
 
 
-def license_of(folder: Path) -> str | None:
+def license_of(path: Path | None) -> str | None:
     """First line of a scan's LICENSE.txt, None without one."""
-    path = folder / "LICENSE.txt"
-    if not path.is_file():
+    if path is None:
         return None
-    lines = read_text(path, name_of(path, folder)).strip().splitlines()
+    lines = read_text(path, name_of(path, path.parent)).strip().splitlines()
     return lines[0].strip()[:200] if lines else None
 
 

@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from schemas.errors import InputError
 from tasks.capture.documents import license_of, name_of, read_bytes
-from tasks.capture.formats import Scan, glb_file
+from tasks.capture.formats import Scan, glb_file, license_path
+from tasks.capture.labels import Label
 from tasks.capture.ply import check_vertices
 from tasks.capture.reading import Group, Reading
-from tasks.meshes import load_glb, parse_node_name, surface_of
+from tasks.meshes import Surface, load_glb, parse_node_name, surface_of
+
+MOST_SURFACE = 0.5
+"""Share of a scene's surface that is more than a single object of a room has, and more than nodes without labels may have."""
+
+_NO_LABELS = frozenset({
+    "body", "circle", "combined", "component", "cone", "cube", "curve", "cylinder", "default", "element", "empty", "entity",
+    "export", "fbx", "file", "geom", "geometry", "glb", "gltf", "group", "grp", "icosphere", "id", "imported", "instance", "item",
+    "layer", "lod", "mat", "material", "merged", "mesh", "mesher", "meshes", "model", "models", "name", "node", "nodes", "null",
+    "nurbs", "obj", "object", "objects", "output", "part", "plane", "poly", "polygon", "polysurface", "prim", "primitive",
+    "primitives", "root", "scan", "scene", "shape", "solid", "sphere", "static", "sub", "submesh", "surface", "texture", "textured",
+    "thing", "torus", "tri", "unnamed", "untitled", "world",
+})  # fmt: skip
+"""What programs call the nodes of a mesh by themselves."""
 
 MAX_GLB_BYTES = 2 * 2**30
 """A worker with 8 GB can still unpack it."""
@@ -23,7 +38,7 @@ def read_glb_scene(scan: Scan) -> Reading:
     Raises:
         InputError: it is no GLB, holds no triangles, or is not in metres.
     """
-    path = glb_file(scan.path)
+    path = glb_file(scan)
     folder = path.parent
     name = name_of(path, folder)
     data = read_bytes(path, name, MAX_GLB_BYTES)
@@ -61,11 +76,46 @@ def read_glb_scene(scan: Scan) -> Reading:
         frames=(),
         alignment=None,
         room_type="",
-        license=license_of(folder),
+        license=license_of(license_path(folder, scan.premises)),
         is_dense=False,
         degradations=("no frames in the scene: no views, no masks",),
         glb=data,
     )
+
+
+def is_label(name: str) -> bool:
+    """Whether a name says what a thing is: `Chair.001` and `mesh_chair` do, `Mesh_0`, `geometry_0`, `Object_12` and `7f3a` do not."""
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W\d_A-Za-z]+", name)
+    return any((len(word) > 1 or not word.isascii()) and word.lower() not in _NO_LABELS for word in words)
+
+
+def check_labelled(groups: Sequence[Group], meanings: Sequence[Label], surface: Surface, name: str) -> None:
+    """Refuse a mesh that is in one piece, or in pieces that nobody named: what would come of it is no scene.
+
+    A node that is no wall, floor or ceiling must not hold more than MOST_SURFACE of all surface, nor must all nodes together
+    whose names are no labels. groups, meanings: Nodes and what their labels mean. name: The file.
+
+    Raises:
+        InputError: names the largest node.
+    """
+    corners = surface.vertices[surface.faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    shares = {index: float(areas[group.faces].sum() / max(areas.sum(), 1e-12)) for index, group in enumerate(groups)}
+    loose = {index: share for index, share in shares.items() if not (meanings[index].is_structure and is_label(groups[index].raw_label))}
+    nameless = {index: share for index, share in loose.items() if not is_label(groups[index].raw_label)}
+    largest = max(loose, key=lambda index: loose[index], default=None)
+    if largest is not None and loose[largest] > MOST_SURFACE:
+        raise InputError(name, f"node {groups[largest].source_id!r:.60}", f"holds {loose[largest]:.0%} of the surface", _NAME_THEM)
+    if sum(nameless.values()) > MOST_SURFACE:
+        first = groups[max(nameless, key=lambda index: nameless[index])].source_id
+        problem = f"{len(nameless)} with {sum(nameless.values()):.0%} of the surface have names that are no labels, as {first!r:.60}"
+        raise InputError(name, "nodes", problem, _NAME_THEM)
+
+
+_NAME_THEM = (
+    "divide it into a node for each object, wall and floor, named for what it is (chair_01, or model|category|part); or give posed RGB-D "
+    "frames, in which instances are found"
+)
 
 
 def _plain_label(name: str) -> str:

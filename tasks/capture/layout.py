@@ -8,7 +8,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from schemas.errors import InputError
+from schemas.files import stays_in
 from tasks.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from tasks.capture.premises import Premises
 
 _COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
 _DEPTH_FOLDERS = ("depth", "depths", "depth_image")
@@ -74,51 +76,64 @@ class ScanNetLayout:
         return single + list(self.meshes) + list(self.segments) + (self.frames.files if self.frames else [])
 
 
-def frame_layout(folder: Path, inside: bool = True) -> FrameLayout | None:
-    """Exported frames in `folder` or, with `inside`, in one folder in it (`<scan>_2d`, `frames`, ...); None without any."""
-    for place in (folder, *(_folders(folder) if inside else ())):
-        frames = _paired(place) or _flat(place)
+def frame_layout(folder: Path, inside: bool = True, premises: Premises | None = None) -> FrameLayout | None:
+    """Exported frames in `folder` or, with `inside`, in one folder in it (`<scan>_2d`, `frames`, ...); None without any.
+
+    Links that leave the premises, by default those that leave the folder, are left out.
+    """
+    premises = premises or Premises((folder,))
+    for place in (folder, *(_folders(folder, premises) if inside else ())):
+        frames = _paired(place, premises) or _flat(place, premises)
         if frames:
             places = (place, folder)
             return FrameLayout(
                 folder=place,
                 frames=tuple(frames),
-                trajectory=None if any(frame.pose for frame in frames) else _first(places, _TRAJECTORIES),
-                color_intrinsics=_first(places, _COLOR_INTRINSICS),
-                depth_intrinsics=_first(places, _DEPTH_INTRINSICS),
+                trajectory=None if any(frame.pose for frame in frames) else _first(places, _TRAJECTORIES, premises),
+                color_intrinsics=_first(places, _COLOR_INTRINSICS, premises),
+                depth_intrinsics=_first(places, _DEPTH_INTRINSICS, premises),
             )
     return None
 
 
-def scannet_layout(folder: Path) -> ScanNetLayout | None:
+def is_framed(folder: Path) -> bool:
+    """Whether `folder` is one of exported frames by the names in it, wherever links among them lead."""
+    return bool(_paired(folder, None) or _flat(folder, None))
+
+
+def scannet_layout(folder: Path, premises: Premises | None = None) -> ScanNetLayout | None:
     """Files of a ScanNet scan in `folder`, whatever of them there is; None when nothing in it looks like one.
 
-    The scan's name is the folder's where files begin with it, else what the files themselves begin with.
+    The scan's name is the folder's where files begin with it, else what the files themselves begin with. Links that leave
+    the premises, by default those that leave the folder, count as names and are left out as files.
 
     Raises:
         InputError: what should be the aggregation is a folder.
     """
-    names = sorted(path.name for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    premises = premises or Premises((folder,))
+    names = sorted(path.name for path in folder.iterdir() if not path.is_dir() and not path.name.startswith("."))
     scans = sorted({match[1] for name in names if (match := _SCANNET.fullmatch(name))})
     if not scans:
         return None
     scan = folder.name if folder.name in scans else scans[0]
-    mine = [name for name in names if name.startswith((f"{scan}.", f"{scan}_vh_clean"))]
+    read = (".txt", ".ply", ".json", ".sens")
+    mine = [name for name in names if name.startswith((f"{scan}.", f"{scan}_vh_clean")) and name.endswith(read)]
+    mine = [name for name in mine if premises.admits(folder / name)]
     meshes = tuple(folder / name for name in (f"{scan}_vh_clean_2.ply", f"{scan}_vh_clean.ply") if name in mine)
     segments = tuple(folder / name for name in mine if name.endswith(".segs.json"))
     aggregation = [name for name in (f"{scan}{ending}" for ending in _AGGREGATIONS) if name in mine]
     for name in (f"{scan}{ending}" for ending in _AGGREGATIONS):
         if (folder / name).is_dir():
             raise InputError(f"{folder.name}/{name}", "file", "is a folder", "put the aggregation's JSON file in its place")
-    frames = frame_layout(folder)
+    frames = frame_layout(folder, premises=premises)
     return ScanNetLayout(
         scan=scan,
-        metadata=_present(folder / f"{scan}.txt"),
+        metadata=folder / f"{scan}.txt" if f"{scan}.txt" in mine else None,
         mesh=meshes[0] if meshes else None,
         aggregation=folder / aggregation[0] if aggregation else None,
         segments=segments,
         meshes=meshes,
-        sens=None if frames else _present(folder / f"{scan}.sens"),
+        sens=None if frames or f"{scan}.sens" not in mine else folder / f"{scan}.sens",
         frames=frames,
     )
 
@@ -138,25 +153,25 @@ def frame_ids(keys: Iterable[str]) -> list[str]:
     return ids if usable and len(set(ids)) == len(ids) else [f"{index:06d}" for index in range(len(names))]
 
 
-def _paired(place: Path) -> list[FrameFiles]:
-    """Frames of folders `color`, `depth`, `pose` (or their usual other names)."""
-    color, depth, pose = (_first((place,), names) for names in (_COLOR_FOLDERS, _DEPTH_FOLDERS, _POSE_FOLDERS))
+def _paired(place: Path, premises: Premises | None) -> list[FrameFiles]:
+    """Frames of folders `color`, `depth`, `pose` (or their usual other names); of links by their names, without premises."""
+    color, depth, pose = (_first((place,), names, premises) for names in (_COLOR_FOLDERS, _DEPTH_FOLDERS, _POSE_FOLDERS))
     if color is None or not color.is_dir() or depth is None or not depth.is_dir():
         return []
-    colors, depths = _by_stem(color, COLOR_SUFFIXES), _by_stem(depth, DEPTH_SUFFIXES)
-    poses = _by_stem(pose, (".txt",)) if pose is not None and pose.is_dir() else {}
+    colors, depths = _by_stem(color, COLOR_SUFFIXES, premises), _by_stem(depth, DEPTH_SUFFIXES, premises)
+    poses = _by_stem(pose, (".txt",), premises) if pose is not None and pose.is_dir() else {}
     return [FrameFiles(key, colors[key], depths.get(key), poses.get(key)) for key in sorted(colors, key=_order)]
 
 
-def _flat(place: Path) -> list[FrameFiles]:
+def _flat(place: Path, premises: Premises | None) -> list[FrameFiles]:
     """Frames whose files lie side by side in one folder."""
     found: dict[str, dict[str, Path]] = {}
     for path in sorted(place.iterdir()):
         match = _FLAT.fullmatch(path.name)
-        if match is None or not path.is_file():
+        if match is None or path.is_dir():
             continue
         what, suffix = match["what"].replace("colour", "color").replace("rgb", "color"), f".{match['suffix'].lower()}"
-        if suffix in {"color": COLOR_SUFFIXES, "depth": DEPTH_SUFFIXES, "pose": (".txt",)}[what]:
+        if suffix in {"color": COLOR_SUFFIXES, "depth": DEPTH_SUFFIXES, "pose": (".txt",)}[what] and _is_admitted(path, premises):
             found.setdefault(match["key"], {})[what] = path
     whole = {key: files for key, files in found.items() if "color" in files}
     if not any("depth" in files for files in whole.values()):
@@ -164,8 +179,9 @@ def _flat(place: Path) -> list[FrameFiles]:
     return [FrameFiles(key, whole[key]["color"], whole[key].get("depth"), whole[key].get("pose")) for key in sorted(whole, key=_order)]
 
 
-def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes and not path.name.startswith(".")}
+def _by_stem(folder: Path, suffixes: tuple[str, ...], premises: Premises | None) -> dict[str, Path]:
+    named = (path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes and not path.name.startswith("."))
+    return {path.stem: path for path in named if _is_admitted(path, premises)}
 
 
 def _order(key: str) -> tuple[int, str]:
@@ -173,13 +189,25 @@ def _order(key: str) -> tuple[int, str]:
     return (int(match[1]) if match else -1, key)
 
 
-def _folders(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.is_dir() and not path.is_symlink() and not path.name.startswith("."))
+def _folders(folder: Path, premises: Premises) -> list[Path]:
+    """Folders in a folder, but for links to what it lies in itself."""
+    found = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    return [path for path in found if not leads_up(path) and premises.admits(path)]
 
 
-def _first(places: Iterable[Path], names: Iterable[str]) -> Path | None:
-    return next((place / name for place in places for name in names if (place / name).exists()), None)
+def leads_up(folder: Path) -> bool:
+    """Whether a folder is a link to one that it lies in: whoever follows it walks in a circle."""
+    return folder.is_symlink() and stays_in(folder.parent, folder)
 
 
-def _present(path: Path) -> Path | None:
-    return path if path.is_file() else None
+def _first(places: Iterable[Path], names: Iterable[str], premises: Premises | None) -> Path | None:
+    """The first that is there. What lies in a folder in a place is not there when the folder is a link that leaves."""
+    for path in (place / name for place in places for name in names):
+        above = path.parent
+        if (path.exists() or path.is_symlink()) and _is_admitted(above, premises) and _is_admitted(path, premises):
+            return path
+    return None
+
+
+def _is_admitted(path: Path, premises: Premises | None) -> bool:
+    return premises is None or premises.admits(path)

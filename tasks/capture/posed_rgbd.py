@@ -7,7 +7,7 @@ from pathlib import Path
 from schemas.errors import InputError
 from tasks.capture.conventions import CLEARLY_BETTER, CONVENTIONS, MIN_AGREEMENT, QUATERNIONS, agreement
 from tasks.capture.documents import license_of
-from tasks.capture.formats import Scan
+from tasks.capture.formats import Scan, license_path
 from tasks.capture.frames import exported_frames, pose_format
 from tasks.capture.layout import FrameLayout, frame_layout
 from tasks.capture.reading import FrameSource, Reading
@@ -19,7 +19,7 @@ def read_posed_rgbd(scan: Scan) -> Reading:
     Raises:
         InputError: the folder has no frames, no pose or no intrinsics, or a file of it is broken.
     """
-    layout = frame_layout(scan.path)
+    layout = frame_layout(scan.path, premises=scan.premises)
     if layout is None or not layout.frames:
         raise InputError(scan.path.name, "folder", "holds no frames", "expected folders color and depth")
     if layout.trajectory is None and not any(frame.pose for frame in layout.frames):
@@ -34,7 +34,7 @@ def read_posed_rgbd(scan: Scan) -> Reading:
         frames=frames,
         alignment=None,
         room_type="",
-        license=license_of(scan.path),
+        license=license_of(license_path(scan.path, scan.premises)),
         is_dense=True,
         degradations=tuple(notes),
     )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.documents import floats, integers, license_of, name_of, read_json, read_text, settings
-from tasks.capture.formats import Scan
+from tasks.capture.formats import Scan, license_path
 from tasks.capture.frames import exported_frames, sens_frames
 from tasks.capture.layout import ScanNetLayout, scannet_layout
 from tasks.capture.ply import read_ply
@@ -35,7 +35,7 @@ def read_scannet(scan: Scan) -> Reading:
         InputError: a file is missing, cut, or contradicts another.
     """
     folder = scan.path
-    layout = scannet_layout(folder)
+    layout = scannet_layout(folder, scan.premises)
     if layout is None:
         raise InputError(folder.name, "folder", "holds no ScanNet scan", "expected <scan>_vh_clean_2.ply or <scan>.sens")
     stated = settings(read_text(layout.metadata, name_of(layout.metadata, folder))) if layout.metadata else {}
@@ -62,7 +62,7 @@ def read_scannet(scan: Scan) -> Reading:
         frames=frames,
         alignment=_alignment(stated, layout, folder),
         room_type=_room_type(stated.get("sceneType", "")),
-        license=license_of(folder),
+        license=license_of(license_path(folder, scan.premises)),
         is_dense=True,
         degradations=tuple(degradations),
     )

@@ -12,13 +12,15 @@ from schemas.capture import Frame, Instance, Mask, Room, Scene
 from schemas.errors import InputError
 from tasks.capture.alignment import Alignment, align
 from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
-from tasks.capture.formats import Scan
+from tasks.capture.documents import name_of
+from tasks.capture.formats import Scan, glb_file, left_out
 from tasks.capture.fusion import FusionConfig, fused_surface
-from tasks.capture.glb_scene import read_glb_scene
+from tasks.capture.glb_scene import check_labelled, read_glb_scene
 from tasks.capture.images import encode_jpeg
 from tasks.capture.instances import Solid, instance_row, modelled_solid, scanned_solid
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label, LabelMap, label_map
 from tasks.capture.posed_rgbd import read_posed_rgbd
+from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms import estimate_room, inferred_room_type
 from tasks.capture.scannet import read_scannet
@@ -59,7 +61,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     Raises:
         InputError: a file of the scan cannot be used; names the file and the field.
     """
-    reading = _read(scan)
+    reading = read_scan(scan)
     labels = label_map(config.label_map)
     if labels.sha256 != config.label_map_sha256:
         raise InputError(config.label_map or "labels.csv", "content", "has changed since the run was planned", "start the run again")
@@ -69,6 +71,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes += fusion_notes
     meanings = [_meaning(group, labels, scan.format) for group in reading.groups or ()]
+    if scan.format == "glb":
+        check_labelled(reading.groups or (), meanings, surface, name_of(glb_file(scan), scan.folder))
     alignment = _aligned(reading, surface, meanings, is_authored=scan.format == "glb")
     notes += alignment.notes
     world = surface.transformed(alignment.pose)
@@ -112,15 +116,25 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     )
 
 
-def _read(scan: Scan) -> Reading:
-    match scan.format:
-        case "scannet":
-            return read_scannet(scan)
-        case "posed_rgbd":
-            return read_posed_rgbd(scan)
-        case "glb":
-            return read_glb_scene(scan)
-    raise InputError(scan.path.name, "format", f"{scan.format!r} is not known", "use scannet, posed_rgbd or glb")
+_READERS = {"scannet": read_scannet, "posed_rgbd": read_posed_rgbd, "glb": read_glb_scene}
+
+
+def read_scan(scan: Scan) -> Reading:
+    """What the reader of its format makes of a scan; links that were left out are a degradation, or a part of its error.
+
+    Raises:
+        InputError: a file of the scan cannot be used; names the file and the field.
+    """
+    if scan.format not in _READERS:
+        raise InputError(scan.path.name, "format", f"{scan.format!r} is not known", "use scannet, posed_rgbd or glb")
+    note = left_out(scan)
+    try:
+        reading = _READERS[scan.format](scan)
+    except InputError as error:
+        if not note:
+            raise
+        raise InputError(error.file, error.field, f"{error.problem} ({note})", f"{error.remedy}; {REMEDY}") from error
+    return dataclasses.replace(reading, degradations=(*reading.degradations, note)) if note else reading
 
 
 def _meaning(group: Group, labels: LabelMap, scan_format: str) -> Label:

@@ -13,10 +13,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from schemas.errors import InputError
-from tasks.capture.documents import name_of
-from tasks.capture.formats import Scan, glb_file
+from schemas.files import open_file
+from tasks.capture.documents import MAX_JSON_BYTES, MAX_TEXT_BYTES, name_of
+from tasks.capture.formats import Scan, glb_file, left_out
 from tasks.capture.layout import FrameLayout, frame_layout, scannet_layout
-from tasks.capture.sens import open_sens
+from tasks.capture.ply import MAX_PLY_BYTES
+from tasks.capture.sens import MAX_SENS_BYTES, open_sens
 
 _TEMPORARY = re.compile(
     r"\..+\.[A-Za-z0-9]{6}"  # rsync's `.name.XXXXXX`
@@ -56,11 +58,13 @@ def find_gap(scan: Scan) -> Gap | None:
         return Gap(f"{Path(str(error.filename)).name}: vanished while it was looked at")
     except (InputError, OSError):  # the reader says so, too, and says it better
         return None
-    return next((gap for gap in gaps if not gap.is_readable), gaps[0] if gaps else None)
+    gap = next((gap for gap in gaps if not gap.is_readable), gaps[0] if gaps else None)
+    note = left_out(scan) if gap is not None else ""
+    return dataclasses.replace(gap, what=f"{gap.what} ({note})") if gap is not None and note else gap
 
 
 def _scannet(scan: Scan) -> Iterator[Gap]:
-    layout = scannet_layout(scan.path)
+    layout = scannet_layout(scan.path, scan.premises)
     if layout is None:
         yield Gap(f"{scan.path.name}: holds no ScanNet scan any more")
         return
@@ -75,13 +79,13 @@ def _scannet(scan: Scan) -> Iterator[Gap]:
     for path in (layout.metadata, layout.aggregation, layout.sens, *layout.meshes, *layout.segments):
         if path is not None:
             yield from _file_gaps(path, scan.path)
-    yield from _counted(layout.mesh, layout.segments, scan.path)
+    yield from _counted(layout.meshes, layout.segments, scan.path)
     if layout.frames is not None:
         yield from _frames(layout.frames, scan.path, stated=layout.metadata is not None)
 
 
 def _posed_rgbd(scan: Scan) -> Iterator[Gap]:
-    layout = frame_layout(scan.path)
+    layout = frame_layout(scan.path, premises=scan.premises)
     if layout is None or not layout.frames:
         yield Gap(f"{scan.path.name}: holds no frames any more")
         return
@@ -91,7 +95,7 @@ def _posed_rgbd(scan: Scan) -> Iterator[Gap]:
 
 
 def _glb(scan: Scan) -> Iterator[Gap]:
-    path = glb_file(scan.path)
+    path = glb_file(scan)
     yield from _file_gaps(path, path.parent)
 
 
@@ -104,15 +108,15 @@ def _frames(layout: FrameLayout, folder: Path, stated: bool) -> Iterator[Gap]:
         yield from _file_gaps(path, folder)
     for what, files in (("depth", [f.depth for f in layout.frames]), ("pose", [f.pose for f in layout.frames])):
         there = sum(path is not None for path in files)
-        if there < len(files) and (there or what == "depth"):
-            yield Gap(f"{folder.name}: {len(files)} color images and {there} of {what}", is_readable=there > 0)
-    for beside in {frame.depth.parent for frame in layout.frames if frame.depth is not None}:
-        ours = {frame.depth.suffix for frame in layout.frames if frame.depth is not None}
-        count = sum(path.suffix in ours and not path.name.startswith(".") for path in beside.iterdir())
-        if beside != layout.folder and count > len(layout.frames):
-            yield Gap(f"{folder.name}: {len(layout.frames)} color images and {count} of depth", is_readable=True)
+        if there < len(files) and (there or what == "depth" or layout.trajectory is None):
+            yield Gap(f"{folder.name}: {len(files)} color images and {there} of {what}", is_readable=there > 0 or what == "pose")
+        for beside in {path.parent for path in files if path is not None} - {layout.folder}:
+            ours = {path.suffix for path in files if path is not None}
+            count = sum(path.suffix in ours and not path.name.startswith(".") for path in beside.iterdir())
+            if count > len(layout.frames):
+                yield Gap(f"{folder.name}: {len(layout.frames)} color images and {count} of {what}", is_readable=True)
     if layout.trajectory is not None:
-        lines = [line for line in layout.trajectory.read_bytes().splitlines() if line.strip() and not line.startswith(b"#")]
+        lines = [line for line in _content(layout.trajectory, MAX_TEXT_BYTES).splitlines() if line.strip() and not line.startswith(b"#")]
         if len(lines) < len(layout.frames):
             yield Gap(f"{name_of(layout.trajectory, folder)}: has {len(lines)} lines for {len(layout.frames)} frames", is_readable=True)
     if layout.color_intrinsics is None:
@@ -132,7 +136,7 @@ def _file_gaps(path: Path, folder: Path) -> Iterator[Gap]:
 
 
 def _ply(path: Path, size: int) -> Gap | None:
-    with path.open("rb") as file:
+    with open_file(path, path.name, MAX_SENS_BYTES) as file:
         head = file.read(_HEADER_BYTES)
         end = head.find(b"end_header")
         start = head.find(b"\n", end) + 1
@@ -165,17 +169,17 @@ def _elements(header: str) -> list[tuple[int, int]]:
     return found
 
 
-def _counted(mesh: Path | None, segments: tuple[Path, ...], folder: Path) -> Iterator[Gap]:
+def _counted(meshes: tuple[Path, ...], segments: tuple[Path, ...], folder: Path) -> Iterator[Gap]:
     """Segments that index another number of vertices than their mesh has: one of both is of an older copy."""
     for path in segments:
         own = folder / f"{re.sub(r'([.][0-9]+[.][0-9]+)?[.]segs[.]json$', '', path.name)}.ply"
-        if mesh is None or not own.is_file():
+        if own not in meshes:
             continue
-        with own.open("rb") as file:
+        with open_file(own, own.name, MAX_PLY_BYTES) as file:
             head = file.read(_HEADER_BYTES)
         declared = re.search(rb"element vertex ([0-9]{1,18})\s", head)
         try:
-            indices = json.loads(path.read_bytes()).get("segIndices")
+            indices = json.loads(_content(path, MAX_JSON_BYTES)).get("segIndices")
         except (ValueError, AttributeError, RecursionError):
             continue
         if declared and isinstance(indices, list) and len(indices) != int(declared[1]):
@@ -185,7 +189,7 @@ def _counted(mesh: Path | None, segments: tuple[Path, ...], folder: Path) -> Ite
 
 def _json(path: Path, size: int) -> Gap | None:
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = _content(path, MAX_JSON_BYTES).decode("utf-8-sig")
         json.loads(text)
     except UnicodeDecodeError as error:
         return Gap("ends inside a letter") if error.end >= size - 1 and error.reason == "unexpected end of data" else None
@@ -198,7 +202,7 @@ def _json(path: Path, size: int) -> Gap | None:
 
 
 def _text(path: Path, size: int) -> Gap | None:
-    with path.open("rb") as file:
+    with open_file(path, path.name, MAX_SENS_BYTES) as file:
         file.seek(-1, 2)
         return None if file.read(1) in b"\r\n" else _no_line_end()
 
@@ -226,7 +230,7 @@ def _jpeg(path: Path, size: int) -> Gap | None:
 
 
 def _netpbm(path: Path, size: int) -> Gap | None:
-    with path.open("rb") as file:
+    with open_file(path, path.name, MAX_SENS_BYTES) as file:
         head = file.read(4096)
     match = re.match(rb"P([56])(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,5})\s", head)
     if match is None:
@@ -237,14 +241,14 @@ def _netpbm(path: Path, size: int) -> Gap | None:
 
 
 def _bmp(path: Path, size: int) -> Gap | None:
-    with path.open("rb") as file:
+    with open_file(path, path.name, MAX_SENS_BYTES) as file:
         head = file.read(6)
     needed = struct.unpack("<I", head[2:6])[0] if len(head) == 6 else 54
     return Gap(f"needs {needed} bytes and has {size}") if size < needed else None
 
 
 def _glb_length(path: Path, size: int) -> Gap | None:
-    with path.open("rb") as file:
+    with open_file(path, path.name, MAX_SENS_BYTES) as file:
         head = file.read(12)
     if not head.startswith(b"glTF"[: len(head)]):
         return None
@@ -252,8 +256,13 @@ def _glb_length(path: Path, size: int) -> Gap | None:
     return Gap(f"needs {needed} bytes and has {size}") if size < needed else None
 
 
+def _content(path: Path, most_bytes: int) -> bytes:
+    with open_file(path, path.name, most_bytes) as file:
+        return file.read()
+
+
 def _tail(path: Path, size: int, count: int) -> bytes:
-    with path.open("rb") as file:
+    with open_file(path, path.name, MAX_SENS_BYTES) as file:
         file.seek(max(0, size - count))
         return file.read()
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import is_there
+from schemas.files import is_there, read_file
 from tasks.capture.documents import name_of, read_bytes
 from tasks.meshes import load_glb
 from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
@@ -121,10 +121,9 @@ def material_files(path: Path, root: Path) -> list[Path]:
 def _named(path: Path, keyword: bytes) -> list[str]:
     """Files that lines of a text file name last, after a keyword."""
     try:
-        if path.stat().st_size > MAX_MODEL_BYTES:
-            return []
-        lines = re.findall(rb"^\s*(?:" + keyword + rb")\s+(.+?)\s*$", path.read_bytes(), re.MULTILINE)
-    except (OSError, ValueError):
+        data = read_file(path, path.name, MAX_MODEL_BYTES)
+        lines = re.findall(rb"^\s*(?:" + keyword + rb")\s+(.+?)\s*$", data, re.MULTILINE)
+    except (InputError, ValueError):
         return []
     names = [line.decode("utf-8", "replace") for line in lines]
     return [name for line in names for name in {line, line.split()[-1]} if "\0" not in name]
@@ -146,10 +145,8 @@ def _confined(path: Path, root: Path) -> Any:
                 self.outside.append(name)
                 raise FileNotFoundError(name)
             try:
-                if file.stat().st_size > MAX_MODEL_BYTES:
-                    raise FileNotFoundError(name)
-                return file.read_bytes()
-            except OSError:
+                return read_file(file, name, MAX_MODEL_BYTES)
+            except InputError:
                 self.missing.append(name)
                 raise FileNotFoundError(name) from None
 

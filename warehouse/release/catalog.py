@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError
+from schemas.files import read_file
 from schemas.tables import TABLES
 from warehouse import views
 from warehouse.documentation import comment_statements, quoted
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 
 # The oldest that DuckDB can write: every DuckDB from 1.0 on reads it.
 _STORAGE_VERSION = "v1.0.0"
+
+
+_RECORD_BYTES = 2**24  # a release that ten thousand erasures touched stays below it
 
 
 def variable_of(name: str) -> str:
@@ -78,7 +82,7 @@ def attach_release(lake: Lake, name: str, file: Path) -> None:
     """
     if Path(name, RECORD).is_file():
         folder = Path(os.path.abspath(name))
-        release = parse_release(str(folder / RECORD), (folder / RECORD).read_bytes())
+        release = parse_release(str(folder / RECORD), read_file(folder / RECORD, str(folder / RECORD), _RECORD_BYTES))
         _write_whole(file, release.name, str(folder), [path.name for path in folder.iterdir()], lambda connection: None)
         return
     known = [release.name for release in released(lake.storage)]

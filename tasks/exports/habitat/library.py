@@ -11,6 +11,9 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from schemas.files import read_file
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 
@@ -114,15 +117,16 @@ def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[st
     """A JSON file (compressed when its name ends in .gz) of a shape (`habitat_shapes`), or None and a finding."""
     where = path.relative_to(root).as_posix()
     try:
-        data = path.read_bytes()
+        data = read_file(path, where, BUDGET.scene_bytes)
         text = gzip.decompress(data) if path.suffix == ".gz" else data
         document = json.loads(text, parse_constant=_refuse)
         wrong = shapes.mismatch(document, shape)
         if wrong is None:
             return document
         findings.append(Finding("shape", where, wrong))
-    except FileNotFoundError:
-        findings.append(Finding("files_exist", where, "does not exist"))
+    except InputError as error:
+        missing = isinstance(error.__cause__, FileNotFoundError)
+        findings.append(Finding("files_exist" if missing else "json", where, "does not exist" if missing else error.problem))
     except (OSError, EOFError, ValueError, RecursionError, zlib.error) as error:
         findings.append(Finding("json", where, f"cannot be read ({type(error).__name__}: {error})"[:200]))
     return None

@@ -9,6 +9,7 @@ so, as positions of box centers, is a warning in a dataset that this project did
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import is_there
+from schemas.files import is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 from tasks.exports.habitat.episode_rules import EPISODE_RULES, check_episodes
@@ -149,7 +151,7 @@ def _glb(root: Path, path: Path, where: str, key: str, seen: dict[Path, list[Fin
         return
     if path not in seen:
         try:
-            load_glb(path.read_bytes(), name)
+            load_glb(read_file(path, name, BUDGET.scene_bytes), name)
             seen[path] = []
         except InputError as error:
             seen[path] = [Finding("geometry", name, str(error).removeprefix(f"{name}: "))]
@@ -178,8 +180,8 @@ def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list
             findings.append(Finding("files_exist", library.config, said))
             continue
         try:
-            navmesh = read_navmesh(file.read_bytes())
-        except ValueError as error:
+            navmesh = read_navmesh(read_file(file, str(path), BUDGET.scene_bytes))
+        except (ValueError, InputError) as error:
             findings.append(Finding("navmesh", str(path), str(error)))
             continue
         found[name] = navmesh
@@ -312,9 +314,9 @@ def _provenance(library: Library) -> Iterator[Finding]:
 def _attributions(path: Path) -> dict[str, dict[str, str]] | None:
     """Lines of the list of assets by asset, None when it cannot be read."""
     try:
-        with path.open(newline="", errors="replace") as file:
-            return {str(line.get("asset_id")): line for line in csv.DictReader(file)}
-    except (OSError, csv.Error):
+        text = read_file(path, path.name, BUDGET.scene_bytes).decode(errors="replace")
+        return {str(line.get("asset_id")): line for line in csv.DictReader(io.StringIO(text, newline=""))}
+    except (InputError, csv.Error):
         return None
 
 

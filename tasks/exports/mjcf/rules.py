@@ -14,7 +14,9 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.files import is_there
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from schemas.files import is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.usd.prims import dent
 from tasks.optimization.mujoco_engine import LONGEST_TIMESTEP_S, mujoco_module
@@ -70,8 +72,8 @@ def _elements(path: Path, root: Path, findings: list[Finding], seen: set[Path]) 
     """Every element with the file that it stands in; files that are included come after the one that includes them."""
     seen.add(path.resolve())
     try:
-        top = ElementTree.fromstring(path.read_bytes())
-    except (ElementTree.ParseError, OSError, ValueError, LookupError) as error:
+        top = ElementTree.fromstring(read_file(path, path.name, BUDGET.scene_bytes))
+    except (ElementTree.ParseError, InputError, ValueError, LookupError) as error:
         findings.append(Finding("xml", path.name, f"cannot be read ({error})"))
         return []
     if len(seen) == 1 and top.tag != "mujoco":

@@ -13,7 +13,9 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.files import is_there
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from schemas.files import is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.urdf import POSES
 from tasks.exports.usd.prims import dent
@@ -60,8 +62,8 @@ def check_urdf(path: Path) -> list[Finding]:
 def _check(path: Path, known: dict[Path, Any]) -> list[Finding]:
     """Findings about one file."""
     try:
-        robot = ElementTree.fromstring(path.read_bytes())
-    except (ElementTree.ParseError, OSError, ValueError, LookupError) as error:
+        robot = ElementTree.fromstring(read_file(path, path.name, BUDGET.scene_bytes))
+    except (ElementTree.ParseError, InputError, ValueError, LookupError) as error:
         return [Finding("xml", path.name, f"cannot be read ({error})")]
     if robot.tag != "robot":
         return [Finding("xml", path.name, f"root is {robot.tag}, not robot")]
@@ -194,12 +196,13 @@ def _mesh(path: Path, where: str, name: str, known: dict[Path, Any]) -> tuple[li
     if isinstance(loaded, str):
         return [Finding("mesh", where, f"{name} {loaded}", not loaded.startswith(_UNREAD))], None
     findings = []
-    for library in re.findall(rb"^mtllib +(\S+)", target.read_bytes(), re.M) if target.suffix.lower() == ".obj" else ():
+    content = read_file(target, name, BUDGET.scene_bytes) if target.suffix.lower() == ".obj" else b""
+    for library in re.findall(rb"^mtllib +(\S+)", content, re.M):
         material = target.parent / library.decode(errors="replace")
         if not is_there(material):
             findings.append(Finding("closed_paths", where, f"{name} names {material.name!r}, which does not exist"))
             continue
-        for image in re.findall(rb"^map_Kd +(\S+)", material.read_bytes(), re.M):
+        for image in re.findall(rb"^map_Kd +(\S+)", read_file(material, material.name, BUDGET.scene_bytes), re.M):
             picture = target.parent / image.decode(errors="replace")
             if not is_there(picture):
                 findings.append(Finding("closed_paths", where, f"{material.name} names {picture.name!r}, which does not exist"))
@@ -211,7 +214,8 @@ def _read(path: Path) -> Any:
     import trimesh
 
     try:
-        plain = load_obj(path.read_bytes()) if path.suffix == ".obj" else None  # a tenth of the time of a reader for all there is
+        data = read_file(path, path.name, BUDGET.scene_bytes)
+        plain = load_obj(data) if path.suffix == ".obj" else None  # a tenth of the time of a reader for all there is
         if plain is not None:
             return _sound(*plain)
         mesh: Any = trimesh.load_mesh(path, process=False, skip_materials=True)
@@ -272,10 +276,10 @@ def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
     """The file that says where the objects stand."""
     path = folder / POSES
     try:
-        told = json.loads(path.read_text())
+        told = json.loads(read_file(path, POSES, BUDGET.scene_bytes))
         objects = list(told["objects"])
         named = [str(dict(item)["file"]) for item in objects] + [str(told["room"])]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (InputError, ValueError, KeyError, TypeError) as error:
         yield Finding("poses", POSES, f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:100]})")
         return
     for name in sorted(set(named) | set(files)):
@@ -304,7 +308,8 @@ def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
 def _stated_mass(path: Path) -> float | None:
     """Mass of all links of a file [kg]."""
     try:
-        values = [float(element.get("value", "")) for element in ElementTree.fromstring(path.read_bytes()).iterfind("link/inertial/mass")]
-    except (ElementTree.ParseError, OSError, ValueError):
+        data = read_file(path, path.name, BUDGET.scene_bytes)
+        values = [float(element.get("value", "")) for element in ElementTree.fromstring(data).iterfind("link/inertial/mass")]
+    except (ElementTree.ParseError, InputError, ValueError):
         return None
     return sum(values)

@@ -7,6 +7,9 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from schemas.files import open_file, read_file
 from tasks.exports.findings import Finding
 
 ALIGNMENT = 64
@@ -48,9 +51,9 @@ def package(files: Mapping[str, bytes], root: str) -> bytes:
 def names_in(path: Path) -> tuple[str, ...]:
     """Paths of the files in a package, in their order; nothing when it is none."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_file(path, path.name, BUDGET.scene_bytes) as file, zipfile.ZipFile(file) as archive:
             return tuple(archive.namelist())
-    except (OSError, zipfile.BadZipFile):
+    except (OSError, InputError, zipfile.BadZipFile):
         return ()
 
 
@@ -59,10 +62,10 @@ def check_package(path: Path) -> Iterator[Finding]:
     if path.suffix.lower() != ".usdz":
         return
     try:
-        with zipfile.ZipFile(path) as archive:
+        data = read_file(path, path.name, BUDGET.scene_bytes)
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = archive.infolist()
-        data = path.read_bytes()
-    except (OSError, zipfile.BadZipFile, NotImplementedError) as error:
+    except (InputError, zipfile.BadZipFile, NotImplementedError) as error:
         yield Finding("package", path.name, f"is no zip archive that can be read: {' '.join(str(error).split())[:200]}")
         return
     if not entries or PurePosixPath(entries[0].filename).suffix.lower() not in LAYERS:

@@ -11,6 +11,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from schemas.budget import BUDGET
+from schemas.errors import InputError
+from schemas.files import check_file
 from tasks.exports.findings import Finding
 from tasks.exports.usd import body_rules, deformable_rules, stage_rules
 from tasks.exports.usd.package import check_package
@@ -72,6 +75,10 @@ def check_usd(path: Path) -> list[Finding]:
     """
     from pxr import Tf, Usd
 
+    try:
+        check_file(path, path.name, BUDGET.scene_bytes)
+    except (InputError, OSError) as error:
+        return [Finding("stage_opens", path.name, _line(str(error), path))]
     found = list(check_package(path))
     try:
         stage = Usd.Stage.Open(str(path))
