@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -43,26 +44,40 @@ def configure(
     if file is not None:
         origin = file.name
         try:
-            told = tomllib.loads(read_file(file, file.name, BUDGET.settings_bytes).decode("utf-8-sig"))
+            told = tomllib.loads(read_file(file, str(file), BUDGET.settings_bytes).decode("utf-8-sig"))
         except ValueError as error:
             raise InputError(file.name, "content", str(error), "give a TOML file with one table per stage") from error
+        except RecursionError as error:
+            raise InputError(file.name, "content", "is nested too deep", "give a TOML file with one table per stage") from error
     named_seed, named_library = told.pop("seed", 0), told.pop("library", None)
     if type(named_seed) is not int or not isinstance(named_library, str | None):
         raise InputError(origin, "seed, library", "must be a whole number and a path", "mend the file")
     seed = seed if seed is not None else named_seed
+    if abs(seed) > LARGEST:
+        raise InputError(origin, "seed", "is too large", "give a number of up to 18 digits")
     library = library or (Path(named_library) if named_library else None)
     if library is not None and not library.is_dir():
         raise InputError(str(library), "library", "is not a folder", "name a folder of GLB files")
     configs = configs_with(configs_with({stage.name: stage.config() for stage in STAGES}, told, origin), tables or {})
     for setting in settings:
         path, sign, text = setting.partition("=")
-        stage, *fields = path.strip().split(".")
-        if not sign or stage not in configs or not fields:
-            raise InputError("--set", setting, "is not stage.field=value", f"stages are {', '.join(configs)}")
-        configs[stage] = _with(configs[stage], fields, _value(text), "--set", path)
+        stage, *fields = path.strip().split(".", MOST_LEVELS)
+        if not sign or not fields:
+            raise InputError(
+                "--set", _cut(setting), "is not stage.field=value", f"as in navigation.max_steps=250; stages are {', '.join(configs)}"
+            )
+        if stage not in configs:
+            raise InputError("--set", _cut(path), f"there is no stage {_cut(stage)}", _nearest(stage, configs, "stages are"))
+        configs[stage] = _with(configs[stage], fields, _value(text, path), "--set", path)
     _check_agreement(configs, "--set" if origin == "defaults" else origin)
     return Configuration(configs, library, seed)
 
+
+LARGEST = 10**18
+"""Of whole numbers that settings take; more does not fit into 64 bits."""
+
+MOST_LEVELS = 16
+"""Names in the path of a setting; configs are a third as deep."""
 
 TABLES = "stages"
 """How errors name the tables that came as the parameter of a run."""
@@ -79,7 +94,8 @@ def configs_with(configs: Mapping[str, Any], tables: Mapping[str, Any], origin: 
     made = dict(configs)
     for name, table in tables.items():
         if name not in configs or not isinstance(table, Mapping):
-            raise InputError(origin, name, "is no stage" if name not in configs else "is no table", f"stages are {', '.join(configs)}")
+            remedy = _nearest(name, configs, "stages are") if name not in configs else "give a table of fields"
+            raise InputError(origin, _cut(name), "is no stage" if name not in configs else "is no table", remedy)
         made[name] = _with_table(configs[name], table, origin, name)
     return made
 
@@ -98,12 +114,19 @@ def _check_agreement(configs: Mapping[str, Any], origin: str) -> None:
             raise InputError(origin, f"exports.habitat.{field}", problem, "set both alike")
 
 
-def _value(text: str) -> Any:
-    """A value in TOML's notation; anything that is none is taken as text."""
+def _value(text: str, path: str) -> Any:
+    """A value in TOML's notation; anything that is none is taken as text.
+
+    Raises:
+        InputError: a number of thousands of digits, or brackets in brackets without end.
+    """
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text.strip()
+    except (ValueError, RecursionError) as error:  # Python's own bounds
+        problem = "is nested too deep" if isinstance(error, RecursionError) else "has too many digits"
+        raise InputError("--set", _cut(path), f"{_cut(text)} {problem}", "give a shorter value") from error
 
 
 def _with(config: Any, fields: Sequence[str], value: Any, origin: str, path: str) -> Any:
@@ -114,7 +137,7 @@ def _with(config: Any, fields: Sequence[str], value: Any, origin: str, path: str
     _check_known(config, field, origin, path)
     present = getattr(config, field)
     if not dataclasses.is_dataclass(present):
-        raise InputError(origin, path, f"{field} has no fields of its own", "shorten the path")
+        raise InputError(origin, _cut(path), f"{_cut(field)} has no fields of its own", "shorten the path")
     return dataclasses.replace(config, **{field: _with(present, rest, value, origin, path)})
 
 
@@ -138,7 +161,7 @@ def _told(config: Any, field: str, value: Any, origin: str, path: str) -> Any:
     if kinds and (isinstance(value, str) or (isinstance(value, Mapping) and "kind" in value)):
         kind, value = (value, {}) if isinstance(value, str) else (value["kind"], {k: v for k, v in value.items() if k != "kind"})
         if not isinstance(kind, str) or kind not in kinds:
-            raise InputError(origin, path, f"there is no {kind!r}", f"it is one of {', '.join(kinds)}")
+            raise InputError(origin, path, f"there is no {_shown(kind)}", f"it is one of {', '.join(kinds)}")
         present = kinds[kind]()
     if isinstance(value, Mapping) and dataclasses.is_dataclass(present):
         return _with_table(present, value, origin, path)
@@ -151,7 +174,30 @@ def _told(config: Any, field: str, value: Any, origin: str, path: str) -> Any:
 def _check_known(config: Any, field: str, origin: str, path: str) -> None:
     known = [f.name for f in dataclasses.fields(config) if f.init]
     if field not in known:
-        raise InputError(origin, path, f"{type(config).__name__} has no field {field}", f"it has {', '.join(known)}")
+        raise InputError(origin, _cut(path), f"{type(config).__name__} has no field {_cut(field)}", _nearest(field, known, "it has"))
+
+
+def _nearest(word: str, known: Iterable[str], head: str) -> str:
+    """What to do about a word that is not known: the one that was meant, and all that there are."""
+    names = list(known)
+    close = difflib.get_close_matches(word[:LONGEST], names, n=1)
+    return (f"did you mean {close[0]}? " if close else "") + f"{head} {', '.join(names)}"
+
+
+LONGEST = 60
+"""Characters of a value or a name that an error repeats."""
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def _shown(value: Any) -> str:
+    """A value as an error repeats it."""
+    try:
+        return _cut(repr(value))
+    except (ValueError, RecursionError):  # numbers of thousands of digits, and tables in tables, have no text
+        return f"this {type(value).__name__}"
 
 
 def types_of(config: Any) -> dict[str, Any]:
@@ -176,8 +222,10 @@ def _coerce(kind: Any, value: Any) -> Any:
     match get_origin(kind) or kind:
         case _ if kind in (bool, str, NoneType) and type(value) is kind:
             return value
+        case _ if kind in (int, float) and type(value) is int and abs(value) > LARGEST:
+            raise TypeError(f"{_shown(value)} is too large")
         case _ if kind is int and type(value) in (int, float) and math.isfinite(value) and value == int(value):
-            return int(value)  # JSON does not tell 2.0 from 2
+            return _coerce(int, int(value)) if type(value) is float else value  # JSON does not tell 2.0 from 2
         case _ if kind is float and type(value) in (int, float) and math.isfinite(value):
             return float(value)
         case origin if origin is Literal and any(type(value) is type(word) and value == word for word in get_args(kind)):
@@ -190,7 +238,7 @@ def _coerce(kind: Any, value: Any) -> Any:
                     continue
         case origin if origin is tuple and isinstance(value, list | tuple):
             return _coerced_items(get_args(kind), value)
-    raise TypeError(f"{value!r} is not {_described(kind)}")
+    raise TypeError(f"{_shown(value)} is not {_described(kind)}")
 
 
 def _coerced_items(kinds: tuple[Any, ...], values: Sequence[Any]) -> tuple[Any, ...]:

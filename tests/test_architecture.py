@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -244,3 +245,20 @@ def test_what_people_hand_in_is_opened_in_one_place() -> None:
 def test_the_look_for_what_is_opened_sees_it(text: str) -> None:
     assert any(map(opens, ast.walk(ast.parse(text))))
     assert not any(map(opens, ast.walk(ast.parse("Lake.open(path), tables.open('scenes'), Image.open(io.BytesIO(data))"))))
+
+
+def test_no_example_of_a_property_has_a_time_limit() -> None:
+    """Neither in `make test`, nor in `make test-all`, nor by a limit that a test sets for itself."""
+    from hypothesis import settings
+
+    assert settings().deadline is None
+    for profile in ("same", "new"):
+        assert settings.get_profile(profile).deadline is None
+    named = re.findall(r"--hypothesis-profile[= ](\S+)", (REPOSITORY / "Makefile").read_text())
+    assert set(named) <= {"same", "new"}
+    limits = [
+        f"{file.name}: {found}"
+        for file in (REPOSITORY / "tests").glob("*.py")
+        for found in re.findall(r"deadline=(?!None)[^,)\s]+", file.read_text())
+    ]
+    assert limits == []

@@ -284,7 +284,7 @@ def test_find_scans_by_format(room: BoxRoom, tmp_path: Path) -> None:
         assert {scan.format for scan in only} == {format}
     assert find_scans(tmp_path, dataset="Mine")[0][0].scene_id == "mine/My_Kitchen_"
     assert find_scans(tmp_path / "house.glb")[0][0].scene_id == "glb/house"
-    with pytest.raises(InputError, match=r"^nowhere: folder: does not exist; "):
+    with pytest.raises(InputError, match=rf"^{tmp_path}/nowhere: folder: does not exist; "):
         find_scans(tmp_path / "nowhere")
     with pytest.raises(InputError, match="not known"):
         find_scans(tmp_path, "las")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -199,3 +200,54 @@ def test_what_is_exported_falls_as_it_is_certified() -> None:
         configure(None, [f"optimization.certificate.mujoco.{name}"])
     both = configure(None, [f"optimization.certificate.mujoco.{name}", f"exports.mjcf.engine.{name}"])
     assert both.stages["exports"].mjcf.engine.timestep_s == 0.002
+
+
+LONG = "1" * 5000
+ENDLESS = [
+    "1" * 400, "-" + "1" * 400, LONG, f"-{LONG}", f"1.{LONG}", f"1e{LONG}", f"0x{'f' * 5000}", "1e400", "inf", "nan",
+    "[" * 500, "[" * 50_000, "[" * 50_000 + "]" * 50_000, "{a=" * 300 + "1" + "}" * 300, "{a=" * 50_000, "a." * 50_000,
+    "[" + "1," * 5000 + "]", '"' + "x" * 100_000 + '"',
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("field", ["optimization.steps", "navigation.success_m", "optimization.method", "exports.pieces"])
+@pytest.mark.parametrize("value", ENDLESS, ids=lambda text: f"{text[:3]} {len(text)}")
+def test_a_number_or_nesting_without_end_is_one_short_line(field: str, value: str, tmp_path: Path) -> None:
+    file = toml(tmp_path, f"{field} = {value}")
+    deep = f"{field}{'.a' * 50_000}={value}"
+    for told in ({"settings": [f"{field}={value}"]}, {"file": file}, {"settings": [deep]}):
+        assert len(refusal(**told)) < 1000  # a number of many decimals is none too many, but the exported robot would be another
+
+
+def test_numbers_and_nesting_without_end_are_refused_as_parameters_of_a_run() -> None:
+    deep: Any = 1
+    for _ in range(100_000):
+        deep = [deep]
+    for value in (10**400, 10**5000, -(10**5000), deep, {"a": deep}, float("inf")):
+        for stage in STAGES:
+            for field in dataclasses.fields(stage.config()):
+                assert len(refusal(tables={stage.name: {field.name: value}})) < 2500
+
+
+@pytest.mark.parametrize("seed", [10**400, -(10**400), 10**5000], ids=["400", "-400", "5000"])
+def test_a_seed_without_end_is_refused(seed: int, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="seed: is too large; give a number of up to 18 digits"):
+        configure(seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        (
+            "optimisation.steps=3",
+            "--set: optimisation.steps: there is no stage optimisation; did you mean optimization? stages are capture, ",
+        ),
+        ("navigaton.max_steps=3", "there is no stage navigaton; did you mean navigation? "),
+        ("zzz.max_steps=3", "there is no stage zzz; stages are capture, "),
+        ("navigation.max_step=3", "has no field max_step; did you mean max_steps? it has "),
+        ("navigation=3", "--set: navigation=3: is not stage.field=value; as in navigation.max_steps=250; stages are capture, "),
+        ("navigation.max_steps", "is not stage.field=value"),
+    ],
+)
+def test_a_mistyped_stage_or_field_names_the_nearest(setting: str, said: str) -> None:
+    assert said in refusal(settings=[setting])

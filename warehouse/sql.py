@@ -72,7 +72,7 @@ def read_only(statement: str) -> None:
     """Admit SQL that only reads.
 
     Raises:
-        InputError: it writes, changes settings, does not parse, holds no statement, or is too long or too deep.
+        InputError: it writes, changes settings, does not parse, is not one statement, or is too long or too deep.
     """
     import duckdb
 
@@ -95,10 +95,12 @@ def read_only(statement: str) -> None:
                 remedy = "list the values: PIVOT t ON c IN (...)" if kind == "MULTI" else _REMEDY
                 raise InputError("SQL", "", f"{_words(kind)} is not allowed", remedy)
             _check_tree(parser, text)
+        if len(statements) > 1:
+            raise InputError("SQL", "", f"these are {len(statements)} statements, and one is answered at a time", "ask one after the other")
 
 
 def query(reader: Reader, sql: str) -> pa.Table:
-    """Run SQL on a snapshot and give the rows of its last statement.
+    """Run SQL on a snapshot and give its rows.
 
     Raises:
         InputError: it does not only read, or DuckDB refuses it.
@@ -109,7 +111,7 @@ def query(reader: Reader, sql: str) -> pa.Table:
 
 @contextlib.contextmanager
 def ask(reader: Reader, sql: str, *, timeout: float | None = None, memory_mb: int | None = None) -> Iterator[Answer]:
-    """The answer to SQL on a snapshot, of its last statement: ``with ask(reader, "FROM scenes") as answer: ...``.
+    """The answer to SQL on a snapshot: ``with ask(reader, "FROM scenes") as answer: ...``.
 
     `timeout` [s] ends it, rows taken included. Beyond `memory_mb` [MB] sorts and joins go on in temporary files; values
     that are built whole, such as one list of everything, count only in part.

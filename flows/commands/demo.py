@@ -70,8 +70,6 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
         print()
         for name, place in places.items():
             print(f"{name:<16} {place}")
-        for scene in written.usd_scenes:
-            print(f"{'open in usdview':<16} {scene}")
         print(f'{"ask the lake":<16} metascenes sql --lake {out / "lake"} "SELECT * FROM objects_per_scene"')
     tell(report)
     for line in (*written.problems, *unmeasured):

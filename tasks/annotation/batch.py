@@ -75,7 +75,7 @@ def read_batch(path: Path) -> AnnotationBatch:
     """
     root = path.parent.resolve()
     if not path.is_file():
-        raise InputError(path.name, "", "is no file", "name a JSON file with an annotation batch")
+        raise InputError(str(path), "", "is no file", "name a JSON file with an annotation batch")
     answers: list[Answer] = []
     batch_id = ""
     seen: set[Path] = set()

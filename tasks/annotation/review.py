@@ -49,7 +49,7 @@ def read_reviews(path: Path) -> ReviewBatch:
             given twice. Names file and JSON path.
     """
     if not path.is_file():
-        raise InputError(path.name, "", "is no file", "name a JSON file with reviews of an annotation batch")
+        raise InputError(str(path), "", "is no file", "name a JSON file with reviews of an annotation batch")
     document = parse_json(read_limited(path, path.name, MAX_FILE_BYTES), path.name)
     SCHEMA.check(document, path.name)
     reviews: list[Review] = []

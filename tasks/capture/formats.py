@@ -81,7 +81,7 @@ def find_scans(
     except OSError as error:
         return [], [_unreadable(folder, error)]
     if not exists:
-        raise InputError(folder.name or str(folder), "folder", "does not exist", "name a scan, or a folder of scans")
+        raise InputError(str(folder), "folder", "does not exist", "name a scan, or a folder of scans")
     folder = folder.resolve()
     root = (folder if folder.is_dir() else folder.parent, *allowed) if isinstance(folder, Path) else ()  # a listing has no links
     found, errors = _search(folder, _Search(wanted, dataset, root), depth=0)

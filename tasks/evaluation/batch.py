@@ -78,7 +78,7 @@ def read_batch(path: Path) -> TrajectoryBatch:
     """
     name = path.name
     if not path.is_file():
-        raise InputError(name, "", "is no file", "name a JSON or JSON Lines file with a trajectory batch")
+        raise InputError(str(path), "", "is no file", "name a JSON or JSON Lines file with a trajectory batch")
     raw = read_limited(path, name, MAX_FILE_BYTES)
     if path.suffix.lower() not in (".jsonl", ".ndjson"):
         return parse_batch(parse_json(raw, name), name)

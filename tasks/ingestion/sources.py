@@ -23,7 +23,7 @@ def find_sources(kind: Kind, folder: Path, dataset: str, names: Path | None = No
     except OSError as error:
         raise InputError(folder.name, "folder", f"cannot be read ({error.strerror})", "check its permissions") from error
     if not exists:
-        raise InputError(folder.name or str(folder), "folder", "does not exist", "name the folder of the dataset")
+        raise InputError(str(folder), "folder", "does not exist", "name the folder of the dataset")
     root = folder.resolve()
     found = habitat_scenes(root, dataset) if kind == "habitat" else metascenes_scenes(root, dataset, names)
     by_scene: dict[str, list[Source]] = {}
