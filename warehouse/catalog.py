@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from schemas.tables import TABLES
 from warehouse.documentation import quoted, sql_type
 from warehouse.macros import Macro, macros
+from warehouse.renames import former_columns, former_views
 from warehouse.views import View, install, views
 
 if TYPE_CHECKING:
@@ -34,6 +35,9 @@ def entries() -> list[Entry]:
     """Tables in the order of the data path, then views and macros by name."""
     found = [Entry("table", name, name, None, table.description, "") for name, table in TABLES.items()]
     found += [Entry("view", view.name, view.name, view.version, view.question, view.note) for view in views()]
+    found += [
+        Entry("view", old, old, None, f"Old name of {new}; it goes with the next version.", "") for old, new in former_views().items()
+    ]
     found += [Entry("macro", macro.name, macro.signature, macro.version, macro.question, macro.note) for macro in macros()]
     return found
 
@@ -45,20 +49,22 @@ def empty_lake() -> duckdb.DuckDBPyConnection:
     connection = duckdb.connect(":memory:")
     connection.execute("SET TimeZone = 'UTC'")
     for name, table in TABLES.items():
-        columns = ", ".join(f"{quoted(column.name)} {sql_type(column.type)}" for column in table.columns)
-        connection.execute(f"CREATE TABLE {quoted(name)} ({columns})")
+        columns = [f"{quoted(column.name)} {sql_type(column.type)}" for column in table.columns]
+        columns += [f"{quoted(before)} AS ({quoted(after)})" for before, after in former_columns(name).items()]
+        connection.execute(f"CREATE TABLE {quoted(name)} ({', '.join(columns)})")
     install(connection)
     return connection
 
 
 def described(connection: duckdb.DuckDBPyConnection, one: View | Macro) -> dict[str, Any]:
-    """What of a view or macro a query may rely on: version, parameters, and the columns with their types.
+    """What of a view or macro a query may rely on: version, parameters, and the columns with their types, without old names.
 
     A scalar macro has none; a table macro's are those that it has with NULL for every parameter without a default.
     """
     found: dict[str, Any] = {"name": one.name, "version": one.version}
     if isinstance(one, View):
-        return found | {"columns": _columns(connection, quoted(one.name))}
+        former = former_columns(one.name)
+        return found | {"columns": {n: kind for n, kind in _columns(connection, quoted(one.name)).items() if n not in former}}
     found |= {"parameters": list(one.parameters), "is_table": one.is_table}
     if one.is_table:
         given = ", ".join("NULL" for parameter in one.parameters if ":=" not in parameter)
@@ -83,6 +89,10 @@ def views_page() -> str:
     parts += [f"| [`{one.name}`](#{one.name}) | {one.version} | {one.question} |" for one in asked]
     with empty_lake() as connection:
         parts += ["", *(_section(connection, one) for one in asked)]
+    if former_views():
+        old = [f"| `{before}` | [`{after}`](#{after}) |" for before, after in former_views().items()]
+        parts += ["## Old names", "", "Views that can still be asked by their old names. These go with the next version.", "",
+                  "| old name | name |", "|---|---|", *old, ""]  # fmt: skip
     return "\n".join(parts)
 
 
@@ -99,6 +109,9 @@ def _section(connection: duckdb.DuckDBPyConnection, one: View | Macro) -> str:
     columns = described(connection, one).get("columns", {})
     if columns:
         lines += ["", "| column | type |", "|---|---|", *(f"| `{name}` | {kind} |" for name, kind in columns.items())]
+        lines += [
+            f"| `{before}` | old name of `{after}`, goes with the next version |" for before, after in former_columns(one.name).items()
+        ]
     return "\n".join(lines) + "\n"
 
 

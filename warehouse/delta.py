@@ -20,6 +20,7 @@ from schemas.record import Table
 from schemas.text import one_line
 from warehouse.references import parquet, workspace
 from warehouse.refusals import named, told
+from warehouse.renames import former_columns
 from warehouse.storage import Storage
 
 if TYPE_CHECKING:
@@ -121,27 +122,33 @@ class DeltaTables:
         if not files or not all(wanted.values()):
             return pa.schema([schema.field(name) for name in names]).empty_table()
         with named(self._storage):
-            return self._rows(schema, files, names, wanted)
+            return self._rows(table, files, names, wanted)
 
-    def _rows(self, schema: pa.Schema, files: Sequence[str], names: Sequence[str], wanted: Mapping[str, Sequence[str]]) -> pa.Table:
+    def _rows(self, table: Table, files: Sequence[str], names: Sequence[str], wanted: Mapping[str, Sequence[str]]) -> pa.Table:
         import pyarrow.dataset as ds
 
+        schema = nullable(table.arrow_schema)
         paths = [self._storage.arrow_path(file) for file in files]
+        former = {after: before for before, after in former_columns(table.name).items()}
+        for after, before in former.items():
+            schema = schema.append(schema.field(after).with_name(before))
+        taken = {name: _value(name, former.get(name)) for name in names} if former else names
         data = ds.dataset(paths, schema=schema, format="parquet", filesystem=self._storage.arrow_filesystem())
         if not wanted:
-            return data.to_table(columns=names)
+            return data.to_table(columns=taken)
         # Arrow prunes row groups by ranges, but not by lists of values.
-        parts = [part for fragment in data.get_fragments() if (part := _row_groups(fragment, wanted)) is not None]
+        known = {name: values for name, values in wanted.items() if name not in former}
+        parts = [part for fragment in data.get_fragments() if (part := _row_groups(fragment, known)) is not None]
         keep: Any = None
         for name, values in wanted.items():
-            one = ds.field(name).isin(pa.array(values, schema.field(name).type))
+            one = _value(name, former.get(name)).isin(pa.array(values, schema.field(name).type))
             keep = one if keep is None else keep & one
         if len(parts) > 1 and not set(names) <= set(wanted):
             # Ids of content lie anywhere: look for them alone first, and read the rest of the files that hold them.
             held = ds.FileSystemDataset(parts, schema, data.format, data.filesystem).to_table(columns=["__filename"], filter=keep)
             holding = set(held.column(0).unique().to_pylist())
             parts = [part for part in parts if part.path in holding]
-        return ds.FileSystemDataset(parts, schema, data.format, data.filesystem).to_table(columns=names, filter=keep)
+        return ds.FileSystemDataset(parts, schema, data.format, data.filesystem).to_table(columns=taken, filter=keep)
 
     def naming(self, files: Sequence[str], column: str, keys: Collection[str], but: Collection[str]) -> pa.Table:
         """Which scenes, `but` some, have rows whose `column` is one of `keys`: the pairs, once each.
@@ -357,6 +364,14 @@ def _bounds(folder: str, opened: DeltaTable) -> dict[str, dict[str, tuple[str, s
                 if low is not None and high is not None:
                     columns[name] = (low, high)
     return found
+
+
+def _value(name: str, before: str | None) -> Any:
+    """A column of data files, some of which may have it under an old name, as Arrow's expression."""
+    import pyarrow.compute as pc
+    import pyarrow.dataset as ds
+
+    return ds.field(name) if before is None else pc.coalesce(ds.field(name), ds.field(before))
 
 
 def _row_groups(fragment: Any, wanted: Mapping[str, Sequence[str]]) -> Any:

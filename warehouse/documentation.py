@@ -6,6 +6,7 @@ import pyarrow as pa
 
 from schemas.record import Column, Table
 from schemas.tables import TABLES
+from warehouse.renames import former_columns
 
 _RULES = {
     "replace": "a scene's new rows take the place of its old ones",
@@ -71,8 +72,9 @@ def table_section(table: Table) -> str:
         "| column | type | unit | constraint | description |",
         "|---|---|---|---|---|",
     ]
+    before = {after: f" (before: `{old}`)" for old, after in former_columns(table.name).items()}
     for column in table.columns:
-        described = column.description.replace("|", "\\|")
+        described = column.description.replace("|", "\\|") + before.get(column.name, "")
         lines.append(f"| `{column.name}` | {sql_type(column.type)} | {column.unit} | {constraint(column)} | {described} |")
     return "\n".join(lines) + "\n"
 

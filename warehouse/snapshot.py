@@ -20,6 +20,7 @@ from warehouse.commit import versions_of
 from warehouse.delta import LOOK_AGAIN_SECONDS, DeltaTables
 from warehouse.documentation import comment_statements, quoted, sql_type
 from warehouse.released import released
+from warehouse.renames import former_columns, merged, with_former
 from warehouse.storage import Storage
 
 if TYPE_CHECKING:
@@ -180,17 +181,19 @@ class Reader:
             rows = ", ".join(f"({', '.join(_literal(getattr(release, c.name)) for c in table.columns)})" for release in self.releases)
             named = ", ".join(quoted(column.name) for column in table.columns)
             body = f"{body} UNION ALL BY NAME SELECT * FROM (VALUES {rows}) AS known({named})"
-        return [f"CREATE VIEW {quoted(name)} AS {body}", *comment_statements(table)]
+        return [f"CREATE VIEW {quoted(name)} AS {with_former(name, body)}", *comment_statements(table)]
 
 
 def relation(table: Table, source: str | None = None) -> str:
     """SQL for rows under the columns and types of a table: of the query `source`, or none. Columns that it lacks are null."""
-    empty = ", ".join(f"NULL::{sql_type(column.type)} AS {quoted(column.name)}" for column in table.columns)
-    body = f"SELECT {empty} WHERE false"
+    types = {column.name: sql_type(column.type) for column in table.columns}
+    empty = [f"NULL::{kind} AS {quoted(name)}" for name, kind in types.items()]
     if source is None:
-        return body
+        return f"SELECT {', '.join(empty)} WHERE false"
+    empty += [f"NULL::{types[after]} AS {quoted(before)}" for before, after in former_columns(table.name).items()]
+    body = f"SELECT {', '.join(empty)} WHERE false"
     # The empty relation gives columns that no file has yet, and the schema's types.
-    return f"SELECT {', '.join(quoted(column.name) for column in table.columns)} FROM ({body} UNION ALL BY NAME {source})"
+    return f"SELECT {', '.join(merged(table.name, types))} FROM ({body} UNION ALL BY NAME {source})"
 
 
 def read_files(paths: Sequence[str]) -> str | None:

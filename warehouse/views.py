@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from schemas.tables import TABLES
 from warehouse import macros
+from warehouse.renames import former_columns, former_views, with_former
 
 if TYPE_CHECKING:
     import duckdb
@@ -64,8 +65,15 @@ def install(connection: duckdb.DuckDBPyConnection) -> None:
     """
     statements = [statement for macro in macros.macros() if not macro.is_table for statement in macro.statements]
     for view in _ordered():
-        statements.append(f'CREATE OR REPLACE VIEW "{view.name}" AS {view.query}')
+        statements.append(f'CREATE OR REPLACE VIEW "{view.name}" AS {with_former(view.name, view.query)}')
         statements.append(f'COMMENT ON VIEW "{view.name}" IS {macros.literal(view.comment)}')
+        statements += [
+            f'COMMENT ON COLUMN "{view.name}"."{before}" IS {macros.literal(f"Old name of {after}; it goes with the next version.")}'
+            for before, after in former_columns(view.name).items()
+        ]
+    for before, after in former_views().items():
+        statements.append(f'CREATE OR REPLACE VIEW "{before}" AS FROM "{after}"')
+        statements.append(f'COMMENT ON VIEW "{before}" IS {macros.literal(f"Old name of {after}; it goes with the next version.")}')
     statements += [statement for macro in macros.macros() if macro.is_table for statement in macro.statements]
     connection.execute(";\n".join(statements))
 

@@ -12,6 +12,8 @@ from schemas.tables import TABLES
 from warehouse.documentation import quoted, sql_type
 from warehouse.inspection.finding import Finding, one_line
 from warehouse.references import columns_of, parquet
+from warehouse.renames import former_columns
+from warehouse.snapshot import relation
 from warehouse.storage import Storage
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ class RowChecks:
 
     def __init__(self, connection: duckdb.DuckDBPyConnection, storage: Storage, files: Mapping[str, Sequence[str]]) -> None:
         self._connection, self._storage = connection, storage
-        self._relations = {table: parquet(storage, paths) for table, paths in files.items() if paths and table in TABLES}
+        self._relations = {table: _relation(table, parquet(storage, paths)) for table, paths in files.items() if paths and table in TABLES}
         self._columns: dict[str, dict[str, str]] = {}
 
     def constraints(self, name: str, thorough: bool) -> Iterator[Finding]:
@@ -140,6 +142,11 @@ class RowChecks:
         # In a FILTER, not in a WHERE: there Parquet's statistics, which know no NaN, would let DuckDB skip the row.
         query = f"SELECT any_value(concat_ws(' ', {key})) FILTER (WHERE {sql}) FROM {self._relations[table.name]}"
         return str(self._connection.execute(query).fetchall()[0][0])
+
+
+def _relation(name: str, source: str) -> str:
+    """The rows of a table as its files have them; under its schema where they may have a column under an old name."""
+    return f"({relation(TABLES[name], f'SELECT * FROM {source}')})" if former_columns(name) else source
 
 
 def checked(checks: Iterator[Finding], name: str) -> Iterator[Finding]:

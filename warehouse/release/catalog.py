@@ -24,6 +24,7 @@ from warehouse.documentation import comment_statements, quoted
 from warehouse.lake import Lake
 from warehouse.macros import literal
 from warehouse.released import RECORD, folder_of, parse_release, released
+from warehouse.renames import with_former
 from warehouse.snapshot import relation
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def write_catalog(
                 found = [row[0] for row in connection.execute(f"DESCRIBE {source}").fetchall()]
                 if found != [column.name for column in table.columns]:
                     source = relation(table, source)
-            connection.execute(f"CREATE VIEW {quoted(table.name)} AS {source or relation(table)}")
+            connection.execute(f"CREATE VIEW {quoted(table.name)} AS {with_former(table.name, source or relation(table))}")
             connection.execute(";\n".join(comment_statements(table)))
         views.install(connection)
         connection.execute("USE memory")
