@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from flows.fingerprints import RACY_SECONDS, FileHashes, digest
+from flows.identity import Content, content_of, recorded_content, same_scenes
 from flows.listing import ScanListing, files_of
 from flows.scans import DAY_SECONDS, ScanSource, scan_source
 from schemas.errors import InputError
-from schemas.runs import StageRun
 from tasks.capture.formats import Scan, survey
 from tasks.capture.wholeness import Gap, find_gap, is_temporary
 from warehouse.history import StageState
@@ -44,7 +44,8 @@ class Arrival:
 
     `attempt` counts the runs that were asked for this content before, `run` is the last of them, asked for at `asked_at` [s
     since the epoch]; `asks` counts those for any content. `is_overdue`: it has been incomplete for more than a day, and nobody
-    was told within the last one. left_out: Links out of the folder of scans, in a line.
+    was told within the last one. left_out: Links out of the folder of scans, in a line. `same_as`: the scene that it is, where the
+    lake has its content under another name.
     """
 
     scan: str
@@ -58,6 +59,7 @@ class Arrival:
     asks: int = 0
     is_overdue: bool = False
     left_out: str = ""
+    same_as: str = ""
 
 
 @dataclasses.dataclass
@@ -177,9 +179,9 @@ class _Watcher:
             self._recall(scene, listing.mark)
         copying = {scene: name for scene, listing in listings.items() if (name := _temporary(listing))}
         settled = [scene for scene in listings if scene not in copying and self._age(scene) >= self._settle]
-        failures = self._open([listings[scene] for scene in settled if "content" not in self._after[_key(scene)]])
+        failures = self._open([listings[scene] for scene in settled if not {"content", "nameless"} <= self._after[_key(scene)].keys()])
         lacking = _lacking(listings.values())
-        history = self._lake.history(set(listings))
+        captures, same = self._known(set(listings), [scene for scene in settled if scene not in failures])
         arrivals = []
         for scene, listing in sorted(listings.items()):
             found = Arrival(scene, "waiting", size_bytes=listing.size)
@@ -190,9 +192,21 @@ class _Watcher:
             elif scene not in settled:
                 found = dataclasses.replace(found, why=f"its files changed less than {self._settle:g} s ago")
             else:
-                found = self._judged(found, history.get((scene, "capture")), lacking.get(scene, ""))
+                found = self._judged(found, captures.get(scene), lacking.get(scene, ""))
+                if scene in same and found.state in _WANTED:
+                    found = _known_as(found, same[scene], captures.get(same[scene]))
             arrivals.append(self._timed(found))
         return arrivals + [self._timed(self._unusable(error)) for error in errors]
+
+    def _known(self, scenes: set[str], settled: Sequence[str]) -> tuple[dict[str, StageState], dict[str, str]]:
+        """States of the capture by scene, and the scans that are scenes of another name, of those that have settled."""
+        history = self._lake.history(scenes)
+        contents = {
+            scene: Content(str(self._after[_key(scene)]["content"]), str(self._after[_key(scene)]["nameless"])) for scene in settled
+        }
+        same = same_scenes(self._lake, contents, {scene: history.get((scene, "capture")) for scene in contents})
+        history |= self._lake.history(set(same.values()) - scenes) if same else {}
+        return {scene: state for (scene, stage), state in history.items() if stage == "capture"}, same
 
     def _recall(self, name: str, mark: str) -> None:
         """What is remembered of a scan: all of it while its files are the same, else since when it is incomplete, and its runs."""
@@ -224,10 +238,16 @@ class _Watcher:
         entry = self._after[_key(scan.scene_id)]
         gap = find_gap(scan)
         files, left_out = survey(scan)
-        content = self._hashes.tree(scan.folder, files)
+        content = content_of(scan, files, self._hashes)
         if scan.path == listing.scan.path and ScanListing(scan, files_of(scan)).mark != listing.mark:
             raise InputError(scan.scene_id, "files", "changed while they were looked at")
-        entry |= {"content": content, "gap": gap.what if gap else "", "is_readable": gap is None or gap.is_readable, "left_out": left_out}
+        entry |= {
+            "content": content.named,
+            "nameless": content.nameless,
+            "gap": gap.what if gap else "",
+            "is_readable": gap is None or gap.is_readable,
+            "left_out": left_out,
+        }
         # Within the resolution of time stamps a file may change without a sign of it: then the next look looks again.
         entry["is_lasting"] = self._settle >= RACY_SECONDS
 
@@ -237,12 +257,12 @@ class _Watcher:
         content, gap = str(entry["content"]), Gap(str(entry["gap"]), bool(entry["is_readable"]))
         found = dataclasses.replace(found, left_out=str(entry.get("left_out", "")))
         if not entry.pop("is_lasting", True):
-            for key in ("content", "gap", "is_readable", "left_out"):
+            for key in ("content", "nameless", "gap", "is_readable", "left_out"):
                 entry.pop(key, None)
         last, done = (capture.last, capture.done) if capture else (None, None)
-        if last is not None and last.outcome == "failed" and _content(last) == content:
+        if last is not None and last.outcome == "failed" and recorded_content(last) == content:
             return dataclasses.replace(found, state="failed before", why=last.error or "", content=content)
-        if any(run is not None and run.outcome == "done" and _content(run) == content for run in (last, done)):
+        if any(run is not None and run.outcome == "done" and recorded_content(run) == content for run in (last, done)):
             return dataclasses.replace(found, state="known", content=content)
         if gap.what and not gap.is_readable:
             return dataclasses.replace(found, why=gap.what)
@@ -283,9 +303,11 @@ def _key(scan: str) -> str:
     return digest(scan)[:24]
 
 
-def _content(run: StageRun) -> str:
-    """Hash of the scan's content that a run of the capture recorded."""
-    return next((part.removeprefix("scan=") for part in run.reasons if part.startswith("scan=")), "")
+def _known_as(found: Arrival, scene: str, capture: StageState | None) -> Arrival:
+    """A scan that would be wanted, as the scene that it is under another name."""
+    if capture is not None and capture.done is None and capture.last.outcome == "failed":
+        return dataclasses.replace(found, state="failed before", why=f"as {scene}: {capture.last.error}")
+    return dataclasses.replace(found, state="known", same_as=scene, why=f"is {scene}, the same scan under another name")
 
 
 def _temporary(listing: ScanListing) -> str:
@@ -326,7 +348,8 @@ class WatchReport:
     """What a look found, by scene id, and which scans it asked a run for. `run` is that run, '' when there was nothing to ask.
 
     `waiting` says why, `overdue` are those of them that have been incomplete for more than a day and were not told of today.
-    `failures` are those of the run, where it was done at once. `left_out` says which links of which scan are not followed.
+    `failures` are those of the run, where it was done at once. `left_out` says which links of which scan are not followed. `same`:
+    known scans that are scenes of another name, by their own.
     """
 
     new: tuple[str, ...]
@@ -339,6 +362,7 @@ class WatchReport:
     run: str = ""
     failures: tuple[str, ...] = ()
     left_out: dict[str, str] = dataclasses.field(default_factory=dict)
+    same: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def __str__(self) -> str:
         total = len(self.new) + len(self.changed) + len(self.waiting) + len(self.failed_before) + self.known
@@ -356,4 +380,5 @@ def watch_report(found: Look, asked: Iterable[Arrival] = (), run: str = "", fail
     overdue = tuple(f"{arrival.scan}: {arrival.why}" for arrival in found.arrivals if arrival.is_overdue)
     return WatchReport(tuple(named("new")), tuple(named("changed")), named("waiting"), named("failed before"), len(named("known")),
                        overdue, tuple(arrival.scan for arrival in asked), run, tuple(failures),
-                       {arrival.scan: arrival.left_out for arrival in found.arrivals if arrival.left_out})  # fmt: skip
+                       {arrival.scan: arrival.left_out for arrival in found.arrivals if arrival.left_out},
+                       {arrival.scan: arrival.same_as for arrival in found.arrivals if arrival.same_as})  # fmt: skip

@@ -198,10 +198,14 @@ class FileHashes:
             self._changed = True
         return value
 
+    def entries(self, root: Path, files: Iterable[Path]) -> list[tuple[str, str]]:
+        """Files as their paths relative to `root` and the hashes of their contents, sorted; raises what `hash` raises."""
+        named = [(path, path.relative_to(root).as_posix()) for path in sorted(files)]
+        return [(name, self.hash(path, f"{root.name}/{name}")) for path, name in named]
+
     def tree(self, root: Path, files: Iterable[Path]) -> str:
         """Hash of a set of files: their paths relative to `root` and their contents; raises what `hash` raises."""
-        named = [(path, path.relative_to(root).as_posix()) for path in sorted(files)]
-        return digest(*(f"{name}={self.hash(path, f'{root.name}/{name}')}" for path, name in named))
+        return digest(*(f"{path}={value}" for path, value in self.entries(root, files)))
 
     def save(self) -> None:
         """Write what was learned. Two runs may write at once: the last one wins, whole."""
@@ -277,12 +281,16 @@ def cache_folder() -> Path:
 
 @dataclasses.dataclass(frozen=True)
 class Fingerprint:
-    """A stage's fingerprint on one scene, with its parts, so that a difference can be explained."""
+    """A stage's fingerprint on one scene, with its parts, so that a difference can be explained.
+
+    `facts` are further `<name>=<value>` that are kept beside the parts and decide nothing.
+    """
 
     inputs: tuple[str, ...]
     config: str
     code: str
     seed: int
+    facts: tuple[str, ...] = ()
 
     @property
     def value(self) -> str:
@@ -292,10 +300,11 @@ class Fingerprint:
     @property
     def parts(self) -> tuple[str, ...]:
         """Parts as `<part>=<value>`, as `stage_runs.reasons` keeps them."""
-        return (*self.inputs, f"config={digest(self.config)}", f"code={self.code}", f"seed={self.seed}")
+        return (*self.inputs, f"config={digest(self.config)}", f"code={self.code}", f"seed={self.seed}", *self.facts)
 
     def changes(self, before: Sequence[str]) -> list[str]:
         """Names of the parts that differ from an earlier run's `reasons`."""
         old = dict(part.split("=", 1) for part in before)
         new = dict(part.split("=", 1) for part in self.parts)
-        return [name for name in {**new, **old} if old.get(name) != new.get(name)]
+        facts = {fact.partition("=")[0] for fact in self.facts}
+        return [name for name in {**new, **old} if old.get(name) != new.get(name) and name not in facts]

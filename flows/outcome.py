@@ -26,6 +26,9 @@ def scene_rows(
     formats = formats or {}
     failures = _failure_of(report)
     plans = {scene.scan.scene_id: scene for scene in plan.scenes}
+    given: dict[str, list[str]] = {}
+    for scan, scene_id in report.same.items():
+        given.setdefault(scene_id, []).append(scan)
     named = dict(zip(ORDER, (report.failed, report.postponed, report.shared, report.done, report.unchanged), strict=True))
     rows = [_row(str(error.file), "failed", "", str(error)) for error in plan.unusable]
     for state, scenes in named.items():
@@ -39,7 +42,7 @@ def scene_rows(
             elif state == "shared":
                 why = "another run computed it"
             elif state == "skipped":
-                why = "up to date"
+                why = "up to date" + (f"; given as {', '.join(given[scene_id])}" if scene_id in given else "")
             elif steps:
                 stage = steps[0].stage if len(steps) == 1 else f"{steps[0].stage} to {steps[-1].stage}"
                 why = steps[0].why
@@ -60,6 +63,7 @@ def summary(report: RunReport, plan: Plan, runs: Mapping[tuple[str, str], StageR
         "checks of exports that failed": len(report.broken),
         "scans that cannot be used": len(plan.unusable),
         "up to date": len(report.unchanged),
+        "scans known under another name": len(report.same),
         "computed by another run": len(report.shared),
         "postponed": len(report.postponed),
         "stage runs": report.steps,

@@ -27,6 +27,8 @@ from flows.fanout.batch import Batch
 from flows.fanout.coordinator import Coordinator, FanOut, Outcome
 from flows.fanout.pools import shared_pool
 from flows.fanout.runners import Runner, task_runner
+from flows.identity import sentence
+from flows.outcome import MAX_NOTES
 from flows.parameters import Address, StageTables
 from flows.patience import patiently
 from flows.plan import Plan, ScenePlan, make_plan
@@ -187,6 +189,7 @@ def replicate(
     settings: list[str] = [],  # noqa: B006  # a default that Prefect's form shows; it is never changed
     stages: StageTables = {},  # noqa: B006
     retry_failed: bool = False,
+    again: bool = False,
     scenes: list[str] = [],  # noqa: B006
     first: str | None = None,
     last: str | None = None,
@@ -218,6 +221,7 @@ def replicate(
         settings: Single values, `stage.field=value`.
         stages: What stages are told, a table each.
         retry_failed: Compute again what failed on unchanged input.
+        again: Compute scans that the lake has under another name again, under the names that they have here.
         scenes: Only these scenes: ids or shell patterns.
         first: Only scenes from this id on.
         last: Only scenes up to this id.
@@ -253,11 +257,13 @@ def replicate(
             found, arriving = settled(found, settle_seconds, by_change="://" not in scans)
             for scan in arriving:
                 run_log(f"{scan.scene_id}: changed less than {settle_seconds:g} s ago, or is being copied; left to a later run")
-        plan = make_plan(store, found, unusable, configuration, retry_failed)
+        plan = make_plan(store, found, unusable, configuration, retry_failed, again=again)
+        for given, scene_id in list(plan.same.items())[:MAX_NOTES]:
+            run_log(sentence(given, scene_id))
 
         def replan(scan: Scan, retry: bool) -> ScenePlan | None:
-            again = make_plan(store, [scan], (), configuration, retry)
-            return again.scenes[0] if again.scenes else None
+            planned = make_plan(store, [scan], (), configuration, retry, again=True)  # what it is called is decided already
+            return planned.scenes[0] if planned.scenes else None
 
         coordinator = Coordinator(plan, store, configuration, fan_out, replan, retry_failed=retry_failed)
         return _carry_out(plan, store, coordinator, scans, dataset, fan_out, began)
@@ -271,6 +277,8 @@ def state_of(report: RunReport) -> State[Any]:
     """How a run ends in Prefect: failed where a scene failed anew, or was not begun."""
     anew = [line for line in report.failures if line not in report.known]
     parts = [f"{len(report.done)} scenes done", f"{len(report.unchanged) + len(report.shared)} up to date"]
+    if report.same:
+        parts.append(f"{len(report.same)} scans known under another name")
     if report.known:
         parts.append(f"{len(report.known)} failed before")
     if anew:

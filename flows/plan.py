@@ -10,11 +10,13 @@ from typing import Literal
 
 from flows.configuration import Configuration
 from flows.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint, digest
+from flows.identity import Content, content_of, recorded_content, same_scenes, scan_as
 from schemas.errors import InputError
 from schemas.runs import StageRun
 from tasks.capture.formats import Scan, survey
 from tasks.pipeline import MODULES, SCENE_STAGES, upstream
 from tasks.stage import Stage
+from warehouse.history import StageState
 from warehouse.lake import Lake
 from warehouse.reviews import standing_answers
 
@@ -62,12 +64,14 @@ class Plan:
     """What a run would do: scenes with their steps, and scans that cannot be used at all. `snapshot_id` is what it was made from.
 
     left_out: A line for each scan that has links out of the folder of scans.
+    `same`: scans that are scenes of another name, whose steps are theirs (see `flows.identity`); scene by the scan's own name.
     """
 
     scenes: tuple[ScenePlan, ...]
     unusable: tuple[InputError, ...]
     snapshot_id: int = 0
     left_out: tuple[str, ...] = ()
+    same: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def todo(self) -> tuple[ScenePlan, ...]:
@@ -86,43 +90,80 @@ def make_plan(
     configuration: Configuration,
     retry_failed: bool = False,
     hashes: FileHashes | None = None,
+    *,
+    again: bool = False,
 ) -> Plan:
-    """Hold scans against the lake. Nothing is computed or written but the cache of file hashes."""
+    """Hold scans against the lake. Nothing is computed or written but the cache of file hashes.
+
+    A scan that the lake has under another name is that scene, unless it is to be computed `again` under its own.
+    """
     hashes = hashes or FileHashes()
     snapshot_id = lake.snapshot().snapshot_id  # before the history is read: what is committed meanwhile counts as news
     told = {stage.name: (canonical_json(configuration.stages[stage.name]), code_fingerprint(MODULES[stage.name])) for stage in SCENE_STAGES}
     library = _library_hash(configuration.library, hashes)
     history = lake.history({scan.scene_id for scan in scans})
-    annotations = annotation_digests(lake, {scan.scene_id for scan in scans}, snapshot_id)
-    scenes, errors, notes = [], list(unusable), []
+    looked, errors, notes = [], list(unusable), []
     for scan in scans:
         try:
             files, note = survey(scan)
-            content = hashes.tree(scan.folder, files)
+            looked.append((scan, content_of(scan, files, hashes)))
+            notes += [f"{scan.scene_id}: {note}"] if note else []
         except OSError as error:
             errors.append(InputError(scan.path.name, "files", str(error), "check that they can be read"))
-            continue
         except InputError as error:
             errors.append(error)
-            continue
-        notes += [f"{scan.scene_id}: {note}"] if note else []
-        outside = {"scan": content, "library": library}
-        past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
-        steps = _steps(outside, annotations.get(scan.scene_id, ""), past, told, configuration.seed, retry_failed)
-        scenes.append(ScenePlan(scan, steps, snapshot_id))
     hashes.save()
-    return Plan(tuple(scenes), tuple(errors), snapshot_id, tuple(notes))
+    same: dict[str, str] = {}
+    if not again:
+        captures = {scan.scene_id: history.get((scan.scene_id, CAPTURE)) for scan, _ in looked}
+        same = same_scenes(lake, {scan.scene_id: content for scan, content in looked}, captures)
+    if same:
+        history |= lake.history(set(same.values()) - {scan.scene_id for scan in scans})
+        looked = _as_scenes(lake, looked, same, history)
+    annotations = annotation_digests(lake, {scan.scene_id for scan, _ in looked}, snapshot_id)
+    scenes = []
+    for scan, content in looked:
+        outside = {"scan": content.named, "library": library}
+        past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
+        facts = {"scan": content.parts[1:]}
+        steps = _steps(outside, facts, annotations.get(scan.scene_id, ""), past, told, configuration.seed, retry_failed)
+        scenes.append(ScenePlan(scan, steps, snapshot_id))
+    return Plan(tuple(scenes), tuple(errors), snapshot_id, tuple(notes), same)
+
+
+CAPTURE = "capture"
+"""The stage that reads scans."""
+
+
+def _as_scenes(
+    lake: Lake, looked: Sequence[tuple[Scan, Content]], same: Mapping[str, str], history: Mapping[tuple[str, str], StageState]
+) -> list[tuple[Scan, Content]]:
+    """Scans under the names of the scenes that they are, each scene once, by scene id."""
+    rows = lake.snapshot().matching("scenes", {"scene_id": set(same.values())}, ["dataset", "scan"]).to_pylist()
+    names = {row["scene_id"]: (row["dataset"], row["scan"]) for row in rows}
+    found = {scan.scene_id: (scan, content) for scan, content in looked if scan.scene_id not in same}
+    for scan, content in looked:
+        scene = same.get(scan.scene_id)
+        if scene is None or scene in found:
+            continue
+        # Paths are a part of the recorded hash: those of a scan that was renamed since have changed, and its content has not.
+        state = history.get((scene, CAPTURE))
+        recorded = recorded_content(state.done or state.last) if state is not None else ""
+        found[scene] = scan_as(scan, scene, *names.get(scene, ("", ""))), content._replace(named=recorded or content.named)
+    return [found[scene] for scene in sorted(found)]
 
 
 def _steps(
     outside: Mapping[str, str],
+    facts: Mapping[str, tuple[str, ...]],
     annotations: str,
     past: Mapping[str, object],
     told: Mapping[str, tuple[str, str]],
     seed: int,
     retry_failed: bool,
 ) -> tuple[Step, ...]:
-    """The steps of one scene. `told` holds config and code of every stage, the same texts for all scenes."""
+    """The steps of one scene. `told` holds config and code of every stage, the same texts for all scenes; `facts` what is to be
+    recorded beside an outside input."""
     steps: list[Step] = []
     by_stage: dict[str, Step] = {}
     for stage in SCENE_STAGES:
@@ -132,7 +173,8 @@ def _steps(
         inputs = tuple(f"{name}={outside[name]}" for name in stage.outside if name in outside)
         if stage.history:
             inputs += (f"annotations={annotations}",)
-        fingerprint = Fingerprint((*inputs, *read), *told[stage.name], seed)
+        beside = tuple(fact for name in stage.outside for fact in facts.get(name, ()))
+        fingerprint = Fingerprint((*inputs, *read), *told[stage.name], seed, beside)
         action, why, attempt, before = _action(stage, fingerprint, past[stage.name], [by_stage[o.name] for o in above], retry_failed)
         step = Step(stage.name, action, why, fingerprint, read, attempt, before)
         steps.append(step)

@@ -20,7 +20,8 @@ class RunReport:
 
     `shared` scenes were computed by another run meanwhile. `postponed` ones were not begun, for the reason in `stopped`.
     `known` failures are those of earlier runs on unchanged input; `retried` says which workers were lost. `broken` are those
-    failures that are checks which an export did not pass: its scene is done all the same.
+    failures that are checks which an export did not pass: its scene is done all the same. `same`: scans that are scenes of another
+    name, by the names that they were given under; what came of them is told under the scene's.
     """
 
     done: tuple[str, ...]
@@ -35,6 +36,7 @@ class RunReport:
     known: tuple[str, ...] = ()
     retried: tuple[str, ...] = ()
     broken: tuple[str, ...] = ()
+    same: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 def broken_checks(lake: Lake, scenes: Collection[str] | None = None) -> dict[str, tuple[str, ...]]:
@@ -95,6 +97,7 @@ def report_of(
         known=tuple(known),
         retried=tuple(outcome.retried) if outcome else (),
         broken=tuple(line for _, line in lines),
+        same=dict(plan.same),
     )
 
 

@@ -89,11 +89,15 @@ class RunStatus:
 
 @dataclasses.dataclass(frozen=True)
 class Status:
-    """How a lake stands. `seconds_left` [s] is that of the runs at work, without any that of one worker for all that is to do."""
+    """How a lake stands. `seconds_left` [s] is that of the runs at work, without any that of one worker for all that is to do.
+
+    `same`: scenes that were made of one and the same scan under several names, those of a scan together.
+    """
 
     scenes: tuple[SceneStatus, ...]
     runs: tuple[RunStatus, ...]
     seconds_left: float | None
+    same: tuple[tuple[str, ...], ...] = ()
 
     def counts(self) -> dict[State, int]:
         """How many scenes are in each state."""
@@ -134,7 +138,17 @@ def status_of(
         left = max(known) if known else None
     else:
         left = _seconds(Counter(todo.stage for scene in scenes for todo in scene.todo if todo.action == "run"), medians)
-    return Status(scenes, at_work, left)
+    return Status(scenes, at_work, left, _same(outline.states))
+
+
+def _same(states: Mapping[Key, StageOutline]) -> tuple[tuple[str, ...], ...]:
+    """Scenes that were made of the same scan, by id."""
+    by_content: dict[str, list[str]] = {}
+    for (scene, stage), state in states.items():
+        content = _part(state.done, "scan") if stage == "capture" and state.done is not None else None
+        if content is not None:
+            by_content.setdefault(content, []).append(scene)
+    return tuple(sorted(tuple(sorted(scenes)) for scenes in by_content.values() if len(scenes) > 1))
 
 
 def recorded_states(states: Mapping[Key, StageOutline]) -> dict[str, dict[str, str]]:

@@ -57,7 +57,7 @@ class UnreachableTarget:
 
 @record("splits", key=("room_id",), stage="navigation", grain="room", rule="share", shared_by="scenes")
 class Split:
-    """Train or test, by room, so that rescans never leak; a stable hash of the room decides, 4:1."""
+    """Train or test, by room, so that rescans never leak; a stable hash of the room's name without its dataset decides, 4:1."""
 
     room_id: str = column("Physical room", pattern=SCENE_PATTERN)
     split: str = column("Split", values=("train", "test"))

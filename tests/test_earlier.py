@@ -209,6 +209,11 @@ def test_the_same_scans_are_computed_again_only_where_the_code_changed(lake: Lak
     whys = {why for action, why in causes if action == "run"}
     assert all(why in ("code changed", "config changed", "config, code changed") or why.endswith("will be redone") for why in whys), whys
     assert {step["scene_id"] for step in steps(earlier)} == SCENES | {"scannet/scene0007_00"}
+    for dataset in ("third", "other"):
+        said = json.loads(run(earlier, "--dry-run", "--json", "--dataset", dataset).stdout)
+        assert {step["scene_id"] for step in said["steps"]} == SCENES - {"scannet/scene0004_00"} | {COPY, "scannet/scene0007_00"}
+        assert said["same"].get("third/scene0004_00", COPY) == COPY
+        assert {step["action"] for step in said["steps"] if step["why"] == "never done"} == set()
 
 
 def test_it_is_run_on_and_then_up_to_date(lake: Lake, earlier: Path) -> None:
@@ -219,6 +224,9 @@ def test_it_is_run_on_and_then_up_to_date(lake: Lake, earlier: Path) -> None:
     ], said.stderr
     assert computed(lake) == SCENES | {COPY, IMPORTED}
     assert {step["action"] for step in steps(earlier)} <= {"reuse", "report", "wait"}
+    other = json.loads(run(earlier, "--json", "--dataset", "third", "--scene", "scene0003_00", "--scene", "scene0007_00", code=1).stdout)
+    assert other["same"] == {"third/scene0003_00": "scannet/scene0003_00", "third/scene0007_00": "scannet/scene0007_00"}
+    assert (other["done"], other["unchanged"], other["failed"]) == ([], ["scannet/scene0003_00"], ["scannet/scene0007_00"])
     for table in ("annotations", "trajectories", "quality_reviews"):
         assert lake.snapshot().arrow(table).num_rows == had.arrow(table).num_rows, table
     chosen = query(lake.snapshot(), "SELECT scene_id FROM placements WHERE origin = 'annotation'").to_pylist()

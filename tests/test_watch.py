@@ -114,8 +114,14 @@ def laid_out(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def renamed(files: Mapping[str, bytes], scan: str) -> dict[str, bytes]:
-    """The same scan under another name."""
-    return {path.replace("scene0007_00", scan): data for path, data in files.items()}
+    """A scan of another name, with a little white space that makes it another content."""
+    white = b"\n" * int(scan[5:9])
+    found = {}
+    for path, data in files.items():
+        if path.endswith(".glb"):
+            data = data[: -len(white)] + white
+        found[path.replace("scene0007_00", scan)] = data + white if path.endswith(".txt") else data
+    return found
 
 
 def could_be_meant_so(there: Mapping[str, bytes], whole: Mapping[str, bytes]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -56,6 +56,16 @@ def states(runs: pa.Table) -> dict[Key, StageState]:
     for key, index in last.items():
         done = rows[kept[key]] if key in kept else None
         found[key] = StageState(*key, done if done is not None and done.outcome == "done" else None, rows[index])
+    return found
+
+
+def naming(runs: pa.Table, reasons: Collection[str]) -> set[str]:
+    """Scenes of the rows of `stage_runs` that have one of these among their `reasons`."""
+    sought, found = pa.array(sorted(reasons), pa.string()), set()
+    for batch in runs.select(["scene_id", "reasons"]).to_batches():
+        listed = batch.column("reasons")
+        hits = pc.list_parent_indices(listed).filter(pc.is_in(pc.list_flatten(listed), value_set=sought))
+        found |= set(batch.column("scene_id").take(hits).to_pylist())
     return found
 
 

@@ -24,7 +24,7 @@ from warehouse.blobs import BlobStore
 from warehouse.claims import Claim, Claims, claims_of, sweep_claims
 from warehouse.commit import Commit
 from warehouse.delta import DeltaTables
-from warehouse.history import Key, StageState, states
+from warehouse.history import Key, StageState, naming, states
 from warehouse.lease import Lease
 from warehouse.looks import Looks
 from warehouse.outline import COLUMNS as OUTLINE_COLUMNS
@@ -167,6 +167,15 @@ class Lake:
         current = self._committed(self.snapshot(), scenes)
         staged = [one for one in self.staging.runs() if scenes is None or one.run.scene_id in scenes]
         return overlaid(current, plan(current, staged)) if staged else current
+
+    def recorded(self, stage: str, reasons: Collection[str]) -> dict[str, StageState]:
+        """The state of a stage on the scenes of which a run of it recorded one of these among its `reasons`, by scene."""
+        runs = self.tables.read(TABLES["stage_runs"], self.snapshot().files("stage_runs"), ["scene_id", "reasons"], {"stage": [stage]})
+        scenes = naming(runs, reasons)
+        scenes |= {
+            one.run.scene_id for one in self.staging.runs() if one.run.stage == stage and not set(reasons).isdisjoint(one.run.reasons)
+        }
+        return {scene: state for (scene, name), state in self.history(scenes).items() if name == stage}
 
     def outline(self) -> Outline:
         """The history of all scenes in outline, for telling how things stand; cheaper than `history` by far."""

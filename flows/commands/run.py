@@ -14,6 +14,8 @@ from flows.commands.options import configuration_options, json_option, lake_opti
 from flows.fanout.runners import RUNNERS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from prefect.states import State
 
     from flows.plan import Plan
@@ -45,17 +47,20 @@ if TYPE_CHECKING:
     help="Stop before the lake holds more, as far as the scenes so far tell.",
 )
 @click.option("--retry-failed", is_flag=True, help="Compute again what failed on unchanged input.")
+@click.option("--again", is_flag=True, help="Compute scans that the lake has under another name again, under their names here.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done and why; do nothing.")
 @json_option
 def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: str | None, address: str,
             config_file: Path | None, settings: tuple[str, ...],
             library: Path | None, seed: int | None, workers: int, scenes: tuple[str, ...], first: str | None, last: str | None,
             since: str | None, until: str | None, runner: str, dask_address: str | None, batch: int | None, keep_free_gb: float | None,
-            quota_gb: float | None, retry_failed: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
+            quota_gb: float | None, retry_failed: bool, again: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
     """Turn a folder of scans into replica scenes in a lake.
 
-    Only what is missing, changed or stale is computed. Several runs on one lake share the work. Exit code 1 says that some
-    scenes failed, that an export did not pass a check, or that there was no room for all on the disk or below --quota; each is named.
+    Only what is missing, changed or stale is computed. A scan that the lake has under another name (another dataset, a
+    renamed folder, a copy) is that scene, by content, and is said to be. Several runs on one lake share the work. Exit code 1
+    says that some scenes failed, that an export did not pass a check, or that there was no room for all on the disk or below
+    --quota; each is named.
 
     Example: metascenes run --scans ./scans --format auto --lake ./lake
     """
@@ -69,15 +74,16 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
     found, unusable = found_scans(
         scans, scan_format, dataset, scenes=scenes, first=first, last=last, since=since, until=until, links_into=links_into
     )
-    plan = make_plan(lake, found, unusable, configuration, retry_failed)
+    plan = make_plan(lake, found, unusable, configuration, retry_failed, again=again)
     if dry_run:
         print(json.dumps(_plan_json(plan)) if as_json else _plan_text(plan))
         return
     report = carry_out(
         plan, lake, scans=scans, lake=address, format=scan_format, dataset=dataset, workers=workers,
         library=str(library) if library else None, seed=seed, config_file=str(config_file) if config_file else None,
-        settings=list(settings), retry_failed=retry_failed, scenes=list(scenes), first=first, last=last, since=since, until=until,
-        links_into=list(links_into), runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb, quota_gb=quota_gb,
+        settings=list(settings), retry_failed=retry_failed, again=again, scenes=list(scenes), first=first, last=last, since=since,
+        until=until, links_into=list(links_into), runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb,
+        quota_gb=quota_gb,
     )  # fmt: skip
     print(json.dumps(dataclasses.asdict(report)) if as_json else summary(report))
     tell(report)
@@ -130,6 +136,8 @@ def tell(report: RunReport) -> None:
         print(f"note: {line}", file=sys.stderr)
     if len(report.degradations) > MAX_NOTES:
         print(f"note: and {len(report.degradations) - MAX_NOTES} more in stage_runs.degradations", file=sys.stderr)
+    for line in _same(report.same):
+        print(f"note: {line}", file=sys.stderr)
     for line in report.failures:
         print(f"failed: {line}", file=sys.stderr)
     if report.postponed:
@@ -141,13 +149,15 @@ def tell(report: RunReport) -> None:
 def summary(report: RunReport) -> str:
     """A run's report in a line."""
     if not (report.done or report.failed or report.failures or report.shared or report.postponed):
-        return f"nothing to do: {len(report.unchanged)} scenes are up to date"
+        return f"nothing to do: {len(report.unchanged)} scenes are up to date{_other_names(report.same)}"
     parts = [f"{len(report.done)} scenes done"]
     if failed := len(report.failures) - len(report.broken):
         parts.append(f"{failed} failed")
     if report.broken:
         parts.append(f"{len(report.broken)} checks of exports failed")
     parts.append(f"{len(report.unchanged)} unchanged")
+    if report.same:
+        parts.append(_other_names(report.same).removeprefix(", "))
     if report.shared:
         parts.append(f"{len(report.shared)} computed by another run")
     if report.postponed:
@@ -158,8 +168,27 @@ def summary(report: RunReport) -> str:
     return ", ".join(parts)
 
 
+def _other_names(same: Mapping[str, str]) -> str:
+    """How many scans are scenes of another name, and the first of them; '' where there are none."""
+    if not same:
+        return ""
+    scan, scene = next(iter(same.items()))
+    others = ", ..." if len(same) > 1 else ""
+    return f", {len(same)} under another name ({scan} is {scene}{others})"
+
+
+def _same(same: Mapping[str, str]) -> list[str]:
+    """Scans that are scenes of another name, a line each, and what to do about it."""
+    from flows.identity import sentence
+
+    lines = [sentence(scan, scene) for scan, scene in list(same.items())[:MAX_NOTES]]
+    if len(same) > MAX_NOTES:
+        lines.append(f"and {len(same) - MAX_NOTES} more scans known under another name (--json names them)")
+    return [*lines, "--again computes them again under their names here"] if lines else []
+
+
 def _plan_text(plan: Plan) -> str:
-    lines = []
+    lines = _same(plan.same)
     for scene in plan.scenes:
         for step in scene.steps:
             lines.append(f"{scene.scan.scene_id:<32} {step.stage:<13} {step.action:<7} {step.why}")
@@ -188,4 +217,5 @@ def _plan_json(plan: Plan) -> dict[str, Any]:
         "unusable": [str(error) for error in plan.unusable],
         "left_out": list(plan.left_out),
         "counts": dict(plan.counts()),
+        "same": dict(plan.same),
     }

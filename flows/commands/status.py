@@ -39,7 +39,8 @@ def command(address: str, config_file: Path | None, settings: tuple[str, ...], s
 
     Without a run at work the time left is that of one worker. With --json: counts (scenes by state), seconds_left,
     running (scene_id, stage, host, since), todo (by scene and stage: action, why), runs (those at work, with left and
-    seconds_left), scenes (outcome by scene and stage), errors, broken_checks.
+    seconds_left), scenes (outcome by scene and stage), same (scenes that were made of one scan, under several names), errors,
+    broken_checks.
 
     Example: metascenes status --lake ./lake
     """
@@ -96,7 +97,8 @@ def _json(status: Status) -> dict[str, Any]:
         {**dataclasses.asdict(one.run), "started_at": one.run.started_at.isoformat(), "seconds_left": one.seconds_left}
         for one in status.runs
     ]
-    return {"counts": status.counts(), "seconds_left": status.seconds_left, "running": running, "todo": todo, "runs": runs}
+    told = {"counts": status.counts(), "seconds_left": status.seconds_left, "running": running, "todo": todo, "runs": runs}
+    return told | {"same": [list(scenes) for scenes in status.same]}
 
 
 def _print(status: Status, errors: Sequence[str], broken: Sequence[str], show_all: bool) -> None:
@@ -121,6 +123,10 @@ def _print(status: Status, errors: Sequence[str], broken: Sequence[str], show_al
         print(f"{scene.scene_id:<32} {scene.state:<10} {_what(scene, now)}")
     if not show_all and len(listed) > SHOWN:
         print(f"and {len(listed) - SHOWN} more scenes (--all lists them)")
+    for scenes in status.same if show_all else status.same[:SHOWN]:
+        print(f"{', '.join(scenes)}: the same scan under {len(scenes)} names; `metascenes lake erase` removes one")
+    if not show_all and len(status.same) > SHOWN:
+        print(f"and {len(status.same) - SHOWN} more scans under several names (--all lists them)")
     for line in wrong if show_all else wrong[:SHOWN]:
         print(line)
     if not show_all and len(wrong) > SHOWN:

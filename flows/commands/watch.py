@@ -153,4 +153,5 @@ def _text(report: WatchReport) -> str:
     lines += [f"{scan:<32} waiting: {why}" for scan, why in report.waiting.items()]
     lines += [f"{scan:<32} failed before: {why}" for scan, why in report.failed_before.items()]
     lines += [f"{scan:<32} left out: {what}" for scan, what in report.left_out.items()]
+    lines += [f"{scan:<32} known as {scene}" for scan, scene in report.same.items()]
     return "\n".join([*lines, str(report)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -31,8 +32,16 @@ __all__ = [
 
 
 def split_of(room_id: str, test_share: float) -> str:
-    """Split of a room by a stable hash of its name: `test_share` of all rooms are 'test', the others 'train'."""
-    number = int.from_bytes(hashlib.sha256(room_id.encode()).digest()[:8], "big")
+    """Split of a room by a stable hash of its name: `test_share` of all rooms are 'test', the others 'train'.
+
+    The dataset's name does not count, and neither does the number of a rescan (`scene0001_02`), which some formats leave in the
+    room's name: a room is on the same side whatever it was read from, and whoever calls it what.
+    """
+    name = room_id.rpartition("/")[2]
+    rescan = re.fullmatch(r"(scene\d{4})_\d{2}", name)
+    # With the name of one dataset before all, that dataset's rooms are on the sides that they always were on.
+    text = f"scannet/{rescan[1] if rescan else name}"
+    number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
     return "test" if number < test_share * 2**64 else "train"
 
 
