@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -9,7 +10,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from flows.bounds import OutOfBounds, bounded
 from flows.fingerprints import annotations_digest, canonical, digest
+from schemas.budget import BUDGET
 from schemas.candidates import Asset
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
@@ -131,12 +134,13 @@ def _walk(walk: Walk, lake: Lake, target: Target, local: Path | None) -> str:
 
 def _content(lake: Lake, file: ExportFile, local: Path) -> str:
     """How a file on disk compares with the lake's."""
-    from schemas.budget import BUDGET
-
     data = read_file(local, str(local), BUDGET.scene_bytes)
     if file.file_blob.startswith(hashlib.sha256(data).hexdigest()):
         return "as in the lake"
-    stated = _stated_release(data) if file.path.endswith("scene.usda") and file.file_blob in lake.blobs else None
+    stated = None
+    if file.path.endswith("scene.usda") and file.file_blob in lake.blobs:
+        with contextlib.suppress(OutOfBounds):  # it is nothing that an export wrote
+            stated = bounded(_stated_release, data, seconds=BUDGET.seconds, memory_bytes=BUDGET.child_bytes)
     if stated is not None:
         from tasks.exports.usd import with_release
 
@@ -171,12 +175,24 @@ def _thing(walk: Walk, file: ExportFile, name: str, local: Path | None) -> Place
         remedy = f"it has {known}{', ...' if len(found) > 3 else ''}" if found else "only scene files hold things"
         raise InputError(f"{file.format}/{file.path}", name, "is nothing that this export places", remedy)
     if local is not None and name != inside[0].name:
-        from pxr import Usd
-
-        stage = Usd.Stage.Open(str(local))  # a prim lives no longer than its stage
-        if not stage.GetPrimAtPath(name).IsValid():
+        try:
+            is_there = bounded(_has_prim, local, name, seconds=BUDGET.seconds, memory_bytes=BUDGET.child_bytes)
+        except OutOfBounds as error:
+            raise InputError(str(local), "content", f"cannot be read: {error}", "is it the right file?") from error
+        if not is_there:
             raise InputError(str(local), name, "there is no such prim", f"the object is {inside[0].name}")
     return inside[0]
+
+
+def _has_prim(path: Path, name: str) -> bool:
+    """Whether a USD file can be read and has a prim. Runs in a process with bounds."""
+    from pxr import Tf, Usd
+
+    try:
+        stage = Usd.Stage.Open(str(path))  # a prim lives no longer than its stage
+        return bool(stage.GetPrimAtPath(name).IsValid())
+    except Tf.ErrorException:
+        return False
 
 
 def _check_annotations(walk: Walk) -> None:

@@ -19,7 +19,8 @@ class Budget:
     pixels: One image: 8192 x 8192. all_pixels: All images of a file. drawn_pixels: The same, as often as a part shows them.
     faces, vertices: As often as they are placed. nodes: Nodes of a tree, and parts of meshes as often as they are placed.
     depth: Nodes above one another, values inside values. elements: Elements of XML, attributes in them.
-    seconds, child_bytes: Wall clock and memory of a reader that has no bounds of its own and gets a process (`flows.bounds`).
+    frames: Of one container: four hours and a half at full rate.
+    seconds, child_bytes: Computing time and memory of a reader that has no bounds of its own and gets a process (`flows.bounds`).
     child_seconds_per_mb, child_bytes_per_byte: More of both for every byte of the file.
     """
 
@@ -33,7 +34,7 @@ class Budget:
     settings_bytes: int = 2**20
     glb_json_bytes: int = 64 * 2**20
     unpacked_bytes: int = 512 * 2**20
-    memory_bytes: int = 3 * 2**29
+    memory_bytes: int = 7 * 2**28
     zero_bytes: int = 64 * 2**20
     pixels: int = 2**26
     all_pixels: int = 2**29
@@ -43,6 +44,7 @@ class Budget:
     nodes: int = 32_768
     depth: int = 256
     elements: int = 1_000_000
+    frames: int = 500_000
     seconds: float = 25.0
     child_bytes: int = 3 * 2**29
     child_seconds_per_mb: float = 1.0

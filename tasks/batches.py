@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
@@ -10,6 +11,7 @@ from typing import Any, NoReturn
 
 from schemas.errors import InputError
 from schemas.files import read_file
+from tasks.unpacking import json_value
 
 
 def read_limited(file: Path, name: str, most_bytes: int) -> bytes:
@@ -34,14 +36,12 @@ def parse_json(raw: bytes, name: str, first_line: int = 1) -> Any:
     """
     try:
         text = raw.decode("utf-8-sig")
-        return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_repeated_key)
+        return json_value(text, parse_constant=_no_constant, object_pairs_hook=_no_repeated_key)
     except UnicodeDecodeError as error:
         raise InputError(name, f"byte {error.start}", "is not UTF-8", "save the file as UTF-8") from error
     except json.JSONDecodeError as error:
         place = f"line {error.lineno + first_line - 1} column {error.colno}"
         raise InputError(name, place, f"is not JSON ({error.msg})", "correct the file") from error
-    except RecursionError as error:
-        raise InputError(name, "", "is nested too deeply", "correct the file") from error
     except ValueError as error:
         raise InputError(name, "", str(error), "correct the file") from error
 
@@ -56,6 +56,10 @@ def _no_repeated_key(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         raise ValueError(f"gives {next(k for k in keys if keys.count(k) > 1)!r} twice in one object")
     return result
+
+
+_LOOKED_AT = 1000
+"""Problems among which the first is looked for: in a file of millions that are all wrong, one is as good as another."""
 
 
 def _same_place(path: str) -> str:
@@ -81,7 +85,7 @@ class BatchSchema:
             InputError: the first problem in the order of the file.
         """
         problems = sorted(
-            self._validator.iter_errors(document),
+            itertools.islice(self._validator.iter_errors(document), _LOOKED_AT),
             key=lambda e: ([(isinstance(p, int), str(p).zfill(9)) for p in e.absolute_path], e.validator),
         )
         if problems:

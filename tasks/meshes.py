@@ -82,7 +82,7 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
         raise InputError(
             file, "content", f"is not a readable GLB ({type(error).__name__}: {error})"[:300], "export it again as glTF binary"
         ) from error
-    _check_looks(scene, file)
+    check_looks(scene, file)
     parts = []
     for node in sorted(scene.graph.nodes_geometry, key=str):
         geometry = scene.geometry[scene.graph.transforms.node_data[node]["geometry"]]
@@ -134,7 +134,7 @@ def _copied(geometry: trimesh.Trimesh) -> trimesh.Trimesh:
     return copied
 
 
-def _check_looks(scene: trimesh.Scene, file: str) -> None:
+def check_looks(scene: trimesh.Scene, file: str) -> None:
     """Remember images as they are in the file, then decode them, once each; refuse what is no material.
 
     Raises:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import resource
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -149,6 +151,26 @@ GLB_BOMBS: dict[str, Callable[[], bytes]] = {
     "nested JSON": deep_json,
 }  # fmt: skip
 """GLBs that ask for more than the budget has."""
+
+
+def json_bomb() -> bytes:
+    """Half a megabyte of gzip that holds half a gigabyte of JSON."""
+    return gzip.compress(b"[" + b"{}," * 60_000_000 + b"{}]", 1)
+
+
+def zero_bomb() -> bytes:
+    """Six megabytes of gzip that hold 6 GB."""
+    packed = gzip.compress(bytes(100_000_000), 9)
+    return packed * 60
+
+
+def navmesh_bomb(polygons: int = 20_000) -> bytes:
+    """A navmesh of two tiles whose polygons all lie on one another."""
+    vertices = TRIANGLE[:, [0, 2, 1]].tobytes()
+    polygon = struct.pack("<I6H6HHBB", 0, 0, 1, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 3, 0)
+    head = struct.pack("<ii", 0x444E4156, 7) + bytes(16) + struct.pack("<ii", polygons, 3)
+    tile = head.ljust(100, b"\0") + vertices + polygon * polygons
+    return struct.pack("<4sii", b"TESM", 1, 2).ljust(40, b"\0") + (struct.pack("<Ii", 0, len(tile)) + tile) * 2
 
 
 def below_ceiling(code: str, *arguments: str | Path) -> str:

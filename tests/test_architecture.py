@@ -176,6 +176,7 @@ def test_shared_tables_name_who_shares_them() -> None:
 OPENERS = {"read_text", "read_bytes", "load_mesh", "ZipFile", "from_xml_path"}
 OWN = {
     "schemas/files.py": "the one place",
+    "flows/bounds.py": "the null device",
     "flows/commands/sql.py": "the answer that is written, and /proc",
     "flows/demo.py": "what the demo wrote",
     "flows/deployments.py": "prefect.yaml of the package",
@@ -189,7 +190,6 @@ OWN = {
     "tasks/captions/physics.py": "tables of the package",
     "tasks/exports/files.py": "the export that is written",
     "tasks/exports/mjcf/rules.py": "MuJoCo opens by itself",
-    "tasks/exports/urdf/rules.py": "trimesh opens by itself",
     "tasks/exports/usd/package.py": "a file that is open",
     "tasks/navigation/habitat.py": "what a child process of ours wrote",
     "tasks/optimization/newton_engine.py": "what a child process of ours wrote",

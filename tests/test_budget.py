@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.exports.glb.rules import check_glb
+from tasks.exports.urdf.rules import _poses
 from tasks.meshes import load_glb, surface_of
 from tasks.unpacking import json_value
 from tests import attacks
@@ -150,3 +152,112 @@ def test_every_model_of_others_is_read_and_found_as_sound_as_before(realdata: Ca
             load_glb(file.read_bytes(), file.name)
         except InputError as error:
             raise AssertionError(file) from error
+
+
+UNPACKED = """
+import sys
+from pathlib import Path
+from tasks.exports.habitat.library import read_json
+from tasks.exports.habitat.navmesh_file import read_navmesh
+for name in sys.argv[1:]:
+    path, found = Path(name), []
+    if path.suffix == ".navmesh":
+        try:
+            read_navmesh(path.read_bytes())
+        except ValueError as error:
+            print(error)
+        continue
+    print(read_json(path, path.parent, found, {}), *found)
+"""
+
+
+def test_what_is_packed_is_unpacked_to_the_budget_and_no_further(tmp_path: Path) -> None:
+    for name, data in {
+        "json.json.gz": attacks.json_bomb(),
+        "zeros.json.gz": attacks.zero_bomb(),
+        "a.navmesh": attacks.navmesh_bomb(),
+    }.items():
+        (tmp_path / name).write_bytes(data)
+    (tmp_path / "wide.json").write_bytes(b"[" + b"{}," * 20_000_000 + b"{}]")
+    said = attacks.below_ceiling(UNPACKED, *(tmp_path / name for name in ("json.json.gz", "zeros.json.gz", "wide.json", "a.navmesh")))
+    values, zeros, wide, navmesh = said.splitlines()
+    assert values.startswith("None json: json.json.gz: cannot be read (ValueError: its values take about")
+    assert zeros.startswith("None json: zeros.json.gz: cannot be read (ValueError: unpacks to more than 512 MB")
+    assert wide.startswith("None json: wide.json: cannot be read (ValueError: its values take about")
+    assert navmesh == "has polygons that lie on one another, more than 256 on each"
+
+
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+MODELS = {
+    "two numbers.obj": "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n",
+    "four of three.obj": "v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n",
+    "word.obj": OBJ + "f a b c\n",
+    "far corner.obj": OBJ + "f 1 2 99999999999999999999\n",
+    "texture.obj": "mtllib large.mtl\nusemtl look\nvt 0 0\n" + OBJ.replace("f 1 2 3", "f 1/1 2/1 3/1"),
+    "cut texture.obj": "mtllib cut.mtl\nusemtl look\nvt 0 0\n" + OBJ.replace("f 1 2 3", "f 1/1 2/1 3/1"),
+    "counts.ply": "ply\nformat ascii 1.0\nelement vertex 9999999999\nproperty float x\nelement face 1\nend_header\n",
+    "empty elements.ply": "ply\nformat binary_little_endian 1.0\nelement nothing 999999999999\nelement vertex 3\nend_header\n",
+    "head.ply": "ply\nformat ascii 1.0\nelement vertex\nend_header\n",
+    "facets.stl": "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0\nvertex 1 0 0\nendloop\nendfacet\nendsolid a\n",
+}
+
+IMPORTED = """
+import sys
+from pathlib import Path
+from schemas.errors import InputError
+from tasks.ingestion.models import read_model
+from tasks.meshes import surface_of
+root = Path(sys.argv[1])
+for name in sys.argv[2:]:
+    try:
+        surface_of(read_model(root / name, root, True)[0])
+    except InputError as error:
+        print(error)
+    else:
+        print(f"{name} is read")
+"""
+
+
+def test_odd_models_of_finished_datasets_are_refused_in_one_line_each(tmp_path: Path) -> None:
+    for name, text in MODELS.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "large.png").write_bytes(attacks.png(13_000))
+    (tmp_path / "cut.png").write_bytes(attacks.png(300)[:100])
+    for name in ("large", "cut"):
+        (tmp_path / f"{name}.mtl").write_text(f"newmtl look\nmap_Kd {name}.png\n")
+    said = attacks.below_ceiling(IMPORTED, tmp_path, *MODELS).splitlines()
+    assert len(said) == len(MODELS), said
+    for name, line in zip(MODELS, said, strict=True):
+        assert line.startswith(f"{tmp_path.name}/{name}: "), (name, line)
+    assert "have 2 numbers, not 3" in said[0]
+    assert "pixels" in said[4]
+    assert "cannot be decoded" in said[5]
+
+
+ROBOTS = {
+    "deep.urdf": '<robot name="a"><link name="b">' + "<c>" * 100_000 + "</c>" * 100_000 + "</link></robot>",
+    "chain.urdf": '<robot name="a">'
+    + "".join(f'<link name="l{i}"/>' for i in range(20_001))
+    + "".join(f'<joint name="j{i}" type="fixed"><parent link="l{i}"/><child link="l{i + 1}"/></joint>' for i in range(20_000))
+    + "</robot>",
+    "zip.urdf": '<robot name="a"><link name="b"><visual><geometry><mesh filename="bomb.zip"/></geometry></visual></link></robot>',
+    "hollow.urdf": '<robot name="a"><link name="b"><visual><geometry><mesh filename="hollow.glb"/></geometry></visual></link></robot>',
+}
+
+
+def test_odd_robots_are_findings(tmp_path: Path) -> None:
+    for name, text in ROBOTS.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "hollow.glb").write_bytes(attacks.without_buffer())
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("0.stl", bytes(1_000_000))
+    posed = {"file": "a", "position_m": [0] * 3, "rotation_wxyz": [1, 0, 0, 0], "mass_kg": 1}
+    large = {**posed, "position_m": [10**400] * 3}
+    for objects in ([["file", "x"]], [[["file", "x"]]], [large], [{**posed, "file": "/dev/zero", "mass_kg": 10**400}]):
+        (tmp_path / "poses.json").write_text(json.dumps({"room": "room.urdf", "objects": objects}))
+        assert any(finding.rule == "poses" for finding in _poses(tmp_path, []))
+    code = "import sys; from pathlib import Path; from tasks.exports.urdf.rules import check_urdf; print(*check_urdf(Path(sys.argv[1])))"
+    said = attacks.below_ceiling(code, tmp_path)
+    assert "bomb.zip is of a kind that cannot be read here" in said
+    assert "hollow.glb cannot be read" in said
+    assert "hangs on itself" not in said

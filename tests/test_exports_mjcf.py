@@ -324,6 +324,13 @@ def drop_key(where: str, key: str) -> Callable[[Path], None]:
     return xml(change)
 
 
+def copies(root: ElementTree.Element) -> None:
+    """A million of one thing."""
+    world = root.find("worldbody")
+    assert world is not None
+    ElementTree.SubElement(ElementTree.SubElement(world, "replicate", count="1000001"), "geom", size="1")
+
+
 def nest(root: ElementTree.Element) -> None:
     """Hang one free body on another."""
     world = root.find("worldbody")
@@ -364,6 +371,7 @@ VISUAL = "asset/mesh[@file]"
 DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "cut file": ("xml", lambda path: path.write_bytes(path.read_bytes()[:-40]), "scene.xml"),
     "another root": ("xml", lambda path: path.write_text("<robot name='r'/>"), "robot"),
+    "a million copies": ("budget", xml(copies), "1000000 copies"),
     "position that is no number": ("numbers", put(BOX, "pos", "nan 0 0"), "box_0004: pos"),
     "endless friction": ("numbers", put(f"{BOX}/geom", "friction", "inf 0 0"), "friction"),
     "lost mesh": ("closed_paths", lambda path: sorted((path.parent / "assets").glob("*.obj"))[0].unlink(), "does not exist"),

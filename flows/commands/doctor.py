@@ -11,6 +11,11 @@ import click
 
 from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
 
+budget_option = click.option(
+    "--budget", type=click.FloatRange(0.25, 1000), default=1.0, show_default=True,
+    help="Give the check this many times the usual time and memory.",
+)  # fmt: skip
+
 
 @click.group("doctor", short_help="Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.")
 def command() -> None:
@@ -23,74 +28,84 @@ def command() -> None:
 @command.command("usd")
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("--omniverse", is_flag=True, help="Ask NVIDIA's omniverse-asset-validator too, where it is installed.")
+@budget_option
 @json_option
-def usd(file: Path, omniverse: bool, as_json: bool) -> None:
+def usd(file: Path, omniverse: bool, budget: float, as_json: bool) -> None:
     """Check anybody's USD file or .usdz: UsdValidation's rules and those for scenes with physics.
 
     Things with a variant set `physics` are checked in each of its variants.
 
     Example: metascenes doctor usd scene.usda --omniverse
     """
+    from flows.bounds import findings_of
     from tasks.exports.usd.omniverse import check_omniverse
     from tasks.exports.usd.rules import check_usd
 
-    findings = check_usd(file) + (check_omniverse(file) if omniverse else [])
+    findings = findings_of(check_usd, file, budget) + (findings_of(check_omniverse, file, budget) if omniverse else [])
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 
 @command.command("habitat")
 @click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@budget_option
 @json_option
-def habitat(folder: Path, as_json: bool) -> None:
+def habitat(folder: Path, budget: float, as_json: bool) -> None:
     """Check a Habitat scene dataset against everything that habitat-sim and habitat-lab stumble over.
 
     Example: metascenes doctor habitat ./replicas/habitat
     """
+    from flows.bounds import findings_of
     from tasks.exports.habitat.rules import check_habitat
 
-    findings = check_habitat(folder)
+    findings = findings_of(check_habitat, folder, budget)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 
 @command.command("mjcf")
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@budget_option
 @json_option
-def mjcf(file: Path, as_json: bool) -> None:
+def mjcf(file: Path, budget: float, as_json: bool) -> None:
     """Check anybody's MuJoCo model: what MuJoCo refuses, and what it lets pass without a word.
 
     Example: metascenes doctor mjcf ./replicas/mjcf/scannet_scene0000_00/scene.xml
     """
+    from flows.bounds import findings_of
     from tasks.exports.mjcf.rules import check_mjcf
 
-    findings = check_mjcf(file)
+    findings = findings_of(check_mjcf, file, budget)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 
 @command.command("urdf")
 @click.argument("file", type=click.Path(path_type=Path, exists=True))
+@budget_option
 @json_option
-def urdf(file: Path, as_json: bool) -> None:
+def urdf(file: Path, budget: float, as_json: bool) -> None:
     """Check anybody's URDF file, or a folder of them with its poses.json.
 
     Example: metascenes doctor urdf ./replicas/urdf/scannet_scene0000_00
     """
+    from flows.bounds import findings_of
     from tasks.exports.urdf.rules import check_urdf
 
-    findings = check_urdf(file)
+    findings = findings_of(check_urdf, file, budget)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 
 @command.command("glb")
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@budget_option
 @json_option
-def glb(file: Path, as_json: bool) -> None:
+def glb(file: Path, budget: float, as_json: bool) -> None:
     """Check anybody's GLB of a scene.
 
     Example: metascenes doctor glb ./replicas/glb/scannet_scene0000_00.glb
     """
+    from flows.bounds import findings_of
     from tasks.exports.glb.rules import check_glb
 
-    findings = check_glb(file)
+    findings = findings_of(check_glb, file, budget)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 

@@ -26,9 +26,9 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
 
     import numpy as np
 
+    from schemas.budget import BUDGET
     from schemas.errors import InputError
     from schemas.files import read_file
-    from tasks.capture.glb_scene import MAX_GLB_BYTES
     from tasks.meshes import load_glb
     from tasks.scanner import ScannerConfig, scan_scene
 
@@ -42,7 +42,7 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
     try:
-        parts = load_glb(read_file(scene, scene.name, MAX_GLB_BYTES), scene.name)
+        parts = load_glb(read_file(scene, scene.name, BUDGET.scene_bytes), scene.name)
         truth = scan_scene(parts, making, scan, config, np.random.default_rng(seed))
         for made in sorted(making.iterdir()):
             made.rename(out / made.name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -10,14 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
+from tasks.unpacking import json_value
 
-MAX_TEXT_BYTES = 16 * 2**20
-"""Metadata, poses and trajectories are small: 16 MiB holds a trajectory of 100,000 frames."""
-
-MAX_JSON_BYTES = 512 * 2**20
-"""Segment lists hold one number per vertex: 512 MiB holds those of 60 million vertices."""
+MAX_TEXT_BYTES, MAX_JSON_BYTES = BUDGET.text_bytes, BUDGET.json_bytes
 
 _AGAIN = "copy the scan again"
 
@@ -51,8 +48,8 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     """The object that a JSON file holds; raises InputError when it holds no object."""
     data = read_bytes(path, name, MAX_JSON_BYTES)
     try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
+        document = json_value(data)
+    except ValueError as error:
         raise InputError(name, "content", f"is no JSON ({error})", _AGAIN) from error
     if not isinstance(document, dict):
         raise InputError(name, "content", f"holds a {type(document).__name__}, not an object", "is it the right file?")

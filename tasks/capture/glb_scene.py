@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.documents import license_of, name_of, read_bytes
 from tasks.capture.formats import Scan, glb_file, license_path
@@ -28,9 +29,6 @@ _NO_LABELS = frozenset({
 })  # fmt: skip
 """What programs call the nodes of a mesh by themselves."""
 
-MAX_GLB_BYTES = 2 * 2**30
-"""A worker with 8 GB can still unpack it."""
-
 
 def read_glb_scene(scan: Scan) -> Reading:
     """The parts of a scene; those of one model are one instance. The frame is the file's, turned to +Z up.
@@ -41,7 +39,7 @@ def read_glb_scene(scan: Scan) -> Reading:
     path = glb_file(scan)
     folder = path.parent
     name = name_of(path, folder)
-    data = read_bytes(path, name, MAX_GLB_BYTES)
+    data = read_bytes(path, name, BUDGET.scene_bytes)
     if data[:4] != b"glTF":
         raise InputError(name, "content", "is no GLB", "export it as glTF binary")
     try:

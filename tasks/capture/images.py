@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import open_file
 from tasks.capture.documents import read_bytes
 
-MAX_PIXELS = 64_000_000
-"""Larger than any camera's image; a header that declares more is refused before anything is unpacked."""
-
-MAX_IMAGE_BYTES = 256 * 2**20
-"""An uncompressed image of MAX_PIXELS pixels."""
+MAX_PIXELS, MAX_IMAGE_BYTES = BUDGET.pixels, BUDGET.image_bytes
 
 COLOR_SUFFIXES = (".jpg", ".jpeg", ".png", ".ppm", ".bmp")
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff")

@@ -14,9 +14,6 @@ from schemas.errors import InputError
 from tasks.capture.documents import read_bytes
 from tasks.meshes import Surface
 
-MAX_PLY_BYTES = 2 * 2**30
-"""A binary mesh of BUDGET.faces triangles and their vertices stays below 0.6 GB; text needs some three times that."""
-
 MAX_EXTENT_M = 200.0
 """Larger than any building that a hand-held scan covers; beyond it the unit is not the metre, or a vertex is broken."""
 
@@ -49,16 +46,14 @@ def read_ply(path: Path, name: str) -> Surface:
         InputError: truncated, no triangles, too many faces, coordinates that are not finite or not in metres,
             a face that names a missing vertex.
     """
-    data = read_bytes(path, name, MAX_PLY_BYTES)
+    data = read_bytes(path, name, BUDGET.scene_bytes)
     order, elements, start = _header(data, name)
+    check_counts(data, name)
     counts = {element.name: element.count for element in elements}
     if counts.get("vertex", 0) < 3:
         raise InputError(name, "element vertex", f"has {counts.get('vertex', 0)} vertices, a mesh needs 3", _AGAIN)
     if counts.get("face", 0) < 1:
         raise InputError(name, "element face", "the mesh has no faces", "export the scan as a triangle mesh")
-    for what in ("vertex", "face"):
-        if counts[what] > BUDGET.faces:
-            raise InputError(name, f"element {what}", f"declares {counts[what]}, more than {BUDGET.faces}", "decimate the mesh")
     columns = _binary(data, start, order, elements, name)
     if columns is None:
         columns = _by_library(data, name)
@@ -69,6 +64,14 @@ def read_ply(path: Path, name: str) -> Surface:
         row = int(np.flatnonzero(bad.any(axis=1))[0])
         raise InputError(name, f"face {row}", f"names a vertex that does not exist, of {len(vertices)}", _AGAIN)
     return Surface(vertices, faces, colors)
+
+
+def check_counts(data: bytes, name: str) -> None:
+    """Raise InputError when a PLY declares more of anything than the budget has, or its header cannot be read."""
+    for element in _header(data, name)[1]:
+        most = BUDGET.faces if element.name == "face" else BUDGET.vertices
+        if element.count > most:
+            raise InputError(name, f"element {element.name}", f"declares {element.count}, more than {most}", "decimate the mesh")
 
 
 def check_vertices(vertices: NDArray[np.float64], name: str) -> None:

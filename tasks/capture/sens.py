@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import open_file
 from tasks.capture.images import MAX_PIXELS, decode_color
@@ -133,6 +134,8 @@ def _read(stream: object, size: int, path: Path, name: str) -> SensFile:
             raise InputError(name, field, f"is {width} x {height}", _AGAIN)
     if not (np.isfinite(scale) and 1.0 <= scale <= 1e6):
         raise InputError(name, "depth shift", f"is {scale}, must be 1 to 1,000,000 units per metre", _AGAIN)
+    if count > BUDGET.frames:
+        raise InputError(name, "frame count", f"declares {int(count)} frames, more than {BUDGET.frames}", _AGAIN)
     if count * _FRAME.size > size:
         raise InputError(name, "frame count", f"declares {int(count)} frames, more than {size} bytes can hold", _AGAIN)
     frames = _frames(stream, size, int(count), name)
@@ -160,6 +163,8 @@ def _frames(stream: object, size: int, count: int, name: str) -> tuple[SensFrame
         values = _FRAME.unpack(head)
         color_bytes, depth_bytes = values[18], values[19]
         at += _FRAME.size
+        if max(color_bytes, depth_bytes) > BUDGET.image_bytes:
+            raise InputError(name, f"frame {index}", f"has an image of {max(color_bytes, depth_bytes)} bytes", _AGAIN)
         if color_bytes + depth_bytes > size - at:
             raise InputError(name, f"frame {index}", f"the file ends inside it, {count} are declared", _AGAIN)
         frames.append(SensFrame(np.array(values[:16], dtype=np.float64).reshape(4, 4), at, color_bytes, at + color_bytes, depth_bytes))

@@ -12,13 +12,14 @@ import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import open_file
 from tasks.capture.documents import MAX_JSON_BYTES, MAX_TEXT_BYTES, name_of
 from tasks.capture.formats import Scan, glb_file, left_out
 from tasks.capture.layout import FrameLayout, frame_layout, scannet_layout
-from tasks.capture.ply import MAX_PLY_BYTES
 from tasks.capture.sens import MAX_SENS_BYTES, open_sens
+from tasks.unpacking import json_value
 
 _TEMPORARY = re.compile(
     r"\..+\.[A-Za-z0-9]{6}"  # rsync's `.name.XXXXXX`
@@ -175,12 +176,12 @@ def _counted(meshes: tuple[Path, ...], segments: tuple[Path, ...], folder: Path)
         own = folder / f"{re.sub(r'([.][0-9]+[.][0-9]+)?[.]segs[.]json$', '', path.name)}.ply"
         if own not in meshes:
             continue
-        with open_file(own, own.name, MAX_PLY_BYTES) as file:
+        with open_file(own, own.name, BUDGET.scene_bytes) as file:
             head = file.read(_HEADER_BYTES)
         declared = re.search(rb"element vertex ([0-9]{1,18})\s", head)
         try:
-            indices = json.loads(_content(path, MAX_JSON_BYTES)).get("segIndices")
-        except (ValueError, AttributeError, RecursionError):
+            indices = json_value(_content(path, MAX_JSON_BYTES)).get("segIndices")
+        except (ValueError, AttributeError):
             continue
         if declared and isinstance(indices, list) and len(indices) != int(declared[1]):
             what = f"{name_of(path, folder)}: has {len(indices)} values for the {int(declared[1])} vertices of {own.name}"
@@ -190,13 +191,13 @@ def _counted(meshes: tuple[Path, ...], segments: tuple[Path, ...], folder: Path)
 def _json(path: Path, size: int) -> Gap | None:
     try:
         text = _content(path, MAX_JSON_BYTES).decode("utf-8-sig")
-        json.loads(text)
+        json_value(text)
     except UnicodeDecodeError as error:
         return Gap("ends inside a letter") if error.end >= size - 1 and error.reason == "unexpected end of data" else None
     except json.JSONDecodeError as error:
         is_cut = error.pos >= len(text.rstrip()) - _CUT_JSON_LETTERS or error.msg.startswith("Unterminated")
         return Gap("ends before its JSON does") if is_cut else None
-    except (ValueError, RecursionError):  # a number of thousands of digits, thousands of levels: the reader says so
+    except ValueError:  # deeper or larger than any scan's, a number of thousands of digits: the reader says so
         return None
     return None
 

@@ -12,6 +12,7 @@ from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
 from tasks.batches import BatchSchema, parse_json, read_limited
 from tasks.transforms import pose_from_quaternion_wxyz, to_z_up, yaw_of
+from tasks.unpacking import weigh_json
 
 SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 """The published JSON Schema of a batch file."""
@@ -82,6 +83,10 @@ def read_batch(path: Path) -> TrajectoryBatch:
     raw = read_limited(path, name, MAX_FILE_BYTES)
     if path.suffix.lower() not in (".jsonl", ".ndjson"):
         return parse_batch(parse_json(raw, name), name)
+    try:
+        weigh_json(raw)
+    except ValueError as error:
+        raise InputError(name, "", str(error), "split the batch into files") from error
     numbered = [(number, line) for number, line in enumerate(raw.split(b"\n"), start=1) if line.strip()]
     values = [parse_json(line, name, number) for number, line in numbered]
     if not values or not isinstance(values[0], dict) or "trajectories" in values[0]:

@@ -14,7 +14,8 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_there, read_file
 from tasks.capture.documents import name_of, read_bytes
-from tasks.meshes import load_glb
+from tasks.capture.ply import check_counts
+from tasks.meshes import check_looks, load_glb
 from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 
 if TYPE_CHECKING:
@@ -23,11 +24,7 @@ if TYPE_CHECKING:
 ENDINGS = (".glb", ".obj", ".ply", ".stl")
 """How the names of mesh files end that are read."""
 
-MAX_MODEL_BYTES = 512 * 2**20
-"""An object of a room has fewer; a worker with 8 GB can still unpack it."""
-
-MAX_STAGE_BYTES = 2 * 2**30
-"""A whole scanned house has fewer."""
+MAX_MODEL_BYTES, MAX_STAGE_BYTES = BUDGET.model_bytes, BUDGET.scene_bytes
 
 
 def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYTES) -> tuple[list[trimesh.Trimesh], list[str]]:
@@ -89,18 +86,23 @@ def _loaded(data: bytes, path: Path, root: Path, name: str, kind: str) -> tuple[
     import trimesh
 
     resolver = _confined(path, root)
+    if kind == "ply":
+        check_counts(data, name)
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
     except Exception as error:  # the loader raises whatever the bytes lead it to
         raise InputError(name, "content", f"is no readable {kind.upper()} ({type(error).__name__}: {error})", "export it again") from error
     if resolver.outside:
         raise InputError(name, "materials", f"name {resolver.outside[0]!r}, outside the dataset's folder", "copy it in")
+    check_looks(scene, name)
     parts = [mesh for _, mesh in sorted(scene.geometry.items()) if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not parts:
         raise InputError(name, "meshes", "holds no triangles", "export it with its geometry")
     if sum(len(part.faces) for part in parts) > BUDGET.faces:
         raise InputError(name, "faces", f"more than {BUDGET.faces} triangles", "decimate the mesh")
     for part in parts:
+        if part.vertices.shape[1:] != (3,):
+            raise InputError(name, "vertices", f"have {part.vertices.shape[-1]} numbers, not 3", "export it again")
         if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
             raise InputError(name, "faces", "name vertices that are not there", "export it again")
     return parts, [f"{name}: {missing} is missing, drawn without it" for missing in resolver.missing]
@@ -121,11 +123,10 @@ def material_files(path: Path, root: Path) -> list[Path]:
 def _named(path: Path, keyword: bytes) -> list[str]:
     """Files that lines of a text file name last, after a keyword."""
     try:
-        data = read_file(path, path.name, MAX_MODEL_BYTES)
-        lines = re.findall(rb"^\s*(?:" + keyword + rb")\s+(.+?)\s*$", data, re.MULTILINE)
+        lines = re.findall(rb"^[ \t]*(?:" + keyword + rb")[ \t]+([^\r\n]+)", read_file(path, path.name, MAX_MODEL_BYTES), re.MULTILINE)
     except (InputError, ValueError):
         return []
-    names = [line.decode("utf-8", "replace") for line in lines]
+    names = [name for line in lines if (name := line.decode("utf-8", "replace").strip())]
     return [name for line in names for name in {line, line.split()[-1]} if "\0" not in name]
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from schemas.errors import InputError
 from tasks.capture.documents import MAX_TEXT_BYTES, name_of, read_bytes, read_text
+from tasks.unpacking import json_value
 
 LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
 """Files whose first line is a dataset's licence."""
@@ -23,8 +23,8 @@ def json_document(path: Path | str, root: Path | None, data: bytes | None = None
     if data is None:
         data = read_bytes(Path(path), name, MAX_TEXT_BYTES)
     try:
-        return json.loads(data, parse_constant=_refuse)
-    except (ValueError, RecursionError) as error:
+        return json_value(data, parse_constant=_refuse)
+    except ValueError as error:
         raise InputError(name, "content", f"is no JSON ({error})", "copy the dataset again") from error
 
 

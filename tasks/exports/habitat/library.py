@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import gzip
-import json
 import zlib
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -16,6 +14,7 @@ from schemas.errors import InputError
 from schemas.files import read_file
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
+from tasks.unpacking import gunzip, json_value
 
 ENDINGS = {"stages": ".stage_config.json", "objects": ".object_config.json", "scene_instances": ".scene_instance.json"}
 """Sections of a scene dataset config whose files this knows, and how those files' names end."""
@@ -117,9 +116,8 @@ def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[st
     """A JSON file (compressed when its name ends in .gz) of a shape (`habitat_shapes`), or None and a finding."""
     where = path.relative_to(root).as_posix()
     try:
-        data = read_file(path, where, BUDGET.scene_bytes)
-        text = gzip.decompress(data) if path.suffix == ".gz" else data
-        document = json.loads(text, parse_constant=_refuse)
+        data = read_file(path, where, BUDGET.json_bytes)
+        document = json_value(gunzip(data) if path.suffix == ".gz" else data, parse_constant=_refuse)
         wrong = shapes.mismatch(document, shape)
         if wrong is None:
             return document
@@ -127,7 +125,7 @@ def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[st
     except InputError as error:
         missing = isinstance(error.__cause__, FileNotFoundError)
         findings.append(Finding("files_exist" if missing else "json", where, "does not exist" if missing else error.problem))
-    except (OSError, EOFError, ValueError, RecursionError, zlib.error) as error:
+    except (OSError, EOFError, ValueError, zlib.error) as error:
         findings.append(Finding("json", where, f"cannot be read ({type(error).__name__}: {error})"[:200]))
     return None
 

@@ -180,9 +180,9 @@ def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list
             findings.append(Finding("files_exist", library.config, said))
             continue
         try:
-            navmesh = read_navmesh(read_file(file, str(path), BUDGET.scene_bytes))
+            navmesh = read_navmesh(read_file(file, str(path), BUDGET.model_bytes))
         except (ValueError, InputError) as error:
-            findings.append(Finding("navmesh", str(path), str(error)))
+            findings.append(Finding("navmesh", str(path), str(error).removeprefix(f"{path}: ")))
             continue
         found[name] = navmesh
         if not navmesh.polygons:

@@ -18,11 +18,14 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_there, read_file
 from tasks.exports.findings import Finding
+from tasks.exports.mjcf.expansion import Pairs, made
 from tasks.exports.usd.prims import dent
 from tasks.optimization.mujoco_engine import LONGEST_TIMESTEP_S, mujoco_module
+from tasks.unpacking import xml_root
 
 RULES: dict[str, str] = {
     "xml": "the file is XML whose root is mujoco",
+    "budget": "what is made of the file takes no more elements, points and pixels than a budget allows",
     "numbers": "numbers are finite",
     "closed_paths": "every file that is named is named by a relative path inside the scene's folder, and is there",
     "names": "every body has a name of its own, those at least that move freely",
@@ -54,37 +57,39 @@ _NO_NUMBER = re.compile(r"(?i)(?<![\w.])[+-]?(nan|inf|infinity)(?![\w.])")
 _DIRECTORIES = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir", "flexcomp": "meshdir"}
 _FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 
-Pairs = list[tuple[Path, ElementTree.Element]]
-
 
 def check_mjcf(path: Path) -> list[Finding]:
     """Everything that is wrong with a MuJoCo model, sorted; empty for one that can be simulated as it is."""
     findings: list[Finding] = []
-    elements = _elements(path, path.parent.resolve(), findings, set())
-    if not any(finding.rule == "xml" for finding in findings):
+    elements = _elements(path, path.parent.resolve(), findings)
+    findings += made(path.name, elements)
+    if not any(finding.rule in ("xml", "budget") for finding in findings):
         for check in (_numbers, _paths, _names, _rotations, _masses, _references):
             findings += check(path, elements)
         findings += _model(path, elements)
     return sorted(set(findings))
 
 
-def _elements(path: Path, root: Path, findings: list[Finding], seen: set[Path]) -> Pairs:
+def _elements(path: Path, root: Path, findings: list[Finding]) -> Pairs:
     """Every element with the file that it stands in; files that are included come after the one that includes them."""
-    seen.add(path.resolve())
-    try:
-        top = ElementTree.fromstring(read_file(path, path.name, BUDGET.scene_bytes))
-    except (ElementTree.ParseError, InputError, ValueError, LookupError) as error:
-        findings.append(Finding("xml", path.name, f"cannot be read ({error})"))
-        return []
-    if len(seen) == 1 and top.tag != "mujoco":
-        findings.append(Finding("xml", path.name, f"root is {top.tag}, not mujoco"))
-        return []
-    found = [(path, element) for element in top.iter() if isinstance(element.tag, str)]
-    for _, element in list(found):
-        if element.tag == "include" and element.get("file"):
-            other = root / element.attrib["file"]
-            if is_there(other) and other.resolve() not in seen:
-                found += _elements(other, root, findings, seen)
+    found: Pairs = []
+    queue, seen = [path], {path.resolve()}
+    for file in queue:
+        try:
+            top = xml_root(read_file(file, file.name, BUDGET.xml_bytes))
+        except (ElementTree.ParseError, InputError, ValueError, LookupError) as error:
+            findings.append(Finding("xml", file.name, f"cannot be read ({error})"))
+            continue
+        if file == path and top.tag != "mujoco":
+            findings.append(Finding("xml", path.name, f"root is {top.tag}, not mujoco"))
+            return []
+        own = [(file, element) for element in top.iter() if isinstance(element.tag, str)]
+        found += own
+        for _, element in own:
+            other = root / element.get("file", "")
+            if element.tag == "include" and element.get("file") and is_there(other) and other.resolve() not in seen:
+                seen.add(other.resolve())
+                queue.append(other)
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import io
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -20,6 +20,8 @@ from tasks.exports.findings import Finding
 from tasks.exports.urdf import POSES
 from tasks.exports.usd.prims import dent
 from tasks.exports.wavefront import load_obj
+from tasks.transforms import Z_UP_TO_Y_UP
+from tasks.unpacking import json_value, xml_root
 
 RULES: dict[str, str] = {
     "xml": "the file is XML whose root is robot",
@@ -38,6 +40,7 @@ RULES: dict[str, str] = {
 }
 """Every rule, and what holds when it passes."""
 
+_KINDS = ("obj", "stl", "ply", "dae")  # beside GLB
 _UNREAD = "is of a kind that cannot be read here"
 _HULL_TOLERANCE = 2e-3  # metres; as for USD
 _FARTHEST_M = 1e6  # what is computed of positions still has digits that matter
@@ -52,17 +55,17 @@ def check_urdf(path: Path) -> list[Finding]:
     """Everything that is wrong with a URDF file, or with all of a folder and its `poses.json`, sorted."""
     if path.is_dir():
         files = sorted(path.glob("*.urdf"))
-        known: dict[Path, Any] = {}
+        known: dict[Any, Any] = {}
         findings = [finding for file in files for finding in _check(file, known)]
         findings += _poses(path, [file.name for file in files])
         return sorted(set(findings))
     return sorted(set(_check(path, {})))
 
 
-def _check(path: Path, known: dict[Path, Any]) -> list[Finding]:
+def _check(path: Path, known: dict[Any, Any]) -> list[Finding]:
     """Findings about one file."""
     try:
-        robot = ElementTree.fromstring(read_file(path, path.name, BUDGET.scene_bytes))
+        robot = xml_root(read_file(path, path.name, BUDGET.xml_bytes))
     except (ElementTree.ParseError, InputError, ValueError, LookupError) as error:
         return [Finding("xml", path.name, f"cannot be read ({error})")]
     if robot.tag != "robot":
@@ -98,14 +101,16 @@ def _structure(path: Path, robot: Element) -> Iterator[Finding]:
     roots = sorted(names - set(parent))
     if len(roots) != 1:
         yield Finding("tree", path.name, f"{len(roots)} links hang on nothing, not one: {', '.join(roots[:3])}")
+    sound: set[str] = set()
     for name in sorted(parent):
-        seen, at = set(), name
-        while at in parent and at not in seen:
+        seen, at = set[str](), name
+        while at in parent and at not in seen and at not in sound:
             seen.add(at)
             at = parent[at]
         if at in seen:
             yield Finding("tree", f"{path.name} link {name}", "hangs on itself")
             return
+        sound |= seen
 
 
 def _attribute(element: Element, tag: str, key: str) -> str:
@@ -134,9 +139,10 @@ def _numeric(path: Path, robot: Element) -> Iterator[Finding]:
                     yield Finding("numbers", where, f"{element.tag} {key} is not {count} finite numbers: {text[:60]}")
 
 
-def _links(path: Path, robot: Element, known: dict[Path, Any]) -> Iterator[Finding]:
+def _links(path: Path, robot: Element, known: dict[Any, Any]) -> Iterator[Finding]:
     """Geometry and mass of every link."""
-    for link in robot.findall("link"):
+    links = robot.findall("link")
+    for link in links:
         where = f"{path.name} link {link.get('name', '')}"
         boxes = []
         for kind in ("visual", "collision"):
@@ -150,15 +156,14 @@ def _links(path: Path, robot: Element, known: dict[Path, Any]) -> Iterator[Findi
                         yield Finding("mesh", where, f"scale of {name} is {mesh.get('scale')}", not scale.all())
                     if kind == "collision" and loaded is not None:
                         boxes.append(loaded if _plain(shape, scale) else None)
-                        every = -(-len(loaded[0]) * len(loaded[1]) // _PRODUCTS)
-                        gap = dent((loaded[0], loaded[1][::every]))
-                        if np.linalg.matrix_rank(loaded[0] - loaded[0].mean(axis=0), tol=1e-7) < 3:
+                        is_flat, gap = _hollow(path.parent / name, loaded, known)
+                        if is_flat:
                             yield Finding("mesh", where, f"{name} collides, but is flat")
                         elif gap > _HULL_TOLERANCE:
                             yield Finding("explicit_hulls", where, f"{name} lies up to {gap * 1000:.1f} mm inside its own hull")
         inertial = link.find("inertial")
         if inertial is None:
-            if link.find("collision") is not None and len(robot.findall("link")) == 1:
+            if link.find("collision") is not None and len(links) == 1:
                 yield Finding("mass", where, "is not stated")
             continue
         yield from _mass(where, inertial)
@@ -180,7 +185,7 @@ def _plain(shape: Element, scale: NDArray[np.float64] | None) -> bool:
     return scale is not None and bool((scale == 1.0).all()) and all(value is not None and not value.any() for value in moved)
 
 
-def _mesh(path: Path, where: str, name: str, known: dict[Path, Any]) -> tuple[list[Finding], Any]:
+def _mesh(path: Path, where: str, name: str, known: dict[Any, Any]) -> tuple[list[Finding], Any]:
     """What is wrong with a mesh file, and its positions and triangles where nothing is."""
     if re.match(r"package://|model://", name):
         return [Finding("closed_paths", where, f"{name} is found by ROS only", False)], None
@@ -192,35 +197,68 @@ def _mesh(path: Path, where: str, name: str, known: dict[Path, Any]) -> tuple[li
         return [Finding("closed_paths", where, f"mesh {name!r} does not exist")], None
     if target not in known:
         known[target] = _read(target)
+        known[target, "materials"] = _lost(target, name)
     loaded = known[target]
     if isinstance(loaded, str):
         return [Finding("mesh", where, f"{name} {loaded}", not loaded.startswith(_UNREAD))], None
-    findings = []
-    content = read_file(target, name, BUDGET.scene_bytes) if target.suffix.lower() == ".obj" else b""
-    for library in re.findall(rb"^mtllib +(\S+)", content, re.M):
-        material = target.parent / library.decode(errors="replace")
-        if not is_there(material):
-            findings.append(Finding("closed_paths", where, f"{name} names {material.name!r}, which does not exist"))
-            continue
-        for image in re.findall(rb"^map_Kd +(\S+)", read_file(material, material.name, BUDGET.scene_bytes), re.M):
-            picture = target.parent / image.decode(errors="replace")
-            if not is_there(picture):
-                findings.append(Finding("closed_paths", where, f"{material.name} names {picture.name!r}, which does not exist"))
-    return findings, loaded
+    return [Finding("closed_paths", where, lost) for lost in known[target, "materials"]], loaded
+
+
+def _lost(path: Path, name: str) -> list[str]:
+    """Files that an OBJ and its materials name, and that are not there."""
+    found = []
+    try:
+        libraries = re.findall(rb"^mtllib +(\S+)", read_file(path, name, BUDGET.model_bytes), re.M) if path.suffix.lower() == ".obj" else []
+        for library in dict.fromkeys(libraries):
+            material = path.parent / library.decode(errors="replace")
+            if not is_there(material):
+                found.append(f"{name} names {material.name!r}, which does not exist")
+                continue
+            for image in dict.fromkeys(re.findall(rb"^map_Kd +(\S+)", read_file(material, material.name, BUDGET.text_bytes), re.M)):
+                picture = path.parent / image.decode(errors="replace")
+                if not is_there(picture):
+                    found.append(f"{material.name} names {picture.name!r}, which does not exist")
+    except (InputError, ValueError) as error:
+        found.append(str(error))
+    return found
+
+
+def _hollow(path: Path, loaded: Any, known: dict[Any, Any]) -> tuple[bool, float]:
+    """Whether a mesh is flat, and how far it lies inside its own hull [m]."""
+    if (path, "gap") not in known:
+        vertices, faces = loaded
+        every = -(-len(vertices) * len(faces) // _PRODUCTS)
+        is_flat = bool(np.linalg.matrix_rank(vertices - vertices.mean(axis=0), tol=1e-7) < 3)
+        known[path, "gap"] = is_flat, dent((vertices, faces[::every]))
+    found: tuple[bool, float] = known[path, "gap"]
+    return found
 
 
 def _read(path: Path) -> Any:
     """Positions [m], shape (n, 3), and triangles, shape (m, 3), of a mesh file, or what is wrong with it."""
     import trimesh
 
+    from tasks.capture.ply import check_counts
+    from tasks.meshes import load_glb, surface_of
+
+    kind = path.suffix.lower().lstrip(".")
     try:
-        data = read_file(path, path.name, BUDGET.scene_bytes)
-        plain = load_obj(data) if path.suffix == ".obj" else None  # a tenth of the time of a reader for all there is
+        data = read_file(path, path.name, BUDGET.model_bytes)
+        plain = load_obj(data) if kind == "obj" else None  # a tenth of the time of a reader for all there is
         if plain is not None:
             return _sound(*plain)
-        mesh: Any = trimesh.load_mesh(path, process=False, skip_materials=True)
+        if kind == "glb":
+            surface = surface_of(load_glb(data, path.name)).transformed(Z_UP_TO_Y_UP)  # a robot's frame is that of the file
+            return _sound(surface.vertices, surface.faces)
+        if kind not in _KINDS:
+            return f"{_UNREAD}: {kind or 'no'} files"
+        if kind == "ply":
+            check_counts(data, path.name)
+        mesh: Any = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
         mesh = mesh.to_mesh() if isinstance(mesh, trimesh.Scene) else mesh
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    except InputError as error:
+        return f"cannot be read ({error})"
     except ImportError as error:  # Collada, for one, is read by packages that not everybody has
         return f"{_UNREAD}: {' '.join(str(error).split())[:100]}"
     except Exception as error:  # the loader raises whatever the bytes lead it to
@@ -276,15 +314,16 @@ def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
     """The file that says where the objects stand."""
     path = folder / POSES
     try:
-        told = json.loads(read_file(path, POSES, BUDGET.scene_bytes))
-        objects = list(told["objects"])
-        named = [str(dict(item)["file"]) for item in objects] + [str(told["room"])]
+        told = json_value(read_file(path, POSES, BUDGET.json_bytes))
+        objects = [dict(item) for item in told["objects"]]
+        named = Counter([*(str(item["file"]) for item in objects), str(told["room"])])
     except (InputError, ValueError, KeyError, TypeError) as error:
         yield Finding("poses", POSES, f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:100]})")
         return
-    for name in sorted(set(named) | set(files)):
-        if named.count(name) != 1 or name not in files:
-            yield Finding("poses", f"{POSES} {name}", f"is named {named.count(name)} times, and {'' if name in files else 'not '}there")
+    there = set(files)
+    for name in sorted(set(named) | there):
+        if named[name] != 1 or name not in there:
+            yield Finding("poses", f"{POSES} {name}", f"is named {named[name]} times, and {'' if name in there else 'not '}there")
     for name, count in Counter(str(item.get("name", "")) for item in objects).items():
         if count > 1 or not name:
             yield Finding("poses", f"{POSES} {name}", f"{count} objects have this name")
@@ -293,14 +332,14 @@ def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
         try:
             place, turn = np.array(item["position_m"], dtype=np.float64), np.array(item["rotation_wxyz"], dtype=np.float64)
             mass = float(item["mass_kg"])
-        except (KeyError, ValueError, TypeError) as error:
+        except (KeyError, ValueError, TypeError, OverflowError) as error:
             yield Finding("poses", where, f"has no pose or mass ({type(error).__name__}: {error})")
             continue
         if place.shape != (3,) or not np.isfinite(place).all():
             yield Finding("poses", where, f"position_m is {item['position_m']}, not three finite numbers")
         if turn.shape != (4,) or not abs(np.linalg.norm(turn) - 1.0) < 1e-6:
             yield Finding("poses", where, f"rotation_wxyz is {item['rotation_wxyz']}, no quaternion of length 1")
-        stated = _stated_mass(folder / str(item["file"]))
+        stated = _stated_mass(folder / str(item["file"])) if str(item["file"]) in there else None
         if stated is not None and not abs(stated - mass) <= 1e-6 * abs(stated):
             yield Finding("poses", where, f"mass_kg is {mass:g}, in the file {stated:g}")
 
@@ -308,8 +347,8 @@ def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
 def _stated_mass(path: Path) -> float | None:
     """Mass of all links of a file [kg]."""
     try:
-        data = read_file(path, path.name, BUDGET.scene_bytes)
-        values = [float(element.get("value", "")) for element in ElementTree.fromstring(data).iterfind("link/inertial/mass")]
-    except (ElementTree.ParseError, InputError, ValueError):
+        robot = xml_root(read_file(path, path.name, BUDGET.xml_bytes))
+        values = [float(element.get("value", "")) for element in robot.iterfind("link/inertial/mass")]
+    except (ElementTree.ParseError, InputError, ValueError, LookupError):
         return None
     return sum(values)

@@ -1,0 +1,120 @@
+"""Checks of others' files in a process with bounds: its death is told in one line, and nobody waits for it.
+
+USD, UsdValidation, MuJoCo's compiler and NVIDIA's validator take what a file asks for, and have no bounds of their own.
+Our own exports are checked where they are made, in a worker that has its time limit.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import pickle
+import resource
+import signal
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from flows.child import start_worker
+from schemas.budget import BUDGET
+from tasks.exports.findings import Finding
+
+RULE = "budget"
+"""The rule that a file breaks whose reader takes too much, or dies of it."""
+
+PATIENCE = 4
+"""A process may wait for others this many times as long as it may compute; only one that waits for ever takes longer."""
+
+
+class OutOfBounds(Exception):
+    """The process took more than it was given, or died."""
+
+
+def findings_of(check: Callable[[Path], Sequence[Finding]], path: Path, times: float = 1.0) -> list[Finding]:
+    """What a check finds in a file or folder of others, in a process of its own with `times` the usual budget.
+
+    Raises:
+        Exception: what the check raises.
+    """
+    files = [path] if path.is_file() else path.rglob("*")
+    size = sum(file.stat().st_size for file in files if file.is_file() and not file.is_symlink())
+    seconds = times * (BUDGET.seconds + BUDGET.child_seconds_per_mb * size / 1e6)
+    memory = int(times * (BUDGET.child_bytes + BUDGET.child_bytes_per_byte * size))
+    try:
+        return list(bounded(check, path, seconds=seconds, memory_bytes=memory))
+    except OutOfBounds as error:
+        return [Finding(RULE, path.name, f"cannot be checked: {error}; --budget {2 * times:g} gives it twice as much")]
+
+
+def bounded(function: Callable[..., Any], *arguments: Any, seconds: float, memory_bytes: int) -> Any:
+    """`function(*arguments)` in a new process with so many seconds of computing and bytes of memory.
+
+    Raises:
+        OutOfBounds: it took more of either, or died.
+        Exception: what the function raises.
+    """
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    receiving, sending = context.Pipe(duplex=False)
+    process = context.Process(
+        target=_compute, args=(sending, os.getpid(), seconds, memory_bytes, function, arguments), daemon=True, name="bounded"
+    )
+    process.start()
+    sending.close()
+    answer: bytes | None = None
+    try:
+        receiving.recv_bytes()  # it is there; now its time runs
+        answer = receiving.recv_bytes() if receiving.poll(PATIENCE * seconds) else None
+    except EOFError:
+        answer = b""
+    finally:
+        receiving.close()
+        process.join(0.0 if answer is None else 1.0)  # one that has answered ends by itself, and its exit code tells how
+        process.kill()
+        process.join()
+    if answer is None or process.exitcode == -signal.SIGXCPU:
+        raise OutOfBounds(f"a reader of it takes more than {seconds:.0f} s")
+    if not answer:
+        died = signal.Signals(-process.exitcode).name if process.exitcode and process.exitcode < 0 else f"exit code {process.exitcode}"
+        raise OutOfBounds(f"a reader of it dies ({died}) with {memory_bytes >> 20} MB of memory")
+    result, error = pickle.loads(answer)  # of our own making
+    if isinstance(error, MemoryError):
+        raise OutOfBounds(f"a reader of it takes more than {memory_bytes >> 20} MB of memory") from error
+    if error is not None:
+        raise error
+    return result
+
+
+def _compute(
+    sending: Connection, parent: int, seconds: float, memory_bytes: int, function: Callable[..., Any], arguments: tuple[Any, ...]
+) -> None:
+    """What the process does: keep to its bounds, compute, answer. What its libraries say on the way is not for people."""
+    start_worker(parent)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    most = math.ceil(time.process_time() + seconds)
+    resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
+    resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    sending.send_bytes(b"")
+    try:
+        answer = pickle.dumps((function(*arguments), None))
+    except Exception as error:
+        lacks_memory = getattr(error, "errno", None) == errno.ENOMEM or "failed to map segment" in str(error)  # as imports say it
+        answer = _told(MemoryError() if lacks_memory else error)
+    sending.send_bytes(answer)
+
+
+def _told(error: Exception) -> bytes:
+    """An exception that can travel, with where it came from."""
+    error.add_note("".join(traceback.format_exception(error))[-4000:])
+    try:
+        answer = pickle.dumps((None, error))
+        pickle.loads(answer)
+    except Exception:  # some cannot be made again
+        return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
+    return answer
