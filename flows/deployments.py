@@ -25,6 +25,16 @@ GPU, VLM = "metascenes-gpu", "metascenes-vlm"
 """Limits of candidates (so many at once) and captions (so many a second). `prefect.yaml` names them, too."""
 
 
+FORMER_ENV = {"DO_NOT_TRACK": "1", "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}
+"""What deployments of older versions told their runs' environment, which is the worker's."""
+
+CHOSEN = ("command", "env", "working_dir")
+"""Variables of Prefect's own template of a process pool by which whoever may start a run picks what is executed on a worker."""
+
+BASES = ("nightly", "backfill", "watch", "statistics", "release", "export", "upkeep")
+"""Deployments of a lake. The name of each ends with the lake's (`nightly-kitchens`): a server may keep several lakes. Older
+versions called them so and nothing more."""
+
 RUNS_AT_ONCE = 4
 """Limit of a new work pool: a nightly run that goes on, the next one, a backfill, and one for what is short."""
 
@@ -32,11 +42,13 @@ RUNS_AT_ONCE = 4
 @dataclasses.dataclass(frozen=True)
 class Schedule:
     """What `prefect.yaml` asks of its surroundings. out: folder for the report and exports, on the machine of the worker.
-    nightly, watch, weekly: cron lines, in `timezone`. links_into: folders that links of scans may lead into, as in PATH."""
+    name: what the names of the lake's deployments end with; by default the last part of its address. nightly, watch, weekly:
+    cron lines, in `timezone`. links_into: folders that links of scans may lead into, as in PATH."""
 
     scans: str
     lake: str
     out: str
+    name: str = ""
     pool: str = "metascenes"
     timezone: str = "UTC"
     nightly: str = "0 1 * * *"
@@ -53,6 +65,9 @@ class Schedule:
             raise InputError(self.timezone, "--timezone", str(error), "name one as in Europe/Berlin") from error
         except KeyError as error:
             raise InputError(self.timezone, "--timezone", "is not known", "name one as in Europe/Berlin") from error
+        object.__setattr__(self, "name", self.name or lake_name(self.lake))
+        if not re.fullmatch(r"[A-Za-z0-9][\w.-]*", self.name):
+            raise InputError("--name", self.name, "is no name of deployments", "letters, digits, dots and dashes, as in kitchens")
         for name in ("scans", "lake", "out", "pool"):
             if not getattr(self, name).strip() or "{{" in getattr(self, name):
                 raise InputError(f"--{name}", getattr(self, name), "cannot be used", "name it in full")
@@ -71,6 +86,13 @@ class Schedule:
     def environment(self) -> dict[str, str]:
         """The variables that `prefect.yaml` reads."""
         return {f"METASCENES_{field.name.upper()}": getattr(self, field.name) for field in dataclasses.fields(self)}
+
+
+def lake_name(address: str) -> str:
+    """The name that a lake has on a server, where nobody gave it one: the last part of its address, in small letters."""
+    from flows.artifacts import short_name
+
+    return re.sub(r"[^a-z0-9._]+", "-", short_name(address).lower()).strip("-._") or "lake"
 
 
 FILE_VARIABLES = {f"METASCENES_{field.name.upper()}" for field in dataclasses.fields(Schedule)}
@@ -133,27 +155,22 @@ def set_up(
     """
     from prefect.client.orchestration import get_client
 
-    from flows.limits import is_away
-    from flows.server import without_secrets
+    from flows.server import check_server
 
     schedule.check_crons()
-    api = _api()  # else Prefect would start a server for as long as this takes
+    check_server(_api())  # without an address Prefect would start a server for as long as this takes
     with get_client(sync_client=True) as client:
-        try:
-            client.hello()
-        except Exception as error:
-            if not is_away(error):
-                raise
-            raise LakeError(f"{without_secrets(api)}: no Prefect server answers; check PREFECT_API_URL") from error
-        items = [_pool(client, schedule.pool, runs_at_once), _limit(client, GPU, gpu_slots), _limit(client, VLM, vlm_per_second, True)]
         before = _deployments(client)
+        _check_lake(schedule, before)
+        items = [_pool(client, schedule.pool, runs_at_once), _limit(client, GPU, gpu_slots), _limit(client, VLM, vlm_per_second, True)]
         _deploy(schedule)
         after = _deployments(client)
+        former = _replace_former(client, schedule, before, after)
     for name in _names(schedule, after):
         same = before.get(name, {}).get("facts") == after[name]["facts"]
         change = "created" if name not in before else "unchanged" if same else "changed"
         items.append(Item("deployment", name, change, link(f"deployments/deployment/{after[name]['id']}")))
-    return items
+    return items + former
 
 
 def link(page: str) -> str:
@@ -171,6 +188,54 @@ def _names(schedule: Schedule, deployed: Mapping[str, Mapping[str, Any]]) -> lis
         for name, one in deployed.items()
         if name.endswith(f"/{entry['name']}") and one["facts"]["entrypoint"] == entry["entrypoint"]
     ]
+
+
+def _check_lake(schedule: Schedule, deployed: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse a name under which the server keeps another lake: its runs would go on into this one."""
+    for name, one in deployed.items():
+        other = _lake_of(one)
+        if name.partition("/")[2] in {f"{base}-{schedule.name}" for base in BASES} and other and other != schedule.lake.rstrip("/"):
+            raise InputError("--name", schedule.name, f"is the name of {other} on this server", f"give {schedule.lake} another")
+
+
+def _lake_of(deployment: Mapping[str, Any]) -> str:
+    return str(deployment["facts"]["parameters"].get("lake", "")).rstrip("/")
+
+
+def _replace_former(
+    client: SyncPrefectClient, schedule: Schedule, before: Mapping[str, Any], after: Mapping[str, Mapping[str, Any]]
+) -> list[Item]:
+    """Remove the deployments of this lake that bear no lake's name: both would run it. What somebody had paused stays paused."""
+    gone = []
+    for name, one in after.items():
+        base = name.partition("/")[2]
+        successor = f"{name}-{schedule.name}"
+        is_former = base in BASES and successor in after and one["facts"]["entrypoint"] == after[successor]["facts"]["entrypoint"]
+        if not is_former or _lake_of(one) != schedule.lake.rstrip("/"):
+            continue
+        resting = {slug for slug, _, active in one["facts"]["schedules"] if not active}
+        if resting and successor not in before:
+            for each in client.read_deployment(after[successor]["id"]).schedules:
+                if each.slug in resting:
+                    client.update_deployment_schedule(after[successor]["id"], each.id, active=False)
+        for automation in client.read_resource_related_automations(f"prefect.deployment.{one['id']}"):
+            if automation.name.startswith(f"{TAG}-"):
+                client.delete_automation(automation.id)
+        client.delete_deployment(one["id"])
+        gone.append(Item("deployment", name, "removed", "", f"now {successor}"))
+    return gone
+
+
+def others(schedule: Schedule) -> dict[str, list[str]]:
+    """Other deployments of ours on the server, `flow/name`, by the address of their lake."""
+    from prefect.client.orchestration import get_client
+
+    found: dict[str, list[str]] = {}
+    with get_client(sync_client=True) as client:
+        for name, one in _deployments(client).items():
+            if not name.endswith(f"-{schedule.name}") and _lake_of(one):
+                found.setdefault(_lake_of(one), []).append(name)
+    return found
 
 
 def _deploy(schedule: Schedule) -> None:
@@ -222,24 +287,46 @@ def _deployments(client: SyncPrefectClient) -> dict[str, dict[str, Any]]:
 
 
 def _pool(client: SyncPrefectClient, name: str, runs_at_once: int | None) -> Item:
-    """A work pool of processes, unless there is a pool of that name already, of whatever type; 0 runs at once: no limit."""
+    """A work pool of processes that lets nobody pick what is executed, unless there is a pool of that name already.
+
+    One of processes that is there is closed, too; one of another type stays as it is. 0 runs at once: no limit.
+    """
     from prefect.client.schemas.actions import WorkPoolCreate, WorkPoolUpdate
     from prefect.exceptions import ObjectNotFound
     from prefect.workers.process import ProcessWorker
 
     page = link(f"work-pools/work-pool/{name}")
     try:
-        present = client.read_work_pool(name).concurrency_limit
+        present = client.read_work_pool(name)
     except ObjectNotFound:
         limit = (RUNS_AT_ONCE if runs_at_once is None else runs_at_once) or None
-        template = ProcessWorker.get_default_base_job_template()
+        template = closed(ProcessWorker.get_default_base_job_template())
         client.create_work_pool(WorkPoolCreate(name=name, type="process", base_job_template=template, concurrency_limit=limit))
         return Item("work pool", name, "created", page, _pool_text(limit))
-    limit = present if runs_at_once is None else runs_at_once or None
-    if limit == present:
+    limit = present.concurrency_limit if runs_at_once is None else runs_at_once or None
+    template = closed(present.base_job_template) if present.type == "process" else present.base_job_template
+    if limit == present.concurrency_limit and template == present.base_job_template:
         return Item("work pool", name, "unchanged", page, _pool_text(limit))
-    client.update_work_pool(name, WorkPoolUpdate(concurrency_limit=limit))
+    client.update_work_pool(name, WorkPoolUpdate(concurrency_limit=limit, base_job_template=template))
     return Item("work pool", name, "changed", page, _pool_text(limit))
+
+
+def closed(template: Mapping[str, Any]) -> dict[str, Any]:
+    """A base job template of a process pool in which whoever starts a run cannot say what is executed: command and folder are
+    the template's, the environment is the worker's. The server refuses variables that are not in it."""
+    told, offered = dict(template.get("job_configuration", {})), dict(template.get("variables", {}))
+    properties = dict(offered.get("properties", {}))
+    for name in CHOSEN:
+        default = properties.pop(name, {}).get("default")
+        if isinstance(told.get(name), str) and "{{" in told[name]:
+            told[name] = default
+    told.pop("env", None)  # Prefect's worker adds what a run says to whatever stands here
+    former = {name: {"const": value} for name, value in FORMER_ENV.items()}
+    properties["env"] = {"type": "object", "properties": former, "additionalProperties": False, "description": "Without effect."}
+    offered |= {"properties": properties, "additionalProperties": False}
+    if "required" in offered:
+        offered["required"] = [name for name in offered["required"] if name in properties]
+    return {**template, "job_configuration": told, "variables": offered}
 
 
 def _pool_text(limit: int | None) -> str:

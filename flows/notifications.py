@@ -32,6 +32,10 @@ does not know by itself how people reach it."""
 
 ENDS = ("Failed", "Crashed", "TimedOut")
 
+ONCE_SECONDS = 60
+"""An end of the same run within so long is the same end. A server hands an event to all its automations again when one of
+them found the database locked, and a client tells a state again that it had no answer to: each called the webhook anew."""
+
 
 def notify(environment_name: str) -> list[Item]:
     """Call the webhook that an environment variable names whenever a run with our tag fails.
@@ -66,6 +70,7 @@ def notify(environment_name: str) -> list[Item]:
             expect={f"prefect.flow-run.{end}" for end in ENDS},
             for_each={"prefect.resource.id"},
             posture=Posture.Reactive,
+            within=timedelta(seconds=ONCE_SECONDS),
         ),
         actions=[CallWebhook(block_document_id=block_id, payload=PAYLOAD.replace("PAGE", link("runs/flow-run/")))],
         tags=[TAG],

@@ -1,11 +1,15 @@
-"""The Prefect server that a run on one machine uses, when nobody named one: on loopback, without telemetry, and dead as
-soon as the run is, however that ended (Prefect's own ephemeral server outlives a killed parent).
+"""Prefect servers of ours, and how they are reached.
 
-``python -m flows.server <descriptor of a listening socket> <process to follow>`` is that server.
+A run on one machine uses its own, when nobody named one: on loopback, without telemetry, and dead as soon as the run is,
+however that ended (Prefect's own ephemeral server outlives a killed parent).
+
+``python -m flows.server --port 4200`` is `prefect server start` behind a door: it wants a token in its environment
+(`PREFECT_SERVER_API_AUTH_STRING`), goes by its own names only, and is asked by its own pages only (`flows.access`).
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import re
@@ -17,10 +21,10 @@ import time
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator
-from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from schemas.errors import LakeError
+from flows.access import CLIENT_TOKEN, ORIGINS, SERVER_TOKEN, Doorkeeper, close_home, new_token, own_origins, prefect_home, take_token
+from schemas.errors import InputError, LakeError
 
 START_SECONDS = 120
 """First start on a machine migrates an empty database: 10 s on two idle cores, much more on busy ones."""
@@ -53,16 +57,24 @@ def prefect_server() -> Iterator[str]:
     Must be entered before Prefect is imported. Gives the address.
 
     Raises:
-        LakeError: the server did not start.
+        LakeError: the server did not start, or the one that is named does not answer as one, refuses our token, or leaves what
+            this lasts for without an answer.
     """
     named = os.environ.get("PREFECT_API_URL")
     for name, value in (NAMED if named else QUIET).items():
         os.environ.setdefault(name, value)
     if named:
-        yield named
+        take_token(named)
+        check_server(named)
+        try:
+            yield named
+        except Exception as error:
+            if is_of_server(error):
+                raise LakeError(why_not(named, error)) from error
+            raise
         return
-    home = Path(os.environ.get("PREFECT_HOME") or Path.home() / ".prefect")
-    home.mkdir(parents=True, exist_ok=True)  # Prefect expects at least the home folder to be there
+    prefect_home().mkdir(parents=True, exist_ok=True, mode=0o700)  # Prefect expects at least the home folder to be there
+    token, before = new_token(), os.environ.get(CLIENT_TOKEN)
     # Its words go to a file: a pipe that nobody drains would stop the server once it is full.
     with tempfile.TemporaryFile() as said:
         with socket.socket() as listener:
@@ -70,7 +82,8 @@ def prefect_server() -> Iterator[str]:
             listener.listen(128)
             port = listener.getsockname()[1]
             process = subprocess.Popen(
-                [sys.executable, "-m", "flows.server", str(listener.fileno()), str(os.getpid())],
+                [sys.executable, "-m", "flows.server", "--socket", str(listener.fileno()), "--follow", str(os.getpid())],
+                env={**os.environ, SERVER_TOKEN: token},
                 pass_fds=[listener.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -80,10 +93,13 @@ def prefect_server() -> Iterator[str]:
         address = f"http://127.0.0.1:{port}/api"
         try:
             _wait_until_healthy(process, address, said)
-            os.environ["PREFECT_API_URL"] = address
+            os.environ |= {"PREFECT_API_URL": address, CLIENT_TOKEN: token}
             yield address
         finally:
-            os.environ.pop("PREFECT_API_URL", None)
+            for name in ("PREFECT_API_URL", CLIENT_TOKEN):
+                os.environ.pop(name, None)
+            if before is not None:
+                os.environ[CLIENT_TOKEN] = before
             process.terminate()
             try:
                 process.wait(timeout=10)
@@ -140,17 +156,99 @@ def without_secrets(text: str) -> str:
     return re.sub(r"(\w://)[^\s@/]*@", r"\1***@", text)
 
 
-def main(descriptor: int, parent: int) -> None:
-    """Serve Prefect's API on a listening socket until `parent` is gone."""
-    from flows.child import follow_parent
+def check_server(address: str) -> None:
+    """Ask the named server for its version, as Prefect's client asks everything.
 
-    follow_parent(parent)
-    for name in ("PREFECT_LOGGING_LEVEL", "PREFECT_LOGGING_ROOT_LEVEL", "PREFECT_SERVER_LOGGING_LEVEL"):
-        os.environ[name] = "ERROR"  # nobody sees it but `prefect_server`, which looks there for the reason of a failed start
+    Raises:
+        LakeError: nobody answers, or somebody else does, or our token is refused.
+    """
+    from prefect.client.orchestration import get_client
+    from prefect.settings import PREFECT_CLIENT_MAX_RETRIES, temporary_settings
+
+    try:
+        with temporary_settings({PREFECT_CLIENT_MAX_RETRIES: 0}), get_client(sync_client=True, httpx_settings={"timeout": 60}) as client:
+            version = client.api_version()
+        if not re.match(r"\d+\.", version):
+            raise ValueError(version)
+    except Exception as error:
+        raise LakeError(why_not(address, error)) from error
+
+
+def is_of_server(error: BaseException | None) -> bool:
+    """Whether an error is what a Prefect server had to say instead of an answer, and nothing of ours.
+
+    Prefect's client raises whatever comes of reading an answer that is none.
+    """
+    import traceback
+
+    if error is None:
+        return False
+    modules = {frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)}
+    return any(name.startswith(("httpx", "prefect.client.")) for name in modules) or is_of_server(error.__cause__)
+
+
+def why_not(address: str, error: BaseException) -> str:
+    """A line on what a Prefect server at an address had to say instead of an answer."""
+    import httpx
+
+    from flows.limits import is_away
+
+    shown = without_secrets(address)
+    status = error.response.status_code if isinstance(error, httpx.HTTPStatusError) else 0
+    if status in (401, 403):
+        return f"{shown}: the Prefect server refuses us ({status}); {CLIENT_TOKEN} must hold its {SERVER_TOKEN}"
+    if status and status != 404 and not is_away(error):
+        return f"{shown}: the Prefect server refused ({status}): {without_secrets(' '.join(error.response.text.split())[:300])}"  # type: ignore[attr-defined]
+    if is_away(error):
+        return f"{shown}: no Prefect server answers; check PREFECT_API_URL, or start it"
+    return f"{shown}: what answers there is no Prefect server ({type(error).__name__}); check PREFECT_API_URL, which ends with /api"
+
+
+def serve(host: str, port: int, descriptor: int | None = None) -> None:
+    """Serve Prefect's API and UI at an address, or on a listening socket, to whoever `Doorkeeper` lets in.
+
+    Raises:
+        InputError: the environment holds no token.
+    """
+    if not os.environ.get(SERVER_TOKEN):
+        raise InputError(SERVER_TOKEN, "", "holds no token: everybody could command the server", "openssl rand -hex 24 makes one")
+    os.environ.setdefault("PREFECT_SERVER_UI_API_URL", f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{port}/api")
+    os.environ[ORIGINS] = ",".join(own_origins(port, os.environ))
+    prefect_home().mkdir(parents=True, exist_ok=True, mode=0o700)
+    close_home(os.environ.get(DATABASE, ""))
     import uvicorn
+    from prefect.server.api.server import create_app
 
-    uvicorn.run("prefect.server.api.server:create_app", factory=True, fd=descriptor, log_level="error", timeout_keep_alive=5)
+    app = create_app()
+    os.umask(0o077)  # from here on: the pages that were unpacked may be another user's, too; the database may not
+    where: dict[str, Any] = {"host": host, "port": port} if descriptor is None else {"fd": descriptor}
+    level = os.environ.get("PREFECT_SERVER_LOGGING_LEVEL", "warning").lower()
+    uvicorn.run(Doorkeeper(app, os.environ[ORIGINS].split(",")), log_level=level, timeout_keep_alive=5, **where)
+
+
+def main() -> int:
+    """``python -m flows.server``; with `--socket` and `--follow`, the server of one run."""
+    parser = argparse.ArgumentParser(prog="python -m flows.server", description="A Prefect server that wants a token.")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    parser.add_argument("--port", type=int, default=4200)
+    parser.add_argument("--socket", type=int, help="descriptor of a listening socket, instead")
+    parser.add_argument("--follow", type=int, help="process with which to end")
+    told = parser.parse_args()
+    if told.follow is not None:
+        from flows.child import follow_parent
+
+        follow_parent(told.follow)
+    if told.socket is not None:
+        told.host, told.port = socket.socket(fileno=os.dup(told.socket)).getsockname()[:2]
+        for name in ("PREFECT_LOGGING_LEVEL", "PREFECT_LOGGING_ROOT_LEVEL", "PREFECT_SERVER_LOGGING_LEVEL"):
+            os.environ[name] = "ERROR"  # nobody sees it but `prefect_server`, which looks there for the reason of a failed start
+    try:
+        serve(told.host, told.port, told.socket)
+    except InputError as error:
+        print(f"metascenes: {error}", file=sys.stderr)
+        return 2
+    return 0
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))
+    sys.exit(main())

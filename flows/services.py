@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 
+from flows.access import SERVER_TOKEN
 from flows.server import QUIET, START_SECONDS, is_healthy
 from schemas.errors import InputError, LakeError
 
@@ -42,10 +43,10 @@ _SUBREAPER = 36
 
 
 @contextlib.contextmanager
-def server(host: str = "127.0.0.1", port: int = 4200) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+def server(token: str, host: str = "127.0.0.1", port: int = 4200) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """A Prefect server with its UI, on the database that the environment names, else on SQLite in PREFECT_HOME.
 
-    Gives the address of its API, and its process.
+    Whoever asks it must show the token. Gives the address of its API, and its process.
 
     Raises:
         InputError: something else listens there.
@@ -53,16 +54,17 @@ def server(host: str = "127.0.0.1", port: int = 4200) -> Iterator[tuple[str, sub
     """
     import socket
 
-    address = f"http://{host}:{port}/api"
+    near = "127.0.0.1" if host == "0.0.0.0" else host
+    address = f"http://{near}:{port}/api"
     with socket.socket() as probe:
-        if probe.connect_ex(("127.0.0.1" if host == "0.0.0.0" else host, port)) == 0:
+        if probe.connect_ex((near, port)) == 0:
             raise InputError(f"{host}:{port}", "--port", "something listens there already", "give another port, or stop it")
-    command = [sys.executable, "-m", "prefect", "server", "start", "--host", host, "--port", str(port)]
-    with guarded(command, {**SERVER, **os.environ, "PREFECT_API_URL": address}, quiet=True) as process:
+    command = [sys.executable, "-m", "flows.server", "--host", host, "--port", str(port)]
+    with guarded(command, {**SERVER, **os.environ, "PREFECT_API_URL": address, SERVER_TOKEN: token}, quiet=True) as process:
         give_up = time.monotonic() + START_SECONDS
         while not is_healthy(address):
             if process.poll() is not None:
-                raise LakeError(f"the Prefect server did not start; `{' '.join(command[1:])}` says why")
+                raise LakeError("the Prefect server did not start; its last words are above")
             if time.monotonic() > give_up:
                 raise LakeError(f"the Prefect server did not answer within {START_SECONDS} s")
             time.sleep(LOOK_SECONDS)
@@ -71,7 +73,7 @@ def server(host: str = "127.0.0.1", port: int = 4200) -> Iterator[tuple[str, sub
 
 @contextlib.contextmanager
 def worker(pool: str, api: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A worker of a process work pool; its runs have this process's environment."""
+    """A worker of a process work pool; its runs have this process's environment, with the token in it."""
     command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", pool, "--type", "process"]
     with guarded(command, {**NO_TELEMETRY, **os.environ, "PREFECT_API_URL": api}) as process:
         yield process

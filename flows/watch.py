@@ -12,10 +12,14 @@ from prefect.states import Failed
 
 from flows.arrivals import HERE, SETTLE_SECONDS, Arrival, Look, look, remember, request_key, watch_report
 from flows.artifacts import MAX_ROWS, artifact_key, flow_run_name, public_address, run_log
+from flows.deployments import lake_name
 from flows.fingerprints import digest
 from flows.parameters import Address
 from schemas.errors import InputError
 from warehouse.lake import Lake
+
+BACKFILL = "replicate/backfill-{lake}"
+"""The deployment that `metascenes deploy` sets up for a lake; `{lake}` is the lake's name, where nobody gave it another."""
 
 MAX_SCANS = 500
 """Scans that one run is asked for; the next look asks for the next ones. Prefect stores their ids with the run."""
@@ -33,7 +37,7 @@ def watch(
     scans: Address,
     lake: Address,
     settle_seconds: float = SETTLE_SECONDS,
-    deployment: str | None = "replicate/backfill",
+    deployment: str | None = BACKFILL,
     format: str = "auto",
     dataset: str | None = None,
     dry_run: bool = False,
@@ -48,7 +52,7 @@ def watch(
         scans: Folder of scans, or s3://bucket/prefix.
         lake: Address of the lake: a folder or s3://bucket/prefix.
         settle_seconds: A scan counts when nobody has written to it for so long.
-        deployment: Deployment of `replicate` that is asked; none: the scans are computed by this flow run.
+        deployment: Deployment of `replicate` that is asked, `{lake}` for the lake's name; none: this flow run computes the scans.
         format: Scan format, or 'auto'.
         dataset: Name of the dataset; by default what the format says.
         dry_run: Only look.
@@ -98,7 +102,9 @@ def request(
 
 
 def ask(deployment: str, parameters: dict[str, Any], key: str) -> str:
-    """Ask for a run of a deployment, and give its id. The same key asks for the same run, however often, until that has ended.
+    """Ask for a run of a deployment, `{lake}` in whose name is that of the parameters' lake, and give its id.
+
+    The same key asks for the same run, however often, until that has ended.
 
     Raises:
         InputError: the server has no such deployment.
@@ -106,6 +112,8 @@ def ask(deployment: str, parameters: dict[str, Any], key: str) -> str:
     from prefect.deployments import run_deployment
     from prefect.exceptions import ObjectNotFound
 
+    named = lake_name(parameters["lake"])
+    deployment = deployment.replace("{lake}", named)
     try:
         while True:
             run: Any = run_deployment(deployment, parameters=parameters, timeout=0, idempotency_key=key, as_subflow=False)
@@ -113,7 +121,8 @@ def ask(deployment: str, parameters: dict[str, Any], key: str) -> str:
                 break
             key = digest(key, str(run.id))  # that one has ended, of a state that was so before: an older lake, content that is back
     except ObjectNotFound as error:
-        raise InputError("--deployment", deployment, "the Prefect server does not know it", "metascenes deploy sets it up") from error
+        remedy = f"metascenes deploy sets up replicate/backfill-{named}"
+        raise InputError("--deployment", deployment, "the Prefect server does not know it", remedy) from error
     run_log(f"asked {deployment} for {len(parameters['scenes'])} scans: run {run.name} ({run.id})")
     return str(run.id)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import abc
 import atexit
+import base64
 import contextlib
 import os
 import pwd
@@ -30,6 +31,7 @@ from typing import Any
 
 import psutil
 
+from flows.access import CLIENT_TOKEN, SERVER_TOKEN, new_token
 from flows.server import is_healthy
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -189,7 +191,10 @@ class Postgres(Service):
 
 
 class PrefectServer(Service):
-    """`prefect server start` on a database; `url` is what PREFECT_API_URL wants."""
+    """A Prefect server on a database; `url` is what PREFECT_API_URL wants, `access` are all variables that lead to it.
+
+    `header` is what a request must bring along.
+    """
 
     def __init__(self, folder: Path, database_url: str | None, settings: Mapping[str, str]) -> None:
         super().__init__("prefect", folder)
@@ -198,7 +203,11 @@ class PrefectServer(Service):
         if database_url is None:
             have_been_started(home)
         self.url = f"http://127.0.0.1:{self.port}/api"
+        self.token = settings.get(SERVER_TOKEN) or new_token()
+        self.access = {"PREFECT_API_URL": self.url, CLIENT_TOKEN: self.token}
+        self.header = {"Authorization": f"Basic {base64.b64encode(self.token.encode()).decode()}"}
         self.environment = {
+            SERVER_TOKEN: self.token,
             "PREFECT_HOME": str(home),
             "PREFECT_API_DATABASE_CONNECTION_URL": database_url or f"sqlite+aiosqlite:///{home}/prefect.db",
             "PREFECT_SERVER_UI_API_URL": self.url,
@@ -210,7 +219,7 @@ class PrefectServer(Service):
 
     def command(self) -> list[str]:
         """As its administrator starts it."""
-        return [str(Path(sys.executable).with_name("prefect")), "server", "start", "--host", "127.0.0.1", "--port", str(self.port)]
+        return [sys.executable, "-m", "flows.server", "--port", str(self.port)]
 
     def answers(self) -> bool:
         """Whether the API says that it is well."""

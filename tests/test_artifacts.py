@@ -47,7 +47,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 def asked(server: PrefectServer, path: str, **body: Any) -> Any:
     """What the server's API answers."""
-    request = urllib.request.Request(f"{server.url}/{path}", json.dumps(body).encode(), {"Content-Type": "application/json"})
+    headers = {"Content-Type": "application/json", **server.header}
+    request = urllib.request.Request(f"{server.url}/{path}", json.dumps(body).encode(), headers)
     with urllib.request.urlopen(request, timeout=60) as reply:
         return json.load(reply)
 
@@ -68,7 +69,7 @@ class Ran:
 
     def __init__(self, server: PrefectServer, home: dict[str, str], scans: Path, lake: Lake) -> None:
         command = [sys.executable, "-m", "flows.cli", "run", "--scans", str(scans), "--lake", lake.address, "--json"]
-        done = subprocess.run(command, env=home | {"PREFECT_API_URL": server.url}, capture_output=True, text=True, timeout=500)
+        done = subprocess.run(command, env=home | server.access, capture_output=True, text=True, timeout=500)
         assert done.returncode == 1, done.stderr
         self.report = RunReport(**{name: tuple(v) if isinstance(v, list) else v for name, v in json.loads(done.stdout).items()})
         self.said = done.stderr
@@ -251,7 +252,7 @@ except Exception as error:  # Prefect could not tell its server how the run ende
 
 def boarded(server: PrefectServer, home: dict[str, str], scans: Path, lake: Path, patience: float) -> subprocess.Popen[str]:
     """A process whose run waits for a line before it computes, and for another before it ends."""
-    more = {"PREFECT_API_URL": server.url, "PREFECT_CLIENT_MAX_RETRIES": "0"}
+    more = {**server.access, "PREFECT_CLIENT_MAX_RETRIES": "0"}
     return subprocess.Popen(
         [sys.executable, "-c", BOARD, str(scans), str(lake), str(patience)],
         env=home | more, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

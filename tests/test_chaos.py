@@ -57,7 +57,7 @@ def assert_sound(found: Chaos) -> None:
 @pytest.mark.timeout(600)
 def test_two_runs_over_overlapping_scenes_compute_each_once(up: dict[str, Process], peace: tuple[Path, Lake], tmp_path: Path) -> None:
     scans, undisturbed = peace
-    found = shared_runs(scans, tmp_path, undisturbed, up["server"].url)
+    found = shared_runs(scans, tmp_path, undisturbed, up["server"].access)
     assert found.codes == (0, 0)
     assert found.overlap == 2
     assert (found.both, found.neither) == ((), ())

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from flows.access import CLIENT_TOKEN, SERVER_TOKEN, own_origins
 from flows.services import SERVER
 from tests.conftest import REPOSITORY
 from tests.services import s3_server
@@ -33,7 +34,7 @@ def test_containers_are_published_to_this_machine_alone_and_hold_no_secret() -> 
         assert all(port.startswith("127.0.0.1:") for port in service.get("ports", ())), name
         assert re.search(r":\d+(\.\d+)*$", service["image"]) or "build" in service, f"{name}: an image of no version"
         for variable, value in service["environment"].items():
-            if re.search("PASSWORD|SECRET|ACCESS_KEY|ENCRYPTION_KEY|CONNECTION_URL", variable):
+            if re.search("PASSWORD|SECRET|ACCESS_KEY|ENCRYPTION_KEY|AUTH_STRING|CONNECTION_URL", variable):
                 assert re.search(r"\$\{\w+:\?", value), f"{name}: {variable} is not taken from .env"
         told |= set(re.findall(r"\$\{(\w+)", json.dumps(service)))
         for needed, how in service.get("depends_on", {}).items():
@@ -52,6 +53,17 @@ def test_servers_of_others_are_told_what_ours_are_told() -> None:
     for name in quiet:
         assert compose()["services"]["prefect"]["environment"][name] == SERVER[name]
         assert f"\n{name}={SERVER[name]}\n" in page
+
+
+def test_the_server_and_those_who_ask_it_have_one_token_and_one_name_for_it() -> None:
+    services = compose()["services"]
+    server = services["prefect"]["environment"]
+    origins = own_origins(4200, {name: value for name, value in server.items() if "${" not in value})
+    for name in ("deploy", "worker"):
+        told = services[name]["environment"]
+        assert told[CLIENT_TOKEN] == server[SERVER_TOKEN]
+        assert told["PREFECT_API_URL"].removesuffix("/api") in origins
+        assert told["PREFECT_UI_URL"] in origins
 
 
 def test_links_lead_where_people_reach_the_server() -> None:
@@ -73,7 +85,7 @@ def test_what_our_containers_run_is_there(tmp_path: Path) -> None:
     assert f"--pool {pool} " in services["worker"]["command"] + " "
     for name in ("prefect", "worker"):
         program, group, verb, *options = services[name]["command"].split()
-        said = subprocess.run([program, group, verb, "--help"], env=environment, capture_output=True, text=True)
+        said = subprocess.run([program, group, verb, "--help"], env=environment, cwd=REPOSITORY, capture_output=True, text=True)
         assert said.returncode == 0, said.stderr
         assert [option for option in options if option.startswith("--") and option not in said.stdout] == []
     with s3_server(tmp_path) as s3:

@@ -7,10 +7,12 @@ import http.server
 import json
 import os
 import signal
+import stat
 import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -22,7 +24,7 @@ import pytest
 import yaml
 
 from flows.bench.flows.small_scenes import SETTINGS, write_small_scans
-from flows.deployments import FILE_VARIABLES, RUNS_AT_ONCE, Schedule, deployment_file, planned
+from flows.deployments import FILE_VARIABLES, RUNS_AT_ONCE, Schedule, closed, deployment_file, planned
 from flows.services import SERVER
 from schemas.errors import InputError
 from schemas.runs import StageRun
@@ -43,13 +45,13 @@ FAST = {
     "PREFECT_SERVER_SERVICES_SCHEDULER_RECENT_DEPLOYMENTS_LOOP_SECONDS": "2",
 }
 NAMES = (
-    "replicate/nightly",
-    "replicate/backfill",
-    "watch/watch",
-    "statistics/statistics",
-    "release/release",
-    "export/export",
-    "upkeep/upkeep",
+    "replicate/nightly-lake",
+    "replicate/backfill-lake",
+    "watch/watch-lake",
+    "statistics/statistics-lake",
+    "release/release-lake",
+    "export/export-lake",
+    "upkeep/upkeep-lake",
 )
 SECRET = "T0AB/B1CD/s3cr3t-webhook-path"
 
@@ -71,7 +73,7 @@ class Prefect:
         self.server, self.folder = server, folder
         self.environment = {
             **{name: value for name, value in os.environ.items() if not name.startswith(("PREFECT_", "METASCENES_"))},
-            "PREFECT_API_URL": server.url, "PREFECT_HOME": str(folder / "home"), "OMP_NUM_THREADS": "1",
+            **server.access, "PREFECT_HOME": str(folder / "home"), "OMP_NUM_THREADS": "1",
         }  # fmt: skip
         self.scans, self.lake, self.out = folder / "scans", folder / "lake", folder / "out"
         places = ["--scans", str(self.scans), "--lake", str(self.lake), "--out", str(self.out)]
@@ -113,7 +115,7 @@ class Prefect:
     def ask(self, path: str, body: Mapping[str, Any] | None = None, method: str = "") -> httpx.Response:
         method = method or ("GET" if body is None else "POST")
         for _ in range(20):
-            answer = httpx.request(method, f"{self.server.url}/{path}", json=body, timeout=60)
+            answer = httpx.request(method, f"{self.server.url}/{path}", json=body, headers=self.server.header, timeout=60)
             if answer.status_code != 503:  # its SQLite is locked for the moment: Prefect's own client asks again, too
                 break
             time.sleep(0.5)
@@ -193,13 +195,16 @@ def eventually(found: Callable[[], Any], what: str) -> Any:
 
 
 def test_schedules_pool_limits_and_parameters_are_what_was_asked_for(deployed: Prefect) -> None:
-    nightly = deployed.deployment("replicate/nightly")
+    nightly = deployed.deployment("replicate/nightly-lake")
     assert [(each["schedule"]["cron"], each["schedule"]["timezone"]) for each in nightly["schedules"]] == [("0 1 * * *", "Europe/Berlin")]
     assert nightly["parameters"]["scans"] == str(deployed.scans)
     assert nightly["parameters"]["lake"] == str(deployed.lake)
     assert nightly["work_pool_name"] == "metascenes"
     pool = deployed.ask("work_pools/metascenes").json()
     assert (pool["type"], pool["concurrency_limit"]) == ("process", RUNS_AT_ONCE)
+    assert pool["base_job_template"] == closed(pool["base_job_template"])
+    refused = deployed.ask(f"deployments/{nightly['id']}/create_flow_run", {"job_variables": {"command": "touch /tmp/x"}})
+    assert refused.status_code == 422, "who starts a run does not say what is executed"
     slots = {}
     for name in NAMES:
         found = deployed.deployment(name)
@@ -212,31 +217,34 @@ def test_schedules_pool_limits_and_parameters_are_what_was_asked_for(deployed: P
         assert "{{" not in json.dumps([found["parameters"], found["work_pool_name"], found["schedules"]])
     for limit in set(nightly["parameters"]["limits"].values()):
         assert deployed.ask(f"v2/concurrency_limits/{limit}").json()["active"] is False, "stops nobody until it is told how many"
-    short = {"statistics/statistics": (1, "CANCEL_NEW"), "export/export": (1, "ENQUEUE"), "upkeep/upkeep": (1, "CANCEL_NEW")}
+    kinds = {"statistics": "CANCEL_NEW", "export": "ENQUEUE", "upkeep": "CANCEL_NEW"}
+    short = {f"{name}/{name}-lake": (1, kind) for name, kind in kinds.items()}
     assert slots == short, "a slot's lease ends a long run whose server is away for minutes"
 
 
 def test_deploying_again_changes_what_is_different_and_prefects_own_command_sets_up_the_same(deployed: Prefect, hook: str) -> None:
     before = deployed.facts()
-    backfill = deployed.deployment("replicate/backfill")["id"]
+    backfill = deployed.deployment("replicate/backfill-lake")["id"]
     slot = {"concurrency_limit": 2, "concurrency_options": {"collision_strategy": "ENQUEUE"}}
     deployed.ask(f"deployments/{backfill}", slot, "PATCH").raise_for_status()
-    assert deployed.facts()["replicate/backfill"]["limit"] == 2
+    assert deployed.facts()["replicate/backfill-lake"]["limit"] == 2
     limits = ["--gpu-slots", "3", "--vlm-per-second", "0.5", "--runs-at-once", "2"]
     changes = deployed.deploy("--nightly", "30 2 * * 1-5", *limits, "--notify-env", "OTHER_NAME", OTHER_NAME=hook)
     assert {changes.pop(name) for name in ("metascenes-gpu", "metascenes-vlm", "metascenes")} == {"changed"}
     assert deployed.ask("v2/concurrency_limits/metascenes-gpu").json()["limit"] == 3
     assert deployed.ask("work_pools/metascenes").json()["concurrency_limit"] == 2
-    assert {changes.pop(name) for name in ("replicate/nightly", "replicate/backfill")} == {"changed"}, "an older slot is taken away"
+    assert {changes.pop(name) for name in ("replicate/nightly-lake", "replicate/backfill-lake")} == {"changed"}, (
+        "an older slot is taken away"
+    )
     assert set(changes.values()) == {"unchanged"}
     after = deployed.facts()
-    assert [schedule["cron"] for _, _, schedule in after["replicate/nightly"]["schedules"]] == ["30 2 * * 1-5"]
-    assert {name: facts for name, facts in after.items() if name != "replicate/nightly"} == {
-        name: facts for name, facts in before.items() if name != "replicate/nightly"
+    assert [schedule["cron"] for _, _, schedule in after["replicate/nightly-lake"]["schedules"]] == ["30 2 * * 1-5"]
+    assert {name: facts for name, facts in after.items() if name != "replicate/nightly-lake"} == {
+        name: facts for name, facts in before.items() if name != "replicate/nightly-lake"
     }
     assert len(deployed.ask("deployments/filter", {}).json()) == len(NAMES)
     automations = [each["name"] for each in deployed.ask("automations/filter", {}).json()]
-    assert sorted(automations) == ["metascenes-failures", "metascenes-lost-runs", "metascenes-statistics-after-nightly"]
+    assert sorted(automations) == ["metascenes-failures", "metascenes-lost-runs", "metascenes-statistics-after-nightly-lake"]
     schedule = Schedule(str(deployed.scans), str(deployed.lake), str(deployed.out), timezone="Europe/Berlin")
     done = deployed.run([sys.executable, "-m", "prefect", "--no-prompt", "deploy", "--all"], **schedule.environment())
     assert done.returncode == 0, done.stdout + done.stderr
@@ -275,7 +283,7 @@ def test_limits_are_switched_off_and_stay_what_they_are(deployed: Prefect) -> No
 def test_a_parameter_that_breaks_the_schema_is_refused_when_the_run_is_created(
     deployed: Prefect, parameters: dict[str, Any], named: str
 ) -> None:
-    backfill = deployed.deployment("replicate/backfill")["id"]
+    backfill = deployed.deployment("replicate/backfill-lake")["id"]
     refused = deployed.ask(f"deployments/{backfill}/create_flow_run", {"parameters": parameters})
     assert refused.status_code == 409
     assert named in refused.text
@@ -286,7 +294,7 @@ def test_a_parameter_that_breaks_the_schema_is_refused_when_the_run_is_created(
 
 def test_a_scheduled_run_is_picked_up_by_a_worker_in_another_process_and_completed(deployed: Prefect) -> None:
     write_small_scans(deployed.scans, 1)
-    nightly = deployed.deployment("replicate/nightly")
+    nightly = deployed.deployment("replicate/nightly-lake")
     soon = {"interval": 86400.0, "anchor_date": (datetime.now(UTC) + timedelta(seconds=10)).isoformat()}
     schedule = nightly["schedules"][0]
     # The scan is whole; the night would wait for it to settle.
@@ -327,15 +335,15 @@ def test_a_scheduled_run_is_picked_up_by_a_worker_in_another_process_and_complet
 def test_statistics_are_asked_for_after_our_nightly_run_and_nobody_elses(deployed: Prefect) -> None:
     """Told by the states of runs, without waiting for one: a run that was scheduled less than five minutes before it starts
     has no event of its scheduling, for which Prefect keeps what follows waiting for a quarter of an hour."""
-    statistics = {"deployments": {"id": {"any_": [deployed.deployment("statistics/statistics")["id"]]}}}
+    statistics = {"deployments": {"id": {"any_": [deployed.deployment("statistics/statistics-lake")["id"]]}}}
     before = {one["id"] for one in deployed.ask("flow_runs/filter", statistics).json()}
 
     def asked() -> list[dict[str, Any]]:
         return [one for one in deployed.ask("flow_runs/filter", statistics).json() if one["id"] not in before]
 
     flow = deployed.ask("flows/", {"name": "somebodys"}).raise_for_status().json()["id"]
-    other = deployed.ask("deployments/", {"name": "nightly", "flow_id": flow}).raise_for_status().json()["id"]
-    nightly = deployed.deployment("replicate/nightly")["id"]
+    other = deployed.ask("deployments/", {"name": "nightly-lake", "flow_id": flow}).raise_for_status().json()["id"]
+    nightly = deployed.deployment("replicate/nightly-lake")["id"]
     made = []
     for deployment in (other, nightly):
         run = deployed.ask(f"deployments/{deployment}/create_flow_run", {"state": {"type": "RUNNING"}}).raise_for_status().json()["id"]
@@ -388,6 +396,34 @@ def test_a_failed_run_calls_the_webhook_whose_address_stays_a_secret(deployed: P
     assert not deployed.ask("block_documents/filter", {}).json()
 
 
+def test_a_run_that_ends_once_is_told_of_once(prefect: Prefect, hook: str) -> None:
+    """The server comes upon the same end again: it found its database locked while it handed the event to another automation,
+    or a client that had no answer told the state again."""
+    prefect.deploy(METASCENES_NOTIFY_URL=hook)
+    flow = prefect.ask("flows/", {"name": "ends"}).raise_for_status().json()["id"]
+
+    def failed(name: str) -> str:
+        run = {"flow_id": flow, "name": name, "tags": ["metascenes"], "state": {"type": "RUNNING"}}
+        made: str = prefect.ask("flow_runs/", run).raise_for_status().json()["id"]
+        prefect.ask(f"flow_runs/{made}/set_state", {"state": {"type": "FAILED", "name": "Failed"}}).raise_for_status()
+        return made
+
+    def told(run: str) -> int:
+        return sum(run in call[1]["text"] for call in Hook.taken)
+
+    first = failed("first")
+    eventually(lambda: told(first), "a call of the webhook")
+    again = {"prefect.resource.id": f"prefect.flow-run.{first}", "prefect.resource.name": "first"}
+    related = [{"prefect.resource.id": "prefect.tag.metascenes", "prefect.resource.role": "tag"}]
+    for _ in range(3):
+        event = {"occurred": datetime.now(UTC).isoformat(), "event": "prefect.flow-run.Failed", "resource": again, "related": related}
+        prefect.ask("events", [event | {"id": str(uuid.uuid4()), "payload": {}}]).raise_for_status()
+    for name in ("second", "third"):  # what comes later is told of later
+        last = failed(name)
+        eventually(lambda run=last: told(run), "a call of the webhook")
+    assert told(first) == 1
+
+
 LOST = """
 from prefect import flow
 from prefect.client.orchestration import get_client
@@ -436,7 +472,7 @@ def test_every_variable_of_the_file_is_one_that_the_command_sets_and_every_flow_
         flow: Any = load_flow_from_entrypoint(entry["entrypoint"])
         assert entry["parameters"].keys() <= flow.parameters.properties.keys(), entry["name"]
         assert "metascenes" in entry["tags"]
-    assert {entry["name"] for entry in planned(Schedule("s", "l", "o"))} == {name.split("/")[1] for name in NAMES}
+    assert {entry["name"] for entry in planned(Schedule("s", "lake", "o"))} == {name.split("/")[1] for name in NAMES}
 
 
 @pytest.mark.parametrize(
@@ -474,7 +510,7 @@ def test_a_server_that_does_not_answer_is_one_line(tmp_path: Path) -> None:
 
 
 def test_folders_may_have_any_name() -> None:
-    entries = {entry["name"]: entry for entry in planned(Schedule('/scans of "May"\\n: #1', "/lake\t'", "{out}"))}
+    entries = {entry["name"].removesuffix("-lake"): entry for entry in planned(Schedule('/scans of "May"\\n: #1', "/lake\t'", "{out}"))}
     assert entries["nightly"]["parameters"]["scans"] == '/scans of "May"\\n: #1'
     assert entries["export"]["parameters"] == {"lake": "/lake\t'", "out": "{out}/exports"}
 
@@ -490,7 +526,7 @@ def test_a_dry_run_says_what_and_when_and_asks_no_server(tmp_path: Path) -> None
     environment = {**os.environ, "PREFECT_API_URL": f"http://127.0.0.1:{free_port()}/api", "PREFECT_HOME": str(tmp_path)}
     command = [sys.executable, "-m", "flows.cli", "deploy", "--scans", "s3://b/scans", "--lake", "lake", "--dry-run", "--json"]
     done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=True)
-    entries = {entry["name"]: entry for entry in json.loads(done.stdout)["deployments"]}
+    entries = {entry["name"].removesuffix("-lake"): entry for entry in json.loads(done.stdout)["deployments"]}
     assert entries["nightly"]["parameters"]["scans"] == "s3://b/scans"
     assert entries["nightly"]["parameters"]["lake"] == str(REPOSITORY / "lake"), "workers run in another folder"
 
@@ -528,7 +564,8 @@ def test_a_server_and_worker_of_ones_own_listen_on_this_machine_alone_and_end_wi
     }
     command = [sys.executable, "-m", "flows.cli", "deploy", "--local", "--port", str(port), "--json", "--scans", str(tmp_path / "scans")]
     command += ["--lake", str(tmp_path / "lake"), "--out", str(tmp_path / "out"), "--watch", "0 0 1 1 *"]
-    process = subprocess.Popen(command, cwd=REPOSITORY, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    with (tmp_path / "said").open("w") as said:
+        process = subprocess.Popen(command, cwd=REPOSITORY, env=environment, stdout=subprocess.PIPE, stderr=said, text=True)
     try:
         assert process.stdout is not None
         items = json.loads(process.stdout.readline())["items"]
@@ -538,8 +575,14 @@ def test_a_server_and_worker_of_ones_own_listen_on_this_machine_alone_and_end_wi
         assert port in {address.port for address in listening}
         assert {address.ip for address in listening} == {"127.0.0.1"}
         assert httpx.get(f"http://127.0.0.1:{port}/", follow_redirects=True).status_code == 200, "the UI"
-        command = [sys.executable, "-m", "prefect", "deployment", "run", "replicate/nightly", "--param", "settle_seconds=0", "--watch"]
-        environment["PREFECT_API_URL"] = f"http://127.0.0.1:{port}/api"
+        assert httpx.get(f"http://127.0.0.1:{port}/api/admin/version").status_code == 401
+        token_file = tmp_path / "home" / f"metascenes-{port}.token"
+        assert {stat.S_IMODE(path.stat().st_mode) & 0o077 for path in (tmp_path / "home").iterdir()} == {0}
+        token = token_file.read_text()
+        everyone = [psutil.Process(process.pid), *below]
+        assert not [each for each in everyone if token in " ".join(each.cmdline())], "everybody on the machine can read arguments"
+        command = [sys.executable, "-m", "prefect", "deployment", "run", "replicate/nightly-lake", "--param", "settle_seconds=0", "--watch"]
+        environment |= {"PREFECT_API_URL": f"http://127.0.0.1:{port}/api", "PREFECT_API_AUTH_STRING": token}
         run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=WAIT_SECONDS)
         assert run.returncode == 0, run.stdout + run.stderr
         rows = Lake.open(str(tmp_path / "lake")).snapshot().rows(StageRun)
@@ -549,6 +592,9 @@ def test_a_server_and_worker_of_ones_own_listen_on_this_machine_alone_and_end_wi
         process.send_signal(signal.SIGINT)
         code = process.wait(60)
     assert code == 130
+    words = (tmp_path / "said").read_text()
+    assert str(token_file) in words
+    assert token not in words
     eventually(lambda: not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in below), "the end of all")
 
 

@@ -34,11 +34,12 @@ FAST = {
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PrefectServer]:
     with prefect_server_process(tmp_path_factory.mktemp("prefect"), None, **FAST) as running, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PREFECT_API_URL", running.url)
+        for name, value in running.access.items():
+            patch.setenv(name, value)
         patch.setenv("PREFECT_HOME", str(tmp_path_factory.mktemp("home")))
-        from prefect.settings import PREFECT_API_URL, temporary_settings
+        from prefect.settings import PREFECT_API_AUTH_STRING, PREFECT_API_URL, temporary_settings
 
-        with temporary_settings({PREFECT_API_URL: running.url}):
+        with temporary_settings({PREFECT_API_URL: running.url, PREFECT_API_AUTH_STRING: running.token}):
             yield running
 
 

@@ -46,7 +46,7 @@ def lake(server: PrefectServer, tmp_path_factory: pytest.TempPathFactory) -> Lak
     for name in ("scene0001_00", "scene0002_00"):
         cut(write_scan(folder / "office", name))
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "METASCENES_"))}
-    home = kept | {"PREFECT_HOME": str(folder / "prefect"), "PREFECT_API_URL": server.url, "DO_NOT_TRACK": "1"}
+    home = kept | {"PREFECT_HOME": str(folder / "prefect"), **server.access, "DO_NOT_TRACK": "1"}
     run = ["run", "--scans", str(folder / "office"), "--lake", lake.address]
     stats = ["stats", "--lake", lake.address, "--artifacts", "--out", str(folder / "report.html")]
     for arguments, code in ((run, 1), (stats, 0)):

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flows.bench.flows.small_scenes import SETTINGS, write_small_scans
+from flows.fanout.runners import task_runner
 from tests.services import have_been_started, prefect_server_process, s3_server
 from warehouse.digest import digests
 from warehouse.lake import Lake
@@ -34,7 +35,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def served(home: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
     """The environment of runs that share a server, which is there sooner than one of their own."""
     with prefect_server_process(tmp_path_factory.mktemp("server")) as server:
-        yield {**home, "PREFECT_API_URL": server.url}
+        yield {**home, **server.access}
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,24 @@ def test_every_runner_gives_the_same_rows_and_blobs(served: dict[str, str], scan
     assert "Traceback" not in done.stderr
     assert digests(Lake.open(tmp_path / "lake").snapshot()) == digests(Lake.open(lake).snapshot())
     assert leftovers(tmp_path / "lake") == []
+
+
+def test_a_cluster_on_this_machine_takes_orders_from_its_run_alone() -> None:
+    """Whoever reaches the port of a Dask scheduler has it do what they say."""
+    import distributed
+    import httpx
+
+    with task_runner("dask", 1) as started:
+        scheduler = started.client.cluster.scheduler_address
+        assert scheduler.startswith("tls://127.0.0.1:")
+        with pytest.raises((OSError, TypeError)):
+            distributed.Client(scheduler.replace("tls:", "tcp:"), timeout=30)
+        below = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        ports = {each.laddr for process in below for each in process.net_connections("inet") if each.status == psutil.CONN_LISTEN}
+        assert {each.ip for each in ports} == {"127.0.0.1"}
+        for each in ports:
+            with contextlib.suppress(httpx.TransportError):  # of TLS
+                assert httpx.get(f"http://127.0.0.1:{each.port}/info/main/workers.html", timeout=60).status_code == 404
 
 
 def workers_of(process: psutil.Process) -> list[psutil.Process]:
@@ -193,7 +212,7 @@ def test_a_flow_waits_for_a_store_that_is_away(home: dict[str, str], tmp_path: P
 def test_a_server_that_is_gone_at_the_end_takes_nothing_from_the_run(home: dict[str, str], tmp_path: Path) -> None:
     write_small_scans(tmp_path / "scans", 1)
     with prefect_server_process(tmp_path / "server") as server:
-        told = {"PREFECT_API_URL": server.url, "PREFECT_CLIENT_MAX_RETRIES": "1", "PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30"}
+        told = {**server.access, "PREFECT_CLIENT_MAX_RETRIES": "1", "PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30"}
         process = subprocess.Popen(
             command(tmp_path / "scans", tmp_path / "lake"), env={**home, **told}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

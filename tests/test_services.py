@@ -63,7 +63,7 @@ def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Services]:
     with postgres_server(folder) as postgres, s3_server(folder) as s3, environment_of(s3):
         s3.make_bucket("lakes")
         with prefect_server_process(folder, postgres.url) as prefect:
-            yield Services(postgres, prefect, s3, surroundings(folder / "home") | s3.access | {"PREFECT_API_URL": prefect.url})
+            yield Services(postgres, prefect, s3, surroundings(folder / "home") | s3.access | prefect.access)
 
 
 def surroundings(home: Path, started_before: bool = False) -> dict[str, str]:
@@ -164,9 +164,9 @@ def test_another_server_redoes_nothing_but_what_changed(services: Services, firs
     counted = attempts(LAKE)
     scan(scans, 0, version=1)
     with prefect_server_process(tmp_path) as other:
-        changed = run(services.environment | {"PREFECT_API_URL": other.url}, scans, LAKE)
+        changed = run(services.environment | other.access, scans, LAKE)
         assert (changed["done"], changed["unchanged"]) == (SCENES[:1], SCENES[1:])
-        again = run(services.environment | {"PREFECT_API_URL": other.url}, scans, LAKE)
+        again = run(services.environment | other.access, scans, LAKE)
         assert (again["done"], again["steps"]) == ([], 0)
     now = attempts(LAKE)
     assert now[SCENES[1]] == counted[SCENES[1]]

@@ -587,7 +587,7 @@ from tests.scans import write_scan, write_scans
 
 place = Path(sys.argv[1])
 scans, lake = write_scans(place / "scans", 1), str(place / "lake")
-id = replicate.to_deployment("backfill", parameters={"workers": 1}).apply()
+id = replicate.to_deployment("backfill-lake", parameters={"workers": 1}).apply()
 
 def look():
     report = watch(str(scans), lake, settle_seconds=0)
@@ -628,7 +628,7 @@ print(json.dumps(said))
 
 def test_a_deployment_is_asked_once_for_what_was_found(prefect: PrefectServer, tmp_path: Path) -> None:
     environment = os.environ | {
-        "PREFECT_API_URL": prefect.url,
+        **prefect.access,
         "PREFECT_HOME": str(tmp_path / "home"),
         "METASCENES_CACHE": str(tmp_path / "cache"),
     }
@@ -647,7 +647,7 @@ def test_a_deployment_is_asked_once_for_what_was_found(prefect: PrefectServer, t
     assert another["runs"][fresh]["scenes"] == ["scannet/scene0001_00"]
     assert cancelled["report"]["asked"] == ["scannet/scene0000_00"], "its run was cancelled, the other's is under way"
     assert len(cancelled["runs"]) == 3
-    request = urllib.request.Request(f"{prefect.url}/artifacts/filter", b"{}", {"Content-Type": "application/json"})
+    request = urllib.request.Request(f"{prefect.url}/artifacts/filter", b"{}", {"Content-Type": "application/json", **prefect.header})
     with urllib.request.urlopen(request, timeout=60) as reply:
         artifacts = [one for one in json.load(reply) if one["key"] == artifact_key("arrivals", str(tmp_path / "lake"))]
     tables = [json.loads(one["data"]) for one in sorted(artifacts, key=lambda one: one["created"])]
@@ -659,7 +659,9 @@ def test_a_deployment_is_asked_once_for_what_was_found(prefect: PrefectServer, t
     assert back["report"]["run"] not in cancelled["runs"], "the run that the request once gave has ended"
     assert [kind for kind, _ in ends] == ["FAILED", "COMPLETED"], "once a day"
     assert ends[0][1].startswith("1 scans incomplete for more than a day: scannet/scene0002_00: ")
-    assert refused == "--deployment: replicate/nothing: the Prefect server does not know it; metascenes deploy sets it up"
+    assert (
+        refused == "--deployment: replicate/nothing: the Prefect server does not know it; metascenes deploy sets up replicate/backfill-lake"
+    )
 
 
 def command(scans: Path, lake: str, *options: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -711,7 +713,7 @@ def test_without_a_deployment_the_flow_computes_by_itself(prefect: PrefectServer
     scans = write_scans(tmp_path / "scans", 2)
     mesh = scans / "scene0001_00" / "scene0001_00_vh_clean_2.ply"
     mesh.write_bytes(mesh.read_bytes().replace(b"element vertex", b"element broken", 1))
-    environment = os.environ | {"PREFECT_API_URL": prefect.url, "PREFECT_HOME": str(tmp_path / "home")}
+    environment = os.environ | {**prefect.access, "PREFECT_HOME": str(tmp_path / "home")}
     said = []
     for _ in range(2):
         line = [sys.executable, "-c", _HERE, str(scans), lake.address]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,6 +25,7 @@ NOTIFY = "METASCENES_NOTIFY_URL"
 @click.option("--scans", envvar="METASCENES_SCANS", required=True, metavar="ADDRESS", help="Folder of scans, or s3://bucket/prefix.")
 @links_option
 @lake_option
+@click.option("--name", envvar="METASCENES_NAME", metavar="NAME", help="The lake's name on the server; by default its folder's.")
 @click.option("--out", envvar="METASCENES_OUT", metavar="FOLDER", help="Folder for report and exports; by default ./metascenes.")
 @click.option("--timezone", envvar="METASCENES_TIMEZONE", default="UTC", show_default=True, help="Time zone, as in Europe/Berlin.")
 @click.option("--nightly", envvar="METASCENES_NIGHTLY", default="0 1 * * *", show_default=True, metavar="CRON", help="Nightly run.")
@@ -43,15 +45,16 @@ NOTIFY = "METASCENES_NOTIFY_URL"
 @click.option("--dry-run", is_flag=True, help="Say what would be set up; change nothing, start nothing.")
 @json_option
 def command(
-    scans: str, links_into: tuple[str, ...], address: str, out: str | None,
-    timezone: str, nightly: str, watch: str, weekly: str, pool: str, gpu_slots: int | None,
-    vlm_per_second: float | None, runs_at_once: int | None, notify_env: str | None, no_notify: bool, local: bool, host: str, port: int,
-    dry_run: bool, as_json: bool,
+    scans: str, links_into: tuple[str, ...], address: str, name: str | None, out: str | None, timezone: str, nightly: str, watch: str,
+    weekly: str, pool: str, gpu_slots: int | None, vlm_per_second: float | None, runs_at_once: int | None, notify_env: str | None,
+    no_notify: bool, local: bool, host: str, port: int, dry_run: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Set up a nightly run, backfill, watch, statistics, release, export and upkeep on the server that PREFECT_API_URL names.
 
     Doing it again changes what is different. With --local, a server, which listens on this machine alone, and a worker are
-    started for as long as the command runs, and end with it.
+    started for as long as the command runs, and end with it. The server wants a token, which lies in a file that only you read.
+
+    A server may keep several lakes: the names of a lake's deployments end with its own.
 
     Failures are sent to a webhook (Slack's, or anything that takes a POST). Its address is a secret, so that it is read from
     an environment variable, and kept in a block of the server.
@@ -66,6 +69,7 @@ def command(
         _whole(scans),
         _whole(address),
         _whole(out or "metascenes"),
+        name=name or "",
         pool=pool,
         timezone=timezone,
         nightly=nightly,
@@ -80,21 +84,37 @@ def command(
     limits = {"gpu_slots": gpu_slots, "vlm_per_second": vlm_per_second, "runs_at_once": runs_at_once}
     if not local:
         _tell(_set_up(schedule, limits, notify_env, no_notify), as_json)
+        _tell_others(schedule)
         return
+    from flows.access import CLIENT_TOKEN, SERVER_TOKEN, kept_token, token_file
     from flows.services import first_to_end, server, worker
 
     print("starting a Prefect server", file=sys.stderr)
-    with server(host, port) as (api, served):
-        os.environ["PREFECT_API_URL"] = api
+    told = os.environ.get(SERVER_TOKEN)
+    token = told or kept_token(port)
+    with server(token, host, port) as (api, served):
+        os.environ |= {"PREFECT_API_URL": api, CLIENT_TOKEN: token}
         items = _set_up(schedule, limits, notify_env, no_notify)
         with worker(pool, api) as working:
             _tell(items, as_json)
-            print(f"UI       {api.removesuffix('/api')}", file=sys.stderr)
-            print(f"run now  PREFECT_API_URL={api} prefect deployment run replicate/nightly --param settle_seconds=0", file=sys.stderr)
+            _tell_others(schedule)
+            shown = f'"${SERVER_TOKEN}"' if told else f'"$(cat {shlex.quote(str(token_file(port)))})"'
+            trigger = f"prefect deployment run replicate/nightly-{schedule.name} --param settle_seconds=0"
+            print(f"UI       {api.removesuffix('/api')}, which asks for the token: echo {shown}", file=sys.stderr)
+            print(f"run now  PREFECT_API_URL={api} {CLIENT_TOKEN}={shown} {trigger}", file=sys.stderr)
             print("end      Ctrl-C", file=sys.stderr, flush=True)
             ended = first_to_end({"Prefect server": served, "worker": working})
             print(f"metascenes: the {ended} ended; give the command again", file=sys.stderr, flush=True)
     raise click.exceptions.Exit(1)
+
+
+def _tell_others(schedule: Schedule) -> None:
+    """Other lakes that the server keeps, so that nobody wonders who computes."""
+    from flows.deployments import others
+
+    for lake, names in sorted(others(schedule).items()):
+        of = "this lake, too" if lake == schedule.lake.rstrip("/") else lake
+        print(f"also     {', '.join(sorted(names))}: {of}; `prefect deployment delete` removes one", file=sys.stderr)
 
 
 def _whole(address: str) -> str:
@@ -103,8 +123,10 @@ def _whole(address: str) -> str:
 
 
 def _set_up(schedule: Schedule, limits: Mapping[str, Any], notify_env: str | None, no_notify: bool) -> list[Item]:
+    from flows.access import take_token
     from flows.services import NO_TELEMETRY
 
+    take_token(os.environ.get("PREFECT_API_URL", ""))
     for name, value in NO_TELEMETRY.items():
         os.environ.setdefault(name, value)
     loud = os.environ.get("PREFECT_LOGGING_LEVEL")
@@ -113,15 +135,21 @@ def _set_up(schedule: Schedule, limits: Mapping[str, Any], notify_env: str | Non
 
     from flows.deployments import set_up
     from flows.notifications import find_lost_runs, notify, silence
+    from flows.server import is_of_server, why_not
+    from schemas.errors import LakeError
 
     if loud is None:
         del os.environ["PREFECT_LOGGING_LEVEL"]
-    items = set_up(schedule, **limits)
-    items.append(find_lost_runs())
-    if notify_env:
-        items += notify(notify_env)
-    if no_notify:
-        items += silence()
+    try:
+        items = [*set_up(schedule, **limits), find_lost_runs()]
+        if notify_env:
+            items += notify(notify_env)
+        if no_notify:
+            items += silence()
+    except Exception as error:
+        if is_of_server(error) and not isinstance(error, LakeError):
+            raise LakeError(why_not(os.environ.get("PREFECT_API_URL", "PREFECT_API_URL"), error)) from error
+        raise
     return items
 
 
@@ -144,7 +172,7 @@ def _tell_plan(schedule: Schedule, notify_env: str | None, as_json: bool) -> Non
     for entry in entries:
         crons = ", ".join(f"{each['cron']} {each['timezone']}" for each in entry.get("schedules", ()))
         when = crons or ("after the nightly run" if entry.get("triggers") else "by hand")
-        print(f"would set up  {entry['name']:<10}  {when:<28}  {entry['entrypoint']}")
+        print(f"would set up  {entry['name']:<{10 + len(schedule.name)}}  {when:<28}  {entry['entrypoint']}")
     print(
         f"in the work pool {schedule.pool}; {f'failures go to the webhook in {notify_env}' if notify_env else 'nobody is told of failures'}"
     )

@@ -102,10 +102,11 @@ def carry_out(plan: Plan, store: Lake, **parameters: Any) -> RunReport:
         return report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
     from flows.progress import Progress, listen
     from flows.report import RunReport, kept
-    from flows.server import prefect_server
+    from flows.server import is_of_server, prefect_server, why_not
+    from schemas.errors import LakeError
 
     steps = sum(len(scene.todo) for scene in plan.scenes)
-    with Progress("stages", steps) as progress, prefect_server():
+    with Progress("stages", steps) as progress, prefect_server() as api:
         listen(progress)
         kept()
         try:
@@ -123,6 +124,8 @@ def carry_out(plan: Plan, store: Lake, **parameters: Any) -> RunReport:
             print(f"note: Prefect's server does not know how the run ended ({type(found).__name__}); the lake does", file=sys.stderr)
         return report
     assert isinstance(found, BaseException)
+    if is_of_server(found):
+        raise LakeError(why_not(api, found)) from found
     raise found
 
 

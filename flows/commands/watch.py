@@ -103,12 +103,16 @@ class _Watcher:
 
     def _asked(self, found: Look, lake: Lake, deployment: str) -> WatchReport:
         """Ask a deployment for what is due."""
+        from flows.access import take_token
         from flows.arrivals import request_key, watch_report
-        from flows.server import QUIET
+        from flows.server import QUIET, check_server
 
         for name, value in QUIET.items():
             if "LOGGING" not in name:
                 os.environ.setdefault(name, value)
+        api = os.environ["PREFECT_API_URL"]
+        take_token(api)
+        check_server(api)
         from flows.watch import MAX_SCANS, ask, is_over, request
 
         due = found.due(is_over)[:MAX_SCANS]

@@ -16,7 +16,7 @@ def task_runner(name: str, workers: int, dask_address: str | None = None) -> Any
     """A task runner that is not started yet.
 
     `pool`: threads of this process, which wait for one process pool. `processes`: Prefect's own. `dask`: a cluster on this
-    machine, reachable from it alone, or the one at `dask_address`. `ray`: Ray on this machine, or as RAY_ADDRESS says.
+    machine, which takes orders from this process alone, or the one at `dask_address`. `ray`: Ray on this machine, or as RAY_ADDRESS says.
 
     Raises:
         InputError: there is no such runner, or its package is not installed.
@@ -63,10 +63,12 @@ def _dask(workers: int, address: str | None) -> Any:
     logging.getLogger("distributed").setLevel(logging.WARNING)
     # A task whose worker died comes back to the coordinator, which knows what of it is finished; Dask would do all of it again.
     dask.config.set({"distributed.scheduler.allowed-failures": 0})
+    dask.config.set({"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []})  # no pages for everybody
     cluster = {
         "n_workers": workers,
         "threads_per_worker": 1,
         "host": "127.0.0.1",
+        "security": True,  # certificates made for it: a scheduler does what everybody who reaches its port says
         "dashboard_address": "127.0.0.1:0",
         "silence_logs": "WARNING",
     }

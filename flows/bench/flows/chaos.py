@@ -37,9 +37,9 @@ _STUBBORN = 10
 
 
 class Service(Protocol):
-    """A server that can be killed and started again, on the same port and data."""
+    """A server that can be killed and started again, on the same port and data. `access` are the variables that lead to it."""
 
-    url: str
+    access: dict[str, str]
 
     def start(self) -> None:
         """Start it and wait until it answers."""
@@ -117,7 +117,7 @@ class _Upset:
     ) -> None:  # fmt: skip
         self._lake, self._folder, self._services, self._rng, self._pauses = folder / "lake", folder, services, rng, pauses
         self._command = command_of(runner, scans, self._lake, workers, settings)
-        self._environment = {**surroundings(folder), "PREFECT_API_URL": services["server"].url, "PYTHONUNBUFFERED": "1"}
+        self._environment = {**surroundings(folder), **services["server"].access, "PYTHONUNBUFFERED": "1"}
         self._wanted, self._targets = kills, targets
         self._begun = time.monotonic()
         self._finished: Finished = {}

@@ -178,7 +178,7 @@ def _sharing(config: FlowsBench, folder: Path) -> Sharing:
     scans = small_scans(folder, config.shared_scenes, config.seed)
     undisturbed = _undisturbed(scans, folder, config.workers)
     with plain_server(folder / "server") as server:
-        return shared_runs(scans, folder / "sharing", undisturbed, server.url)
+        return shared_runs(scans, folder / "sharing", undisturbed, server.access)
 
 
 def _chaos(config: FlowsBench, folder: Path) -> Chaos:

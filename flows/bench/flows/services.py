@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+from flows.access import CLIENT_TOKEN, SERVER_TOKEN, new_token
 from flows.bench.flows.runs import surroundings
 from flows.server import QUIET, is_healthy
 from schemas.errors import InputError, LakeError
@@ -35,6 +36,7 @@ class Process(abc.ABC):
     url = ""
 
     def __init__(self, name: str, folder: Path) -> None:
+        self.access: dict[str, str] = {}
         self.name, self.port = name, _free_port()
         self._log = folder / f"{name}.log"
         self._process: subprocess.Popen[bytes] | None = None
@@ -111,13 +113,18 @@ class Database(Process):
 
 
 class Server(Process):
-    """A Prefect server on a database, its own SQLite file unless one is given; `url` is what PREFECT_API_URL wants."""
+    """A Prefect server on a database, its own SQLite file unless one is given.
+
+    `access` are the variables that lead to it: its address and its token.
+    """
 
     def __init__(self, folder: Path, database: str | None = None) -> None:
         super().__init__("prefect", folder)
         self.url = f"http://127.0.0.1:{self.port}/api"
         named = {"PREFECT_API_DATABASE_CONNECTION_URL": database} if database else {}
-        self._environment = {**surroundings(folder), **QUIET, **named}
+        token = new_token()
+        self.access = {"PREFECT_API_URL": self.url, CLIENT_TOKEN: token}
+        self._environment = {**surroundings(folder), **QUIET, **named, SERVER_TOKEN: token}
 
     def answers(self) -> bool:
         """Whether the API says that it is well."""
@@ -128,7 +135,7 @@ class Server(Process):
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.bind(("127.0.0.1", self.port))
             listener.listen(128)
-            command = [sys.executable, "-m", "flows.server", str(listener.fileno()), str(os.getpid())]
+            command = [sys.executable, "-m", "flows.server", "--socket", str(listener.fileno()), "--follow", str(os.getpid())]
             return subprocess.Popen(
                 command, env=self._environment, pass_fds=[listener.fileno()], stdin=subprocess.DEVNULL, stdout=log, stderr=log
             )

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,19 +35,19 @@ class Sharing:
 
 
 def shared_runs(
-    scans: Path, folder: Path, undisturbed: Lake, server: str, *, workers: int = 1, runners: Sequence[str] = ("pool", "pool"),
+    scans: Path, folder: Path, undisturbed: Lake, server: Mapping[str, str], *, workers: int = 1, runners: Sequence[str] = ("pool", "pool"),
     settings: Sequence[str] = SETTINGS,
 ) -> Sharing:  # fmt: skip
     """Start two runs at once, the first over all scenes but the last third, the second over all but the first third.
 
-    Both tell the Prefect server at the address `server`.
+    Both tell the Prefect server to which the variables `server` lead.
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = sorted(path.name for path in scans.iterdir() if path.is_dir())
     third = len(names) // 3
     parts = [names[: len(names) - third], names[third:]]
     begun = time.monotonic()
-    environment = {**surroundings(folder), "PREFECT_API_URL": server}
+    environment = {**surroundings(folder), **server}
     processes = []
     for number, (runner, part) in enumerate(zip(runners, parts, strict=True), 1):
         command = [*command_of(runner, scans, folder / "lake", workers, settings), "--first", f"scannet/{part[0]}", "--last",

@@ -67,7 +67,7 @@ def of_two_configs(seed: int, kills: int, folder: Path, peace: Path) -> Batch:
     lake = folder / "lake"
     commands = [command_of("pool", scans, lake, 1, settings) for settings in (SETTINGS, OTHER_SETTINGS)]
     with plain_server(folder / "server") as server:
-        environment = {**surroundings(folder), "PREFECT_API_URL": server.url}
+        environment = {**surroundings(folder), **server.access}
         codes = _met(commands, environment, folder, batch, rng, kills)
         if codes == [0, 0]:
             found = Lake.open(lake)
