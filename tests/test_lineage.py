@@ -111,7 +111,8 @@ def test_the_story_of_every_object_is_what_sql_says(lake: Lake) -> None:
         SELECT p.*, i.category, i.raw_label, i.best_frames, s.scan_path, a.source, l.license, a.provider AS asset_provider, c.sentence,
                list_filter(r.reasons, lambda x: x LIKE 'scan=%')[1] AS scan_part
         FROM placements p JOIN instances i USING (scene_id, instance_id) JOIN scenes s USING (scene_id) JOIN assets a USING (asset_id)
-        JOIN asset_licenses l USING (asset_id) JOIN captions c USING (scene_id, instance_id) JOIN current_runs r ON r.scene_id = p.scene_id AND r.stage = 'capture'
+        JOIN asset_licenses l USING (asset_id) JOIN captions c USING (scene_id, instance_id)
+        JOIN current_runs r ON r.scene_id = p.scene_id AND r.stage = 'capture'
         """,
     )
     assert {row["origin"] for row in rows} == {"annotation", "selection"}

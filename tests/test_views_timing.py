@@ -97,8 +97,8 @@ def test_runs_and_times_agree_with_the_history_of_the_lake(database: Database, h
 def test_scenes_of_batches_are_counted_once_and_runs_as_they_are(database: Database) -> None:
     batches = {"expert": SCENES[:2], "chance": SCENES[:2], "gone": (), "answers": SCENES[1:]}
     stages = {"expert": "evaluation", "chance": "evaluation", "gone": "evaluation", "answers": "annotation"}
-    rows: list[Any] = [stage_run(name, stages[name], fingerprint(name), host=f"{name[0]}:1") for name in batches]
-    rows += [stage_run(scene, "capture", fingerprint(scene)) for scene in SCENES]
+    rows: list[Any] = [stage_run(name, stages[name], fingerprint(name), host=f"{name[0]}:1", degradations=("lost",)) for name in batches]
+    rows += [stage_run(scene, "capture", fingerprint(scene), degradations=("too dark",)) for scene in SCENES]
     for name, about in batches.items():
         kind, more = (Annotation, {"choice": None}) if name == "answers" else (Trajectory, {})
         key = "episode_id" if kind is Trajectory else "instance_id"
@@ -112,3 +112,5 @@ def test_scenes_of_batches_are_counted_once_and_runs_as_they_are(database: Datab
     assert {key: (row["scenes"], row["runs"]) for key, row in hosts.items() if key[1] == "evaluation"} == {
         ("e", "evaluation"): (2, 1), ("c", "evaluation"): (2, 1), ("g", "evaluation"): (0, 1),
     }  # fmt: skip
+    told = {(row["stage"], row["degradation"]): (row["times"], row["scenes"]) for row in database.ask("degradation_counts")}
+    assert told == {("capture", "too dark"): (3, 3), ("evaluation", "lost"): (3, 0), ("annotation", "lost"): (1, 0)}
