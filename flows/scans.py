@@ -6,6 +6,7 @@ import datetime
 import fnmatch
 import os
 import time
+import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -153,7 +154,8 @@ def chosen(
 
     Args:
         scans: Scans that were found.
-        scenes: Scene ids or shell patterns; without a slash they speak of the scan's name. Any of them suffices; none: all.
+        scenes: Scene ids or shell patterns; without a slash they speak of the scan's name, as in the id or as its folder has
+            it. Any of them suffices; none: all.
         first: First scene id of a range, included; ids are compared as texts, names of scans where there is no slash.
         last: Last scene id of a range, included.
         since: Day or time (ISO 8601, UTC unless it says otherwise) from which on the scan arrived, included. A scan arrives
@@ -163,9 +165,10 @@ def chosen(
     Raises:
         InputError: a pattern that no scan meets, a range whose end is before its start, no date.
     """
+    scenes = [unicodedata.normalize("NFC", scene) for scene in scenes]
     exact = {scene for scene in scenes if not _is_pattern(scene)}
     patterns = [scene for scene in scenes if _is_pattern(scene)]
-    names = {name for scan in scans for name in (scan.scene_id, _as_in(scan, ""))}
+    names = {name for scan in scans for name in _names(scan)}
     for pattern in scenes:
         if pattern not in names and not (pattern in patterns and any(_matches(scan, pattern) for scan in scans)):
             known = ", ".join(scan.scene_id for scan in scans[:3]) + (", ..." if len(scans) > 3 else "")
@@ -177,7 +180,7 @@ def chosen(
         raise InputError("--since", str(since), f"is after --until {until}", "swap them")
     tests: list[Callable[[Scan], bool]] = []
     if scenes:
-        tests.append(lambda scan: not exact.isdisjoint((scan.scene_id, _as_in(scan, ""))) or any(_matches(scan, p) for p in patterns))
+        tests.append(lambda scan: not exact.isdisjoint(_names(scan)) or any(_matches(scan, p) for p in patterns))
     if first is not None:
         tests.append(lambda scan: _as_in(scan, first) >= first)
     if last is not None:
@@ -232,7 +235,12 @@ def _is_pattern(text: str) -> bool:
 
 
 def _matches(scan: Scan, pattern: str) -> bool:
-    return fnmatch.fnmatchcase(_as_in(scan, pattern), pattern)
+    return any(fnmatch.fnmatchcase(name, pattern) for name in _names(scan) if ("/" in name) == ("/" in pattern))
+
+
+def _names(scan: Scan) -> tuple[str, ...]:
+    """What a scan is called: its scene id, the scan's part of it, and its name where it lies."""
+    return scan.scene_id, _as_in(scan, ""), unicodedata.normalize("NFC", scan.scan)
 
 
 def _as_in(scan: Scan, text: str) -> str:

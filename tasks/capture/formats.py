@@ -11,6 +11,7 @@ from schemas.errors import InputError
 from schemas.files import stays_in
 from tasks.capture.layout import frame_layout, is_framed, leads_up, scannet_layout
 from tasks.capture.premises import REMEDY, Premises, stores
+from tasks.words import plain_word
 
 FORMATS = ("scannet", "posed_rgbd", "glb")
 """Formats that are read, in the order in which they are looked for."""
@@ -48,8 +49,8 @@ class Scan:
 
     @property
     def scene_id(self) -> str:
-        """`<dataset>/<scan>`, both reduced to what a scene id may hold."""
-        return f"{_word(self.dataset).lower()}/{_word(self.scan)}"
+        """`<dataset>/<scan>`, both as plain words."""
+        return f"{plain_word(self.dataset).lower()}/{plain_word(self.scan)}"
 
     @property
     def room_id(self) -> str:
@@ -87,6 +88,10 @@ def find_scans(
     found, errors = _search(folder, _Search(wanted, dataset, root), depth=0)
     by_scene: dict[str, list[Scan]] = {}
     for scan in _once(found):
+        if not _is_text(scan.path.as_posix()):
+            shown = _below(scan.path, folder).encode("utf-8", "backslashreplace").decode()
+            errors.append(InputError(shown, "name", "is no UTF-8", "rename the folder or file"))
+            continue
         by_scene.setdefault(scan.scene_id, []).append(scan)
     scans = []
     for scene_id, same in sorted(by_scene.items()):
@@ -131,6 +136,9 @@ def survey(scan: Scan) -> tuple[list[Path], str]:
     elif scan.format == "glb":
         files = [glb_file(scan)]
     license_file = license_path(folder, premises)
+    if odd := [path.name for path in files if not _is_text(path.name)]:
+        shown = odd[0].encode("utf-8", "backslashreplace").decode()
+        raise InputError(f"{folder.name}/{shown}", "name", "is no UTF-8", "rename the file")
     return sorted({*files, *([license_file] if license_file else [])}), premises.note(folder)
 
 
@@ -258,12 +266,17 @@ def _glbs(folder: Path) -> list[Path]:
     return sorted(path for path in named if not path.is_dir())
 
 
-def _word(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.-]+", "_", text).lstrip("_.-") or "scan"
-
-
 def _expected(wanted: tuple[str, ...]) -> str:
     return "; or ".join(_EXPECTED[format] for format in wanted)
+
+
+def _is_text(name: str) -> bool:
+    """Whether a name can be kept in tables: one whose bytes are no UTF-8 cannot."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _below(path: Path, folder: Path) -> str:

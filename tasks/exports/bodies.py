@@ -22,6 +22,7 @@ from tasks.mass import MassProperties
 from tasks.meshes import load_glb
 from tasks.pieces import Hull, Method, asset_pieces
 from tasks.transforms import is_rigid, matrix
+from tasks.words import latin
 
 if TYPE_CHECKING:
     import trimesh
@@ -107,7 +108,7 @@ def digest(text: str, length: int = 6) -> str:
 
 def identifier(text: str) -> str:
     """A text as a name that USD and file systems accept: letters, digits, underscores; begins with a letter."""
-    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "thing"
+    name = re.sub(r"[^A-Za-z0-9]+", "_", latin(text)).strip("_") or "thing"
     return name if name[0].isalpha() else f"n_{name}"
 
 
