@@ -177,6 +177,7 @@ OPENERS = {"read_text", "read_bytes", "load_mesh", "ZipFile", "from_xml_path"}
 OWN = {
     "schemas/files.py": "the one place",
     "flows/bounds.py": "the null device",
+    "flows/access.py": "tokens of servers of this machine, in files of our own",
     "flows/commands/sql.py": "the answer that is written, and /proc",
     "flows/demo.py": "what the demo wrote",
     "flows/deployments.py": "prefect.yaml of the package",
