@@ -23,9 +23,10 @@ from flows.bench.flows.chaos import Chaos, Kill, _is_said
 from flows.bench.flows.overhead import speed_up
 from flows.bench.flows.report import FlowsBench, added_share, goals, real_share, steps_of
 from flows.bench.flows.runs import PLAIN, Figures, Sample, Samples, command_of, figures_of, measured_run, sampled, surroundings
+from flows.bench.flows.scale import ScaleBench, exponents, run_scale_bench
 from flows.bench.flows.sharing import Sharing
-from flows.bench.flows.small_scenes import SETTINGS, write_small_scans
-from flows.bench.flows.tables import print_flows
+from flows.bench.flows.small_scenes import SETTINGS, write_crowded_scan, write_small_scans
+from flows.bench.flows.tables import print_flows, print_scale
 from flows.bench.flows.verdicts import Verdict
 from flows.commands.bench import command
 from flows.configuration import configure
@@ -264,3 +265,39 @@ def test_the_benchmark_runs_as_a_command(tmp_path: Path) -> None:
     assert [one["runner"] for one in report["overhead"]] == [PLAIN, "pool"]
     assert [one["met"] for one in report["goals"] if re.match("two runs at once", one["goal"])] == [True] * 3
     assert min(report["startup"].values()) > 0
+
+
+def test_a_crowded_hall_is_a_scan_with_so_many_things(tmp_path: Path) -> None:
+    for things in (1, 5, 30):
+        found, unusable = find_scans(write_crowded_scan(tmp_path / str(things), things))
+        assert (len(found), unusable) == (1, [])
+        groups = json.loads((tmp_path / str(things) / "scene0000_00" / "scene0000_00.aggregation.json").read_text())["segGroups"]
+        assert len(groups) == things + 6
+
+
+def sizes(power: float, *counts: int) -> list[dict[str, object]]:
+    return [{"size": n, "stages": {"steep": {"cpu_seconds": 1e-4 * n**power}, "short": {"cpu_seconds": 1e-6 * n**3}}} for n in counts]
+
+
+@given(power=st.floats(1.5, 3))
+def test_the_power_that_seconds_grow_with_is_found(power: float) -> None:
+    assert exponents(sizes(power, 30, 100, 300)) == {"steep": pytest.approx(power), "short": pytest.approx(3)}
+    assert exponents(sizes(power, 30, 300)) == {}, "two sizes make any line"
+    assert exponents(sizes(power, 5, 10, 30)) == {} or power > 2
+
+
+@pytest.mark.timeout(600)
+def test_scale_is_measured_by_stage(tmp_path: Path) -> None:
+    report = run_scale_bench(ScaleBench(things=(2,), scenes=(1, 2)), folder=tmp_path)
+    for what, counts in (("things", (2,)), ("scenes", (1, 2))):
+        assert tuple(one["size"] for one in report[what]["sizes"]) == counts
+        for one in report[what]["sizes"]:
+            assert set(one["stages"]) == {"plan", "commit", "plan again", *(stage.name for stage in SCENE_STAGES)}
+            assert all(part["cpu_seconds"] > 0 and 50 < part["memory_mb"] < 4000 for part in one["stages"].values())
+        assert report[what]["exponents"] == {}
+    assert (report["steep"], report["goals"][0]["met"]) == ([], True)
+    shown = io.StringIO()
+    print_scale(report | {"steep": ["things: navigation"]}, Console(file=shown, width=160))
+    assert "grows faster than linearly: things: navigation" in shown.getvalue()
+    assert CliRunner().invoke(command, ["scale", "--things", "x"]).exit_code == 2
+    assert list(tmp_path.iterdir()) == []

@@ -433,3 +433,30 @@ def test_actions_squeeze_through_a_gap_that_greedy_steps_run_into() -> None:
         assert done.collisions == 0
         assert float(field.distances(done.poses[-1, :2])[0]) <= 0.1875
         assert done.length <= 1.5 * field.path((0.4, 3.3)).length
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sights_by_a_grid_of_edges_are_those_of_looking_at_every_edge(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between corners, along edges, out of the room: a hall with a hundred obstacles, some of them in line with each other."""
+    from tasks.navigation import visibility
+
+    rng = np.random.default_rng(seed)
+    places = [(1.2 * i + 0.3 + j * 0.01 * (seed % 2), 1.2 * j + 0.3) for i in range(10) for j in range(10)]
+    things = [
+        shapely.box(x, y, x + 0.6, y + 0.5) if rng.random() < 0.7 else shapely.Point(x, y).buffer(0.3, quad_segs=3) for x, y in places
+    ]
+    hall = max(shapely.get_parts(shapely.box(0, 0, 12.5, 12.5).difference(shapely.union_all(things))), key=lambda part: part.area)
+    grid = visibility.boundary_of([hall])
+    assert len(grid.starts) > visibility._FEW
+    assert len(grid.corners[-2]) > 100, "there are many cells"
+    monkeypatch.setattr(visibility, "_FEW", len(grid.starts))
+    plain = visibility.boundary_of([hall])
+    assert len(plain.corners[-2]) == 2, "there is one cell"
+    points = np.concatenate([grid.starts, rng.uniform(-1, 13.5, (200, 2))])
+    starts, ends = points[rng.integers(len(points), size=(2, 4000))]
+    seen = visibility.clear(plain, starts, ends)
+    assert 50 < seen.sum() < 3950
+    assert np.array_equal(visibility.clear(grid, starts, ends), seen)
+    for start, end in zip(starts[:300], ends[:300], strict=True):
+        assert visibility.clear_length(grid, start, end) == visibility.clear_length(plain, start, end)
+        assert visibility.first_clear(grid, start, ends[:40]) == visibility.first_clear(plain, start, ends[:40])

@@ -171,17 +171,39 @@ def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_
     from flows.bench.flows.tables import print_flows
     from flows.progress import Progress
 
-    numbers = _words(scenes)
-    if not numbers or not all(word.isdigit() and int(word) for word in numbers):
-        raise click.BadParameter(f"{scenes!r} is no list of numbers from 1", param_hint="--scenes")
     config = FlowsBench(
-        scenes=tuple(map(int, numbers)), runners=_chosen(runners, RUNNERS, "--runners"), workers=workers, seed=seed,
+        scenes=_numbers(scenes, "--scenes"), runners=_chosen(runners, RUNNERS, "--runners"), workers=workers, seed=seed,
         parts=_chosen(parts, PARTS, "--parts"), speed_scenes=speed_scenes, speed_rooms=speed_rooms,
         chaos_scenes=chaos_scenes, kills=kills,
     )  # fmt: skip
     with Progress("measured", steps_of(config)) as progress:
         report = run_flows_bench(config, progress.advance)
     _tell(report, print_flows, as_json)
+
+
+@command.command("scale")
+@click.option("--things", default="100,300,1000", show_default=True, help="Numbers of things in one scene, with commas between.")
+@click.option("--scenes", default="30,100,300", show_default=True, help="Numbers of near-empty scenes, with commas between.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same scenes.")
+@json_option
+def scale(things: str, scenes: str, seed: int, as_json: bool) -> None:
+    """Measure what grows with the things of a scene and with the number of scenes: seconds and memory of every stage.
+
+    With three sizes or more, the power of the size is told that a stage's processor seconds grow with. Every stage does its own work,
+    on little, as in `metascenes bench flows`; a thousand things take about ten minutes of a processor.
+
+    The exit code is 1 when something grows faster than linearly, 2 when a size did not go through, and else 0.
+
+    Example: metascenes bench scale --things 10,30,100 --scenes 3,10,30
+    """
+    from flows.bench.flows.scale import ScaleBench, run_scale_bench
+    from flows.bench.flows.tables import print_scale
+    from flows.progress import Progress
+
+    config = ScaleBench(_numbers(things, "--things"), _numbers(scenes, "--scenes"), seed)
+    with Progress("measured", len(config.things) + len(config.scenes)) as progress:
+        report = run_scale_bench(config, progress.advance)
+    _tell(report, print_scale, as_json)
 
 
 @command.command("chaos")
@@ -212,6 +234,14 @@ def chaos(kills: int, minutes: float, seed: int, kinds: str, folder: Path, as_js
     with Progress("kills", kills) as progress:
         report = run_campaign(Campaign(folder, kills, minutes, seed, _chosen(kinds, KINDS, "--kinds")), progress.advance)
     _tell(report, print_campaign, as_json)
+
+
+def _numbers(text: str, option: str) -> tuple[int, ...]:
+    """Numbers from 1 with commas between."""
+    words = _words(text)
+    if not words or not all(word.isdigit() and int(word) for word in words):
+        raise click.BadParameter(f"{text!r} is no list of numbers from 1", param_hint=option)
+    return tuple(map(int, words))
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +41,15 @@ class RouteSampler:
     def __init__(self, target: Target, finder: PathFinder, config: NavigationConfig) -> None:
         self.target, self.least_m, self.rejected = target, config.min_geodesic_m, Counter[str]()
         self._finder, self._config = finder, config
-        self._nearest = finder.field(target.view_points)
         self._fields: dict[int, DistanceField] = {}
         self._islands = np.unique(target.islands)
         areas = np.array([finder.islands[i] for i in self._islands])
         self._shares = areas / areas.sum()
+
+    @cached_property
+    def _nearest(self) -> DistanceField:
+        """Distances to the nearest view point: only of targets that are drawn, for it looks at the whole floor."""
+        return self._finder.field(self.target.view_points)
 
     def draw(self, rng: np.random.Generator) -> Route | None:
         """A route; None when neither the limit nor any of its halves left one."""

@@ -5,6 +5,7 @@ All seven stages together take about half a second of one warm core, so that wha
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from tasks.meshes import Surface
 
 Array = NDArray[np.float64]
+
+Part = tuple[str, list[tuple[Array, NDArray[np.int64]]], tuple[int, int, int]]
+"""A label, its patches (vertices (n, 3), faces (m, 3)), and its color."""
 
 SETTINGS = (
     "capture.max_points=2000",
@@ -33,6 +37,7 @@ SETTINGS = (
 
 _STEP = 0.2  # distance of the room's vertices [m]
 _FINE = 0.1  # of a thing's: coarser, there are too few points to close a crop of it
+_AISLE = 1.2  # from thing to thing in a crowded hall: an agent passes between them [m]
 _THINGS = (("box", (150, 120, 80)), ("cabinet", (200, 200, 190)), ("nightstand", (120, 90, 60)), ("chest", (60, 60, 160)))
 
 
@@ -49,21 +54,50 @@ def write_small_scans(folder: Path, count: int, seed: int = 0, first: int = 0) -
     return folder
 
 
-def _write_scan(folder: Path, scan: str, rng: np.random.Generator) -> None:
-    """A room from which one thing is seen, as ScanNet lays it out, without frames."""
-    from tasks.scanner import ScannerConfig
-    from tasks.scanner.folder import LICENSE, write_aggregation, write_mesh, write_metadata, write_segments
+def write_crowded_scan(folder: Path, things: int, seed: int = 0) -> Path:
+    """One scan `scene0000_00` of a hall with so many things, below `folder`, which is returned: every third lies on another.
 
+    Raises:
+        FileExistsError: the scan is there already.
+    """
+    rng = np.random.default_rng([seed, things])
+    below = math.ceil(2 * things / 3)
+    side = math.ceil(math.sqrt(below))
+    parts: list[Part] = []
+    for index in range(below):
+        i, j = divmod(index, side)
+        kind, color = _THINGS[int(rng.integers(len(_THINGS)))]
+        size = rng.uniform((0.5, 0.45, 0.3), (0.8, 0.6, 0.6))
+        middle = np.array([_AISLE * (i + 0.75), _AISLE * (j + 0.75), size[2] / 2])
+        parts.append((kind, _box(middle, size), color))
+        if index % 2 == 0 and index // 2 < things - below:
+            top = rng.uniform((0.2, 0.2, 0.15), (0.3, 0.3, 0.3))
+            parts.append(("box", _box(middle + np.array([0, 0, (size[2] + top[2]) / 2]), top), _THINGS[0][1]))
+    room = np.array([_AISLE * (side + 0.5)] * 2 + [2.6])
+    _write(folder, "scene0000_00", room, parts)
+    return folder
+
+
+def _write_scan(folder: Path, scan: str, rng: np.random.Generator) -> None:
+    """A room from which one thing is seen."""
     room = np.array([*rng.uniform(2.8, 3.4, 2), 2.2])
     size = rng.uniform((0.4, 0.35, 0.3), (0.7, 0.5, 0.8))
     kind, color = _THINGS[int(rng.integers(len(_THINGS)))]
     middle = np.array([*(room[:2] / 2 + rng.uniform(-0.3, 0.3, 2)), size[2] / 2])
+    _write(folder, scan, room, [(kind, _box(middle, size), color)])
+
+
+def _write(folder: Path, scan: str, room: Array, things: list[Part]) -> None:
+    """A room of a size [m] with things in it, as ScanNet lays it out, without frames."""
+    from tasks.scanner import ScannerConfig
+    from tasks.scanner.folder import LICENSE, write_aggregation, write_mesh, write_metadata, write_segments
+
     x, y, z = np.diag(room)
     zero = np.zeros(3)
     walls = [(zero, x, z), (x, y, z), (x + y, -x, z), (y, -y, z)]
-    parts = [("floor", [_grid(zero, x, y)], (120, 100, 80)), ("ceiling", [_grid(z, y, x)], (240, 240, 240))]
+    parts: list[Part] = [("floor", [_grid(zero, x, y)], (120, 100, 80)), ("ceiling", [_grid(z, y, x)], (240, 240, 240))]
     parts += [("wall", [_grid(*wall)], (225, 220, 210)) for wall in walls]
-    parts += [(kind, _box(middle, size), color)]
+    parts += things
     config = ScannerConfig(frames="none", scene_type="Office")
     place = folder / scan
     place.mkdir(parents=True)
@@ -97,7 +131,7 @@ def _box(middle: Array, size: Array) -> list[tuple[Array, NDArray[np.int64]]]:
     return sides
 
 
-def _joined(parts: list[tuple[str, list[tuple[Array, NDArray[np.int64]]], tuple[int, int, int]]]) -> tuple[Surface, NDArray[np.int64]]:
+def _joined(parts: list[Part]) -> tuple[Surface, NDArray[np.int64]]:
     """One mesh of all parts, and the part that each vertex is of, shape (n,)."""
     vertices, faces, colors, segments = [], [], [], []
     offset = 0

@@ -33,6 +33,23 @@ def print_flows(report: Mapping[str, Any], console: Console) -> None:
     console.print(goals_table(report["goals"]))
 
 
+def print_scale(report: Mapping[str, Any], console: Console) -> None:
+    """Print what grows with things and with scenes."""
+    console.print(headline(report["machine"], report["seed"], 1))
+    for what, title in (("things", "one scene with so many things"), ("scenes", "so many near-empty scenes")):
+        sizes, powers = report[what]["sizes"], report[what]["exponents"]
+        columns = [(f"{one['size']:,}: cpu s", True) for one in sizes] + [(f"{one['size']:,}: MB", True) for one in sizes]
+        table = table_of(f"{title}: processor seconds, most memory, power of the size", ("stage", False), *columns, ("power", True))
+        for name in sizes[-1]["stages"]:
+            parts = [one["stages"].get(name, {"cpu_seconds": 0.0, "memory_mb": 0.0}) for one in sizes]
+            power = f"{powers[name]:.2f}" if name in powers else ""
+            add_row(table, name, *(f"{p['cpu_seconds']:.2f}" for p in parts), *(f"{p['memory_mb']:.0f}" for p in parts), power)
+        console.print(table)
+    for one in report["steep"]:
+        console.print(f"grows faster than linearly: {one}", markup=False)
+    console.print(goals_table(report["goals"]))
+
+
 def _print_overhead(report: Mapping[str, Any], console: Console) -> None:
     real = report["real"]
     mean = real["stage_seconds"] / real["stage_runs"]
