@@ -29,7 +29,7 @@ NEAR = 0.05
 
 _OTHER_TILE = 0x8000  # from here on a neighbor lies in another tile
 _TOUCHING = 1e-3  # metres in plan
-_NEIGHBORS, _AT_ONCE = 256, 256  # polygons that touch one in plan, on all floors; those that are asked about at once
+_NEIGHBORS, _AT_ONCE = 256, 16  # polygons that touch one in plan, on all floors; those that are asked about at once
 _FAR = 1e5  # metres: 32-bit numbers no longer tell centimetres apart there
 
 
@@ -124,9 +124,9 @@ def _across(polygons: list[NDArray[np.float64]]) -> list[tuple[int, int]]:
     tree, found = shapely.STRtree(flat), list[tuple[int, int]]()
     for start in range(0, len(flat), _AT_ONCE):
         near = tree.query(flat[start : start + _AT_ONCE], predicate="dwithin", distance=_TOUCHING)
-        found += [(start + int(a), int(b)) for a, b in near.T]
-        if len(found) > _NEIGHBORS * len(flat):
+        if near.shape[1] > _NEIGHBORS * _AT_ONCE:
             raise ValueError(f"has polygons that lie on one another, more than {_NEIGHBORS} on each")
+        found += [(start + int(a), int(b)) for a, b in near.T]
     return found
 
 
