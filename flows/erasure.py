@@ -15,6 +15,9 @@ from flows.fingerprints import cache_folder
 from schemas.record import BLOB_PATTERN
 from warehouse.erasure import Traces
 
+PICTURES = "pictures-"
+"""Folders of pictures that were drawn before: charts name scenes that never had a blob."""
+
 
 def erase_from_caches(traces: Traces, hashes: Collection[str], folder: Path | None = None) -> int:
     """Remove from the machine's caches what belongs to a scene; how many files and entries went.
@@ -28,7 +31,7 @@ def erase_from_caches(traces: Traces, hashes: Collection[str], folder: Path | No
     count = 0
     for path in sorted((root / "modules").glob("*/*")):
         is_blob = re.fullmatch(BLOB_PATTERN, path.name) is not None
-        if path.is_file() and (path.name.partition(".")[0] in gone if is_blob else bool(gone)):
+        if path.is_file() and (path.name.partition(".")[0] in gone if is_blob else bool(gone) or path.parent.name.startswith(PICTURES)):
             path.unlink(missing_ok=True)
             count += 1
     return count + _erase_mirrors(root / "scans", traces) + _erase_paths(root / "file_hashes.json", traces)

@@ -4,26 +4,42 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from types import TracebackType
 from typing import Any
 
 from schemas.text import shown
 
+LINE_SECONDS = 10.0
+"""Between two lines where there is no bar."""
+
 
 class Progress:
-    """A bar over (scene, stage) steps on standard error when that is a terminal; silent otherwise."""
+    """A bar over (scene, stage) steps on standard error when that is a terminal; silent otherwise.
 
-    def __init__(self, title: str, total: int, shown: bool | None = None) -> None:
+    `told`: where it is none, a line at the start, at the end and now and then between.
+    """
+
+    def __init__(self, title: str, total: int, shown: bool | None = None, told: bool = False) -> None:
         self._lock = threading.Lock()
         self._bar: Any = None
         self._title, self._total = title, total
         self._shown = sys.stderr.isatty() if shown is None else shown
+        self._told, self._done, self._said_at = told and not self._shown and total > 0, 0, 0.0
 
     def advance(self, text: str = "") -> None:
         """One step is over; `text` says which."""
+        with self._lock:
+            self._done += 1
+            if self._told and (self._done == self._total or time.monotonic() - self._said_at >= LINE_SECONDS):
+                self._tell(text)
         if self._bar is not None:
             with self._lock:
                 self._bar.update(self._task, advance=1, what=shown(text))
+
+    def _tell(self, text: str = "") -> None:
+        self._said_at = time.monotonic()
+        print(f"{self._title}: {self._done} of {self._total}{', ' if text else ''}{text}", file=sys.stderr, flush=True)
 
     def say(self, text: str) -> None:
         """A line above the bar; plain on standard error when there is none."""
@@ -33,6 +49,8 @@ class Progress:
             print(text, file=sys.stderr, flush=True)
 
     def __enter__(self) -> Progress:
+        if self._told:
+            self._tell()
         if self._shown and self._total:
             from rich.console import Console
             from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn

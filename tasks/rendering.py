@@ -130,18 +130,32 @@ class RayScene:
             hits["primitive_normals"][hit] = normal / np.where(length > 0, length, 1)
         return {name: values.reshape(*shape, *values.shape[1:]) for name, values in hits.items()}
 
-    def render(self, camera: Camera, background: tuple[int, int, int] = (255, 255, 255), shade: bool = True) -> View:
-        """Depth, part and color from a camera. `shade` darkens faces that turn away from the camera and from above."""
-        hits = self.cast(camera.rays())
+    def render(
+        self,
+        camera: Camera,
+        background: tuple[int, int, int] = (255, 255, 255),
+        shade: bool = True,
+        rays: NDArray[np.float32] | None = None,
+    ) -> View:
+        """Depth, part and color from a camera. `shade` darkens faces that turn away from the camera and from above.
+
+        `rays` are the camera's, where they are known already.
+        """
+        hits = self.cast(camera.rays() if rays is None else rays)
         depth = hits["t_hit"].astype(np.float32)
         seen = np.isfinite(depth)
         part = np.where(seen, hits["geometry_ids"].astype(np.int64), -1)
         color = np.empty((*depth.shape, 3), dtype=np.uint8)
         color[:] = background
-        face, bary = hits["primitive_ids"].astype(np.int64), hits["primitive_uvs"]
-        for index in np.flatnonzero(np.bincount(part[seen], minlength=1)):
-            where = part == index
-            color[where] = self._hit_colors(int(index), face[where], bary[where])
+        face, bary, painted = hits["primitive_ids"].reshape(-1), hits["primitive_uvs"].reshape(-1, 2), color.reshape(-1, 3)
+        hit = np.flatnonzero(seen)
+        kind = np.uint16 if len(self.parts) < 2**16 else np.uint32  # short numbers are sorted in one pass
+        hit = hit[np.argsort(hits["geometry_ids"].reshape(-1)[hit].astype(kind), kind="stable")]  # pixels part by part
+        ends = np.cumsum(np.bincount(part.reshape(-1)[hit], minlength=1))
+        for index, (start, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
+            if end > start:
+                where = hit[start:end]
+                painted[where] = self._hit_colors(index, face[where].astype(np.int64), bary[where])
         normal = hits["primitive_normals"].astype(np.float32)
         if shade:
             forward = camera.pose[:3, 2].astype(np.float32)

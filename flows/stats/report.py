@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,6 +121,7 @@ def _stage_timing(reader: Reader) -> pa.Table:
 
 def draw_charts(answers: Answers) -> list[Picture]:
     """All charts that have something to show, in the order of the report."""
+    from flows.stats.pictures import remembered
     from tasks.stats import charts, counts, timelines, volumes, words
 
     rows = answers.rows
@@ -127,23 +129,25 @@ def draw_charts(answers: Answers) -> list[Picture]:
     names = frequent["category"].to_pylist()
     runs = rows.get("run_timeline.binned", rows["run_timeline"])
     timed = rows["stage_timing"].num_rows and rows["headline"]["scenes"][0].as_py()
-    drawn = [
-        counts.per_scene(rows["objects_per_scene.histogram"], rows["objects_per_scene.listed"], "objects", "objects"),
-        counts.per_scene(rows["categories_per_scene.histogram"], rows["categories_per_scene.listed"], "categories", "categories"),
-        words.word_cloud(dict(zip(names, frequent["objects"].to_pylist(), strict=True))),
-        counts.category_bars(frequent, categories),
-        counts.room_map(rows["category_by_room_type"]),
-        volumes.volume_boxes(rows["volume_by_category"], rows["volume_outliers"]),
-        volumes.volume_boxes(rows["solid_volume_by_category"], rows["solid_volume_outliers"], "solid", "solid_volume_by_category"),
-        charts.candidate_bars(rows["candidate_wins"]),
-        charts.deep_pair_counts(rows["collision_loss.worst"]),
-        charts.stability_bars(rows["stability"]),
-        charts.navigable_bars(rows["navigability"]),
-        timelines.stage_bars(rows["stage_timing"], STAGES),
-        timelines.scene_bars(rows["scene_timing.slowest"], timed, STAGES),
-        timelines.run_gantt(runs, rows["run_timeline.pauses"], rows["run_timeline.workers"]["workers"][0].as_py(), STAGES),
-        counts.growth(rows["dataset_growth"]),
+    workers = rows["run_timeline.workers"]["workers"][0].as_py()
+    asked: list[tuple[Callable[..., Picture | None], tuple[Any, ...]]] = [
+        (counts.per_scene, (rows["objects_per_scene.histogram"], rows["objects_per_scene.listed"], "objects", "objects")),
+        (counts.per_scene, (rows["categories_per_scene.histogram"], rows["categories_per_scene.listed"], "categories", "categories")),
+        (words.word_cloud, (dict(zip(names, frequent["objects"].to_pylist(), strict=True)),)),
+        (counts.category_bars, (frequent, categories)),
+        (counts.room_map, (rows["category_by_room_type"],)),
+        (volumes.volume_boxes, (rows["volume_by_category"], rows["volume_outliers"])),
+        (volumes.volume_boxes, (rows["solid_volume_by_category"], rows["solid_volume_outliers"], "solid", "solid_volume_by_category")),
+        (charts.candidate_bars, (rows["candidate_wins"],)),
+        (charts.deep_pair_counts, (rows["collision_loss.worst"],)),
+        (charts.stability_bars, (rows["stability"],)),
+        (charts.navigable_bars, (rows["navigability"],)),
+        (timelines.stage_bars, (rows["stage_timing"], STAGES)),
+        (timelines.scene_bars, (rows["scene_timing.slowest"], timed, STAGES)),
+        (timelines.run_gantt, (runs, rows["run_timeline.pauses"], workers, STAGES)),
+        (counts.growth, (rows["dataset_growth"],)),
     ]
+    drawn = [remembered([draw.__module__, draw.__name__, *told], partial(draw, *told)) for draw, told in asked]
     return [chart for chart in drawn if chart is not None]
 
 
@@ -153,6 +157,7 @@ def _pictured(
 ) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip]]:  # fmt: skip
     """Pictures of the first scenes, and both galleries."""
     from flows.progress import Progress
+    from flows.stats.pictures import forget_old
     from tasks.stats.thumbnails import scene_tile
 
     shown = answers.scenes
@@ -163,7 +168,7 @@ def _pictured(
     jobs |= {name: (strip_of, (lake, rows)) for name, rows in strips.items()}
     if expect is not None:
         expect(len(jobs))
-    with Progress("pictures", len(jobs)) as progress:
+    with Progress("pictures", len(jobs), told=True) as progress:
 
         def told(name: str) -> None:
             progress.advance(name)
@@ -171,6 +176,7 @@ def _pictured(
                 advance(name)
 
         made = carried_out(jobs, workers, told)
+    forget_old()
     tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
     return {scene: made[scene] for scene in shown.pictured}, tiles, [made[name] for name in strips if not isinstance(made[name], str)]
 

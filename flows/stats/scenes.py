@@ -42,20 +42,38 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
     Raises:
         LakeError: the scene is not there, or one of its meshes cannot be read.
     """
+    from flows.stats.pictures import remembered
+
+    reader = lake.snapshot(snapshot_id)
+    facts = ["scene", look, *_facts(reader, scene_id, (*_MODEL, "contacts", "optimization_steps", "navmeshes", "episodes", "instances"))]
+    return remembered(facts, lambda: _pictures(lake, reader, scene_id, look))
+
+
+_MODEL = ("scenes", "rooms", "placements")
+"""Tables that say what stands where."""
+
+
+def _facts(reader: Reader, scene_id: str, tables: Sequence[str]) -> list[Any]:
+    """All rows that the pictures of a scene are drawn from; meshes are named by the hash of their content."""
+    found: list[Any] = [reader.arrow(table, scene_id) for table in tables]
+    placed = {p.asset_id for p in reader.rows(Placement, scene_id)}
+    return [*found, [(asset.asset_id, asset.mesh_blob) for asset in reader.rows_by_key(Asset, sorted(placed))]]
+
+
+def _pictures(lake: Lake, reader: Reader, scene_id: str, look: PictureConfig) -> ScenePictures:
     from tasks.replica import placed_parts
     from tasks.stats.collisions import colliding_pairs, marked_picture
     from tasks.stats.losses import loss_curve
     from tasks.stats.scenes import best_corner, picture_scene
 
-    reader = lake.snapshot(snapshot_id)
     model = _Model.of(lake, reader, scene_id)
     objects, placements = model.objects, model.placements
-    pictures = picture_scene(model.scan, model.walls, list(objects.values()), model.outline, look)
+    camera = best_corner(list(objects.values()) or [[part] for part in model.scan], model.walls, model.outline, look)
+    pictures = picture_scene(model.scan, model.walls, list(objects.values()), model.outline, look, camera)
     plan = _plan(lake, reader, scene_id, objects, model.room) if model.room and placements else None
     if not placements or placements[0].method == "imported":  # a finished dataset states one pose: there is no before
         return dataclasses.replace(pictures, plan=plan)
     contacts = reader.rows(Contact, scene_id)
-    camera = best_corner(list(objects.values()), model.walls, model.outline, look)
     proposed = {p.instance_id: placed_parts(p, model.blobs[p.instance_id], "proposed") for p in placements}
     return dataclasses.replace(
         pictures,
@@ -72,11 +90,17 @@ def thumbnails_of(lake: Lake, snapshot_id: int, scene_id: str) -> tuple[bytes, b
     Raises:
         LakeError: the scene is not there, or one of its meshes cannot be read.
     """
+    from flows.stats.pictures import remembered
     from tasks.stats.scenes import corner_pair
     from tasks.stats.thumbnails import SCENE_LOOK
 
-    model = _Model.of(lake, lake.snapshot(snapshot_id), scene_id)
-    return corner_pair(model.scan, model.walls, list(model.objects.values()), model.outline, SCENE_LOOK)
+    reader = lake.snapshot(snapshot_id)
+
+    def draw() -> tuple[bytes, bytes]:
+        model = _Model.of(lake, reader, scene_id)
+        return corner_pair(model.scan, model.walls, list(model.objects.values()), model.outline, SCENE_LOOK)
+
+    return remembered(["thumbnails", SCENE_LOOK, *_facts(reader, scene_id, _MODEL)], draw)
 
 
 def strip_of(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
@@ -84,6 +108,12 @@ def strip_of(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
 
     `rows` are those of the query `instances.gallery` of one object. A candidate that cannot be pictured says so.
     """
+    from flows.stats.pictures import remembered
+
+    return remembered(["strip", rows], lambda: _strip(lake, rows))
+
+
+def _strip(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
     from tasks.stats.thumbnails import CandidateStrip
 
     first, chosen = rows[0], _chosen(rows)

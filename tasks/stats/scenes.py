@@ -96,13 +96,15 @@ def picture_scene(
     objects: Sequence[Sequence[trimesh.Trimesh]],
     outline: Outline,
     config: PictureConfig | None = None,
+    corner: Camera | None = None,
 ) -> ScenePictures:
     """Pictures of a scan and of its replica, `shell` and the parts of each of the `objects`, all in the world frame [m].
 
-    The corner is the one from which most of the objects is seen; without objects, most of the scan.
+    The corner is the one from which most of the objects is seen; without objects, most of the scan. `corner` is its camera,
+    where it is known already.
     """
     config = config or PictureConfig()
-    corner = best_corner(objects or [[part] for part in scan], shell, outline, config)
+    corner = corner or best_corner(objects or [[part] for part in scan], shell, outline, config)
     files: list[bytes] = []
     for camera in (corner, top_camera(outline, config)):
         replica = [*opened(shell, outline, camera, config), *shown(objects, outline, camera, config)]
@@ -201,8 +203,9 @@ def photograph(parts: Sequence[trimesh.Trimesh], camera: Camera, config: Picture
         empty = np.empty((fine.height, fine.width, 3), dtype=np.float32)
         empty[:] = config.background
         return empty, np.full((fine.height, fine.width), -1, dtype=np.int64)
-    view = RayScene(parts).render(fine, background=config.background, shade=False)
-    return _lit(view, fine).astype(np.float32), view.part
+    rays = fine.rays()
+    view = RayScene(parts).render(fine, background=config.background, shade=False, rays=rays)
+    return _lit(view, fine, rays), view.part
 
 
 def developed(image: NDArray[np.float32], config: PictureConfig) -> bytes:
@@ -210,8 +213,7 @@ def developed(image: NDArray[np.float32], config: PictureConfig) -> bytes:
     from PIL import Image
 
     factor = config.oversampling
-    height, width = image.shape[0] // factor, image.shape[1] // factor
-    small = image.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
+    small = sum(image[down::factor, across::factor] for down in range(factor) for across in range(factor)) / np.float32(factor**2)
     file = io.BytesIO()
     Image.fromarray(np.clip(np.round(small), 0, 255).astype(np.uint8)).save(file, "JPEG", quality=config.jpeg_quality, optimize=True)
     return file.getvalue()
@@ -298,35 +300,48 @@ def _with_faces(part: trimesh.Trimesh, keep: NDArray[np.bool_]) -> trimesh.Trime
     return kept
 
 
-def _lit(view: View, camera: Camera) -> NDArray[np.float32]:
+def _lit(view: View, camera: Camera, rays: NDArray[np.float32]) -> NDArray[np.float32]:
     """Colors of a view under a soft light from above the camera, with darkened creases. Shape (height, width, 3), 0 to 255."""
     seen = view.part >= 0
-    to_eye = -camera.rays()[..., 3:]
-    to_eye /= np.linalg.norm(to_eye, axis=2, keepdims=True)
+    to_eye = _unit([-rays[..., 3 + axis] for axis in range(3)])
     normal = _smooth_normals(view.normal, to_eye)
     key = camera.pose[:3, :3] @ np.array([-0.45, -0.75, -0.5])  # over the camera's left shoulder
-    key /= np.linalg.norm(key)
-    facing = np.clip(np.einsum("hwk,hwk->hw", normal, to_eye), 0, 1)
-    direct = np.clip(normal @ key.astype(np.float32), 0, 1)
-    sky = 0.5 + 0.5 * normal[..., 2]
-    light = (0.6 + 0.14 * facing + 0.22 * direct + 0.14 * sky) * _openness(view.depth, seen)
+    key = (key / np.linalg.norm(key)).astype(np.float32)
+    facing = np.clip(_dot(normal, to_eye), 0, 1)
+    direct = np.clip(normal[0] * key[0] + normal[1] * key[1] + normal[2] * key[2], 0, 1)
+    light = np.float32(0.67) + np.float32(0.14) * facing + np.float32(0.22) * direct + np.float32(0.07) * normal[2]
+    light *= _openness(view.depth, seen)
     light[~seen] = 1.0
-    return view.color.astype(np.float32) * light[..., None]
+    return view.color * light[..., None]
 
 
-def _smooth_normals(normals: NDArray[np.float32], to_eye: NDArray[np.float32]) -> NDArray[np.float32]:
+Planes = Sequence[NDArray[np.float32]]
+"""x, y and z of vectors, each of shape (height, width): ten times as fast as vectors side by side."""
+
+
+def _dot(a: Planes, b: Planes) -> NDArray[np.float32]:
+    total: NDArray[np.float32] = a[0] * b[0]
+    total += a[1] * b[1]
+    total += a[2] * b[2]
+    return total
+
+
+def _unit(vectors: Planes) -> list[NDArray[np.float32]]:
+    length: NDArray[np.float32] = np.maximum(np.sqrt(_dot(vectors, vectors)), np.float32(1e-6))
+    return [np.divide(plane, length, dtype=np.float32) for plane in vectors]
+
+
+def _smooth_normals(normals: NDArray[np.float32], to_eye: Planes) -> list[NDArray[np.float32]]:
     """Unit normals towards the camera, evened out over neighbor pixels where the surface is nearly flat."""
     from scipy.ndimage import gaussian_filter
 
-    normal = np.nan_to_num(normals.astype(np.float32))
-    normal *= np.sign(np.einsum("hwk,hwk->hw", normal, to_eye))[..., None]
-    blurred = np.empty_like(normal)
-    for axis in range(3):
-        gaussian_filter(normal[..., axis], 3.0, output=blurred[..., axis], truncate=2.5)
-    blurred /= np.maximum(np.linalg.norm(blurred, axis=2, keepdims=True), 1e-6)
+    normal: list[NDArray[np.float32]] = [np.nan_to_num(normals[..., axis].astype(np.float32)) for axis in range(3)]
+    side = np.sign(_dot(normal, to_eye))
+    normal = [np.multiply(plane, side, dtype=np.float32) for plane in normal]
+    blurred = _unit([np.asarray(gaussian_filter(plane, 3.0, truncate=2.5), dtype=np.float32) for plane in normal])
     # an edge between two faces turns by more than noise does, and stays sharp
-    noise = np.einsum("hwk,hwk->hw", blurred, normal) > 0.82
-    return np.where(noise[..., None], blurred, normal)
+    noise = _dot(blurred, normal) > 0.82
+    return [np.where(noise, soft, sharp) for soft, sharp in zip(blurred, normal, strict=True)]
 
 
 def _openness(depth: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
