@@ -186,6 +186,7 @@ OWN = {
     "flows/fingerprints.py": "code, and caches of this machine",
     "flows/mirror.py": "the mirror of this machine",
     "flows/stats/flow.py": "the report that was written",
+    "flows/stats/pictures.py": "code of the project",
     "flows/terminal.py": "descriptors of the process",
     "tasks/batches.py": "the schema of the package",
     "tasks/captions/physics.py": "tables of the package",
