@@ -68,6 +68,8 @@ def page(server: PrefectServer) -> Iterator[Page]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
         page = browser.new_page(viewport={"width": 1280, "height": 860}, base_url=site)
+        shown = server.header["Authorization"].removeprefix("Basic ")  # where the UI keeps the token that it asked for
+        page.add_init_script(f"localStorage.setItem('prefect-password', {json.dumps(shown)})")
         page.on("request", lambda sent: elsewhere.append(sent.url) if not sent.url.startswith((site, "data:", "blob:")) else None)
         page.set_default_timeout(60_000)
         yield page

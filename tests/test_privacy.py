@@ -170,6 +170,7 @@ def test_secrets_of_the_environment_are_written_down_nowhere(tmp_path: Path) -> 
         settings = {"PREFECT_SERVER_LOGGING_LEVEL": "DEBUG", "PREFECT_SERVER_ENCRYPTION_KEY": key}
         with environment_of(s3), prefect_server_process(tmp_path, postgres.url, **settings) as prefect:
             s3.make_bucket("lakes")
+            words["token"] = prefect.token
             environment = surroundings(tmp_path / "home") | s3.access | {
                 **prefect.access, "PREFECT_LOGGING_LEVEL": "DEBUG", "PREFECT_API_DATABASE_CONNECTION_URL": postgres.url,
                 "METASCENES_NOTIFY_URL": f"http://127.0.0.1:9/hooks/{hook}",
