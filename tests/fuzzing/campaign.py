@@ -33,12 +33,14 @@ class Reading:
     """How inputs are read: the module whose targets they are for, where sound inputs are kept, and what each may need.
 
     patience: seconds of the clock in which a child and its children may do nothing at all before they count as waiting for ever.
+    within: readers that start a process for every input do without.
     """
 
     seeds: Path
     module: str = "tests.fuzzing.targets"
     limits: Limits = dataclasses.field(default_factory=Limits)
     patience: float = 45.0
+    within: bool = False
 
 
 @dataclasses.dataclass
@@ -170,16 +172,24 @@ def counterexample(target: str, failure: Failure, case: Case) -> str:
     return json.dumps({"target": target, "was": failure.error[:200], "files": packed(case)}, indent=1) + "\n"
 
 
-def read_inputs(counts: Mapping[str, int], number: int, reading: Reading, records: Mapping[str, Record]) -> None:
-    """Read so many inputs of each target in one child, or in as many as it takes when some end theirs; counts into `records`."""
+def read_inputs(
+    counts: Mapping[str, int], number: int, reading: Reading, records: Mapping[str, Record], reached: set[str] | None = None
+) -> None:
+    """Read so many inputs of each target in one child, or in as many as it takes when some end theirs; counts into `records`.
+
+    reached: Where our functions go that sound inputs come by.
+    """
     left = dict(counts)
     while left:
         done = dict.fromkeys(left, 0)
         start: dict[str, Any] = {}
-        with child(left, number, reading) as (process, stderr):
+        with child(left, number, reading, reached=reached is not None) as (process, stderr):
             for event in events(process, reading.patience):
                 if event["event"] == "end":
                     del left[event["target"]]
+                elif event["event"] == "reached":
+                    assert reached is not None
+                    reached.update(event["functions"])
                 elif event["event"] == "start":
                     start = event
                 else:
@@ -215,6 +225,7 @@ def child(
         job = {
             "counts": counts, "seed": number, "place": place, "seeds": str(reading.seeds), "module": reading.module,
             "limits": dataclasses.asdict(reading.limits), "files": files or {}, "reached": reached,
+            "within": reading.within,
         }  # fmt: skip
         process = subprocess.Popen(
             [sys.executable, "-m", "tests.fuzzing.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, cwd=REPOSITORY,

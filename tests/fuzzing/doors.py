@@ -18,9 +18,13 @@ class Refused(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """A door. count: inputs of a full run. seeds: sound inputs. read: what is called with the folder of a case."""
+    """A door. count: inputs of a full run. seeds: sound inputs. read: what is called with the folder of a case.
+
+    within: The same without another process, where `read` starts one.
+    """
 
     name: str
     count: int
     seeds: Callable[[], list[Case]]
     read: Callable[[Path], object]
+    within: Callable[[Path], object] | None = None

@@ -284,7 +284,7 @@ def _changed_text(data: bytes, random: Random) -> bytes:
 def _changed_ply(data: bytes, random: Random) -> bytes:
     """A PLY with its header or its content changed."""
     end = data.find(b"end_header")
-    if end < 0 or random.random() < 0.3:
+    if end < 0 or random.random() < 0.6:
         return _changed_text(data, random) if b"format ascii" in data[:200] else _changed_bytes(data, random)
     return _changed_text(data[:end], random) + data[end:]
 

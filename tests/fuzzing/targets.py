@@ -13,10 +13,12 @@ import io
 import json
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from schemas.errors import LakeError
+from schemas.files import read_file
 from tests.fuzzing import seeds
 from tests.fuzzing.doors import PARSER, STAGE, Refused, Target
 
@@ -48,16 +50,15 @@ def _doctors() -> list[Target]:
     from flows.commands.doctor import command
 
     foreign = sorted(set(command.commands) - {"lake"})  # a lake is nobody else's file
-    quick = {"glb", "urdf"}  # the others run a parser that is not ours, or look at a whole dataset
-    return [
-        Target(
-            f"doctor {name}",
-            PARSER if name in quick else STAGE,
-            seeds.glb if name == "glb" else getattr(seeds, f"doctor_{name}"),
-            _doctor(name),
-        )
-        for name in foreign
-    ]
+    return [_doctor(name) for name in foreign]
+
+
+def _doctor(name: str) -> Target:
+    """A check of files. Those that run a parser of others, or read a whole dataset, are run as the command runs them."""
+    sound = seeds.glb if name == "glb" else getattr(seeds, f"doctor_{name}")
+    if name in ("glb", "urdf"):
+        return Target(f"doctor {name}", PARSER, sound, _checked(name))
+    return Target(f"doctor {name}", STAGE, sound, _examined(name), within=_checked(name))
 
 
 def _imports() -> list[Target]:
@@ -140,16 +141,31 @@ def _captured(format_: str) -> Callable[[Path], None]:
     return read
 
 
-def _doctor(name: str) -> Callable[[Path], None]:
-    folders = {"habitat": ".", "urdf": "."}
+_FOLDERS = ("habitat", "urdf")
+"""What is checked by the folder: a dataset, objects with their poses."""
 
+
+def _files(name: str, folder: Path) -> list[Path]:
+    return [folder] if name in _FOLDERS else sorted(folder.glob("scene.*"))
+
+
+def _checked(name: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        check = getattr(import_module(f"tasks.exports.{name}.rules"), f"check_{name}")
+        for path in _files(name, folder):
+            for finding in check(path):
+                str(finding)
+
+    return read
+
+
+def _examined(name: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
         import click
 
         from flows.commands.doctor import command
 
-        files = [folder] if name in folders else sorted(path for path in folder.glob("scene.*"))
-        for path in files:
+        for path in _files(name, folder):
             try:
                 with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding="utf-8")):
                     command.main([name, str(path)], prog_name="doctor", standalone_mode=False)
@@ -320,8 +336,6 @@ def deployed() -> dict[str, dict[str, Any]]:
 
 @cache
 def _flow(entrypoint: str) -> Any:
-    from importlib import import_module
-
     module, _, name = entrypoint.rpartition(".")
     return getattr(import_module(module), name)
 
@@ -334,7 +348,7 @@ def _read_parameters(folder: Path) -> None:
     from flows.parameters import StageTables
 
     try:
-        document = json.loads((folder / "parameters.json").read_bytes())
+        document = json.loads(read_file(folder / "parameters.json", "parameters.json", 2**24))
         flow, told = _flow(str(document["flow"])), dict(document["parameters"])
     except Exception as error:  # not ours: the server has read it before
         raise Refused("no parameters of a flow") from error
