@@ -83,8 +83,9 @@ def command(
         return
     limits = {"gpu_slots": gpu_slots, "vlm_per_second": vlm_per_second, "runs_at_once": runs_at_once}
     if not local:
-        _tell(_set_up(schedule, limits, notify_env, no_notify), as_json)
-        _tell_others(schedule)
+        items, also = _set_up(schedule, limits, notify_env, no_notify)
+        _tell(items, as_json)
+        _tell_others(also, schedule)
         return
     from flows.access import CLIENT_TOKEN, SERVER_TOKEN, kept_token, token_file
     from flows.services import first_to_end, server, worker
@@ -94,10 +95,10 @@ def command(
     token = told or kept_token(port)
     with server(token, host, port) as (api, served):
         os.environ |= {"PREFECT_API_URL": api, CLIENT_TOKEN: token}
-        items = _set_up(schedule, limits, notify_env, no_notify)
+        items, also = _set_up(schedule, limits, notify_env, no_notify)
         with worker(pool, api) as working:
             _tell(items, as_json)
-            _tell_others(schedule)
+            _tell_others(also, schedule)
             shown = f'"${SERVER_TOKEN}"' if told else f'"$(cat {shlex.quote(str(token_file(port)))})"'
             trigger = f"prefect deployment run replicate/nightly-{schedule.name} --param settle_seconds=0"
             print(f"UI       {api.removesuffix('/api')}, which asks for the token: echo {shown}", file=sys.stderr)
@@ -108,11 +109,9 @@ def command(
     raise click.exceptions.Exit(1)
 
 
-def _tell_others(schedule: Schedule) -> None:
+def _tell_others(also: Mapping[str, list[str]], schedule: Schedule) -> None:
     """Other lakes that the server keeps, so that nobody wonders who computes."""
-    from flows.deployments import others
-
-    for lake, names in sorted(others(schedule).items()):
+    for lake, names in sorted(also.items()):
         of = "this lake, too" if lake == schedule.lake.rstrip("/") else lake
         print(f"also     {', '.join(sorted(names))}: {of}; `prefect deployment delete` removes one", file=sys.stderr)
 
@@ -122,7 +121,10 @@ def _whole(address: str) -> str:
     return address if "://" in address else str(Path(address).resolve())
 
 
-def _set_up(schedule: Schedule, limits: Mapping[str, Any], notify_env: str | None, no_notify: bool) -> list[Item]:
+def _set_up(
+    schedule: Schedule, limits: Mapping[str, Any], notify_env: str | None, no_notify: bool
+) -> tuple[list[Item], dict[str, list[str]]]:
+    """Set all of it up; what became of it, and the other lakes that are there."""
     from flows.access import take_token
     from flows.services import NO_TELEMETRY
 
@@ -133,7 +135,7 @@ def _set_up(schedule: Schedule, limits: Mapping[str, Any], notify_env: str | Non
     os.environ.setdefault("PREFECT_LOGGING_LEVEL", "ERROR")  # read when Prefect is imported; a worker keeps its own
     import prefect.main  # noqa: F401
 
-    from flows.deployments import set_up
+    from flows.deployments import others, set_up
     from flows.notifications import find_lost_runs, notify, silence
     from flows.server import is_of_server, why_not
     from schemas.errors import LakeError
@@ -146,11 +148,11 @@ def _set_up(schedule: Schedule, limits: Mapping[str, Any], notify_env: str | Non
             items += notify(notify_env)
         if no_notify:
             items += silence()
+        return items, others(schedule)
     except Exception as error:
         if is_of_server(error) and not isinstance(error, LakeError):
             raise LakeError(why_not(os.environ.get("PREFECT_API_URL", "PREFECT_API_URL"), error)) from error
         raise
-    return items
 
 
 def _tell(items: list[Item], as_json: bool) -> None:
