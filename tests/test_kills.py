@@ -260,6 +260,18 @@ def _answers(lake: Lake, file: Path) -> list[Any]:
     return [dataclasses.replace(row, batch_id="batch-0") for row in lake.snapshot().rows(Annotation)]
 
 
+def test_who_is_second_to_create_a_file_is_told_so_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both saw no file: the link that fails says who was first, and is no refusal of the system's."""
+    from warehouse.storage import LocalStorage
+
+    storage = LocalStorage(tmp_path)
+    assert storage.create("lease.json", b"first")
+    monkeypatch.setattr(LocalStorage, "exists", lambda self, path: False)
+    assert storage.create("lease.json", b"second") is False
+    assert storage.read("lease.json") == b"first"
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
 def test_blobs_are_aged(tmp_path: Path) -> None:
     path = tmp_path / "blobs" / "a"
     path.parent.mkdir()

@@ -151,25 +151,26 @@ class LocalStorage:
 
     def write(self, path: str, data: bytes, lasting: bool = True) -> None:
         """See Storage. Temporary file, fsync, rename, fsync of the folder."""
-        with self._temporary(data) as temporary:
+        with told(f"{self.address}/{path}"), self._temporary(data) as temporary:
             self._placed(path, lambda target: os.replace(temporary, target), lasting)
 
     def move_in(self, file: Path, path: str) -> None:
         """See Storage. fsync and rename, or a copy first where the file lies on another file system."""
         import shutil
 
-        with open(file, "rb") as handle:
-            os.fsync(handle.fileno())
-        try:
-            self._placed(path, lambda target: os.replace(file, target))
-        except OSError as error:
-            if error.errno != errno.EXDEV:
-                raise
-            with self.workplace() as folder:
-                copy = folder / "file"
-                shutil.copyfile(file, copy)
-                self.move_in(copy, path)
-            file.unlink()
+        with told(f"{self.address}/{path}"):
+            with open(file, "rb") as handle:
+                os.fsync(handle.fileno())
+            try:
+                self._placed(path, lambda target: os.replace(file, target))
+            except OSError as error:
+                if error.errno != errno.EXDEV:
+                    raise
+                with self.workplace() as folder:
+                    copy = folder / "file"
+                    shutil.copyfile(file, copy)
+                    self.move_in(copy, path)
+                file.unlink()
 
     def workplace(self) -> contextlib.AbstractContextManager[Path]:
         """See Storage. Below the lake's folder of temporary files."""
@@ -179,7 +180,8 @@ class LocalStorage:
         """See Storage. A hard link to the finished temporary file, which fails when the name is taken."""
         if self.exists(path):
             return False
-        with self._temporary(data) as temporary:
+        # Told from outside: which error it is decides here first.
+        with told(f"{self.address}/{path}"), self._temporary(data) as temporary:
             try:
                 self._placed(path, lambda target: os.link(temporary, target))
             except FileExistsError:
@@ -315,14 +317,13 @@ class LocalStorage:
     def _placed(self, path: str, place: Callable[[Path], None], lasting: bool = True) -> None:
         """Call `place` with the target of `path`, and make the new name last."""
         target = self.folder / path
-        with told(str(target)):
-            try:
-                place(target)
-            except FileNotFoundError:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                place(target)
-            if lasting:
-                _sync_folder(target.parent)
+        try:
+            place(target)
+        except FileNotFoundError:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            place(target)
+        if lasting:
+            _sync_folder(target.parent)
 
     @contextlib.contextmanager
     def _exclusive(self) -> Iterator[None]:
