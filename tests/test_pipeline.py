@@ -123,20 +123,18 @@ def test_boxes_come_out_where_they_were_put(lake: Path) -> None:
     assert height == pytest.approx(2.5, abs=0.05)
 
 
-def test_the_same_run_again_does_nothing_quickly_and_without_prefect(home: dict[str, str], lake: Path, tmp_path: Path) -> None:
+def test_the_same_run_again_does_nothing_and_leaves_prefect_alone(home: dict[str, str], lake: Path, tmp_path: Path) -> None:
     scans = write_rooms(tmp_path / "scans")  # other files with the same content: content decides, not time stamps
     code = (
-        "import sys, time; t = time.perf_counter(); from flows.cli import main\n"
+        "import sys; from flows.cli import main\n"
         f"sys.argv = ['metascenes', 'run', '--scans', {str(scans)!r}, '--lake', {str(lake)!r}, *{QUICK!r}]\n"
-        "try: main()\nexcept SystemExit as end: print(time.perf_counter() - t, 'prefect' in sys.modules, end.code)"
+        "try: main()\nexcept SystemExit as end: print('prefect' in sys.modules, end.code)"
     )
-    done = subprocess.run([sys.executable, "-c", code], env=home, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], env=home, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     said, measured = done.stdout.strip().splitlines()
     assert said == "nothing to do: 2 scenes are up to date"
-    seconds, prefect, code = measured.split()
-    assert (prefect, code) == ("False", "0")
-    assert float(seconds) < 10, "a limit for busy machines; the benchmark has the figure"
+    assert measured.split() == ["False", "0"]
 
 
 @pytest.mark.parametrize(

@@ -134,10 +134,8 @@ def slow_pid() -> int:
 
 def test_a_task_over_its_time_is_stopped_and_the_pool_goes_on(pool: WorkerPool) -> None:
     worker = pool.call(os.getpid, timeout=LIMIT)
-    clock = time.perf_counter()
     with pytest.raises(WorkerTimeout, match=r"0\.5 s"):
-        pool.call(time.sleep, 300, timeout=0.5)
-    assert time.perf_counter() - clock < 30
+        pool.call(time.sleep, 3000, timeout=0.5)  # the test's own limit is below that
     assert pool.call(divmod, 9, 2, timeout=LIMIT) == (4, 1)
     assert pool.call(os.getpid, timeout=LIMIT) != worker, "the worker that slept was stopped"
     assert not psutil.pid_exists(worker) or psutil.Process(worker).status() == psutil.STATUS_ZOMBIE
