@@ -191,7 +191,7 @@ def _has_prim(path: Path, name: str) -> bool:
     try:
         stage = Usd.Stage.Open(str(path))  # a prim lives no longer than its stage
         return bool(stage.GetPrimAtPath(name).IsValid())
-    except Tf.ErrorException:
+    except (Tf.ErrorException, UnicodeDecodeError):
         return False
 
 

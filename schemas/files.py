@@ -86,7 +86,7 @@ def stays_in(path: Path, *folders: Path) -> bool:
     """
     try:
         real = path.resolve()
-    except (OSError, RuntimeError):  # Python's own error for circles
+    except (OSError, RuntimeError, ValueError):  # Python's own errors for circles, and for names that none can be
         return False
     return any(real.is_relative_to(folder.resolve()) for folder in folders)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from schemas.errors import InputError
+from schemas.files import stays_in
 from tasks.capture.documents import name_of
 from tasks.ingestion.scene import Array, FinishedObject, Layout
 from tasks.ingestion.values import json_document
@@ -48,7 +49,7 @@ def _layout(file: Path, root: Path, name: str) -> tuple[Layout | None, str]:
     import shapely
     from shapely.geometry.polygon import orient
 
-    if not file.resolve().is_relative_to(root):
+    if not stays_in(file, root):
         raise InputError(name, "file", "lies outside the dataset's folder", "copy it in")
     document = json_document(file, root)
     key = next((key for key in ("verts", "vert") if isinstance(document, dict) and key in document), None)

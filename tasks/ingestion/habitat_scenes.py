@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from schemas.errors import InputError
-from schemas.files import is_there
+from schemas.files import is_there, stays_in
 from tasks.capture.documents import name_of, read_text
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
@@ -74,7 +74,7 @@ class _Facts:
             notes.append(f"{scene.file}: {len(count)} articulated objects are left out")
         for path in sorted(root.glob(f"*/*/content/{glob.escape(scene.handle)}.json.gz")):
             notes.append(f"{path.relative_to(root).as_posix()}: episodes are not read")
-        inside = sorted(file for file in files if is_there(file) and file.resolve().is_relative_to(root))
+        inside = sorted(file for file in files if is_there(file) and stays_in(file, root))
         return Source("habitat", root, dataset, scene.handle, tuple(inside), about, problem)
 
     def _stage(self, scene: Template, files: set[Path], notes: list[str]) -> dict[str, Any] | None:
@@ -111,7 +111,7 @@ class _Facts:
             if not asset or not PurePosixPath(asset).suffix:  # none, or a primitive that habitat-sim makes itself
                 continue
             path = template.folder / asset
-            if not path.resolve().is_relative_to(root):
+            if not stays_in(path, root):
                 raise InputError(template.file, key, f"{asset!r} leaves the dataset's folder", "copy it in")
             if key == "render_asset" and not is_there(path):
                 raise InputError(template.file, key, f"{asset!r} does not exist", "copy the dataset again")
@@ -168,7 +168,7 @@ def _categories(root: Path) -> dict[str, str]:
     """Categories by the name of an object, from the tables in `metadata` and `semantics` that have an id and a category."""
     found: dict[str, str] = {}
     for path in sorted(file for folder in ("metadata", "semantics") for file in (root / folder).glob("*.csv")):
-        if not path.resolve().is_relative_to(root):
+        if not stays_in(path, root):
             continue
         try:
             rows = list(csv.DictReader(io.StringIO(read_text(path, name_of(path, root)))))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from schemas.errors import InputError
+from schemas.files import stays_in
 from tasks.capture.documents import name_of, read_bytes
 from tasks.capture.labels import Label, LabelMap
 from tasks.ingestion.floors import read_layout
@@ -58,14 +59,14 @@ def _source(root: Path, dataset: str, scan: Path, names: Path | None) -> Source:
     files: set[Path] = set()
     problem: InputError | None = None
     try:
-        if not scan.resolve().is_relative_to(root):
+        if not stays_in(scan, root):
             raise InputError(name_of(scan, root), "folder", "leads out of the dataset", "copy it in")
         for folder in sorted(path for path in scan.iterdir() if path.is_dir() and not path.name.startswith(".")):
             mesh = _mesh_file(folder)
             if mesh is None:
                 notes.append(f"{name_of(folder, root)}: holds no mesh: left out")
                 continue
-            if not mesh.resolve().is_relative_to(root):
+            if not stays_in(mesh, root):
                 raise InputError(name_of(mesh, root), "file", "leads out of the dataset's folder", "copy it in")
             meshes[folder.name] = mesh.relative_to(root).as_posix()
             files |= {mesh, *material_files(mesh, root)}
@@ -94,7 +95,7 @@ def _source(root: Path, dataset: str, scan: Path, names: Path | None) -> Source:
             about["names_file"] = named.name
         except InputError as error:
             problem = error
-    files |= {path for path in (simulated, *layouts, *licenses) if path.is_file() and path.resolve().is_relative_to(root)}
+    files |= {path for path in (simulated, *layouts, *licenses) if path.is_file() and stays_in(path, root)}
     about["license"] = licenses[0].name if licenses else ""
     return Source("metascenes", root, dataset, scan.name, tuple(sorted(files)), about, problem)
 

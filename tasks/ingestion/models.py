@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import is_there, read_file
+from schemas.files import is_there, read_file, stays_in
 from tasks.capture.documents import name_of, read_bytes
 from tasks.capture.ply import check_counts
 from tasks.meshes import check_looks, load_glb
@@ -37,7 +37,7 @@ def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYT
             materials name a file outside `root`.
     """
     name = name_of(path, root)
-    if not path.resolve().is_relative_to(root):
+    if not stays_in(path, root):
         raise InputError(name, "file", "lies outside the dataset's folder", "copy it in")
     kind = path.suffix.lower()
     if kind not in ENDINGS:
@@ -117,7 +117,7 @@ def material_files(path: Path, root: Path) -> list[Path]:
     for library in (path.parent / name for name in libraries):
         found.add(library)
         found |= {library.parent / name for name in _named(library, rb"map_\w+|bump|disp|norm|refl")}
-    return sorted(file for file in found if is_there(file) and file.resolve().is_relative_to(root))
+    return sorted(file for file in found if is_there(file) and stays_in(file, root))
 
 
 def _named(path: Path, keyword: bytes) -> list[str]:
@@ -141,8 +141,8 @@ def _confined(path: Path, root: Path) -> Any:
             self.missing: list[str] = []
 
         def get(self, name: str) -> bytes:
-            file = (self._folder / name.strip()).resolve()
-            if not file.is_relative_to(root):
+            file = self._folder / name.strip()
+            if not stays_in(file, root):
                 self.outside.append(name)
                 raise FileNotFoundError(name)
             try:

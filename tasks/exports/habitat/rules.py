@@ -143,7 +143,7 @@ def _glb(root: Path, path: Path, where: str, key: str, seen: dict[Path, list[Fin
 
     try:
         name = path.resolve().relative_to(root.resolve()).as_posix()
-    except ValueError:
+    except (ValueError, OSError, RuntimeError):  # outside, too long, links in a circle
         yield Finding("files_exist", where, f"{key} leaves the dataset's folder")
         return
     if not path.is_file():

@@ -83,7 +83,7 @@ def check_usd(path: Path) -> list[Finding]:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        return [*found, Finding("stage_opens", path.name, _line(str(error), path))]
+        return [*found, Finding("stage_opens", path.name, _line(_words(error), path))]
     found += _checked(stage, path, _CHECKS)
     known = {(finding.rule, finding.where, finding.message) for finding in found}
     for variant, part in _variants(stage):
@@ -102,8 +102,8 @@ def _checked(stage: Any, path: Path, checks: tuple[Callable[[Any, Path], Iterato
     for check in checks:
         try:
             findings += check(stage, path)
-        except Tf.ErrorException as error:  # a layer behind a reference is broken: it is only read when it is needed
-            findings.append(Finding("stage_opens", path.name, _line(str(error), path)))
+        except (Tf.ErrorException, UnicodeDecodeError) as error:  # a layer behind a reference is broken: read only when needed
+            findings.append(Finding("stage_opens", path.name, _line(_words(error), path)))
     return findings
 
 
@@ -123,6 +123,14 @@ def _variants(stage: Any) -> Iterator[tuple[str, Any]]:
             Sdf.CreatePrimInLayer(session, place).variantSelections[VARIANT_SET] = name
         mask = Usd.StagePopulationMask(names[name])
         yield name, Usd.Stage.OpenMasked(stage.GetRootLayer(), session, mask)
+
+
+def _words(error: Exception) -> str:
+    """What an exception says; USD quotes files as they are, whether that is text or not."""
+    try:
+        return str(error)
+    except UnicodeDecodeError as broken:
+        return broken.object.decode(errors="backslashreplace")
 
 
 def _line(text: str, path: Path) -> str:
