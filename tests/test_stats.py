@@ -20,7 +20,7 @@ from schemas.capture import Room, Scene
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.replica import room_shell
-from tasks.stats import collisions, scenes
+from tasks.stats import collisions, contact_sheets, scenes, words
 from tasks.stats.columns import GRIDS
 from tasks.stats.scenes import Outline, PictureConfig
 from tasks.stats.style import INK
@@ -66,6 +66,23 @@ def test_charts_of_a_lake_are_named_after_views_and_the_same_twice(lake: Lake) -
         assert INK.light not in chart.svg.partition("</style>")[2]  # all colors are variables
         assert chart.alt.endswith(".")
         assert not re.search(rb"tIME|date:|Software", chart.png)
+
+
+def test_a_report_draws_no_raster_that_it_does_not_show(report: Path, lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contact_sheets, "_as_png", refused)
+    monkeypatch.setattr(words, "_png", refused)
+    drawn = draw_charts(answers_of(lake.snapshot()), rasters=False)
+    assert [chart.png for chart in drawn] == [b""] * CHARTS
+    assert [(chart.name, chart.svg) for chart in drawn] == [
+        (chart.name, chart.svg) for chart in draw_charts(answers_of(lake.snapshot()), rasters=True)
+    ]  # asked for one way, then the other: neither is taken for the other
+    written = write_report(lake, tmp_path / "report.html", look=SMALL, workers=1)
+    assert written.pictures == ()
+    assert written.path.read_bytes() == report.read_bytes()
+
+
+def refused(*_: object) -> bytes:
+    raise AssertionError("a raster that nobody asked for")
 
 
 def test_an_empty_lake_has_nothing_to_draw(tmp_path: Path) -> None:
@@ -188,7 +205,9 @@ def test_any_number_of_workers_gives_the_same_report(report: Path, lake: Lake, t
     told: list[str] = []
     again = write_report(lake, tmp_path / "a.html", look=SMALL, workers=2, advance=told.append).path
     assert again.read_bytes() == report.read_bytes()
-    assert sorted(told) == ["demo/room_0", "demo/room_1"]
+    shown = answers_of(lake.snapshot()).rows["instances.gallery"].to_pylist()
+    objects = {f"{row['scene_id']}/{row['instance_id']}" for row in shown}
+    assert sorted(told) == sorted(["demo/room_0", "demo/room_1", *objects])
 
 
 def test_an_empty_lake_has_a_report(tmp_path: Path) -> None:
@@ -277,9 +296,9 @@ def test_a_report_on_a_release_names_it(tmp_path: Path) -> None:
         if not number:
             make_release(lake, "v1")
     text = {}
-    for name, words in {"release": ["--release", "v1"], "newest": []}.items():
+    for name, options in {"release": ["--release", "v1"], "newest": []}.items():
         out = tmp_path / f"{name}.html"
-        assert metascenes("stats", "--lake", lake.address, "--out", out, *words).exit_code == 0
+        assert metascenes("stats", "--lake", lake.address, "--out", out, *options).exit_code == 0
         text[name] = Page(out.read_text()).text
     assert "Snapshot 1 of " in text["release"]
     assert "released as v1. A release is kept for good" in " ".join(text["release"].split())

@@ -19,7 +19,7 @@ from schemas.optimization import Contact
 from tasks.meshes import load_glb
 from tasks.rendering import Camera, RayScene
 from tasks.replica import room_shell
-from tasks.stats import collisions, scenes, thumbnails
+from tasks.stats import collisions, photographs, scenes, thumbnails
 from tasks.stats.scenes import Outline, PictureConfig
 from tests.furnished import HEIGHT, solid
 from tests.samples import sample
@@ -309,3 +309,39 @@ def test_a_crop_of_any_shape_fits_without_being_cut_or_stretched() -> None:
     assert blue.sum() == pytest.approx(66 * 52.8, rel=0.06)
     with pytest.raises(OSError, match="identify"):
         thumbnails.fitted(b"no image", (10, 10))
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_a_photograph_is_as_smooth_as_one_with_all_rays_at_half_of_them(factor: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = [(1.0, 0.6, 0.5), (0.03, 0.03, 1.8), (3.8, 3.8, 0.02)]  # a thing, a thin one, a floor
+    parts = [trimesh.creation.box(size) for size in sizes]
+    for part, color, place in zip(parts, (70, 180, 120), ([2.0, 1.6, 0.3], [1.0, 2.0, 0.9], [2.0, 2.0, 0.0]), strict=True):
+        part.apply_translation(place).visual.vertex_colors = [color, 90, 200 - color, 255]
+    config = PictureConfig(width=240, height=168, oversampling=factor)
+    camera = scenes.corner_camera(outline(4.0, 4.0), 0, config)
+    cast: list[int] = []
+    casting = RayScene.cast
+
+    def counted(scene: RayScene, rays: np.ndarray) -> dict[str, np.ndarray]:
+        cast.append(rays.size // 6)
+        return casting(scene, rays)
+
+    monkeypatch.setattr(RayScene, "cast", counted)
+    image = photographs.photograph(parts, camera, config)
+    assert sum(cast) < 0.5 * factor**2 * config.width * config.height
+    fine = Camera(
+        camera.pose,
+        camera.fx * factor,
+        camera.fy * factor,
+        (camera.cx + 0.5) * factor - 0.5,
+        (camera.cy + 0.5) * factor - 0.5,
+        camera.width * factor,
+        camera.height * factor,
+    )
+    every = photographs.photograph(parts, fine, dataclasses.replace(config, oversampling=1))
+    every = every.reshape(config.height, factor, config.width, factor, 3).mean(axis=(1, 3))
+    difference = np.abs(image - every)
+    assert difference.mean() < 0.5  # of 255
+    assert (difference.max(axis=2) > 24).mean() < 0.002
+    single = photographs.photograph(parts, camera, dataclasses.replace(config, oversampling=1))
+    assert difference.mean() < 0.5 * np.abs(single - every).mean()

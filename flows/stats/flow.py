@@ -84,7 +84,7 @@ def statistics(
             is_local = "://" not in place
             written = write_report(
                 store, Path(place) if is_local else Path(making) / "report.html", chosen,
-                pictures=Path(pictures) if pictures else None, workers=workers,
+                pictures=Path(pictures) if pictures else None, rasters=True, workers=workers,
                 advance=lambda name: ticker.advance(next(done), total, name), expect=expect,
             )  # fmt: skip
             if is_local:

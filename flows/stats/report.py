@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import os
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,7 +31,7 @@ STAGES: tuple[str, ...] = tuple(dict.fromkeys(table.stage for table in TABLES.va
 
 @dataclasses.dataclass(frozen=True)
 class Written:
-    """A report that was written: its file, the files of its pictures, what it is about, and the pictures themselves."""
+    """A report that was written: its file, the files of its pictures, what it is about, and the pictures themselves, where asked for."""
 
     path: Path
     files: tuple[Path, ...]
@@ -50,6 +51,7 @@ def write_report(
     snapshot_id: int | None = None,
     *,
     pictures: Path | None = None,
+    rasters: bool = False,
     look: PictureConfig | None = None,
     workers: int | None = None,
     advance: Callable[[str], None] | None = None,
@@ -58,9 +60,9 @@ def write_report(
     """Write the report on a snapshot, the newest by default.
 
     `out` is the HTML file; in a folder, it is `report.html`. `pictures` is a folder that gets every chart and both galleries as
-    SVG and PNG. `look` says how scenes are pictured, `workers` how many processes do it (one per core by default);
-    `advance` is told each scene and object that was pictured, `expect` how many there will be. The same snapshot and releases
-    give the same bytes.
+    SVG and PNG; `rasters` asks for them without a folder: the report itself needs no PNG of a chart. `look` says how scenes are
+    pictured, `workers` how many processes do it (one per core by default); `advance` is told each scene and object that was
+    pictured, `expect` how many there will be. The same snapshot and releases give the same bytes.
 
     Raises:
         InputError: there is no such snapshot.
@@ -71,7 +73,8 @@ def write_report(
     look = look or PictureConfig()
     reader = lake.snapshot(snapshot_id)
     answers = answers_of(reader)
-    charts = draw_charts(answers)
+    rasters = rasters or pictures is not None
+    charts = draw_charts(answers, rasters)
     scenes, tiles, strips = _pictured(lake, reader.snapshot_id, answers, look, workers, advance, expect)
     content = ReportContent(
         answers=answers.rows,
@@ -90,7 +93,7 @@ def write_report(
     )
     path = report_path(out)
     _write(path, render_report(content).encode())
-    drawn = [*charts, *_sheets(answers, tiles, strips)]
+    drawn = [*charts, *_sheets(answers, tiles, strips)] if rasters else []
     files = []
     if pictures is not None:
         for chart in drawn:
@@ -119,10 +122,11 @@ def _stage_timing(reader: Reader) -> pa.Table:
         return connection.sql("SELECT * FROM stage_timing").to_arrow_table()
 
 
-def draw_charts(answers: Answers) -> list[Picture]:
-    """All charts that have something to show, in the order of the report."""
+def draw_charts(answers: Answers, rasters: bool = True) -> list[Picture]:
+    """All charts that have something to show, in the order of the report; without `rasters`, as SVG alone."""
     from flows.stats.pictures import remembered
     from tasks.stats import charts, counts, timelines, volumes, words
+    from tasks.stats.style import only_vectors
 
     rows = answers.rows
     frequent, categories = rows["category_counts"], rows["headline"]["categories"][0].as_py()
@@ -147,7 +151,8 @@ def draw_charts(answers: Answers) -> list[Picture]:
         (timelines.run_gantt, (runs, rows["run_timeline.pauses"], workers, STAGES)),
         (counts.growth, (rows["dataset_growth"],)),
     ]
-    drawn = [remembered([draw.__module__, draw.__name__, *told], partial(draw, *told)) for draw, told in asked]
+    with nullcontext() if rasters else only_vectors():
+        drawn = [remembered([draw.__module__, draw.__name__, rasters, *told], partial(draw, *told)) for draw, told in asked]
     return [chart for chart in drawn if chart is not None]
 
 

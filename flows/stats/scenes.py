@@ -65,6 +65,7 @@ def _pictures(lake: Lake, reader: Reader, scene_id: str, look: PictureConfig) ->
     from tasks.stats.collisions import colliding_pairs, marked_picture
     from tasks.stats.losses import loss_curve
     from tasks.stats.scenes import best_corner, picture_scene
+    from tasks.stats.style import only_vectors
 
     model = _Model.of(lake, reader, scene_id)
     objects, placements = model.objects, model.placements
@@ -74,12 +75,14 @@ def _pictures(lake: Lake, reader: Reader, scene_id: str, look: PictureConfig) ->
     if not placements or placements[0].method == "imported":  # a finished dataset states one pose: there is no before
         return dataclasses.replace(pictures, plan=plan)
     contacts = reader.rows(Contact, scene_id)
+    with only_vectors():
+        curve = loss_curve(reader.arrow("optimization_steps", scene_id), placements[0].method, scene_id)
     proposed = {p.instance_id: placed_parts(p, model.blobs[p.instance_id], "proposed") for p in placements}
     return dataclasses.replace(
         pictures,
         before=marked_picture(proposed, model.shell, colliding_pairs(contacts, "proposed"), model.outline, camera, look),
         after=marked_picture(objects, model.shell, colliding_pairs(contacts, "optimized"), model.outline, camera, look),
-        loss_curve=loss_curve(reader.arrow("optimization_steps", scene_id), placements[0].method, scene_id),
+        loss_curve=curve,
         plan=plan,
     )
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from tasks.proximity import closest_points
 from tasks.rendering import Camera
-from tasks.stats.scenes import Outline, PictureConfig, developed, opened, photograph, shown
+from tasks.stats.photographs import developed, photograph
+from tasks.stats.scenes import Outline, PictureConfig, opened, shown
 
 if TYPE_CHECKING:
     import trimesh
@@ -93,17 +94,20 @@ def marked_picture(
         visible = list(of) if name in colliding else shown([of], outline, camera, config)
         parts.extend(visible)
         tinted = np.append(tinted, np.full(len(visible), name in colliding))
-    image, part = photograph(parts, camera, config)
-    seen = part >= 0
-    red = np.zeros(part.shape, dtype=np.bool_)
-    red[seen] = tinted[part[seen]]
-    gray = image.mean(axis=2, keepdims=True)
-    pale = image + _PALE * (gray - image)
-    light = np.clip(gray / 190.0, 0.45, 1.15)
-    image = np.where(red[..., None], image + _TINT_SHARE * (_TINT * light - image), np.where(seen[..., None], pale, image))
+    image = photograph(parts, camera, config, lambda colors, part: _marked(colors, part, tinted))
     known = {**shell, **objects}
     places = [overlap_place(known[a], known[b]) for a, b in pairs if a in known and b in known]
     return developed(_ringed(image, places, camera, config), config)
+
+
+def _marked(colors: NDArray[np.float32], part: NDArray[np.int64], tinted: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Colors, shape (..., 3), with parts that are `tinted` in red and all others paler; what shows no part stays."""
+    gray = colors.mean(axis=-1, keepdims=True)
+    marked = np.where((part >= 0)[..., None], colors + np.float32(_PALE) * (gray - colors), colors)
+    red = tinted[part] & (part >= 0)
+    light = np.clip(gray[red] / 190.0, 0.45, 1.15)
+    marked[red] = colors[red] + _TINT_SHARE * (_TINT * light - colors[red])
+    return marked
 
 
 def _finite(things: Mapping[str, Parts]) -> dict[str, Parts]:
@@ -142,13 +146,14 @@ def _distances(points: Array, parts: Parts) -> Array:
 
 
 def _ringed(image: NDArray[np.float32], places: Sequence[Place], camera: Camera, config: PictureConfig) -> NDArray[np.float32]:
-    """The fine image with a ring around each place."""
+    """The image with a ring around each place, its edges as smooth as those of the things."""
     from PIL import Image, ImageDraw
 
     if not places:
         return image
     factor = config.oversampling
     drawn = Image.fromarray(np.clip(np.round(image), 0, 255).astype(np.uint8))
+    drawn = drawn.resize((factor * drawn.width, factor * drawn.height), Image.Resampling.NEAREST)
     brush = ImageDraw.Draw(drawn)
     centers, depths = camera.project(np.array([place.center for place in places]))
     smallest, largest = (limit * camera.width / PictureConfig.width for limit in _RING_PX)
@@ -160,7 +165,7 @@ def _ringed(image: NDArray[np.float32], places: Sequence[Place], camera: Camera,
     for color, width in (((255, 255, 255), _HALO_PX), ((150, 0, 20), _LINE_PX)):  # all halos lie under all rings
         for center, radius in rings:
             _ring(brush, center, radius, color, max(1.0, width * factor * camera.width / PictureConfig.width))
-    return np.asarray(drawn, dtype=np.float32)
+    return np.asarray(drawn.reduce(factor), dtype=np.float32)
 
 
 def _ring(brush: ImageDraw, center: Array, radius: float, color: tuple[int, int, int], width: float) -> None:

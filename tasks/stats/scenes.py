@@ -7,14 +7,14 @@ camera and the room. The cut is geometric, so it does not depend on how a scan's
 from __future__ import annotations
 
 import dataclasses
-import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.rendering import Camera, RayScene, View
+from tasks.rendering import Camera, RayScene
+from tasks.stats.photographs import developed, photograph
 from tasks.transforms import look_at
 
 if TYPE_CHECKING:
@@ -184,39 +184,7 @@ def shown(objects: Sequence[Sequence[trimesh.Trimesh]], outline: Outline, camera
 
 def render(parts: Sequence[trimesh.Trimesh], camera: Camera, config: PictureConfig) -> bytes:
     """JPEG of parts in the world frame from `camera`, softly lit from above and behind the camera."""
-    return developed(photograph(parts, camera, config)[0], config)
-
-
-def photograph(parts: Sequence[trimesh.Trimesh], camera: Camera, config: PictureConfig) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Colors from 0 to 255, shape (h, w, 3), and the part that is seen, -1 for none, shape (h, w), oversampled; softly lit."""
-    factor = config.oversampling
-    fine = Camera(
-        camera.pose,
-        camera.fx * factor,
-        camera.fy * factor,
-        (camera.cx + 0.5) * factor - 0.5,
-        (camera.cy + 0.5) * factor - 0.5,
-        camera.width * factor,
-        camera.height * factor,
-    )
-    if not parts:
-        empty = np.empty((fine.height, fine.width, 3), dtype=np.float32)
-        empty[:] = config.background
-        return empty, np.full((fine.height, fine.width), -1, dtype=np.int64)
-    rays = fine.rays()
-    view = RayScene(parts).render(fine, background=config.background, shade=False, rays=rays)
-    return _lit(view, fine, rays), view.part
-
-
-def developed(image: NDArray[np.float32], config: PictureConfig) -> bytes:
-    """JPEG of an oversampled image, colors from 0 to 255, shape (h, w, 3)."""
-    from PIL import Image
-
-    factor = config.oversampling
-    small = sum(image[down::factor, across::factor] for down in range(factor) for across in range(factor)) / np.float32(factor**2)
-    file = io.BytesIO()
-    Image.fromarray(np.clip(np.round(small), 0, 255).astype(np.uint8)).save(file, "JPEG", quality=config.jpeg_quality, optimize=True)
-    return file.getvalue()
+    return developed(photograph(parts, camera, config), config)
 
 
 def fitting_camera(points: Array, target: Array, direction: Array, config: PictureConfig, rotation: Array | None = None) -> Camera:
@@ -250,8 +218,8 @@ def best_corner(
         visible = shown(objects, outline, camera, small)
         if not visible:
             continue
-        part = RayScene([*visible, *opened(shell, outline, camera, small)]).render(camera, shade=False).part
-        pixels = np.bincount(part[(part >= 0) & (part < len(visible))], minlength=1)
+        part = RayScene([*visible, *opened(shell, outline, camera, small)]).cast(camera.rays())["geometry_ids"]
+        pixels = np.bincount(part[part < len(visible)], minlength=1)
         seen = float(np.sqrt(pixels).sum())
         if seen > most:
             best, most = corner_camera(outline, corner, config), seen
@@ -298,63 +266,3 @@ def _with_faces(part: trimesh.Trimesh, keep: NDArray[np.bool_]) -> trimesh.Trime
     kept = part.copy()
     kept.faces = np.asarray(part.faces)[keep]
     return kept
-
-
-def _lit(view: View, camera: Camera, rays: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Colors of a view under a soft light from above the camera, with darkened creases. Shape (height, width, 3), 0 to 255."""
-    seen = view.part >= 0
-    to_eye = _unit([-rays[..., 3 + axis] for axis in range(3)])
-    normal = _smooth_normals(view.normal, to_eye)
-    key = camera.pose[:3, :3] @ np.array([-0.45, -0.75, -0.5])  # over the camera's left shoulder
-    key = (key / np.linalg.norm(key)).astype(np.float32)
-    facing = np.clip(_dot(normal, to_eye), 0, 1)
-    direct = np.clip(normal[0] * key[0] + normal[1] * key[1] + normal[2] * key[2], 0, 1)
-    light = np.float32(0.67) + np.float32(0.14) * facing + np.float32(0.22) * direct + np.float32(0.07) * normal[2]
-    light *= _openness(view.depth, seen)
-    light[~seen] = 1.0
-    return view.color * light[..., None]
-
-
-Planes = Sequence[NDArray[np.float32]]
-"""x, y and z of vectors, each of shape (height, width): ten times as fast as vectors side by side."""
-
-
-def _dot(a: Planes, b: Planes) -> NDArray[np.float32]:
-    total: NDArray[np.float32] = a[0] * b[0]
-    total += a[1] * b[1]
-    total += a[2] * b[2]
-    return total
-
-
-def _unit(vectors: Planes) -> list[NDArray[np.float32]]:
-    length: NDArray[np.float32] = np.maximum(np.sqrt(_dot(vectors, vectors)), np.float32(1e-6))
-    return [np.divide(plane, length, dtype=np.float32) for plane in vectors]
-
-
-def _smooth_normals(normals: NDArray[np.float32], to_eye: Planes) -> list[NDArray[np.float32]]:
-    """Unit normals towards the camera, evened out over neighbor pixels where the surface is nearly flat."""
-    from scipy.ndimage import gaussian_filter
-
-    normal: list[NDArray[np.float32]] = [np.nan_to_num(normals[..., axis].astype(np.float32)) for axis in range(3)]
-    side = np.sign(_dot(normal, to_eye))
-    normal = [np.multiply(plane, side, dtype=np.float32) for plane in normal]
-    blurred = _unit([np.asarray(gaussian_filter(plane, 3.0, truncate=2.5), dtype=np.float32) for plane in normal])
-    # an edge between two faces turns by more than noise does, and stays sharp
-    noise = _dot(blurred, normal) > 0.82
-    return [np.where(noise, soft, sharp) for soft, sharp in zip(blurred, normal, strict=True)]
-
-
-def _openness(depth: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """How little the surroundings of a pixel stand before it, 0.65 to 1, from depth alone; creases and contacts are darker."""
-    from scipy.ndimage import uniform_filter
-
-    if not seen.any():
-        return np.ones_like(depth)
-    filled = np.where(seen, depth, depth[seen].max()).astype(np.float32)
-    shade = np.zeros_like(filled)
-    for size in (13, 41):  # pixels: the foot of a leg, the foot of a wall
-        around = uniform_filter(uniform_filter(filled, size), size)
-        before = np.clip(filled - around, 0.0, None)
-        # a few centimetres behind its surroundings: a crease; metres behind them: a background, which stays light
-        shade += before * np.exp(-before / 0.2)
-    return np.clip(1.0 - 1.6 * shade, 0.65, 1.0).astype(np.float32)

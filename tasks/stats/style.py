@@ -6,7 +6,9 @@ import dataclasses
 import functools
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
@@ -57,6 +59,8 @@ PNG_DPI = 200
 class Picture:
     """A finished picture. `svg` suits light and dark pages, `png` is for light ones; `alt` says what is to be seen.
 
+    `png` is empty when only vectors were asked for.
+
     `view` is the one whose rows are drawn, when the picture is not named after it.
     """
 
@@ -84,6 +88,24 @@ def in_style(draw: Callable[P, T]) -> Callable[P, T]:
             return draw(*args, **kwargs)
 
     return drawn
+
+
+_RASTERS: ContextVar[bool] = ContextVar("rasters", default=True)
+
+
+@contextmanager
+def only_vectors() -> Iterator[None]:
+    """Pictures that are drawn in this context have no PNG, which takes as long as all the rest of them."""
+    before = _RASTERS.set(False)
+    try:
+        yield
+    finally:
+        _RASTERS.reset(before)
+
+
+def raster_of(draw: Callable[[], bytes]) -> bytes:
+    """The PNG that `draw` makes, or none when only vectors were asked for."""
+    return draw() if _RASTERS.get() else b""
 
 
 def canvas(height_inches: float, width_inches: float = WIDTH_INCHES) -> tuple[Figure, Axes]:
@@ -115,11 +137,24 @@ def picture(figure: Figure, name: str, title: str, alt: str) -> Picture:
     """The figure as SVG and PNG, without dates: the same figure gives the same bytes."""
     import matplotlib
 
+    def raster() -> bytes:
+        file = io.BytesIO()
+        figure.savefig(file, format="png", facecolor=PAPER.light, dpi=PNG_DPI, metadata={"Software": None})
+        return file.getvalue()
+
     with matplotlib.rc_context({**_SETTINGS, "svg.hashsalt": name}):
-        vector, raster = io.StringIO(), io.BytesIO()
+        vector = io.StringIO()
+        _arrange(figure)
         figure.savefig(vector, format="svg", transparent=True, metadata={"Date": None, "Creator": None, "Title": title})
-        figure.savefig(raster, format="png", facecolor=PAPER.light, dpi=PNG_DPI, metadata={"Software": None})
-    return Picture(name, title, alt, themed(vector.getvalue()), raster.getvalue())
+        return Picture(name, title, alt, themed(vector.getvalue()), raster_of(raster))
+
+
+def _arrange(figure: Figure) -> None:
+    """Lay a figure out once: each file would do it again, and draw everything twice for it."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def themed(svg: str) -> str:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from tasks.stats.style import PAPER, SERIES, Picture, themed
+from tasks.stats.style import PAPER, SERIES, Picture, raster_of, themed
 
 if TYPE_CHECKING:
     from wordcloud import WordCloud
@@ -26,8 +26,6 @@ def word_cloud(counts: Mapping[str, int]) -> Picture | None:
     if not words:
         return None
     cloud = _layout(words)
-    raster = io.BytesIO()
-    cloud.to_image().save(raster, "PNG")
     svg = re.sub(r"<rect[^>]*/>|<rect[^>]*></rect>", "", cloud.to_svg(embed_font=False), count=1)
     svg = re.sub(r"rgb\((\d+), ?(\d+), ?(\d+)\)", lambda m: "#{:02x}{:02x}{:02x}".format(*map(int, m.groups())), svg)
     # without the font in the file, another monospaced one steps in and is made as wide
@@ -36,7 +34,13 @@ def word_cloud(counts: Mapping[str, int]) -> Picture | None:
     svg = svg.replace("<svg ", '<svg viewBox="0 0 900 560" ', 1)
     frequent = sorted(words, key=lambda word: (-words[word], word))[:5]
     alt = f"Word cloud of {len(words)} categories. Most frequent: " + ", ".join(f"{word} ({words[word]})" for word in frequent) + "."
-    return Picture("category_cloud", "Categories", alt, themed(svg), raster.getvalue(), view="category_counts")
+    return Picture("category_cloud", "Categories", alt, themed(svg), raster_of(lambda: _png(cloud)), view="category_counts")
+
+
+def _png(cloud: WordCloud) -> bytes:
+    file = io.BytesIO()
+    cloud.to_image().save(file, "PNG")
+    return file.getvalue()
 
 
 def _layout(words: Mapping[str, int]) -> WordCloud:
