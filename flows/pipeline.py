@@ -31,13 +31,12 @@ from flows.identity import sentence
 from flows.outcome import MAX_NOTES
 from flows.parameters import Address, StageTables
 from flows.patience import patiently
-from flows.plan import Plan, ScenePlan, make_plan
+from flows.plan import Plan, ScenePlan, make_plan, planned_again
 from flows.progress import current
 from flows.report import RunReport, broken_checks, keep, report_of
 from flows.scans import found_scans, settled
 from flows.scene import STAGE_SECONDS, SceneResult, settle
 from schemas.runs import StageRun
-from tasks.capture.formats import Scan
 from warehouse.lake import Lake
 
 # Prefect prints a traceback for every line that its server does not take; the board says once that it is away.
@@ -261,9 +260,8 @@ def replicate(
         for given, scene_id in list(plan.same.items())[:MAX_NOTES]:
             run_log(sentence(given, scene_id))
 
-        def replan(scan: Scan, retry: bool) -> ScenePlan | None:
-            planned = make_plan(store, [scan], (), configuration, retry, again=True)  # what it is called is decided already
-            return planned.scenes[0] if planned.scenes else None
+        def replan(scene: ScenePlan, retry: bool) -> ScenePlan | None:
+            return planned_again(store, scene, configuration, retry)
 
         coordinator = Coordinator(plan, store, configuration, fan_out, replan, retry_failed=retry_failed)
         return _carry_out(plan, store, coordinator, scans, dataset, fan_out, began)

@@ -42,11 +42,15 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class ScenePlan:
-    """The steps of one scene, in the order of the stages. `snapshot_id` is what they were made from; None is the newest."""
+    """The steps of one scene, in the order of the stages. `snapshot_id` is what they were made from; None is the newest.
+
+    `given`: the scan under its own name, where the scene has another.
+    """
 
     scan: Scan
     steps: tuple[Step, ...]
     snapshot_id: int | None = None
+    given: Scan | None = None
 
     @property
     def todo(self) -> tuple[Step, ...]:
@@ -92,10 +96,12 @@ def make_plan(
     hashes: FileHashes | None = None,
     *,
     again: bool = False,
+    same: Mapping[str, str] | None = None,
 ) -> Plan:
     """Hold scans against the lake. Nothing is computed or written but the cache of file hashes.
 
-    A scan that the lake has under another name is that scene, unless it is to be computed `again` under its own.
+    A scan that the lake has under another name is that scene, unless it is to be computed `again` under its own. `same` says
+    which scans are, as `Plan.same`, where that is decided already.
     """
     hashes = hashes or FileHashes()
     snapshot_id = lake.snapshot().snapshot_id  # before the history is read: what is committed meanwhile counts as news
@@ -113,13 +119,14 @@ def make_plan(
         except InputError as error:
             errors.append(error)
     hashes.save()
-    same: dict[str, str] = {}
-    if not again:
+    if same is None and not again:
         captures = {scan.scene_id: history.get((scan.scene_id, CAPTURE)) for scan, _ in looked}
         same = same_scenes(lake, {scan.scene_id: content for scan, content in looked}, captures)
+    same = same or {}
+    given: Mapping[str, Scan] = {}
     if same:
         history |= lake.history(set(same.values()) - {scan.scene_id for scan in scans})
-        looked = _as_scenes(lake, looked, same, history)
+        looked, given = _as_scenes(lake, looked, same, history)
     annotations = annotation_digests(lake, {scan.scene_id for scan, _ in looked}, snapshot_id)
     scenes = []
     for scan, content in looked:
@@ -127,8 +134,18 @@ def make_plan(
         past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
         facts = {"scan": content.parts[1:]}
         steps = _steps(outside, facts, annotations.get(scan.scene_id, ""), past, told, configuration.seed, retry_failed)
-        scenes.append(ScenePlan(scan, steps, snapshot_id))
+        scenes.append(ScenePlan(scan, steps, snapshot_id, given.get(scan.scene_id)))
     return Plan(tuple(scenes), tuple(errors), snapshot_id, tuple(notes), same)
+
+
+def planned_again(lake: Lake, scene: ScenePlan, configuration: Configuration, retry_failed: bool = False) -> ScenePlan | None:
+    """The plan of a scene as the lake is now, under the name that it has; None when its scan cannot be read.
+
+    What a scan is called is decided once. Its files are looked at under its own name, which is a part of their paths.
+    """
+    given = scene.given or scene.scan
+    same = {given.scene_id: scene.scan.scene_id} if scene.given else {}
+    return next(iter(make_plan(lake, [given], (), configuration, retry_failed, same=same).scenes), None)
 
 
 CAPTURE = "capture"
@@ -137,11 +154,12 @@ CAPTURE = "capture"
 
 def _as_scenes(
     lake: Lake, looked: Sequence[tuple[Scan, Content]], same: Mapping[str, str], history: Mapping[tuple[str, str], StageState]
-) -> list[tuple[Scan, Content]]:
-    """Scans under the names of the scenes that they are, each scene once, by scene id."""
+) -> tuple[list[tuple[Scan, Content]], dict[str, Scan]]:
+    """Scans under the names of the scenes that they are, each scene once, by scene id; and those that had others, as they were."""
     rows = lake.snapshot().matching("scenes", {"scene_id": set(same.values())}, ["dataset", "scan"]).to_pylist()
     names = {row["scene_id"]: (row["dataset"], row["scan"]) for row in rows}
     found = {scan.scene_id: (scan, content) for scan, content in looked if scan.scene_id not in same}
+    given = {}
     for scan, content in looked:
         scene = same.get(scan.scene_id)
         if scene is None or scene in found:
@@ -150,7 +168,8 @@ def _as_scenes(
         state = history.get((scene, CAPTURE))
         recorded = recorded_content(state.done or state.last) if state is not None else ""
         found[scene] = scan_as(scan, scene, *names.get(scene, ("", ""))), content._replace(named=recorded or content.named)
-    return [found[scene] for scene in sorted(found)]
+        given[scene] = scan
+    return [found[scene] for scene in sorted(found)], given
 
 
 def _steps(

@@ -80,9 +80,8 @@ def test_scenes_of_another_run_are_no_longer_counted_as_left(plan: tuple[Plan, L
     for name in names[:2]:
         fail(lake, scenes[name])
 
-    def replan(scan: Any, retry: bool) -> ScenePlan:
-        scene = scenes[scan.scene_id]
-        if scan.scene_id == names[0]:  # whole
+    def replan(scene: ScenePlan, retry: bool) -> ScenePlan:
+        if scene.scan.scene_id == names[0]:  # whole
             return over(scene)
         return dataclasses.replace(scene, steps=(*over(scene).steps[:-1], scene.steps[-1]))  # all but the last stage
 
@@ -98,7 +97,6 @@ def test_scenes_of_another_run_are_no_longer_counted_as_left(plan: tuple[Plan, L
 def test_what_a_lost_worker_had_finished_counts_as_this_runs(plan: tuple[Plan, Lake]) -> None:
     found, lake = plan
     names = [scene.scan.scene_id for scene in found.scenes]
-    scenes = {scene.scan.scene_id: scene for scene in found.scenes}
 
     class Lost(Futures):
         """The worker goes after its scenes, and before it says so."""
@@ -109,11 +107,10 @@ def test_what_a_lost_worker_had_finished_counts_as_this_runs(plan: tuple[Plan, L
                     fail(lake, scene)
             return super().results(future)
 
-    def replan(scan: Any, retry: bool) -> ScenePlan:
-        scene = scenes[scan.scene_id]
-        if scan.scene_id == names[0]:
+    def replan(scene: ScenePlan, retry: bool) -> ScenePlan:
+        if scene.scan.scene_id == names[0]:
             return over(scene)
-        past = lake.history({scan.scene_id})[scan.scene_id, scene.steps[0].stage].last
+        past = lake.history({scene.scan.scene_id})[scene.scan.scene_id, scene.steps[0].stage].last
         waits = (dataclasses.replace(step, action="wait") for step in scene.steps[1:])
         return dataclasses.replace(scene, steps=(dataclasses.replace(scene.steps[0], action="report", before=past), *waits))
 

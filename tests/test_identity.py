@@ -16,7 +16,7 @@ from flows.cli import cli
 from flows.configuration import configure
 from flows.fingerprints import FileHashes
 from flows.identity import content_of
-from flows.plan import Plan, make_plan
+from flows.plan import Plan, make_plan, planned_again
 from flows.report import report_of
 from schemas.capture import Scene
 from tasks.capture.formats import find_scans, scan_files
@@ -93,6 +93,23 @@ def test_what_is_stale_is_computed_under_the_name_that_it_has(lake: Lake, scans:
     found, _ = find_scans(scans)
     plan = make_plan(lake, found, (), configure(settings=["capture.max_points=5000"]))
     assert actions(plan) == dict.fromkeys(("demo/hall", "demo/scene0001_00", "demo/scene0001_01"), ("run", "config changed"))
+
+
+def test_a_scene_that_is_planned_again_keeps_its_name_and_content(lake: Lake, scans: Path) -> None:
+    captured(lake, planned(lake, scans))
+    (scans / "hall").rename(scans / "entrance")
+    moved = (scans / "scene0001_00").rename(scans / "scene0002_00")
+    for file in list(moved.iterdir()):
+        file.rename(moved / file.name.replace("scene0001_00", "scene0002_00"))
+    found, _ = find_scans(scans)
+    for settings in ([], ["capture.max_points=5000"]):
+        configuration = configure(settings=settings)
+        plan = make_plan(lake, found, (), configuration)
+        assert plan.same == {"rgbd/entrance": "rgbd/hall", "scannet/scene0002_00": "scannet/scene0001_00"}
+        assert [planned_again(lake, scene, configuration) for scene in plan.scenes] == list(plan.scenes)
+    captured(lake, plan)  # another run, meanwhile
+    after = [planned_again(lake, scene, configuration) for scene in plan.scenes]
+    assert [(scene.scan, scene.steps[0].why) for scene in after if scene] == [(scene.scan, "unchanged") for scene in plan.scenes]
 
 
 def test_a_folder_or_file_that_was_renamed_is_the_same_scan(lake: Lake, scans: Path) -> None:

@@ -9,14 +9,13 @@ from datetime import UTC, datetime
 
 from flows.fanout.committer import Committer
 from flows.plan import Plan, ScenePlan
-from tasks.capture.formats import Scan
 from warehouse.claims import Claims
 from warehouse.lake import Lake
 
 LOOK_SECONDS = (0.5, 5.0)
 """How long a scene that another run computes is left alone: at first, and at most."""
 
-Replan = Callable[[Scan, bool], ScenePlan | None]
+Replan = Callable[[ScenePlan, bool], ScenePlan | None]
 """The plan of a scene as the lake is now, told whether failed steps are computed again; None when its scan cannot be read."""
 
 
@@ -86,9 +85,9 @@ class Backlog:
         """What is left to compute of a claimed scene; None when another run has done it, well or not."""
         if not self._is_touched(scene.scan.scene_id):
             return scene
-        planned = self._replan(scene.scan, self._retry_failed)
+        planned = self._replan(scene, self._retry_failed)
         if planned is not None and self._retry_failed and any(self._failed_since(step.before) for step in planned.todo):
-            planned = self._replan(scene.scan, False)
+            planned = self._replan(scene, False)
         if planned is None:
             return scene  # computing it says what is wrong with its scan
         if planned.todo:
