@@ -126,6 +126,9 @@ def _say_and_exit(text: str, error: BaseException, code: int) -> NoReturn:
     print(f"metascenes: {text}", file=sys.stderr)
     if os.environ.get("METASCENES_TRACEBACK"):
         traceback.print_exception(error)
+    for each in (error, error.__cause__, error.__context__):
+        if each is not None:  # at the end DuckDB complains of what is still held
+            traceback.clear_frames(each.__traceback__)
     sys.exit(code)
 
 

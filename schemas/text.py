@@ -11,14 +11,17 @@ import re
 HIDDEN = "..."
 """Stands where a credential stood."""
 
+# Values end at a backslash, too: in JSON it stands before the quote or the new line that follows.
 _SECRETS = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")
 _SHORTEST_SECRET = 8  # shorter ones may be part of any word
 
-_ADDRESS = re.compile(r"(?<![a-z0-9+.-])(?P<scheme>(?:s3|gs|https?|ftp):/*|[a-z][a-z0-9+.-]{0,30}://)(?P<rest>[^\s'\"<>`]*)", re.IGNORECASE)
+_ADDRESS = re.compile(
+    r"(?<![a-z0-9+.-])(?P<scheme>(?:s3|gs|https?|ftp):/*|[a-z][a-z0-9+.-]{0,30}://)(?P<rest>[^\s'\"<>`\\]*)", re.IGNORECASE
+)
 _AFTER = ":;,.)]}"  # what a sentence puts after an address
 _CREDENTIAL = re.compile(
     r"(?<![\w.-])(?P<name>(?:x-amz-|x-goog-|aws_?)[\w.-]+"
-    r"|[\w.-]{0,40}?(?:secret|passw|signature|credential|access_?key|session_?token)[\w.-]{0,40})=(?!\.\.\.)[^&#;\s'\"]+",
+    r"|[\w.-]{0,40}?(?:secret|passw|signature|credential|access_?key|session_?token)[\w.-]{0,40})=(?!\.\.\.)[^&#;\s'\"\\]+",
     re.IGNORECASE,
 )
 _VALUE = re.compile(r"=(?!\.\.\.)[^&;]+")

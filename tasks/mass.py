@@ -76,7 +76,8 @@ def principal_axes(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
         if best is None or score > best[0] + 1e-9:
             best = (score, moments[list(order)], turned)
     assert best is not None
-    return best[1], best[2]
+    # The last bits of axes hang on the processor's kernels; without them the same body has the same axes on all machines.
+    return best[1], np.round(best[2], 12) + 0.0
 
 
 def _manifold(hull: Hull) -> Any:

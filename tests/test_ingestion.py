@@ -479,7 +479,7 @@ def test_datasets_are_compared_by_what_their_rows_say(mixed: Lake) -> None:
         moves = [one.displacement_m for one in own["placements"] if one.displacement_m is not None]
         assert row["mean_displacement_m"] == (pytest.approx(np.mean(moves)) if moves else None)
         assert row["stable_5cm_share"] == (pytest.approx(np.mean([one.is_stable_5cm for one in free])) if free else None)
-        assert row["scene_licenses"] == sorted({one.license or "not stated" for one in own["scenes"]})
+        assert row["scene_licenses"] == sorted({one.license or "unknown" for one in own["scenes"]})
         assert row["asset_licenses"] == sorted({assets[name].license for name in used})
 
 

@@ -19,7 +19,8 @@ from flows.plan import make_plan
 from flows.scans import found_scans, scan_source, settled
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run, scan_files
-from tasks.capture.formats import Scan, find_scans, left_out
+from tasks.capture.formats import Scan, find_scans, left_out, license_path
+from tasks.capture.premises import Premises
 from tasks.capture.scenes import read_scan
 from tasks.capture.wholeness import find_gap
 from tasks.stage import Context, Outcome
@@ -348,3 +349,12 @@ def test_a_look_of_the_watch_reads_nothing_through_a_link(scans: Path, tmp_path:
     descriptor = os.open(tmp_path / "outside" / "pipe", os.O_RDONLY | os.O_NONBLOCK)
     writer.join()
     os.close(descriptor)
+
+
+def test_a_license_that_is_a_link_to_nowhere_is_none(tmp_path: Path) -> None:
+    scan = tmp_path / "kitchen"
+    scan.mkdir()
+    (scan / "LICENSE.txt").symlink_to("missing.txt")
+    assert license_path(scan, Premises((tmp_path,))) is None
+    (scan / "missing.txt").write_text("CC0-1.0")
+    assert license_path(scan, Premises((tmp_path,))) == scan / "LICENSE.txt"

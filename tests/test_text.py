@@ -110,3 +110,25 @@ def test_an_address_with_credentials_is_refused_without_saying_them(place: str) 
     with pytest.raises(InputError, match="the address carries credentials; give them by the environment") as caught:
         check_address(place, "--lake")
     assert "wJal" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        'see "http://127.0.0.1:4200" now', 'password="x"', 'signature="a,b"', '"https://host:pw"', "http://127.0.0.1:4200\nnext line",
+        "a\\b=c s3://KEY:SECRET@bucket/lake\\", 'token "s3://KEY:SECRET@bucket" and more',
+    ],
+)  # fmt: skip
+def test_json_stays_what_it_says_but_for_credentials(value: str) -> None:
+    """What is printed is JSON text as a whole: its quotes are escaped."""
+    read = json.loads(shown(json.dumps({"error": value})))
+    assert list(read) == ["error"]
+    assert read["error"] == concealed(value)
+    assert "SECRET" not in read["error"]
+
+
+def test_folders_may_be_named_like_settings() -> None:
+    check_address("/data/signature=v1/aws_lake=1")
+    for address in ("s3://KEY:SECRET@bucket/lake", "s3:KEY:SECRET@bucket", "https://store/x?X-Amz-Signature=abcdef"):
+        with pytest.raises(InputError, match="carries credentials"):
+            check_address(address)

@@ -219,3 +219,12 @@ def _is_telling(value: Any) -> bool:
     if isinstance(value, str):
         return len(value.encode()) <= _STATISTIC_BYTES
     return isinstance(value, int) and not isinstance(value, bool)
+
+
+def changing() -> list[tuple[Any, str]]:
+    """Functions of delta-rs that change a table, by owner and name: for whoever has to stand before each of them."""
+    import deltalake
+    from deltalake.table import TableOptimizer
+
+    names = ("restore", "create_write_transaction", "create_checkpoint", "cleanup_metadata")
+    return [(deltalake, "write_deltalake"), *((deltalake.DeltaTable, name) for name in names), (TableOptimizer, "compact")]

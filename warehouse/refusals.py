@@ -86,6 +86,10 @@ def told(place: str) -> Iterator[None]:
         raise
 
 
+class MissingFile(InputError):
+    """A data file of a lake is not there: a vacuum put others in its place, or the lake is damaged."""
+
+
 @contextlib.contextmanager
 def named(storage: Storage) -> Iterator[None]:
     """Name the file of a lake that DuckDB or Arrow finds missing or damaged; for other things as `told`.
@@ -104,4 +108,5 @@ def named(storage: Storage) -> Iterator[None]:
                 raise
             is_gone = isinstance(error, FileNotFoundError) or number_of(error) == errno.ENOENT or "No files found" in str(error)
             problem = "is missing" if is_gone else f"cannot be read ({one_line(error)[:200]})"
-            raise InputError(storage.address, found[1], problem, "`metascenes doctor lake` says what is damaged") from error
+            kind = MissingFile if is_gone else InputError
+            raise kind(storage.address, found[1], problem, "`metascenes doctor lake` says what is damaged") from error

@@ -19,6 +19,7 @@ from warehouse import views
 from warehouse.commit import versions_of
 from warehouse.delta import LOOK_AGAIN_SECONDS, DeltaTables
 from warehouse.documentation import comment_statements, quoted, sql_type
+from warehouse.refusals import MissingFile
 from warehouse.released import released
 from warehouse.renames import former_columns, merged, with_former
 from warehouse.storage import Storage
@@ -54,7 +55,7 @@ class Reader:
             self._files["snapshots"] = self._tables.files("snapshots", opened) if opened is not None else []
             try:
                 return arrow_to_rows(self._tables.read(TABLES["snapshots"], self._files["snapshots"]), Snapshot)
-            except FileNotFoundError:
+            except MissingFile:
                 if pause is None:
                     raise
                 time.sleep(pause)

@@ -143,9 +143,9 @@ def survey(scan: Scan) -> tuple[list[Path], str]:
 
 
 def license_path(folder: Path, premises: Premises) -> Path | None:
-    """A scan's LICENSE.txt, None without one."""
+    """A scan's LICENSE.txt, None without one. A link that leads nowhere is none."""
     path = folder / "LICENSE.txt"
-    return path if (path.is_file() or path.is_symlink()) and premises.admits(path) else None
+    return path if (path.is_file() or path.is_symlink()) and premises.admits(path) and path.is_file() else None
 
 
 def glb_file(scan: Scan) -> Path:

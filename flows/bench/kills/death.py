@@ -29,7 +29,6 @@ JUMPS = ("+0", "-1", "+1", "-90", "+90", "-7200", "+7200", "-40d", "+40d")
 """What clocks are set wrong by, and jump to in the middle of the work."""
 
 _SYSTEM = ("replace", "link", "fsync", "unlink", "mkdir", "rmdir", "utime")
-_DELTA = ("restore", "create_write_transaction", "create_checkpoint", "cleanup_metadata")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,15 +65,10 @@ class Steps:
 
     def install(self) -> Steps:
         """Put itself before every step of this process."""
-        import deltalake
-        from deltalake.table import TableOptimizer
+        from warehouse.datafiles import changing
 
-        for name in _SYSTEM:
-            setattr(os, name, self._stepped(getattr(os, name)))
-        for owner, names in ((deltalake, ["write_deltalake"]), (deltalake.DeltaTable, _DELTA), (TableOptimizer, ["compact"])):
-            for name in names:
-                if hasattr(owner, name):
-                    setattr(owner, name, self._stepped(getattr(owner, name)))
+        for owner, name in [(os, name) for name in _SYSTEM] + changing():
+            setattr(owner, name, self._stepped(getattr(owner, name)))
         return self
 
     def _stepped(self, real: Callable[..., Any]) -> Callable[..., Any]:
