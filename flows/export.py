@@ -28,7 +28,7 @@ class Chosen:
     """The rows of a snapshot to export, and in which formats.
 
     `missing` says what of all that could be meant is not there: scenes without an export, or without one in a format that
-    others have, a line each. `absent` are formats of which there is nothing at all.
+    others have, a line each. `absent` are formats of which the lake has nothing at all.
     """
 
     rows: tuple[ExportFile, ...]
@@ -78,7 +78,8 @@ def chosen_exports(lake: Lake, reader: Reader, formats: Sequence[str] = (), scen
         InputError: there is nothing of a format or a scene that is named, or nothing at all.
     """
     known = [row.scene_id for row in reader.rows(Scene)]
-    rows = [row for row in reader.rows(ExportFile) if not scenes or row.scene_id in scenes]
+    everything = list(reader.rows(ExportFile))
+    rows = [row for row in everything if not scenes or row.scene_id in scenes]
     has: dict[str, set[str]] = {}
     for row in rows:
         has.setdefault(row.scene_id, set()).add(row.format)
@@ -97,12 +98,14 @@ def chosen_exports(lake: Lake, reader: Reader, formats: Sequence[str] = (), scen
             raise InputError(lake.address, "export_files", f"the lake has no {name} export", remedy)
     if not rows:
         raise InputError(lake.address, "export_files", "the lake has no exports", "see `metascenes status`")
+    held = {row.format for row in everything}
+    meant = wanted if formats else tuple(name for name in FORMATS if name in held)
     missing = []
     for scene in sorted(set(scenes) or {*known, *has}):
-        lacks = [name for name in wanted if name not in has.get(scene, ())]
+        lacks = [name for name in meant if name not in has.get(scene, ())]
         if lacks:
             missing.append(f"{scene}: no {', '.join(lacks) if has.get(scene) else ''} export".replace("  ", " "))
-    absent = () if formats else tuple(name for name in FORMATS if name not in there)
+    absent = () if formats else tuple(name for name in FORMATS if name not in held)
     missing += [f"{name}: the lake has no export in this format" for name in absent]
     return Chosen(tuple(row for row in rows if row.format in wanted), wanted, tuple(missing), absent)
 

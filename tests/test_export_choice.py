@@ -97,6 +97,16 @@ def test_all_means_what_the_lake_has_and_an_older_export_of_the_rest_goes(lake: 
     assert json.loads(ask(lake, tmp_path, "--json").stdout)["notes"][0] == f"{MUTE}: no mjcf export"
 
 
+def test_a_format_that_only_other_scenes_have_is_not_absent(lake: Lake, tmp_path: Path) -> None:
+    older(tmp_path, "urdf", "mjcf")
+    done = ask(lake, tmp_path, "--scene", MUTE)
+    assert done.exit_code == 0, done.output
+    assert sorted(folder.name for folder in tmp_path.iterdir()) == ["glb", "mjcf"]
+    assert (tmp_path / "mjcf" / "old.xml").read_text() == "older"
+    notes = [line for line in done.output.splitlines() if "mjcf" in line]
+    assert notes == [f"note: {MUTE}: no mjcf export"]
+
+
 def test_a_folder_that_no_export_wrote_is_not_removed(lake: Lake, tmp_path: Path) -> None:
     (tmp_path / "urdf").mkdir()
     (tmp_path / "urdf" / "mine.txt").write_text("mine")
