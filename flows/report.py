@@ -81,8 +81,9 @@ def report_of(
     lines = [(scene, line) for scene, told in sorted((broken or {}).items()) for line in told]
     known += [line for scene, line in lines if scene not in computed]
     anew += [line for scene, line in lines if scene in computed]
-    notes = [text for r in results for text in r.degradations]
-    notes += [line for line in plan.left_out if not any(line.partition(": ")[2] in text for text in notes)]
+    told = {r.scene_id: r.degradations for r in results}
+    notes = [line for line in plan.left_out if not _is_told(line, plan.same, told)]  # first: of what follows most is cut off
+    notes += [text for r in results for text in r.degradations]
     others = computed | failed | shared | postponed
     return RunReport(
         done=tuple(r.scene_id for r in results if not r.failed),
@@ -99,6 +100,12 @@ def report_of(
         broken=tuple(line for _, line in lines),
         same=dict(plan.same),
     )
+
+
+def _is_told(line: str, same: Mapping[str, str], told: Mapping[str, Sequence[str]]) -> bool:
+    """Whether a line of `Plan.left_out` is among what its scene's stages said."""
+    scan, _, note = line.partition(": ")
+    return any(note in text for text in told.get(same.get(scan, scan), ()))
 
 
 _kept: list[RunReport] = []

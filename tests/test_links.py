@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -14,9 +15,12 @@ import pytest
 
 from flows.arrivals import look, watch_report
 from flows.configuration import configure
+from flows.fanout import coordinator
 from flows.fingerprints import FileHashes
 from flows.plan import make_plan
+from flows.report import report_of
 from flows.scans import found_scans, scan_source, settled
+from flows.scene import SceneResult
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run, scan_files
 from tasks.capture.formats import Scan, find_scans, left_out, license_path
@@ -95,6 +99,23 @@ def test_a_license_that_leaves_is_left_out_and_named_everywhere(scans: Path, tmp
     allowed = next(s for s in find_scans(scans, links_into=[tmp_path / "outside"])[0] if s.path.name == name)
     assert left_out(allowed) == ""
     assert read_scan(allowed).license == SECRET
+
+
+def test_a_link_of_one_scan_is_named_although_another_says_the_same(scans: Path, tmp_path: Path) -> None:
+    for name in ("kitchen", "scene0001_00"):
+        (scans / name / "LICENSE.txt").unlink(missing_ok=True)
+        (scans / name / "LICENSE.txt").symlink_to(tmp_path / "outside" / "secret")
+    found, errors = find_scans(scans)
+    plan = make_plan(Lake.open(tmp_path / "lake"), found, errors, configure())
+    assert len(plan.left_out) == 2
+    here, there = sorted(plan.left_out)
+    scene, _, note = here.partition(": ")
+    computed = f"{scene}: capture: {note}"
+    result = SceneResult(scene, ("capture",), None, None, (computed, f"{scene}: boxes: another"))
+    assert report_of(plan, coordinator.Outcome(results=[result])).degradations == (there, *result.degradations)
+    renamed = dataclasses.replace(plan, same={scene: "demo/known"})
+    result = dataclasses.replace(result, scene_id="demo/known")
+    assert report_of(renamed, coordinator.Outcome(results=[result])).degradations == (there, *result.degradations)
 
 
 def said(scan: Scan) -> str:
