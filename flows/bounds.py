@@ -6,15 +6,18 @@ Our own exports are checked where they are made, in a worker that has its time l
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import itertools
 import math
 import os
 import pickle
 import resource
 import signal
+import stat
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -34,20 +37,41 @@ class OutOfBounds(Exception):
     """The process took more than it was given, or died."""
 
 
-def findings_of(check: Callable[[Path], Sequence[Finding]], path: Path, times: float = 1.0) -> list[Finding]:
+MAX_FILES = 100_000
+"""So many files of a folder are counted: somebody may have put a scene beside everything else."""
+
+
+def findings_of(check: Callable[[Path], Sequence[Finding]], path: Path, times: float = 1.0, *, names_others: bool = False) -> list[Finding]:
     """What a check finds in a file or folder of others, in a process of its own with `times` the usual budget.
+
+    The budget follows from the bytes of the file or folder; of a file that `names_others` to read, from those of its folder.
 
     Raises:
         Exception: what the check raises.
     """
-    files = [path] if path.is_file() else path.rglob("*")
-    size = sum(file.stat().st_size for file in files if file.is_file() and not file.is_symlink())
+    size = _bytes(path.parent if names_others and path.is_file() else path)
     seconds = times * (BUDGET.seconds + BUDGET.child_seconds_per_mb * size / 1e6)
     memory = int(times * (BUDGET.child_bytes + BUDGET.child_bytes_per_byte * size))
     try:
         return list(bounded(check, path, seconds=seconds, memory_bytes=memory))
     except OutOfBounds as error:
         return [Finding(RULE, path.name, f"cannot be checked: {error}; --budget {2 * times:g} gives it twice as much")]
+
+
+def _bytes(place: Path) -> int:
+    """Bytes of a file, or of the regular files in a folder, also those that links in it lead to."""
+    files = [place] if place.is_file() else itertools.islice(_files(place), MAX_FILES)
+    size = 0
+    for file in files:
+        with contextlib.suppress(OSError):  # a link that leads nowhere, or a folder that is not ours
+            found = file.stat()
+            size += found.st_size if stat.S_ISREG(found.st_mode) else 0
+    return size
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for root, _, names in os.walk(folder):
+        yield from (Path(root, name) for name in sorted(names))
 
 
 def bounded(function: Callable[..., Any], *arguments: Any, seconds: float, memory_bytes: int) -> Any:

@@ -6,6 +6,7 @@ import ctypes
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from click.testing import CliRunner
 
 from flows.bounds import OutOfBounds, bounded, findings_of
 from flows.cli import cli
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.exports.findings import Finding
 from tests import attacks
@@ -88,6 +90,34 @@ def test_a_reader_that_waits_for_ever_is_ended(tmp_path: Path) -> None:
 def test_the_finding_says_how_to_give_it_more(tmp_path: Path) -> None:
     (found,) = findings_of(hungry, tmp_path / "a", times=0.5)
     assert str(found) == "budget: a: cannot be checked: a reader of it takes more than 768 MB of memory; --budget 1 gives it twice as much"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "counts"),
+    [("mjcf", "a.xml", True), ("usd", "a.usda", True), ("urdf", "a.urdf", True), ("urdf", ".", True), ("glb", "a.glb", False)],
+)
+def test_a_file_that_names_others_is_given_what_they_take(
+    kind: str, name: str, counts: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mesh beside it, one that a link leads to, a link that leads nowhere and a pipe."""
+    folder = tmp_path / "scene"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "a.bin" if name == "." else folder / name).write_bytes(b"x" * 10)
+    (folder / "meshes" / "chair.obj").write_bytes(b"x" * 1_000)
+    (tmp_path / "table.obj").write_bytes(b"x" * 100_000)
+    (folder / "meshes" / "table.obj").symlink_to(tmp_path / "table.obj")
+    (folder / "meshes" / "gone.obj").symlink_to(tmp_path / "gone.obj")
+    os.mkfifo(folder / "meshes" / "pipe")
+    given: list[int] = []
+
+    def budgeted(*told: Any, memory_bytes: int, seconds: float) -> list[Finding]:
+        given.append(memory_bytes)
+        return []
+
+    monkeypatch.setattr("flows.bounds.bounded", budgeted)
+    ended = CliRunner().invoke(cli, ["doctor", kind, str(folder / name)])
+    assert ended.exit_code == 0, ended.output
+    assert given == [BUDGET.child_bytes + BUDGET.child_bytes_per_byte * (101_010 if counts else 10)]
 
 
 CHECKED = "import sys; from pathlib import Path; from tasks.exports.mjcf.rules import check_mjcf; print(*check_mjcf(Path(sys.argv[1])))"

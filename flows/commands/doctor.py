@@ -41,7 +41,8 @@ def usd(file: Path, omniverse: bool, budget: float, as_json: bool) -> None:
     from tasks.exports.usd.omniverse import check_omniverse
     from tasks.exports.usd.rules import check_usd
 
-    findings = findings_of(check_usd, file, budget) + (findings_of(check_omniverse, file, budget) if omniverse else [])
+    checks = (check_usd, check_omniverse) if omniverse else (check_usd,)
+    findings = [found for check in checks for found in findings_of(check, file, budget, names_others=True)]
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 
@@ -73,7 +74,7 @@ def mjcf(file: Path, budget: float, as_json: bool) -> None:
     from flows.bounds import findings_of
     from tasks.exports.mjcf.rules import check_mjcf
 
-    findings = findings_of(check_mjcf, file, budget)
+    findings = findings_of(check_mjcf, file, budget, names_others=True)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 
@@ -89,7 +90,7 @@ def urdf(file: Path, budget: float, as_json: bool) -> None:
     from flows.bounds import findings_of
     from tasks.exports.urdf.rules import check_urdf
 
-    findings = findings_of(check_urdf, file, budget)
+    findings = findings_of(check_urdf, file, budget, names_others=True)
     _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
 
