@@ -7,7 +7,7 @@ import fnmatch
 import os
 import time
 import unicodedata
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -52,14 +52,15 @@ class ScanSource(Protocol):
 def scan_source(address: str | Path, links_into: Sequence[str] = ()) -> ScanSource:
     """The scans at an address: a folder, one scan, or `s3://bucket/prefix` with endpoint and credentials as lakes have them.
 
-    links_into: Folders that links out of the folder may lead into; each text is one, or several as in PATH.
+    links_into: Folders that links out of the folder may lead into; each text is one, or several as in PATH. A folder that is
+        there may have a colon in its name.
 
     Raises:
         InputError: the address is of no known kind, or carries credentials; or one of the folders does not exist.
     """
     text = str(address)
     check_address(text, "--scans")
-    allowed = stores(folder for listed in links_into for folder in listed.split(os.pathsep) if folder)
+    allowed = stores(folder for listed in links_into for folder in _folders(listed))
     if isinstance(address, str) and address.startswith("s3://"):
         from flows.mirror import S3Source
 
@@ -67,6 +68,16 @@ def scan_source(address: str | Path, links_into: Sequence[str] = ()) -> ScanSour
     if isinstance(address, str) and "://" in address:
         raise InputError(address.partition("://")[0] + "://", "--scans", "is not supported", "give a folder or s3://bucket/prefix")
     return FolderSource(Path(text), allowed)
+
+
+def _folders(listed: str) -> Iterator[str]:
+    """The folders of a text as in PATH; what is a folder as a whole is one, whatever is in its name."""
+    parts = listed.split(os.pathsep)
+    while parts:
+        count = next((count for count in range(len(parts), 1, -1) if os.path.isdir(os.pathsep.join(parts[:count]))), 1)
+        if folder := os.pathsep.join(parts[:count]):
+            yield folder
+        parts = parts[count:]
 
 
 class FolderSource:

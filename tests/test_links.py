@@ -274,6 +274,18 @@ def test_a_store_that_is_not_there_is_misuse(scans: Path) -> None:
     assert found_scans(scans, links_into=["", both])[1] == []
 
 
+def test_a_store_may_have_a_colon_in_its_name(scans: Path, tmp_path: Path) -> None:
+    store = (tmp_path / "outside").rename(tmp_path / "a:b")
+    (scans / "kitchen" / "LICENSE.txt").unlink()
+    (scans / "kitchen" / "LICENSE.txt").symlink_to(store / "secret")
+    for told in (str(store), f"{scans}:{store}", f"{store}:{scans}", f"{scans}::{store}:{scans}"):
+        found, errors = found_scans(scans, links_into=[told])
+        assert not errors
+        assert [left_out(scan) for scan in found] == [""] * 2, told
+    with pytest.raises(InputError, match=r"nowhere: is no folder"):
+        found_scans(scans, links_into=[f"{store}:{tmp_path / 'nowhere'}"])
+
+
 def test_a_listing_of_a_scan_does_not_walk_where_links_lead(scans: Path, tmp_path: Path) -> None:
     (scans / "kitchen" / "everything").symlink_to("/")
     (scans / "kitchen" / "more").symlink_to(tmp_path / "outside")
