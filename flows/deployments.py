@@ -91,8 +91,10 @@ class Schedule:
 def lake_name(address: str) -> str:
     """The name that a lake has on a server, where nobody gave it one: the last part of its address, in small letters."""
     from flows.artifacts import short_name
+    from tasks.words import plain_word
 
-    return re.sub(r"[^a-z0-9._]+", "-", short_name(address).lower()).strip("-._") or "lake"
+    name = short_name(address)
+    return re.sub(r"[^a-z0-9._]+", "-", (name if name.isascii() else plain_word(name)).lower()).strip("-._") or "lake"
 
 
 FILE_VARIABLES = {f"METASCENES_{field.name.upper()}" for field in dataclasses.fields(Schedule)}
@@ -194,8 +196,13 @@ def _check_lake(schedule: Schedule, deployed: Mapping[str, Mapping[str, Any]]) -
     """Refuse a name under which the server keeps another lake: its runs would go on into this one."""
     for name, one in deployed.items():
         other = _lake_of(one)
-        if name.partition("/")[2] in {f"{base}-{schedule.name}" for base in BASES} and other and other != schedule.lake.rstrip("/"):
+        if _is_named(schedule, name) and other and other != schedule.lake.rstrip("/"):
             raise InputError("--name", schedule.name, f"is the name of {other} on this server", f"give {schedule.lake} another")
+
+
+def _is_named(schedule: Schedule, name: str) -> bool:
+    """Whether a deployment, `flow/name`, bears the name of this lake; `nightly-my-lake` does not bear that of `lake`."""
+    return name.partition("/")[2] in {f"{base}-{schedule.name}" for base in BASES}
 
 
 def _lake_of(deployment: Mapping[str, Any]) -> str:
@@ -233,7 +240,7 @@ def others(schedule: Schedule) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     with get_client(sync_client=True) as client:
         for name, one in _deployments(client).items():
-            if not name.endswith(f"-{schedule.name}") and _lake_of(one):
+            if not _is_named(schedule, name) and _lake_of(one):
                 found.setdefault(_lake_of(one), []).append(name)
     return found
 

@@ -23,8 +23,9 @@ import psutil
 import pytest
 import yaml
 
+from flows import deployments
 from flows.bench.flows.small_scenes import SETTINGS, write_small_scans
-from flows.deployments import FILE_VARIABLES, RUNS_AT_ONCE, Schedule, closed, deployment_file, planned
+from flows.deployments import FILE_VARIABLES, RUNS_AT_ONCE, Schedule, closed, deployment_file, lake_name, planned
 from flows.services import SERVER
 from schemas.errors import InputError
 from schemas.runs import StageRun
@@ -636,6 +637,29 @@ def test_an_installed_package_has_the_file(tmp_path: Path) -> None:
     included = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     assert included == {"prefect.yaml": "flows/prefect.yaml"}
     assert yaml.safe_load(deployment_file().read_text())["deployments"]
+
+
+@pytest.mark.parametrize(
+    ("address", "name"),
+    [
+        ("/data/Kitchens", "kitchens"),
+        ("s3://bucket/my lake/", "my-lake"),
+        ("/data/Küche", "kuche-a9ec872e"),
+        ("/data/会议室", "hui_yi_shi-423bba6b"),
+        ("/data/+", "lake"),
+    ],
+)
+def test_a_lake_in_any_script_has_a_name_of_its_own(address: str, name: str) -> None:
+    assert Schedule("/scans", address, "/out").name == lake_name(address) == name
+
+
+def test_lakes_whose_names_end_alike_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    lakes = {"nightly-lake": "/lake", "nightly-my-lake": "/my-lake", "nightly-elsewhere": "/elsewhere"}
+    there = {f"replicate/{name}": {"facts": {"parameters": {"lake": lake}}} for name, lake in lakes.items()}
+    monkeypatch.setattr("prefect.client.orchestration.get_client", lambda **_: contextlib.nullcontext())
+    monkeypatch.setattr(deployments, "_deployments", lambda client: there)
+    found = deployments.others(Schedule("/scans", "/lake", "/out"))
+    assert found == {"/my-lake": ["replicate/nightly-my-lake"], "/elsewhere": ["replicate/nightly-elsewhere"]}
 
 
 def test_a_name_with_a_placeholder_is_refused() -> None:
