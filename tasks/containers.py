@@ -20,6 +20,10 @@ _MOST = dict.fromkeys(("nodes", "meshes", "materials", "images", "textures", "sc
     ("accessors", "bufferViews"), 8 * BUDGET.nodes
 )
 _COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_SHARED = 8
+"""How often views, or accessors, may name the same bytes: as often as a vertex has attributes that lie beside one another."""
+_NUMBERS = 8
+"""Numbers of a vertex: its position, its normal and its place in a texture."""
 
 Document = dict[str, Any]
 
@@ -62,8 +66,8 @@ def close_glb(document: Document, binary: bytes) -> bytes:
     return struct.pack("<III", _MAGIC, 2, 12 + len(chunks)) + chunks
 
 
-def weigh_glb(data: bytes, file: str) -> None:
-    """Hold a GLB against the budget by what it declares. Whether it is sound otherwise is for its reader to say.
+def weigh_glb(data: bytes, file: str) -> Document:
+    """Hold a GLB against the budget by what it declares, its JSON document. Whether it is sound otherwise is for its reader to say.
 
     Raises:
         InputError: it is no GLB, or would take more than the budget; names what.
@@ -78,9 +82,11 @@ def weigh_glb(data: bytes, file: str) -> None:
         document = json_value(text.decode("utf-8-sig", "replace"))
     except ValueError as error:
         raise InputError(file, "content", f"is not a readable GLB ({error})", "export it again as glTF binary") from error
-    excess = over_budget(document, data[28 + size :]) if isinstance(document, dict) else None
+    document = document if isinstance(document, dict) else {}
+    excess = over_budget(document, data[28 + size :])
     if excess is not None:
         raise InputError(file, *excess)
+    return document
 
 
 def over_budget(document: Document, binary: bytes) -> tuple[str, str, str] | None:
@@ -96,9 +102,17 @@ Problems = Iterator[tuple[str, str, str]]
 
 
 def _accessors(document: Document, binary: bytes) -> Problems:
-    """Numbers that are made anew: those that no view holds, and those that lie apart in it, which are copied."""
-    made = 0
-    views = _listed(document, "bufferViews")
+    """Numbers that are made anew: those that no view holds, and those that lie apart in it, which are copied.
+
+    A loader has bytes of their own for every view and every accessor, however many of them name the same bytes of the file.
+    """
+    made, views = 0, _listed(document, "bufferViews")
+    cut = sum(_whole(view.get("byteLength")) for view in views)
+    asked = sum(_whole(accessor.get("count")) * _size(accessor) for accessor in _listed(document, "accessors"))
+    for name, count in (("bufferViews", cut), ("accessors", asked)):
+        most = BUDGET.zero_bytes + _SHARED * len(binary)
+        if count > most:
+            yield name, f"ask for {count} bytes of a file that holds {len(binary)}, more than {most}", "export it again"
     for accessor in _listed(document, "accessors"):
         view = _at(views, accessor.get("bufferView")) if "bufferView" in accessor else None
         if view is None or "byteStride" in view or "sparse" in accessor:
@@ -131,17 +145,23 @@ def _tree(document: Document, binary: bytes) -> Problems:
 
 
 def _placed(document: Document, placed: Mapping[int, int]) -> Problems:
-    """Parts, faces and vertices of meshes that are placed so often, by the meshes' numbers; once, where they are not."""
-    accessors, parts, faces, vertices = _listed(document, "accessors"), 0, 0, 0
+    """Parts, faces and vertices of meshes that are placed so often, by the meshes' numbers; once, where they are not.
+
+    Every attribute is kept with every placement: the longest counts as the vertices, and all of them as numbers.
+    """
+    accessors, parts, faces, vertices, numbers = _listed(document, "accessors"), 0, 0, 0, 0
     for index, mesh in enumerate(_listed(document, "meshes")):
         times, primitives = max(placed.get(index, 0), 1), mesh.get("primitives")
         for primitive in primitives if isinstance(primitives, list) else ():
             if not isinstance(primitive, dict):
                 continue
             attributes = primitive.get("attributes")
-            corners = _whole(_at(accessors, attributes.get("POSITION") if isinstance(attributes, dict) else None).get("count"))
+            attributes = attributes if isinstance(attributes, dict) else {}
+            corners = _whole(_at(accessors, attributes.get("POSITION")).get("count"))
             count = _whole(_at(accessors, primitive["indices"]).get("count")) if "indices" in primitive else corners
-            parts, vertices = parts + times, vertices + times * corners
+            read = [_at(accessors, value) for value in attributes.values()]
+            parts, vertices = parts + times, vertices + times * max((_whole(one.get("count")) for one in read), default=0)
+            numbers += times * sum(_whole(one.get("count")) * _width(one) for one in read)
             faces += times * (count // 3 if primitive.get("mode", 4) == 4 else count)
     if parts > BUDGET.nodes:
         yield "meshes", f"are {parts} parts, as often as they are placed, more than {BUDGET.nodes}", "join the meshes, or split the file"
@@ -149,11 +169,14 @@ def _placed(document: Document, placed: Mapping[int, int]) -> Problems:
         yield "faces", f"are {faces}, as often as they are placed, more than {BUDGET.faces}", "decimate the mesh"
     if vertices > BUDGET.vertices:
         yield "vertices", f"are {vertices}, as often as they are placed, more than {BUDGET.vertices}", "decimate the mesh"
+    if numbers > _NUMBERS * BUDGET.vertices:
+        problem = f"are {numbers} numbers, as often as they are placed, more than {_NUMBERS * BUDGET.vertices}"
+        yield "attributes", problem, "leave out those that nothing shows, or decimate the mesh"
 
 
 def _images(document: Document, binary: bytes) -> Problems:
     """Pixels that the images' heads declare."""
-    found = [image_pixels(data) or 0 for data in _image_files(document, binary)]
+    found = list(_image_pixels(document, binary))
     for index, pixels in enumerate(found):
         if pixels > BUDGET.pixels:
             yield f"image {index}", f"is {pixels} pixels, more than {BUDGET.pixels}", "shrink it"
@@ -161,19 +184,22 @@ def _images(document: Document, binary: bytes) -> Problems:
         yield "images", f"are {sum(found)} pixels, more than {BUDGET.all_pixels}", "shrink them"
 
 
-def _image_files(document: Document, binary: bytes) -> Iterator[bytes]:
-    """Every image as it lies in the file; empty where it does not."""
-    views = _listed(document, "bufferViews")
+def _image_pixels(document: Document, binary: bytes) -> Iterator[int]:
+    """Pixels of every image; 0 where it does not lie in the file. A view is looked at once, however many images name it."""
+    views, known = _listed(document, "bufferViews"), dict[tuple[int, int], int]()
     for image in _listed(document, "images"):
         view, uri = _at(views, image.get("bufferView")), image.get("uri")
-        start = _whole(view.get("byteOffset"))
         if isinstance(uri, str) and uri.startswith("data:"):
             try:
-                yield base64.b64decode(uri.partition("base64,")[2])
+                yield image_pixels(base64.b64decode(uri.partition("base64,")[2])) or 0
             except (ValueError, binascii.Error):
-                yield b""
-        else:
-            yield binary[start : start + _whole(view.get("byteLength"))]
+                yield 0
+            continue
+        start = _whole(view.get("byteOffset"))
+        place = start, start + _whole(view.get("byteLength"))
+        if place not in known:
+            known[place] = image_pixels(binary[slice(*place)]) or 0
+        yield known[place]
 
 
 def _listed(document: Document, name: str) -> list[Document]:
@@ -197,5 +223,11 @@ def _whole(value: Any) -> int:
 
 def _size(accessor: Document) -> int:
     """Bytes of an element."""
-    kind, shape = accessor.get("componentType"), accessor.get("type")
-    return _SIZES.get(kind, 0) * _COUNTS.get(shape, 0) if isinstance(kind, int) and isinstance(shape, str) else 0
+    kind = accessor.get("componentType")
+    return _SIZES.get(kind, 0) * _width(accessor) if isinstance(kind, int) else 0
+
+
+def _width(accessor: Document) -> int:
+    """Numbers of an element."""
+    shape = accessor.get("type")
+    return _COUNTS.get(shape, 0) if isinstance(shape, str) else 0

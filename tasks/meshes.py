@@ -64,7 +64,8 @@ class Surface:
 def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     """Parts of a GLB in a +Z-up frame [m], node transforms applied, in the order of the file's node names.
 
-    Every part's `metadata["name"]` is its node's name. Textures and vertex colors stay.
+    Every part's `metadata["name"]` is its node's name; where a node's mesh has several primitives, their numbers are parts of
+    it: `floor||0`, `chair_2|chair|seat_0`. Textures and vertex colors stay. The same file gives the same names.
 
     Raises:
         InputError: the file is no GLB, would take more than the budget, holds no triangles, triangles of vertices that are
@@ -72,34 +73,69 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     """
     import trimesh
 
-    weigh_glb(data, file)
+    document = weigh_glb(data, file)
     try:
         with warnings.catch_warnings(), np.errstate(invalid="ignore", over="ignore"):
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here
             scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
-            poses = _poses(scene.graph)
+            poses, names = _poses(scene.graph), _names(scene, document)
     except Exception as error:  # the loader raises whatever the bytes lead it to
         raise InputError(
             file, "content", f"is not a readable GLB ({type(error).__name__}: {error})"[:300], "export it again as glTF binary"
         ) from error
     check_looks(scene, file)
     parts = []
-    for node in sorted(scene.graph.nodes_geometry, key=str):
+    for node, name in names.items():
         geometry = scene.geometry[scene.graph.transforms.node_data[node]["geometry"]]
         if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
             continue
         if geometry.vertices.shape[1:] != (3,) or geometry.faces.min() < 0 or geometry.faces.max() >= len(geometry.vertices):
-            raise InputError(file, f"node {node}", "has triangles of vertices that are not there", "export it again")
+            raise InputError(file, f"node {name}", "has triangles of vertices that are not there", "export it again")
         part = _copied(geometry)
         with np.errstate(invalid="ignore", over="ignore"):  # what comes of it is looked at below
             part.apply_transform(Y_UP_TO_Z_UP @ poses[node])
-        part.metadata["name"] = str(node)
+        part.metadata["name"] = name
         if not np.isfinite(part.vertices).all():
-            raise InputError(file, f"node {node}", "has coordinates that are not finite", "export it again")
+            raise InputError(file, f"node {name}", "has coordinates that are not finite", "export it again")
         parts.append(part)
     if not parts:
         raise InputError(file, "meshes", "holds no triangles", "export it with its geometry")
     return parts
+
+
+def _names(scene: trimesh.Scene, document: Mapping[str, Any]) -> dict[Any, str]:
+    """Names of the nodes that hold geometry, in their order.
+
+    The loader makes a node of each primitive of a mesh that has several, and calls it by chance; its number is what stays.
+    """
+    from trimesh.util import unique_name
+
+    given: dict[str, None] = {}
+    counts: dict[str | None, int] = {}
+    for index, node in enumerate(document.get("nodes") or ()):
+        given[unique_name(node.get("name", str(index)), given, counts=counts)] = None
+    numbers = {name: number for number, name in enumerate(scene.geometry)}
+    placed: dict[str, dict[str, Any]] = {}
+    for node in scene.graph.nodes_geometry:
+        above = str(scene.graph.transforms.parents.get(node))
+        is_primitive = str(node) not in given and str(node)[: -_CHANCE - 1] == above
+        geometry = scene.graph.transforms.node_data[node]["geometry"]
+        placed.setdefault(above if is_primitive else str(node), {}).setdefault(geometry, node)
+    names: dict[Any, str] = {}
+    taken, counts = dict.fromkeys(placed), {}
+    for owner, primitives in sorted(placed.items()):
+        if len(primitives) == 1:
+            names[next(iter(primitives.values()))] = owner
+            continue
+        for number, geometry in enumerate(sorted(primitives, key=lambda name: numbers[name])):
+            bars = "" if owner.count("|") > 1 else "|" * (2 - owner.count("|"))
+            name = unique_name(f"{owner}{bars or '_'}{number}", taken, counts=counts)
+            names[primitives[geometry]], taken[name] = name, None
+    return names
+
+
+_CHANCE = 6
+"""Characters that the loader puts behind a node's name and a bar, for its primitives."""
 
 
 def _poses(graph: Any) -> dict[Any, NDArray[np.float64]]:

@@ -85,6 +85,29 @@ def shared_bytes(accessors: int = 500) -> bytes:
     return close_glb(made, held.tobytes())
 
 
+def views_of_one_buffer(views: int = 200, plain: bool = False, size: int = 8_000_000) -> bytes:
+    """Many views of the same bytes, or many accessors of the same view, none of which lie apart."""
+    made = document([{"mesh": 0}], [0])
+    made["bufferViews"] = [{"buffer": 0, "byteLength": size}] * (1 if plain else views)
+    made["buffers"][0]["byteLength"] = size
+    if plain:
+        made["accessors"] += [{"bufferView": 0, "componentType": 5126, "count": size // 4, "type": "SCALAR"}] * views
+    return close_glb(made, TRIANGLE.tobytes().ljust(size, b"\0"))
+
+
+def attribute_placed(name: str = "TEXCOORD_0", count: int = 1_000_000, times: int = 200, names: int = 1) -> bytes:
+    """A triangle with an attribute, or the same one under many names, that is longer than its corners, placed many times."""
+    made = document([{"mesh": 0, "name": f"chair {i}"} for i in range(times)], list(range(times)))
+    attributes = made["meshes"][0]["primitives"][0]["attributes"]
+    attributes.update({f"{name}{i or ''}": 1 for i in range(names)})
+    made["meshes"][0]["primitives"][0]["material"] = 0
+    made["materials"] = [{}]
+    made["accessors"].append({"bufferView": 1, "componentType": 5126, "count": count, "type": "VEC2"})
+    made["bufferViews"].append({"buffer": 0, "byteOffset": 36, "byteLength": 8 * count})
+    made["buffers"][0]["byteLength"] += 8 * count
+    return close_glb(made, TRIANGLE.tobytes() + bytes(8 * count))
+
+
 def nested(count: int = 50_000) -> bytes:
     return glb([{"mesh": 0, "children": [i + 1]} for i in range(count - 1)] + [{"mesh": 0}], [0])
 
@@ -148,7 +171,9 @@ GLB_BOMBS: dict[str, Callable[[], bytes]] = {
     "accessor without buffer": without_buffer, "mesh placed 1,000 times": placed, "vertices placed 2,000 times": vertices_placed,
     "bytes shared by 500 accessors": shared_bytes, "50,000 nested nodes": nested, "300,000 nodes": many_nodes,
     "node with 2,000 parents": many_parents, "texture of 13,000 pixels": large_texture, "20 textures": many_textures,
-    "nested JSON": deep_json,
+    "nested JSON": deep_json, "200 views of one buffer": views_of_one_buffer,
+    "200 accessors of one view": lambda: views_of_one_buffer(plain=True), "attribute placed 200 times": attribute_placed,
+    "attribute under 300 names": lambda: attribute_placed("_A", times=2, names=300),
 }  # fmt: skip
 """GLBs that ask for more than the budget has."""
 

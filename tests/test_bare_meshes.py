@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 from hypothesis import given
@@ -13,8 +14,9 @@ from hypothesis import strategies as st
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run
 from tasks.capture.formats import find_scans
-from tasks.capture.glb_scene import is_label
-from tasks.meshes import dump_glb
+from tasks.capture.glb_scene import is_label, plain_label
+from tasks.containers import close_glb, open_glb
+from tasks.meshes import dump_glb, load_glb
 from tasks.stage import Context, Outcome
 from tests.capture_scans import box_room
 
@@ -91,6 +93,65 @@ def test_a_room_with_named_nodes_is_taken_with_some_that_are_not(tmp_path: Path)
     path = written(tmp_path / "room.glb", [*SHELL, TABLE, CHAIR], [*(name for name, _, _ in SHELL), "table_1", "Mesh_7"])
     rows = captured(path).rows["instances"]
     assert sorted(row.category for row in rows) == ["floor", "mesh", "table", "wall", "wall"]
+
+
+def in_primitives(path: Path, count: int) -> Path:
+    """The same file with the triangles of every mesh in so many primitives."""
+    made, binary = open_glb(path.read_bytes())
+    for mesh in made["meshes"]:
+        (primitive,) = mesh["primitives"]
+        whole = made["accessors"][primitive["indices"]]
+        each = whole["count"] // count
+        assert (each * count, each % 3) == (whole["count"], 0)
+        mesh["primitives"] = [primitive | {"indices": len(made["accessors"]) + i} for i in range(count)]
+        made["accessors"] += [whole | {"count": each, "byteOffset": 4 * each * i} for i in range(count)]
+    path.write_bytes(close_glb(made, binary))
+    return path
+
+
+def test_the_primitives_of_a_node_are_one_thing_with_its_name_every_time(tmp_path: Path) -> None:
+    hall: Part = ("floor", (40.0, 30.0, 0.1), (0, 0, -0.05))
+    named: Part = ("chair_1|chair|seat", *CHAIR[1:])
+    path = in_primitives(written(tmp_path / "hall.glb", [hall, TABLE, named]), 2)
+    loaded = [[str(part.metadata["name"]) for part in load_glb(path.read_bytes())] for _ in range(5)]
+    assert loaded == [["chair_1|chair|seat_0", "chair_1|chair|seat_1", "floor||0", "floor||1", "table_1||0", "table_1||1"]] * 5
+    outcomes = [captured(path) for _ in range(3)]
+    first, *others = [outcome.rows["instances"] for outcome in outcomes]
+    assert [(row.source_id, row.raw_label, row.category) for row in first] == [
+        ("chair_1", "chair", "chair"), ("floor", "floor", "floor"), ("table_1", "table", "table"),
+    ]  # fmt: skip
+    assert others == [first, first]
+    assert len({outcome.rows["scenes"][0].mesh_blob for outcome in outcomes}) == 1
+
+
+def test_the_triangles_of_primitives_are_in_the_order_of_the_file(tmp_path: Path) -> None:
+    path = in_primitives(written(tmp_path / "table.glb", [TABLE]), 12)
+    parts = {str(part.metadata["name"]): part for part in load_glb(path.read_bytes())}
+    corners = trimesh.creation.box(TABLE[1]).triangles + TABLE[2]
+    for number, triangle in enumerate(corners):
+        assert parts[f"table_1||{number}"].triangles[0] == pytest.approx(triangle, abs=1e-6)
+
+
+def test_a_mesh_that_nobody_named_is_refused_in_primitives_too(tmp_path: Path) -> None:
+    whole = box_room(cameras=1).surface.to_trimesh()
+    whole.update_faces(np.arange(len(whole.faces) // 4 * 4))
+    path = tmp_path / "room.glb"
+    path.write_bytes(dump_glb([whole], ["Mesh_0"]))
+    assert "node 'Mesh_0': holds 100% of the surface" in refusal(in_primitives(path, 4))
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("Chair.001", "Chair"), ("table_2", "table"), ("night stand 1-2_3", "night stand"), ("a1b22", "a1b"), ("12", "12"), ("_1", "_1"),
+     ("sofa_", "sofa_"), ("desk\u0663", "desk"), ("", "")],
+)  # fmt: skip
+def test_numbers_at_the_end_of_a_name_are_no_part_of_its_label(name: str, label: str) -> None:
+    assert plain_label(name) == label
+
+
+@pytest.mark.parametrize("name", ["1" * 10_000 + "x", "1_" * 5_000 + "x", "chair" + "_1" * 5_000, "1" * 10_000])
+def test_the_label_of_a_name_of_many_numbers_is_found(name: str) -> None:
+    assert plain_label(name) == ("chair" if name.startswith("chair") else name)
 
 
 def test_a_large_floor_is_no_object(tmp_path: Path) -> None:

@@ -13,10 +13,11 @@ import pytest
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
+from tasks import containers
 from tasks.exports.glb.rules import check_glb
 from tasks.exports.urdf.rules import _poses
 from tasks.meshes import load_glb, surface_of
-from tasks.unpacking import json_value
+from tasks.unpacking import image_pixels, json_value
 from tests import attacks
 
 LOADED = """
@@ -69,6 +70,24 @@ def test_a_small_accessor_that_no_buffer_holds_is_found(tmp_path: Path) -> None:
     path = tmp_path / "scene.glb"
     path.write_bytes(attacks.glb([{"mesh": 0}], [0], accessors=[{"componentType": 5126, "count": 3, "type": "VEC3"}]))
     assert "POSITION is 3 zeros that no buffer holds" in str(check_glb(path))
+
+
+def test_bytes_may_be_shared_as_often_as_a_vertex_has_attributes() -> None:
+    assert len(load_glb(attacks.views_of_one_buffer(views=8))) == 1
+    assert len(load_glb(attacks.views_of_one_buffer(views=8, plain=True))) == 1
+    assert len(load_glb(attacks.attribute_placed(count=1000))) == 200
+
+
+def test_an_image_is_looked_at_once_however_many_name_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, looked = attacks.textured(attacks.png(4), images=50), []
+
+    def look(image: bytes) -> int | None:
+        looked.append(image)
+        return image_pixels(image)
+
+    monkeypatch.setattr(containers, "image_pixels", look)
+    containers.weigh_glb(data, "scene.glb")
+    assert len(looked) == 1
 
 
 def test_what_lies_just_within_the_budget_is_read() -> None:

@@ -52,8 +52,9 @@ def read_glb_scene(scan: Scan) -> Reading:
         raise InputError(name, "meshes", "have coordinates that are not finite", "export it again")
     members: dict[tuple[str, str], list[int]] = {}
     for index, part in enumerate(parts):
-        named = parse_node_name(str(part.metadata["name"]))
-        label = named["category"] if "|" in str(part.metadata["name"]) else _plain_label(named["model"])
+        called = str(part.metadata["name"])
+        named = parse_node_name(called)
+        label = named["category"] if called.removeprefix(named["model"])[1:2] not in ("", "|") else plain_label(named["model"])
         members.setdefault((named["model"], label), []).append(index)
     face_starts = np.concatenate([[0], np.cumsum([len(part.faces) for part in parts])])
     vertex_starts = np.concatenate([[0], np.cumsum([len(part.vertices) for part in parts])])
@@ -116,6 +117,10 @@ _NAME_THEM = (
 )
 
 
-def _plain_label(name: str) -> str:
+def plain_label(name: str) -> str:
     """Label in a node's name that has no bars: without the numbers at its end (`Chair.001`, `table_2`)."""
-    return re.sub(r"([._\s-]*\d+)+$", "", name) or name
+    end = len(name)
+    if name[-1:].isdecimal():
+        while end and (name[end - 1].isdecimal() or name[end - 1].isspace() or name[end - 1] in "._-"):
+            end -= 1
+    return name[:end] or name
