@@ -35,9 +35,12 @@ def json_value(data: bytes | str, **hooks: Any) -> Any:
     return value
 
 
-def weigh_json(text: bytes) -> None:
-    """Raise ValueError when the values in JSON texts, one or many, would take more memory than `BUDGET.memory_bytes`."""
-    needed = len(text) + sum(text.count(sign) * cost for sign, cost in _COSTS.items())
+def weigh_json(text: bytes, a_line: int = 0) -> None:
+    """Raise ValueError when the values in JSON texts, one or many, would take more memory than `BUDGET.memory_bytes`.
+
+    a_line: Bytes of memory behind every line, where lines are values.
+    """
+    needed = len(text) + sum(text.count(sign) * cost for sign, cost in _COSTS.items()) + text.count(b"\n") * a_line
     if needed > BUDGET.memory_bytes:
         raise ValueError(f"its values take about {needed >> 20} MB, more than {BUDGET.memory_bytes >> 20}")
 

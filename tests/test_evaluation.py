@@ -28,6 +28,7 @@ from schemas.navigation import Episode, Navmesh
 from schemas.record import rows_to_arrow
 from schemas.runs import StageRun
 from tasks import navigation
+from tasks.batches import parse_json
 from tasks.evaluation import POLICIES, SCHEMA_FILE, STAGE, EvaluationConfig, TrajectoryBatch, parse_batch, read_batch, run
 from tasks.evaluation.measures import path_finder
 from tasks.exports.habitat import rotation
@@ -561,6 +562,29 @@ def test_lines_that_are_no_batch_are_refused(tmp_path: Path, content: bytes, why
     with pytest.raises(InputError, match=r"^b\.jsonl") as caught:
         read_batch(tmp_path / "b.jsonl")
     assert why in str(caught.value)
+
+
+@pytest.mark.parametrize("head", [b"", b'{"batch_id": "b", "policy": "p"}\n'])
+def test_the_first_line_that_is_wrong_is_refused_before_the_next_one_is_read(
+    head: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "b.jsonl").write_bytes(head + b"11\n" * 5_000_000)
+    parsed = list[bytes]()
+
+    def parse(raw: bytes, name: str, first_line: int = 1) -> Any:
+        parsed.append(raw)
+        assert len(parsed) < 3
+        return parse_json(raw, name, first_line)
+
+    monkeypatch.setattr("tasks.evaluation.batch.parse_json", parse)
+    with pytest.raises(InputError, match=r"^b\.jsonl: line " + ("2: must be an object" if head else "1: is not the batch")):
+        read_batch(tmp_path / "b.jsonl")
+
+
+def test_lines_of_nothing_have_a_weight(tmp_path: Path) -> None:
+    (tmp_path / "b.jsonl").write_bytes(b"\n" * 30_000_000)
+    with pytest.raises(InputError, match=r"^b\.jsonl: its values take about \d+ MB"):
+        read_batch(tmp_path / "b.jsonl")
 
 
 json_values = st.recursive(

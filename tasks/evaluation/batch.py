@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,9 @@ LEVEL_TOLERANCE = 1e-2
 _HABITAT_ACTIONS = {"move_forward": "forward", "turn_left": "left", "turn_right": "right"}
 
 _NUMBERS = {"poses": 3, "positions": 3, "rotations": 4}
+
+_LINE_BYTES = 96
+"""Memory behind a line of JSON Lines, whatever is on it; an empty one takes time alone."""
 
 Pose = tuple[float, float, float]
 
@@ -84,34 +88,44 @@ def read_batch(path: Path) -> TrajectoryBatch:
     if path.suffix.lower() not in (".jsonl", ".ndjson"):
         return parse_batch(parse_json(raw, name), name)
     try:
-        weigh_json(raw)
+        weigh_json(raw, a_line=_LINE_BYTES)
     except ValueError as error:
         raise InputError(name, "", str(error), "split the batch into files") from error
-    numbered = [(number, line) for number, line in enumerate(raw.split(b"\n"), start=1) if line.strip()]
-    values = [parse_json(line, name, number) for number, line in numbered]
-    if not values or not isinstance(values[0], dict) or "trajectories" in values[0]:
+    lines = ((number, line) for number, line in enumerate(io.BytesIO(raw), start=1) if line.strip())
+    first, head = next(lines, (1, b"null"))
+    document = parse_json(head, name, first)
+    if not isinstance(document, dict) or "trajectories" in document:
         raise InputError(name, "line 1", "is not the batch without its trajectories", "begin with batch_id, policy and frame in one object")
-    lines = [number for number, _ in numbered]
-
-    def place(json_path: str) -> str:
-        head, bracket, rest = json_path.partition("trajectories[")
-        if head or not bracket:
-            return f"line {lines[0]}{f': {json_path}' if json_path else ''}"
-        index, _, inner = rest.partition("]")
-        return f"line {lines[int(index) + 1]}{f': {inner[1:]}' if inner else ''}"
-
-    return parse_batch({**values[0], "trajectories": values[1:]}, name, place)
+    SCHEMA.check({**document, "trajectories": []}, name, lambda path: f"line {first}{f': {path}' if path else ''}")
+    return _batch(document, (_line(line, document, name, number) for number, line in lines), name)
 
 
-def parse_batch(document: Any, name: str = "batch.json", place: Callable[[str], str] = str) -> TrajectoryBatch:
-    """The batch in one JSON document that is in memory. `place` turns a JSON path into the place that people know it by.
+def parse_batch(document: Any, name: str = "batch.json") -> TrajectoryBatch:
+    """The batch in one JSON document that is in memory.
 
     Raises:
         InputError: as `read_batch`.
     """
-    SCHEMA.check(_shortened(document), name, place)
+    SCHEMA.check(_shortened(document), name)
     frame = document.get("frame", "world")
-    attempts = tuple(_attempt(item, frame, name, place(f"trajectories[{i}]")) for i, item in enumerate(document["trajectories"]))
+    items = enumerate(document["trajectories"])
+    return _batch(document, (_attempt(item, frame, name, f"trajectories[{i}]") for i, item in items), name)
+
+
+def _line(line: bytes, head: Mapping[str, Any], name: str, number: int) -> Attempt:
+    """The trajectory in a line of JSON Lines, checked before the next one is read."""
+    item = parse_json(line, name, number)
+
+    def place(json_path: str) -> str:
+        inner = json_path.partition("]")[2].removeprefix(".")
+        return f"line {number}{f': {inner}' if inner else ''}"
+
+    SCHEMA.check({**head, "trajectories": [_short(item)]}, name, place)
+    return _attempt(item, head.get("frame", "world"), name, f"line {number}")
+
+
+def _batch(head: Mapping[str, Any], found: Iterable[Attempt], name: str) -> TrajectoryBatch:
+    attempts = tuple(found)
     if not attempts:
         raise InputError(name, "trajectories", "the batch has no trajectories", "give at least one")
     first: dict[tuple[str, str], Attempt] = {}
@@ -121,9 +135,9 @@ def parse_batch(document: Any, name: str = "batch.json", place: Callable[[str], 
             problem = f"names {attempt.scene_id} {attempt.episode_id} again, as {other.where}"
             raise InputError(name, attempt.where, problem, "keep one trajectory per episode; a second run is a batch of its own")
     return TrajectoryBatch(
-        batch_id=document["batch_id"],
-        policy=document["policy"].strip(),
-        run_name=document.get("run_name", document["batch_id"]).strip(),
+        batch_id=head["batch_id"],
+        policy=head["policy"].strip(),
+        run_name=head.get("run_name", head["batch_id"]).strip(),
         attempts=attempts,
         source_file=name,
     )
