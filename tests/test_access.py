@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import http.server
+import importlib.metadata
 import json
 import os
 import shutil
@@ -117,6 +119,47 @@ def test_a_command_shows_the_token_of_a_server_of_this_machine_and_to_nobody_els
     monkeypatch.setenv(CLIENT_TOKEN, "mine")
     take_token("http://127.0.0.1:4200/api")
     assert os.environ[CLIENT_TOKEN] == "mine"
+
+
+@pytest.mark.parametrize("named", ["profile", "environment"])
+def test_deploying_shows_the_token_of_a_server_that_the_profile_names(named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server that says its version, to whoever has the token, and refuses all else."""
+    shown: list[tuple[str, str | None]] = []
+
+    class Server(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            shown.append((self.path, self.headers["Authorization"]))
+            is_version = self.path == "/api/admin/version" and shown[-1][1] is not None
+            said = json.dumps(importlib.metadata.version("prefect") if is_version else {"detail": "no"}).encode()
+            self.send_response(200 if is_version else 400)
+            self.send_header("Content-Length", str(len(said)))
+            self.end_headers()
+            self.wfile.write(said)
+
+        do_POST = do_GET
+
+        def log_message(self, *told: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Server) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        monkeypatch.setenv("PREFECT_HOME", str(tmp_path))
+        monkeypatch.delenv(CLIENT_TOKEN, raising=False)
+        monkeypatch.delenv("PREFECT_API_URL", raising=False)
+        token, api = kept_token(server.server_port), f"http://127.0.0.1:{server.server_port}/api"
+        if named == "profile":
+            (tmp_path / "profiles.toml").write_text(f'active = "mine"\n[profiles.mine]\nPREFECT_API_URL = "{api}"\n')
+        else:
+            monkeypatch.setenv("PREFECT_API_URL", api)
+        command = [sys.executable, "-m", "flows.cli", "deploy", "--scans", "scans", "--lake", str(tmp_path / "lake")]
+        done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+        server.shutdown()
+    expected = f"Basic {base64.b64encode(token.encode()).decode()}"
+    assert {text for _, text in shown} == {expected}, done.stderr
+    assert len({path for path, _ in shown}) > 1, "it went on after the version"
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
+    assert api in done.stderr
 
 
 def test_what_prefect_keeps_is_closed_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,10 +126,8 @@ def _set_up(
     schedule: Schedule, limits: Mapping[str, Any], notify_env: str | None, no_notify: bool
 ) -> tuple[list[Item], dict[str, list[str]]]:
     """Set all of it up; what became of it, and the other lakes that are there."""
-    from flows.access import take_token
     from flows.services import NO_TELEMETRY
 
-    take_token(os.environ.get("PREFECT_API_URL", ""))
     for name, value in NO_TELEMETRY.items():
         os.environ.setdefault(name, value)
     loud = os.environ.get("PREFECT_LOGGING_LEVEL")
@@ -142,17 +141,36 @@ def _set_up(
 
     if loud is None:
         del os.environ["PREFECT_LOGGING_LEVEL"]
-    try:
-        items = [*set_up(schedule, **limits), find_lost_runs()]
-        if notify_env:
-            items += notify(notify_env)
-        if no_notify:
-            items += silence()
-        return items, others(schedule)
-    except Exception as error:
-        if is_of_server(error) and not isinstance(error, LakeError):
-            raise LakeError(why_not(os.environ.get("PREFECT_API_URL", "PREFECT_API_URL"), error)) from error
-        raise
+    with _token_shown() as api:
+        try:
+            items = [*set_up(schedule, **limits), find_lost_runs()]
+            if notify_env:
+                items += notify(notify_env)
+            if no_notify:
+                items += silence()
+            return items, others(schedule)
+        except Exception as error:
+            if is_of_server(error) and not isinstance(error, LakeError):
+                raise LakeError(why_not(api, error)) from error
+            raise
+
+
+@contextlib.contextmanager
+def _token_shown() -> Iterator[str]:
+    """Prefect's settings with the token that is kept for its server, whoever names that; gives the server's address.
+
+    The environment may name it, and so may Prefect's profile, which is known only once Prefect has read its settings.
+    """
+    from prefect.settings import PREFECT_API_AUTH_STRING, get_current_settings, temporary_settings
+
+    from flows.access import CLIENT_TOKEN, take_token
+
+    told = get_current_settings().api
+    if told.url and not told.auth_string:
+        take_token(told.url)
+    token = os.environ.get(CLIENT_TOKEN)
+    with temporary_settings({PREFECT_API_AUTH_STRING: token} if token else {}):
+        yield told.url or "PREFECT_API_URL"
 
 
 def _tell(items: list[Item], as_json: bool) -> None:
