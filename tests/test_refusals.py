@@ -13,6 +13,7 @@ import duckdb
 import pytest
 
 from schemas.capture import Instance, Scene
+from schemas.errors import InputError
 from tests.conftest import REPOSITORY
 from tests.samples import fingerprint, sample, stage_run
 from warehouse.compaction import compact
@@ -84,7 +85,7 @@ def test_a_data_file_that_is_missing_or_damaged_is_named(name: str, damage: str,
     with pytest.raises(Exception) as caught:  # which one is asserted below
         WORDS[name](Lake.open(lake.address))
     said = str(caught.value)
-    assert type(caught.value).__name__ == "InputError", said
+    assert isinstance(caught.value, InputError), said
     assert f"tables/instances/{file.name}: {'is missing' if damage == 'missing' else 'cannot be read'}" in said
     assert "`metascenes doctor lake` says what is damaged" in said
 
