@@ -223,6 +223,7 @@ def serve(host: str, port: int, descriptor: int | None = None) -> None:
     os.umask(0o077)  # from here on: the pages that were unpacked may be another user's, too; the database may not
     where: dict[str, Any] = {"host": host, "port": port} if descriptor is None else {"fd": descriptor}
     level = os.environ.get("PREFECT_SERVER_LOGGING_LEVEL", "warning").lower()
+    level = "info" if level in ("debug", "trace") else level  # below, uvicorn writes down what clients send, tokens included
     uvicorn.run(Doorkeeper(app, os.environ[ORIGINS].split(",")), log_level=level, timeout_keep_alive=5, **where)
 
 

@@ -39,7 +39,11 @@ def check_address(address: object, field: str = "") -> None:
     """
     text = str(address)
     is_path = ":" not in text.partition("/")[0]  # folders may be named `signature=v1`
-    if not is_path and concealed(text) != text:
+    scheme, _, rest = text.partition("://")
+    user, at, host = rest.partition("/")[0].rpartition("@")
+    if at and user:
+        text = f"{scheme}://...@{host}"  # whatever letters its credentials have
+    if (at and user) or (not is_path and concealed(text) != text):
         raise InputError(
             text, field, "the address carries credentials", "give them by the environment: AWS_ACCESS_KEY_ID, AWS_PROFILE, ..."
         )
