@@ -11,10 +11,13 @@ class Budget:
 
     scene_bytes: A scan's mesh, a GLB of a scene, the stage of a dataset. model_bytes: A model of one object.
     asset_bytes: A file of a library; larger ones are whole scenes. image_bytes: An uncompressed image of `pixels`.
-    json_bytes: JSON with a number for every vertex: 512 MiB hold those of 60 million. text_bytes: Metadata, poses and
-    trajectories: 16 MiB hold a trajectory of 100,000 frames. xml_bytes: A model with its meshes written inside.
+    json_bytes: JSON with a number for every vertex. text_bytes: Metadata, poses and tracks of cameras: 16 MiB hold one of
+    100,000 frames. table_bytes: A table as text. sens_bytes: ScanNet's longest scans have 5 GB; a walk of an hour at full rate
+    stays below this. annotation_bytes, review_bytes, trajectories_bytes: One file of a batch. statement_bytes: SQL; the longest
+    statements name thousands of scenes. xml_bytes: A model with its meshes written inside.
     settings_bytes: A file that a person wrote. glb_json_bytes: The JSON of a GLB, whose meshes lie elsewhere.
-    unpacked_bytes: What a compressed file holds. memory_bytes: What the values of a JSON document take.
+    unpacked_bytes: What a compressed file holds. memory_bytes: What the values of a JSON document take; one of many small
+    values is refused for it long before its own bytes are too many.
     zero_bytes: Numbers that a GLB does not hold, but asks for; one as large as its file is fine, too.
     pixels: One image: 8192 x 8192. all_pixels: All images of a file. drawn_pixels: The same, as often as a part shows them.
     faces, vertices: As often as they are placed. nodes: Nodes of a tree, and parts of meshes as often as they are placed.
@@ -30,6 +33,12 @@ class Budget:
     image_bytes: int = 256 * 2**20
     json_bytes: int = 512 * 2**20
     text_bytes: int = 16 * 2**20
+    table_bytes: int = 64 * 2**20
+    sens_bytes: int = 128 * 2**30
+    annotation_bytes: int = 64 * 2**20
+    review_bytes: int = 2**20
+    trajectories_bytes: int = 256 * 2**20
+    statement_bytes: int = 16 * 2**20
     xml_bytes: int = 256 * 2**20
     settings_bytes: int = 2**20
     glb_json_bytes: int = 64 * 2**20

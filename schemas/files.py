@@ -10,6 +10,7 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 
 _KINDS = {
@@ -62,11 +63,12 @@ def is_there(path: Path) -> bool:
 
 def sane_bytes(path: Path) -> int:
     """How many bytes a file of its kind may have before anything looks into it; readers have limits of their own."""
-    return _SANE_BYTES.get(path.suffix.lower(), 2**31)
-
-
-_SANE_BYTES = {".txt": 2**24, ".log": 2**24, ".csv": 2**26, ".png": 2**28, ".jpg": 2**28, ".jpeg": 2**28, ".ppm": 2**28,
-               ".pgm": 2**28, ".bmp": 2**28, ".tif": 2**28, ".tiff": 2**28, ".json": 2**29, ".sens": 2**37}  # fmt: skip
+    kind = path.suffix.lower()
+    if kind in (".txt", ".log"):
+        return BUDGET.text_bytes
+    if kind in (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff"):
+        return BUDGET.image_bytes
+    return {".csv": BUDGET.table_bytes, ".json": BUDGET.json_bytes, ".sens": BUDGET.sens_bytes}.get(kind, BUDGET.scene_bytes)
 
 
 def check_file(path: Path, name: str, most_bytes: int) -> None:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from schemas.errors import InputError
 from schemas.files import read_file
-from tasks.unpacking import json_value
+from tasks.unpacking import TooMuch, json_value
 
 
 def read_limited(file: Path, name: str, most_bytes: int) -> bytes:
@@ -32,7 +32,8 @@ def parse_json(raw: bytes, name: str, first_line: int = 1) -> Any:
     """The JSON value in UTF-8 bytes. `first_line` is the line of the file that they begin on.
 
     Raises:
-        InputError: they are not UTF-8, not JSON, nested too deeply, hold NaN or infinity, or give a key twice.
+        InputError: they are not UTF-8, not JSON, nested too deeply, more than the budget's memory holds, hold NaN or infinity, or
+            give a key twice.
     """
     try:
         text = raw.decode("utf-8-sig")
@@ -42,6 +43,8 @@ def parse_json(raw: bytes, name: str, first_line: int = 1) -> Any:
     except json.JSONDecodeError as error:
         place = f"line {error.lineno + first_line - 1} column {error.colno}"
         raise InputError(name, place, f"is not JSON ({error.msg})", "correct the file") from error
+    except TooMuch as error:
+        raise InputError(name, "", str(error), "split the batch into files") from error
     except ValueError as error:
         raise InputError(name, "", str(error), "correct the file") from error
 

@@ -11,6 +11,11 @@ from xml.etree import ElementTree
 
 from schemas.budget import BUDGET
 
+
+class TooMuch(ValueError):
+    """What is in a file would take more memory than the budget has."""
+
+
 _COSTS = {b"[": 88, b"{": 240, b",": 32, b":": 60, b'"': 25}
 """Bytes of memory behind every such sign of a JSON text, more rather than less (CPython 3.11 and 3.12)."""
 
@@ -36,13 +41,13 @@ def json_value(data: bytes | str, **hooks: Any) -> Any:
 
 
 def weigh_json(text: bytes, a_line: int = 0) -> None:
-    """Raise ValueError when the values in JSON texts, one or many, would take more memory than `BUDGET.memory_bytes`.
+    """Raise TooMuch when the values in JSON texts, one or many, would take more memory than `BUDGET.memory_bytes`.
 
     a_line: Bytes of memory behind every line, where lines are values.
     """
     needed = len(text) + sum(text.count(sign) * cost for sign, cost in _COSTS.items()) + text.count(b"\n") * a_line
     if needed > BUDGET.memory_bytes:
-        raise ValueError(f"its values take about {needed >> 20} MB, more than {BUDGET.memory_bytes >> 20}")
+        raise TooMuch(f"its values take about {needed >> 20} MB, more than {BUDGET.memory_bytes >> 20}")
 
 
 def _within(value: Any) -> list[Any]:

@@ -86,7 +86,7 @@ def test_navigability_splits_and_capture(database: Database, rows: list[Any]) ->
         posed = sum(f.pose is not None for f in of(rows, Frame) if f.scene_id == row["scene_id"])
         assert row["posed_frames"] == posed
     scans = [r for r in database.ask("license_counts") if r["material"] == "scan"]
-    assert {r["license"]: r["items"] for r in scans} == Counter(s.license or "not stated" for s in of(rows, Scene))
+    assert {r["license"]: r["items"] for r in scans} == Counter(s.license or "unknown" for s in of(rows, Scene))
 
 
 @st.composite

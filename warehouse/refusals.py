@@ -45,7 +45,7 @@ class Refused(LakeError, OSError):
 
     def __init__(self, place: str, number: int) -> None:
         super().__init__(place, number)
-        self.errno = number
+        self.errno, self.strerror = number, os.strerror(number)
 
     def __str__(self) -> str:
         place, number = self.args

@@ -236,6 +236,7 @@ class StoreAway(LakeError, ConnectionError):
 
     def __init__(self, address: str, endpoint: str) -> None:
         super().__init__(address, endpoint)
+        self.errno = None  # two arguments of an OSError are taken for its number and words
 
     def __str__(self) -> str:
         address, endpoint = self.args

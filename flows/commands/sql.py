@@ -25,9 +25,6 @@ _FORMS: dict[str, Output] = {".csv": "csv", ".json": "json", ".jsonl": "jsonl", 
 _TABLE_ROWS = 1000
 """Rows that a terminal shows where nobody says how many."""
 
-_STATEMENT_BYTES = 2**24
-"""A file with a statement; the longest ones name thousands of scenes."""
-
 _GRACE = 10.0  # s; DuckDB looks up from its work at least that often, unless a single value takes it longer
 
 _SLACK = 2**30  # B; threads and allocators reserve more addresses than they use
@@ -126,6 +123,7 @@ def _list(output: Output | None) -> None:
 
 def _statement(statement: str | None, source: str | None) -> str:
     """The statement, from wherever it is."""
+    from schemas.budget import BUDGET
     from schemas.errors import InputError
     from schemas.files import read_file
 
@@ -135,7 +133,7 @@ def _statement(statement: str | None, source: str | None) -> str:
         return statement
     place = source or "-"
     try:
-        data = sys.stdin.buffer.read() if place == "-" else read_file(Path(place), place, _STATEMENT_BYTES, "give a file with SQL")
+        data = sys.stdin.buffer.read() if place == "-" else read_file(Path(place), place, BUDGET.statement_bytes, "give a file with SQL")
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(place, "", "this is no UTF-8 text", "give a file with SQL") from error

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.batches import BatchSchema, parse_json, read_limited
 from tasks.transforms import flat, pose_from_quaternion_wxyz, yaw_pose
@@ -18,7 +19,7 @@ SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 
 SCHEMA = BatchSchema(SCHEMA_FILE)
 
-MAX_FILE_BYTES = 64 * 2**20
+MAX_FILE_BYTES = BUDGET.annotation_bytes
 """A hundred thousand answers take about 40 MB; a larger file is no batch that people filled in."""
 
 MAX_FILES = 1000

@@ -6,6 +6,7 @@ import dataclasses
 from datetime import datetime
 from pathlib import Path
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.annotation.batch import moment
 from tasks.batches import BatchSchema, parse_json, read_limited
@@ -15,7 +16,7 @@ REVIEW_SCHEMA_FILE = Path(__file__).with_name("review.schema.json")
 
 SCHEMA = BatchSchema(REVIEW_SCHEMA_FILE)
 
-MAX_FILE_BYTES = 2**20
+MAX_FILE_BYTES = BUDGET.review_bytes
 """A review takes 200 bytes: no batch is reviewed five thousand times."""
 
 

@@ -22,8 +22,7 @@ from schemas.errors import InputError
 from schemas.files import open_file
 from tasks.capture.images import MAX_PIXELS, decode_color
 
-MAX_SENS_BYTES = 128 * 2**30
-"""ScanNet's longest scans have 5 GB; a walk of an hour at full rate stays below this."""
+MAX_SENS_BYTES = BUDGET.sens_bytes
 
 _FRAME = struct.Struct("<16f4Q")
 _COLOR_KINDS = {0: "raw", 1: "png", 2: "jpeg"}

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
 from tasks.batches import BatchSchema, parse_json, read_limited
@@ -20,7 +21,7 @@ SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 
 SCHEMA = BatchSchema(SCHEMA_FILE)
 
-MAX_FILE_BYTES = 256 * 2**20
+MAX_FILE_BYTES = BUDGET.trajectories_bytes
 """Fifty thousand trajectories of 60 poses take about 200 MB; more go into batches of one run."""
 
 MAX_NUMBER = 1e6

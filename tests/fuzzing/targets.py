@@ -215,14 +215,13 @@ def _model(ending: str) -> Callable[[Path], None]:
 
 def _read_glb(folder: Path) -> None:
     from tasks.capture.documents import read_bytes
-    from tasks.exports.gltf import node_textures, open_glb
+    from tasks.exports.gltf import open_glb
     from tasks.meshes import load_glb, surface_of
 
     data = read_bytes(folder / "scene.glb", "scene.glb", 2**26)
     with contextlib.suppress(LakeError):
         open_glb(data)
     surface_of(load_glb(data))
-    del node_textures  # of the lake's own assets only
 
 
 def _read_ply(folder: Path) -> None:
