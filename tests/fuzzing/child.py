@@ -150,7 +150,7 @@ def measured(target: Target, folder: Path, limits: Limits) -> dict[str, Any]:
     """Read a case: outcome `read`, `refused` or `failed`, what was wrong, seconds of a core and bytes of memory at the most."""
     Path("/proc/self/clear_refs").write_text("5")  # the peak of memory starts anew
     signal.setitimer(signal.ITIMER_PROF, limits.seconds)
-    before = os.times()
+    before, children = os.times(), _peak_of_children()
     began = time.monotonic()
     outcome, error, where = "read", "", ""
     try:
@@ -167,7 +167,8 @@ def measured(target: Target, folder: Path, limits: Limits) -> dict[str, Any]:
     signal.setitimer(signal.ITIMER_PROF, 0)
     after = os.times()
     used = sum(after[:4]) - sum(before[:4])
-    peak = max(_peak(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024)
+    risen = _peak_of_children()  # the largest of all children ever; only one that is larger than those before it tells of this input
+    peak = max(_peak(), risen if risen > children else 0)
     if outcome != "failed" and used > limits.seconds:
         outcome, error = "failed", f"took {used:.0f} seconds"
     if outcome != "failed" and peak > limits.bytes:
@@ -202,6 +203,11 @@ def _where(error: BaseException) -> str:
         if path.is_relative_to(REPOSITORY) and path.relative_to(REPOSITORY).parts[0] in ROOMS:
             found = f"{path.relative_to(REPOSITORY)} {frame.name}"
     return found
+
+
+def _peak_of_children() -> int:
+    """Most memory [bytes] of any process that was waited for."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
 
 
 def _peak() -> int:
