@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from flows.configuration import Configuration, configure
+from flows.fingerprints import canonical_json
 from schemas.errors import InputError
 from tasks.optimization import Default, Paper
 from tasks.pipeline import STAGES
+from tests.conftest import REPOSITORY
 
 
 def toml(folder: Path, text: str) -> Path:
@@ -32,6 +35,33 @@ def refusal(*arguments: object, **named: object) -> str:
 def test_without_anything_told_every_stage_has_its_defaults() -> None:
     told = configure()
     assert told == Configuration({stage.name: stage.config() for stage in STAGES}, None, 0)
+
+
+IDENTITIES = REPOSITORY / "tests" / "golden" / "configs.json"
+TOLD = [
+    "capture.max_faces=7", "captions.provider.min_points=3", "selection.score.own_geometry=['x']", "annotation.reach_m=3",
+    "optimization.method=paper", "optimization.method.max_steps=7.0", "optimization.certificate.mujoco.impedance=[0.9, 0.99, 1]",
+    "navigation.min_geodesic_m=2", "navigation.path_finder=recast", "navigation.path_finder.cell_size_m=1",
+    "exports.formats=['usd', 'glb']",
+    "exports.shell.floor_color=[1, 2, 3]", "exports.mjcf.engine.impedance=[0.9, 0.99, 1]", "exports.habitat.agent=robot",
+    "exports.usd.instanceable=true", "evaluation.success_m=1",
+]  # fmt: skip
+
+
+def identities() -> dict[str, dict[str, Any]]:
+    """The configs as fingerprints know them, by default and as told; content of the label map aside."""
+    made = {}
+    for name, told in (("default", []), ("told", TOLD)):
+        configs = {stage: json.loads(canonical_json(config)) for stage, config in configure(None, told).stages.items()}
+        configs["capture"]["label_map_sha256"] = ""
+        made[name] = configs
+    return made
+
+
+def test_a_config_of_the_same_values_has_the_identity_that_it_had() -> None:
+    """Else every lake would be computed again. A default that changes on purpose: `python -m tests.test_configuration`."""
+    kept = json.loads(IDENTITIES.read_text())
+    assert json.dumps(identities(), sort_keys=True) == json.dumps(kept, sort_keys=True)  # tells 2.0 from 2
 
 
 def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
@@ -251,3 +281,7 @@ def test_a_seed_without_end_is_refused(seed: int, tmp_path: Path) -> None:
 )
 def test_a_mistyped_stage_or_field_names_the_nearest(setting: str, said: str) -> None:
     assert said in refusal(settings=[setting])
+
+
+if __name__ == "__main__":
+    IDENTITIES.write_text(json.dumps(identities(), indent=1) + "\n")
