@@ -11,12 +11,9 @@ import tempfile
 from collections.abc import Collection
 from pathlib import Path
 
-from flows.fingerprints import cache_folder
+from flows.fingerprints import PICTURES, cache_folder
 from schemas.record import BLOB_PATTERN
 from warehouse.erasure import Traces
-
-PICTURES = "pictures-"
-"""Folders of pictures that were drawn before: charts name scenes that never had a blob."""
 
 
 def erase_from_caches(traces: Traces, hashes: Collection[str], folder: Path | None = None) -> int:

@@ -29,6 +29,9 @@ ROOMS = ("schemas", "tasks")
 MECHANISM = ("tasks.stage", "schemas.tables", "schemas.record", "schemas.errors", "schemas.files")
 """Modules that carry rows around and compute none: a change there redoes nothing."""
 
+PICTURES = "pictures-"
+"""Folders of the cache with drawn pictures begin with it; a hash of the code follows. Charts name scenes that never had a blob."""
+
 RACY_SECONDS = 2.0
 """A file changed this recently may change again within its time stamp's resolution: its hash is not remembered."""
 

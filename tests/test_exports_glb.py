@@ -365,6 +365,13 @@ def test_names_are_asked_of_objects_only(data: bytes, tmp_path: Path) -> None:
     assert {(finding.rule, finding.is_error) for finding in found} == {("names", False), ("labels", False)}
 
 
+def test_long_names_are_cut_in_what_is_said(data: bytes, tmp_path: Path) -> None:
+    damage = edited(lambda d: node(d, BOX).update(name="n" * 100_000, rotation=[1.0, 1.0, 0.0, 0.0]))
+    (tmp_path / "scene.glb").write_bytes(damage(data))
+    findings = check_glb(tmp_path / "scene.glb")
+    assert findings and all("nnn..." in one.where and len(str(one)) < 1300 for one in findings)
+
+
 def test_files_of_others_are_read(realdata: Callable[[str], Path]) -> None:
     """Assets and whole scenes by others: what they lack for a simulator is a warning, and nothing is wrong."""
     files = sorted(realdata("assets").glob("*.glb")) + sorted(realdata("scene_aws_small_house").rglob("*.glb"))

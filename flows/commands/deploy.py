@@ -52,8 +52,9 @@ def command(
 ) -> None:  # fmt: skip
     """Set up a nightly run, backfill, watch, statistics, release, export and upkeep on the server that PREFECT_API_URL names.
 
-    Doing it again changes what is different. With --local, a server, which listens on this machine alone, and a worker are
-    started for as long as the command runs, and end with it. The server wants a token, which lies in a file that only you read.
+    Doing it again changes what is different. With --local, a server and a worker are started for as long as the command
+    runs, and end with it. The server listens on this machine alone, unless --host names another address, and wants a token,
+    which lies in a file that only you read.
 
     A server may keep several lakes: the names of a lake's deployments end with its own.
 

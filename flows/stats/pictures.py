@@ -19,15 +19,12 @@ from typing import Any, TypeVar
 
 import pyarrow as pa
 
-from flows.fingerprints import FileCache, cache_folder, code_fingerprint, digest
+from flows.fingerprints import PICTURES, FileCache, cache_folder, code_fingerprint, digest
 from tasks.stats.scenes import ScenePictures
 from tasks.stats.style import Picture
 from tasks.stats.thumbnails import CandidateStrip, CandidateTile
 
 T = TypeVar("T")
-
-PICTURES = "pictures-"
-"""Folders of the cache begin with it; a hash of the code follows."""
 
 MOST_FILES = 2000
 """Pictures that are kept: a few hundred MB. The oldest go."""

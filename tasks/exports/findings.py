@@ -10,12 +10,20 @@ from schemas.exports import ExportCheck
 
 @dataclasses.dataclass(frozen=True, order=True)
 class Finding:
-    """A rule that is broken: which, where (file, prim, episode) and how. A warning does not fail an export."""
+    """A rule that is broken: which, where (file, prim, episode) and how. A warning does not fail an export.
+
+    A file may give its parts names as long as it likes; they are cut.
+    """
 
     rule: str
     where: str
     message: str
     is_error: bool = True
+
+    def __post_init__(self) -> None:
+        for name, most in (("where", 200), ("message", 1000)):
+            text = getattr(self, name)
+            object.__setattr__(self, name, text if len(text) <= most else f"{text[: most - 3]}...")
 
     def __str__(self) -> str:
         return f"{self.rule}: {self.where}: {self.message}"

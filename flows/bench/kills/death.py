@@ -149,6 +149,11 @@ def end_of(code: int, told: Path, hung: bool = False, seconds: float = 0.0) -> E
     return End(error=said.get("error", ""), steps=said.get("steps", 0), seconds=seconds, value=said.get("value"))
 
 
+def tells_of_full_disk(error: str) -> bool:
+    """Whether an error says that there is no room."""
+    return any(words in error for words in ("ENOSPC", "No space left", "os error 28", "Errno 28", "not enough space", "disk is full"))
+
+
 def forked(work: Callable[[], Any], told: Path, death: Death | None = None, clock: random.Random | None = None) -> End:
     """Let a child do `work`; how it ended."""
     return ended(started(work, told, death, clock), told, death)

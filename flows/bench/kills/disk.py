@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from flows.bench.kills.death import forked
+from flows.bench.kills.death import forked, tells_of_full_disk
 from flows.bench.kills.operations import perform, story
 from flows.bench.kills.stories import Batch, seen, verdict
 from schemas.errors import InputError
@@ -47,7 +47,7 @@ def _tell(batch: Batch, rng: random.Random, disk: Path, folder: Path, events: in
             end = forked(lambda operation=operation: perform(operation, disk), told)  # type: ignore[misc]
             if end.error:
                 batch.full[operation.name] += 1
-                if not _is_told(end.error):
+                if not tells_of_full_disk(end.error):
                     batch.faults.append(f"{name}: a full disk is told as {end.error}")
             elif not end.is_done:
                 batch.faults.append(f"{name}: {'hung' if end.hung else 'died'}")
@@ -64,11 +64,6 @@ def _tell(batch: Batch, rng: random.Random, disk: Path, folder: Path, events: in
         if batch.faults:
             return
     batch.faults += verdict(disk / "lake", twin / "lake", told)
-
-
-def _is_told(error: str) -> bool:
-    """Whether an error says that there is no room."""
-    return any(words in error for words in ("No space left", "os error 28", "Errno 28", "not enough space", "disk is full"))
 
 
 def _look(place: Path, told: Path) -> Any:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.bench.kills.accounts import faults_of
-from flows.bench.kills.death import Death, End, Way, end_of, forked, started
+from flows.bench.kills.death import Death, End, Way, end_of, forked, started, tells_of_full_disk
 from flows.bench.kills.operations import Operation, perform, story, work_on
 
 WRITERS = 8
@@ -108,7 +108,7 @@ class Teller:
             self._batch.kills[f"{operation.name} at a {way}"] += 1
         elif way == "full" and end.error:
             self._batch.full[operation.name] += 1
-            if "ENOSPC" not in end.error and "No space left" not in end.error and "Errno 28" not in end.error:
+            if not tells_of_full_disk(end.error):
                 self._batch.faults.append(f"{name}: a full disk is told as {end.error}")
         elif not end.is_done:
             self._batch.faults.append(f"{name}: {'hung' if end.hung else end.error}")
