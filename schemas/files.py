@@ -35,14 +35,18 @@ def open_file(path: Path, name: str, most_bytes: int) -> BufferedReader:
         raise
 
 
-def read_file(path: Path, name: str, most_bytes: int, remedy: str = "check the path and its permissions") -> bytes:
-    """The content of a file.
+def read_file(path: Path, name: str, most_bytes: int, remedy: str = "check the path and its permissions", magic: bytes = b"") -> bytes:
+    """The content of a file. magic: What it begins with; of a file that does not, no more is read.
 
     Raises:
-        InputError: it is missing, unreadable, no regular file, or longer than `most_bytes`; says `remedy` where it cannot be read.
+        InputError: it is missing, unreadable, no regular file, longer than `most_bytes`, or begins with something else than
+            `magic`; says `remedy` where it cannot be read.
     """
     try:
         with open_file(path, name, most_bytes) as file:
+            if file.read(len(magic)) != magic:
+                raise InputError(name, "content", f"does not begin with {magic.decode()!r}", "is it the right file?")
+            file.seek(0)
             data = file.read(os.fstat(file.fileno()).st_size)
             while more := file.read(1 << 20):  # it grows, or the kernel makes it while it is read and says that it is empty
                 data += more

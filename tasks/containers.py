@@ -14,6 +14,9 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.unpacking import image_pixels, json_value
 
+GLB_MAGIC = b"glTF"
+"""What every GLB begins with."""
+
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _MOST = dict.fromkeys(("nodes", "meshes", "materials", "images", "textures", "scenes"), BUDGET.nodes) | dict.fromkeys(

@@ -200,9 +200,9 @@ def test_what_is_packed_is_unpacked_to_the_budget_and_no_further(tmp_path: Path)
     (tmp_path / "wide.json").write_bytes(b"[" + b"{}," * 20_000_000 + b"{}]")
     said = attacks.below_ceiling(UNPACKED, *(tmp_path / name for name in ("json.json.gz", "zeros.json.gz", "wide.json", "a.navmesh")))
     values, zeros, wide, navmesh = said.splitlines()
-    assert values.startswith("None json: json.json.gz: cannot be read (ValueError: its values take about")
+    assert values.startswith("None json: json.json.gz: cannot be read (TooMuch: its values take about")
     assert zeros.startswith("None json: zeros.json.gz: cannot be read (ValueError: unpacks to more than 512 MB")
-    assert wide.startswith("None json: wide.json: cannot be read (ValueError: its values take about")
+    assert wide.startswith("None json: wide.json: cannot be read (TooMuch: its values take about")
     assert navmesh == "has polygons that lie on one another, more than 256 on each"
 
 

@@ -88,7 +88,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "mesh cut in its vertices": (lambda f: cut(f / MESH, 0.2), MESH, "element vertex"),
     "mesh cut in its faces": (lambda f: cut(f / MESH, 0.9), MESH, "element face"),
     "mesh cut in its header": (lambda f: cut(f / MESH, 0.0001), MESH, "header"),
-    "mesh empty": (lambda f: (f / MESH).write_bytes(b""), MESH, "header"),
+    "mesh empty": (lambda f: (f / MESH).write_bytes(b""), MESH, "does not begin"),
     "mesh with NaN": (lambda f: replace_surface(f, with_nan), MESH, "vertex 17"),
     "mesh without faces": (
         lambda f: replace_surface(f, lambda s: dataclasses.replace(s, faces=np.zeros((0, 3), dtype=np.int64))),

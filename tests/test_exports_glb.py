@@ -264,7 +264,7 @@ ENDLESS = {"componentType": 5126, "count": 10**9, "type": "VEC3"}
 
 DAMAGES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
     "cut file": ("container", lambda data: data[: len(data) // 2], "is not a GLB"),
-    "no glTF": ("container", lambda data: b"not a binary at all" * 5, "is not a GLB"),
+    "no glTF": ("container", lambda data: b"not a binary at all" * 5, "does not begin with 'glTF'"),
     "glTF 1.0": ("container", edited(lambda d: d["asset"].update(version="1.0")), "1.0"),
     "nodes that are none": ("shape", edited(lambda d: d.update(nodes=[1, 2])), "nodes"),
     "mesh without primitives": ("shape", edited(lambda d: d["meshes"][0].update(primitives=[])), "primitives"),
@@ -369,7 +369,8 @@ def test_long_names_are_cut_in_what_is_said(data: bytes, tmp_path: Path) -> None
     damage = edited(lambda d: node(d, BOX).update(name="n" * 100_000, rotation=[1.0, 1.0, 0.0, 0.0]))
     (tmp_path / "scene.glb").write_bytes(damage(data))
     findings = check_glb(tmp_path / "scene.glb")
-    assert findings and all("nnn..." in one.where and len(str(one)) < 1300 for one in findings)
+    assert findings
+    assert all("nnn..." in one.where and len(str(one)) < 1300 for one in findings)
 
 
 def test_files_of_others_are_read(realdata: Callable[[str], Path]) -> None:

@@ -260,7 +260,7 @@ HABITAT_DAMAGE: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "mesh missing": (template(lambda one: one.update(render_asset="nosuch.glb")), "render_asset", "does not exist"),
     "mesh outside": (template(lambda one: one.update(render_asset="../../../../etc/passwd.glb")), "render_asset", "leaves"),
     "mesh cut off": (lambda root: os.truncate(mesh_of(root), 300), "own.glb", "not a readable GLB"),
-    "mesh empty": (lambda root: mesh_of(root).write_bytes(b""), "own.glb", "is no GLB"),
+    "mesh empty": (lambda root: mesh_of(root).write_bytes(b""), "own.glb", "does not begin with 'glTF'"),
     "mesh in other files": (linked_glb, "own.glb", "names another file"),
     "mesh a link outside": (lambda root: (p := mesh_of(root)).unlink() or p.symlink_to("/etc/hostname"), "render_asset", "leaves"),
 }

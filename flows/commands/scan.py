@@ -29,6 +29,7 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     from schemas.budget import BUDGET
     from schemas.errors import InputError
     from schemas.files import read_file
+    from tasks.containers import GLB_MAGIC
     from tasks.meshes import load_glb
     from tasks.scanner import ScannerConfig, scan_scene
 
@@ -42,7 +43,7 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
     try:
-        parts = load_glb(read_file(scene, scene.name, BUDGET.scene_bytes), scene.name)
+        parts = load_glb(read_file(scene, scene.name, BUDGET.scene_bytes, magic=GLB_MAGIC), scene.name)
         truth = scan_scene(parts, making, scan, config, np.random.default_rng(seed))
         for made in sorted(making.iterdir()):
             made.rename(out / made.name)

@@ -23,6 +23,7 @@ from schemas.text import one_line
 from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, make_asset
 from tasks.candidates.descriptors import Descriptor, describe
 from tasks.captions.physics import known_name
+from tasks.containers import GLB_MAGIC
 from tasks.meshes import load_glb, sample_surface, surface_of
 from tasks.unpacking import json_value
 
@@ -132,14 +133,14 @@ def library_asset(entry: LibraryEntry) -> MadeAsset:
 @lru_cache(maxsize=CACHED_ASSETS)
 def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str]) -> MadeAsset:
     file, category, license_text, author, source = facts
-    parts = load_glb(read_file(path, file, BUDGET.asset_bytes), file)
+    parts = load_glb(read_file(path, file, BUDGET.asset_bytes, magic=GLB_MAGIC), file)
     return make_asset(parts, provider="library", name=path.stem, category=category, source=source, license=license_text, author=author)
 
 
 @lru_cache(maxsize=CACHED_FILES)
 def _descriptor(path: Path, size: int, modified_ns: int) -> Descriptor:
     """Descriptor of a GLB; size and time of change are there for the cache."""
-    surface = surface_of(load_glb(read_file(path, path.name, BUDGET.asset_bytes), path.name))
+    surface = surface_of(load_glb(read_file(path, path.name, BUDGET.asset_bytes, magic=GLB_MAGIC), path.name))
     extents = np.ptp(surface.bounds, axis=0)
     ordered = np.sort(extents)
     if ordered[1] < MIN_EXTENT_M or ordered[2] > MAX_EXTENT_M:

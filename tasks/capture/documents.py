@@ -27,13 +27,13 @@ def name_of(path: Path, root: Path) -> str:
         return path.name
 
 
-def read_bytes(path: Path, name: str, limit: int) -> bytes:
-    """The content of a file.
+def read_bytes(path: Path, name: str, limit: int, magic: bytes = b"") -> bytes:
+    """The content of a file, which begins with `magic`.
 
     Raises:
-        InputError: it is missing, unreadable, no regular file, or larger than `limit` bytes.
+        InputError: it is missing, unreadable, no regular file, larger than `limit` bytes, or begins with something else.
     """
-    return read_file(path, name, limit, _AGAIN)
+    return read_file(path, name, limit, _AGAIN, magic)
 
 
 def read_text(path: Path, name: str) -> str:

@@ -14,6 +14,7 @@ from tasks.capture.formats import Scan, glb_file, license_path
 from tasks.capture.labels import Label
 from tasks.capture.ply import check_vertices
 from tasks.capture.reading import Group, Reading
+from tasks.containers import GLB_MAGIC
 from tasks.meshes import Surface, load_glb, parse_node_name, surface_of
 
 MOST_SURFACE = 0.5
@@ -39,9 +40,7 @@ def read_glb_scene(scan: Scan) -> Reading:
     path = glb_file(scan)
     folder = path.parent
     name = name_of(path, folder)
-    data = read_bytes(path, name, BUDGET.scene_bytes)
-    if data[:4] != b"glTF":
-        raise InputError(name, "content", "is no GLB", "export it as glTF binary")
+    data = read_bytes(path, name, BUDGET.scene_bytes, GLB_MAGIC)
     try:
         parts = load_glb(data, name)
         surface = surface_of(parts)

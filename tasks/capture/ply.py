@@ -46,7 +46,7 @@ def read_ply(path: Path, name: str) -> Surface:
         InputError: truncated, no triangles, too many faces, coordinates that are not finite or not in metres,
             a face that names a missing vertex.
     """
-    data = read_bytes(path, name, BUDGET.scene_bytes)
+    data = read_bytes(path, name, BUDGET.scene_bytes, b"ply")
     order, elements, start = _header(data, name)
     check_counts(data, name)
     counts = {element.name: element.count for element in elements}

@@ -15,6 +15,7 @@ from schemas.errors import InputError
 from schemas.files import is_there, read_file, stays_in
 from tasks.capture.documents import name_of, read_bytes
 from tasks.capture.ply import check_counts
+from tasks.containers import GLB_MAGIC
 from tasks.meshes import check_looks, load_glb
 from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 
@@ -42,11 +43,10 @@ def read_model(path: Path, root: Path, is_z_up: bool, limit: int = MAX_MODEL_BYT
     kind = path.suffix.lower()
     if kind not in ENDINGS:
         raise InputError(name, "format", f"{kind or 'none'} is not read", f"convert it to {', '.join(ENDINGS)}")
-    data = read_bytes(path, name, limit)
+    # Text takes many times its bytes.
+    data = read_bytes(path, name, limit, GLB_MAGIC) if kind == ".glb" else read_bytes(path, name, min(limit, MAX_MODEL_BYTES))
     notes: list[str] = []
     if kind == ".glb":
-        if data[:4] != b"glTF":
-            raise InputError(name, "content", "is no GLB", "export it as glTF binary")
         _check_self_contained(data, name)
         parts = _guarded_glb(data, name)
         turn = Z_UP_TO_Y_UP if is_z_up else None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from tasks.containers import open_glb, over_budget
+from tasks.containers import GLB_MAGIC, open_glb, over_budget
 from tasks.exports.findings import Finding
 from tasks.exports.glb.tree import Document, listed, roots_of, seen_of, tree
 
@@ -52,7 +52,7 @@ _COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "
 def check_glb(path: Path) -> list[Finding]:
     """Everything that is wrong with a GLB, sorted; empty for one that can be used as it is."""
     try:
-        document, binary = open_glb(read_file(path, path.name, BUDGET.scene_bytes), path.name)
+        document, binary = open_glb(read_file(path, path.name, BUDGET.scene_bytes, magic=GLB_MAGIC), path.name)
     except (InputError, OSError, RecursionError) as error:
         return [Finding("container", path.name, " ".join(str(error).split()))]
     version = document.get("asset", {}).get("version") if isinstance(document.get("asset"), dict) else None

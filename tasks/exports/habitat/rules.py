@@ -139,6 +139,7 @@ def _asset(library: Library, template: Template, kind: str, seen: dict[Path, lis
 
 def _glb(root: Path, path: Path, where: str, key: str, seen: dict[Path, list[Finding]]) -> Iterator[Finding]:
     """A GLB that a config names."""
+    from tasks.containers import GLB_MAGIC
     from tasks.meshes import load_glb
 
     try:
@@ -151,7 +152,7 @@ def _glb(root: Path, path: Path, where: str, key: str, seen: dict[Path, list[Fin
         return
     if path not in seen:
         try:
-            load_glb(read_file(path, name, BUDGET.scene_bytes), name)
+            load_glb(read_file(path, name, BUDGET.scene_bytes, magic=GLB_MAGIC), name)
             seen[path] = []
         except InputError as error:
             seen[path] = [Finding("geometry", name, str(error).removeprefix(f"{name}: "))]
@@ -314,7 +315,7 @@ def _provenance(library: Library) -> Iterator[Finding]:
 def _attributions(path: Path) -> dict[str, dict[str, str]] | None:
     """Lines of the list of assets by asset, None when it cannot be read."""
     try:
-        text = read_file(path, path.name, BUDGET.scene_bytes).decode(errors="replace")
+        text = read_file(path, path.name, BUDGET.table_bytes).decode(errors="replace")
         return {str(line.get("asset_id")): line for line in csv.DictReader(io.StringIO(text, newline=""))}
     except (InputError, csv.Error):
         return None
