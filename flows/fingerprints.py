@@ -26,7 +26,7 @@ from schemas.files import open_file, sane_bytes
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("schemas", "tasks")
-MECHANISM = ("tasks.stage", "schemas.tables", "schemas.record", "schemas.errors", "schemas.files")
+MECHANISM = ("tasks.settings", "tasks.stage", "schemas.tables", "schemas.record", "schemas.errors", "schemas.files")
 """Modules that carry rows around and compute none: a change there redoes nothing."""
 
 PICTURES = "pictures-"

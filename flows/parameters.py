@@ -6,34 +6,78 @@ can say (rules between fields) is checked when the run starts, by the same code 
 
 from __future__ import annotations
 
-import dataclasses
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeAlias, Union, get_args, get_origin
+from typing import Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator, WithJsonSchema
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core.core_schema import WithDefaultSchema
 
-from flows.configuration import configs_with, kinds_of, types_of
+from flows.configuration import configs_with
 from schemas.errors import LakeError, check_address
 from tasks.pipeline import STAGES
-from tasks.stage import Stage
+from tasks.settings import Config, adapter, fields_of
 
 Schema: TypeAlias = dict[str, Any]
 
 
 def stages_schema() -> Schema:
-    """JSON Schema of `StageTables`: for each stage a table of its config's fields, with types and defaults.
+    """JSON Schema of `StageTables`: for each stage a table of its config's fields, with types, limits, defaults and their reasons.
 
-    What it cannot say, and `flows.configuration.configure` refuses: a number out of its range, and fields that contradict
-    each other.
+    What it cannot say, and `flows.configuration.configure` refuses: fields that contradict each other.
     """
     return {
         "title": "Stages",
         "description": "What stages are told, a table of fields each; what is left out keeps its default.",
         "type": "object",
-        "properties": {stage.name: _stage(stage) for stage in STAGES},
+        "properties": {stage.name: _table(stage.config) | {"title": stage.name.capitalize(), "default": {}} for stage in STAGES},
         "additionalProperties": False,
         "default": {},
     }
+
+
+class Form(GenerateJsonSchema):
+    """Schemas with fields in the order of the configs, and defaults as people tell them: of a table nothing, of one of several
+    configs its kind.
+    """
+
+    def sort(self, value: Schema, parent_key: str | None = None) -> Schema:
+        """The schema as it is."""
+        return value
+
+    def default_schema(self, schema: WithDefaultSchema) -> Schema:
+        """Schema of a field that has a default."""
+        made = self.generate_inner(schema["schema"])
+        default = schema["default"] if "default" in schema else schema["default_factory"]()  # type: ignore[call-arg]
+        if not isinstance(default, Config):
+            return {**made, "default": told(default)}
+        if "anyOf" not in made:
+            return {**made, "default": {}}
+        words, *tables = made["anyOf"]
+        del tables[words["enum"].index(default.kind)]["required"]  # a table that names no kind is of the one that is there
+        return {**made, "default": default.kind}
+
+
+def told(value: Any) -> Any:
+    """A config or a value as a table says it."""
+    if isinstance(value, Config):
+        return ({"kind": value.kind} if value.kind else {}) | {name: told(getattr(value, name)) for name in fields_of(type(value))}
+    return [told(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _table(config: type) -> Schema:
+    """Schema of a table of a config's fields, without references."""
+    schema = adapter(config).json_schema(schema_generator=Form)
+    definitions = schema.pop("$defs", {})
+
+    def inlined(part: Any) -> Any:
+        if isinstance(part, list):
+            return [inlined(item) for item in part]
+        if not isinstance(part, dict):
+            return part
+        named = definitions[part["$ref"].rpartition("/")[2]] if "$ref" in part else {}
+        return {name: inlined(value) for name, value in {**named, **part}.items() if name != "$ref"}
+
+    return inlined(schema)
 
 
 def checked_tables(tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -47,59 +91,6 @@ def checked_tables(tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any
     except LakeError as error:
         raise ValueError(str(error)) from error
     return tables
-
-
-def _stage(stage: Stage) -> Schema:
-    return {**_table(stage.config()), "title": stage.name.capitalize(), "default": {}}
-
-
-def _table(config: Any, kind: str | None = None, named: bool = False) -> Schema:
-    """Schema of a table of a config's fields. `kind` may be in it, and must be where the config is to be `named` by it."""
-    fields: Schema = {}
-    for field in dataclasses.fields(config):
-        schema = _field(config, field.name) if field.init else None
-        if schema is not None:
-            fields[field.name] = {"title": field.name, **schema}
-    if kind is not None:
-        fields = {"kind": {"const": kind, "default": kind}, **fields}
-    return {"type": "object", "properties": fields, "additionalProperties": False, **({"required": ["kind"]} if named else {})}
-
-
-def _field(config: Any, field: str) -> Schema | None:
-    """Schema of what may be told for a field; None where nothing can be."""
-    present, kinds = getattr(config, field), kinds_of(type(config), field)
-    if kinds:
-        own = next(name for name, kind in kinds.items() if type(present) is kind)
-        tables = [_table(kind(), name, named=name != own) for name, kind in kinds.items()]
-        return {"anyOf": [{"enum": list(kinds)}, *tables], "default": own}
-    if dataclasses.is_dataclass(present):
-        return {**_table(present), "default": {}}
-    schema = _value(types_of(type(config))[field])
-    return schema and {**schema, "default": list(present) if isinstance(present, tuple) else present}
-
-
-_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", NoneType: "null"}
-
-
-def _value(kind: Any) -> Schema | None:
-    """Schema of a plain value's type; None for configs in a tuple, which nobody can tell."""
-    if kind in _TYPES:
-        return {"type": _TYPES[kind]}
-    origin, held = get_origin(kind), get_args(kind)
-    if origin is Literal:
-        return {"enum": list(held)}
-    if origin in (Union, UnionType):
-        return {"anyOf": [_value(each) for each in held]}
-    if origin is tuple:
-        items = [_value(each) for each in held if each is not ...]
-        if None in items:
-            return None
-        if held[-1] is ...:
-            return {"type": "array", "items": items[0]}
-        return {"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}
-    if dataclasses.is_dataclass(kind):
-        return None
-    raise TypeError(f"{kind} has no schema yet")
 
 
 def checked_address(address: str) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tasks.mass import MassProperties, mass_properties
 from tasks.proximity import closest_points
+from tasks.settings import Config, Whole
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,17 +26,17 @@ Method = Literal["generator", "hulls", "coacd"]
 
 
 @dataclasses.dataclass(frozen=True)
-class PieceConfig:
+class PieceConfig(Config):
     """How a mesh becomes convex pieces."""
 
     convex_ratio: float = 0.9  # volume of mesh / hull; above it the dents are too small to hold anything
-    convex_gap: float = 0.03  # the same for open meshes: farthest a hull's surface may lie from the mesh, in diagonals
-    max_components: int = 32  # more hulls than this slow every engine down; then parts are decomposed together
-    max_vertices: int = 64  # what PhysX accepts for a hull on the GPU
-    faces: int = 3000  # decimated to this first: a chair in 3 s instead of 13 s, at 2 mm more protrusion
+    convex_gap: float = 0.03  # of open meshes, which have no volume: farthest a hull's surface may lie from the mesh, in diagonals
+    max_components: Whole = 32  # more hulls than this slow every engine down; then parts are decomposed together
+    max_vertices: Whole = 64  # what PhysX accepts for a hull on the GPU
+    faces: Whole = 3000  # decimated to this first: a chair in 3 s instead of 13 s, at 2 mm more protrusion
     threshold: float = 0.08  # concavity at which a piece counts as convex: 18 hulls for a chair, 23 mm p99 protrusion
-    mcts_iterations: int = 60  # with 15 nodes: a third of the default's time, the same overlap within 1 %
-    mcts_nodes: int = 15
+    mcts_iterations: Whole = 60  # with 15 nodes: a third of the default's time, the same overlap within 1 %
+    mcts_nodes: Whole = 15  # with 60 iterations, see there
     thickness_m: float = 0.004  # flat parts (a picture, a curtain) get this much body
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from schemas.capture import Room
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.meshes import load_glb
+from tasks.settings import LISTED, Config, Whole
 from tasks.transforms import matrix
 
 if TYPE_CHECKING:
@@ -21,12 +22,12 @@ Phase = Literal["proposed", "optimized"]
 
 
 @dataclasses.dataclass(frozen=True)
-class ShellConfig:
+class ShellConfig(Config):
     """How a room's floor and walls become slabs."""
 
     thickness_m: float = 0.1  # a partition wall; thick enough that nothing at walking pace passes it in one time step
-    floor_color: tuple[int, int, int] = (196, 186, 172)  # light wood, where the scan shows no floor
-    wall_color: tuple[int, int, int] = (228, 226, 220)  # off-white paint, where the scan shows no wall
+    floor_color: Annotated[tuple[Whole, Whole, Whole], LISTED] = (196, 186, 172)  # light wood, where the scan shows no floor
+    wall_color: Annotated[tuple[Whole, Whole, Whole], LISTED] = (228, 226, 220)  # off-white paint, where the scan shows no wall
     miter_limit: float = 3.0  # sharper corners than about 40 degrees are cut instead of drawn out into spikes
 
 

@@ -243,7 +243,7 @@ def test_data_files_count(code: Path) -> None:
 
 def test_a_default_of_a_config_and_the_code_of_a_literal_count(code: Path) -> None:
     before = fingerprint()
-    edit(code / "tasks" / "captions" / "__init__.py", "min_points: int = 20", "min_points: int = 21")
+    edit(code / "tasks" / "captions" / "__init__.py", "min_points: Whole = 20", "min_points: Whole = 21")
     assert fingerprint() != before
 
 

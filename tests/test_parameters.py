@@ -6,18 +6,21 @@ import dataclasses
 import json
 import subprocess
 import sys
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import jsonschema
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
-from flows.configuration import configs_with, configure, kinds_of, types_of
+from flows.configuration import TABLES, configs_with, configure
 from flows.parameters import StageTables, checked_tables, stages_schema
 from schemas.errors import InputError
+from tasks.candidates.slots import LibraryRetrieval, Procedural, ScanCrop, SlotConfig
 from tasks.optimization import Default, Paper
 from tasks.pipeline import STAGES
+from tasks.settings import ByKind
 from tests.conftest import REPOSITORY
 
 DEFAULTS = {stage.name: stage.config() for stage in STAGES}
@@ -29,6 +32,21 @@ ITEMS = st.one_of(st.floats(0.001, 1), st.integers(0, 255), st.sampled_from(["us
 PLAIN = st.one_of(st.none(), st.booleans(), st.integers(-3, 10**6), st.floats(-3, 1e6), st.sampled_from(WORDS), st.lists(ITEMS, max_size=4))
 """Values that fit some field or none."""
 
+PROVIDERS = {"procedural": Procedural, "scan_crop": ScanCrop, "library": LibraryRetrieval}
+
+
+def kinds_of(config: Any, field: str) -> dict[str, type]:
+    """The configs that a field may hold, by the word for each, where there are several."""
+    hint = get_type_hints(config, include_extras=True)[field]
+    return {kind.kind: kind for kind in get_args(hint.__origin__)} if ByKind in map(type, getattr(hint, "__metadata__", ())) else {}
+
+
+def slots() -> st.SearchStrategy[list[dict[str, Any]]]:
+    """Slots, one more than there may be at most."""
+    provider = st.one_of(st.sampled_from(list(PROVIDERS)), *(tables_of(kind(), name) for name, kind in PROVIDERS.items()))
+    fallback = st.one_of(st.none(), st.just("procedural"), tables_of(Procedural()), tables_of(Procedural(), "procedural"))
+    return st.lists(st.fixed_dictionaries({"provider": provider}, optional={"fallback": fallback}), max_size=11)
+
 
 def fitting(config: Any, field: str) -> st.SearchStrategy[Any]:
     """Values of a field's type, near its default, told as JSON tells them."""
@@ -38,7 +56,7 @@ def fitting(config: Any, field: str) -> st.SearchStrategy[Any]:
         return st.one_of(st.sampled_from(list(kinds)), *tables, tables_of(present))
     if dataclasses.is_dataclass(present):
         return tables_of(present)
-    return plain(types_of(type(config))[field], present)
+    return plain(get_type_hints(type(config))[field], present)
 
 
 def plain(kind: Any, present: Any) -> st.SearchStrategy[Any]:
@@ -47,13 +65,13 @@ def plain(kind: Any, present: Any) -> st.SearchStrategy[Any]:
     if kind is int:
         return st.integers(-2, 4).map(lambda more: present + more)
     if kind is float:
-        return st.one_of(st.floats(-1e3, 1e3), st.just(present), st.floats(0.9, 1.1).map(lambda share: present * share))
+        return st.one_of(st.just(present), st.floats(0.9, 1.1).map(lambda share: present * share), st.floats(-1, 1e3))
     if kind is str:
         return st.sampled_from([present, "other"])
     if get_origin(kind) is Literal:
         return st.sampled_from(get_args(kind))
     if get_origin(kind) is tuple:
-        return st.permutations(list(present)) if present and not dataclasses.is_dataclass(present[0]) else st.nothing()
+        return slots() if isinstance(present[0], SlotConfig) else st.permutations(list(present))
     assert get_origin(kind) in (Union, type(str | None)), f"{kind}: say here how such a value is drawn"
     return st.sampled_from([None, "other"])
 
@@ -61,7 +79,7 @@ def plain(kind: Any, present: Any) -> st.SearchStrategy[Any]:
 def tables_of(config: Any, kind: str | None = None) -> st.SearchStrategy[dict[str, Any]]:
     """Tables of some fields of a config, whose values fit, named by `kind` if there is one."""
     fields = {f.name: fitting(config, f.name) for f in dataclasses.fields(config) if f.init}
-    drawn = st.fixed_dictionaries({}, optional={name: values for name, values in fields.items() if not values.is_empty})
+    drawn = st.fixed_dictionaries({}, optional=fields)
     return drawn if kind is None else drawn.map(lambda table: {"kind": kind, **table})
 
 
@@ -87,16 +105,10 @@ FITTING = st.fixed_dictionaries({}, optional={name: tables_of(config) for name, 
 NONSENSE = st.dictionaries(st.sampled_from([*DEFAULTS, "seed"]), st.one_of(PLAIN, st.dictionaries(st.text(), PLAIN)))
 
 
-def rule_of_its_own(error: BaseException | None) -> bool:
-    """Whether a config's constructor itself refused its values, which were of the right types."""
-    while error is not None:
-        trace = error.__traceback__
-        while trace is not None:
-            if trace.tb_frame.f_code.co_name == "__post_init__":
-                return True
-            trace = trace.tb_next
-        error = error.__cause__
-    return False
+def rule_between_fields(error: InputError) -> bool:
+    """Whether every value is right by itself: a file that one names is not, or two contradict each other."""
+    cause = error.__cause__
+    return error.file != TABLES or (isinstance(cause, ValidationError) and cause.errors()[0]["type"] == "value_error")
 
 
 def refusal(tables: dict[str, Any]) -> InputError | None:
@@ -110,25 +122,25 @@ def refusal(tables: dict[str, Any]) -> InputError | None:
 
 @settings(deadline=None)
 @given(st.one_of(FITTING.flatmap(damaged), NONSENSE))
-def test_the_schema_and_the_configs_accept_the_same_tables_but_for_rules_of_the_configs_own(tables: dict[str, Any]) -> None:
+def test_the_schema_and_the_configs_accept_the_same_tables_but_for_rules_between_fields(tables: dict[str, Any]) -> None:
     refused = refusal(tables)
     if refused is None:
         VALID.validate(tables)
-    elif not rule_of_its_own(refused):
+    elif not rule_between_fields(refused):
         assert not VALID.is_valid(tables), f"only the schema accepts {tables}: {refused}"
 
 
 @settings(deadline=None)
 @given(FITTING)
-def test_tables_of_the_right_types_pass_the_schema_and_arrive_in_the_configs(tables: dict[str, Any]) -> None:
-    VALID.validate(tables)
+def test_tables_of_the_right_types_and_limits_arrive_in_the_configs(tables: dict[str, Any]) -> None:
     refused = refusal(tables)
     if refused is not None:
-        assert rule_of_its_own(refused)
+        assert rule_between_fields(refused) or not VALID.is_valid(tables)
         with pytest.raises(ValueError) as told:
             checked_tables(tables)
         assert str(told.value) == str(refused)
         return
+    VALID.validate(tables)
     assert checked_tables(tables) is tables
     made = configs_with(DEFAULTS, tables)
     for stage, table in tables.items():
@@ -147,6 +159,8 @@ def assert_told(made: Any, before: Any, table: dict[str, Any]) -> None:
             value = {} if isinstance(value, str) else {k: v for k, v in value.items() if k != "kind"}
         if field not in table:
             assert getattr(made, field) == old
+        elif isinstance(value, list) and isinstance(old[0], SlotConfig):
+            assert getattr(made, field) == tuple(slot_of(item) for item in value)
         elif dataclasses.is_dataclass(old):
             assert type(getattr(made, field)) is type(old)
             assert_told(getattr(made, field), old, value)
@@ -154,6 +168,17 @@ def assert_told(made: Any, before: Any, table: dict[str, Any]) -> None:
             told = getattr(made, field)
             assert told == (tuple(value) if isinstance(value, list) else value)
             assert not isinstance(old, float) or isinstance(told, float)
+
+
+def slot_of(table: dict[str, Any]) -> SlotConfig:
+    """The slot that a table says."""
+
+    def provider(told: Any) -> Any:
+        if told is None or isinstance(told, str):
+            return told and PROVIDERS[told]()
+        return PROVIDERS[told.get("kind", "procedural")](**{name: value for name, value in told.items() if name != "kind"})
+
+    return SlotConfig(provider(table["provider"]), provider(table.get("fallback")))
 
 
 def test_defaults_of_the_schema_are_the_configs_own() -> None:

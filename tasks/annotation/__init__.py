@@ -15,6 +15,7 @@ from schemas.errors import InputError
 from tasks.annotation.agreement import borda, current, winning
 from tasks.annotation.batch import SCHEMA_FILE, AnnotationBatch, Answer, parse_batch, read_batch
 from tasks.annotation.review import REVIEW_SCHEMA_FILE, Review, ReviewBatch, check_reviews, read_reviews
+from tasks.settings import Config
 from tasks.stage import Context, Outcome, Stage
 from tasks.transforms import matrix
 
@@ -25,12 +26,12 @@ __all__ = [
 
 
 @dataclasses.dataclass(frozen=True)
-class AnnotationConfig:
+class AnnotationConfig(Config):
     """What an answer may say before it is taken for a mistake."""
 
     reach_m: float = 5.0  # an asset put farther than a room's width from its instance is a wrong unit or a wrong scene
     smallest_scale: float = 0.02  # assets are in metres: one in centimetres by mistake needs 0.01, and is a wrong asset
-    largest_scale: float = 50.0  # the same the other way round
+    largest_scale: float = 50.0  # an asset in millimetres by mistake needs 1000
 
 
 def run(

@@ -19,22 +19,18 @@ from tasks.candidates.procedural import procedural_asset
 from tasks.candidates.request import CandidateRequest, NothingToOffer
 from tasks.candidates.retrieval import retrieve
 from tasks.candidates.scan_crop import closed_crop
-from tasks.candidates.slots import DEFAULT_SLOTS, LibraryRetrieval, Procedural, Provider, ScanCrop, SlotConfig, provider_name
+from tasks.candidates.slots import DEFAULT_SLOTS, LibraryRetrieval, Procedural, Provider, ScanCrop, SlotConfig, Slots, provider_name
+from tasks.settings import Config
 from tasks.stage import Blobs, Context, Outcome, Stage
 
 Ranking = list[tuple[float, LibraryEntry]]
 
 
 @dataclasses.dataclass(frozen=True)
-class CandidatesConfig:
-    """Config of the candidates stage."""
+class CandidatesConfig(Config):
+    """Who offers candidates."""
 
-    slots: tuple[SlotConfig, ...] = DEFAULT_SLOTS
-    """Ten slots, as the paper gives annotators ten candidates; see `DEFAULT_SLOTS` for who fills which."""
-
-    def __post_init__(self) -> None:
-        if not 1 <= len(self.slots) <= 10:
-            raise ValueError(f"slots: {len(self.slots)} given, there are one to ten")
+    slots: Slots = DEFAULT_SLOTS  # ten, as the paper gives annotators ten candidates
 
 
 def run(*, instances: list[Instance], captions: list[Caption], library: Path | None, context: Context, config: CandidatesConfig) -> Outcome:

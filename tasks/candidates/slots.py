@@ -3,43 +3,41 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from tasks.settings import LISTED, ByKind, Config, Whole
 
 
 @dataclasses.dataclass(frozen=True)
-class Procedural:
+class Procedural(Config):
     """The furniture generator, fitted to the instance's box and colored as its caption says."""
 
-    variant: int = 1
-    """Other variants draw other styles (slats or panel, legs or pedestal)."""
-
-    version: str = "1"
-    """Goes up when the same instance would get another model."""
+    kind: ClassVar[str] = "procedural"
+    variant: Whole = 1  # others draw other styles (slats or panel, legs or pedestal)
+    version: str = "1"  # goes up when the same instance would get another model
 
 
 @dataclasses.dataclass(frozen=True)
-class ScanCrop:
+class ScanCrop(Config):
     """Geometry of the scan itself, cropped and closed."""
 
-    mode: Literal["closed", "pieces"] = "closed"
-    """`closed`: the scanned surface closed to a solid; `pieces`: a few convex pieces that stand for it."""
-
-    version: str = "1"
-    """Goes up when the same scan would give another solid."""
+    kind: ClassVar[str] = "scan_crop"
+    mode: Literal["closed", "pieces"] = "closed"  # the scanned surface closed to a solid, or a few convex pieces that stand for it
+    version: str = "1"  # goes up when the same scan would give another solid
 
 
 @dataclasses.dataclass(frozen=True)
-class LibraryRetrieval:
+class LibraryRetrieval(Config):
     """The k-th best asset of a library folder by category, extents, shape and color."""
 
-    k: int = 1
-    """Place in the order of scores, 1 is best."""
-
-    version: str = "1"
-    """Goes up when the same library would answer otherwise."""
+    kind: ClassVar[str] = "library"
+    k: Whole = 1  # place in the order of scores, 1 is best
+    version: str = "1"  # goes up when the same library would answer otherwise
 
 
-Provider = Procedural | ScanCrop | LibraryRetrieval
+Provider = Annotated[Procedural | ScanCrop | LibraryRetrieval, ByKind()]
 """Whoever can fill a slot: a union of frozen configs, matched by type."""
 
 
@@ -55,12 +53,14 @@ def provider_name(provider: Provider) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class SlotConfig:
+class SlotConfig(Config):
     """A slot's provider, and who fills it, flagged, when that provider is not there (no library given) or has nothing."""
 
     provider: Provider
-    fallback: Procedural | None = None
+    fallback: Procedural | None = None  # without one, the slot stays empty
 
+
+Slots = Annotated[tuple[SlotConfig, ...], LISTED, Field(min_length=1, max_length=10)]
 
 DEFAULT_SLOTS: tuple[SlotConfig, ...] = (
     *(SlotConfig(Procedural(variant)) for variant in (1, 2, 3, 4)),

@@ -19,18 +19,16 @@ from tasks.captions.materials import likely_materials, rank_materials
 from tasks.captions.physics import attributes, implausible, mass
 from tasks.captions.sentences import compose, shape_word
 from tasks.meshes import read_points
+from tasks.settings import Config, Whole
 from tasks.stage import Context, Outcome, Stage
 
 
 @dataclasses.dataclass(frozen=True)
-class ClassicalCaptions:
+class ClassicalCaptions(Config):
     """Colors and materials from the points, physical attributes from the category table. Needs no model."""
 
-    min_points: int = 20
-    """Fewer points give a color word that a few bleeding pixels decide; the caption is made but reported."""
-
-    version: str = "1"
-    """Goes up when the same points would get other words."""
+    min_points: Whole = 20  # fewer give a color word that a few bleeding pixels decide; the caption is made but reported
+    version: str = "1"  # goes up when the same points would get other words
 
 
 CaptionProvider = ClassicalCaptions
@@ -38,11 +36,10 @@ CaptionProvider = ClassicalCaptions
 
 
 @dataclasses.dataclass(frozen=True)
-class CaptionsConfig:
-    """Config of the captions stage."""
+class CaptionsConfig(Config):
+    """Who words captions."""
 
-    provider: CaptionProvider = ClassicalCaptions()
-    """The classical provider runs anywhere; learned ones need weights or an endpoint."""
+    provider: CaptionProvider = ClassicalCaptions()  # runs anywhere; learned ones need weights or an endpoint
 
 
 def run(*, instances: list[Instance], context: Context, config: CaptionsConfig) -> Outcome:

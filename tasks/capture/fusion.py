@@ -3,45 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from schemas.errors import InputError
 from tasks.capture.reading import FrameSource
 from tasks.capture.views import chosen_frames
 from tasks.fusion import Volume
 from tasks.meshes import Surface
-
-
-@dataclasses.dataclass(frozen=True)
-class FusionConfig:
-    """How frames are fused."""
-
-    voxel_m: float = 0.02  # The resolution of ScanNet's own meshes in use; finer only resolves sensor noise.
-    truncation_voxels: float = 4.0  # 8 cm: more than depth noise at 4 m, less than a table top's distance to what is under it.
-    max_depth_m: float = 5.0  # Noise of structured light grows with the square of depth and exceeds the truncation beyond.
-    max_frames: int = 400  # At walking speed a frame every few centimetres; more only cost time.
-    min_weight: float = 0.5  # Every voxel seen at least once: plain folders may hold a handful of frames with little overlap.
-    min_piece_faces: int = 200  # Smaller separate pieces are flying pixels along depth edges.
-
-    def __post_init__(self) -> None:
-        for name in ("voxel_m", "truncation_voxels"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
-        if not _NEAREST_M < self.max_depth_m < math.inf:
-            raise ValueError(f"max_depth_m: must be above {_NEAREST_M:g}, is {self.max_depth_m:g}")
-        if self.max_frames < 1:
-            raise ValueError(f"max_frames: must be at least 1, is {self.max_frames}")
-        if not 0 <= self.min_weight < math.inf:
-            raise ValueError(f"min_weight: must be at least 0, is {self.min_weight:g}")
-        if self.min_piece_faces < 0:
-            raise ValueError(f"min_piece_faces: must be at least 0, is {self.min_piece_faces}")
-
+from tasks.settings import Config, Count, Natural, NonNegative, Positive
 
 _NEAREST_M = 0.1
 """Sensors of depth see nothing nearer."""
+
+Depth = Annotated[float, Field(gt=_NEAREST_M)]
+
+
+@dataclasses.dataclass(frozen=True)
+class FusionConfig(Config):
+    """How frames are fused."""
+
+    voxel_m: Positive = 0.02  # The resolution of ScanNet's own meshes in use; finer only resolves sensor noise.
+    truncation_voxels: Positive = 4.0  # 8 cm: more than depth noise at 4 m, less than a table top's distance to what is under it.
+    max_depth_m: Depth = 5.0  # Noise of structured light grows with the square of depth and exceeds the truncation beyond.
+    max_frames: Count = 400  # At walking speed a frame every few centimetres; more only cost time.
+    min_weight: NonNegative = 0.5  # Every voxel seen at least once: plain folders may hold a handful of frames with little overlap.
+    min_piece_faces: Natural = 200  # Smaller separate pieces are flying pixels along depth edges.
+
 
 _MIN_READINGS = 0.01
 """A depth image with fewer usable pixels than this share says nothing."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from schemas.capture import Frame, Instance, Mask, Room, Scene
 from schemas.errors import InputError
@@ -27,12 +29,13 @@ from tasks.capture.scannet import read_scannet
 from tasks.capture.segmentation import geometry_groups
 from tasks.capture.views import Sight, best_sights, camera_up, run_lengths, view_of
 from tasks.meshes import Surface, dump_glb
+from tasks.settings import Config, Count
 from tasks.stage import Blobs, Context, Outcome
 from tasks.transforms import flat
 
 
 @dataclasses.dataclass(frozen=True)
-class CaptureConfig:
+class CaptureConfig(Config):
     """How scans are captured.
 
     `label_map_sha256` is filled in from the label map in use, the project's own or the user's, so that its content decides
@@ -41,18 +44,17 @@ class CaptureConfig:
 
     label_map: str | None = None  # The project's own map; ScanNet's is research-only, so users bring it themselves.
     label_map_sha256: str = dataclasses.field(init=False)  # From the file.
-    max_view_frames: int = 60  # A walk through a room repeats itself: more frames find no better views, but cost 20 ms each.
-    views_per_instance: int = 3  # Enough for a caption model to see two sides and one occlusion.
-    view_size_px: int = 256  # What caption and selection models take in; larger crops only fill the lake.
-    max_points: int = 20_000  # A sofa at 2 cm has fewer; walls are thinned.
-    max_faces: int = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
+    max_view_frames: Count = 60  # A walk through a room repeats itself: more frames find no better views, but cost 20 ms each.
+    views_per_instance: Count = 3  # Enough for a caption model to see two sides and one occlusion.
+    view_size_px: Count = 256  # What caption and selection models take in; larger crops only fill the lake.
+    max_points: Count = 20_000  # A sofa at 2 cm has fewer; walls are thinned.
+    max_faces: Count = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
 
-    def __post_init__(self) -> None:
-        for name in ("max_view_frames", "views_per_instance", "view_size_px", "max_points", "max_faces"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
+    @model_validator(mode="after")
+    def _with_label_map(self) -> Self:
         object.__setattr__(self, "label_map_sha256", label_map(self.label_map).sha256)
+        return self
 
 
 def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:

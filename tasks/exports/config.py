@@ -8,10 +8,11 @@ from schemas.exports import FORMATS
 from tasks.optimization.mujoco_engine import Mujoco
 from tasks.pieces import PieceConfig
 from tasks.replica import ShellConfig
+from tasks.settings import Config, Texts
 
 
 @dataclasses.dataclass(frozen=True)
-class UsdConfig:
+class UsdConfig(Config):
     """USD with physics."""
 
     instanceable: bool = False  # instances share memory, but Isaac tools cannot edit a collider or material under them
@@ -21,7 +22,7 @@ class UsdConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class HabitatConfig:
+class HabitatConfig(Config):
     """Habitat dataset with episodes."""
 
     dataset: str = "metascenes"  # name of the dataset's config file and of its semantic lexicon
@@ -30,14 +31,14 @@ class HabitatConfig:
     agent: str | None = None  # whose navmesh and episodes are exported; None: the agent with the most episodes
     gravity_m_s2: float = 9.8  # habitat-sim's own default
     forward_m: float = 0.25  # what `forward` means in episodes (supplementary B.3), for the states along a path
-    turn_degrees: float = 30.0  # the same for `left` and `right`
+    turn_degrees: float = 30.0  # what `left` and `right` mean in episodes (supplementary B.3)
     success_m: float = 0.2  # how near to a goal they end: steps of 0.25 m cannot always end within habitat-lab's 0.1 m for objects
     view_fov_degrees: float = 79.0  # camera of the ObjectNav challenge's agent, for the overlap of a view point
     view_aspect: float = 4.0 / 3.0  # 640 x 480
 
 
 @dataclasses.dataclass(frozen=True)
-class MjcfConfig:
+class MjcfConfig(Config):
     """MuJoCo's own format."""
 
     engine: Mujoco = dataclasses.field(default_factory=Mujoco)  # what certificates are made with: the same things stay in place
@@ -45,11 +46,11 @@ class MjcfConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class ExportsConfig:
+class ExportsConfig(Config):
     """The exports stage."""
 
-    formats: tuple[str, ...] = FORMATS  # all of them: a file nobody asked for costs less than a scene exported again
-    pieces: PieceConfig = dataclasses.field(default_factory=PieceConfig)
+    formats: Texts = FORMATS  # all of them: a file nobody asked for costs less than a scene exported again
+    pieces: PieceConfig = dataclasses.field(default_factory=PieceConfig)  # those of certificates: what is exported is what was certified
     shell: ShellConfig = dataclasses.field(default_factory=ShellConfig)
     usd: UsdConfig = dataclasses.field(default_factory=UsdConfig)
     habitat: HabitatConfig = dataclasses.field(default_factory=HabitatConfig)
@@ -57,5 +58,5 @@ class ExportsConfig:
     room_friction: float = 0.8  # painted plaster and varnished wood against furniture; between the tables' 0.5 and rubber's 1
     room_restitution: float = 0.05  # a room does not bounce
     default_density_kg_m3: float = 300.0  # of an object without a caption: light wood with hollows
-    default_friction: float = 0.5  # the same, wood on wood
-    default_restitution: float = 0.1  # the same
+    default_friction: float = 0.5  # of an object without a caption: wood on wood
+    default_restitution: float = 0.1  # of an object without a caption: wood on wood

@@ -8,18 +8,15 @@ from collections.abc import Sequence
 from schemas.captions import Caption
 from tasks.optimization.interior import Interior
 from tasks.optimization.solids import Body, mass_properties_of
+from tasks.settings import Config, NonNegative, Positive
 
 
 @dataclasses.dataclass(frozen=True)
-class BodyConfig:
+class BodyConfig(Config):
     """What is taken of a thing without a caption."""
 
-    density_kg_m3: float = 300.0  # light wood with hollows
-    friction: float = 0.5  # wood on wood
-
-    def __post_init__(self) -> None:
-        if not 0 < self.density_kg_m3 < float("inf") or not 0 <= self.friction < float("inf"):
-            raise ValueError("density_kg_m3: must be above 0; friction: must be at least 0")
+    density_kg_m3: Positive = 300.0  # light wood with hollows
+    friction: NonNegative = 0.5  # wood on wood
 
 
 def bodies_of(interior: Interior, captions: Sequence[Caption], config: BodyConfig) -> tuple[list[Body], list[str]]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from schemas.errors import InputError
 from schemas.optimization import Certificate
@@ -16,6 +17,7 @@ from tasks.optimization import mujoco_engine, newton_engine
 from tasks.optimization.mujoco_engine import Mujoco, Simulation
 from tasks.optimization.newton_engine import Newton
 from tasks.optimization.solids import Body, Solid
+from tasks.settings import Config, Positive
 from tasks.transforms import flat, is_rigid
 
 Array = NDArray[np.float64]
@@ -40,19 +42,19 @@ SOFT_SHARE = 0.004
 
 
 @dataclasses.dataclass(frozen=True)
-class CertificateConfig:
+class CertificateConfig(Config):
     """What a certificate asks."""
 
-    mujoco: Mujoco = dataclasses.field(default_factory=Mujoco)
+    mujoco: Mujoco = dataclasses.field(default_factory=Mujoco)  # always asked
     newton: Newton = dataclasses.field(default_factory=Newton)  # asked as well when its interpreter is named
-    seconds: float = 2.0  # a fall from a table takes 0.4 s; tipping begins slowly and takes longer
+    seconds: Positive = 2.0  # a fall from a table takes 0.4 s; tipping begins slowly and takes longer
 
-    def __post_init__(self) -> None:
-        if not 0 < self.seconds < math.inf:
-            raise ValueError(f"seconds: must be above 0, is {self.seconds:g}")
-        for name in ("mujoco", "newton"):
-            if self.seconds < getattr(self, name).timestep_s:
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name, engine in (("mujoco", self.mujoco), ("newton", self.newton)):
+            if self.seconds < engine.timestep_s:
                 raise ValueError(f"seconds: must be at least {name}.timestep_s, is {self.seconds:g}")
+        return self
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from tasks.optimization.annealing import Schedule
 from tasks.optimization.arrangement import FIXED, HANGING, OVERHEAD, STANDING, Arrangement, compiled
@@ -25,6 +26,7 @@ from tasks.optimization.solids import Solid, shell_solids
 from tasks.optimization.supports import PlacedAsset, SupportConfig, support_map
 from tasks.optimization.trace import Move, Resolution, Step
 from tasks.optimization.walls import wall_faces, wall_snap
+from tasks.settings import Config, Count, NonNegative, Positive, Share
 from tasks.transforms import translation
 
 Array = NDArray[np.float64]
@@ -46,7 +48,7 @@ LEVER = 0.25
 
 
 @dataclasses.dataclass(frozen=True)
-class Default:
+class Default(Config):
     """Simulated annealing on convex pieces: Metropolis acceptance, several chains, adaptive moves along x, y, z and yaw.
 
     The loss is the sum of the penetration depths of all pairs of pieces of different things, and of things and walls.
@@ -54,39 +56,27 @@ class Default:
     nothing overlaps; then things are brought back towards their places as far as nothing overlaps again.
     """
 
-    chains: int = 4  # the best of four moves things a third less far than one alone, in crowded rooms
-    max_moves: int = 15_000  # of a chain; a solvable room of 40 things takes some hundreds to thousands
-    max_kept: int = 20_000  # moves that a chain may keep: the length of its trace
-    slop_m: float = 0.0002  # what rests on something else touches it by rounding; a tenth of the depth that counts as deep
-    step_m: float = 0.02  # the spread of moves at first: the size of a usual overlap
-    turn_radians: float = 0.05  # the same for turns: 3 degrees move a chair's corner by 2 cm
-    least_step_m: float = 0.001  # below a millimetre nothing is won
-    most_step_m: float = 0.2  # farther moves throw things about
-    turn_share: float = 0.2  # of the moves are turns: shifting parts most pairs
-    rise_share: float = 0.15  # of the other moves of a carried thing go up or down: a pillow climbs onto the one beside it
-    most_rise_m: float = 0.1  # higher, and it stands on something else
-    most_aside_m: float = 0.4  # along its wall: the width of a picture
-    most_turn_radians: float = 0.35  # 20 degrees: more, and the thing faces elsewhere than the scanned one
-    most_tilt_radians: float = 0.45  # 26 degrees: what would tip farther was not meant to stand so
-    price: float = 0.05  # metres of depth that a metre of displacement costs: things move no farther than they must
-    temperature_m: float = 0.0003  # cold at first, so that easy rooms are solved without detours
-    cooling: float = 0.8  # per sweep: seven sweeps down to the coldest
-    coldest_m: float = 0.00005  # below it no worse state is taken any more
-    warmer: float = 2.0  # each time a cold chain is stuck, it starts again twice as warm
-    sweep: int = 60  # moves per thing that may move, at each temperature
-
-    def __post_init__(self) -> None:
-        for name in ("step_m", "turn_radians", "least_step_m", "most_step_m", "temperature_m", "coldest_m"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
-        for name in ("slop_m", "price", "most_turn_radians", "most_tilt_radians", "most_rise_m", "most_aside_m"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
-        for name in ("chains", "max_moves", "max_kept", "sweep"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
-        if not 0 < self.cooling < 1 or not self.warmer >= 1 or not 0 <= self.turn_share <= 1 or not 0 <= self.rise_share <= 1:
-            raise ValueError("cooling: above 0 and below 1; warmer: at least 1; turn_share, rise_share: 0 to 1")
+    kind: ClassVar[str] = "default"
+    chains: Count = 4  # the best of four moves things a third less far than one alone, in crowded rooms
+    max_moves: Count = 15_000  # of a chain; a solvable room of 40 things takes some hundreds to thousands
+    max_kept: Count = 20_000  # moves that a chain may keep: the length of its trace
+    slop_m: NonNegative = 0.0002  # what rests on something else touches it by rounding; a tenth of the depth that counts as deep
+    step_m: Positive = 0.02  # the spread of moves at first: the size of a usual overlap
+    turn_radians: Positive = 0.05  # the spread of turns at first: 3 degrees move a chair's corner by 2 cm
+    least_step_m: Positive = 0.001  # below a millimetre nothing is won
+    most_step_m: Positive = 0.2  # farther moves throw things about
+    turn_share: Share = 0.2  # of the moves are turns: shifting parts most pairs
+    rise_share: Share = 0.15  # of the other moves of a carried thing go up or down: a pillow climbs onto the one beside it
+    most_rise_m: NonNegative = 0.1  # higher, and it stands on something else
+    most_aside_m: NonNegative = 0.4  # along its wall: the width of a picture
+    most_turn_radians: NonNegative = 0.35  # 20 degrees: more, and the thing faces elsewhere than the scanned one
+    most_tilt_radians: NonNegative = 0.45  # 26 degrees: what would tip farther was not meant to stand so
+    price: NonNegative = 0.05  # metres of depth that a metre of displacement costs: things move no farther than they must
+    temperature_m: Positive = 0.0003  # cold at first, so that easy rooms are solved without detours
+    cooling: Annotated[float, Field(gt=0, lt=1)] = 0.8  # per sweep: seven sweeps down to the coldest
+    coldest_m: Positive = 0.00005  # below it no worse state is taken any more
+    warmer: Annotated[float, Field(ge=1)] = 2.0  # each time a cold chain is stuck, it starts again twice as warm
+    sweep: Count = 60  # moves per thing that may move, at each temperature
 
     def schedule(self) -> Schedule:
         """The same for compiled code."""

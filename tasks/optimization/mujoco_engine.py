@@ -7,15 +7,16 @@ make of a mesh by itself is used.
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from tasks.optimization.solids import Body, Solid, mass_properties_of
+from tasks.settings import LISTED, Config, Count, NonNegative, Positive
 from tasks.transforms import pose_from_quaternion_wxyz, quaternion_wxyz
 
 Array = NDArray[np.float64]
@@ -23,44 +24,28 @@ LONGEST_TIMESTEP_S = 0.02
 """From here on a fall of one step goes deeper than things are thick [s]: contacts are missed or shoot things away."""
 
 
-def check_timestep(seconds: float) -> None:
-    """Refuse a timestep that no engine's contacts are stable at [s].
+Timestep = Annotated[float, Field(gt=0, lt=LONGEST_TIMESTEP_S)]
+"""At which an engine's contacts are stable [s]."""
 
-    Raises:
-        ValueError: it is not above 0 and below `LONGEST_TIMESTEP_S`.
-    """
-    if not 0 < seconds < LONGEST_TIMESTEP_S:
-        raise ValueError(f"timestep_s: must be above 0 and below {LONGEST_TIMESTEP_S:g}, is {seconds:g}")
+_Inner = Annotated[float, Field(gt=0, lt=1)]
+Impedance = Annotated[tuple[_Inner, _Inner, Positive], LISTED]
+"""Two shares, then a width."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Mujoco:
+class Mujoco(Config):
     """How MuJoCo is set."""
 
-    timestep_s: float = 0.004  # verdicts of 2 in 1,000 things differ from those at 1 ms, by fractions of a millimeter
-    impratio: float = 10.0  # friction 10 times as stiff as the contact, against creep on slopes
-    stiffness_s: float = 0.02  # time constant of a contact: a 1 cm overlap is pushed apart by 1 cm; at 8 ms it is shot 4 cm away
-    impedance: tuple[float, float, float] = (0.99, 0.999, 0.001)  # things sink in by 0.01 mm, by 1 mm under a hundredfold load
-    iterations: int = 100  # of Newton's method, which needs few; cut off at 10, piles explode
-    tolerance: float = 1e-8
-    sleep_m_s: float = 1e-6  # what is slower for 10 steps is not computed until it is touched; at 1e-4 the balanced never tip; 0: never
-    friction_floor: float = 1e-3  # MuJoCo takes the greater friction of a pair, and a thing's is measured against floors: let it decide
-    memory_bytes: int = 2**28  # room for 10,000 contacts and more; what is not touched costs nothing
-    check_steps: int = 5  # how often the state is looked at for having gone astray
-
-    def __post_init__(self) -> None:
-        check_timestep(self.timestep_s)
-        for name in ("impratio", "stiffness_s", "friction_floor"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
-        for name in ("tolerance", "sleep_m_s"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name):g}")
-        for name in ("iterations", "memory_bytes", "check_steps"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
-        if len(self.impedance) != 3 or not all(0 < share < 1 for share in self.impedance[:2]) or not 0 < self.impedance[2] < math.inf:
-            raise ValueError("impedance: two shares above 0 and below 1, then a width above 0")
+    timestep_s: Timestep = 0.004  # verdicts of 2 in 1,000 things differ from those at 1 ms, by fractions of a millimeter
+    impratio: Positive = 10.0  # friction 10 times as stiff as the contact, against creep on slopes
+    stiffness_s: Positive = 0.02  # time constant of a contact: a 1 cm overlap is pushed apart by 1 cm; at 8 ms it is shot 4 cm away
+    impedance: Impedance = (0.99, 0.999, 0.001)  # things sink in by 0.01 mm, by 1 mm under a hundredfold load
+    iterations: Count = 100  # of Newton's method, which needs few; cut off at 10, piles explode
+    tolerance: NonNegative = 1e-8  # MuJoCo's own default: further iterations would win nothing
+    sleep_m_s: NonNegative = 1e-6  # slower for 10 steps, a thing is not computed until touched; at 1e-4 the balanced never tip; 0: never
+    friction_floor: Positive = 1e-3  # MuJoCo takes the greater friction of a pair, and a thing's is measured against floors: let it decide
+    memory_bytes: Count = 2**28  # room for 10,000 contacts and more; what is not touched costs nothing
+    check_steps: Count = 5  # how often the state is looked at for having gone astray
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,6 @@ Make one with `python -m venv FOLDER` and `FOLDER/bin/pip install -r requirement
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 import shutil
 import subprocess
@@ -24,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.optimization.mujoco_engine import Simulation, check_timestep, unfit
+from tasks.optimization.mujoco_engine import Simulation, Timestep, unfit
 from tasks.optimization.solids import Body, Solid, mass_properties_of
+from tasks.settings import Config, Count, NonNegative, Positive
 from tasks.transforms import pose_from_quaternion_wxyz, quaternion_xyzw
 
 Array = NDArray[np.float64]
@@ -36,32 +36,19 @@ SCRIPT = Path(__file__).with_name("newton_script.py")
 
 
 @dataclasses.dataclass(frozen=True)
-class Newton:
+class Newton(Config):
     """Where Newton is and how its solvers are set; with the MuJoCo solver's own defaults chairs slide and books sink in."""
 
     python: str = ""  # interpreter of the environment that Newton is installed in; without one, Newton is not asked
     solver: Literal["mujoco", "xpbd"] = "mujoco"  # xpbd shares no contact solver with MuJoCo, and looks at neither stiffness nor impratio
-    timestep_s: float = 1 / 480  # what its examples take for contacts
-    stiffness: float = 2e5  # of contacts [N/m]; with the default of 2500 things sink in by centimeters
-    damping: float = 1e3  # [N s/m], nearly critical for household masses
-    impratio: float = 10.0  # friction 10 times as stiff as the contact, against creep on slopes
-    iterations: int = 100  # cut off earlier, piles explode
-    xpbd_iterations: int = 20  # per step; stacks of five rest to half a millimeter
-    friction_floor: float = 1e-3  # the greater friction of a pair counts, and a thing's is measured against floors: let it decide
-    timeout_s: float = 900.0  # the first run on a machine compiles kernels, up to two minutes on two cores
-
-    def __post_init__(self) -> None:
-        check_timestep(self.timestep_s)
-        for name in ("stiffness", "impratio", "friction_floor", "timeout_s"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be above 0, is {getattr(self, name):g}")
-        if not 0 <= self.damping < math.inf:
-            raise ValueError(f"damping: must be at least 0, is {self.damping:g}")
-        for name in ("iterations", "xpbd_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: must be at least 1, is {getattr(self, name)}")
-        if self.solver not in ("mujoco", "xpbd"):
-            raise ValueError(f"solver: must be mujoco or xpbd, is {self.solver!r}")
+    timestep_s: Timestep = 1 / 480  # what its examples take for contacts
+    stiffness: Positive = 2e5  # of contacts [N/m]; with the default of 2500 things sink in by centimeters
+    damping: NonNegative = 1e3  # [N s/m], nearly critical for household masses
+    impratio: Positive = 10.0  # friction 10 times as stiff as the contact, against creep on slopes
+    iterations: Count = 100  # cut off earlier, piles explode
+    xpbd_iterations: Count = 20  # per step; stacks of five rest to half a millimeter
+    friction_floor: Positive = 1e-3  # the greater friction of a pair counts, and a thing's is measured against floors: let it decide
+    timeout_s: Positive = 900.0  # the first run on a machine compiles kernels, up to two minutes on two cores
 
 
 def simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], seconds: float, settings: Newton) -> Simulation:

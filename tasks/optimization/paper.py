@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,10 +14,11 @@ from tasks.optimization.interior import Interior
 from tasks.optimization.supports import SupportConfig, allowed_shifts
 from tasks.optimization.trace import Resolution, Step
 from tasks.replica import interior_footprints
+from tasks.settings import Config, Natural, Positive
 
 
 @dataclasses.dataclass(frozen=True)
-class Paper:
+class Paper(Config):
     """Algorithm 1 of the supplementary: one thing, one of four directions, 5 cm, kept when the loss falls.
 
     As printed: the loss is the volume in which the axis-aligned boxes of two assets overlap, summed over all pairs;
@@ -35,16 +36,10 @@ class Paper:
     - The loop also ends once every possible move was tried since the last kept one. It changes nothing but the time.
     """
 
-    step_m: float = 0.05  # as printed
-    max_steps: int = 10_000  # the loop ends itself long before, when no move helps; 40 things need about 5000
-    shift_reach: int = 12  # steps that a carried thing may stray on its carrier: 60 cm, most of a desk's depth
-
-    def __post_init__(self) -> None:
-        if not 0 < self.step_m < math.inf:
-            raise ValueError(f"step_m: must be above 0, is {self.step_m:g}")
-        for name in ("max_steps", "shift_reach"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name}: must be at least 0, is {getattr(self, name)}")
+    kind: ClassVar[str] = "paper"
+    step_m: Positive = 0.05  # as printed
+    max_steps: Natural = 10_000  # the loop ends itself long before, when no move helps; 40 things need about 5000
+    shift_reach: Natural = 12  # steps that a carried thing may stray on its carrier: 60 cm, most of a desk's depth
 
 
 def resolve(interior: Interior, method: Paper, supports: SupportConfig, rng: Callable[..., np.random.Generator]) -> Resolution:

@@ -17,47 +17,37 @@ from tasks.optimization.heights import face_blocks, plan_view, underside
 from tasks.optimization.mounting import mounting
 from tasks.optimization.standing import MOST_CELLS, kept_cells, standing_map
 from tasks.optimization.walls import WallFace, stands_against, wall_contact, wall_faces
+from tasks.settings import Config, NonNegative, Positive, Share
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
 
 @dataclasses.dataclass(frozen=True)
-class SupportConfig:
+class SupportConfig(Config):
     """When a thing counts as carried."""
 
-    reach_m: float = 0.10  # scans bleed and boxes are a few centimetres off; a gap beyond this is a gap
-    drop_m: float = 0.5  # legs are often too thin for a scan: what nothing carries and is this low was standing on what lies below
-    stand_drop_m: float = 1.0  # the same for what never hangs: nothing else than a lost support explains it
-    sunk_m: float = 0.2  # what nothing carries within reach may have sunk this deep: the thing and its carrier are both off
-    base_m: float = 0.02  # feet and rims within this of the lowest point are what a thing stands on
-    share: float = 0.3  # of the base over a surface: less, and the center of mass may be past the edge
-    carried_share: float = 0.75  # of the base stays on the carrier when a thing is moved: a quarter over the edge tips nothing
-    covering_m: float = 0.05  # as flat as this, a rug or mat, which others may stand on in part
-    covering_area_m2: float = 0.25  # as large as this, something flat of no known kind is a covering: a mat, no keyboard
-    wall_m: float = 0.12  # a picture frame's depth plus the error of a wall's place
-    against_m: float = 0.05  # baseboards and cables keep furniture this far off the wall that it stands against
-    ceiling_m: float = 0.15  # the ceiling's height is known less well than a wall's place
-    cable_m: float = 1.2  # a hanging lamp's cable is too thin for a scan
-    rail_m: float = 1.5  # curtains that reach this high and have no wall hang on a rail across the room
-    hung_gap_m: float = 0.02  # what is usually hung and ends this near a surface stands on it all the same
-    desk_frame_m: float = 0.3  # frames smaller than this stand on furniture as often as they hang
-    hung_depth_m: float = 0.5  # things of no known kind that stick out farther from a wall are not hung on it
-    enclosed_share: float = 0.85  # of the horizon that a container's sides close; a sofa with arms closes two thirds
-    same_bottom_m: float = 0.03  # bottoms this near say nothing about who carries whom; the larger one does
-    rest_quantile: float = 0.9  # bumps under a tenth of the base are noise of scanned geometry
-    cell_m: float = 0.01  # grid of the plan views: a mug's foot covers forty cells
-
-    def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            if name in ("share", "carried_share", "enclosed_share", "rest_quantile"):
-                if not 0 <= value <= 1:
-                    raise ValueError(f"{name}: must be 0 to 1, is {value:g}")
-            elif name in ("base_m", "cell_m"):
-                if not 0 < value < math.inf:
-                    raise ValueError(f"{name}: must be above 0, is {value:g}")
-            elif not 0 <= value < math.inf:
-                raise ValueError(f"{name}: must be at least 0, is {value:g}")
+    reach_m: NonNegative = 0.10  # scans bleed and boxes are a few centimetres off; a gap beyond this is a gap
+    drop_m: NonNegative = 0.5  # legs are often too thin for a scan: what nothing carries and is this low was standing on what lies below
+    stand_drop_m: NonNegative = 1.0  # as drop_m, for what never hangs: nothing else than a lost support explains it
+    sunk_m: NonNegative = 0.2  # what nothing carries within reach may have sunk this deep: the thing and its carrier are both off
+    base_m: Positive = 0.02  # feet and rims within this of the lowest point are what a thing stands on
+    share: Share = 0.3  # of the base over a surface: less, and the center of mass may be past the edge
+    carried_share: Share = 0.75  # of the base stays on the carrier when a thing is moved: a quarter over the edge tips nothing
+    covering_m: NonNegative = 0.05  # as flat as this, a rug or mat, which others may stand on in part
+    covering_area_m2: NonNegative = 0.25  # as large as this, something flat of no known kind is a covering: a mat, no keyboard
+    wall_m: NonNegative = 0.12  # a picture frame's depth plus the error of a wall's place
+    against_m: NonNegative = 0.05  # baseboards and cables keep furniture this far off the wall that it stands against
+    ceiling_m: NonNegative = 0.15  # the ceiling's height is known less well than a wall's place
+    cable_m: NonNegative = 1.2  # a hanging lamp's cable is too thin for a scan
+    rail_m: NonNegative = 1.5  # curtains that reach this high and have no wall hang on a rail across the room
+    hung_gap_m: NonNegative = 0.02  # what is usually hung and ends this near a surface stands on it all the same
+    desk_frame_m: NonNegative = 0.3  # frames smaller than this stand on furniture as often as they hang
+    hung_depth_m: NonNegative = 0.5  # things of no known kind that stick out farther from a wall are not hung on it
+    enclosed_share: Share = 0.85  # of the horizon that a container's sides close; a sofa with arms closes two thirds
+    same_bottom_m: NonNegative = 0.03  # bottoms this near say nothing about who carries whom; the larger one does
+    rest_quantile: Share = 0.9  # bumps under a tenth of the base are noise of scanned geometry
+    cell_m: Positive = 0.01  # grid of the plan views: a mug's foot covers forty cells
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,6 +16,7 @@ from tasks.boxes import oriented_iou
 from tasks.meshes import read_points
 from tasks.selection.alignment import AlignmentConfig, Distances, Fit, Sample, Target, align, make_target, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.settings import Config, Texts
 from tasks.stage import Context, Outcome, Stage
 from tasks.transforms import flat, inverse, matrix, transform_points, translation, yaw_of, yaw_pose
 
@@ -26,7 +27,7 @@ PROVIDER_VERSION = "1"
 
 
 @dataclasses.dataclass(frozen=True)
-class ScoreConfig:
+class ScoreConfig(Config):
     """What a candidate's score is made of. The weights add up to 1, every term lies in 0..1."""
 
     coverage: float = 0.25  # what was scanned must be there: the surest evidence there is
@@ -39,14 +40,14 @@ class ScoreConfig:
     threshold_share: float = 0.05  # ... or a twentieth of the diagonal, where that is less: a mug is not covered by a point 3 cm off
     threshold_least_m: float = 0.01  # but no scan is finer than this
     falloff: float = 0.04  # of the diagonal: the mean distance at which closeness falls to 1/e
-    own_geometry: tuple[str, ...] = ("scan_crop",)  # providers, by how their names begin, whose assets are the scan itself
+    own_geometry: Texts = ("scan_crop",)  # providers, by how their names begin, whose assets are the scan itself
     own_fit_ceiling: float = 0.8  # such an asset fits itself; its fit counts like that of a good model, never as a perfect one
     own_completeness: float = 0.4  # it shows what the scan saw: its back and inside are a guess
     open_completeness: float = 0.1  # and when it is not even closed, physics has to guess too
 
 
 @dataclasses.dataclass(frozen=True)
-class SelectionConfig:
+class SelectionConfig(Config):
     """How candidates are aligned and scored."""
 
     alignment: AlignmentConfig = dataclasses.field(default_factory=AlignmentConfig)

@@ -1,0 +1,216 @@
+"""What configs are made of: frozen dataclasses whose values are held against types and limits, in code as in a file."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import itertools
+import linecache
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, ClassVar, get_args
+
+from pydantic import BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, ValidationError
+from pydantic_core import ArgsKwargs, CoreSchema, ErrorDetails, PydanticCustomError, core_schema
+
+LARGEST = 10**18
+"""Of whole numbers that settings take; more does not fit into 64 bits."""
+
+LONGEST = 60
+"""Characters of a value or a name that an error repeats."""
+
+
+def cut(text: str) -> str:
+    """A text as an error repeats it."""
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def shown(value: Any) -> str:
+    """A value as an error repeats it."""
+    try:
+        return f"{value:g}" if isinstance(value, float) else cut(repr(value))
+    except (ValueError, RecursionError):  # numbers of thousands of digits, and tables in tables, have no text
+        return f"this {type(value).__name__}"
+
+
+def _whole(value: Any) -> Any:
+    """The same value, as a whole number where it is one: JSON does not tell 2.0 from 2."""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if type(value) is int and abs(value) > LARGEST:
+        raise PydanticCustomError("too_large", "is too large")
+    return value
+
+
+Whole = Annotated[int, BeforeValidator(_whole)]
+Natural = Annotated[int, Field(ge=0), BeforeValidator(_whole)]
+Count = Annotated[int, Field(ge=1), BeforeValidator(_whole)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+LISTED = Field(strict=False, fail_fast=True)
+"""Of tuples: JSON and TOML have lists."""
+
+Texts = Annotated[tuple[str, ...], LISTED]
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Base of configs. Refuses values of other types, beyond their limits or infinite: no text is a number, no truth is one.
+
+    `kind`: how a class that stands in a union is named.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+    kind: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        values = {name: getattr(self, name) for name in fields_of(type(self))}
+        try:
+            adapter(type(self)).validator.validate_python(ArgsKwargs((), values), self_instance=self)
+        except ValidationError as error:
+            path, problem, _ = first_of(error)
+            raise ValueError(": ".join(filter(None, [".".join(path), problem]))) from error
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        schema = handler(source)
+        own: Any = handler.resolve_ref_schema(schema)
+        while own["type"] != "dataclass":  # within rules between fields
+            own = own["schema"]
+        table = core_schema.no_info_before_validator_function(cls._table, own["schema"])
+        own.update(schema=table, strict=False, post_init=False)  # tables are taken for configs, and checked once
+        return schema
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        made = handler(schema)
+        table = handler.resolve_ref_schema(made)
+        described = reasons(cls)
+        for name in table["properties"].keys() - {"kind"}:
+            table["properties"][name] |= {"title": name, **({"description": described[name]} if name in described else {})}
+        if cls.kind:
+            table["properties"] = {"kind": {"const": cls.kind, "default": cls.kind}, **table["properties"]}
+        return made
+
+    @classmethod
+    def _table(cls, told: Any) -> Any:
+        """Fields by name, where a word or a table is told."""
+        if cls.kind and told == cls.kind:
+            return {}
+        if not isinstance(told, Mapping):
+            return told
+        fields = fields_of(cls)
+        named = {"kind"} if cls.kind and told.get("kind") == cls.kind else set()
+        for name in told:
+            if name not in {*fields, *named}:
+                raise PydanticCustomError("no_field", "", {"owner": cls.__name__, "name": str(name), "fields": fields})
+        return {name: value for name, value in told.items() if name not in named}
+
+
+def fields_of(config: type[Config]) -> list[str]:
+    """Names of the fields that a config can be told."""
+    return [field.name for field in dataclasses.fields(config) if field.init]
+
+
+class ByKind:
+    """Annotation of a union of configs: a word names one, alone or as `kind` of a table."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        choices = {f"kind={config.kind}": handler.generate_schema(config) for config in get_args(source)}
+        context: dict[str, str | int | float] = {"kinds": ", ".join(config.kind for config in get_args(source))}
+        return core_schema.tagged_union_schema(
+            choices, _tag, custom_error_type="no_kind", custom_error_message="", custom_error_context=context
+        )
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        made = handler(schema)
+        kinds = [tag.removeprefix("kind=") for tag in schema["choices"]]
+        return {"anyOf": [{"enum": kinds}, *({**table, "required": ["kind"]} for table in made["oneOf"])]}
+
+
+def _tag(value: Any) -> str:
+    """Which of a union's configs a value is or names."""
+    kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", value)
+    return f"kind={kind}" if isinstance(kind, str) else ""
+
+
+_ADAPTERS: dict[type, TypeAdapter[Any]] = {}
+
+
+def adapter(config: type) -> TypeAdapter[Any]:
+    """What makes configs of a class of tables."""
+    if config not in _ADAPTERS:
+        _ADAPTERS[config] = TypeAdapter(config)
+    return _ADAPTERS[config]
+
+
+def nearest(word: str, known: Iterable[str], head: str) -> str:
+    """What to do about a word that is not known: the one that was meant, and all that there are."""
+    names = list(known)
+    close = difflib.get_close_matches(word[:LONGEST], names, n=1)
+    return (f"did you mean {close[0]}? " if close else "") + f"{head} {', '.join(names)}"
+
+
+def first_of(error: ValidationError) -> tuple[list[str], str, str]:
+    """The first that is wrong: the path of the field, empty where a rule between fields is broken; the problem; what to do."""
+    first = error.errors(include_url=False)[0]
+    place = [part for part in first["loc"] if not str(part).startswith("kind=")]
+    if first["type"] == "no_field":
+        place.append(cut(first["ctx"]["name"]))
+    path = [str(part) for part in itertools.takewhile(lambda part: isinstance(part, str), place)]
+    rest = [f"item {part + 1}" if isinstance(part, int) else part for part in place[len(path) :]]
+    problem, remedy = _problem(first)
+    return path, ": ".join([*rest, problem]), remedy
+
+
+_LIMITS = {
+    "greater_than": "above {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than": "below {lt:g}",
+    "less_than_equal": "at most {le:g}",
+    "bool_type": "true or false",
+    "int_type": "a whole number",
+    "float_type": "a finite number",
+    "finite_number": "a finite number",
+    "string_type": "a text",
+    "tuple_type": "a list",
+    "dataclass_type": "a table of fields",
+    "literal_error": "{expected}",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+}
+
+
+def _problem(error: ErrorDetails) -> tuple[str, str]:
+    """What is wrong, and what to do where that does not say it."""
+    context, value = error.get("ctx", {}), error["input"]
+    match error["type"]:
+        case "no_field":
+            return f"{context['owner']} has no field {cut(context['name'])}", nearest(context["name"], context["fields"], "it has")
+        case "no_kind":
+            named = value.get("kind") if isinstance(value, Mapping) else value
+            return "names no kind" if named is None else f"there is no {shown(named)}", f"it is one of {context['kinds']}"
+        case "value_error":
+            return str(context["error"]), ""
+        case "too_large":
+            return f"{shown(value)} is too large", ""
+        case "missing":
+            return "is missing", ""
+        case kind if kind in _LIMITS:
+            limit = _LIMITS[kind].format(**context).replace("'", "")
+            return f"must be {limit}, is {shown(value)}", ""
+    return error["msg"].replace("Input should", "must"), ""
+
+
+def reasons(config: type) -> dict[str, str]:
+    """Why each default of a config is what it is: the comment behind it."""
+    found: dict[str, str] = {}
+    for owner in reversed(config.__mro__):
+        if dataclasses.is_dataclass(owner):
+            source = "".join(linecache.getlines(sys.modules[owner.__module__].__file__ or ""))
+            body = re.search(rf"^class {owner.__name__}\b.*?(?=^\S|\Z)", source, re.MULTILINE | re.DOTALL)
+            found |= re.findall(r"^    (\w+): .*  # (.+)$", body[0] if body else "", re.MULTILINE)
+    return found
