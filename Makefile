@@ -42,8 +42,9 @@ format: $(VENV)/.test-ready  ## Format the code.
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-docs: $(VENV)/.run-ready  ## Write the pages of tables and views from the schemas and the SQL.
+docs: $(VENV)/.run-ready  ## Write the pages of tables, views and settings from the schemas, the SQL and the configs.
 	$(BIN)/python -m warehouse.documentation
+	$(BIN)/python -m flows.documentation
 
 native: $(RECAST)  ## Build the path finder that bakes as habitat-sim; wants Debian's librecast-dev and g++.
 

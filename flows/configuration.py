@@ -15,7 +15,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
 from tasks.pipeline import STAGES
-from tasks.settings import LARGEST, Config, adapter, cut, fields_of, first_of, nearest, shown
+from tasks.settings import LARGEST, Config, adapter, cut, fields_of, first_of, nearest, plain, shown
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,7 +135,7 @@ def _with_table(config: Any, table: Mapping[str, Any], origin: str, path: str) -
     except ValidationError as error:
         names, problem, remedy = first_of(error)
         present = reduce(lambda held, name: getattr(held, name, None), names, config)
-        before = f"it was {shown(present)}" if names and present is not None else ""
+        before = f"it was {shown(plain(present))}" if present is not None else ""
         raise InputError(origin, ".".join([path, *names]), problem, remedy or before) from error
 
 

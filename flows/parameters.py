@@ -15,7 +15,7 @@ from pydantic_core.core_schema import WithDefaultSchema
 from flows.configuration import configs_with
 from schemas.errors import LakeError, check_address
 from tasks.pipeline import STAGES
-from tasks.settings import Config, adapter, fields_of
+from tasks.settings import Config, adapter, paragraphs, plain
 
 Schema: TypeAlias = dict[str, Any]
 
@@ -49,19 +49,12 @@ class Form(GenerateJsonSchema):
         made = self.generate_inner(schema["schema"])
         default = schema["default"] if "default" in schema else schema["default_factory"]()  # type: ignore[call-arg]
         if not isinstance(default, Config):
-            return {**made, "default": told(default)}
+            return {**made, "default": plain(default)}
         if "anyOf" not in made:
             return {**made, "default": {}}
         words, *tables = made["anyOf"]
         del tables[words["enum"].index(default.kind)]["required"]  # a table that names no kind is of the one that is there
         return {**made, "default": default.kind}
-
-
-def told(value: Any) -> Any:
-    """A config or a value as a table says it."""
-    if isinstance(value, Config):
-        return ({"kind": value.kind} if value.kind else {}) | {name: told(getattr(value, name)) for name in fields_of(type(value))}
-    return [told(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _table(config: type) -> Schema:
@@ -74,8 +67,10 @@ def _table(config: type) -> Schema:
             return [inlined(item) for item in part]
         if not isinstance(part, dict):
             return part
-        named = definitions[part["$ref"].rpartition("/")[2]] if "$ref" in part else {}
-        return {name: inlined(value) for name, value in {**named, **part}.items() if name != "$ref"}
+        if "$ref" in part:
+            named = definitions[part["$ref"].rpartition("/")[2]]
+            part = {**named, **part, "description": paragraphs(named.get("description"), part.get("description"))}
+        return {name: inlined(value) for name, value in part.items() if name != "$ref"}
 
     return inlined(schema)
 

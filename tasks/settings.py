@@ -72,7 +72,7 @@ class Config:
             adapter(type(self)).validator.validate_python(ArgsKwargs((), values), self_instance=self)
         except ValidationError as error:
             path, problem, _ = first_of(error)
-            raise ValueError(": ".join(filter(None, [".".join(path), problem]))) from error
+            raise ValueError(f"{'.'.join(path)}: {problem}") from error
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -88,9 +88,10 @@ class Config:
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         made = handler(schema)
         table = handler.resolve_ref_schema(made)
-        described = reasons(cls)
-        for name in table["properties"].keys() - {"kind"}:
-            table["properties"][name] |= {"title": name, **({"description": described[name]} if name in described else {})}
+        why = reasons(cls)
+        for name in fields_of(cls):
+            field = table["properties"][name]
+            field |= {"title": name, "description": paragraphs(field.get("description"), why.get(name))}
         if cls.kind:
             table["properties"] = {"kind": {"const": cls.kind, "default": cls.kind}, **table["properties"]}
         return made
@@ -113,6 +114,13 @@ class Config:
 def fields_of(config: type[Config]) -> list[str]:
     """Names of the fields that a config can be told."""
     return [field.name for field in dataclasses.fields(config) if field.init]
+
+
+def plain(value: Any) -> Any:
+    """A value of a field as one tells it: a config as a table, a tuple as a list."""
+    if isinstance(value, Config):
+        return ({"kind": value.kind} if value.kind else {}) | {name: plain(getattr(value, name)) for name in fields_of(type(value))}
+    return [plain(item) for item in value] if isinstance(value, tuple) else value
 
 
 class ByKind:
@@ -155,14 +163,17 @@ def nearest(word: str, known: Iterable[str], head: str) -> str:
 
 
 def first_of(error: ValidationError) -> tuple[list[str], str, str]:
-    """The first that is wrong: the path of the field, empty where a rule between fields is broken; the problem; what to do."""
+    """The first that is wrong: the path of the field, the problem, and what to do where that does not say it."""
     first = error.errors(include_url=False)[0]
+    problem, remedy = _problem(first)
     place = [part for part in first["loc"] if not str(part).startswith("kind=")]
     if first["type"] == "no_field":
         place.append(cut(first["ctx"]["name"]))
+    elif first["type"] == "value_error":  # a rule between fields begins with the name of one
+        name, _, problem = problem.partition(": ")
+        place.append(name)
     path = [str(part) for part in itertools.takewhile(lambda part: isinstance(part, str), place)]
     rest = [f"item {part + 1}" if isinstance(part, int) else part for part in place[len(path) :]]
-    problem, remedy = _problem(first)
     return path, ": ".join([*rest, problem]), remedy
 
 
@@ -185,7 +196,6 @@ _LIMITS = {
 
 
 def _problem(error: ErrorDetails) -> tuple[str, str]:
-    """What is wrong, and what to do where that does not say it."""
     context, value = error.get("ctx", {}), error["input"]
     match error["type"]:
         case "no_field":
@@ -203,6 +213,11 @@ def _problem(error: ErrorDetails) -> tuple[str, str]:
             limit = _LIMITS[kind].format(**context).replace("'", "")
             return f"must be {limit}, is {shown(value)}", ""
     return error["msg"].replace("Input should", "must"), ""
+
+
+def paragraphs(*texts: str | None) -> str:
+    """Texts as paragraphs of one; None and what is empty left out."""
+    return "\n\n".join(filter(None, texts))
 
 
 def reasons(config: type) -> dict[str, str]:

@@ -205,7 +205,7 @@ def test_rows_that_do_not_fit_together_are_refused() -> None:
         run(**{**tables, "rooms": []}, context=context, config=CONFIG)
     with pytest.raises(ValueError, match="turn_degrees: 50"):
         NavigationConfig(turn_degrees=50)
-    with pytest.raises(ValueError, match=r"^height_m: must be above max_climb_m, is 0\.1$"):
+    with pytest.raises(ValueError, match=r"^height_m: must be above max_climb_m, 0\.2, is 0\.1$"):
         Agent(height_m=0.1)
 
 

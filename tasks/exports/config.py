@@ -28,7 +28,7 @@ class HabitatConfig(Config):
     dataset: str = "metascenes"  # name of the dataset's config file and of its semantic lexicon
     dataset_folder: str = "data/scene_datasets/metascenes"  # where habitat-lab finds the dataset, from where it is started
     motion_type: str = "STATIC"  # habitat-sim bakes only static objects into a navmesh; dynamic ones would be walked through
-    agent: str | None = None  # whose navmesh and episodes are exported; None: the agent with the most episodes
+    agent: str | None = None  # whose navmesh and episodes are exported; none: the agent with the most episodes
     gravity_m_s2: float = 9.8  # habitat-sim's own default
     forward_m: float = 0.25  # what `forward` means in episodes (supplementary B.3), for the states along a path
     turn_degrees: float = 30.0  # what `left` and `right` mean in episodes (supplementary B.3)
@@ -47,7 +47,7 @@ class MjcfConfig(Config):
 
 @dataclasses.dataclass(frozen=True)
 class ExportsConfig(Config):
-    """The exports stage."""
+    """What is exported, and what physics is given where nothing is known."""
 
     formats: Texts = FORMATS  # all of them: a file nobody asked for costs less than a scene exported again
     pieces: PieceConfig = dataclasses.field(default_factory=PieceConfig)  # those of certificates: what is exported is what was certified

@@ -25,7 +25,7 @@ class Agent(Config):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.height_m <= self.max_climb_m:
-            raise ValueError(f"height_m: must be above max_climb_m, is {self.height_m:g}")
+            raise ValueError(f"height_m: must be above max_climb_m, {self.max_climb_m:g}, is {self.height_m:g}")
         return self
 
 
@@ -98,9 +98,11 @@ class NavigationConfig(Config):
         if abs(math.remainder(360, self.turn_degrees)) > 1e-9:
             raise ValueError(f"turn_degrees: {self.turn_degrees:g} does not divide a full turn")
         if self.stop_m > self.success_m:
-            raise ValueError(f"stop_m: must be at most success_m, is {self.stop_m:g}")
+            raise ValueError(f"stop_m: must be at most success_m, {self.success_m:g}, is {self.stop_m:g}")
         if self.shortest_geodesic_m > self.min_geodesic_m:
-            raise ValueError(f"shortest_geodesic_m: must be at most min_geodesic_m, is {self.shortest_geodesic_m:g}")
+            raise ValueError(
+                f"shortest_geodesic_m: must be at most min_geodesic_m, {self.min_geodesic_m:g}, is {self.shortest_geodesic_m:g}"
+            )
         return self
 
     @property

@@ -41,7 +41,7 @@ Method = Annotated[Paper | Default, ByKind()]
 class OptimizationConfig(Config):
     """How assets are put to rest and apart."""
 
-    method: Method = dataclasses.field(default_factory=Default)  # leaves no pair deeper than 2 mm; `paper` leaves two in five
+    method: Method = dataclasses.field(default_factory=Default)  # no pair of the benchmark stays deeper than 2 mm; of `paper`, two in five
     supports: SupportConfig = dataclasses.field(default_factory=SupportConfig)
     pieces: PieceConfig = dataclasses.field(default_factory=PieceConfig)
     bodies: BodyConfig = dataclasses.field(default_factory=BodyConfig)

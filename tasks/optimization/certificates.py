@@ -53,7 +53,7 @@ class CertificateConfig(Config):
     def _check(self) -> Self:
         for name, engine in (("mujoco", self.mujoco), ("newton", self.newton)):
             if self.seconds < engine.timestep_s:
-                raise ValueError(f"seconds: must be at least {name}.timestep_s, is {self.seconds:g}")
+                raise ValueError(f"seconds: must be at least {name}.timestep_s, {engine.timestep_s:g}, is {self.seconds:g}")
         return self
 
 

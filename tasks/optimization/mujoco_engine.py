@@ -41,7 +41,7 @@ class Mujoco(Config):
     stiffness_s: Positive = 0.02  # time constant of a contact: a 1 cm overlap is pushed apart by 1 cm; at 8 ms it is shot 4 cm away
     impedance: Impedance = (0.99, 0.999, 0.001)  # things sink in by 0.01 mm, by 1 mm under a hundredfold load
     iterations: Count = 100  # of Newton's method, which needs few; cut off at 10, piles explode
-    tolerance: NonNegative = 1e-8  # MuJoCo's own default: further iterations would win nothing
+    tolerance: NonNegative = 1e-8  # MuJoCo's own default
     sleep_m_s: NonNegative = 1e-6  # slower for 10 steps, a thing is not computed until touched; at 1e-4 the balanced never tip; 0: never
     friction_floor: Positive = 1e-3  # MuJoCo takes the greater friction of a pair, and a thing's is measured against floors: let it decide
     memory_bytes: Count = 2**28  # room for 10,000 contacts and more; what is not touched costs nothing

@@ -397,6 +397,8 @@ max_points = 1000
 fusion = { voxel_m = 0.05 }
 [optimization]
 method = "paper"
+[candidates]
+slots = [{ provider = "procedural" }, { provider = { kind = "library", k = 2 }, fallback = { variant = 5 } }]
 [navigation]
 path_finder = "planar"
 agent = { radius_m = 0.2 }
@@ -406,6 +408,7 @@ formats = ["usd", "glb"]
 forward_m = 0.25
 """
     lines = 'capture.max_points=500\nexports.formats=["usd"]\noptimization.method=paper\nnavigation.agent.radius_m=0.25\n'
+    lines += "candidates.slots=[{provider={kind='scan_crop',mode='pieces'}}]\noptimization.method.kind=default\n"
     return [{"settings.toml": text.encode()}, {"sets.txt": lines.encode()}]
 
 
@@ -418,6 +421,7 @@ def parameters() -> list[Case]:
         "navigation": {"max_steps": 250},
         "exports": {"formats": ["usd"]},
         "optimization": {"method": {"kind": "paper"}},
+        "candidates": {"slots": [{"provider": {"kind": "scan_crop", "mode": "closed"}}, {"provider": "library", "fallback": "procedural"}]},
     }
     found = []
     for entrypoint, told in deployed().items():
