@@ -142,9 +142,9 @@ def _with_table(config: Any, table: Mapping[str, Any], origin: str, path: str) -
 def _overlaid(config: Any, table: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of a config with what a table says in place of them; a table within that names no kind keeps the one there is."""
     fields = {name: getattr(config, name) for name in fields_of(type(config))}
-    for name, told in table.items():
+    for name, value in table.items():
         present = fields.get(name)
-        if isinstance(told, Mapping) and isinstance(present, Config) and "kind" not in told:
-            told = _overlaid(present, told) | ({"kind": present.kind} if present.kind else {})
-        fields[name] = told
+        if isinstance(value, Mapping) and isinstance(present, Config) and "kind" not in value:
+            value = _overlaid(present, value) | ({"kind": present.kind} if present.kind else {})
+        fields[name] = value
     return fields

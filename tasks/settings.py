@@ -97,18 +97,19 @@ class Config:
         return made
 
     @classmethod
-    def _table(cls, told: Any) -> Any:
-        """Fields by name, where a word or a table is told."""
-        if cls.kind and told == cls.kind:
+    def _table(cls, given: Any) -> Any:
+        """Values by field, where a table is given, or a word that stands for one."""
+        if cls.kind and isinstance(given, str) and given == cls.kind:
             return {}
-        if not isinstance(told, Mapping):
-            return told
+        if not isinstance(given, Mapping):
+            return given
+        if cls.kind and given.get("kind", cls.kind) != cls.kind:
+            raise PydanticCustomError("no_kind", "", {"kinds": cls.kind})
         fields = fields_of(cls)
-        named = {"kind"} if cls.kind and told.get("kind") == cls.kind else set()
-        for name in told:
-            if name not in {*fields, *named}:
+        for name in given:
+            if name not in fields and not (cls.kind and name == "kind"):
                 raise PydanticCustomError("no_field", "", {"owner": cls.__name__, "name": str(name), "fields": fields})
-        return {name: value for name, value in told.items() if name not in named}
+        return {name: given[name] for name in given if name in fields}
 
 
 def fields_of(config: type[Config]) -> list[str]:
@@ -222,10 +223,10 @@ def paragraphs(*texts: str | None) -> str:
 
 def reasons(config: type) -> dict[str, str]:
     """Why each default of a config is what it is: the comment behind it."""
-    found: dict[str, str] = {}
+    comments: dict[str, str] = {}
     for owner in reversed(config.__mro__):
         if dataclasses.is_dataclass(owner):
-            source = "".join(linecache.getlines(sys.modules[owner.__module__].__file__ or ""))
+            source = "".join(linecache.getlines(getattr(sys.modules[owner.__module__], "__file__", None) or ""))
             body = re.search(rf"^class {owner.__name__}\b.*?(?=^\S|\Z)", source, re.MULTILINE | re.DOTALL)
-            found |= re.findall(r"^    (\w+): .*  # (.+)$", body[0] if body else "", re.MULTILINE)
-    return found
+            comments |= re.findall(r"^    (\w+): .*  # (.+)$", body[0] if body else "", re.MULTILINE)
+    return comments

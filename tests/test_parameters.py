@@ -173,10 +173,10 @@ def assert_told(made: Any, before: Any, table: dict[str, Any]) -> None:
 def slot_of(table: dict[str, Any]) -> SlotConfig:
     """The slot that a table says."""
 
-    def provider(told: Any) -> Any:
-        if told is None or isinstance(told, str):
-            return told and PROVIDERS[told]()
-        return PROVIDERS[told.get("kind", "procedural")](**{name: value for name, value in told.items() if name != "kind"})
+    def provider(value: Any) -> Any:
+        if value is None or isinstance(value, str):
+            return value and PROVIDERS[value]()
+        return PROVIDERS[value.get("kind", "procedural")](**{name: field for name, field in value.items() if name != "kind"})
 
     return SlotConfig(provider(table["provider"]), provider(table.get("fallback")))
 

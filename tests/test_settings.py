@@ -127,7 +127,7 @@ def test_no_value_of_another_type_gets_in(path: tuple[str, ...], schema: Any, ki
 
 
 SLOTS = (SlotConfig(Procedural(2)), SlotConfig(ScanCrop("pieces")), SlotConfig(LibraryRetrieval(3), fallback=Procedural(9)))
-TOLD_SLOTS = [
+SLOT_TABLES = [
     {"provider": {"kind": "procedural", "variant": 2}},
     {"provider": {"kind": "scan_crop", "mode": "pieces"}},
     {"provider": {"kind": "library", "k": 3}, "fallback": {"variant": 9}},
@@ -139,37 +139,34 @@ SLOTS_TOML = """[{provider = {kind = "procedural", variant = 2}}, {provider = {k
 def test_slots_are_set_alike_from_everywhere(tmp_path: Path) -> None:
     file = tmp_path / "settings.toml"
     file.write_text(f"[candidates]\nslots = {SLOTS_TOML}\n")
-    for told in (
-        configure(file),
-        configure(None, [f"candidates.slots={SLOTS_TOML}"]),
-        configure(tables={"candidates": {"slots": TOLD_SLOTS}}),
-    ):
-        assert told.stages["candidates"] == CandidatesConfig(SLOTS)
-    assert configs_with(DEFAULTS, {"candidates": {"slots": [{"provider": "library"}]}})["candidates"].slots == (
-        SlotConfig(LibraryRetrieval()),
-    )
+    tables = {"candidates": {"slots": SLOT_TABLES}}
+    for made in (configure(file), configure(None, [f"candidates.slots={SLOTS_TOML}"]), configure(tables=tables)):
+        assert made.stages["candidates"] == CandidatesConfig(SLOTS)
+    short = {"candidates": {"slots": [{"provider": "library", "fallback": "procedural"}]}}
+    assert configs_with(DEFAULTS, short)["candidates"].slots == (SlotConfig(LibraryRetrieval(), Procedural()),)
 
 
 @pytest.mark.parametrize(
-    ("slots", "said"),
+    ("slots", "problem"),
     [
         ([], "candidates.slots: must be a list of at least 1, is []"),
         ([{"provider": "library"}] * 11, "candidates.slots: must be a list of at most 10, is "),
         ([{"provider": "libary"}], "candidates.slots: item 1: provider: there is no 'libary'; it is one of procedural, scan_crop, library"),
         ([{"provider": {"variant": 2}}], "candidates.slots: item 1: provider: names no kind; it is one of procedural, "),
         ([{}], "candidates.slots: item 1: provider: is missing"),
-        ([TOLD_SLOTS[0], {"provider": {"kind": "library", "variant": 2}}], "item 2: provider: variant: LibraryRetrieval has no field "),
+        ([{"provider": "library", "fallback": {"kind": "scan_crop"}}], "item 1: fallback: there is no 'scan_crop'; it is one of procedural"),
+        ([SLOT_TABLES[0], {"provider": {"kind": "library", "variant": 2}}], "item 2: provider: variant: LibraryRetrieval has no field "),
         ([{"provider": "library", "fallbak": "procedural"}], "SlotConfig has no field fallbak; did you mean fallback? it has "),
         ([{"provider": {"kind": "scan_crop", "mode": "open"}}], "item 1: provider: mode: must be closed or pieces, is 'open'"),
     ],
 )  # fmt: skip
-def test_a_slot_that_cannot_be_is_named(slots: Any, said: str) -> None:
-    with pytest.raises(InputError, match=re.escape(said)):
+def test_a_slot_that_cannot_be_is_named(slots: Any, problem: str) -> None:
+    with pytest.raises(InputError, match=re.escape(problem)):
         configs_with(DEFAULTS, {"candidates": {"slots": slots}})
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "problem"),
     [
         (lambda: Agent(radius_m="0.2"), "radius_m: must be a finite number, is '0.2'"),  # type: ignore[arg-type]
         (lambda: Agent(radius_m=True), "radius_m: must be a finite number, is True"),
@@ -185,8 +182,8 @@ def test_a_slot_that_cannot_be_is_named(slots: Any, said: str) -> None:
         (lambda: SlotConfig(PlanarConfig()), "provider: there is no PlanarConfig("),  # type: ignore[arg-type]
     ],
 )
-def test_what_cannot_be_is_refused_in_code_too(make: Any, said: str) -> None:
-    with pytest.raises(ValueError, match=f"^{re.escape(said)}") as refused:
+def test_what_cannot_be_is_refused_in_code_too(make: Any, problem: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(problem)}") as refused:
         make()
     assert len(str(refused.value).splitlines()) == 1
 
