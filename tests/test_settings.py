@@ -154,7 +154,7 @@ def test_slots_are_set_alike_from_everywhere(tmp_path: Path) -> None:
         ([{"provider": "libary"}], "candidates.slots: item 1: provider: there is no 'libary'; it is one of procedural, scan_crop, library"),
         ([{"provider": {"variant": 2}}], "candidates.slots: item 1: provider: names no kind; it is one of procedural, "),
         ([{}], "candidates.slots: item 1: provider: is missing"),
-        ([{"provider": "library", "fallback": {"kind": "scan_crop"}}], "item 1: fallback: there is no 'scan_crop'; it is one of procedural"),
+        ([{"provider": "library", "fallback": {"kind": "scan_crop"}}], "fallback: there is no 'scan_crop'; it is one of procedural"),
         ([SLOT_TABLES[0], {"provider": {"kind": "library", "variant": 2}}], "item 2: provider: variant: LibraryRetrieval has no field "),
         ([{"provider": "library", "fallbak": "procedural"}], "SlotConfig has no field fallbak; did you mean fallback? it has "),
         ([{"provider": {"kind": "scan_crop", "mode": "open"}}], "item 1: provider: mode: must be closed or pieces, is 'open'"),
