@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, get_args
 
 from pydantic import BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, ValidationError
-from pydantic_core import ArgsKwargs, CoreSchema, ErrorDetails, PydanticCustomError, core_schema
+from pydantic_core import ArgsKwargs, CoreSchema, PydanticCustomError, core_schema
 
 LARGEST = 10**18
 """Of whole numbers that settings take; more does not fit into 64 bits."""
@@ -104,11 +104,12 @@ class Config:
         if not isinstance(given, Mapping):
             return given
         if cls.kind and given.get("kind", cls.kind) != cls.kind:
-            raise PydanticCustomError("no_kind", "", {"kinds": cls.kind})
+            raise PydanticCustomError("no_kind", "", {"remedy": f"it is {cls.kind}"})
         fields = fields_of(cls)
         for name in given:
             if name not in fields and not (cls.kind and name == "kind"):
-                raise PydanticCustomError("no_field", "", {"owner": cls.__name__, "name": str(name), "fields": fields})
+                remedy = nearest(str(name), fields, "it has")
+                raise PydanticCustomError("no_field", "", {"owner": cls.__name__, "name": cut(str(name)), "remedy": remedy})
         return {name: given[name] for name in given if name in fields}
 
 
@@ -129,7 +130,7 @@ class ByKind:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         choices = {f"kind={config.kind}": handler.generate_schema(config) for config in get_args(source)}
-        context: dict[str, str | int | float] = {"kinds": ", ".join(config.kind for config in get_args(source))}
+        context: dict[str, str | int | float] = {"remedy": f"it is one of {', '.join(config.kind for config in get_args(source))}"}
         return core_schema.tagged_union_schema(
             choices, _tag, custom_error_type="no_kind", custom_error_message="", custom_error_context=context
         )
@@ -163,57 +164,33 @@ def nearest(word: str, known: Iterable[str], head: str) -> str:
     return (f"did you mean {close[0]}? " if close else "") + f"{head} {', '.join(names)}"
 
 
+_PROBLEMS = {
+    "greater_than": "must be above {gt:g}, is {value}", "greater_than_equal": "must be at least {ge:g}, is {value}",
+    "less_than": "must be below {lt:g}, is {value}", "less_than_equal": "must be at most {le:g}, is {value}",
+    "float_type": "must be a finite number, is {value}", "finite_number": "must be a finite number, is {value}",
+    "int_type": "must be a whole number, is {value}", "too_large": "{value} is too large", "bool_type": "must be true or false, is {value}",
+    "string_type": "must be a text, is {value}", "literal_error": "must be {expected}, is {value}",
+    "too_short": "must be a list of at least {min_length}, is {value}", "too_long": "must be a list of at most {max_length}, is {value}",
+    "tuple_type": "must be a list, is {value}", "dataclass_type": "must be a table of fields, is {value}", "missing": "is missing",
+    "no_field": "{owner} has no field {name}", "no_kind": "must name a kind, is {value}", "value_error": "{error}",
+}  # fmt: skip
+
+
 def first_of(error: ValidationError) -> tuple[list[str], str, str]:
     """The first that is wrong: the path of the field, the problem, and what to do where that does not say it."""
     first = error.errors(include_url=False)[0]
-    problem, remedy = _problem(first)
+    context = {"value": shown(first["input"]), **first.get("ctx", {})}
+    context["expected"] = str(context.get("expected")).replace("'", "")
+    problem = _PROBLEMS.get(first["type"], "cannot be {value}").format(**context)
     place = [part for part in first["loc"] if not str(part).startswith("kind=")]
     if first["type"] == "no_field":
-        place.append(cut(first["ctx"]["name"]))
+        place.append(context["name"])
     elif first["type"] == "value_error":  # a rule between fields begins with the name of one
         name, _, problem = problem.partition(": ")
         place.append(name)
     path = [str(part) for part in itertools.takewhile(lambda part: isinstance(part, str), place)]
     rest = [f"item {part + 1}" if isinstance(part, int) else part for part in place[len(path) :]]
-    return path, ": ".join([*rest, problem]), remedy
-
-
-_LIMITS = {
-    "greater_than": "above {gt:g}",
-    "greater_than_equal": "at least {ge:g}",
-    "less_than": "below {lt:g}",
-    "less_than_equal": "at most {le:g}",
-    "bool_type": "true or false",
-    "int_type": "a whole number",
-    "float_type": "a finite number",
-    "finite_number": "a finite number",
-    "string_type": "a text",
-    "tuple_type": "a list",
-    "dataclass_type": "a table of fields",
-    "literal_error": "{expected}",
-    "too_short": "a list of at least {min_length}",
-    "too_long": "a list of at most {max_length}",
-}
-
-
-def _problem(error: ErrorDetails) -> tuple[str, str]:
-    context, value = error.get("ctx", {}), error["input"]
-    match error["type"]:
-        case "no_field":
-            return f"{context['owner']} has no field {cut(context['name'])}", nearest(context["name"], context["fields"], "it has")
-        case "no_kind":
-            named = value.get("kind") if isinstance(value, Mapping) else value
-            return "names no kind" if named is None else f"there is no {shown(named)}", f"it is one of {context['kinds']}"
-        case "value_error":
-            return str(context["error"]), ""
-        case "too_large":
-            return f"{shown(value)} is too large", ""
-        case "missing":
-            return "is missing", ""
-        case kind if kind in _LIMITS:
-            limit = _LIMITS[kind].format(**context).replace("'", "")
-            return f"must be {limit}, is {shown(value)}", ""
-    return error["msg"].replace("Input should", "must"), ""
+    return path, ": ".join([*rest, problem]), context.get("remedy", "")
 
 
 def paragraphs(*texts: str | None) -> str:

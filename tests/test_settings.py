@@ -151,10 +151,10 @@ def test_slots_are_set_alike_from_everywhere(tmp_path: Path) -> None:
     [
         ([], "candidates.slots: must be a list of at least 1, is []"),
         ([{"provider": "library"}] * 11, "candidates.slots: must be a list of at most 10, is "),
-        ([{"provider": "libary"}], "candidates.slots: item 1: provider: there is no 'libary'; it is one of procedural, scan_crop, library"),
-        ([{"provider": {"variant": 2}}], "candidates.slots: item 1: provider: names no kind; it is one of procedural, "),
+        ([{"provider": "libary"}], "item 1: provider: must name a kind, is 'libary'; it is one of procedural, scan_crop, library"),
+        ([{"provider": {"variant": 2}}], "candidates.slots: item 1: provider: must name a kind, is {'variant': 2}; it is one of "),
         ([{}], "candidates.slots: item 1: provider: is missing"),
-        ([{"provider": "library", "fallback": {"kind": "scan_crop"}}], "fallback: there is no 'scan_crop'; it is one of procedural"),
+        ([{"provider": "library", "fallback": {"kind": "scan_crop"}}], "must name a kind, is {'kind': 'scan_crop'}; it is procedural"),
         ([SLOT_TABLES[0], {"provider": {"kind": "library", "variant": 2}}], "item 2: provider: variant: LibraryRetrieval has no field "),
         ([{"provider": "library", "fallbak": "procedural"}], "SlotConfig has no field fallbak; did you mean fallback? it has "),
         ([{"provider": {"kind": "scan_crop", "mode": "open"}}], "item 1: provider: mode: must be closed or pieces, is 'open'"),
@@ -174,12 +174,12 @@ def test_a_slot_that_cannot_be_is_named(slots: Any, problem: str) -> None:
         (lambda: Paper(max_steps=1.5), "max_steps: must be a whole number, is 1.5"),  # type: ignore[arg-type]
         (lambda: Paper(max_steps=10**19), "max_steps: 10000000000000000000 is too large"),
         (lambda: Default(cooling=1.0), "cooling: must be below 1, is 1"),
-        (lambda: OptimizationConfig(method=Agent()), "method: there is no Agent("),  # type: ignore[arg-type]
+        (lambda: OptimizationConfig(method=Agent()), "method: must name a kind, is Agent("),  # type: ignore[arg-type]
         (lambda: OptimizationConfig(supports=Agent()), "supports: must be a table of fields, is Agent("),  # type: ignore[arg-type]
-        (lambda: NavigationConfig(path_finder="best"), "path_finder: there is no 'best'"),  # type: ignore[arg-type]
+        (lambda: NavigationConfig(path_finder="best"), "path_finder: must name a kind, is 'best'"),  # type: ignore[arg-type]
         (lambda: ShellConfig(floor_color=(1, 2)), "floor_color: item 3: is missing"),  # type: ignore[arg-type]
         (lambda: dataclasses.replace(Agent(), height_m=0.1), "height_m: must be above max_climb_m, 0.2, is 0.1"),
-        (lambda: SlotConfig(PlanarConfig()), "provider: there is no PlanarConfig("),  # type: ignore[arg-type]
+        (lambda: SlotConfig(PlanarConfig()), "provider: must name a kind, is PlanarConfig("),  # type: ignore[arg-type]
     ],
 )
 def test_what_cannot_be_is_refused_in_code_too(make: Any, problem: str) -> None:
