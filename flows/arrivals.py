@@ -17,7 +17,8 @@ from flows.identity import Content, content_of, recorded_content, same_scenes
 from flows.listing import ScanListing, files_of
 from flows.scans import DAY_SECONDS, ScanSource, scan_source
 from schemas.errors import InputError
-from tasks.capture.formats import Scan, survey
+from tasks.capture.formats import survey
+from tasks.capture.scan import Scan
 from tasks.capture.wholeness import Gap, find_gap, is_temporary
 from warehouse.history import StageState
 from warehouse.lake import Lake

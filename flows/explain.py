@@ -19,7 +19,9 @@ from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.files import read_file
 from schemas.lineage import Lineage, Place, RunFacts
-from tasks.lineage.places import places
+from tasks.exports.format import ExportFormat
+from tasks.exports.formats import FORMATS
+from tasks.lineage.places import places, places_of
 from warehouse.lake import Lake
 from warehouse.lineage.files import blob_owners, walk_asset, walk_blob, walk_export, walk_thing
 from warehouse.lineage.nodes import exported_places
@@ -137,62 +139,43 @@ def _content(lake: Lake, file: ExportFile, local: Path) -> str:
     data = read_file(local, str(local), BUDGET.scene_bytes)
     if file.file_blob.startswith(hashlib.sha256(data).hexdigest()):
         return "as in the lake"
-    stated = None
-    if file.path.endswith("scene.usda") and file.file_blob in lake.blobs:
+    format_ = _format(file)
+    if format_ is not None and format_.with_release is not None and file.role == "scene" and file.file_blob in lake.blobs:
+        stated = None
         with contextlib.suppress(OutOfBounds):  # it is nothing that an export wrote
-            stated = bounded(_stated_release, data, seconds=BUDGET.seconds, memory_bytes=BUDGET.child_bytes)
-    if stated is not None:
-        from tasks.exports.usd import with_release
-
-        if with_release(lake.blobs[file.file_blob], *stated) == data:
+            stated = bounded(places_of(format_).stated_release, data, seconds=BUDGET.seconds, memory_bytes=BUDGET.child_bytes)
+        if stated is not None and format_.with_release(lake.blobs[file.file_blob], *stated) == data:
             return f"as in the lake, and says that it is of release {stated[1]}"
     return "differs"
 
 
-def _stated_release(data: bytes) -> tuple[int, str | None] | None:
-    """Snapshot and release that a `scene.usda` says it was exported from; None when it does not."""
-    from pxr import Sdf
-
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    try:
-        readable = layer.ImportFromString(data.decode())
-    except (UnicodeDecodeError, RuntimeError):
-        return None
-    said = dict(layer.customLayerData).get("metascenes", {}) if readable else {}
-    return (int(said["snapshot_id"]), said.get("release")) if "snapshot_id" in said else None
+def _format(file: ExportFile) -> ExportFormat | None:
+    """The format of an exported file; None where this version does not have it."""
+    return next((format_ for format_ in FORMATS if format_.name == file.format), None)
 
 
 def _thing(walk: Walk, file: ExportFile, name: str, local: Path | None) -> Place:
-    """The thing of an exported scene that a name lies in: in USD, prims below an object's belong to it.
+    """The thing of an exported scene that a name lies in: where names are paths, what lies below an object belongs to it.
 
     Raises:
         InputError: the file holds no such thing.
     """
+    format_ = _format(file)
     found: Sequence[Place] = exported_places(walk, file) if file.role == "scene" else ()
-    inside = [place for place in found if name == place.name or (file.format == "usd" and name.startswith(f"{place.name}/"))]
+    is_nested = format_ is not None and format_.is_nested
+    inside = [place for place in found if name == place.name or (is_nested and name.startswith(f"{place.name}/"))]
     if not inside:
         known = ", ".join(place.name for place in found[:3])
         remedy = f"it has {known}{', ...' if len(found) > 3 else ''}" if found else "only scene files hold things"
         raise InputError(f"{file.format}/{file.path}", name, "is nothing that this export places", remedy)
-    if local is not None and name != inside[0].name:
+    if format_ is not None and local is not None and name != inside[0].name:
         try:
-            is_there = bounded(_has_prim, local, name, seconds=BUDGET.seconds, memory_bytes=BUDGET.child_bytes)
+            is_there = bounded(places_of(format_).has_part, local, name, seconds=BUDGET.seconds, memory_bytes=BUDGET.child_bytes)
         except OutOfBounds as error:
             raise InputError(str(local), "content", f"cannot be read: {error}", "is it the right file?") from error
         if not is_there:
             raise InputError(str(local), name, "there is no such prim", f"the object is {inside[0].name}")
     return inside[0]
-
-
-def _has_prim(path: Path, name: str) -> bool:
-    """Whether a USD file can be read and has a prim. Runs in a process with bounds."""
-    from pxr import Tf, Usd
-
-    try:
-        stage = Usd.Stage.Open(str(path))  # a prim lives no longer than its stage
-        return bool(stage.GetPrimAtPath(name).IsValid())
-    except (Tf.ErrorException, UnicodeDecodeError):
-        return False
 
 
 def _check_annotations(walk: Walk) -> None:

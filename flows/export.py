@@ -8,19 +8,24 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from flows.progress import Progress
 from flows.shipment import Shipment, attribution_page, remake_scenes, shipment
 from schemas.capture import Scene
 from schemas.errors import InputError
-from schemas.exports import FORMATS, ExportCheck, ExportFile
+from schemas.exports import ExportCheck, ExportFile
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.licenses import OF_THE_SCAN
-from tasks.exports.findings import Finding
 from warehouse.lake import Lake
 from warehouse.licenses import Allowed
 from warehouse.release import snapshot_of
 from warehouse.snapshot import Reader
+
+if TYPE_CHECKING:
+    from tasks.exports.format import ExportFormat
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +89,7 @@ def chosen_exports(lake: Lake, reader: Reader, formats: Sequence[str] = (), scen
     for row in rows:
         has.setdefault(row.scene_id, set()).add(row.format)
     there = {name for found in has.values() for name in found}
-    wanted = tuple(dict.fromkeys(formats)) or tuple(name for name in FORMATS if name in there)
+    wanted = tuple(dict.fromkeys(formats)) or tuple(name for name in EXPORT_FORMATS if name in there)
     for scene in sorted(set(scenes)):
         lacks = [name for name in formats if name not in has.get(scene, ())] if has.get(scene) else [""]
         if lacks:
@@ -99,13 +104,13 @@ def chosen_exports(lake: Lake, reader: Reader, formats: Sequence[str] = (), scen
     if not rows:
         raise InputError(lake.address, "export_files", "the lake has no exports", "see `metascenes status`")
     held = {row.format for row in everything}
-    meant = wanted if formats else tuple(name for name in FORMATS if name in held)
+    meant = wanted if formats else tuple(name for name in EXPORT_FORMATS if name in held)
     missing = []
     for scene in sorted(set(scenes) or {*known, *has}):
         lacks = [name for name in meant if name not in has.get(scene, ())]
         if lacks:
             missing.append(f"{scene}: no {', '.join(lacks) if has.get(scene) else ''} export".replace("  ", " "))
-    absent = () if formats else tuple(name for name in FORMATS if name not in held)
+    absent = () if formats else tuple(name for name in EXPORT_FORMATS if name not in held)
     missing += [f"{name}: the lake has no export in this format" for name in absent]
     return Chosen(tuple(row for row in rows if row.format in wanted), wanted, tuple(missing), absent)
 
@@ -139,34 +144,35 @@ def write_exports(
         InputError: a scene or format that is named is not in the lake, or nothing is; there is no such release, packages
             are asked for without USD, or `<out>/<format>` holds what no export wrote.
     """
+    from tasks.exports.formats import FORMATS
     from tasks.exports.layout import layout, shared_files
+    from tasks.families import member
 
     snapshot_id = snapshot_of(lake, release, snapshot_id)
     reader = lake.snapshot(snapshot_id)
     chosen = chosen_exports(lake, reader, formats, scenes)
-    if usdz and "usd" not in chosen.formats:
-        raise InputError("--usdz", "format", "asks for packages of USD scenes, which are not exported", "add --format usd")
+    written = [member(FORMATS, name) for name in chosen.formats]
+    packed = [format_ for format_ in FORMATS if format_.package is not None]
+    if usdz and not any(format_ in written for format_ in packed):
+        titles, names = " or ".join(format_.title for format_ in packed), " or ".join(format_.name for format_ in packed)
+        raise InputError("--usdz", "format", f"asks for packages of {titles}, which are not exported", f"add --format {names}")
     for name in (*chosen.formats, *chosen.absent):
         _check_ours(out / name)
     with _shipped(lake, reader, chosen, allowed, workers) as goods:
         placed = layout(goods.rows)
         shared = shared_files(goods.rows, goods.blobs)
-        for name in chosen.formats:
-            _write_format(
-                out, name, placed, shared, goods.blobs, goods.pages, lambda making: _finish_usd(making, release, snapshot_id, usdz)
-            )
+        for format_ in written:
+            _write_format(out, format_.name, placed, shared, goods, partial(_finish, format_, release, snapshot_id, usdz))
     removed = tuple(out / name for name in chosen.absent if (out / name / MARK).is_file())
     for place in removed:
         shutil.rmtree(place)
-    usd = tuple(
-        sorted(
-            out / "usd" / row.path for row in goods.rows if row.format == "usd" and row.role == "scene" and row.path.endswith("scene.usda")
-        )
-    )
-    packages = tuple(path.parent.with_suffix(".usdz") for path in usd) if usdz else ()
-    present = {row.format for row in goods.rows}  # nothing may be left of what was asked for
-    findings = [*_findings(out, [name for name in chosen.formats if name in present], (*usd, *packages)), *goods.incomplete]
-    emptied = tuple(name for name in chosen.formats if name not in present)
+    present = [format_ for format_ in written if any(row.format == format_.name for row in goods.rows)]  # of the others nothing is left
+    opened = [(format_, path) for format_ in present for path in format_.opened(out / format_.name) if path.exists()]
+    usd = tuple(path for format_, path in opened if format_ in packed and path.suffix != format_.suffix)
+    packages = tuple(path for format_, path in opened if format_ in packed and path.suffix == format_.suffix)
+    findings = [f"{path}: {finding}" for format_, path in opened for finding in format_.check(path) if finding.is_error]
+    findings += goods.incomplete
+    emptied = tuple(format_.name for format_ in written if format_ not in present)
     files = len(placed) + len(shared) + len(packages)
     return WrittenExports(files, usd, tuple(findings), packages, goods.shipment, chosen.missing, removed, emptied)
 
@@ -237,23 +243,22 @@ class _Blobs(Mapping[str, bytes]):
 
 
 def _write_format(
-    out: Path, name: str, placed: Mapping[str, str], shared: Mapping[str, bytes], blobs: Mapping[str, bytes], pages: Mapping[str, str],
-    finish_usd: Callable[[Path], None],
-) -> None:  # fmt: skip
+    out: Path, name: str, placed: Mapping[str, str], shared: Mapping[str, bytes], goods: _Goods, finish: Callable[[Path], None]
+) -> None:
     """Write one format's folder anew and put it in its place."""
     making = out / f".{name}.making"
     shutil.rmtree(making, ignore_errors=True)
     for path, blob in placed.items():
         if path.startswith(f"{name}/"):
-            _copy(blobs, blob, making / path.removeprefix(f"{name}/"))
+            _copy(goods.blobs, blob, making / path.removeprefix(f"{name}/"))
     for path, data in shared.items():
         if path.startswith(f"{name}/"):
             target = making / path.removeprefix(f"{name}/")
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(data)
-    if name == "usd" and making.exists():
-        finish_usd(making)
-    for page, text in pages.items():  # also where nothing is left: an older export must not pass for this one
+    if making.exists():
+        finish(making)
+    for page, text in goods.pages.items():  # also where nothing is left: an older export must not pass for this one
         making.mkdir(parents=True, exist_ok=True)
         (making / page).write_text(text, encoding="utf-8")
     if making.exists():
@@ -261,21 +266,18 @@ def _write_format(
         _replace(making, out / name)
 
 
-def _finish_usd(making: Path, release: str | None, snapshot_id: int | None, usdz: bool) -> None:
+def _finish(format_: ExportFormat, release: str | None, snapshot_id: int | None, packs: bool, making: Path) -> None:
     """What is said and packed only when scenes leave the lake."""
-    from tasks.exports.usd import with_release
-    from tasks.exports.usd.package import package
-
-    for scene in sorted(making.glob("*/scene.usda")):
-        if release is not None and snapshot_id is not None:
-            scene.write_bytes(with_release(scene.read_bytes(), snapshot_id, release))
-        if usdz:
+    for scene in format_.opened(making):
+        if format_.with_release is not None and release is not None and snapshot_id is not None:
+            scene.write_bytes(format_.with_release(scene.read_bytes(), snapshot_id, release))
+        if format_.package is not None and packs:
             files = {path.relative_to(scene.parent).as_posix(): path.read_bytes() for path in scene.parent.rglob("*") if path.is_file()}
             try:
-                packed = package(files, scene.name)
+                packed = format_.package(files, scene.name)
             except ValueError as error:
-                raise InputError(scene.parent.name, "usdz", str(error), "export it without --usdz") from error
-            (making / f"{scene.parent.name}.usdz").write_bytes(packed)
+                raise InputError(scene.parent.name, format_.suffix.lstrip("."), str(error), "export it without --usdz") from error
+            (making / f"{scene.parent.name}{format_.suffix}").write_bytes(packed)
 
 
 MARK = ".exported"
@@ -301,25 +303,3 @@ def _replace(making: Path, place: Path) -> None:
 def _copy(blobs: Mapping[str, bytes], blob: str, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_bytes(blobs[blob])
-
-
-def _findings(out: Path, formats: Sequence[str], usd: Sequence[Path]) -> list[str]:
-    """Broken rules of what was written, a line each."""
-    from tasks.exports.glb.rules import check_glb
-    from tasks.exports.habitat.rules import check_habitat
-    from tasks.exports.mjcf.rules import check_mjcf
-    from tasks.exports.urdf.rules import check_urdf
-    from tasks.exports.usd.rules import check_usd
-
-    gates: dict[str, tuple[Callable[[Path], Sequence[Finding]], Sequence[Path]]] = {
-        "usd": (check_usd, usd),
-        "habitat": (check_habitat, [out / "habitat"]),
-        "mjcf": (check_mjcf, sorted((out / "mjcf").glob("*/scene.xml"))),
-        "urdf": (check_urdf, sorted(path.parent for path in (out / "urdf").glob("*/poses.json"))),
-        "glb": (check_glb, sorted((out / "glb").glob("*.glb"))),
-    }
-    found = []
-    for name in formats:
-        check, paths = gates[name]
-        found += [f"{path}: {finding}" for path in paths if path.exists() for finding in check(path) if finding.is_error]
-    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from prefect import flow
 from prefect.artifacts import create_link_artifact
@@ -16,13 +16,17 @@ from flows.parameters import Address
 from flows.patience import patiently
 from flows.shipment import summary
 from schemas.errors import InputError
+from schemas.families.export_formats import EXPORT_FORMATS
 from warehouse.lake import Lake
 from warehouse.licenses import Allowed
 
 HOURS = 12
 """10,000 scenes are 70 GB of small files, checked one by one."""
 
-Format = Literal["usd", "habitat", "mjcf", "urdf", "glb"]
+if TYPE_CHECKING:
+    Format = str
+else:
+    Format = Literal[EXPORT_FORMATS]  # the form of a run offers each
 
 SHOWN = 20
 """Findings that a run's log names; the others are counted."""

@@ -74,6 +74,8 @@ def annotations_digest(rows: Iterable[Mapping[str, object]]) -> str:
 def code_fingerprint(module: str) -> str:
     """Hash of a module and all modules of ours that it imports, anywhere in them; comments and docstrings do not count.
 
+    The members of an open family count as imported where `tasks.families.members` makes their tuple.
+
     Data files (CSV, JSON) in the folders of those modules count as code. Parsing them all takes seconds, so what was found
     for exactly these contents is remembered between processes.
     """
@@ -143,13 +145,40 @@ def _tree(path: Path) -> ast.Module:
 
 def _imports(path: Path, module: str) -> list[str]:
     """Modules named by the import statements of a file, with the packages that they lie in."""
-    found = []
+    found, sources = [], _sources(path)
     for node in ast.walk(_tree(path)):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             found += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and sources.get(node.func.id) == MEMBERS:
+            found += _members(node, sources)
     return [*found, *(name.rpartition(".")[0] for name in found)]
+
+
+MEMBERS = ("tasks.families", "members")
+"""What imports the members of an open family by their names."""
+
+
+def _members(call: ast.Call, sources: Mapping[str, tuple[str, str]]) -> list[str]:
+    """Modules that a call of `tasks.families.members` imports.
+
+    Raises:
+        ValueError: the package is no literal, or the names come from no module that spells them out.
+    """
+    package, names = (ast.unparse(argument) for argument in call.args[:2])
+    module, variable = sources.get(names, ("", ""))
+    file = _module_file(module)
+    for node in _tree(file).body if file is not None else ():
+        if isinstance(node, ast.Assign) and [ast.unparse(target) for target in node.targets] == [variable]:
+            return [f"{ast.literal_eval(package)}.{name}" for name in ast.literal_eval(node.value)]
+    raise ValueError(f"{ast.unparse(call)}: names must be imported from the module that spells them out")
+
+
+def _sources(path: Path) -> dict[str, tuple[str, str]]:
+    """Where the names come from that a file imports at its top: module, and name there."""
+    imports = [node for node in _tree(path).body if isinstance(node, ast.ImportFrom)]
+    return {alias.asname or alias.name: (node.module or "", alias.name) for node in imports for alias in node.names}
 
 
 @cache

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 from flows.fingerprints import FileHashes, digest
 from schemas.runs import StageRun
-from tasks.capture.formats import Scan
+from tasks.capture.formats import format_of
+from tasks.capture.scan import Scan
 from warehouse.history import StageState
 from warehouse.lake import Lake
 
@@ -113,7 +114,8 @@ def _is_free(scene: str, content: Content, scans: Mapping[str, Content]) -> bool
 
 
 def _nameless(path: str, scan: Scan) -> str:
-    """A path of a scan's file with `*` for the scan's own name; a GLB has whatever name its scan has."""
-    if scan.format == "glb" and path.lower().endswith(".glb"):
-        return "*.glb"
+    """A path of a scan's file with `*` for the scan's own name; a scan that is one file has whatever name that has."""
+    suffix = format_of(scan).suffix
+    if suffix and path.lower().endswith(suffix):
+        return f"*{suffix}"
     return "/".join(f"*{part.removeprefix(scan.scan)}" if part.startswith(scan.scan) else part for part in path.split("/"))

@@ -14,9 +14,10 @@ from typing import Any, ClassVar, cast
 
 from flows.fingerprints import digest
 from schemas.errors import InputError
-from tasks.capture.formats import Scan, scan_files
+from tasks.capture.formats import scan_files
 from tasks.capture.layout import leads_up
 from tasks.capture.premises import Premises
+from tasks.capture.scan import Scan
 
 MAX_NAME_BYTES = 255
 """The longest name that file systems take."""

@@ -28,7 +28,8 @@ from flows.progress import Progress
 from flows.scans import listings
 from schemas.errors import InputError, LakeError
 from schemas.text import one_line
-from tasks.capture.formats import Scan, find_scans, scan_files
+from tasks.capture.formats import find_scans, scan_files
+from tasks.capture.scan import Scan
 from warehouse.s3 import object_store
 from warehouse.workplace import workplace
 from warehouse.writer import new_token, writer_of

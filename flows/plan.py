@@ -13,7 +13,8 @@ from flows.fingerprints import FileHashes, Fingerprint, annotations_digest, cano
 from flows.identity import Content, content_of, recorded_content, same_scenes, scan_as
 from schemas.errors import InputError
 from schemas.runs import StageRun
-from tasks.capture.formats import Scan, survey
+from tasks.capture.formats import survey
+from tasks.capture.scan import Scan
 from tasks.pipeline import MODULES, SCENE_STAGES, upstream
 from tasks.stage import Stage
 from warehouse.history import StageState

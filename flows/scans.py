@@ -13,8 +13,9 @@ from typing import Protocol
 
 from flows.listing import ScanListing, files_of
 from schemas.errors import InputError, check_address
-from tasks.capture.formats import Scan, find_scans, scan_files
+from tasks.capture.formats import find_scans, scan_files
 from tasks.capture.premises import stores
+from tasks.capture.scan import Scan
 
 DAY_SECONDS = 86_400.0
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from schemas.families.scan_formats import SCAN_FORMATS
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
+
+DATASET_LAYOUTS = ("metascenes", "habitat")
+"""Layouts of finished datasets that are read."""
 
 
 @record("scenes", key=("scene_id",), stage="capture")
@@ -15,7 +19,7 @@ class Scene:
     scan: str = column("Name of the scan in its dataset")
     scan_format: str = column(
         "Format that the scan was read from; metascenes and habitat are finished datasets, whose own objects stand for the scan",
-        values=("scannet", "posed_rgbd", "glb", "metascenes", "habitat"),
+        values=(*SCAN_FORMATS, *DATASET_LAYOUTS),
     )
     scan_path: str = column("Folder or file of the scan when it was read", volatile=True)
     alignment: tuple[float, ...] = column("Scan frame to world frame, 4x4 row by row", unit="m", length=16)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from schemas.families.path_finders import PATH_FINDERS
+from schemas.families.policies import POLICIES
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
 
 ACTIONS = ("forward", "left", "right", "stop")
@@ -17,7 +19,7 @@ class Trajectory:
     batch_id: str = column("Trajectory batch: one policy's trajectories, imported together", pattern=r"[A-Za-z0-9][A-Za-z0-9_.-]*")
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     episode_id: str = column("Episode as it was then", pattern=r"[0-9]{4,}")
-    policy: str = column("Who chose the actions: a model, or the built-in 'expert' or 'random'")
+    policy: str = column(f"Who chose the actions: a model, or the built-in {' or '.join(map(repr, POLICIES))}")
     run_name: str = column("Run of the policy: a checkpoint, a seed; several batches may belong to one")
     agent: str = column("Agent whose navmesh was used")
     split: str = column("Split of the room", values=("train", "test"))
@@ -39,6 +41,6 @@ class Trajectory:
     )  # fmt: skip
     success_distance_m: float = column("Stopped nearer than this to a view point, the agent has arrived", unit="m", minimum=0)
     expert_actions: int = column("Actions of the episode's expert, stop included", minimum=0)
-    path_finder: str = column("Path finder that measured the distances", values=("planar", "recast", "habitat"))
+    path_finder: str = column("Path finder that measured the distances", values=PATH_FINDERS)
     problem: str | None = column("What is odd about the trajectory, in a line: poses off the navmesh, an end without a path")
     source_file: str | None = column("File that it came from; missing for built-in policies")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.record import SCENE_PATTERN, column, record
-
-FORMATS = ("usd", "habitat", "mjcf", "urdf", "glb")
 
 
 @record("export_files", key=("scene_id", "format", "path"), stage="exports")
@@ -12,7 +11,7 @@ class ExportFile:
     """A file of a scene's export. `metascenes export` lays these out in a folder."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
-    format: str = column("Format", values=FORMATS)
+    format: str = column("Format", values=EXPORT_FORMATS)
     path: str = column("Path relative to the export's root, forward slashes")
     file_blob: str = column("Contents", blob=True)
     size_bytes: int = column("Size", unit="B", minimum=0)
@@ -27,7 +26,7 @@ class ExportCheck:
     """The verdict of one rule on a scene's export."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
-    format: str = column("Format", values=FORMATS)
+    format: str = column("Format", values=EXPORT_FORMATS)
     rule: str = column("Rule")
     passed: bool = column("Verdict")
     message: str | None = column("What is wrong, when it did not pass")

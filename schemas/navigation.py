@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from schemas.families.path_finders import PATH_FINDERS
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
 
 
@@ -17,9 +18,7 @@ class Navmesh:
     area_m2: float = column("Navigable area", unit="m2", minimum=0)
     largest_island_m2: float = column("Area of the largest connected part", unit="m2", minimum=0)
     island_count: int = column("Connected parts", minimum=0)
-    path_finder: str = column(
-        "Path finder that made it; imported is unknown, of a finished dataset", values=("planar", "recast", "habitat", "imported")
-    )
+    path_finder: str = column("Path finder that made it; imported is unknown, of a finished dataset", values=(*PATH_FINDERS, "imported"))
 
 
 @record("episodes", key=("scene_id", "episode_id"), stage="navigation")
@@ -43,7 +42,7 @@ class Episode:
     actions: tuple[str, ...] = column("Actions: forward 0.25 m, left and right 30 degrees, stop last")
     final_position: tuple[float, ...] = column("Where the replayed actions end, world frame", unit="m", length=3)
     final_distance_m: float = column("Distance from there to the goal", unit="m", minimum=0)
-    path_finder: str = column("Path finder that found it", values=("planar", "recast", "habitat"))
+    path_finder: str = column("Path finder that found it", values=PATH_FINDERS)
 
 
 @record("unreachable_targets", key=("scene_id", "instance_id"), stage="navigation")

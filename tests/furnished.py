@@ -12,7 +12,8 @@ import trimesh
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Instance, Room, Scene
-from schemas.exports import FORMATS, ExportCheck, ExportFile
+from schemas.exports import ExportCheck, ExportFile
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.navigation import Episode, Navmesh, UnreachableTarget
 from schemas.optimization import Certificate, Contact, Optimization, OptimizationStep, Placement, Support
 from schemas.selection import Selection
@@ -122,10 +123,14 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
             "export_files": [
                 sample(ExportFile, scene_id=scene_id, format=kind, path="a", file_blob=lake.blobs.put(b"f", "usd"), size_bytes=150_000,
                        passed=True)
-                for kind in FORMATS
+                for kind in EXPORT_FORMATS
             ],
             "export_checks": [
-                *(sample(ExportCheck, scene_id=scene_id, format=kind, rule="units", passed=True) for kind in FORMATS if kind != "habitat"),
+                *(
+                    sample(ExportCheck, scene_id=scene_id, format=kind, rule="units", passed=True)
+                    for kind in EXPORT_FORMATS
+                    if kind != "habitat"
+                ),
                 sample(ExportCheck, scene_id=scene_id, format="habitat", rule="up_axis", passed=number > 0, message="up is <missing>"),
             ],
         },

@@ -24,7 +24,7 @@ from flows.fingerprints import Fingerprint
 from flows.plan import Plan, ScenePlan, Step
 from flows.report import RunReport
 from schemas.errors import InputError
-from tasks.capture.formats import Scan
+from tasks.capture.scan import Scan
 from tests.scans import write_scan, write_scans
 from tests.services import PrefectServer, prefect_server_process
 from warehouse.lake import Lake

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run
 from tasks.capture.formats import find_scans
-from tasks.capture.glb_scene import is_label, plain_label
+from tasks.capture.glb import is_label, plain_label
 from tasks.containers import close_glb, open_glb
 from tasks.meshes import dump_glb, load_glb
 from tasks.stage import Context, Outcome

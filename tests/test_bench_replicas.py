@@ -21,7 +21,7 @@ from flows.bench.paths import PlainGraph, replayed
 from flows.bench.replicas import as_drawn
 from flows.bench.rooms import generated_scene
 from flows.commands.bench import command
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 
 
 def unmet(goals: list[dict]) -> set[str]:
@@ -38,10 +38,10 @@ def exported() -> RoomExports:
 
 def test_a_room_passes_every_gate_and_its_files_agree_with_its_certificate(exported: RoomExports) -> None:
     assert exported.things >= 10
-    assert set(FORMATS) <= exported.seconds.keys()
-    assert set(FORMATS) == exported.sizes.keys() == exported.files.keys()
+    assert set(EXPORT_FORMATS) <= exported.seconds.keys()
+    assert set(EXPORT_FORMATS) == exported.sizes.keys() == exported.files.keys()
     assert exported.broken == ()
-    assert exported.rules > 5 * len(FORMATS)
+    assert exported.rules > 5 * len(EXPORT_FORMATS)
     for falls in exported.states.values():
         assert falls.read["mjcf"] == falls.read["usd"] == falls.certified
         assert max(falls.apart.values()) < 1e-3

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from schemas.errors import InputError
+from schemas.families.scan_formats import SCAN_FORMATS
 from schemas.record import check
 from schemas.tables import TABLES
 from tasks.capture import CaptureConfig, Scan, find_scans, run
 from tasks.capture.documents import floats
-from tasks.capture.formats import FORMATS
 from tasks.capture.fusion import FusionConfig
 from tasks.capture.images import image_size, read_color, read_depth
 from tasks.capture.labels import label_map
@@ -279,7 +279,7 @@ def test_find_scans_by_format(room: BoxRoom, tmp_path: Path) -> None:
     assert [(s.scene_id, s.format) for s in scans] == [
         ("glb/house", "glb"), ("rgbd/My_Kitchen_", "posed_rgbd"), ("scannet/scene0001_00", "scannet"),
     ]  # fmt: skip
-    for format in FORMATS:
+    for format in SCAN_FORMATS:
         only, _ = find_scans(tmp_path, format)
         assert {scan.format for scan in only} == {format}
     assert find_scans(tmp_path, dataset="Mine")[0][0].scene_id == "mine/My_Kitchen_"

@@ -11,7 +11,8 @@ import pytest
 
 from flows.export import write_exports
 from schemas.errors import InputError
-from schemas.exports import FORMATS, ExportFile
+from schemas.exports import ExportFile
+from schemas.families.export_formats import EXPORT_FORMATS
 from tests.scans import OBJECTS, write_scan
 from tests.test_pipeline import metascenes
 from warehouse.lake import Lake
@@ -66,7 +67,7 @@ def whole(lake: Lake, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_files_are_the_blobs_that_the_rows_name(lake: Lake, whole: Path) -> None:
     rows = rows_of(lake)
-    assert {(row.format, row.scene_id) for row in rows} == {(name, scene) for name in FORMATS for scene in SCENES}
+    assert {(row.format, row.scene_id) for row in rows} == {(name, scene) for name in EXPORT_FORMATS for scene in SCENES}
     for row in rows:
         data = (whole / row.format / row.path).read_bytes()
         assert data == lake.blobs[row.file_blob]
@@ -75,7 +76,7 @@ def test_files_are_the_blobs_that_the_rows_name(lake: Lake, whole: Path) -> None
     beyond = {name for name in contents(whole) if not name.endswith(".exported")} - {f"{row.format}/{row.path}" for row in rows}
     assert beyond, "the files of the Habitat dataset, which belong to no scene alone"
     assert all(name.startswith("habitat/") for name in beyond)
-    assert sorted(path.name for path in whole.iterdir()) == sorted(FORMATS), "nothing half made is left"
+    assert sorted(path.name for path in whole.iterdir()) == sorted(EXPORT_FORMATS), "nothing half made is left"
 
 
 def test_files_are_copies_not_links_into_the_lake(lake: Lake, whole: Path) -> None:
@@ -124,9 +125,9 @@ def test_a_format_alone_leaves_the_other_and_its_neighbors_alone(lake: Lake, who
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize("taken", FORMATS)
+@pytest.mark.parametrize("taken", EXPORT_FORMATS)
 def test_a_folder_with_foreign_files_is_refused_before_anything_is_changed(lake: Lake, tmp_path: Path, taken: str) -> None:
-    other = next(name for name in FORMATS if name != taken)
+    other = next(name for name in EXPORT_FORMATS if name != taken)
     write_exports(lake, tmp_path, formats=(other,), scenes=SCENES[:1])
     (tmp_path / taken).mkdir()
     (tmp_path / taken / "thesis.txt").write_text("mine")
@@ -215,7 +216,7 @@ SPOILED = {"usd": "physics.usda", "habitat": ".scene_instance.json", "mjcf": "sc
 """An ending of files that no scene is sound without, by format."""
 
 
-@pytest.mark.parametrize("format_", FORMATS)
+@pytest.mark.parametrize("format_", EXPORT_FORMATS)
 def test_what_is_written_is_checked_again_in_every_format(
     lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format_: str
 ) -> None:

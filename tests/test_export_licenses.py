@@ -16,7 +16,8 @@ from flows.cli import cli
 from flows.export import WrittenExports, write_exports
 from flows.shipment import shipment
 from schemas.candidates import Asset, Candidate
-from schemas.exports import FORMATS, ExportFile
+from schemas.exports import ExportFile
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.optimization import Placement
 from tasks import exports
 from tasks.meshes import load_glb
@@ -73,8 +74,8 @@ def stage(lake: Lake, scene: str, things: list[Thing], formats: tuple[str, ...],
 def lake(tmp_path_factory: pytest.TempPathFactory) -> Lake:
     """A scene that may be shipped, one of which some things may not, one that may not, and one of which nobody knows."""
     lake = Lake.open(tmp_path_factory.mktemp("licensed") / "lake")
-    stage(lake, PLAIN, [thing("stool", yaw_pose(0.3, [0.5, 0.0, 0.0]), seed=7)], FORMATS)
-    stage(lake, MIXED, furnished(), FORMATS, with_episodes=True)
+    stage(lake, PLAIN, [thing("stool", yaw_pose(0.3, [0.5, 0.0, 0.0]), seed=7)], EXPORT_FORMATS)
+    stage(lake, MIXED, furnished(), EXPORT_FORMATS, with_episodes=True)
     for scene in (CLOSED, MUTE):
         stage(lake, scene, [cube((0.3, 0.2, 0.25), translation([0.0, 0.0, 0.0]))], ("glb", "urdf"))
     lake.commit("licensed")

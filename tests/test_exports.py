@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
-from schemas.exports import FORMATS, ExportCheck, ExportFile
+from schemas.exports import ExportCheck, ExportFile
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.record import check
 from tasks import exports
 from tasks.exports.bodies import identifier, stem
@@ -43,7 +44,7 @@ def test_every_rule_passes_and_rows_keep_their_schema(outcome: Outcome) -> None:
     check(outcome.rows["export_files"], ExportFile)
     check(outcome.rows["export_checks"], ExportCheck)
     assert [f"{row.format} {row.rule}: {row.message}" for row in outcome.rows["export_checks"] if not row.passed] == []
-    assert {row.format for row in outcome.rows["export_checks"]} == set(FORMATS)
+    assert {row.format for row in outcome.rows["export_checks"]} == set(EXPORT_FORMATS)
     assert len(outcome.rows["export_checks"]) > 50
     assert outcome.degradations == ()
 

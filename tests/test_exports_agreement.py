@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 from tasks import exports
 from tasks.exports.bodies import gather
 from tasks.transforms import yaw_pose
@@ -212,14 +212,14 @@ def compare(things: Sequence[Thing], root: Path) -> None:
     for body in replica.bodies:
         points = np.concatenate([trimesh.transform_points(part.vertices, body.pose) for part in body.shape.parts])
         expected[body.name] = moving(body.pose, body.mass_kg, body.shape.properties.center, body.inertia, points)
-    assert set(READERS) == set(FORMATS)
+    assert set(READERS) == set(EXPORT_FORMATS)
     assert len(expected) == len(things)
     read = {"rows": expected, **{name: reader(root) for name, reader in READERS.items()}}
     for name, objects in read.items():
         assert set(objects) == set(expected), name
     still = {body.name for body in replica.bodies if body.is_fixed}
     assert {name for name, one in read["usd"].items() if one.mass is None} == still
-    assert all(one.mass is not None for kind in FORMATS if kind != "usd" for one in read[kind].values())
+    assert all(one.mass is not None for kind in EXPORT_FORMATS if kind != "usd" for one in read[kind].values())
     for first in read:
         for second in read:
             for name in expected:

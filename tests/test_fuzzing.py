@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 from tests.conftest import REPOSITORY
 from tests.fuzzing import broken
 from tests.fuzzing.campaign import Campaign, Reading, Record, child, events, read_inputs
@@ -65,7 +65,7 @@ def short(seeds: Path) -> tuple[dict[str, Record], set[str]]:
 
 def test_every_format_has_a_target() -> None:
     """The list is made from what the project declares; a new door without a sound input does not even make a list."""
-    assert {f"doctor {name}" for name in FORMATS} <= set(targets())
+    assert {f"doctor {name}" for name in EXPORT_FORMATS} <= set(targets())
     assert all(target.seeds() for target in targets().values())
     published = {path.parent.name for path in (REPOSITORY / "tasks").rglob("*.schema.json")}
     assert published == {"annotation", "evaluation"}, "a new kind of batch: it comes in as an outside input of a stage"

@@ -19,7 +19,7 @@ from flows.identity import content_of
 from flows.plan import Plan, make_plan, planned_again
 from flows.report import report_of
 from schemas.capture import Scene
-from tasks.capture.formats import find_scans, scan_files
+from tasks.capture.formats import find_scans, room_of, scan_files
 from tasks.navigation import split_of
 from tests.capture_scans import box_room, write_posed_rgbd
 from tests.samples import sample, stage_run
@@ -59,7 +59,7 @@ def captured(lake: Lake, plan: Plan, outcome: str = "done", at: float = 0.0) -> 
         if step.action != "run":
             continue
         failure = {} if outcome == "done" else {"error": "mesh: is broken", "error_kind": "input"}
-        rows = [sample(Scene, scene_id=scan.scene_id, dataset=scan.dataset, scan=scan.scan, room_id=scan.room_id, mesh_blob=None)]
+        rows = [sample(Scene, scene_id=scan.scene_id, dataset=scan.dataset, scan=scan.scan, room_id=room_of(scan), mesh_blob=None)]
         run = stage_run(scan.scene_id, "capture", step.fingerprint.value, at=at, reasons=step.fingerprint.parts, outcome=outcome, **failure)
         blob = lake.blobs.put(b"mesh", "glb")
         rows = [dataclasses.replace(row, mesh_blob=blob) for row in rows]
@@ -287,7 +287,7 @@ def test_rescans_differ_in_content_and_stay_on_one_side(scans: Path, tmp_path: P
     for dataset in (None, "demo"):
         found = [scan for scan in find_scans(scans, "scannet", dataset)[0] if scan.format == "scannet"]
         assert len({content_of(scan, scan_files(scan), FileHashes(tmp_path / "hashes.json")) for scan in found}) == 2
-        assert len({split_of(scan.room_id, 0.2) for scan in found}) == 1
+        assert len({split_of(room_of(scan), 0.2) for scan in found}) == 1
 
 
 def test_rooms_of_the_dataset_that_most_lakes_hold_stay_where_they_were() -> None:

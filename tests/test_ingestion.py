@@ -24,7 +24,7 @@ from flows.stats import write_report
 from schemas.candidates import Asset
 from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.optimization import Certificate, Placement
 from schemas.runs import StageRun
 from schemas.tables import TABLES
@@ -501,7 +501,7 @@ def test_navigation_and_exports_take_imported_scenes(mixed: Lake) -> None:
         broken = {row.rule for row in outcome.rows["export_checks"] if not row.passed}
         # The release's physics engine is a die that was thrown in the tests: what it sank into the floor is found there.
         assert broken <= ({"start_overlap", "penetration"} if scene.dataset == "released" else set()), scene.scene_id
-        assert {row.format for row in outcome.rows["export_files"]} == set(FORMATS)
+        assert {row.format for row in outcome.rows["export_files"]} == set(EXPORT_FORMATS)
 
 
 def test_structures_are_instances_without_assets(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from flows.fingerprints import canonical_json
 from flows.shipment import shipment
 from flows.worker import Job, execute
 from schemas.candidates import Candidate
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.licenses import OF_THE_SCAN
 from schemas.optimization import Placement
 from tasks import exports
@@ -166,7 +166,7 @@ def said_in_habitat(folder: Path) -> list[dict[str, Any]]:
 READERS = {"usd": said_in_usd, "mjcf": said_in_mjcf, "urdf": said_in_urdf, "glb": said_in_glb, "habitat": said_in_habitat}
 
 
-@pytest.mark.parametrize("format_", FORMATS)
+@pytest.mark.parametrize("format_", EXPORT_FORMATS)
 def test_every_format_says_the_license_that_holds(lake: Lake, out: Path, format_: str) -> None:
     said = defaultdict(set)
     for about in READERS[format_](out / format_):

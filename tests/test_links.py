@@ -23,8 +23,9 @@ from flows.scans import found_scans, scan_source, settled
 from flows.scene import SceneResult
 from schemas.errors import InputError
 from tasks.capture import CaptureConfig, run, scan_files
-from tasks.capture.formats import Scan, find_scans, left_out, license_path
+from tasks.capture.formats import find_scans, left_out
 from tasks.capture.premises import Premises
+from tasks.capture.scan import Scan, license_path
 from tasks.capture.scenes import read_scan
 from tasks.capture.wholeness import find_gap
 from tasks.stage import Context, Outcome

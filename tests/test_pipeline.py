@@ -19,7 +19,7 @@ import pytest
 from flows.bench.flows.small_scenes import SETTINGS
 from schemas.annotation import Annotation
 from schemas.candidates import Asset
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.optimization import Placement
 from schemas.selection import Selection
 from tasks.pipeline import SCENE_STAGES, STAGES, upstream
@@ -302,15 +302,16 @@ def test_a_check_that_an_export_does_not_pass_fails_the_run_and_is_named(
     assert done.returncode == 1, done.stderr
     assert f"failed: {line}" in done.stderr
     assert "2 scenes done" in done.stdout
-    assert f"{len(FORMATS)} checks of exports failed" in done.stdout
+    assert f"{len(EXPORT_FORMATS)} checks of exports failed" in done.stdout
     again = run(home, scans, copy, "--set", "exports.default_friction=0.61")
     assert (again.returncode, f"failed: {line}" in again.stderr) == (1, True), "said again, as every failure is"
     assert "2 unchanged" in again.stdout
     told = metascenes(home, "status", "--lake", copy).stdout
     assert line in told
-    assert f"{len(FORMATS)} checks of exports failed" in told.splitlines()[0]
+    assert f"{len(EXPORT_FORMATS)} checks of exports failed" in told.splitlines()[0]
     assert line in json.loads(metascenes(home, "status", "--lake", copy, "--json").stdout)["broken_checks"]
-    assert len(json.loads(run(home, scans, copy, "--set", "exports.default_friction=0.61", "--json").stdout)["broken"]) == len(FORMATS)
+    broken = json.loads(run(home, scans, copy, "--set", "exports.default_friction=0.61", "--json").stdout)["broken"]
+    assert len(broken) == len(EXPORT_FORMATS)
 
 
 def test_a_statement_that_writes_is_refused_in_one_line(home: dict[str, str], lake: Path, tmp_path: Path) -> None:

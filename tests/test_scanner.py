@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from schemas.errors import InputError
 from tasks.capture.frames import exported_frames, sens_frames
-from tasks.capture.layout import scannet_layout
 from tasks.capture.ply import read_ply
+from tasks.capture.scannet.layout import scannet_layout
 from tasks.furniture.rooms import furnish
 from tasks.meshes import Surface, load_glb
 from tasks.proximity import closest_points

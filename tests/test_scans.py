@@ -26,7 +26,8 @@ from flows.listing import MAX_NAME_BYTES, ScanFile, listed_folder, usable_paths
 from flows.mirror import FetchError, S3Source
 from flows.scans import DAY_SECONDS, arrived, chosen, found_scans, scan_source, settled
 from schemas.errors import InputError
-from tasks.capture.formats import Scan, find_scans, scan_files
+from tasks.capture.formats import find_scans, scan_files
+from tasks.capture.scan import Scan
 from tests.conftest import REPOSITORY
 from tests.scans import write_scans
 from tests.services import S3, environment_of, s3_server

@@ -32,7 +32,8 @@ from flows.status import Expected, Status, expected, recorded_states, status_of
 from schemas.annotation import Annotation
 from schemas.record import rows_to_arrow
 from schemas.runs import StageRun
-from tasks.capture.formats import Scan, find_scans
+from tasks.capture.formats import find_scans
+from tasks.capture.scan import Scan
 from tasks.pipeline import SCENE_STAGES
 from tests.samples import fingerprint, sample, stage_run
 from tests.scans import write_scan, write_scans

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from flows.scans import chosen
 from schemas.errors import InputError
 from schemas.record import SCENE_PATTERN
-from tasks.capture.formats import Scan, find_scans
+from tasks.capture.formats import find_scans
+from tasks.capture.scan import Scan
 from tasks.exports.bodies import identifier, stem
 from tasks.words import latin, plain_word
 from tests.scans import OBJECTS, write_scan

@@ -22,7 +22,7 @@ from flows.bench.replicas import as_replica
 from flows.bench.rooms import generated_scene
 from flows.bench.tables import add_row, goals_table, headline, table_of
 from flows.pool import WorkerPool
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.optimization import Certificate
 from tasks import exports
 from tasks.exports import ExportsConfig
@@ -97,7 +97,7 @@ def run_exports_bench(config: ExportsBench, advance: Callable[[str], None]) -> d
             "files_mean": float(np.mean([room.files[name] for room in made])),
             "scenes_passed": sum(all(format_ != name for format_, _, _ in room.broken) for room in made),
         }
-        for name in FORMATS
+        for name in EXPORT_FORMATS
     }  # fmt: skip
     return {
         "machine": machine(), "seed": config.seed, "processes": config.processes, "rooms": len(made),
@@ -110,7 +110,7 @@ def run_exports_bench(config: ExportsBench, advance: Callable[[str], None]) -> d
 
 def goals(rooms: Sequence[RoomExports]) -> list[dict[str, Any]]:
     """Every scene passes every gate, and what the files make unstable is what the certificates say."""
-    exported = len(rooms) * len(FORMATS)
+    exported = len(rooms) * len(EXPORT_FORMATS)
     broken = {(room.scene_id, format_) for room in rooms for format_, _, _ in room.broken}
     found = [goal("exports that pass their gate [%]", 100.0 * (exported - len(broken)) / exported if exported else None, ">=", 100.0)]
     for state in STATES:
@@ -131,7 +131,7 @@ def measure_room(config: ExportsBench, index: int) -> RoomExports:
     rows, blobs, seconds = as_replica(scene, config.seed, caches, navigation)
     sizes, files, broken, rules = {}, {}, [], 0
     settled: dict[str, dict[str, Settled]] = {}
-    for format_ in FORMATS:
+    for format_ in EXPORT_FORMATS:
         context = Context(scene.scene_id, "exports", config.seed, blobs, caches)
         clock = time.perf_counter()
         outcome = exports.run(

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from flows.commands.options import json_option, workers_option
+from schemas.families.policies import POLICIES
 
 
 @click.command("demo", short_help="Make raw scans of furnished rooms and turn them into replica scenes.")
@@ -32,7 +33,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     from flows.plan import make_plan
     from flows.stats import stage_table, write_report
     from tasks.capture.formats import find_scans
-    from tasks.evaluation.policies import POLICIES
+    from tasks.exports.formats import FORMATS
     from warehouse.lake import Lake
 
     clock = time.perf_counter()
@@ -51,11 +52,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     page = write_report(lake, out / "report.html").path
     places = {
         "raw scans": out / "scans",
-        "USD scenes": out / "usd",
-        "Habitat dataset": out / "habitat",
-        "MuJoCo scenes": out / "mjcf",
-        "URDF objects": out / "urdf",
-        "GLB scenes": out / "glb",
+        **{format_.title: out / format_.name for format_ in FORMATS},
         "report": page,
         "lake": out / "lake",
     }

@@ -6,10 +6,13 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
 from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
+from tasks.exports.format import ExportFormat
+from tasks.exports.formats import FORMATS
 
 budget_option = click.option(
     "--budget", type=click.FloatRange(0.25, 1000), default=1.0, show_default=True,
@@ -25,89 +28,35 @@ def command() -> None:
     """
 
 
-@command.command("usd")
-@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@click.option("--omniverse", is_flag=True, help="Ask NVIDIA's omniverse-asset-validator too, where it is installed.")
-@budget_option
-@json_option
-def usd(file: Path, omniverse: bool, budget: float, as_json: bool) -> None:
-    """Check anybody's USD file or .usdz: UsdValidation's rules and those for scenes with physics.
-
-    Things with a variant set `physics` are checked in each of its variants.
-
-    Example: metascenes doctor usd scene.usda --omniverse
-    """
-    from flows.bounds import findings_of
-    from tasks.exports.usd.omniverse import check_omniverse
-    from tasks.exports.usd.rules import check_usd
-
-    checks = (check_usd, check_omniverse) if omniverse else (check_usd,)
-    findings = [found for check in checks for found in findings_of(check, file, budget, names_others=True)]
-    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+_TAKES = {
+    "a file": ("file", click.Path(path_type=Path, exists=True, dir_okay=False)),
+    "a folder": ("folder", click.Path(path_type=Path, exists=True, file_okay=False)),
+    "either": ("file", click.Path(path_type=Path, exists=True)),
+}
 
 
-@command.command("habitat")
-@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@budget_option
-@json_option
-def habitat(folder: Path, budget: float, as_json: bool) -> None:
-    """Check a Habitat scene dataset against everything that habitat-sim and habitat-lab stumble over.
+def _gate(format_: ExportFormat) -> click.Command:
+    """The command that puts anybody's files before the gate of an export format."""
+    doctor = format_.doctor
+    argument, kind = _TAKES[doctor.takes]
 
-    Example: metascenes doctor habitat ./replicas/habitat
-    """
-    from flows.bounds import findings_of
-    from tasks.exports.habitat.rules import check_habitat
+    def check(budget: float, as_json: bool, **given: Any) -> None:
+        from flows.bounds import findings_of
 
-    findings = findings_of(check_habitat, folder, budget)
-    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+        checks = [format_.check, *(format_.validator(name) for name, _ in doctor.validators if given[name])]
+        findings = [found for check in checks for found in findings_of(check, given[argument], budget, names_others=doctor.names_others)]
+        _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
-
-@command.command("mjcf")
-@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@budget_option
-@json_option
-def mjcf(file: Path, budget: float, as_json: bool) -> None:
-    """Check anybody's MuJoCo model: what MuJoCo refuses, and what it lets pass without a word.
-
-    Example: metascenes doctor mjcf ./replicas/mjcf/scannet_scene0000_00/scene.xml
-    """
-    from flows.bounds import findings_of
-    from tasks.exports.mjcf.rules import check_mjcf
-
-    findings = findings_of(check_mjcf, file, budget, names_others=True)
-    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+    made = budget_option(json_option(check))
+    for name, text in reversed(doctor.validators):
+        made = click.option(f"--{name}", is_flag=True, help=text)(made)
+    made = click.argument(argument, type=kind)(made)
+    example = f"Example: metascenes doctor {format_.name} {doctor.example}"
+    return click.command(format_.name, help=f"{doctor.about}\n\n{example}")(made)
 
 
-@command.command("urdf")
-@click.argument("file", type=click.Path(path_type=Path, exists=True))
-@budget_option
-@json_option
-def urdf(file: Path, budget: float, as_json: bool) -> None:
-    """Check anybody's URDF file, or a folder of them with its poses.json.
-
-    Example: metascenes doctor urdf ./replicas/urdf/scannet_scene0000_00
-    """
-    from flows.bounds import findings_of
-    from tasks.exports.urdf.rules import check_urdf
-
-    findings = findings_of(check_urdf, file, budget, names_others=True)
-    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
-
-
-@command.command("glb")
-@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@budget_option
-@json_option
-def glb(file: Path, budget: float, as_json: bool) -> None:
-    """Check anybody's GLB of a scene.
-
-    Example: metascenes doctor glb ./replicas/glb/scannet_scene0000_00.glb
-    """
-    from flows.bounds import findings_of
-    from tasks.exports.glb.rules import check_glb
-
-    findings = findings_of(check_glb, file, budget)
-    _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
+for _format in FORMATS:
+    command.add_command(_gate(_format))
 
 
 @command.command("lake")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options, workers_option
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 @click.command("export", short_help="Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.")
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write into.")
 @click.option(
-    "--format", "formats", multiple=True, type=click.Choice(FORMATS), help="Format; all that the lake has by default; may be repeated."
+    "--format",
+    "formats",
+    multiple=True,
+    type=click.Choice(EXPORT_FORMATS),
+    help="Format; all that the lake has by default; may be repeated.",
 )
 @click.option("--scene", "scenes", multiple=True, metavar="SCENE_ID", help="Scene; all by default; may be repeated.")
 @snapshot_options

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from schemas.families.scan_formats import SCAN_FORMATS
+
 if TYPE_CHECKING:
     from warehouse.lake import Lake
 
@@ -38,7 +40,7 @@ def links_option(function: F) -> F:
 
 def scans_options(function: F) -> F:
     """`--scans ADDRESS`, `--links-into`, `--format` (as `scan_format`), `--dataset`: where scans lie and how they are read."""
-    formats = click.Choice(["auto", "scannet", "posed_rgbd", "glb"])
+    formats = click.Choice(["auto", *SCAN_FORMATS])
     for option in (
         click.option("--dataset", help="Name of the dataset; by default what the format says."),
         click.option("--format", "scan_format", type=formats, default="auto", show_default=True, help="Scan format."),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from tasks.capture.formats import Scan, find_scans, scan_files
+from tasks.capture.formats import find_scans, scan_files
+from tasks.capture.scan import Scan
 from tasks.capture.scenes import CaptureConfig, run
 from tasks.stage import Stage
 

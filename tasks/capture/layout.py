@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from schemas.errors import InputError
 from schemas.files import stays_in
 from tasks.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from tasks.capture.premises import Premises
@@ -56,33 +55,13 @@ class FrameLayout:
         return [path for path in (*found, self.trajectory, self.color_intrinsics, self.depth_intrinsics) if path is not None]
 
 
-@dataclasses.dataclass(frozen=True)
-class ScanNetLayout:
-    """Files of a ScanNet scan that are read; None where there is none."""
-
-    scan: str
-    metadata: Path | None
-    mesh: Path | None
-    aggregation: Path | None
-    segments: tuple[Path, ...]
-    meshes: tuple[Path, ...]
-    sens: Path | None
-    frames: FrameLayout | None
-
-    @property
-    def files(self) -> list[Path]:
-        """Every file that the scan may be read from."""
-        single = [path for path in (self.metadata, self.aggregation, self.sens) if path is not None]
-        return single + list(self.meshes) + list(self.segments) + (self.frames.files if self.frames else [])
-
-
 def frame_layout(folder: Path, inside: bool = True, premises: Premises | None = None) -> FrameLayout | None:
     """Exported frames in `folder` or, with `inside`, in one folder in it (`<scan>_2d`, `frames`, ...); None without any.
 
     Links that leave the premises, by default those that leave the folder, are left out.
     """
     premises = premises or Premises((folder,))
-    for place in (folder, *(_folders(folder, premises) if inside else ())):
+    for place in (folder, *(filter(premises.admits, folders_in(folder)) if inside else ())):
         frames = _paired(place, premises) or _flat(place, premises)
         if frames:
             places = (place, folder)
@@ -99,49 +78,6 @@ def frame_layout(folder: Path, inside: bool = True, premises: Premises | None = 
 def is_framed(folder: Path) -> bool:
     """Whether `folder` is one of exported frames by the names in it, wherever links among them lead."""
     return bool(_paired(folder, None) or _flat(folder, None))
-
-
-def scannet_layout(folder: Path, premises: Premises | None = None) -> ScanNetLayout | None:
-    """Files of a ScanNet scan in `folder`, whatever of them there is; None when nothing in it looks like one.
-
-    The scan's name is the folder's where files begin with it, else what the files themselves begin with. Links that leave
-    the premises, by default those that leave the folder, count as names and are left out as files.
-
-    Raises:
-        InputError: what should be the aggregation is a folder.
-    """
-    premises = premises or Premises((folder,))
-    names = sorted(path.name for path in folder.iterdir() if not path.is_dir() and not path.name.startswith("."))
-    scans = sorted({match[1] for name in names if (match := _SCANNET.fullmatch(name))})
-    if not scans:
-        return None
-    scan = folder.name if folder.name in scans else scans[0]
-    read = (".txt", ".ply", ".json", ".sens")
-    mine = [name for name in names if name.startswith((f"{scan}.", f"{scan}_vh_clean")) and name.endswith(read)]
-    mine = [name for name in mine if premises.admits(folder / name)]
-    meshes = tuple(folder / name for name in (f"{scan}_vh_clean_2.ply", f"{scan}_vh_clean.ply") if name in mine)
-    segments = tuple(folder / name for name in mine if name.endswith(".segs.json"))
-    aggregation = [name for name in (f"{scan}{ending}" for ending in _AGGREGATIONS) if name in mine]
-    for name in (f"{scan}{ending}" for ending in _AGGREGATIONS):
-        if (folder / name).is_dir():
-            raise InputError(f"{folder.name}/{name}", "file", "is a folder", "put the aggregation's JSON file in its place")
-    frames = frame_layout(folder, premises=premises)
-    return ScanNetLayout(
-        scan=scan,
-        metadata=folder / f"{scan}.txt" if f"{scan}.txt" in mine else None,
-        mesh=meshes[0] if meshes else None,
-        aggregation=folder / aggregation[0] if aggregation else None,
-        segments=segments,
-        meshes=meshes,
-        sens=None if frames or f"{scan}.sens" not in mine else folder / f"{scan}.sens",
-        frames=frames,
-    )
-
-
-_AGGREGATIONS = (".aggregation.json", "_vh_clean.aggregation.json")
-_SCANNET = re.compile(
-    r"(.+?)(?:_vh_clean(?:_2)?\.ply|_vh_clean(?:_2)?(?:\.\d+\.\d+)?\.segs\.json|(?:_vh_clean)?\.aggregation\.json|\.sens)"
-)
 
 
 def frame_ids(keys: Iterable[str]) -> list[str]:
@@ -189,10 +125,10 @@ def _order(key: str) -> tuple[int, str]:
     return (int(match[1]) if match else -1, key)
 
 
-def _folders(folder: Path, premises: Premises) -> list[Path]:
-    """Folders in a folder, but for links to what it lies in itself."""
+def folders_in(folder: Path) -> list[Path]:
+    """Folders in a folder, sorted, but for hidden ones and links to what it lies in itself."""
     found = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    return [path for path in found if not leads_up(path) and premises.admits(path)]
+    return [path for path in found if not leads_up(path)]
 
 
 def leads_up(folder: Path) -> bool:

@@ -14,18 +14,15 @@ from schemas.capture import Frame, Instance, Mask, Room, Scene
 from schemas.errors import InputError
 from tasks.capture.alignment import Alignment, align
 from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
-from tasks.capture.documents import name_of
-from tasks.capture.formats import Scan, glb_file, left_out
+from tasks.capture.formats import format_of, left_out, room_of
 from tasks.capture.fusion import FusionConfig, fused_surface
-from tasks.capture.glb_scene import check_labelled, read_glb_scene
 from tasks.capture.images import encode_jpeg
 from tasks.capture.instances import Solid, instance_row, modelled_solid, scanned_solid
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label, LabelMap, label_map
-from tasks.capture.posed_rgbd import read_posed_rgbd
 from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms import estimate_room, inferred_room_type
-from tasks.capture.scannet import read_scannet
+from tasks.capture.scan import Scan
 from tasks.capture.segmentation import geometry_groups
 from tasks.capture.views import Sight, best_sights, camera_up, run_lengths, view_of
 from tasks.meshes import Surface, dump_glb
@@ -72,10 +69,11 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     if surface is None:
         surface, fusion_notes = fused_surface(reading.frames, config.fusion, scan.path.name)
         notes += fusion_notes
-    meanings = [_meaning(group, labels, scan.format) for group in reading.groups or ()]
-    if scan.format == "glb":
-        check_labelled(reading.groups or (), meanings, surface, name_of(glb_file(scan), scan.folder))
-    alignment = _aligned(reading, surface, meanings, is_authored=scan.format == "glb")
+    format = format_of(scan)
+    meanings = [_meaning(group, labels, format.is_modelled) for group in reading.groups or ()]
+    if format.check is not None:
+        format.check(scan, reading.groups or (), meanings, surface)
+    alignment = _aligned(reading, surface, meanings, is_authored=format.is_modelled)
     notes += alignment.notes
     world = surface.transformed(alignment.pose)
     groups = reading.groups
@@ -96,7 +94,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
-        room_id=scan.room_id,
+        room_id=room_of(scan),
         dataset=scan.scene_id.partition("/")[0],
         scan=scan.scene_id.partition("/")[2],
         scan_format=scan.format,
@@ -118,20 +116,16 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     )
 
 
-_READERS = {"scannet": read_scannet, "posed_rgbd": read_posed_rgbd, "glb": read_glb_scene}
-
-
 def read_scan(scan: Scan) -> Reading:
     """What the reader of its format makes of a scan; links that were left out are a degradation, or a part of its error.
 
     Raises:
         InputError: a file of the scan cannot be used; names the file and the field.
     """
-    if scan.format not in _READERS:
-        raise InputError(scan.path.name, "format", f"{scan.format!r} is not known", "use scannet, posed_rgbd or glb")
+    format = format_of(scan)
     note = left_out(scan)
     try:
-        reading = _READERS[scan.format](scan)
+        reading = format.read(scan)
     except InputError as error:
         if not note:
             raise
@@ -139,8 +133,8 @@ def read_scan(scan: Scan) -> Reading:
     return dataclasses.replace(reading, degradations=(*reading.degradations, note)) if note else reading
 
 
-def _meaning(group: Group, labels: LabelMap, scan_format: str) -> Label:
-    return labels.of_node(group.raw_label, group.source_id) if scan_format == "glb" else labels[group.raw_label]
+def _meaning(group: Group, labels: LabelMap, is_node: bool) -> Label:
+    return labels.of_node(group.raw_label, group.source_id) if is_node else labels[group.raw_label]
 
 
 def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label], scan: str) -> list[str]:

@@ -12,13 +12,14 @@ import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import open_file
 from tasks.capture.documents import MAX_JSON_BYTES, MAX_TEXT_BYTES, name_of
-from tasks.capture.formats import Scan, glb_file, left_out
-from tasks.capture.layout import FrameLayout, frame_layout, scannet_layout
+from tasks.capture.formats import format_of, left_out
+from tasks.capture.layout import FrameLayout
+from tasks.capture.scan import Scan
 from tasks.capture.sens import MAX_SENS_BYTES, open_sens
+from tasks.families import part
 from tasks.unpacking import json_value
 
 _TEMPORARY = re.compile(
@@ -28,7 +29,9 @@ _TEMPORARY = re.compile(
     r"|\.rsync-partial|\.~tmp~"
 )
 
-_HEADER_BYTES = 65536
+HEADER_BYTES = 65536
+"""A header that is longer is none."""
+
 _SIZES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8,
           "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}  # fmt: skip
 _CUT_JSON_LETTERS = 16
@@ -54,7 +57,7 @@ def find_gap(scan: Scan) -> Gap | None:
     Opens every file, and reads JSON and small texts whole. A file that vanishes meanwhile is a gap.
     """
     try:
-        gaps = list(_GAPS[scan.format](scan))
+        gaps = list(_gaps(scan))
     except FileNotFoundError as error:
         return Gap(f"{Path(str(error.filename)).name}: vanished while it was looked at")
     except (InputError, OSError):  # the reader says so, too, and says it better
@@ -64,49 +67,21 @@ def find_gap(scan: Scan) -> Gap | None:
     return dataclasses.replace(gap, what=f"{gap.what} ({note})") if gap is not None and note else gap
 
 
-def _scannet(scan: Scan) -> Iterator[Gap]:
-    layout = scannet_layout(scan.path, scan.premises)
-    if layout is None:
-        yield Gap(f"{scan.path.name}: holds no ScanNet scan any more")
+def _gaps(scan: Scan) -> Iterator[Gap]:
+    """Gaps by the module `wholeness` of the scan's format; without one, by what each of its files says of its length."""
+    format = format_of(scan)
+    own = part("tasks.capture", format.name, "wholeness")
+    if own is not None:
+        yield from own.gaps(scan)
         return
-    if layout.mesh is None and layout.sens is None and layout.frames is None:
-        yield Gap(f"{layout.scan}_vh_clean_2.ply: is missing")
-    if layout.aggregation is not None and not layout.segments:
-        yield Gap(f"{layout.scan}_vh_clean_2.0.010000.segs.json: is missing")
-    if layout.aggregation is not None and layout.mesh is None:
-        yield Gap(f"{layout.scan}_vh_clean_2.ply: is missing")
-    if layout.segments and layout.aggregation is None:
-        yield Gap(f"{layout.scan}.aggregation.json: is missing", is_readable=True)
-    for path in (layout.metadata, layout.aggregation, layout.sens, *layout.meshes, *layout.segments):
-        if path is not None:
-            yield from _file_gaps(path, scan.path)
-    yield from _counted(layout.meshes, layout.segments, scan.path)
-    if layout.frames is not None:
-        yield from _frames(layout.frames, scan.path, stated=layout.metadata is not None)
+    for path in format.files(scan, scan.premises):
+        yield from file_gaps(path, scan.folder)
 
 
-def _posed_rgbd(scan: Scan) -> Iterator[Gap]:
-    layout = frame_layout(scan.path, premises=scan.premises)
-    if layout is None or not layout.frames:
-        yield Gap(f"{scan.path.name}: holds no frames any more")
-        return
-    yield from _frames(layout, scan.path, stated=False)
-    if layout.trajectory is None and not any(frame.pose for frame in layout.frames):
-        yield Gap(f"{scan.path.name}: poses are missing")
-
-
-def _glb(scan: Scan) -> Iterator[Gap]:
-    path = glb_file(scan)
-    yield from _file_gaps(path, path.parent)
-
-
-_GAPS: dict[str, Callable[[Scan], Iterator[Gap]]] = {"scannet": _scannet, "posed_rgbd": _posed_rgbd, "glb": _glb}
-
-
-def _frames(layout: FrameLayout, folder: Path, stated: bool) -> Iterator[Gap]:
+def frame_gaps(layout: FrameLayout, folder: Path, stated: bool) -> Iterator[Gap]:
     """Gaps of exported frames. `stated`: the scan's metadata may state the intrinsics."""
     for path in layout.files:
-        yield from _file_gaps(path, folder)
+        yield from file_gaps(path, folder)
     for what, files in (("depth", [f.depth for f in layout.frames]), ("pose", [f.pose for f in layout.frames])):
         there = sum(path is not None for path in files)
         if there < len(files) and (there or what == "depth" or layout.trajectory is None):
@@ -117,14 +92,14 @@ def _frames(layout: FrameLayout, folder: Path, stated: bool) -> Iterator[Gap]:
             if count > len(layout.frames):
                 yield Gap(f"{folder.name}: {len(layout.frames)} color images and {count} of {what}", is_readable=True)
     if layout.trajectory is not None:
-        lines = [line for line in _content(layout.trajectory, MAX_TEXT_BYTES).splitlines() if line.strip() and not line.startswith(b"#")]
+        lines = [line for line in content(layout.trajectory, MAX_TEXT_BYTES).splitlines() if line.strip() and not line.startswith(b"#")]
         if len(lines) < len(layout.frames):
             yield Gap(f"{name_of(layout.trajectory, folder)}: has {len(lines)} lines for {len(layout.frames)} frames", is_readable=True)
     if layout.color_intrinsics is None:
         yield Gap(f"{folder.name}: intrinsics are missing", is_readable=stated)
 
 
-def _file_gaps(path: Path, folder: Path) -> Iterator[Gap]:
+def file_gaps(path: Path, folder: Path) -> Iterator[Gap]:
     """What a file's own words about its length say."""
     name, size = name_of(path, folder), path.stat().st_size
     if not size:
@@ -138,13 +113,13 @@ def _file_gaps(path: Path, folder: Path) -> Iterator[Gap]:
 
 def _ply(path: Path, size: int) -> Gap | None:
     with open_file(path, path.name, MAX_SENS_BYTES) as file:
-        head = file.read(_HEADER_BYTES)
+        head = file.read(HEADER_BYTES)
         end = head.find(b"end_header")
         start = head.find(b"\n", end) + 1
         if not head.startswith(b"ply"[: len(head)]):
             return None
         if end < 0 or not start:
-            return Gap("ends inside its header") if size < _HEADER_BYTES else None
+            return Gap("ends inside its header") if size < HEADER_BYTES else None
         elements = _elements(head[:end].decode("latin-1"))
         if b"format ascii" in head[:end]:
             rows = sum(count for count, _ in elements)
@@ -170,27 +145,9 @@ def _elements(header: str) -> list[tuple[int, int]]:
     return found
 
 
-def _counted(meshes: tuple[Path, ...], segments: tuple[Path, ...], folder: Path) -> Iterator[Gap]:
-    """Segments that index another number of vertices than their mesh has: one of both is of an older copy."""
-    for path in segments:
-        own = folder / f"{re.sub(r'([.][0-9]+[.][0-9]+)?[.]segs[.]json$', '', path.name)}.ply"
-        if own not in meshes:
-            continue
-        with open_file(own, own.name, BUDGET.scene_bytes) as file:
-            head = file.read(_HEADER_BYTES)
-        declared = re.search(rb"element vertex ([0-9]{1,18})\s", head)
-        try:
-            indices = json_value(_content(path, MAX_JSON_BYTES)).get("segIndices")
-        except (ValueError, AttributeError):
-            continue
-        if declared and isinstance(indices, list) and len(indices) != int(declared[1]):
-            what = f"{name_of(path, folder)}: has {len(indices)} values for the {int(declared[1])} vertices of {own.name}"
-            yield Gap(what, is_readable=True)
-
-
 def _json(path: Path, size: int) -> Gap | None:
     try:
-        text = _content(path, MAX_JSON_BYTES).decode("utf-8-sig")
+        text = content(path, MAX_JSON_BYTES).decode("utf-8-sig")
         json_value(text)
     except UnicodeDecodeError as error:
         return Gap("ends inside a letter") if error.end >= size - 1 and error.reason == "unexpected end of data" else None
@@ -257,7 +214,8 @@ def _glb_length(path: Path, size: int) -> Gap | None:
     return Gap(f"needs {needed} bytes and has {size}") if size < needed else None
 
 
-def _content(path: Path, most_bytes: int) -> bytes:
+def content(path: Path, most_bytes: int) -> bytes:
+    """All that a file holds."""
     with open_file(path, path.name, most_bytes) as file:
         return file.read()
 

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
 from tasks.optimization.mujoco_engine import Mujoco
 from tasks.pieces import PieceConfig
 from tasks.replica import ShellConfig
-from tasks.settings import Config, Texts
+from tasks.settings import LISTED, Config
+
+if TYPE_CHECKING:
+    Formats = tuple[str, ...]
+else:
+    Formats = Annotated[tuple[Literal[EXPORT_FORMATS], ...], LISTED]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +55,7 @@ class MjcfConfig(Config):
 class ExportsConfig(Config):
     """What is exported, and what physics is given where nothing is known."""
 
-    formats: Texts = FORMATS  # all of them: a file nobody asked for costs less than a scene exported again
+    formats: Formats = EXPORT_FORMATS  # all of them: a file nobody asked for costs less than a scene exported again
     pieces: PieceConfig = dataclasses.field(default_factory=PieceConfig)  # those of certificates: what is exported is what was certified
     shell: ShellConfig = dataclasses.field(default_factory=ShellConfig)
     usd: UsdConfig = dataclasses.field(default_factory=UsdConfig)

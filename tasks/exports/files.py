@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from tasks.exports.findings import Finding
@@ -26,6 +26,14 @@ class Export:
     rules: Iterable[str]
     findings: Sequence[Finding]
     missed: Sequence[str] = ()
+
+
+def write_folder(root: Path, files: Mapping[str, bytes]) -> None:
+    """Write files by path, below `root`."""
+    for path, data in files.items():
+        target = root / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(data)
 
 
 def files_below(root: Path, role_of: Callable[[str], str]) -> list[File]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePosixPath
 
 from schemas.errors import InputError
 from schemas.exports import ExportFile
-from tasks.exports.files import File
-from tasks.exports.habitat.dataset import HabitatScene, dataset_files, describe
+from tasks.exports.formats import FORMATS
 
 
 def layout(rows: Sequence[ExportFile]) -> dict[str, str]:
@@ -29,21 +28,19 @@ def layout(rows: Sequence[ExportFile]) -> dict[str, str]:
 
 
 def shared_files(rows: Sequence[ExportFile], blobs: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Files that belong to no scene alone, by path from the export's root: those of the Habitat dataset."""
-    scenes: dict[str, dict[str, ExportFile]] = {}
-    for row in rows:
-        if row.format == "habitat":
-            scenes.setdefault(row.scene_id, {})[row.path] = row
-    described = [_described(scenes[scene_id], blobs) for scene_id in sorted(scenes)]
-    return {f"habitat/{path}": data for path, data in dataset_files(described).items()} if described else {}
+    """Files that belong to no scene alone, by path from the export's root: those of a dataset."""
+    shared: dict[str, bytes] = {}
+    for format_ in FORMATS:
+        scenes: dict[str, dict[str, ExportFile]] = {}
+        for row in rows:
+            if row.format == format_.name:
+                scenes.setdefault(row.scene_id, {})[row.path] = row
+        if format_.shared is not None and scenes:
+            files = format_.shared([_described(scenes[scene_id], blobs) for scene_id in sorted(scenes)])
+            shared |= {f"{format_.name}/{path}": data for path, data in files.items()}
+    return shared
 
 
-def dataset_of(files: Sequence[File]) -> dict[str, bytes]:
-    """The same for a dataset of one scene, whose files are at hand; by path from the dataset's root."""
-    contents = {file.path: file.data for file in files}
-    return dataset_files([describe({file.path: file.role for file in files}, contents.__getitem__)])
-
-
-def _described(rows: Mapping[str, ExportFile], blobs: Mapping[str, bytes]) -> HabitatScene:
-    """A scene by its rows, by path."""
-    return describe({path: row.role for path, row in rows.items()}, lambda path: blobs[rows[path].file_blob])
+def _described(rows: Mapping[str, ExportFile], blobs: Mapping[str, bytes]) -> tuple[Mapping[str, str], Callable[[str], bytes]]:
+    """Roles of a scene's files by path, and what reads them."""
+    return {path: row.role for path, row in rows.items()}, lambda path: blobs[rows[path].file_blob]

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.capture.formats import Scan
 from tasks.capture.labels import Label
+from tasks.capture.scan import Scan
 
 if TYPE_CHECKING:
     import trimesh

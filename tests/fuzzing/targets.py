@@ -19,6 +19,8 @@ from typing import Any
 
 from schemas.errors import LakeError
 from schemas.files import read_file
+from tasks.exports.formats import FORMATS
+from tasks.families import member
 from tests.fuzzing import seeds
 from tests.fuzzing.doors import PARSER, STAGE, Refused, Target
 
@@ -41,9 +43,9 @@ def _outside_inputs() -> list[Target]:
 
 
 def _scan_formats() -> list[Target]:
-    from tasks.capture.formats import FORMATS
+    from schemas.families.scan_formats import SCAN_FORMATS
 
-    return [Target(f"capture {name}", STAGE, lambda name=name: seeds.capture(name), _captured(name)) for name in FORMATS]
+    return [Target(f"capture {name}", STAGE, lambda name=name: seeds.capture(name), _captured(name)) for name in SCAN_FORMATS]
 
 
 def _doctors() -> list[Target]:
@@ -141,19 +143,14 @@ def _captured(format_: str) -> Callable[[Path], None]:
     return read
 
 
-_FOLDERS = ("habitat", "urdf")
-"""What is checked by the folder: a dataset, objects with their poses."""
-
-
 def _files(name: str, folder: Path) -> list[Path]:
-    return [folder] if name in _FOLDERS else sorted(folder.glob("scene.*"))
+    return sorted(folder.glob("scene.*")) if member(FORMATS, name).doctor.takes == "a file" else [folder]
 
 
 def _checked(name: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
-        check = getattr(import_module(f"tasks.exports.{name}.rules"), f"check_{name}")
         for path in _files(name, folder):
-            for finding in check(path):
+            for finding in member(FORMATS, name).check(path):
                 str(finding)
 
     return read

@@ -9,7 +9,8 @@ from typing import Literal
 
 from schemas.capture import Scene
 from schemas.errors import InputError
-from schemas.exports import FORMATS, ExportFile
+from schemas.exports import ExportFile
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.record import BLOB_PATTERN, INSTANCE_PATTERN, SCENE_PATTERN, arrow_to_rows
 from warehouse.snapshot import Reader
 
@@ -74,7 +75,7 @@ def export_files(reader: Reader, path: str) -> tuple[ExportFile, ...]:
     """
     parts = [part for part in path.replace("\\", "/").split("/") if part not in ("", ".")]
     wanted = {(parts[i - 1] if i else None, "/".join(parts[i:])) for i in range(len(parts))}
-    exact = {(name, tail) for name, tail in wanted if name in FORMATS}
+    exact = {(name, tail) for name, tail in wanted if name in EXPORT_FORMATS}
     tails = {tail for _, tail in exact or wanted}
     if not tails:
         return ()

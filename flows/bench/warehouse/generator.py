@@ -30,7 +30,8 @@ import pyarrow.compute as pc
 
 from flows.fingerprints import cache_folder
 from schemas.errors import InputError
-from schemas.exports import FORMATS
+from schemas.families.export_formats import EXPORT_FORMATS
+from schemas.families.policies import POLICIES
 from schemas.record import Table, rows_to_arrow
 from schemas.releases import Release
 from schemas.runs import Snapshot
@@ -217,7 +218,8 @@ def _connection(scenes: int, seed: int, parts: list[int]) -> Iterator[Any]:
             for name, found in _rules().items()
             for place, rule in enumerate(found)
         ]  # fmt: skip
-        for name, value in {"scenes": scenes, "seed": seed, "parts": parts, "rules": rules, "runs": _runs()}.items():
+        variables = {"scenes": scenes, "seed": seed, "parts": parts, "rules": rules, "runs": _runs()}
+        for name, value in {**variables, "formats": sorted(EXPORT_FORMATS), "policies": list(POLICIES)}.items():
             connection.execute(f"SET VARIABLE {name} = {_sql(value)}")
         picks, library = _picks(scenes, seed)
         connection.register("pickable", picks)
@@ -296,14 +298,9 @@ def _picks(scenes: int, seed: int) -> tuple[pa.Table, pa.Table]:
 
 def _rules() -> dict[str, list[str]]:
     """Names of the export rules by format, sorted."""
-    from tasks.exports.glb.rules import RULES as glb
-    from tasks.exports.habitat.rules import RULES as habitat
-    from tasks.exports.mjcf.rules import RULES as mjcf
-    from tasks.exports.urdf.rules import RULES as urdf
-    from tasks.exports.usd.rules import RULES as usd
+    from tasks.exports.formats import FORMATS
 
-    rules = {"glb": glb, "habitat": habitat, "mjcf": mjcf, "urdf": urdf, "usd": usd}
-    return {name: sorted({*rules[name], "complete"}) for name in sorted(FORMATS)}
+    return {format_.name: sorted({*format_.rules(), "complete"}) for format_ in sorted(FORMATS, key=lambda format_: format_.name)}
 
 
 def _runs() -> list[dict[str, Any]]:

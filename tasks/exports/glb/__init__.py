@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import base64
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,9 @@ from schemas.errors import InputError
 from tasks.containers import close_glb, open_glb
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
-from tasks.exports.files import File
+from tasks.exports.files import Export, File
+from tasks.exports.findings import Finding
+from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.mjcf import described
 from tasks.meshes import dump_glb
 from tasks.replica import room_shell
@@ -198,3 +201,35 @@ def _shift_textures(value: Any, by: int) -> None:
     elif isinstance(value, list):
         for inner in value:
             _shift_textures(inner, by)
+
+
+def _make(scene: ExportedScene) -> Export:
+    """The files, written to a temporary folder and checked there."""
+    files = glb_files(scene.replica, scene.config)
+    return checked(files, _rules(), lambda root: _check(root / files[0].path))
+
+
+def _rules() -> Sequence[str]:
+    from tasks.exports.glb.rules import RULES
+
+    return tuple(RULES)
+
+
+def _check(path: Path) -> Sequence[Finding]:
+    from tasks.exports.glb.rules import check_glb
+
+    return check_glb(path)
+
+
+GLB = ExportFormat(
+    name="glb",
+    title="GLB scenes",
+    make=_make,
+    rules=_rules,
+    check=_check,
+    opened=lambda root: sorted(root.glob("*.glb")),
+    doctor=Doctor(
+        about="Check anybody's GLB of a scene.",
+        example="./replicas/glb/scannet_scene0000_00.glb",
+    ),
+)

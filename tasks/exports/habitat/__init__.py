@@ -11,7 +11,10 @@ import gzip
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +24,9 @@ from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh
 from tasks.exports.bodies import Body, Replica, digest, identifier, stem
 from tasks.exports.config import ExportsConfig, HabitatConfig
-from tasks.exports.files import File
+from tasks.exports.files import Export, File, write_folder
+from tasks.exports.findings import Finding
+from tasks.exports.format import Doctor, ExportedScene, ExportFormat
 from tasks.exports.gltf import scaled_glb
 from tasks.meshes import dump_glb
 from tasks.pieces import Hull
@@ -324,3 +329,62 @@ def view_overlap(corners: NDArray[np.float64], view: Sequence[float], eye_height
     image = box(-half, -half / config.view_aspect, half, half / config.view_aspect)
     outline = MultiPoint(np.column_stack([-ahead[:, 1], ahead[:, 2]]) / ahead[:, :1]).convex_hull
     return float(outline.intersection(image).area / image.area)
+
+
+def _make(scene: ExportedScene) -> Export:
+    """The scene's part of the dataset, checked as a dataset of this one scene."""
+    config, replica = scene.config, scene.replica
+    navmesh = _navmesh(scene.navmeshes, scene.episodes, config)
+    missed = [] if navmesh is not None else ["no navmesh: the Habitat scene has neither navmesh nor episodes"]
+    others = sorted(row.agent for row in scene.navmeshes if navmesh is not None and row.agent != navmesh.agent)
+    missed += [f"navmesh and episodes of agent {agent!r} are left out: a Habitat scene has one navmesh" for agent in others]
+    blob = None if navmesh is None else (navmesh, scene.blobs[navmesh.navmesh_blob])
+    files, lost = habitat_files(replica, blob, scene.episodes, config)
+    contents = {file.path: file.data for file in files}
+    with tempfile.TemporaryDirectory(prefix="dataset-") as place:
+        root = Path(place).resolve() / HABITAT.name
+        write_folder(root, contents | _shared([({file.path: file.role for file in files}, contents.__getitem__)]))
+        return Export(files, _rules(), _check(root), [*missed, *lost])
+
+
+def _navmesh(navmeshes: Sequence[Navmesh], episodes: Sequence[Episode], config: ExportsConfig) -> Navmesh | None:
+    """The navmesh to export: of the agent that is asked for, else of the one with the most episodes."""
+    wanted = config.habitat.agent
+    count = Counter(episode.agent for episode in episodes)
+    found = [row for row in navmeshes if wanted is None or row.agent == wanted]
+    return min(found, key=lambda row: (-count[row.agent], row.agent), default=None)
+
+
+def _shared(scenes: Sequence[tuple[Mapping[str, str], Callable[[str], bytes]]]) -> dict[str, bytes]:
+    """Files of the dataset beside those of its scenes."""
+    from tasks.exports.habitat.dataset import dataset_files, describe
+
+    return dataset_files([describe(roles, read) for roles, read in scenes])
+
+
+def _rules() -> Sequence[str]:
+    from tasks.exports.habitat.rules import RULES
+
+    return tuple(RULES)
+
+
+def _check(path: Path) -> Sequence[Finding]:
+    from tasks.exports.habitat.rules import check_habitat
+
+    return check_habitat(path)
+
+
+HABITAT = ExportFormat(
+    name="habitat",
+    title="Habitat dataset",
+    make=_make,
+    rules=_rules,
+    check=_check,
+    opened=lambda root: [root],
+    doctor=Doctor(
+        about="Check a Habitat scene dataset against everything that habitat-sim and habitat-lab stumble over.",
+        example="./replicas/habitat",
+        takes="a folder",
+    ),
+    shared=_shared,
+)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -16,7 +17,9 @@ from numpy.typing import ArrayLike
 
 from tasks.exports.bodies import Body, Replica, Shape
 from tasks.exports.config import ExportsConfig
-from tasks.exports.files import File
+from tasks.exports.files import Export, File
+from tasks.exports.findings import Finding
+from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.wavefront import Painted, as_png, dump_obj, painted_part, painted_shape
 from tasks.optimization.mujoco_engine import Mujoco, contact_of, friction_of
 from tasks.pieces import Hull
@@ -201,3 +204,36 @@ def _numbers(values: ArrayLike) -> str:
 def _role(name: str) -> str:
     """Role of a file beside the scene."""
     return "texture" if name.endswith(".png") else "stage" if name.startswith("room_") else "asset"
+
+
+def _make(scene: ExportedScene) -> Export:
+    """The files, written to a temporary folder and checked there."""
+    files = mjcf_files(scene.replica, scene.config)
+    return checked(files, _rules(), lambda root: _check(root / scene.replica.stem / "scene.xml"))
+
+
+def _rules() -> Sequence[str]:
+    from tasks.exports.mjcf.rules import RULES
+
+    return tuple(RULES)
+
+
+def _check(path: Path) -> Sequence[Finding]:
+    from tasks.exports.mjcf.rules import check_mjcf
+
+    return check_mjcf(path)
+
+
+MJCF = ExportFormat(
+    name="mjcf",
+    title="MuJoCo scenes",
+    make=_make,
+    rules=_rules,
+    check=_check,
+    opened=lambda root: sorted(root.glob("*/scene.xml")),
+    doctor=Doctor(
+        about="Check anybody's MuJoCo model: what MuJoCo refuses, and what it lets pass without a word.",
+        example="./replicas/mjcf/scannet_scene0000_00/scene.xml",
+        names_others=True,
+    ),
+)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -17,7 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
-from tasks.exports.files import File
+from tasks.exports.files import Export, File
+from tasks.exports.findings import Finding
+from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.mjcf import described
 from tasks.exports.wavefront import Painted, dump_mtl, dump_obj, painted_part, painted_shape
 from tasks.replica import room_shell
@@ -181,3 +184,37 @@ def _role(name: str) -> str:
     if name.endswith((".png", ".jpg")):
         return "texture"
     return "collision" if "_hull_" in name else "asset"
+
+
+def _make(scene: ExportedScene) -> Export:
+    """The files, written to a temporary folder and checked there."""
+    files = urdf_files(scene.replica, scene.config)
+    return checked(files, _rules(), lambda root: _check(root / scene.replica.stem))
+
+
+def _rules() -> Sequence[str]:
+    from tasks.exports.urdf.rules import RULES
+
+    return tuple(RULES)
+
+
+def _check(path: Path) -> Sequence[Finding]:
+    from tasks.exports.urdf.rules import check_urdf
+
+    return check_urdf(path)
+
+
+URDF = ExportFormat(
+    name="urdf",
+    title="URDF objects",
+    make=_make,
+    rules=_rules,
+    check=_check,
+    opened=lambda root: sorted(path.parent for path in root.glob(f"*/{POSES}")),
+    doctor=Doctor(
+        about="Check anybody's URDF file, or a folder of them with its poses.json.",
+        example="./replicas/urdf/scannet_scene0000_00",
+        takes="either",
+        names_others=True,
+    ),
+)

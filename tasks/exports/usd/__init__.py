@@ -7,13 +7,18 @@ a ceiling is a static collider without a rigid body, like the room.
 
 from __future__ import annotations
 
-from pathlib import Path
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
+from tasks.exports.files import Export, files_below
+from tasks.exports.findings import Finding
+from tasks.exports.format import Doctor, ExportedScene, ExportFormat
 from tasks.exports.shading import corner_normals
 from tasks.exports.usd.assets import asset_name, write_asset
 from tasks.exports.usd.layers import (
@@ -150,3 +155,59 @@ def _joined(known: Any, stated: dict[str, Any]) -> dict[str, Any]:
     """A dictionary of a layer or prim with more said under this project's name."""
     values = dict(known)
     return values | {"metascenes": dict(values.get("metascenes", {})) | stated}
+
+
+_ROLES = {"scene.usda": "scene", "room": "stage", "textures": "texture"}
+
+
+def _make(scene: ExportedScene) -> Export:
+    """The scene, written to a temporary folder, checked there, read back."""
+    with tempfile.TemporaryDirectory(prefix="usd-") as place:
+        root = Path(place).resolve()
+        findings = _check(write_usd(root, scene.replica, scene.config))
+        return Export(files_below(root, _role), _rules(), findings)
+
+
+def _role(name: str) -> str:
+    """Role of a file by its path."""
+    parts = PurePosixPath(name).parts
+    return next((role for part, role in _ROLES.items() if part in parts), "asset")
+
+
+def _rules() -> Sequence[str]:
+    from tasks.exports.usd.rules import RULES
+
+    return tuple(RULES)
+
+
+def _check(path: Path) -> Sequence[Finding]:
+    from tasks.exports.usd.rules import check_usd
+
+    return check_usd(path)
+
+
+def _package(files: Mapping[str, bytes], root: str) -> bytes:
+    from tasks.exports.usd.package import package
+
+    return package(files, root)
+
+
+USD = ExportFormat(
+    name="usd",
+    title="USD scenes",
+    make=_make,
+    rules=_rules,
+    check=_check,
+    opened=lambda root: [*sorted(root.glob("*/scene.usda")), *sorted(root.glob("*.usdz"))],
+    doctor=Doctor(
+        about="Check anybody's USD file or .usdz: UsdValidation's rules and those for scenes with physics.\n\n"
+        "Things with a variant set `physics` are checked in each of its variants.",
+        example="scene.usda --omniverse",
+        names_others=True,
+        validators=(("omniverse", "Ask NVIDIA's omniverse-asset-validator too, where it is installed."),),
+    ),
+    with_release=with_release,
+    package=_package,
+    suffix=".usdz",
+    is_nested=True,
+)

@@ -10,6 +10,6 @@ FROM (
     SELECT *, format || '/' || replace(scene_id, '/', '_') AS stem, (step + 1) % 8 AS file
     FROM (
         SELECT *, unnest(range(8)) AS step
-        FROM (SELECT *, unnest(['glb', 'habitat', 'mjcf', 'urdf', 'usd']) AS format FROM scenes_now)
+        FROM (SELECT *, unnest(getvariable('formats')) AS format FROM scenes_now)
     )
 )

@@ -53,7 +53,7 @@ FROM (
         CASE WHEN ran = 'annotation' THEN batch_of(scene) ELSE concat(ran, '-', lpad(CAST(scene // 100 AS VARCHAR), 5, '0')) END AS place_id,
         CASE WHEN ran = 'annotation' THEN ran ELSE 'evaluation' END AS stage, [] AS reads, 0.5 AS mean_seconds, 8 AS number, 1 AS version
     FROM (
-        SELECT *, unnest(CASE scene % 100 WHEN 7 THEN ['annotation'] WHEN 3 THEN ['expert', 'random'] ELSE [] END) AS ran
+        SELECT *, unnest(CASE scene % 100 WHEN 7 THEN ['annotation'] WHEN 3 THEN getvariable('policies') ELSE [] END) AS ran
         FROM scenes_now
     )
 )

@@ -26,5 +26,5 @@ SELECT
     'planar' AS path_finder,
     NULL AS problem,
     NULL AS source_file
-FROM (SELECT *, unnest(['expert', 'random']) AS policy FROM episodes_now WHERE scene % 100 = 3)
+FROM (SELECT *, unnest(getvariable('policies')) AS policy FROM episodes_now WHERE scene % 100 = 3)
 ORDER BY batch_id, scene_id, episode_id

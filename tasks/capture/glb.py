@@ -1,21 +1,25 @@
-"""Reader of a modelled scene: a GLB whose nodes are named `model|category|part`, or just named."""
+"""A modelled scene: a GLB whose nodes are named `model|category|part`, or just named."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.capture.documents import license_of, name_of, read_bytes
-from tasks.capture.formats import Scan, glb_file, license_path
 from tasks.capture.labels import Label
 from tasks.capture.ply import check_vertices
+from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading
+from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 from tasks.containers import GLB_MAGIC
 from tasks.meshes import Surface, load_glb, parse_node_name, surface_of
+
+SUFFIX = ".glb"
 
 MOST_SURFACE = 0.5
 """Share of a scene's surface that is more than a single object of a room has, and more than nodes without labels may have."""
@@ -37,7 +41,7 @@ def read_glb_scene(scan: Scan) -> Reading:
     Raises:
         InputError: it is no GLB, holds no triangles, or is not in metres.
     """
-    path = glb_file(scan)
+    path = single_file(scan, SUFFIX)
     folder = path.parent
     name = name_of(path, folder)
     data = read_bytes(path, name, BUDGET.scene_bytes, GLB_MAGIC)
@@ -123,3 +127,29 @@ def plain_label(name: str) -> str:
         while end and (name[end - 1].isdecimal() or name[end - 1].isspace() or name[end - 1] in "._-"):
             end -= 1
     return name[:end] or name
+
+
+def _recognize(folder: Path) -> str | None:
+    return folder.name if len(files_named(folder, SUFFIX)) == 1 else None
+
+
+def _files(scan: Scan, premises: Premises) -> list[Path]:
+    return [single_file(scan, SUFFIX)]
+
+
+def _check(scan: Scan, groups: Sequence[Group], meanings: Sequence[Label], surface: Surface) -> None:
+    check_labelled(groups, meanings, surface, name_of(single_file(scan, SUFFIX), scan.folder))
+
+
+GLB = ScanFormat(
+    name="glb",
+    dataset="glb",
+    expected="one .glb file",
+    recognize=_recognize,
+    is_recorded=lambda folder: False,
+    files=_files,
+    read=read_glb_scene,
+    suffix=SUFFIX,
+    is_modelled=True,
+    check=_check,
+)

@@ -1,4 +1,4 @@
-"""Reader of the ScanNet format, in all the variants in which its scans are found.
+"""The ScanNet format, in all the variants in which its scans are found.
 
 Aggregation under either of its two names, with or without axis alignment, with or without the dataset's prefix in
 ids, frames in a `.sens` container, exported to folders, or absent.
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.documents import floats, integers, license_of, name_of, read_json, read_text, settings
-from tasks.capture.formats import Scan, license_path
 from tasks.capture.frames import exported_frames, sens_frames
-from tasks.capture.layout import ScanNetLayout, scannet_layout
 from tasks.capture.ply import read_ply
+from tasks.capture.premises import Premises
 from tasks.capture.reading import FrameSource, Group, Reading, groups_of
+from tasks.capture.scan import Scan, ScanFormat, license_path
+from tasks.capture.scannet.layout import ScanNetLayout, scannet_layout
 from tasks.meshes import Surface
 from tasks.transforms import is_rigid, nearest_rigid
 
@@ -201,3 +202,25 @@ def _group(entry: Any, name: str, field: str) -> tuple[int, str, NDArray[np.int6
     ids = integers(entry.get("segments"), name, f"{field}.segments", minimum=-(2**62))
     # A byte that is no UTF-8 cannot come from JSON, a lone surrogate can.
     return object_id, " ".join(label.encode("utf-8", "replace").decode().split())[:200], ids
+
+
+def _recognize(folder: Path) -> str | None:
+    layout = scannet_layout(folder)
+    return layout.scan if layout is not None else None
+
+
+def _files(scan: Scan, premises: Premises) -> list[Path]:
+    layout = scannet_layout(scan.folder, premises)
+    return layout.files if layout is not None else []
+
+
+SCANNET = ScanFormat(
+    name="scannet",
+    dataset="scannet",
+    expected="<scan>_vh_clean_2.ply, .segs.json and .aggregation.json, or <scan>.sens",
+    recognize=_recognize,
+    is_recorded=lambda folder: _recognize(folder) is not None,
+    files=_files,
+    read=read_scannet,
+    room=r"(.*/scene\d{4})_\d{2}",  # rescans are scene0001_00, scene0001_01
+)

@@ -1,4 +1,4 @@
-"""Reader of a plain folder of posed RGB-D frames: color, depth, poses and intrinsics, and no instances."""
+"""A plain folder of posed RGB-D frames: color, depth, poses and intrinsics, and no instances."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from pathlib import Path
 from schemas.errors import InputError
 from tasks.capture.conventions import CLEARLY_BETTER, CONVENTIONS, MIN_AGREEMENT, QUATERNIONS, agreement
 from tasks.capture.documents import license_of
-from tasks.capture.formats import Scan, license_path
 from tasks.capture.frames import exported_frames, pose_format
-from tasks.capture.layout import FrameLayout, frame_layout
+from tasks.capture.layout import FrameLayout, folders_in, frame_layout, is_framed
+from tasks.capture.premises import Premises
 from tasks.capture.reading import FrameSource, Reading
+from tasks.capture.scan import Scan, ScanFormat, license_path
 
 
 def read_posed_rgbd(scan: Scan) -> Reading:
@@ -59,3 +60,19 @@ def _by_convention(layout: FrameLayout, folder: Path) -> tuple[tuple[FrameSource
         return frames, notes
     note = f"poses read as {convention}: depth of neighboring frames then agrees on {share:.0%}, otherwise on {usual:.0%}"
     return other, [*more, f"{note}; state pose_format in intrinsics.json to settle it"]
+
+
+def _files(scan: Scan, premises: Premises) -> list[Path]:
+    layout = frame_layout(scan.folder, premises=premises)
+    return layout.files if layout is not None else []
+
+
+POSED_RGBD = ScanFormat(
+    name="posed_rgbd",
+    dataset="rgbd",
+    expected="folders color and depth with poses and intrinsics",
+    recognize=lambda folder: folder.name if is_framed(folder) else None,
+    is_recorded=lambda folder: is_framed(folder) or any(map(is_framed, folders_in(folder))),
+    files=_files,
+    read=read_posed_rgbd,
+)

@@ -1,0 +1,5 @@
+"""Candidate providers: who can fill a slot of an instance. The objects are in `tasks.candidates`."""
+
+from __future__ import annotations
+
+CANDIDATE_PROVIDERS = ("procedural", "scan_crop", "library")

@@ -1,0 +1,6 @@
+"""Export formats: what scenes are written as. The objects are in `tasks.exports`."""
+
+from __future__ import annotations
+
+EXPORT_FORMATS = ("usd", "habitat", "mjcf", "urdf", "glb")
+"""In the order in which they are written."""

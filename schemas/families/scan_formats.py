@@ -1,0 +1,6 @@
+"""Scan formats: what a folder of scans may hold. The objects are in `tasks.capture`."""
+
+from __future__ import annotations
+
+SCAN_FORMATS = ("scannet", "posed_rgbd", "glb")
+"""In the order in which they are looked for."""

@@ -1,0 +1,109 @@
+"""A scan, and what a scan format is. Opens nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from schemas.errors import InputError
+from tasks.capture.premises import REMEDY, Premises
+from tasks.words import plain_word
+
+if TYPE_CHECKING:
+    from tasks.capture.labels import Label
+    from tasks.capture.reading import Group, Reading
+    from tasks.meshes import Surface
+
+
+@dataclasses.dataclass(frozen=True)
+class ScanFormat:
+    """A member of the family `schemas.families.scan_formats`: how scans of a format are found and read.
+
+    dataset: Dataset of its scans, where nobody names one. expected: What a scan of it consists of, in the words of an error.
+    recognize: Name of the scan that a folder is, by the names in it and wherever links among them lead; None where it is none.
+    is_recorded: Whether a folder is or holds a scan of frames or of a sensor's mesh: then what lies beside it is a scan of its own.
+    files: All files that `read` would read; links among them that leave the premises are left out, and remembered there.
+    read: Everything that a scan states.
+    suffix: Of formats whose scans are single files: how their names end, in lower case.
+    is_modelled: Somebody drew it: its axes are the author's, and its labels are names of nodes.
+    check: Refuses what would become no scene, once its labels are known: takes the scan, its instances, what their labels mean, and
+    its surface. room: Pattern of scene ids that are scans of one room, which its first group names.
+
+    `recognize` and `files` raise InputError for what is no scan and looks like one, `read` and `check` for files that cannot be used.
+    What tells a broken copy from a whole one is only asked by a watch, and lies in `wholeness` of the format's package, where it
+    has one: capture does not depend on it.
+    """
+
+    name: str
+    dataset: str
+    expected: str
+    recognize: Callable[[Path], str | None]
+    is_recorded: Callable[[Path], bool]
+    files: Callable[[Scan, Premises], Sequence[Path]]
+    read: Callable[[Scan], Reading]
+    suffix: str = ""
+    is_modelled: bool = False
+    check: Callable[[Scan, Sequence[Group], Sequence[Label], Surface], None] | None = None
+    room: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scan:
+    """A scan that was found. `path` is its folder, or its file for one that lies beside others.
+
+    places: Folders, links followed, that links of the scan may lead into; without any, the scan's own.
+    """
+
+    format: str
+    path: Path
+    dataset: str
+    scan: str
+    places: tuple[Path, ...] = dataclasses.field(default=(), compare=False)
+
+    @property
+    def folder(self) -> Path:
+        """The folder that it lies in, or is."""
+        return self.path if self.path.is_dir() else self.path.parent
+
+    @property
+    def premises(self) -> Premises:
+        """What decides which of its links are followed."""
+        return Premises(self.places or (self.folder,))
+
+    @property
+    def scene_id(self) -> str:
+        """`<dataset>/<scan>`, both as plain words."""
+        return f"{plain_word(self.dataset).lower()}/{plain_word(self.scan)}"
+
+
+def license_path(folder: Path, premises: Premises) -> Path | None:
+    """A scan's LICENSE.txt, None without one. A link that leads nowhere is none."""
+    path = folder / "LICENSE.txt"
+    return path if (path.is_file() or path.is_symlink()) and premises.admits(path) and path.is_file() else None
+
+
+def files_named(folder: Path, suffix: str) -> list[Path]:
+    """Whatever in a folder has a name that ends so, in any case, and is no folder, sorted; hidden ones are passed over."""
+    named = (path for path in folder.iterdir() if path.suffix.lower() == suffix and not path.name.startswith("."))
+    return sorted(path for path in named if not path.is_dir())
+
+
+def single_file(scan: Scan, suffix: str) -> Path:
+    """The file of a scan that is one, or a folder with one in it.
+
+    Raises:
+        InputError: the folder does not hold exactly one, or it is a link that leaves the folder of scans.
+    """
+    files = [scan.path] if not scan.path.is_dir() else files_named(scan.path, suffix)
+    if len(files) != 1:
+        raise InputError(scan.path.name, "folder", f"holds {len(files)} {suffix} files, one is expected", "name the file itself")
+    if not scan.premises.admits(files[0]):
+        raise leaving(files[0])
+    return files[0]
+
+
+def leaving(path: Path) -> InputError:
+    """What is said of a link that leaves the folder of scans."""
+    return InputError(path.name, "link", "leads out of the folder of scans", REMEDY)

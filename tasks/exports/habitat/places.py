@@ -1,0 +1,14 @@
+"""What an exported scene says of the things in it: objects of a Habitat scene instance."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+
+def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Objects of a Habitat scene."""
+    for thing in json.loads(data)["object_instances"]:
+        if "instance_id" in thing.get("user_defined", {}):
+            yield thing["template_name"], thing["user_defined"]
