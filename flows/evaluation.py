@@ -18,6 +18,7 @@ from tasks import evaluation
 from tasks.evaluation import EvaluationConfig, TrajectoryBatch, check_batch
 from tasks.evaluation.batch import read_batch
 from tasks.evaluation.policies import POLICIES
+from tasks.families import member
 from tasks.stage import Context
 from warehouse.history import Key, StageState
 from warehouse.lake import Lake
@@ -126,7 +127,7 @@ def _policy_job(
     config = _config(configuration)
     episodes, navmeshes = reader.rows(Episode, scene), reader.rows(Navmesh, scene)
     context = Context(scene_id=scene, stage=STAGE.name, seed=configuration.seed, blobs=lake.blobs)
-    attempts = POLICIES[policy](episodes, config, context.rng)
+    attempts = member(POLICIES, policy).act(episodes, config, context.rng)
     content = digest(policy, run_name, canonical_json([attempts, episodes, navmeshes, config]))
     batch = TrajectoryBatch(f"{policy}-{content[:16]}", policy, run_name, attempts)
     return _job(lake, batch, content, episodes, navmeshes, configuration), batch
@@ -134,12 +135,11 @@ def _policy_job(
 
 def _run_name(policy: str, configuration: Configuration) -> str:
     """Name of a built-in policy's run, with all that changes what it does: runs that act otherwise are never counted as one."""
-    if policy != "random":
-        return "built-in"
+    acting = member(POLICIES, policy)
     config, usual = _config(configuration), EvaluationConfig()
-    values = {name: getattr(config, name) for name in ("stop_probability", "max_steps")}
+    values = {name: getattr(config, name) for name in acting.settings}
     told = [f"{name} {value:g}" for name, value in values.items() if value != getattr(usual, name)]
-    return ", ".join([f"seed {configuration.seed}", *told])
+    return ", ".join([*([f"seed {configuration.seed}"] if acting.is_drawn else []), *told]) or "built-in"
 
 
 def metrics_of(reader: Reader, evaluated: Sequence[Evaluated], configuration: Configuration) -> list[dict[str, Any]]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 from schemas.families.scan_formats import SCAN_FORMATS
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
 
-DATASET_LAYOUTS = ("metascenes", "habitat")
+DatasetLayout = Literal["metascenes", "habitat"]
+
+DATASET_LAYOUTS: tuple[DatasetLayout, ...] = get_args(DatasetLayout)
 """Layouts of finished datasets that are read."""
 
 

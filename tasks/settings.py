@@ -9,7 +9,7 @@ import linecache
 import re
 import sys
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, ClassVar, Union, get_args
 
 from pydantic import BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import ArgsKwargs, CoreSchema, PydanticCustomError, core_schema
@@ -139,6 +139,11 @@ class ByKind:
         made = handler(schema)
         kinds = [tag.removeprefix("kind=") for tag in schema["choices"]]
         return {"anyOf": [{"enum": kinds}, *({**table, "required": ["kind"]} for table in made["oneOf"])]}
+
+
+def union_of(configs: Iterable[type[Config]]) -> Any:
+    """Type of a field that holds a config of any of some classes, each with a `kind` of its own."""
+    return Annotated[Union[tuple(configs)], ByKind()]  # noqa: UP007
 
 
 def _tag(value: Any) -> str:

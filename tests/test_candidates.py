@@ -23,15 +23,15 @@ from schemas.capture import Instance
 from schemas.errors import InputError
 from schemas.record import check
 from tasks import captions
-from tasks.candidates import STAGE, CandidatesConfig, LibraryRetrieval, Procedural, ScanCrop, SlotConfig, run
+from tasks.candidates import STAGE, CandidatesConfig, SlotConfig, run
 from tasks.candidates.assets import MAX_FACES, make_asset
 from tasks.candidates.closing import solid_field
 from tasks.candidates.cutting import hull_area
 from tasks.candidates.descriptors import Descriptor, describe, extents_similarity, shape_similarity, similarity
-from tasks.candidates.library import category_of, index_library, library_asset, library_files
-from tasks.candidates.procedural import fronted_extents
+from tasks.candidates.library import LibraryRetrieval, category_of, index_library, library_asset, library_files
+from tasks.candidates.procedural import Procedural, fronted_extents
 from tasks.candidates.retrieval import category_similarity, retrieve
-from tasks.candidates.scan_crop import closed_crop, pieces_of_crop
+from tasks.candidates.scan_crop import ScanCrop, closed_crop, pieces_of_crop
 from tasks.furniture import generate
 from tasks.meshes import Surface, dump_glb, dump_points, load_glb, sample_surface, surface_of
 from tasks.stage import Blobs, Context, Outcome

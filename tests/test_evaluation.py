@@ -32,7 +32,8 @@ from tasks.batches import parse_json
 from tasks.evaluation import POLICIES, SCHEMA_FILE, STAGE, EvaluationConfig, TrajectoryBatch, parse_batch, read_batch, run
 from tasks.evaluation.measures import path_finder
 from tasks.exports.habitat import rotation
-from tasks.navigation.configuration import RecastConfig
+from tasks.families import member
+from tasks.navigation.recast import RecastConfig
 from tasks.stage import Context
 from tasks.transforms import Z_UP_TO_Y_UP, transform_points
 from tests.conftest import REPOSITORY
@@ -315,7 +316,7 @@ def measured(scene: tuple[list[Episode], list[Navmesh], dict[str, bytes]], batch
 
 def built_in(scene: tuple[list[Episode], list[Navmesh], dict[str, bytes]], policy: str, seed: int = 0) -> list[Trajectory]:
     context = Context(policy, STAGE.name, seed, {})
-    return measured(scene, TrajectoryBatch(policy, policy, "r", POLICIES[policy](scene[0], EvaluationConfig(), context.rng)))
+    return measured(scene, TrajectoryBatch(policy, policy, "r", member(POLICIES, policy).act(scene[0], EvaluationConfig(), context.rng)))
 
 
 def test_the_expert_arrives_as_its_episodes_say(scene: Any) -> None:

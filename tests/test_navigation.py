@@ -22,13 +22,13 @@ from schemas.record import rows_to_arrow
 from schemas.tables import TABLES
 from tasks.meshes import canonical, dump_glb, load_glb, sample_surface
 from tasks.navigation import STAGE, NavigationConfig, placed_surfaces, run, split_of
-from tasks.navigation.configuration import Agent, PathFinderConfig, PlanarConfig, RecastConfig
+from tasks.navigation.configuration import Agent, PathFinderConfig
 from tasks.navigation.follower import STOP, replay
 from tasks.navigation.navmesh import polygon_areas, polygon_islands, read_navmesh
 from tasks.navigation.obstacles import footprint, free_space
 from tasks.navigation.plan import draw_plan
-from tasks.navigation.planar import PlanarPathFinder
-from tasks.navigation.recast import LIBRARY
+from tasks.navigation.planar import PlanarConfig, PlanarPathFinder
+from tasks.navigation.recast import LIBRARY, RecastConfig
 from tasks.stage import Blobs, Context, Outcome
 from tasks.transforms import flat, yaw_pose
 from tests.test_shortest_paths import ROOM_SIZE, brute_force, solid, surface

@@ -17,7 +17,10 @@ from pydantic import ValidationError
 from flows.configuration import TABLES, configs_with, configure
 from flows.parameters import StageTables, checked_tables, stages_schema
 from schemas.errors import InputError
-from tasks.candidates.slots import LibraryRetrieval, Procedural, ScanCrop, SlotConfig
+from tasks.candidates.library import LibraryRetrieval
+from tasks.candidates.procedural import Procedural
+from tasks.candidates.scan_crop import ScanCrop
+from tasks.candidates.slots import SlotConfig
 from tasks.optimization import Default, Paper
 from tasks.pipeline import STAGES
 from tasks.settings import ByKind

@@ -23,9 +23,11 @@ from tasks.exports.habitat.navmesh_file import read_navmesh as independent_reade
 from tasks.exports.habitat.rules import check_habitat
 from tasks.meshes import Surface
 from tasks.navigation import habitat, placed_surfaces, recast, run
-from tasks.navigation.configuration import HabitatConfig, NavigationConfig, PathFinderConfig, PlanarConfig, RecastConfig
+from tasks.navigation.configuration import NavigationConfig, PathFinderConfig
+from tasks.navigation.habitat import HabitatConfig
 from tasks.navigation.navmesh import Settings, dump_navmesh, polygon_areas, read_navmesh
-from tasks.navigation.planar import PlanarPathFinder
+from tasks.navigation.planar import PlanarConfig, PlanarPathFinder
+from tasks.navigation.recast import RecastConfig
 from tasks.navigation.regions import CLOSED, walkable_region
 from tasks.navigation.triangles import scene_triangles
 from tasks.stage import Context

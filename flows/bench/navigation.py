@@ -22,7 +22,9 @@ from flows.bench.tables import add_row, goals_table, headline, table_of
 from flows.pool import WorkerPool
 from schemas.errors import InputError
 from tasks import navigation
-from tasks.navigation import NavigationConfig, PlanarConfig, RecastConfig
+from tasks.navigation import NavigationConfig
+from tasks.navigation.planar import PlanarConfig
+from tasks.navigation.recast import RecastConfig
 from tasks.stage import Context
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import configuration_options, existing_lake, json_option, lake_option
+from schemas.families.policies import POLICIES
 
 if TYPE_CHECKING:
     from flows.evaluation import Evaluated
@@ -21,9 +22,7 @@ MAX_NOTES = 20
 
 @click.command("evaluate", short_help="Measure how well agents navigate the episodes.")
 @click.argument("file", required=False, type=click.Path(path_type=Path, dir_okay=False))
-@click.option(
-    "--policy", "policies", multiple=True, type=click.Choice(["expert", "random"]), help="Run a built-in policy; may be repeated."
-)
+@click.option("--policy", "policies", multiple=True, type=click.Choice(POLICIES), help="Run a built-in policy; may be repeated.")
 @lake_option
 @configuration_options
 @click.option("--dry-run", is_flag=True, help="Check the batch against the lake and say what would be measured; write nothing.")

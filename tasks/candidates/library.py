@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -22,16 +22,30 @@ from schemas.files import read_file, stays_in
 from schemas.text import one_line
 from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, make_asset
 from tasks.candidates.descriptors import Descriptor, describe
+from tasks.candidates.provider import CandidateProvider, NothingToOffer
 from tasks.captions.physics import known_name
 from tasks.containers import GLB_MAGIC
 from tasks.meshes import load_glb, sample_surface, surface_of
+from tasks.settings import Config, Whole
 from tasks.unpacking import json_value
+
+if TYPE_CHECKING:
+    from tasks.candidates.request import CandidateRequest
 
 SAMPLES = 1500
 """Surface points per file for its descriptor."""
 
 CACHED_FILES, CACHED_ASSETS = 20_000, 64
 """How many descriptors (6 kB each) and finished assets (megabytes each) a process keeps."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LibraryRetrieval(Config):
+    """The k-th best asset of a library folder by category, extents, shape and color."""
+
+    kind: ClassVar[str] = "library"
+    k: Whole = 1  # place in the order of scores, 1 is best
+    version: str = "1"  # goes up when the same library would answer otherwise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +148,9 @@ def library_asset(entry: LibraryEntry) -> MadeAsset:
 def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str]) -> MadeAsset:
     file, category, license_text, author, source = facts
     parts = load_glb(read_file(path, file, BUDGET.asset_bytes, magic=GLB_MAGIC), file)
-    return make_asset(parts, provider="library", name=path.stem, category=category, source=source, license=license_text, author=author)
+    return make_asset(
+        parts, provider=LibraryRetrieval.kind, name=path.stem, category=category, source=source, license=license_text, author=author
+    )
 
 
 @lru_cache(maxsize=CACHED_FILES)
@@ -204,3 +220,14 @@ def _plain(text: str) -> str:
 
 def _reason(error: Exception) -> str:
     return _plain(one_line(error))[:200]
+
+
+def _offer(request: CandidateRequest, provider: LibraryRetrieval) -> MadeAsset:
+    """The k-th best asset for an instance."""
+    best = request.ranking
+    if len(best) < provider.k:
+        raise NothingToOffer(f"only {len(best)} of the library's assets come near enough")
+    return library_asset(best[provider.k - 1][1])
+
+
+LIBRARY = CandidateProvider(name="library", config=LibraryRetrieval, offer=_offer, needs_library=True)

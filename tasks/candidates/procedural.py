@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import TYPE_CHECKING, ClassVar
+
 from tasks.candidates.assets import MadeAsset, make_asset
-from tasks.candidates.request import CandidateRequest
-from tasks.candidates.slots import Procedural
+from tasks.candidates.provider import CandidateProvider
 from tasks.captions.physics import known_name
+from tasks.settings import Config, Whole
+
+if TYPE_CHECKING:
+    from tasks.candidates.request import CandidateRequest
 
 SQUARE = 1.15
 """A box whose horizontal sides differ by less than this ratio has no long side that could tell front from side."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Procedural(Config):
+    """The furniture generator, fitted to the instance's box and colored as its caption says."""
+
+    kind: ClassVar[str] = "procedural"
+    variant: Whole = 1  # others draw other styles (slats or panel, legs or pedestal)
+    version: str = "1"  # goes up when the same instance would get another model
 
 
 def procedural_asset(request: CandidateRequest, provider: Procedural) -> MadeAsset:
@@ -17,11 +32,11 @@ def procedural_asset(request: CandidateRequest, provider: Procedural) -> MadeAss
 
     category = generator_category(request.category)
     extents = fronted_extents(category, request.extents)
-    rng = request.context.rng("procedural", request.instance.instance_id, provider.variant)
+    rng = request.context.rng(provider.kind, request.instance.instance_id, provider.variant)
     model = generate(category, extents, rng, color=request.color)
     return make_asset(
         model.parts,
-        provider="procedural",
+        provider=provider.kind,
         name=model.name,
         category=model.category,
         source="furniture generator",
@@ -52,3 +67,6 @@ def fronted_extents(category: str, extents: tuple[float, float, float]) -> tuple
     typical_x, typical_y, _ = typical_extents(category)
     long = max(x, y) > SQUARE * min(x, y) and max(typical_x, typical_y) > SQUARE * min(typical_x, typical_y)
     return (y, x, z) if long and (x > y) != (typical_x > typical_y) else extents
+
+
+PROCEDURAL = CandidateProvider(name="procedural", config=Procedural, offer=procedural_asset)

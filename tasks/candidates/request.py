@@ -13,6 +13,9 @@ from schemas.captions import Caption
 from schemas.capture import Instance
 from tasks.candidates.closing import SolidField, solid_field
 from tasks.candidates.descriptors import Descriptor, describe
+from tasks.candidates.library import LibraryEntry, LibraryIndex
+from tasks.candidates.provider import NothingToOffer
+from tasks.candidates.retrieval import retrieve
 from tasks.candidates.scan_crop import crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
 from tasks.meshes import Surface, read_points
@@ -26,17 +29,14 @@ MIN_SIDE_M = 0.005
 """A model gets no side thinner than 5 mm, however flat the scanned box is: posters and rugs come out without thickness."""
 
 
-class NothingToOffer(Exception):
-    """A provider has nothing for an instance: no failure, an empty slot. The text says why."""
-
-
 @dataclasses.dataclass(frozen=True)
 class CandidateRequest:
-    """An instance to be stood in for. What is computed once for several slots is a property."""
+    """An instance to be stood in for, and the library where one is given. What is computed once for several slots is a property."""
 
     instance: Instance
     caption: Caption | None
     context: Context
+    library: LibraryIndex | None
 
     @property
     def category(self) -> str:
@@ -80,6 +80,17 @@ class CandidateRequest:
         """Descriptor of the instance's points."""
         points, colors = self.points
         return describe(points, colors, self.extents, self.context.rng("descriptor", self.instance.instance_id))
+
+    @cached_property
+    def ranking(self) -> list[tuple[float, LibraryEntry]]:
+        """The assets of the library that come near enough, best first.
+
+        Raises:
+            NothingToOffer: there is no library.
+        """
+        if self.library is None:
+            raise NothingToOffer("no library given")
+        return retrieve(self.category, self.descriptor, self.library.entries, len(self.library.entries))
 
     @cached_property
     def crop(self) -> Surface:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import dataclasses
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Instance
-from tasks.candidates.closing import SolidField, closed_mesh, fitted, manifold_arrays, nearest_colors, solid_field
+from tasks.candidates.assets import MadeAsset, make_asset
+from tasks.candidates.closing import SolidField, closed_mesh, fitted, manifold_arrays, nearest_colors
 from tasks.candidates.pieces import convex_pieces
+from tasks.candidates.provider import CandidateProvider, NothingToOffer
 from tasks.meshes import Surface, load_glb, surface_of
+from tasks.settings import Config
 from tasks.transforms import inverse, matrix, translation
 
 if TYPE_CHECKING:
     import trimesh
 
+    from tasks.candidates.request import CandidateRequest
     from tasks.stage import Context
 
 Array = NDArray[np.float64]
@@ -32,6 +37,15 @@ SPILL = 0.15
 EDGE_SHARE, MIN_EDGE_M = 0.06, 0.02
 """Longest edge of the colored surface over convex pieces, as a share of its diagonal, and its floor: finer than the
 patches of color on furniture, a few thousand vertices at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ScanCrop(Config):
+    """Geometry of the scan itself, cropped and closed."""
+
+    kind: ClassVar[str] = "scan_crop"
+    mode: Literal["closed", "pieces"] = "closed"  # the scanned surface closed to a solid, or a few convex pieces that stand for it
+    version: str = "1"  # goes up when the same scan would give another solid
 
 
 def crop_of(instance: Instance, context: Context) -> Surface:
@@ -123,4 +137,28 @@ def _bounds(crop: Surface) -> tuple[Array, Array]:
     return middle - half, middle + half
 
 
-__all__ = ["closed_crop", "crop_of", "pieces_of_crop", "solid_field"]
+def _label(provider: ScanCrop) -> str:
+    return f"{ScanCrop.kind}_{provider.mode}"
+
+
+def crop_asset(request: CandidateRequest, provider: ScanCrop) -> MadeAsset:
+    """The asset made of the instance's own faces."""
+    if request.instance.mesh_blob is None:
+        raise NothingToOffer("the scan has no faces of the instance")
+    surface, pieces = request.pieces  # the closed crop collides as its pieces do: they are known, and cheap
+    closed = closed_crop(request.crop, request.field) if provider.mode == "closed" else None
+    made = make_asset(
+        [surface if closed is None else closed],
+        provider=_label(provider),
+        name=f"{request.context.scene_id} {request.instance.instance_id} {provider.mode}",
+        category=request.category,
+        source=f"scan {request.context.scene_id}",
+        license="LicenseRef-scan",
+        pieces=pieces,
+    )
+    if closed is None or not made.asset.is_watertight:
+        return made
+    return dataclasses.replace(made, asset=dataclasses.replace(made.asset, volume_m3=float(closed.volume)))
+
+
+SCAN_CROP = CandidateProvider(name="scan_crop", config=ScanCrop, offer=crop_asset, label=_label)

@@ -3,53 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from tasks.settings import LISTED, ByKind, Config, Whole
+from tasks.candidates.library import LibraryRetrieval
+from tasks.candidates.procedural import Procedural
+from tasks.candidates.provider import ProviderConfig
+from tasks.candidates.providers import PROVIDERS
+from tasks.candidates.scan_crop import ScanCrop
+from tasks.settings import LISTED, Config, union_of
 
-
-@dataclasses.dataclass(frozen=True)
-class Procedural(Config):
-    """The furniture generator, fitted to the instance's box and colored as its caption says."""
-
-    kind: ClassVar[str] = "procedural"
-    variant: Whole = 1  # others draw other styles (slats or panel, legs or pedestal)
-    version: str = "1"  # goes up when the same instance would get another model
-
-
-@dataclasses.dataclass(frozen=True)
-class ScanCrop(Config):
-    """Geometry of the scan itself, cropped and closed."""
-
-    kind: ClassVar[str] = "scan_crop"
-    mode: Literal["closed", "pieces"] = "closed"  # the scanned surface closed to a solid, or a few convex pieces that stand for it
-    version: str = "1"  # goes up when the same scan would give another solid
-
-
-@dataclasses.dataclass(frozen=True)
-class LibraryRetrieval(Config):
-    """The k-th best asset of a library folder by category, extents, shape and color."""
-
-    kind: ClassVar[str] = "library"
-    k: Whole = 1  # place in the order of scores, 1 is best
-    version: str = "1"  # goes up when the same library would answer otherwise
-
-
-Provider = Annotated[Procedural | ScanCrop | LibraryRetrieval, ByKind()]
-"""Whoever can fill a slot: a union of frozen configs, matched by type."""
-
-
-def provider_name(provider: Provider) -> str:
-    """Name of a provider as rows have it."""
-    match provider:
-        case Procedural():
-            return "procedural"
-        case ScanCrop(mode=mode):
-            return f"scan_crop_{mode}"
-        case LibraryRetrieval():
-            return "library"
+if TYPE_CHECKING:
+    Provider = ProviderConfig
+else:
+    Provider = union_of(provider.config for provider in PROVIDERS)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,11 +6,12 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.capture import DATASET_LAYOUTS, DatasetLayout
 from schemas.errors import InputError
 from tasks.capture.labels import Label
 from tasks.capture.scan import Scan
@@ -20,10 +21,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-Kind = Literal["metascenes", "habitat"]
-
-KINDS: tuple[Kind, ...] = ("metascenes", "habitat")
-"""Layouts of finished datasets that are read."""
+Kind: TypeAlias = DatasetLayout
+KINDS = DATASET_LAYOUTS
 
 
 @dataclasses.dataclass(frozen=True)

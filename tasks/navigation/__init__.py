@@ -14,21 +14,18 @@ from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh, Split, UnreachableTarget
 from schemas.optimization import Placement
-from tasks.navigation.configuration import Agent, HabitatConfig, NavigationConfig, PathFinderConfig, PlanarConfig, RecastConfig
+from tasks.families import member
+from tasks.navigation.configuration import Agent, NavigationConfig, PathFinderConfig
 from tasks.navigation.episodes import Route, sample_routes
+from tasks.navigation.path_finders import PATH_FINDERS
 from tasks.navigation.protocol import PathFinder
 from tasks.navigation.targets import Target, target_of
 from tasks.stage import Blobs, Context, Outcome, Stage
 
 if TYPE_CHECKING:
-    import shapely
-
     from tasks.meshes import Surface
 
-__all__ = [
-    "STAGE", "Agent", "HabitatConfig", "NavigationConfig", "PathFinderConfig", "PlanarConfig", "RecastConfig", "placed_surfaces", "run",
-    "split_of",
-]  # fmt: skip
+__all__ = ["STAGE", "Agent", "NavigationConfig", "PathFinderConfig", "placed_surfaces", "run", "split_of"]
 
 
 def split_of(room_id: str, test_share: float) -> str:
@@ -101,7 +98,7 @@ def run(
     surfaces = placed_surfaces(furniture, assets, context.blobs)
     agent = config.agent
     walls = [shapely.Polygon(corners) for corners in interior_footprints(rooms[0])]
-    finder = _path_finder(rooms[0], list(surfaces.values()), walls, config)
+    finder = member(PATH_FINDERS, config.path_finder.kind).build(rooms[0], list(surfaces.values()), walls, config)
     blobs, degradations = Blobs(), []
     reasons = {i.instance_id: "no asset was placed for it" for i in instances if not i.is_structure and i.instance_id not in surfaces}
     targets: list[Target] = []
@@ -130,32 +127,6 @@ def run(
         blobs=blobs,
         degradations=degradations,
     )
-
-
-def _path_finder(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> PathFinder:
-    """The path finder that the config names.
-
-    Raises:
-        InputError: what it needs is not installed; there is no silent fallback.
-    """
-    match config.path_finder:
-        case PlanarConfig(smallest_island_m2=smallest):
-            from tasks.navigation.obstacles import footprint, free_space
-            from tasks.navigation.planar import PlanarPathFinder
-
-            agent = config.agent
-            prints = [footprint(surface, agent.max_climb_m, agent.height_m) for surface in surfaces]
-            return PlanarPathFinder(free_space(room.floor_polygon, [*prints, *walls], agent.radius_m, smallest))
-        case RecastConfig():
-            from tasks.navigation.recast import RecastPathFinder, bake
-            from tasks.navigation.triangles import scene_triangles
-
-            return RecastPathFinder(bake(*scene_triangles(room, surfaces, config.settings), config.settings))
-        case HabitatConfig():
-            from tasks.navigation.habitat import HabitatPathFinder, bake_stage
-            from tasks.navigation.triangles import scene_triangles
-
-            return HabitatPathFinder(bake_stage(*scene_triangles(room, surfaces, config.settings), config.settings))
 
 
 def _navmesh(finder: PathFinder, blobs: Blobs, context: Context, config: NavigationConfig) -> Navmesh:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Annotated, ClassVar, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import Field, model_validator
 
 from tasks.navigation.follower import Motion
 from tasks.navigation.navmesh import Settings
-from tasks.settings import ByKind, Config, Count, Natural, NonNegative, Positive, Share
+from tasks.navigation.path_finders import PATH_FINDERS
+from tasks.navigation.voxels import Voxels
+from tasks.settings import Config, Count, Natural, NonNegative, Positive, Share, union_of
+
+if TYPE_CHECKING:
+    PathFinderConfig = Config
+else:
+    PathFinderConfig = union_of(finder.config for finder in PATH_FINDERS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,52 +37,11 @@ class Agent(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class PlanarConfig(Config):
-    """Exact shortest paths in the free polygon of the floor. Needs nothing but Python packages."""
-
-    kind: ClassVar[str] = "planar"
-    smallest_island_m2: NonNegative = 0.0625  # the square of one step: on less floor no step can be made
-
-
-@dataclasses.dataclass(frozen=True)
-class Voxels(Config):
-    """How a navmesh is baked. Lengths are habitat-sim's own: habitat-lab asks for them, and any other makes it bake anew, silently."""
-
-    cell_size_m: Positive = 0.05  # habitat-sim's default; walls and furniture grow by the agent's radius, rounded up to cells
-    cell_height_m: Positive = 0.2  # habitat-sim's default, and the agent's climb: one layer of voxels is climbed
-    max_slope_degrees: Annotated[float, Field(ge=0, lt=90)] = 45.0  # habitat-sim's default
-    region_min_cells: NonNegative = 20.0  # habitat-sim's default: parts of less than 20 x 20 cells (1 m2) are dropped
-    region_merge_cells: NonNegative = 20.0  # habitat-sim's default
-    edge_max_length_m: Positive = 12.0  # habitat-sim's default: longer outlines are cut, which no room's is
-    edge_max_error_cells: NonNegative = 1.3  # habitat-sim's default: an outline may cut corners by 6.5 cm
-    detail_sample_cells: NonNegative = 6.0  # habitat-sim's default; heights only
-    detail_max_error_cells: NonNegative = 1.0  # habitat-sim's default; heights only
-
-
-@dataclasses.dataclass(frozen=True)
-class RecastConfig(Voxels):
-    """Navmesh and paths as habitat-sim makes them, by the library that `make native` builds."""
-
-    kind: ClassVar[str] = "recast"
-
-
-@dataclasses.dataclass(frozen=True)
-class HabitatConfig(Voxels):
-    """Navmesh and paths by habitat-sim itself, where it is installed: the paper's path finder."""
-
-    kind: ClassVar[str] = "habitat"
-
-
-PathFinderConfig: TypeAlias = Annotated[PlanarConfig | RecastConfig | HabitatConfig, ByKind()]
-"""The path finders there are, one config each; a run picks one by the type of its config."""
-
-
-@dataclasses.dataclass(frozen=True)
 class NavigationConfig(Config):
     """Agent, path finder and episodes."""
 
     agent: Agent = dataclasses.field(default_factory=Agent)
-    path_finder: PathFinderConfig = dataclasses.field(default_factory=PlanarConfig)  # needs no native library
+    path_finder: PathFinderConfig = dataclasses.field(default_factory=PATH_FINDERS[0].config)  # needs no native library
     forward_m: Positive = 0.25  # the paper's action space, and Habitat's default
     turn_degrees: Positive = 30.0  # the paper's action space, and Habitat's default
     train_episodes: Natural = 100  # supplementary B.3: 100 trajectories in each training scene

@@ -10,9 +10,10 @@ import importlib
 import json
 import math
 import tempfile
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path as File
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +22,16 @@ from schemas.errors import InputError
 from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, plan, space
 from tasks.navigation.navmesh import Settings, dump_navmesh
 from tasks.navigation.points import rows
-from tasks.navigation.protocol import NO_PATH, Path
+from tasks.navigation.protocol import NO_PATH, Path, PathFinderKind
+from tasks.navigation.triangles import scene_triangles
+from tasks.navigation.voxels import Voxels
+
+if TYPE_CHECKING:
+    import shapely
+
+    from schemas.capture import Room
+    from tasks.meshes import Surface
+    from tasks.navigation.configuration import NavigationConfig
 
 Array = NDArray[np.float64]
 
@@ -71,10 +81,17 @@ def bake_stage(vertices: ArrayLike, faces: ArrayLike, settings: Settings) -> byt
         return out.read_bytes()
 
 
+@dataclasses.dataclass(frozen=True)
+class HabitatConfig(Voxels):
+    """Navmesh and paths by habitat-sim itself, where it is installed: the paper's path finder."""
+
+    kind: ClassVar[str] = "habitat"
+
+
 class HabitatPathFinder(DetourPathFinder):
     """habitat-sim's shortest paths on the polygons of a .navmesh, from the floor (z = 0), world frame [m]."""
 
-    name = "habitat"
+    name = HabitatConfig.kind
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
@@ -195,3 +212,10 @@ def _habitat_sim() -> Any:
     except ImportError as error:
         remedy = "install habitat-sim, or set navigation.path_finder to recast or planar"
         raise InputError("habitat_sim", "path_finder", f"habitat needs this package: {error}", remedy) from error
+
+
+def _build(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> HabitatPathFinder:
+    return HabitatPathFinder(bake_stage(*scene_triangles(room, surfaces, config.settings), config.settings))
+
+
+HABITAT = PathFinderKind(name="habitat", config=HabitatConfig, build=_build)

@@ -6,14 +6,16 @@ met tangentially (de Berg et al., Computational Geometry, chapter 15). The graph
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.navigation.points import FloorTriangles, rows
-from tasks.navigation.protocol import NO_PATH, Path
+from tasks.navigation.protocol import NO_PATH, Path, PathFinderKind
 from tasks.navigation.visibility import (
     ON_BOUNDARY,
     TANGENT,
@@ -27,11 +29,15 @@ from tasks.navigation.visibility import (
     joined,
     tangent_corners,
 )
+from tasks.settings import Config, NonNegative
 
 if TYPE_CHECKING:
     import shapely
     from scipy.sparse import csr_matrix
 
+    from schemas.capture import Room
+    from tasks.meshes import Surface
+    from tasks.navigation.configuration import NavigationConfig
     from tasks.navigation.navmesh import NavmeshFile, Settings
 
 Array = NDArray[np.float64]
@@ -43,13 +49,21 @@ _JOINT_M = 1e-4
 """Islands of a navmesh that hang together at a point only grow by this [m]."""
 
 
+@dataclasses.dataclass(frozen=True)
+class PlanarConfig(Config):
+    """Exact shortest paths in the free polygon of the floor. Needs nothing but Python packages."""
+
+    kind: ClassVar[str] = "planar"
+    smallest_island_m2: NonNegative = 0.0625  # the square of one step: on less floor no step can be made
+
+
 class PlanarPathFinder:
     """Shortest paths for a point in a closed polygon with holes, world frame [m]. Exact up to rounding.
 
     Erode the floor by the agent's radius before (`obstacles.free_space`) and the point is the center of its disc.
     """
 
-    name = "planar"
+    name = PlanarConfig.kind
 
     def __init__(self, free: shapely.Geometry) -> None:
         import shapely
@@ -329,3 +343,15 @@ class PlanarField:
         nodes, total = finder._candidates(point, island, self._beyond[island], best)
         seen = first_clear(finder._edges[island], point, self._at[nodes])
         return (best, -1, straight) if seen < 0 else (float(total[seen]), int(nodes[seen]), -1)
+
+
+def _build(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> PlanarPathFinder:
+    from tasks.navigation.obstacles import footprint, free_space
+
+    agent, told = config.agent, config.path_finder
+    assert isinstance(told, PlanarConfig)
+    prints = [footprint(surface, agent.max_climb_m, agent.height_m) for surface in surfaces]
+    return PlanarPathFinder(free_space(room.floor_polygon, [*prints, *walls], agent.radius_m, told.smallest_island_m2))
+
+
+PLANAR = PathFinderKind(name="planar", config=PlanarConfig, build=_build, is_exact=True)

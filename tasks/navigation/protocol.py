@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
+    import shapely
+
+    from schemas.capture import Room
+    from tasks.meshes import Surface
+    from tasks.navigation.configuration import NavigationConfig
     from tasks.navigation.navmesh import NavmeshFile, Settings
+    from tasks.settings import Config
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,3 +108,18 @@ class PathFinder(Protocol):
             ValueError: the region is empty, or too intricate for the format.
         """
         ...
+
+
+@dataclasses.dataclass(frozen=True)
+class PathFinderKind:
+    """A member of the family `schemas.families.path_finders`.
+
+    config: What it can be told; its `kind` is the name. build: The path finder of a room with furniture, as surfaces in the world
+    frame [m], and footprints of interior walls. It raises InputError where something that it needs is not installed: there is no
+    silent fallback. is_exact: Its paths are the shortest there are on the polygons of its navmesh.
+    """
+
+    name: str
+    config: type[Config]
+    build: Callable[[Room, Sequence[Surface], Sequence[shapely.Geometry], NavigationConfig], PathFinder]
+    is_exact: bool = False

@@ -9,8 +9,10 @@ import ctypes
 import dataclasses
 import math
 import struct
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path as File
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +21,16 @@ from schemas.errors import InputError
 from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, plan, space
 from tasks.navigation.navmesh import Settings, dump_navmesh, read_navmesh
 from tasks.navigation.points import rows
-from tasks.navigation.protocol import NO_PATH, Path
+from tasks.navigation.protocol import NO_PATH, Path, PathFinderKind
+from tasks.navigation.triangles import scene_triangles
+from tasks.navigation.voxels import Voxels
+
+if TYPE_CHECKING:
+    import shapely
+
+    from schemas.capture import Room
+    from tasks.meshes import Surface
+    from tasks.navigation.configuration import NavigationConfig
 
 Array = NDArray[np.float64]
 
@@ -132,6 +143,13 @@ class RecastMesh:
         return float(self._library.recast_clear_share(self.handle, ax, -ay, bx, -by))
 
 
+@dataclasses.dataclass(frozen=True)
+class RecastConfig(Voxels):
+    """Navmesh and paths as habitat-sim makes them, by the library that `make native` builds."""
+
+    kind: ClassVar[str] = "recast"
+
+
 class RecastPathFinder(DetourPathFinder):
     """Detour's shortest paths on the polygons of a .navmesh, from the floor (z = 0), world frame [m].
 
@@ -139,7 +157,7 @@ class RecastPathFinder(DetourPathFinder):
     a path is as habitat-sim's, and a few percent longer than the exact one where the corridor is another.
     """
 
-    name = "recast"
+    name = RecastConfig.kind
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
@@ -246,3 +264,10 @@ def _library() -> ctypes.CDLL:
         function = getattr(library, f"recast_{name}")
         function.restype, function.argtypes = returns, takes
     return library
+
+
+def _build(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> RecastPathFinder:
+    return RecastPathFinder(bake(*scene_triangles(room, surfaces, config.settings), config.settings))
+
+
+RECAST = PathFinderKind(name="recast", config=RecastConfig, build=_build)

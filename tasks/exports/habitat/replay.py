@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 from tasks.exports.habitat.ground import Ground, Island
+from tasks.navigation.path_finders import PATH_FINDERS
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,7 @@ _LOOKS = (4, 5)
 _SAME_M = 1e-3  # between where a state says that the agent is and where its actions take it; a step is 250 times as long
 _SAME_RADIANS = 1e-3  # the same for headings; a turn is 500 times as far
 _EXACT_M = 0.01  # between an exact geodesic distance and that over the file's polygons, whose corners are rounded
+_EXACT = tuple(finder.name for finder in PATH_FINDERS if finder.is_exact)
 _DETOUR_SHARE, _DETOUR_M = 2.0, 0.25  # Detour's paths are no shortest ones: up to 1.4 times as long in 300, with room to spare
 
 
@@ -117,7 +119,7 @@ def _distance(trip: Trip, goals: Array, island: Island) -> Iterator[Finding]:
     if shapes.number(stated):
         return
     low, high = island.geodesic(trip.start[[0, 2]], goals)
-    if trip.info.get("path_finder") != "planar":
+    if trip.info.get("path_finder") not in _EXACT:
         high = _DETOUR_SHARE * high + _DETOUR_M
     if not low - _EXACT_M <= float(stated or 0) <= high + _EXACT_M:
         yield Finding("geodesic", trip.where, f"geodesic_distance is {stated:.4g}, the shortest path on the navmesh {low:.4g}")

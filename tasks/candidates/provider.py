@@ -1,0 +1,50 @@
+"""What a candidate provider is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+from tasks.settings import Config
+
+if TYPE_CHECKING:
+    from tasks.candidates.assets import MadeAsset
+    from tasks.candidates.request import CandidateRequest
+
+
+class NothingToOffer(Exception):
+    """A provider has nothing for an instance: no failure, an empty slot. The text says why."""
+
+
+class ProviderConfig(Protocol):
+    """What a provider can be told."""
+
+    @property
+    def kind(self) -> str:
+        """Name of the provider."""
+        ...
+
+    @property
+    def version(self) -> str:
+        """Goes up when the same instance would get another asset."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class CandidateProvider:
+    """A member of the family `schemas.families.candidate_providers`: who can fill a slot.
+
+    config: What it can be told, a `ProviderConfig`. offer: The asset for an instance, as a config says; NothingToOffer where it has
+    none. label: Its name in rows, where that hangs on its config. needs_library: It has nothing without a library.
+    """
+
+    name: str
+    config: type[Config]
+    offer: Callable[[CandidateRequest, Any], MadeAsset]
+    label: Callable[[Any], str] | None = None
+    needs_library: bool = False
+
+    def row_name(self, config: ProviderConfig) -> str:
+        """The provider as rows name it."""
+        return self.label(config) if self.label is not None else self.name
