@@ -229,6 +229,56 @@ def test_code_counts_wherever_the_stage_imports_it_and_nowhere_else(code: Path) 
     assert fingerprint("tasks.navigation") == navigation, "navigation does not import it"
 
 
+def changed(code: Path, path: str, modules: tuple[str, ...] = ("tasks.capture", "tasks.exports", "tasks.navigation")) -> set[str]:
+    """Modules whose fingerprints another file at a path changes."""
+    file, before = code / path, {module: fingerprint(module) for module in modules}
+    text = file.read_text()
+    file.write_text(text + "\nADDED = 1\n")
+    found = {module for module in modules if fingerprint(module) != before[module]}
+    file.write_text(text)
+    return found
+
+
+def test_members_of_a_family_count_for_the_stage_that_has_them(code: Path) -> None:
+    assert changed(code, "tasks/capture/scannet/layout.py") == {"tasks.capture", "tasks.exports"}, "exports read labels of the capture"
+    assert changed(code, "tasks/exports/usd/layers.py") == {"tasks.exports"}
+    assert changed(code, "tasks/exports/mjcf/rules.py") == {"tasks.exports"}
+    assert changed(code, "tasks/navigation/recast.py") == {"tasks.navigation", "tasks.exports"}, "exports replay episodes"
+    assert changed(code, "tasks/candidates/scan_crop.py", ("tasks.candidates", "tasks.selection")) == {"tasks.candidates"}
+    assert changed(code, "tasks/evaluation/policies/random.py", ("tasks.evaluation", "tasks.navigation")) == {"tasks.evaluation"}
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["tasks/capture/scannet/wholeness.py", "tasks/capture/wholeness.py", "tasks/exports/usd/places.py", "tasks/exports/usd/omniverse.py"],
+)
+def test_what_only_a_watch_or_an_explanation_asks_of_a_member_makes_no_row_stale(code: Path, path: str) -> None:
+    assert changed(code, path) == set()
+
+
+def test_a_further_member_counts(code: Path) -> None:
+    before = {module: fingerprint(module) for module in ("tasks.exports", "tasks.capture")}
+    (code / "tasks" / "exports" / "obj.py").write_text("OBJ = 1\n")
+    assert {module: fingerprint(module) for module in before} == before, "nobody names it"
+    edit(code / "schemas" / "families" / "export_formats.py", '"glb")', '"glb", "obj")')
+    named = fingerprint("tasks.exports")
+    assert named != before["tasks.exports"]
+    edit(code / "tasks" / "exports" / "obj.py", "1", "2")
+    assert fingerprint("tasks.exports") not in (named, before["tasks.exports"])
+    assert fingerprint("tasks.capture") == before["tasks.capture"]
+
+
+def test_names_that_nobody_spells_out_are_refused(code: Path) -> None:
+    """Members that are not seen would change, and rows would be taken for theirs."""
+    edit(
+        code / "tasks" / "exports" / "formats.py",
+        'members("tasks.exports", EXPORT_FORMATS,',
+        'members("tasks.exports", tuple(EXPORT_FORMATS),',
+    )
+    with pytest.raises(ValueError, match=r"members\('tasks\.exports', tuple\(EXPORT_FORMATS\), ExportFormat\): names must be imported"):
+        fingerprint("tasks.exports")
+
+
 def test_data_files_count(code: Path) -> None:
     before = fingerprint()
     table = code / "tasks" / "captions" / "materials.csv"

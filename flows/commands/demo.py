@@ -33,7 +33,6 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     from flows.plan import make_plan
     from flows.stats import stage_table, write_report
     from tasks.capture.formats import find_scans
-    from tasks.exports.formats import FORMATS
     from warehouse.lake import Lake
 
     clock = time.perf_counter()
@@ -49,13 +48,8 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     unmeasured = [line for policy in policies for line in run_policy(lake, policy, configuration).failed]
     has_exports = lake.snapshot().arrow("export_files").num_rows > 0  # else the run says what failed
     written = write_exports(lake, out) if has_exports else WrittenExports(0, (), ())
-    page = write_report(lake, out / "report.html").path
-    places = {
-        "raw scans": out / "scans",
-        **{format_.title: out / format_.name for format_ in FORMATS},
-        "report": page,
-        "lake": out / "lake",
-    }
+    places = places_in(out)
+    write_report(lake, places["report"])
     if as_json:
         print(json.dumps({"failures": report.failures, "seconds": time.perf_counter() - clock, **{k: str(v) for k, v in places.items()}}))
     else:
@@ -73,3 +67,11 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
         click.echo(f"failed: {line}", err=True)
     if report.failures or written.problems or unmeasured:
         raise click.exceptions.Exit(1)
+
+
+def places_in(out: Path) -> dict[str, Path]:
+    """What a demo makes, and where."""
+    from tasks.exports.formats import FORMATS
+
+    exports = {format_.title: out / format_.name for format_ in FORMATS}
+    return {"raw scans": out / "scans", **exports, "report": out / "report.html", "lake": out / "lake"}
