@@ -102,7 +102,8 @@ def _type(schema: Schema) -> str:
     if "enum" in schema:
         return ", ".join(f"`{word}`" for word in schema["enum"])
     if schema["type"] == "array":
-        return f"list of {_type(schema['items'] if 'items' in schema else schema['prefixItems'][0])}s"
+        item = schema["items"] if "items" in schema else schema["prefixItems"][0]
+        return f"list of {_type(item)}" + ("" if "enum" in item else "s")
     kind = schema.get("properties", {}).get("kind")
     return _WORDS[schema["type"]] + (f" of kind `{kind['const']}`" if kind else "")
 

@@ -17,8 +17,13 @@ from flows.fingerprints import canonical_json
 from flows.parameters import stages_schema
 from schemas.errors import InputError
 from tasks.candidates import CandidatesConfig
-from tasks.candidates.slots import LibraryRetrieval, Procedural, ScanCrop, SlotConfig
-from tasks.navigation.configuration import Agent, NavigationConfig, PlanarConfig, RecastConfig
+from tasks.candidates.library import LibraryRetrieval
+from tasks.candidates.procedural import Procedural
+from tasks.candidates.scan_crop import ScanCrop
+from tasks.candidates.slots import SlotConfig
+from tasks.navigation.configuration import Agent, NavigationConfig
+from tasks.navigation.planar import PlanarConfig
+from tasks.navigation.recast import RecastConfig
 from tasks.optimization import Default, OptimizationConfig, Paper
 from tasks.pipeline import STAGES
 from tasks.replica import ShellConfig
