@@ -133,7 +133,7 @@ LISTED = re.compile(rf"\b({'|'.join(sorted(NAMES))})\b")
 def test_no_text_lists_members_either() -> None:
     """Errors and remedies that say what there is are made of the tuple: no literal names two members of one family.
 
-    A member may say which others stand in for it.
+    A member may say which others stand in for it, and the page of settings has examples.
     """
     wrong = []
     for room in ROOMS:
@@ -146,7 +146,7 @@ def test_no_text_lists_members_either() -> None:
                     named = set(LISTED.findall(node.value))
                     listed = any(len(named & set(names)) > 1 for names, _ in FAMILIES.values())
                     name = path.relative_to(REPOSITORY).as_posix()
-                    if listed and not any(is_own(name, other) for other in NAMES):
+                    if listed and name != "flows/documentation.py" and not any(is_own(name, other) for other in NAMES):
                         wrong.append(f"{name}:{node.lineno}")
     assert wrong == []
 

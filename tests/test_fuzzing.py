@@ -44,6 +44,10 @@ OWN = {
     "tasks/meshes.py read_points": "reads blobs of the lake",
     "tasks/pieces.py _unpacked": "reads its own cache",
     "tasks/replica.py": "reads blobs of the lake",
+    **{
+        f"tasks/exports/{name}/places.py": "reads what was exported, and of a file at hand in a process with bounds"
+        for name in EXPORT_FORMATS
+    },
 }
 """Where files are read that nobody else has written, and what they are. Everywhere else, a function that reads is to be fuzzed."""
 
