@@ -160,8 +160,12 @@ def _examined(name: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
         import click
 
+        import flows.bounds
         from flows.commands.doctor import command
 
+        for module in (f"tasks.exports.{name}.rules", *_FOREIGN.get(name, ())):
+            import_module(module)  # loaded once, then forked
+        flows.bounds.START = "fork"
         for path in _files(name, folder):
             try:
                 with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding="utf-8")):
@@ -173,6 +177,14 @@ def _examined(name: str) -> Callable[[Path], None]:
                 raise Refused(str(error)) from error
 
     return read
+
+
+_FOREIGN = {
+    "mjcf": ("mujoco",),
+    "usd": ("pxr.Usd", "pxr.UsdGeom", "pxr.UsdPhysics", "pxr.UsdShade", "pxr.UsdUtils", "pxr.UsdValidation"),
+    "habitat": ("trimesh",),
+}
+"""What the checks import when they are used."""
 
 
 def _imported(kind: str) -> Callable[[Path], None]:
