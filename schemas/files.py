@@ -65,6 +65,14 @@ def is_there(path: Path) -> bool:
         return False
 
 
+def is_irregular(path: Path) -> bool:
+    """Whether something is at a path that is neither a regular file nor a link to one: a folder, a pipe, a device."""
+    try:
+        return path.exists() and not path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def sane_bytes(path: Path) -> int:
     """How many bytes a file of its kind may have before anything looks into it; readers have limits of their own."""
     kind = path.suffix.lower()

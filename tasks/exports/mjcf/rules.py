@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import is_there, read_file
+from schemas.files import is_irregular, is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.mjcf.expansion import Pairs, made
 from tasks.exports.usd.prims import dent
@@ -66,7 +66,8 @@ def check_mjcf(path: Path) -> list[Finding]:
     if not any(finding.rule in ("xml", "budget") for finding in findings):
         for check in (_numbers, _paths, _names, _rotations, _masses, _references):
             findings += check(path, elements)
-        findings += _model(path, elements)
+        if not any(finding.message.endswith(_IRREGULAR) for finding in findings):  # to open a pipe waits
+            findings += _model(path, elements)
     return sorted(set(findings))
 
 
@@ -105,6 +106,9 @@ def _numbers(path: Path, elements: Pairs) -> Iterator[Finding]:
                 yield Finding("numbers", _where(file, element), f"{key} is not finite: {value[:60]}")
 
 
+_IRREGULAR = "is no regular file"
+
+
 def _paths(path: Path, elements: Pairs) -> Iterator[Finding]:
     """Files as named, resolved as MuJoCo does: from the folder of the model and its compiler's directories."""
     root = path.parent.resolve()
@@ -120,9 +124,12 @@ def _paths(path: Path, elements: Pairs) -> Iterator[Finding]:
             name = element.get(key)
             if not name:
                 continue
+            target = root / (folder if element.tag != "include" else "") / name
+            if is_irregular(target):
+                yield Finding("closed_paths", _where(file, element), f"{key} {PurePosixPath(name).name!r} {_IRREGULAR}")
             if not _is_inside(name):
                 yield Finding("closed_paths", _where(file, element), f"{key} {PurePosixPath(name).name!r} is absolute or leaves the folder")
-            elif not is_there(root / (folder if element.tag != "include" else "") / name):
+            elif not is_there(target) and not is_irregular(target):
                 yield Finding("closed_paths", _where(file, element), f"{key} {name!r} does not exist")
 
 
