@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from schemas.families.scan_formats import SCAN_FORMATS
 from schemas.record import check
 from schemas.tables import TABLES
 from tasks.capture import CaptureConfig, Scan, find_scans, run
-from tasks.capture.documents import floats
+from tasks.capture.documents import floats, integers
 from tasks.capture.fusion import FusionConfig
 from tasks.capture.images import image_size, read_color, read_depth
 from tasks.capture.labels import label_map
@@ -634,3 +635,17 @@ def test_depth_units_that_cannot_be(room: BoxRoom, tmp_path: Path) -> None:
     assert refused(folder).field == "depth_scale"
     (folder / "pose.txt").unlink()
     assert refused(folder).field == "poses"
+
+
+def test_a_long_word_among_integers_takes_no_memory() -> None:
+    """An array of words would hold each of them at the length of the longest."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="must be a list of integers"):
+            integers(["7" * 10_000, *range(1_000)], "a.segs.json", "segIndices")
+        assert tracemalloc.get_traced_memory()[1] < 1e6
+    finally:
+        tracemalloc.stop()
+    with pytest.raises(InputError, match="64 bits"):
+        integers([1, 2**63], "a.segs.json", "segIndices")
+    np.testing.assert_array_equal(integers([3, 1], "a.segs.json", "segIndices"), [3, 1])

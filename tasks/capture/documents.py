@@ -62,15 +62,15 @@ def integers(value: Any, name: str, field: str, minimum: int = 0) -> NDArray[np.
         raise InputError(name, field, f"must be a list of integers, is {_kind(value)}", "is it the right file?")
     if not value:
         return np.zeros(0, dtype=np.int64)
-    try:
-        array = np.array(value)
-    except (ValueError, OverflowError) as error:
-        raise InputError(name, field, "must be a list of integers", "is it the right file?") from error
-    if array.ndim != 1 or array.dtype.kind != "i":
+    if set(map(type, value)) != {int}:  # NumPy would make an array of words of them, each as long as the longest
         raise InputError(name, field, "must be a list of integers", "is it the right file?")
+    try:
+        array = np.array(value, dtype=np.int64)
+    except OverflowError as error:
+        raise InputError(name, field, "has an integer of more than 64 bits", "is it the right file?") from error
     if array.min() < minimum:
         raise InputError(name, field, f"has {array.min()}, below {minimum}", "is it the right file?")
-    return array.astype(np.int64)
+    return array
 
 
 def floats(text: str, name: str, field: str, count: int) -> NDArray[np.float64]:

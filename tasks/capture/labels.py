@@ -100,7 +100,16 @@ def _own() -> LabelMap:
 
 def _parsed(text: str, name: str) -> LabelMap:
     first = text.partition("\n")[0]
-    rows = csv.DictReader(io.StringIO(text), delimiter="\t" if "\t" in first else ",")
+    rows = csv.DictReader(io.StringIO(text, newline=None), delimiter="\t" if "\t" in first else ",")
+    try:
+        entries = _entries(rows, name)
+    except csv.Error as error:
+        raise InputError(name, "content", f"is no table ({error})", "save it as UTF-8 text") from error
+    return LabelMap(entries, hashlib.sha256(text.encode()).hexdigest())
+
+
+def _entries(rows: csv.DictReader[str], name: str) -> dict[str, tuple[str, int]]:
+    """Category and NYU40 class by raw label."""
     fields = rows.fieldnames or []
     raw_field = "raw_category" if "raw_category" in fields else "raw_label"
     id_field = "nyu40id" if "nyu40id" in fields else "nyu40_id"
@@ -109,15 +118,12 @@ def _parsed(text: str, name: str) -> LabelMap:
             remedy = "use scannetv2-labels.combined.tsv or a CSV of raw_label, category, nyu40_id"
             raise InputError(name, field, "the column is missing", remedy)
     entries: dict[str, tuple[str, int]] = {}
-    try:
-        for number, row in enumerate(rows, start=2):
-            raw, category, nyu40 = (normalized(row[field] or "") for field in (raw_field, "category", id_field))
-            if not re.fullmatch(r"\d{1,2}", nyu40) or int(nyu40) >= len(NYU40):
-                raise InputError(name, f"line {number}, {id_field}", f"must be 0 to 40, is {nyu40[:20]!r}", "correct the line")
-            entries.setdefault(raw, (category or raw, int(nyu40)))
-    except csv.Error as error:
-        raise InputError(name, "content", f"is no table ({error})", "save it as UTF-8 text") from error
-    return LabelMap(entries, hashlib.sha256(text.encode()).hexdigest())
+    for number, row in enumerate(rows, start=2):
+        raw, category, nyu40 = (normalized(row[field] or "") for field in (raw_field, "category", id_field))
+        if not re.fullmatch(r"\d{1,2}", nyu40) or int(nyu40) >= len(NYU40):
+            raise InputError(name, f"line {number}, {id_field}", f"must be 0 to 40, is {nyu40[:20]!r}", "correct the line")
+        entries.setdefault(raw, (category or raw, int(nyu40)))
+    return entries
 
 
 def _words(name: str) -> str:
