@@ -36,6 +36,9 @@ PATIENCE = 4
 """A process may wait for others this many times as long as it may compute; only one that waits for ever takes longer."""
 
 
+_LONGEST = 86_400.0  # s; the operating system waits for weeks at most
+
+
 class OutOfBounds(Exception):
     """The process took more than it was given, or died."""
 
@@ -68,7 +71,7 @@ def _bytes(place: Path) -> int:
     for file in files:
         with contextlib.suppress(OSError):  # a link that leads nowhere, or a folder that is not ours
             found = file.stat()
-            size += found.st_size if stat.S_ISREG(found.st_mode) else 0
+            size += min(found.st_size, BUDGET.scene_bytes) if stat.S_ISREG(found.st_mode) else 0  # no reader takes more
     return size
 
 
@@ -96,7 +99,7 @@ def bounded(function: Callable[..., Any], *arguments: Any, seconds: float, memor
     answer: bytes | None = None
     try:
         receiving.recv_bytes()  # it is there; now its time runs
-        answer = receiving.recv_bytes() if receiving.poll(PATIENCE * seconds) else None
+        answer = receiving.recv_bytes() if receiving.poll(min(PATIENCE * seconds, _LONGEST)) else None
     except EOFError:
         answer = b""
     finally:

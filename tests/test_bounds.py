@@ -67,6 +67,14 @@ def test_what_a_check_finds_or_refuses_comes_back_as_it_is(tmp_path: Path) -> No
         findings_of(failing, tmp_path / "a")
 
 
+def test_a_folder_that_says_it_has_terabytes_is_checked(tmp_path: Path) -> None:
+    """Time follows from the bytes, and the operating system waits for so long at most."""
+    for number in range(3):
+        with (tmp_path / f"{number}.json").open("wb") as file:
+            file.truncate(2**40)
+    assert findings_of(sound, tmp_path, times=1e6) == sound(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("check", "seconds", "words"),
     [(hungry, 60, "takes more than 512 MB of memory"), (busy, 1, "takes more than 1 s"), (crashing, 60, "dies (SIGSEGV)")],

@@ -267,6 +267,19 @@ def test_blobs_that_may_be_of_the_scene_are_no_proof(lake: Lake) -> None:
     assert not path.exists()
 
 
+def test_what_another_run_took_the_place_of_before_a_commit_goes_too(lake: Lake) -> None:
+    """Nothing names its blobs, and they are young; but they tell of the scene."""
+    for tag in ("first", "second"):
+        stage_whole_scene(lake, HOME, tag, at=50 if tag == "first" else 60)
+    lake.commit("recaptured")
+    written = [path for path in found_in(Path(lake.address), HOME) if "/blobs/" in path]
+    assert any(b"first" in Path(path).read_bytes() for path in written)
+    done = erase(lake, HOME)
+    assert done.proof is not None
+    assert done.proof.hits == ()
+    assert found_in(Path(lake.address), "scene0001_00") == []
+
+
 def test_names_that_are_no_scene_are_refused(lake: Lake, tmp_path: Path) -> None:
     for wrong in ("scene0001_00", "demo/", "demo/x'; DROP TABLE scenes; --", "../x"):
         with pytest.raises(InputError, match="is no scene"):

@@ -35,6 +35,7 @@ from warehouse.lake import Lake
 from warehouse.release import make_release
 from warehouse.storage import Storage
 from warehouse.vacuum import vacuum
+from warehouse.writer import new_token, this_writer
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +203,20 @@ def test_vacuum_spares_strangers_and_young_blobs(lake: Lake) -> None:
     assert all(path.exists() for path in strangers)
     assert young in lake.blobs
     assert done.young_blobs >= 1
+
+
+def test_vacuum_removes_what_the_dead_were_writing(lake: Lake) -> None:
+    """Whoever vacuums last leaves nothing, also of a vacuum that was killed with half a lease written."""
+    folder = Path(lake.address) / "tmp"
+    folder.mkdir(exist_ok=True)
+    dead, living = folder / f"{this_writer().machine}-999999-1-2", folder / new_token()
+    for path in (dead, living):
+        path.write_bytes(b"{")
+    vacuum(lake, dry_run=True)
+    assert dead.exists()
+    vacuum(lake)
+    assert not dead.exists()
+    assert living.exists()
 
 
 def test_reader_of_a_kept_snapshot_goes_on_while_a_vacuum_runs(lake: Lake) -> None:

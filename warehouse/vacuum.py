@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import timedelta
 
 from schemas.record import BLOB_PATTERN
@@ -61,6 +61,7 @@ def vacuum(lake: Lake, *, days: float = RECENT_DAYS, dry_run: bool = False) -> V
         commit = Commit(lake.tables, lake.staging, lease)
         if not dry_run:
             commit.remove_adopted()
+            lake.sweep_temporary()
         every = lake.snapshot().snapshots
         kept = _kept(every, {release.snapshot_id for release in releases(lake)}, days)
         gone = tuple(row.snapshot_id for row in every if row not in kept)
@@ -72,8 +73,18 @@ def vacuum(lake: Lake, *, days: float = RECENT_DAYS, dry_run: bool = False) -> V
         return forget(lake, lease, kept, gone, dry_run)
 
 
-def forget(lake: Lake, lease: Lease, kept: Sequence[Snapshot], gone: Sequence[int] = (), dry_run: bool = False) -> Vacuumed:
-    """Remove whatever none of the snapshots `kept` needs. Snapshots `gone` are no longer listed, and the lease is held."""
+def forget(
+    lake: Lake,
+    lease: Lease,
+    kept: Sequence[Snapshot],
+    gone: Sequence[int] = (),
+    dry_run: bool = False,
+    goes: Callable[[str], bool] = lambda path: False,
+) -> Vacuumed:
+    """Remove whatever none of the snapshots `kept` needs. Snapshots `gone` are no longer listed, and the lease is held.
+
+    goes: Which blobs that no row names go, however young they are.
+    """
     count = size = logs = 0
     with workspace(lake.storage) as connection:
         references = BlobReferences(connection, lake.storage)
@@ -96,11 +107,11 @@ def forget(lake: Lake, lease: Lease, kept: Sequence[Snapshot], gone: Sequence[in
                 references.add_files(table, sorted({file for version in versions for file in by_version[version]}))
         references.add(lake.staging.blob_names())
         references.finish()
-        blobs, blob_bytes, young = _remove_blobs(lake, references, lease, dry_run)
+        blobs, blob_bytes, young = _remove_blobs(lake, references, lease, dry_run, goes)
     return Vacuumed(tuple(gone), count, blobs, size, blob_bytes, logs, young)
 
 
-def _remove_blobs(lake: Lake, references: BlobReferences, lease: Lease, dry_run: bool) -> tuple[int, int, int]:
+def _remove_blobs(lake: Lake, references: BlobReferences, lease: Lease, dry_run: bool, goes: Callable[[str], bool]) -> tuple[int, int, int]:
     """Remove blobs that `references` do not name and nobody put within a day; how many, their size [B], and how many are younger."""
     count = size = young = 0
     oldest = time.time() - BLOB_SECONDS
@@ -109,7 +120,7 @@ def _remove_blobs(lake: Lake, references: BlobReferences, lease: Lease, dry_run:
         for entry in unnamed:
             if not re.fullmatch(BLOB_PATTERN, entry.path.rpartition("/")[2]):
                 continue
-            if entry.modified >= oldest:
+            if entry.modified >= oldest and not goes(entry.path):
                 young += 1
                 continue
             if not dry_run:

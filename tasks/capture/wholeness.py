@@ -139,7 +139,7 @@ def _elements(header: str) -> list[tuple[int, int]]:
         words = line.split()
         if words[:1] == ["element"] and len(words) == 3 and words[2].isascii() and words[2].isdigit() and len(words[2]) < 19:
             found.append((int(words[2]), 0))
-        elif words[:1] == ["property"] and found:
+        elif words[:1] == ["property"] and len(words) > (4 if words[1:2] == ["list"] else 2) and found:
             size = _SIZES.get(words[1], 0) if words[1] != "list" else _SIZES.get(words[2], 0) + 3 * _SIZES.get(words[-2], 0)
             found[-1] = (found[-1][0], found[-1][1] + size)
     return found

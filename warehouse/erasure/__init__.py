@@ -22,7 +22,7 @@ from warehouse.datafiles import exchange, files_of
 from warehouse.delta import FOLDER as TABLE_FOLDER
 from warehouse.erasure.plan import PATH as PLAN_PATH
 from warehouse.erasure.plan import Plan, read_plan
-from warehouse.erasure.proof import Proof, search
+from warehouse.erasure.proof import Proof, search, tells
 from warehouse.erasure.releases import erase_from_releases
 from warehouse.erasure.rewriting import SceneRows
 from warehouse.erasure.traces import Traces, traces_of
@@ -146,8 +146,19 @@ class _Work:
         self._is_carried_out = True
 
     def remove_unnamed_blobs(self) -> None:
-        """Remove blobs that no row names, whosever they are, but those that a run may be about to name."""
-        self._young = forget(self._lake, self._lease, self._lake.snapshot().snapshots).young_blobs
+        """Remove blobs that no row names, whosever they are, but those that a run may be about to name.
+
+        A young one that tells of the scene goes, too: of a run that another took the place of before it was committed.
+        """
+        kept = self._lake.snapshot().snapshots
+        self._young = forget(self._lake, self._lease, kept, goes=self._tells).young_blobs
+
+    def _tells(self, path: str) -> bool:
+        """Whether a file of the lake tells of the scene."""
+        try:
+            return tells(path, self._lake.storage.read(path), self.plan.traces)
+        except FileNotFoundError:
+            return False
 
     def result(self, proof: Proof | None) -> Erasure:
         """What was done."""

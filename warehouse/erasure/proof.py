@@ -54,18 +54,31 @@ def search(storage: Storage, traces: Traces, advance: Callable[[str], None] = la
             data = storage.read(entry.path)
         except FileNotFoundError:  # a writer's temporary file, renamed or removed meanwhile
             continue
-        files, size = files + 1, size + len(data)
-        places = [("name", entry.path.encode()), ("contents", data)]
-        for place, content in (*places, *_unpacked(entry.path, data)):
-            if found := list(traces.in_bytes(content)):
-                hits.append(_hit(entry.path, place, found))
-        if data[:4] == b"PAR1":
-            decoded, found = _in_parquet(data, traces)
-            rows += decoded
-            if found:
-                hits.append(_hit(entry.path, "rows", found))
+        decoded, found = _looked_through(entry.path, data, traces)
+        files, size, rows = files + 1, size + len(data), rows + decoded
+        hits += found
         advance(entry.path)
     return Proof(files, size, rows, tuple(hits))
+
+
+def tells(path: str, data: bytes, traces: Traces) -> bool:
+    """Whether a file's name or content tells of the scene."""
+    return bool(_looked_through(path, data, traces)[1])
+
+
+def _looked_through(path: str, data: bytes, traces: Traces) -> tuple[int, list[Hit]]:
+    """Rows that were decoded, and what was found."""
+    hits: list[Hit] = []
+    rows = 0
+    places = [("name", path.encode()), ("contents", data)]
+    for place, content in (*places, *_unpacked(path, data)):
+        if found := list(traces.in_bytes(content)):
+            hits.append(_hit(path, place, found))
+    if data[:4] == b"PAR1":
+        rows, found = _in_parquet(data, traces)
+        if found:
+            hits.append(_hit(path, "rows", found))
+    return rows, hits
 
 
 def _hit(path: str, place: str, found: list[str]) -> Hit:

@@ -147,7 +147,7 @@ def _glb(root: Path, path: Path, where: str, key: str, seen: dict[Path, list[Fin
     except (ValueError, OSError, RuntimeError):  # outside, too long, links in a circle
         yield Finding("files_exist", where, f"{key} leaves the dataset's folder")
         return
-    if not path.is_file():
+    if not is_there(path):
         yield Finding("files_exist", where, f"{key} {name} does not exist; another object with a similar name would be shown")
         return
     if path not in seen:
