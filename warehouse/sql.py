@@ -162,9 +162,10 @@ class _Alarm:
         return InputError("SQL", "", f"it takes longer than {self._timeout:g} s", "ask for less, or give it more time")
 
     def stop(self) -> None:
-        """Never ring any more."""
+        """Never ring any more. A thread that still held the connection as the process ends would make DuckDB complain."""
         if self._timer:
             self._timer.cancel()
+            self._timer.join()
 
     def _ring(self) -> None:
         self.has_rung = True

@@ -201,6 +201,7 @@ def _ended_after(seconds: float | None, timeout: float) -> Iterator[None]:
     finally:
         if timer:
             timer.cancel()
+            timer.join()
 
 
 @contextlib.contextmanager
