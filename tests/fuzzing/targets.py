@@ -162,13 +162,14 @@ def _examined(name: str) -> Callable[[Path], None]:
 
         import flows.bounds
         from flows.commands.doctor import command
+        from flows.terminal import Terminal
 
         for module in (f"tasks.exports.{name}.rules", *_FOREIGN.get(name, ())):
             import_module(module)  # loaded once, then forked
         flows.bounds.START = "fork"
         for path in _files(name, folder):
             try:
-                with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding="utf-8")):
+                with contextlib.redirect_stdout(Terminal(io.TextIOWrapper(io.BytesIO(), encoding="utf-8"), is_answer=True)):
                     command.main([name, str(path)], prog_name="doctor", standalone_mode=False)
             except click.exceptions.Exit as done:
                 if done.exit_code not in (0, 1):
