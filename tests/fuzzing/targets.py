@@ -345,8 +345,13 @@ def deployed() -> dict[str, dict[str, Any]]:
 
 @cache
 def _flow(entrypoint: str) -> Any:
+    from prefect import Flow
+
     module, _, name = entrypoint.rpartition(".")
-    return getattr(import_module(module), name)
+    found = getattr(import_module(module), name)
+    if not isinstance(found, Flow):
+        raise TypeError(f"{entrypoint} is no flow")
+    return found
 
 
 def _read_parameters(folder: Path) -> None:
