@@ -263,6 +263,6 @@ def test_our_servers_listen_on_the_loopback_alone(kind: str, tmp_path: Path) -> 
         assert listening(psutil.Process(process.pid)) == {"127.0.0.1"}
     finally:
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=60)
-    psutil.wait_procs(below, timeout=30)
+        process.communicate(timeout=300)
+    psutil.wait_procs(below, timeout=120)
     assert not [each for each in below if each.is_running() and each.status() != psutil.STATUS_ZOMBIE]
