@@ -18,6 +18,7 @@ from flows.annotation import import_annotations
 from flows.bench.kills import campaign
 from flows.bench.kills.accounts import faults_of
 from flows.bench.kills.campaign import JOURNAL, KINDS, Campaign, clock_environment, faketime, read_journal, report, run_campaign
+from flows.bench.kills.disk import let_go, mounted
 from flows.bench.kills.operations import SCENES, Operation, age, perform, story
 from flows.cli import cli
 from schemas.annotation import Annotation
@@ -67,6 +68,19 @@ def clock_of(offset: str) -> dict[str, str]:
     code = f"import os, time; now = time.time(); os.environ['FAKETIME'] = {offset!r}; print(round((time.time() - now) / 86400))"
     said = subprocess.run([sys.executable, "-c", code], env=os.environ | clock_environment(), capture_output=True, text=True, check=True)
     return {"offset": offset} if said.stdout.strip() == "40" else {}
+
+
+def test_a_disk_that_a_killed_batch_left_mounted_is_let_go(tmp_path: Path) -> None:
+    place = tmp_path / "1" / "disk"
+    disk = mounted(place, 2**20)
+    try:
+        disk.__enter__()
+    except InputError as error:
+        pytest.skip(str(error))
+    assert place.is_mount()
+    let_go(tmp_path)
+    assert not place.is_mount()
+    shutil.rmtree(tmp_path / "1")
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.bench.goals import goal
+from flows.bench.kills.disk import let_go
 from flows.bench.machine import machine
 from schemas.errors import InputError
 
@@ -150,6 +151,7 @@ def _batch(campaign: Campaign, kind: str, number: int, kills: int) -> dict[str, 
     """One batch, in a process of its own; its line in the journal."""
     seed = campaign.seed * 1_000_000 + number
     folder = campaign.folder / f"batch{seed}"
+    let_go(folder)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     begun = time.monotonic()

@@ -96,4 +96,15 @@ def mounted(place: Path, size: int) -> Iterator[Path]:
     try:
         yield place
     finally:
-        subprocess.run(["umount", "-l", str(place)], capture_output=True, check=False)
+        _unmount(place)
+
+
+def let_go(folder: Path) -> None:
+    """Unmount the disks that a batch left which was killed itself."""
+    for place in folder.glob("*/disk"):
+        if place.is_mount():
+            _unmount(place)
+
+
+def _unmount(place: Path) -> None:
+    subprocess.run(["umount", "-l", str(place)], capture_output=True, check=False)
