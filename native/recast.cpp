@@ -52,7 +52,7 @@ static_assert(sizeof(FileHeader) == 40 && sizeof(TileHeader) == 8, "layout of th
 
 template <typename T, void (*Free)(T*)>
 struct Freed {
-  void operator()(T* thing) const { Free(thing); }
+  void operator()(T* object) const { Free(object); }
 };
 template <typename T, void (*Free)(T*)>
 using Owned = std::unique_ptr<T, Freed<T, Free>>;

@@ -23,7 +23,7 @@ class Budget:
     faces, vertices: As often as they are placed. nodes: Nodes of a tree, and parts of meshes as often as they are placed.
     depth: Nodes above one another, values inside values. elements: Elements of XML, attributes in them.
     frames: Of one container: four hours and a half at full rate.
-    seconds, child_bytes: Computing time and memory of a reader that has no bounds of its own and gets a process (`flows.bounds`).
+    seconds, child_bytes: Computing time and memory of a reader that has no bounds of its own and gets a process (`flows.run.bounds`).
     child_seconds_per_mb, child_bytes_per_byte: More of both for every byte of the file.
     """
 

@@ -68,6 +68,11 @@ class Room:
     interior_walls: tuple[tuple[float, ...], ...] = column(
         "Walls inside the room as center lines with thickness and height (x0, y0, x1, y1, thickness, height)", unit="m"
     )
+    openings: tuple[tuple[float, ...], ...] | None = column(
+        "Doors and windows in the walls: segment (x0, y0, x1, y1) on the inner face of an outer wall or the center line of an "
+        "interior one, heights of bottom and top, how far what fills it reaches behind that line; missing where nobody looked",
+        unit="m",
+    )
     height_m: float = column("Height of the room from floor to ceiling", unit="m", minimum=0.1)
     height_source: str = column(
         "What the height was estimated from; layout is stated by a finished dataset", values=("ceiling", "walls", "extent", "layout")

@@ -11,8 +11,8 @@ class LakeError(Exception):
     """Anything the project refuses on purpose. Its text is one line, fit for a terminal, a log and a row of the lake: no
     credentials of an address, and no characters that would command the terminal."""
 
-    def __init__(self, *said: object) -> None:
-        super().__init__(*(one_line(part) if isinstance(part, str) else part for part in said))
+    def __init__(self, *parts: object) -> None:
+        super().__init__(*(one_line(part) if isinstance(part, str) else part for part in parts))
 
 
 class InputError(LakeError):

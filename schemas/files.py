@@ -1,12 +1,18 @@
 """Opening what others wrote: regular files of an agreed size, so that no pipe, device or endless file holds anybody up.
 
+What is written for them, or kept in caches, is written here, whole or not at all.
+
 Whatever people hand in (scans, libraries, settings, batches, datasets, exports to be checked) is opened here and nowhere else.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import secrets
 import stat
+from collections.abc import Iterator
+from functools import partial
 from io import BufferedReader
 from pathlib import Path
 
@@ -105,14 +111,36 @@ def stays_in(path: Path, *folders: Path) -> bool:
     return any(real.is_relative_to(folder.resolve()) for folder in folders)
 
 
-def _check(found: os.stat_result, name: str, most_bytes: int) -> None:
-    if not stat.S_ISREG(found.st_mode):
-        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+def _check(status: os.stat_result, name: str, most_bytes: int) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
         raise InputError(name, "file", f"is {kind}, not a regular file", "put the file itself in its place")
-    if found.st_size > most_bytes:
-        raise too_large(name, str(found.st_size), most_bytes)
+    if status.st_size > most_bytes:
+        raise too_large(name, str(status.st_size), most_bytes)
 
 
 def too_large(name: str, size: str, most_bytes: int) -> InputError:
     """The refusal of a file that has more than `most_bytes` bytes."""
     return InputError(name, "size", f"is {size} bytes, at most {most_bytes} are read", "is it the right file?")
+
+
+@contextlib.contextmanager
+def making(path: Path) -> Iterator[Path]:
+    """A name beside `path` to make a file under, which is then put in its place; after an error all is as before. Folders are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name[:80]}.{secrets.token_hex(6)}.making")
+    try:
+        yield unfinished
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, data: bytes, cache: bool = False) -> None:
+    """Replace a file's contents. Of a `cache`, only its user may read it, and a power failure may take it."""
+    opened = partial(os.open, mode=0o600 if cache else 0o666)
+    with making(path) as unfinished, open(unfinished, "xb", opener=opened) as file:
+        file.write(data)
+        file.flush()
+        if not cache:
+            os.fsync(file.fileno())

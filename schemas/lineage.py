@@ -129,7 +129,7 @@ class Lineage:
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """A thing as an exported file has it: its name there (in USD its prim path) and the rows that it says it is from."""
+    """An object as an exported file has it: its name there (in USD its prim path) and the rows that it says it is from."""
 
     name: str
     scene_id: str | None

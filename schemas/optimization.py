@@ -8,9 +8,9 @@ BODY_PATTERN = r"[0-9]{4,}|floor|ceiling|(wall|inner)_[0-9]{2,}"
 """An instance, or a part of the room's shell as exports name it: `floor`, `wall_00`, `inner_00`."""
 
 RELATIONS = ("floor", "on", "inside", "wall", "ceiling", "none")
-"""How a thing can be carried."""
+"""How an object can be carried."""
 
-APPLIED = ("pulled_in", "hung", "rested", "kept", "tipped", "relocated")
+APPLIED = ("pulled_in", "hung", "rested", "kept", "tipped", "laid_down", "relocated")
 """Outcomes of steps that moved something: replaying these steps gives the optimized poses."""
 
 
@@ -45,7 +45,23 @@ class Placement:
     )
     lift_m: float | None = column("Optimized height minus proposed height; missing where a finished dataset states one pose", unit="m")
     method: str = column("Optimization method; imported is a finished dataset's own", values=("paper", "default", "imported"))
-    remains: str | None = column("What is still wrong with the optimized pose; missing when nothing is")
+    remains: str | None = column(
+        "What is still wrong with the optimized pose, by the optimization and by every engine of the table certificates, mujoco_defaults "
+        "among them: where an object moves, the engine is named in brackets; missing when nothing is"
+    )
+    collider_pieces: int | None = column("Convex pieces of the asset; missing where a finished dataset says nothing of them", minimum=1)
+    collider_faces: int | None = column("Triangles of these pieces; missing with them", minimum=4)
+    collider_early_share: float | None = column(
+        "Of rays along the axes from six sides of the unscaled asset, 1.5 cm apart, that meet the asset or stop early beside it, those "
+        "that stop at a piece more than 2 cm before the asset, or beside it with no part of it within 2 cm; missing with the pieces",
+        minimum=0,
+        maximum=1,
+    )
+    collider_miss_share: float | None = column(
+        "Of the same rays those that meet the asset, and a piece only more than 1 cm behind it or none; missing with the pieces",
+        minimum=0,
+        maximum=1,
+    )
 
 
 @record("supports", key=("scene_id", "instance_id"), stage="optimization")
@@ -61,7 +77,7 @@ class Support:
     against: str | None = column("Part of the room that it hangs on or stands against", pattern=BODY_PATTERN)
     gap_m: float = column("Height of the proposed asset's bottom above what carries it; negative when it sinks in", unit="m")
     is_fixed: bool = column("Fastened to the room: it hangs on a wall or ceiling, or is built in; everything else is free to move")
-    is_kept: bool = column("The same thing still carries it after the optimization")
+    is_kept: bool = column("The same object still carries it after the optimization")
 
 
 @record("contacts", key=("scene_id", "phase", "instance_a", "body_b"), stage="optimization")
@@ -76,7 +92,7 @@ class Contact:
     penetration_m: float = column(
         "Penetration depth of the convex pieces, the deepest pair of pieces; 0 when only the boxes overlap", unit="m", minimum=0
     )
-    is_allowed: bool = column("The two may interpenetrate: a thing that hangs or is built in with the room it is fastened to")
+    is_allowed: bool = column("The two may interpenetrate: an object that hangs or is built in with the room it is fastened to")
 
 
 @record("optimization_steps", key=("scene_id", "step"), stage="optimization")
@@ -86,11 +102,11 @@ class OptimizationStep:
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     step: int = column("Step, 0 is the proposed state; the default method leaves out moves that it took back", minimum=0)
     instance_id: str | None = column("Moved instance, with all it carries; missing for step 0", pattern=INSTANCE_PATTERN)
-    dx_m: float = column("Move of the thing's origin along x", unit="m")
-    dy_m: float = column("Move of the thing's origin along y", unit="m")
-    dz_m: float = column("Move of the thing's origin along z", unit="m")
+    dx_m: float = column("Move of the object's origin along x", unit="m")
+    dy_m: float = column("Move of the object's origin along y", unit="m")
+    dz_m: float = column("Move of the object's origin along z", unit="m")
     turn_x_radians: float = column(
-        "Turn about the thing's origin before that move: rotation vector in the world frame, along x", unit="rad"
+        "Turn about the object's origin before that move: rotation vector in the world frame, along x", unit="rad"
     )
     turn_y_radians: float = column("The same along y", unit="rad")
     turn_z_radians: float = column("The same along z: the yaw where x and y are 0", unit="rad")
@@ -99,7 +115,8 @@ class OptimizationStep:
     )
     smallest_loss: float = column("Smallest loss so far, this step included, in the unit of the loss", minimum=0)
     outcome: str = column(
-        "What became of the move; 'pulled_in', 'hung', 'rested', 'kept', 'tipped' and 'relocated' moved something",
+        "What became of the move; 'pulled_in', 'hung', 'rested', 'kept', 'tipped', 'laid_down' (a nudge would have thrown it over) and "
+        "'relocated' moved something",
         values=("start", *APPLIED, "reverted", "left_room", "left_support"),
     )
 
@@ -118,7 +135,9 @@ class Optimization:
     ended: str = column("Why it ended", values=("zero_loss", "no_move_helps", "out_of_moves", "nothing_to_do"))
     fixed_count: int = column("Instances that are fixed in the certificate: they hang or are built in", minimum=0)
     deep_pairs: int = column("Pairs that penetrate deeper than 2 mm after the optimization, allowed ones left out", minimum=0)
-    remains: tuple[str, ...] = column("What the optimization could not put right, one line each")
+    remains: tuple[str, ...] = column(
+        "What the optimization could not put right and what placements.remains has, the instance's id in front; one line each"
+    )
 
 
 @record("certificates", key=("scene_id", "instance_id", "engine"), stage="optimization")
@@ -127,7 +146,11 @@ class Certificate:
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
-    engine: str = column("Physics engine", values=("mujoco", "newton"))
+    engine: str = column(
+        "Physics engine; mujoco is set as exported scenes are, mujoco_defaults has MuJoCo's own friction cone (pyramidal), impratio (1) "
+        "and integrator (Euler)",
+        values=("mujoco", "mujoco_defaults", "newton"),
+    )
     engine_version: str = column(
         "Version of the engine; Newton's names the solver that it ran: with MuJoCo's own, the two engines are no independent opinions"
     )
@@ -146,8 +169,20 @@ class Certificate:
     start_penetration_m: float | None = column(
         "Deepest penetration with anything at the optimized pose, by the engine; missing with a problem", unit="m", minimum=0
     )
-    is_stable_1cm: bool = column("The asset's origin moved by no more than 1 cm; the tilt is not looked at")
+    is_stable_1cm: bool = column("The asset's origin moved by no more than 1 cm, and it tilted by no more than 5 degrees")
     is_stable_5cm: bool = column("The asset's origin moved by no more than 5 cm, and it tilted by no more than 5 degrees")
+    nudged_displacement_m: float | None = column(
+        "Greatest distance between the optimized and the settled place of the asset's origin after any of four nudges: all free objects at "
+        "0.05 m/s, unless configured otherwise, along +x, -x, +y or -y; missing with a problem, or without nudges",
+        unit="m",
+        minimum=0,
+    )
+    nudged_tilt_radians: float | None = column(
+        "Greatest tilt after any of these nudges; missing with a problem, or without nudges", unit="rad", minimum=0
+    )
+    is_stable_nudged: bool | None = column(
+        "After every nudge it was within 1 cm and 5 degrees: it does not merely balance; missing without nudges"
+    )
     settled_pose: tuple[float, ...] | None = column(
         "Asset to world frame at the end, 4x4 row by row; missing with a problem", unit="m", length=16
     )
@@ -155,7 +190,7 @@ class Certificate:
     solid_volume_m3: float = column("Volume of the union of the convex pieces; 0 when they enclose none", unit="m3", minimum=0)
     density_kg_m3: float = column("Mass over solid volume; 0 when either is 0", unit="kg/m3", minimum=0)
     density_low_kg_m3: float | None = column(
-        "1 % of the least density of its lightest material, 0.4 % for fabric and foliage: things are hollow where their pieces are solid; "
+        "1 % of the least density of its lightest material, 0.4 % for fabric and foliage: objects are hollow where their pieces are solid; "
         "missing when no material is known",
         unit="kg/m3",
         minimum=0,

@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
-from schemas import annotation, candidates, captions, capture, evaluation, exports, navigation, optimization, releases, runs, selection
+from schemas import (
+    annotation,
+    candidates,
+    captions,
+    capture,
+    evaluation,
+    exports,
+    fidelity,
+    navigation,
+    optimization,
+    releases,
+    runs,
+    selection,
+)
 from schemas.record import Table, table_of
 
 RECORDS: tuple[type, ...] = (
@@ -27,6 +40,8 @@ RECORDS: tuple[type, ...] = (
     navigation.Episode,
     navigation.UnreachableTarget,
     navigation.Split,
+    fidelity.Fidelity,
+    fidelity.SceneFidelity,
     exports.ExportFile,
     exports.ExportCheck,
     evaluation.Trajectory,

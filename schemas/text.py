@@ -8,6 +8,9 @@ from __future__ import annotations
 import os
 import re
 
+SHOWN = 60
+"""Characters of a value or a name that an error repeats."""
+
 HIDDEN = "..."
 """Stands where a credential stood."""
 
@@ -31,6 +34,11 @@ _VALUE = re.compile(r"=(?!\.\.\.)[^&;]+")
 _COMMANDS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ufff9-\ufffb\ud800-\udfff\U000e0000-\U000e007f]"
 )
+
+
+def cut(text: str, most: int = SHOWN) -> str:
+    """A text of at most `most` characters; three dots stand for the rest."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def escaped(text: str) -> str:
@@ -59,9 +67,9 @@ def shown(text: str) -> str:
     return escaped(concealed(text))
 
 
-def one_line(said: object) -> str:
+def one_line(text: object) -> str:
     """Anything's text, as it may be shown, in one line."""
-    return shown(" ".join(str(said).split()))
+    return shown(" ".join(str(text).split()))
 
 
 def _code(match: re.Match[str]) -> str:

@@ -163,8 +163,8 @@ def _placed(document: Document, placed: Mapping[int, int]) -> Problems:
             corners = _whole(_at(accessors, attributes.get("POSITION")).get("count"))
             count = _whole(_at(accessors, primitive["indices"]).get("count")) if "indices" in primitive else corners
             read = [_at(accessors, value) for value in attributes.values()]
-            parts, vertices = parts + times, vertices + times * max((_whole(one.get("count")) for one in read), default=0)
-            numbers += times * sum(_whole(one.get("count")) * _width(one) for one in read)
+            parts, vertices = parts + times, vertices + times * max((_whole(accessor.get("count")) for accessor in read), default=0)
+            numbers += times * sum(_whole(accessor.get("count")) * _width(accessor) for accessor in read)
             faces += times * (count // 3 if primitive.get("mode", 4) == 4 else count)
     if parts > BUDGET.nodes:
         yield "meshes", f"are {parts} parts, as often as they are placed, more than {BUDGET.nodes}", "join the meshes, or split the file"
@@ -179,12 +179,12 @@ def _placed(document: Document, placed: Mapping[int, int]) -> Problems:
 
 def _images(document: Document, binary: bytes) -> Problems:
     """Pixels that the images' heads declare."""
-    found = list(_image_pixels(document, binary))
-    for index, pixels in enumerate(found):
+    sizes = list(_image_pixels(document, binary))
+    for index, pixels in enumerate(sizes):
         if pixels > BUDGET.pixels:
             yield f"image {index}", f"is {pixels} pixels, more than {BUDGET.pixels}", "shrink it"
-    if sum(found) > BUDGET.all_pixels:
-        yield "images", f"are {sum(found)} pixels, more than {BUDGET.all_pixels}", "shrink them"
+    if sum(sizes) > BUDGET.all_pixels:
+        yield "images", f"are {sum(sizes)} pixels, more than {BUDGET.all_pixels}", "shrink them"
 
 
 def _image_pixels(document: Document, binary: bytes) -> Iterator[int]:
@@ -220,7 +220,7 @@ def _indices(values: Any) -> list[int]:
 
 
 def _whole(value: Any) -> int:
-    """A number of things, 0 for what is none."""
+    """A count, 0 for what is none."""
     return max(value, 0) if isinstance(value, int) else 0
 
 

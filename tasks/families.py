@@ -30,14 +30,14 @@ def members(package: str, names: Iterable[str], kind: type[M]) -> tuple[M, ...]:
     Raises:
         TypeError: a module has no such object of that kind and name.
     """
-    found = []
+    objects = []
     for name in names:
         module = import_module(f"{package}.{name}")
         member = getattr(module, name.upper(), None)
         if not isinstance(member, kind) or member.name != name:
             raise TypeError(f"{module.__name__}: {name.upper()} must be the {kind.__name__} {name!r}")
-        found.append(member)
-    return tuple(found)
+        objects.append(member)
+    return tuple(objects)
 
 
 def member(family: Sequence[M], name: str) -> M:

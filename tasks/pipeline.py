@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tasks import annotation, candidates, captions, capture, evaluation, exports, navigation, optimization, selection
+from tasks import annotation, candidates, captions, capture, evaluation, exports, fidelity, navigation, optimization, selection
 from tasks.stage import Stage
 
 STAGES: tuple[Stage, ...] = (
@@ -13,6 +13,7 @@ STAGES: tuple[Stage, ...] = (
     annotation.STAGE,
     optimization.STAGE,
     navigation.STAGE,
+    fidelity.STAGE,
     exports.STAGE,
     evaluation.STAGE,
 )

@@ -14,16 +14,10 @@ from typing import Annotated, Any, ClassVar, Union, get_args
 from pydantic import BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import ArgsKwargs, CoreSchema, PydanticCustomError, core_schema
 
+from schemas.text import SHOWN, cut
+
 LARGEST = 10**18
 """Of whole numbers that settings take; more does not fit into 64 bits."""
-
-LONGEST = 60
-"""Characters of a value or a name that an error repeats."""
-
-
-def cut(text: str) -> str:
-    """A text as an error repeats it."""
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
 def shown(value: Any) -> str:
@@ -119,7 +113,7 @@ def fields_of(config: type[Config]) -> list[str]:
 
 
 def plain(value: Any) -> Any:
-    """A value of a field as one tells it: a config as a table, a tuple as a list."""
+    """The value of a field as files have it: a config as a table, a tuple as a list."""
     if isinstance(value, Config):
         return ({"kind": value.kind} if value.kind else {}) | {name: plain(getattr(value, name)) for name in fields_of(type(value))}
     return [plain(item) for item in value] if isinstance(value, tuple) else value
@@ -139,6 +133,15 @@ class ByKind:
         made = handler(schema)
         kinds = [tag.removeprefix("kind=") for tag in schema["choices"]]
         return {"anyOf": [{"enum": kinds}, *({**table, "required": ["kind"]} for table in made["oneOf"])]}
+
+
+class ByWord:
+    """Annotation of a config of one kind, whose word alone stands for it: its JSON schema says so."""
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        made = handler(schema)
+        kind = handler.resolve_ref_schema(made)["properties"]["kind"]["const"]
+        return {"anyOf": [{"enum": [kind]}, made]}
 
 
 def union_of(configs: Iterable[type[Config]]) -> Any:
@@ -163,9 +166,9 @@ def adapter(config: type) -> TypeAdapter[Any]:
 
 
 def nearest(word: str, known: Iterable[str], head: str) -> str:
-    """What to do about a word that is not known: the one that was meant, and all that there are."""
+    """The remedy for an unknown word: the known one that is nearest, and all known ones."""
     names = list(known)
-    close = difflib.get_close_matches(word[:LONGEST], names, n=1)
+    close = difflib.get_close_matches(word[:SHOWN], names, n=1)
     return (f"did you mean {close[0]}? " if close else "") + f"{head} {', '.join(names)}"
 
 
@@ -182,7 +185,7 @@ _PROBLEMS = {
 
 
 def first_of(error: ValidationError) -> tuple[list[str], str, str]:
-    """The first that is wrong: the path of the field, the problem, and what to do where that does not say it."""
+    """The first error: the path of the field, the problem, and the remedy where the problem does not say it."""
     first = error.errors(include_url=False)[0]
     context = {"value": shown(first["input"]), **first.get("ctx", {})}
     context["expected"] = str(context.get("expected")).replace("'", "")

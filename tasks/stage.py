@@ -62,7 +62,7 @@ class Context:
     """What a run may know besides its inputs: whose it is, the seed, and the blobs that its input rows name.
 
     `scene_id` is the batch for stages that work on batches. `caches` remember, between runs and stages, what costs
-    much and follows from content alone, one for every module that computes such values (`caches["tasks.pieces"]`): a
+    much and follows from content alone, one for every module that computes such values (`caches["tasks.geometry.pieces"]`): a
     key must name everything that its value depends on but the module's own code. `spread(function, items)` is the list
     of the function's values, in the order of the items, computed in other processes where cores are free.
     """

@@ -33,7 +33,7 @@ def json_value(data: bytes | str, **hooks: Any) -> Any:
     except RecursionError as error:
         raise ValueError(too_deep) from error
     level, depth = [value], 1
-    while level := [inner for one in level if isinstance(one, dict | list) for inner in _within(one)]:
+    while level := [inner for node in level if isinstance(node, dict | list) for inner in _within(node)]:
         depth += 1
         if depth > BUDGET.depth:
             raise ValueError(too_deep)

@@ -1,4 +1,4 @@
-"""The open families: kinds of things of which there may be more. Each is one tuple, the names of its members, in a module here.
+"""The open families: kinds of objects of which there may be more. Each is one tuple, the names of its members, in a module here.
 
 Nothing else lists them. What a member is, one frozen object says, in the module of the member's name: `SCANNET` in
 `tasks.capture.scannet` is the scan format `scannet`. `tasks.families.members` makes the tuple of objects of the tuple of names.

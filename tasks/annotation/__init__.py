@@ -13,15 +13,15 @@ from schemas.candidates import Candidate
 from schemas.capture import Instance
 from schemas.errors import InputError
 from tasks.annotation.agreement import borda, current, winning
-from tasks.annotation.batch import SCHEMA_FILE, AnnotationBatch, Answer, parse_batch, read_batch
+from tasks.annotation.batch import SCHEMA_FILE, AnnotationBatch, AnnotatorAnswer, read_batch
 from tasks.annotation.review import REVIEW_SCHEMA_FILE, Review, ReviewBatch, check_reviews, read_reviews
+from tasks.geometry.transforms import matrix
 from tasks.settings import Config
 from tasks.stage import Context, Outcome, Stage
-from tasks.transforms import matrix
 
 __all__ = [
-    "REVIEW_SCHEMA_FILE", "SCHEMA_FILE", "STAGE", "AnnotationBatch", "AnnotationConfig", "Answer", "ReviewBatch", "borda",
-    "check_reviews", "current", "parse_batch", "read_batch", "read_reviews", "run", "winning",
+    "REVIEW_SCHEMA_FILE", "SCHEMA_FILE", "STAGE", "AnnotationBatch", "AnnotationConfig", "AnnotatorAnswer", "ReviewBatch", "borda",
+    "check_reviews", "current", "read_batch", "read_reviews", "run", "winning",
 ]  # fmt: skip
 
 
@@ -83,7 +83,7 @@ STAGE = Stage(
 )
 
 
-def _instance(answer: Answer, known: Mapping[tuple[str, str], Instance], scenes: set[str]) -> Instance:
+def _instance(answer: AnnotatorAnswer, known: Mapping[tuple[str, str], Instance], scenes: set[str]) -> Instance:
     """The instance that an answer is for."""
     if answer.scene_id not in scenes:
         raise InputError(
@@ -99,7 +99,7 @@ def _instance(answer: Answer, known: Mapping[tuple[str, str], Instance], scenes:
     return instance
 
 
-def _asset(value: str | int, slots: Mapping[int, str], answer: Answer, field: str) -> str:
+def _asset(value: str | int, slots: Mapping[int, str], answer: AnnotatorAnswer, field: str) -> str:
     """The asset that a slot number or an asset id means."""
     if isinstance(value, int):
         if value in slots:
@@ -113,7 +113,9 @@ def _asset(value: str | int, slots: Mapping[int, str], answer: Answer, field: st
     raise InputError(answer.source_file, f"{answer.where}.{field}", problem, filled)
 
 
-def _annotation(batch_id: str, answer: Answer, instance: Instance, slots: Mapping[int, str], config: AnnotationConfig) -> Annotation:
+def _annotation(
+    batch_id: str, answer: AnnotatorAnswer, instance: Instance, slots: Mapping[int, str], config: AnnotationConfig
+) -> Annotation:
     """The row of an answer, checked against its instance."""
     choice = None if answer.choice is None else _asset(answer.choice, slots, answer, "choice")
     ranking: list[str] = []
@@ -158,7 +160,7 @@ def _quality_review(batch: ReviewBatch, review: Review) -> QualityReview:
     )
 
 
-def _check_transform(answer: Answer, instance: Instance, config: AnnotationConfig) -> None:
+def _check_transform(answer: AnnotatorAnswer, instance: Instance, config: AnnotationConfig) -> None:
     """Refuse a transform that cannot be meant: its place and its scale against the instance."""
     if answer.pose is None or answer.scale is None:
         return

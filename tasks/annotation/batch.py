@@ -12,7 +12,7 @@ from typing import Any
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.batches import BatchSchema, parse_json, read_limited
-from tasks.transforms import flat, pose_from_quaternion_wxyz, yaw_pose
+from tasks.geometry.transforms import flat, pose_from_quaternion_wxyz, yaw_pose
 
 SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
 """The published JSON Schema of a batch file."""
@@ -33,7 +33,7 @@ QUATERNION_TOLERANCE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
-class Answer:
+class AnnotatorAnswer:
     """One annotator's answer as the file has it. `where` is its JSON path in `source_file`.
 
     `choice` and `ranking` hold asset ids and slot numbers. `pose`: asset to world frame [m], 4x4 row by row; `scale`:
@@ -59,7 +59,7 @@ class AnnotationBatch:
     """A batch of answers, the outside input of the annotation stage."""
 
     batch_id: str
-    annotations: tuple[Answer, ...]
+    annotations: tuple[AnnotatorAnswer, ...]
 
     @property
     def scene_ids(self) -> tuple[str, ...]:
@@ -77,7 +77,7 @@ def read_batch(path: Path) -> AnnotationBatch:
     root = path.parent.resolve()
     if not path.is_file():
         raise InputError(str(path), "", "is no file", "name a JSON file with an annotation batch")
-    answers: list[Answer] = []
+    answers: list[AnnotatorAnswer] = []
     batch_id = ""
     seen: set[Path] = set()
     queue = [path.resolve()]
@@ -105,21 +105,6 @@ def read_batch(path: Path) -> AnnotationBatch:
     return AnnotationBatch(batch_id, tuple(answers))
 
 
-def parse_batch(document: Any, name: str = "batch.json") -> AnnotationBatch:
-    """The batch in one JSON document that is already in memory; it may name no further files.
-
-    Raises:
-        InputError: as `read_batch`.
-    """
-    SCHEMA.check(document, name)
-    if document.get("files"):
-        raise InputError(name, "files", "names further files", "send their annotations in the same document")
-    answers = [_answer(item, name, f"annotations[{i}]") for i, item in enumerate(document.get("annotations", ()))]
-    _refuse_none(answers, name)
-    _refuse_repeats(answers)
-    return AnnotationBatch(document["batch_id"], tuple(answers))
-
-
 def _inside(folder: Path, relative: str, name: str, where: str) -> Path:
     """The file that `relative` names, which must lie in `folder`, links followed."""
     parts = PurePosixPath(relative)
@@ -137,7 +122,7 @@ def _inside(folder: Path, relative: str, name: str, where: str) -> Path:
     return target
 
 
-def _answer(item: Any, name: str, where: str) -> Answer:
+def _answer(item: Any, name: str, where: str) -> AnnotatorAnswer:
     """One answer, after what a schema cannot say: times with a zone, rotations, and a choice that tops its ranking."""
     transform = item.get("transform")
     pose, scale = _placed(transform, name, f"{where}.transform") if transform is not None else (None, None)
@@ -146,7 +131,7 @@ def _answer(item: Any, name: str, where: str) -> Answer:
         raise InputError(name, f"{where}.ranking", "names a candidate twice", "rank every candidate once")
     if choice is None and transform is not None:
         raise InputError(name, f"{where}.transform", "is given although nothing was chosen", "give a choice, or null for the transform")
-    return Answer(
+    return AnnotatorAnswer(
         scene_id=item["scene_id"],
         instance_id=item["instance_id"],
         annotator=item["annotator"].strip(),
@@ -173,9 +158,9 @@ def moment(text: str, name: str, where: str) -> datetime:
         InputError: it is none, or has no zone.
     """
     try:
-        found = datetime.fromisoformat(text)
-        if found.tzinfo is not None:
-            return found.astimezone(UTC)
+        time = datetime.fromisoformat(text)
+        if time.tzinfo is not None:
+            return time.astimezone(UTC)
     except (ValueError, OverflowError):
         pass
     raise InputError(name, where, f"{text!r:.60} is no time with a zone", "write ISO 8601, such as 2026-03-01T14:05:00Z")
@@ -203,13 +188,13 @@ def _placed(transform: Any, name: str, where: str) -> tuple[tuple[float, ...], t
     return flat(pose_from_quaternion_wxyz(quaternion, transform["position"])), scale
 
 
-def _refuse_none(answers: Sequence[Answer], name: str) -> None:
+def _refuse_none(answers: Sequence[AnnotatorAnswer], name: str) -> None:
     if not answers:
         raise InputError(name, "annotations", "the batch has no answers", "give at least one answer, here or in a file named in files")
 
 
-def _refuse_repeats(answers: Sequence[Answer]) -> None:
-    first: dict[tuple[str, str, str], Answer] = {}
+def _refuse_repeats(answers: Sequence[AnnotatorAnswer]) -> None:
+    first: dict[tuple[str, str, str], AnnotatorAnswer] = {}
     for answer in answers:
         key = (answer.scene_id, answer.instance_id, answer.annotator)
         if key in first:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from tasks.meshes import Surface, canonical, dump_glb, surface_of
+from tasks.geometry.meshes import Surface, canonical, dump_glb, surface_of
+from tasks.geometry.triangles import enclosed_volume, welded
 
 if TYPE_CHECKING:
     import trimesh
@@ -70,7 +70,7 @@ def make_asset(
         pieces_data = dump_glb(placed, [f"piece_{index:03d}" for index in range(len(placed))])
         pieces_blob = f"{hashlib.sha256(pieces_data).hexdigest()}.glb"
         files[pieces_blob] = pieces_data
-        volume = sum(_enclosed(piece.vertices, piece.faces) for piece in placed)
+        volume = sum(abs(enclosed_volume(piece.vertices, piece.faces)) for piece in placed)
     asset = Asset(
         asset_id=asset_id,
         provider=provider,
@@ -113,12 +113,6 @@ def decimated(surface: Surface, face_count: int) -> Surface:
     return Surface(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), surface.colors[nearest])
 
 
-def _enclosed(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
-    """Volume inside a closed surface of vertices (n, 3) [m] and faces (m, 3): sum over tetrahedra to the origin [m3]."""
-    a, b, c = (np.asarray(vertices)[np.asarray(faces)[:, i]] for i in range(3))
-    return float(abs(np.einsum("nd,nd->", a, np.cross(b, c))) / 6)
-
-
 def _solidity(surface: Surface) -> tuple[bool, float]:
     """Whether a surface is closed, as it is indexed or once equal corners are one (textures split them), and its volume
     [m3]; its hull's volume when it is open or wound inconsistently."""
@@ -127,13 +121,13 @@ def _solidity(surface: Surface) -> tuple[bool, float]:
     hull = hull_volume(surface)
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     if not mesh.is_watertight:
-        _, first, merged = np.unique(np.round(surface.vertices, 7), axis=0, return_index=True, return_inverse=True)
-        faces = merged.reshape(-1)[surface.faces]
+        first, place = welded(surface.vertices, 7)
+        faces = place[surface.faces]
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
         mesh = trimesh.Trimesh(surface.vertices[first], faces, process=False)
     if not len(mesh.faces) or not mesh.is_watertight:
         return False, hull
-    volume = _enclosed(mesh.vertices, mesh.faces) if mesh.is_winding_consistent else 0.0
+    volume = abs(enclosed_volume(mesh.vertices, mesh.faces)) if mesh.is_winding_consistent else 0.0
     # Bodies that reach into each other count twice in the sum over faces, never more than the hull holds.
     return True, min(volume, hull) if volume > 0 else hull
 

@@ -2,7 +2,7 @@
 
 A distance is put on a grid and its level taken, so the result is closed whatever the crop looks like:
 
-* The scanned surface is thickened to a shell of about one cell, so that thin things (legs, boards, seats seen from one
+* The scanned surface is thickened to a shell of about one cell, so that thin objects (legs, boards, seats seen from one
   side only) stay.
 * Elsewhere rays decide: a point is inside when most of the directions from it meet the back of a face before they meet
   a front. Unseen sides (a back against the wall, a top above the camera) let some rays escape, which is why half of
@@ -21,10 +21,10 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.isosurfaces import dense_surface
-from tasks.meshes import Surface
-from tasks.proximity import closest_points
-from tasks.rendering import RayScene
+from tasks.geometry.isosurfaces import dense_surface
+from tasks.geometry.meshes import Surface
+from tasks.geometry.proximity import closest_points
+from tasks.geometry.rendering import RayScene
 
 Array = NDArray[np.float64]
 
@@ -40,10 +40,10 @@ SHELL_STEPS = 0.75
 FAR_STEPS = 1.6
 """Distances are cut off at so many cells: the level and its smoothing see no farther."""
 
-SMOOTHING_CELLS = 0.7
+SMOOOBJECT_CELLS = 0.7
 """Width of the Gaussian over the distances, in cells: takes away the steps of the grid and the scan's noise, not a leg."""
 
-CROP_SMOOTHING_ROUNDS = 4
+CROP_SMOOOBJECT_ROUNDS = 4
 """Rounds of averaging over neighbors before rays are cast: a face turned around by noise would vote for the wrong side."""
 
 INSIDE_SHARE, INSIDE_SHARE_ABOVE, FRONT_SHARE = 0.5, 0.6, 0.1
@@ -99,7 +99,7 @@ def solid_field(crop: Surface) -> SolidField:
     # A lone node that differs from most of its neighbors was decided by noise.
     solid = uniform_filter(inside.reshape(shape), 3) > 0.5
     distance = distance.reshape(shape)
-    field = gaussian_filter(np.where(solid, -distance, distance) - SHELL_STEPS * step, SMOOTHING_CELLS, mode="nearest")
+    field = gaussian_filter(np.where(solid, -distance, distance) - SHELL_STEPS * step, SMOOOBJECT_CELLS, mode="nearest")
     return SolidField(_grounded(field, axes[2], low[2], step), origin, step)
 
 
@@ -130,7 +130,7 @@ def _smoothed(crop: Surface) -> Array:
     degree = np.asarray(links.sum(axis=1)).ravel()
     average = diags_array(1 / (1 + degree)) @ links
     vertices = crop.vertices
-    for _ in range(CROP_SMOOTHING_ROUNDS):
+    for _ in range(CROP_SMOOOBJECT_ROUNDS):
         vertices = average @ vertices + vertices / (1 + degree)[:, None]
     return np.asarray(vertices)
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.kernels import compile_kernels
+
 
 def hull_area(plan: NDArray[np.bool_], axis: int = 0, position: int = 0) -> float:
     """Sum of the areas of the convex hulls of the connected bodies of cells in plan, shape (n, m), in cells.
@@ -20,10 +22,7 @@ def hull_area(plan: NDArray[np.bool_], axis: int = 0, position: int = 0) -> floa
 
 @cache
 def _compiled() -> Callable[..., Any]:
-    import numba
-
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_area)
-    return compiled
+    return compile_kernels(_area)["_area"]
 
 
 def _area(plan: NDArray[np.bool_], axis: int, position: int) -> float:

@@ -54,22 +54,22 @@ def _normalized(counts: ArrayLike) -> Array:
     return values / max(float(values.sum()), 1.0)
 
 
-def similarity(one: Array, other: Array) -> float:
+def similarity(first: Array, other: Array) -> float:
     """1 - Jensen-Shannon distance (base 2) of two histograms that sum to one: 1 for equal, 0 for disjoint ones."""
-    middle = (one + other) / 2
+    middle = (first + other) / 2
     divergence = 0.0
-    for histogram in (one, other):
+    for histogram in (first, other):
         some = histogram > 0
         divergence += 0.5 * float((histogram[some] * np.log2(histogram[some] / middle[some])).sum())
     return float(1 - np.sqrt(np.clip(divergence, 0.0, 1.0)))
 
 
-def extents_similarity(one: ArrayLike, other: ArrayLike) -> float:
+def extents_similarity(first: ArrayLike, other: ArrayLike) -> float:
     """exp(-sum of |log ratio|) over the three axes, the better of both ways to lay the horizontal axes; in (0, 1]."""
-    a, b = np.maximum(np.asarray(one, dtype=np.float64), 0.01), np.maximum(np.asarray(other, dtype=np.float64), 0.01)
+    a, b = np.maximum(np.asarray(first, dtype=np.float64), 0.01), np.maximum(np.asarray(other, dtype=np.float64), 0.01)
     return float(max(np.exp(-np.abs(np.log(a / b[order])).sum()) for order in ([0, 1, 2], [1, 0, 2])))
 
 
-def shape_similarity(one: Descriptor, other: Descriptor) -> float:
+def shape_similarity(first: Descriptor, other: Descriptor) -> float:
     """Mean of the similarities of both shape histograms, 0..1."""
-    return 0.5 * (similarity(one.distances, other.distances) + similarity(one.heights, other.heights))
+    return 0.5 * (similarity(first.distances, other.distances) + similarity(first.heights, other.heights))

@@ -25,7 +25,7 @@ from tasks.candidates.descriptors import Descriptor, describe
 from tasks.candidates.provider import CandidateProvider, NothingToOffer
 from tasks.captions.physics import known_name
 from tasks.containers import GLB_MAGIC
-from tasks.meshes import load_glb, sample_surface, surface_of
+from tasks.geometry.meshes import load_glb, sample_surface, surface_of
 from tasks.settings import Config, Whole
 from tasks.unpacking import json_value
 
@@ -84,11 +84,11 @@ def _named_files(folder: Path) -> list[Path]:
     """Everything below `folder` that has the name of a library's file, whatever it is, and links to folders; sorted."""
     if not folder.is_dir():
         raise InputError(folder, "library", "is no folder", "name the folder that holds the library's GLB files")
-    found = []
+    paths = []
     for place, folders, files in os.walk(folder):
-        found += [Path(place, name) for name in files if name.lower().endswith(".glb")]
-        found += [path for path in (Path(place, name) for name in folders) if path.is_symlink()]
-    return sorted([*found, *(folder / name for name in ("index.json", *_LICENSES) if os.path.lexists(folder / name))])
+        paths += [Path(place, name) for name in files if name.lower().endswith(".glb")]
+        paths += [path for path in (Path(place, name) for name in folders) if path.is_symlink()]
+    return sorted([*paths, *(folder / name for name in ("index.json", *_LICENSES) if os.path.lexists(folder / name))])
 
 
 _LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")

@@ -18,7 +18,7 @@ class NothingToOffer(Exception):
 
 
 class ProviderConfig(Protocol):
-    """What a provider can be told."""
+    """Settings of a provider."""
 
     @property
     def kind(self) -> str:

@@ -18,9 +18,9 @@ from tasks.candidates.provider import NothingToOffer
 from tasks.candidates.retrieval import retrieve
 from tasks.candidates.scan_crop import crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
-from tasks.meshes import Surface, read_points
+from tasks.geometry.meshes import Surface, read_points
+from tasks.geometry.transforms import inverse, matrix, transform_points
 from tasks.stage import Context
-from tasks.transforms import inverse, matrix, transform_points
 
 if TYPE_CHECKING:
     import trimesh

@@ -26,11 +26,11 @@ MIN_SCORE = 0.4
 _CATCH_ALL = frozenset({"", "otherprop", "otherfurniture", "otherstructure", "unlabeled"})
 
 
-def category_similarity(one: str, other: str) -> float:
-    """1 for the same thing under any of its names, 0.8 for the same head noun, 0.5 for the same NYU40 class, else shared words."""
-    a, b = one.lower().split(), other.lower().split()
-    name_a, name_b = known_name(one), known_name(other)
-    if one.lower() == other.lower() or (name_a is not None and name_a == name_b):
+def category_similarity(first: str, other: str) -> float:
+    """1 for the same object under any of its names, 0.8 for the same head noun, 0.5 for the same NYU40 class, else shared words."""
+    a, b = first.lower().split(), other.lower().split()
+    name_a, name_b = known_name(first), known_name(other)
+    if first.lower() == other.lower() or (name_a is not None and name_a == name_b):
         return 1.0
     if a and b and a[-1] == b[-1]:
         return 0.8

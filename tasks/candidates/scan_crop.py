@@ -13,9 +13,10 @@ from tasks.candidates.assets import MadeAsset, make_asset
 from tasks.candidates.closing import SolidField, closed_mesh, fitted, manifold_arrays, nearest_colors
 from tasks.candidates.pieces import convex_pieces
 from tasks.candidates.provider import CandidateProvider, NothingToOffer
-from tasks.meshes import Surface, load_glb, surface_of
+from tasks.geometry.meshes import Surface, load_glb, surface_of
+from tasks.geometry.transforms import inverse, matrix, translation
+from tasks.geometry.triangles import surface_area
 from tasks.settings import Config
-from tasks.transforms import inverse, matrix, translation
 
 if TYPE_CHECKING:
     import trimesh
@@ -80,8 +81,7 @@ def _thinned(crop: Surface) -> Surface:
 
     The cubes have an edge that leaves about `MAX_CROP_FACES` faces of a surface that fills the crop's area evenly.
     """
-    a, b, c = (crop.vertices[crop.faces[:, i]] for i in range(3))
-    area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    area = surface_area(crop.vertices, crop.faces)
     cube = np.floor((crop.vertices - crop.bounds[0]) / np.sqrt(2 * area / MAX_CROP_FACES)).astype(np.int64)
     shape = cube.max(axis=0) + 1
     _, group = np.unique(np.ravel_multi_index(tuple(cube.T), tuple(shape)), return_inverse=True)

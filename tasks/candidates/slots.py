@@ -12,7 +12,7 @@ from tasks.candidates.procedural import Procedural
 from tasks.candidates.provider import ProviderConfig
 from tasks.candidates.providers import PROVIDERS
 from tasks.candidates.scan_crop import ScanCrop
-from tasks.settings import LISTED, Config, union_of
+from tasks.settings import LISTED, ByWord, Config, union_of
 
 if TYPE_CHECKING:
     Provider = ProviderConfig
@@ -25,7 +25,7 @@ class SlotConfig(Config):
     """A slot's provider, and who fills it, flagged, when that provider is not there (no library given) or has nothing."""
 
     provider: Provider
-    fallback: Procedural | None = None  # without one, the slot stays empty
+    fallback: Annotated[Procedural, ByWord()] | None = None  # without one, the slot stays empty
 
 
 Slots = Annotated[tuple[SlotConfig, ...], LISTED, Field(min_length=1, max_length=10)]

@@ -18,7 +18,7 @@ from tasks.captions.colors import ColorNames, name_colors, roughness
 from tasks.captions.materials import likely_materials, rank_materials
 from tasks.captions.physics import attributes, implausible, mass
 from tasks.captions.sentences import compose, shape_word
-from tasks.meshes import read_points
+from tasks.geometry.meshes import read_points
 from tasks.settings import Config, Whole
 from tasks.stage import Context, Outcome, Stage
 

@@ -17,7 +17,7 @@ _TO_XYZ: Array = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151
 
 NEUTRAL_SATURATION, NEUTRAL_SATURATION_DARK = 0.085, 0.15
 """Saturation C / (L + 16) below which a light (L 80) and a dark (L 45) color is a gray. On white walls the lamp's tint and
-sensor noise reach 0.08; of dark things people name a hue only where it is stronger."""
+sensor noise reach 0.08; of dark objects people name a hue only where it is stronger."""
 
 LIGHTNESS_WEIGHT = 0.4
 """Lightness counts less than hue and saturation: a shadow halves lightness but leaves the other two where they were."""

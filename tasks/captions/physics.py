@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 _FOLDER = Path(__file__).parent
 
 SMALL_M = 0.4
-"""Longest side up to which an unknown thing counts as household goods, not furniture: it fits in one hand's reach."""
+"""Longest side up to which an unknown object counts as household goods, not furniture: it fits in one hand's reach."""
 
 MIN_SIDE_M = 0.004
-"""Boxes of flat things (posters, rugs) come out of a scan with no thickness; 4 mm is the thinnest of them."""
+"""Boxes of flat objects (posters, rugs) come out of a scan with no thickness; 4 mm is the thinnest of them."""
 
 _ALIASES: dict[str, str] = {
     "couch": "sofa", "television": "tv", "night stand": "nightstand", "bedside table": "nightstand", "bookcase": "bookshelf",
@@ -44,7 +44,7 @@ _ALIASES: dict[str, str] = {
 }  # fmt: skip
 
 FILL: Mapping[str, float] = MappingProxyType({"furniture": 0.1, "soft": 0.3, "small": 0.5})
-"""Share of the box that is material in the plausibility check: open frames, stuffed things, small solid things."""
+"""Share of the box that is material in the plausibility check: open frames, stuffed objects, small solid objects."""
 
 PLAUSIBLE_DENSITY: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"rigid": (20.0, 3000.0), "cloth": (5.0, 400.0), "soft": (5.0, 400.0)}
@@ -52,7 +52,7 @@ PLAUSIBLE_DENSITY: Mapping[str, tuple[float, float]] = MappingProxyType(
 """Bounds of mass / (box volume x fill) [kg/m3] outside of which an answer is doubted."""
 
 BOUNCY_FROM, BOUNCY_MASS_KG = 0.5, 5.0
-"""A thing heavier than 5 kg that gives back more than half of its speed is doubted: such things are balls, and balls are light."""
+"""An object heavier than 5 kg that gives back more than half of its speed is doubted: such objects are balls, and balls are light."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -65,9 +65,9 @@ def find_scans(
         raise InputError(str(folder), "folder", "does not exist", "name a scan, or a folder of scans")
     folder = folder.resolve()
     root = (folder if folder.is_dir() else folder.parent, *allowed) if isinstance(folder, Path) else ()  # a listing has no links
-    found, errors = _search(folder, _Search(wanted, dataset, root), depth=0)
+    scan_list, errors = _search(folder, _Search(wanted, dataset, root), depth=0)
     by_scene: dict[str, list[Scan]] = {}
-    for scan in _once(found):
+    for scan in _once(scan_list):
         if not _is_text(scan.path.as_posix()):
             shown = _below(scan.path, folder).encode("utf-8", "backslashreplace").decode()
             errors.append(InputError(shown, "name", "is no UTF-8", "rename the folder or file"))
@@ -85,12 +85,12 @@ def find_scans(
 
 def _once(scans: Iterable[Scan]) -> list[Scan]:
     """Scans without those that are others by another path; the path without links counts, else the first."""
-    found: dict[tuple[str, Path], Scan] = {}
+    unique: dict[tuple[str, Path], Scan] = {}
     for scan in scans:
         real = scan.path.resolve()
-        if (scan.format, real) not in found or scan.path == real:
-            found[scan.format, real] = scan
-    return list(found.values())
+        if (scan.format, real) not in unique or scan.path == real:
+            unique[scan.format, real] = scan
+    return list(unique.values())
 
 
 def scan_files(scan: Scan) -> list[Path]:

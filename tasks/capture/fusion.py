@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field
 
 from schemas.errors import InputError
+from tasks.capture.instances.views import chosen_frames
 from tasks.capture.reading import FrameSource
-from tasks.capture.views import chosen_frames
-from tasks.fusion import Volume
-from tasks.meshes import Surface
+from tasks.geometry.fusion import Volume
+from tasks.geometry.meshes import Surface
 from tasks.settings import Config, Count, Natural, NonNegative, Positive
 
 _NEAREST_M = 0.1

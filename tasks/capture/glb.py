@@ -10,14 +10,15 @@ import numpy as np
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from tasks.capture.documents import license_of, name_of, read_bytes
+from tasks.capture.files.documents import license_of, name_of, read_bytes
+from tasks.capture.files.ply import check_vertices
 from tasks.capture.labels import Label
-from tasks.capture.ply import check_vertices
 from tasks.capture.premises import Premises
 from tasks.capture.reading import Group, Reading
 from tasks.capture.scan import Scan, ScanFormat, files_named, license_path, single_file
 from tasks.containers import GLB_MAGIC
-from tasks.meshes import Surface, load_glb, parse_node_name, surface_of
+from tasks.geometry.meshes import Surface, load_glb, parse_node_name, surface_of
+from tasks.geometry.triangles import face_areas
 
 SUFFIX = ".glb"
 
@@ -86,7 +87,7 @@ def read_glb_scene(scan: Scan) -> Reading:
 
 
 def is_label(name: str) -> bool:
-    """Whether a name says what a thing is: `Chair.001` and `mesh_chair` do, `Mesh_0`, `geometry_0`, `Object_12` and `7f3a` do not."""
+    """Whether a name says what an object is: `Chair.001` and `mesh_chair` do, `Mesh_0`, `geometry_0`, `Object_12` and `7f3a` do not."""
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W\d_A-Za-z]+", name)
     return any((len(word) > 1 or not word.isascii()) and word.lower() not in _NO_LABELS for word in words)
 
@@ -100,8 +101,7 @@ def check_labelled(groups: Sequence[Group], meanings: Sequence[Label], surface: 
     Raises:
         InputError: names the largest node.
     """
-    corners = surface.vertices[surface.faces]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    areas = face_areas(surface.vertices, surface.faces)
     shares = {index: float(areas[group.faces].sum() / max(areas.sum(), 1e-12)) for index, group in enumerate(groups)}
     loose = {index: share for index, share in shares.items() if not (meanings[index].is_structure and is_label(groups[index].raw_label))}
     nameless = {index: share for index, share in loose.items() if not is_label(groups[index].raw_label)}

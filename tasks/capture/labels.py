@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from schemas.errors import InputError
-from tasks.capture.documents import read_text
+from tasks.capture.files.documents import read_text
 
 NYU40 = (
     "unlabeled", "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf", "picture", "counter", "blinds",
@@ -22,7 +22,7 @@ NYU40 = (
 )  # fmt: skip
 """Names of the NYU40 classes by id, in that data set's own spelling; 0 is none of them."""
 
-WALL, FLOOR, CEILING = 1, 2, 22
+WALL, FLOOR, DOOR, WINDOW, CEILING = 1, 2, 8, 9, 22
 STRUCTURE = frozenset({WALL, FLOOR, CEILING})
 """Classes that are part of the room and never replaced by an asset."""
 

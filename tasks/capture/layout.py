@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from schemas.files import stays_in
-from tasks.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from tasks.capture.files.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from tasks.capture.premises import Premises
 
 _COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
@@ -51,17 +51,17 @@ class FrameLayout:
     @property
     def files(self) -> list[Path]:
         """Every file that the frames are read from."""
-        found = [path for frame in self.frames for path in (frame.color, frame.depth, frame.pose)]
-        return [path for path in (*found, self.trajectory, self.color_intrinsics, self.depth_intrinsics) if path is not None]
+        paths = [path for frame in self.frames for path in (frame.color, frame.depth, frame.pose)]
+        return [path for path in (*paths, self.trajectory, self.color_intrinsics, self.depth_intrinsics) if path is not None]
 
 
-def frame_layout(folder: Path, inside: bool = True, premises: Premises | None = None) -> FrameLayout | None:
-    """Exported frames in `folder` or, with `inside`, in one folder in it (`<scan>_2d`, `frames`, ...); None without any.
+def frame_layout(folder: Path, premises: Premises | None = None) -> FrameLayout | None:
+    """Exported frames in `folder` or in one folder in it (`<scan>_2d`, `frames`, ...); None without any.
 
     Links that leave the premises, by default those that leave the folder, are left out.
     """
     premises = premises or Premises((folder,))
-    for place in (folder, *(filter(premises.admits, folders_in(folder)) if inside else ())):
+    for place in (folder, *filter(premises.admits, folders_in(folder))):
         frames = _paired(place, premises) or _flat(place, premises)
         if frames:
             places = (place, folder)
@@ -101,15 +101,15 @@ def _paired(place: Path, premises: Premises | None) -> list[FrameFiles]:
 
 def _flat(place: Path, premises: Premises | None) -> list[FrameFiles]:
     """Frames whose files lie side by side in one folder."""
-    found: dict[str, dict[str, Path]] = {}
+    by_kind: dict[str, dict[str, Path]] = {}
     for path in sorted(place.iterdir()):
         match = _FLAT.fullmatch(path.name)
         if match is None or path.is_dir():
             continue
         what, suffix = match["what"].replace("colour", "color").replace("rgb", "color"), f".{match['suffix'].lower()}"
         if suffix in {"color": COLOR_SUFFIXES, "depth": DEPTH_SUFFIXES, "pose": (".txt",)}[what] and _is_admitted(path, premises):
-            found.setdefault(match["key"], {})[what] = path
-    whole = {key: files for key, files in found.items() if "color" in files}
+            by_kind.setdefault(match["key"], {})[what] = path
+    whole = {key: files for key, files in by_kind.items() if "color" in files}
     if not any("depth" in files for files in whole.values()):
         return []
     return [FrameFiles(key, whole[key]["color"], whole[key].get("depth"), whole[key].get("pose")) for key in sorted(whole, key=_order)]
@@ -127,8 +127,8 @@ def _order(key: str) -> tuple[int, str]:
 
 def folders_in(folder: Path) -> list[Path]:
     """Folders in a folder, sorted, but for hidden ones and links to what it lies in itself."""
-    found = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    return [path for path in found if not leads_up(path)]
+    folders = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    return [path for path in folders if not leads_up(path)]
 
 
 def leads_up(folder: Path) -> bool:

@@ -44,9 +44,9 @@ def stores(folders: Iterable[str | Path]) -> tuple[Path, ...]:
     Raises:
         InputError: one is no folder.
     """
-    found = []
+    roots = []
     for folder in map(Path, folders):
         if not folder.is_dir():
             raise InputError("--links-into", str(folder), "is no folder", "name the folder that links of scans may lead into")
-        found.append(folder.resolve())
-    return tuple(found)
+        roots.append(folder.resolve())
+    return tuple(roots)

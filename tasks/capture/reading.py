@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.meshes import Surface
+from tasks.geometry.meshes import Surface
 
 if TYPE_CHECKING:
     import trimesh
@@ -42,7 +42,7 @@ class FrameSource:
 class Group:
     """One instance as the scan names it: the vertices and faces of the scan mesh that are its own.
 
-    vertices, faces: Sorted indices into the scan mesh, shapes (n,) and (m,) int64.
+    vertices, faces: Sorted indices into the scan mesh, shapes (n,) and (m,) int64; n >= 1.
     origin: File and field that the label was read from, for messages; empty for what was found in the geometry.
     """
 
@@ -66,23 +66,23 @@ class Reading:
     """
 
     surface: Surface | None
-    parts: tuple[trimesh.Trimesh, ...]
-    groups: tuple[Group, ...] | None
-    frames: tuple[FrameSource, ...]
-    alignment: NDArray[np.float64] | None
-    room_type: str
-    license: str | None
-    is_dense: bool
-    degradations: tuple[str, ...]
+    parts: tuple[trimesh.Trimesh, ...] = ()
+    groups: tuple[Group, ...] | None = None
+    frames: tuple[FrameSource, ...] = ()
+    alignment: NDArray[np.float64] | None = None
+    room_type: str = ""
+    license: str | None = None
+    is_dense: bool = True
+    degradations: tuple[str, ...] = ()
     glb: bytes | None = None
 
 
-def groups_of(found: Sequence[tuple[str, str, NDArray[np.int64]]], owner: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:
+def groups_of(named: Sequence[tuple[str, str, NDArray[np.int64]]], owner: NDArray[np.int64], surface: Surface) -> tuple[Group, ...]:
     """Instances with their faces: those whose corners all belong. `owner`: instance per vertex, -1 for none, shape (n,)."""
     corners = owner[surface.faces]
     own = np.where((corners[:, 0] == corners[:, 1]) & (corners[:, 0] == corners[:, 2]), corners[:, 0], -1)
     order = np.argsort(own, kind="stable")
-    starts = np.searchsorted(own[order], np.arange(len(found) + 1))
+    starts = np.searchsorted(own[order], np.arange(len(named) + 1))
     return tuple(
-        Group(source_id, label, vertices, np.sort(order[starts[i] : starts[i + 1]])) for i, (source_id, label, vertices) in enumerate(found)
+        Group(source_id, label, vertices, np.sort(order[starts[i] : starts[i + 1]])) for i, (source_id, label, vertices) in enumerate(named)
     )

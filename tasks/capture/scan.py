@@ -14,7 +14,7 @@ from tasks.words import plain_word
 if TYPE_CHECKING:
     from tasks.capture.labels import Label
     from tasks.capture.reading import Group, Reading
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,9 +99,19 @@ def single_file(scan: Scan, suffix: str) -> Path:
     files = [scan.path] if not scan.path.is_dir() else files_named(scan.path, suffix)
     if len(files) != 1:
         raise InputError(scan.path.name, "folder", f"holds {len(files)} {suffix} files, one is expected", "name the file itself")
-    if not scan.premises.admits(files[0]):
-        raise leaving(files[0])
-    return files[0]
+    return own_file(scan, files[0].name)
+
+
+def own_file(scan: Scan, name: str) -> Path:
+    """A file in a scan's folder, by its name.
+
+    Raises:
+        InputError: it is a link that leaves the folder of scans.
+    """
+    path = scan.folder / name
+    if not scan.premises.admits(path):
+        raise leaving(path)
+    return path
 
 
 def leaving(path: Path) -> InputError:

@@ -12,23 +12,24 @@ from pydantic import model_validator
 
 from schemas.capture import Frame, Instance, Mask, Room, Scene
 from schemas.errors import InputError
-from tasks.capture.alignment import Alignment, align
 from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
+from tasks.capture.files.images import encode_jpeg
 from tasks.capture.formats import format_of, left_out, room_of
 from tasks.capture.fusion import FusionConfig, fused_surface
-from tasks.capture.images import encode_jpeg
-from tasks.capture.instances import Solid, instance_row, modelled_solid, scanned_solid
-from tasks.capture.labels import CEILING, FLOOR, WALL, Label, LabelMap, label_map
+from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
+from tasks.capture.instances.segmentation import geometry_groups
+from tasks.capture.instances.views import Sight, best_sights, camera_up, run_lengths, view_of
+from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
 from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
-from tasks.capture.rooms import estimate_room, inferred_room_type
+from tasks.capture.rooms.alignment import Alignment, align
+from tasks.capture.rooms.openings import wall_openings
+from tasks.capture.rooms.room import estimate_room, inferred_room_type
 from tasks.capture.scan import Scan
-from tasks.capture.segmentation import geometry_groups
-from tasks.capture.views import Sight, best_sights, camera_up, run_lengths, view_of
-from tasks.meshes import Surface, dump_glb
+from tasks.geometry.meshes import Surface, dump_glb
+from tasks.geometry.transforms import flat
 from tasks.settings import Config, Count
 from tasks.stage import Blobs, Context, Outcome
-from tasks.transforms import flat
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +160,7 @@ def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_a
     return align(surface, floor_faces=masks[FLOOR], wall_faces=masks[WALL], stated=reading.alignment, camera_up=up, is_authored=is_authored)
 
 
-def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: Context, config: CaptureConfig) -> list[Solid]:
+def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: Context, config: CaptureConfig) -> list[InstancePoints]:
     if reading.is_dense:
         return [scanned_solid(world, group) for group in groups]
     starts = np.concatenate([[0], np.cumsum([len(part.faces) for part in reading.parts])]).astype(np.int64)
@@ -174,8 +175,8 @@ _PROBES = 400
 
 
 def _sights(
-    reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[Solid], alignment: Alignment,
-    context: Context, config: CaptureConfig,
+    reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[InstancePoints],
+    alignment: Alignment, context: Context, config: CaptureConfig,
 ) -> list[Sight]:  # fmt: skip
     """Best views of everything that is not part of the room itself."""
     face_instance = np.full(len(world.faces), -1, dtype=np.int64)
@@ -236,37 +237,20 @@ def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: C
 
 
 def _room(
-    context: Context, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[Solid],
-    notes: list[str],
+    context: Context, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label],
+    solids: Sequence[InstancePoints], notes: list[str],
 ) -> Room:  # fmt: skip
     cloud = _cloud(reading, world, groups, context)
     classes: NDArray[np.int64] = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)
     shape = estimate_room(cloud, classes[cloud.instance + 1])
     notes += shape.notes
-    stated = reading.room_type
     if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
         notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
-    return Room(
-        scene_id=context.scene_id,
-        room_type=stated or inferred_room_type(label.category for label in meanings),
-        floor_polygon=tuple((float(x), float(y)) for x, y in shape.polygon),
-        floor_area_m2=shape.area,
-        floor_source=shape.floor_source,
-        walls=tuple(tuple(float(v) for v in wall) for wall in shape.walls),
-        interior_walls=tuple(tuple(float(v) for v in wall) for wall in shape.interior_walls),
-        height_m=shape.height,
-        height_source=shape.height_source,
-        floor_color=_color(solids, meanings, FLOOR),
-        wall_color=_color(solids, meanings, WALL),
-    )
-
-
-def _color(solids: Sequence[Solid], meanings: Sequence[Label], nyu40: int) -> tuple[int, ...] | None:
-    """Median color of a class of instances, shape (3,), None when there is none of it."""
-    colors = [solid.colors for solid, label in zip(solids, meanings, strict=True) if label.nyu40_id == nyu40]
-    if not sum(map(len, colors)):
-        return None
-    return tuple(int(value) for value in np.median(np.concatenate(colors), axis=0))
+    kind = reading.room_type or inferred_room_type(label.category for label in meanings)
+    fillings = [solid.points for solid, label in zip(solids, meanings, strict=True) if label.nyu40_id in (DOOR, WINDOW)]
+    openings = wall_openings(shape.polygon, shape.interior_walls, shape.height, fillings)
+    parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
+    return shape.row(context.scene_id, kind, parts, openings)
 
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:

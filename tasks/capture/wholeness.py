@@ -14,11 +14,11 @@ from pathlib import Path
 
 from schemas.errors import InputError
 from schemas.files import open_file
-from tasks.capture.documents import MAX_JSON_BYTES, MAX_TEXT_BYTES, name_of
+from tasks.capture.files.documents import MAX_JSON_BYTES, MAX_TEXT_BYTES, name_of
+from tasks.capture.files.sens import MAX_SENS_BYTES, open_sens
 from tasks.capture.formats import format_of, left_out
 from tasks.capture.layout import FrameLayout
 from tasks.capture.scan import Scan
-from tasks.capture.sens import MAX_SENS_BYTES, open_sens
 from tasks.families import part
 from tasks.unpacking import json_value
 
@@ -134,15 +134,15 @@ def _ply(path: Path, size: int) -> Gap | None:
 
 def _elements(header: str) -> list[tuple[int, int]]:
     """Count and least bytes of a row of every element; a list has three items at least, as faces do."""
-    found: list[tuple[int, int]] = []
+    elements: list[tuple[int, int]] = []
     for line in header.splitlines():
         words = line.split()
         if words[:1] == ["element"] and len(words) == 3 and words[2].isascii() and words[2].isdigit() and len(words[2]) < 19:
-            found.append((int(words[2]), 0))
-        elif words[:1] == ["property"] and len(words) > (4 if words[1:2] == ["list"] else 2) and found:
+            elements.append((int(words[2]), 0))
+        elif words[:1] == ["property"] and len(words) > (4 if words[1:2] == ["list"] else 2) and elements:
             size = _SIZES.get(words[1], 0) if words[1] != "list" else _SIZES.get(words[2], 0) + 3 * _SIZES.get(words[-2], 0)
-            found[-1] = (found[-1][0], found[-1][1] + size)
-    return found
+            elements[-1] = (elements[-1][0], elements[-1][1] + size)
+    return elements
 
 
 def _json(path: Path, size: int) -> Gap | None:

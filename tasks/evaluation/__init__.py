@@ -1,6 +1,6 @@
 """Evaluation: what agents did in episodes, from files or by built-in policies, and how far they were from their targets in the end.
 
-Rows are facts; the metrics are SQL over them (`warehouse/views/trajectory_metrics.sql` and `navigation_metrics*.sql`).
+Rows are facts; the metrics are SQL over them (`warehouse/questions/views/trajectory_metrics.sql` and `navigation_metrics*.sql`).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
 from tasks.batches import BatchSchema, parse_json, read_limited
-from tasks.transforms import pose_from_quaternion_wxyz, to_z_up, yaw_of
+from tasks.geometry.transforms import pose_from_quaternion_wxyz, to_z_up, yaw_of
 from tasks.unpacking import weigh_json
 
 SCHEMA_FILE = Path(__file__).with_name("batch.schema.json")
@@ -125,8 +125,8 @@ def _line(line: bytes, head: Mapping[str, Any], name: str, number: int) -> Attem
     return _attempt(item, head.get("frame", "world"), name, f"line {number}")
 
 
-def _batch(head: Mapping[str, Any], found: Iterable[Attempt], name: str) -> TrajectoryBatch:
-    attempts = tuple(found)
+def _batch(head: Mapping[str, Any], given: Iterable[Attempt], name: str) -> TrajectoryBatch:
+    attempts = tuple(given)
     if not attempts:
         raise InputError(name, "trajectories", "the batch has no trajectories", "give at least one")
     first: dict[tuple[str, str], Attempt] = {}

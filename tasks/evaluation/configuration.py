@@ -1,4 +1,4 @@
-"""What the evaluation stage can be told."""
+"""Settings of the evaluation stage."""
 
 from __future__ import annotations
 

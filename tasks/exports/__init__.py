@@ -21,7 +21,7 @@ from tasks.exports.findings import verdicts
 from tasks.exports.format import ExportedScene
 from tasks.exports.formats import FORMATS
 from tasks.families import member
-from tasks.pieces import PieceConfig
+from tasks.geometry.pieces import PieceConfig
 from tasks.stage import Blobs, Context, Outcome, Stage
 
 __all__ = ["STAGE", "ExportsConfig", "HabitatConfig", "MjcfConfig", "PieceConfig", "UsdConfig", "run", "write_folder"]
@@ -37,7 +37,7 @@ def run(
     Raises:
         InputError: the scene has no room.
     """
-    known = context.caches["tasks.pieces"]
+    known = context.caches["tasks.geometry.pieces"]
     replica, missed = gather(scenes, rooms, instances, captions, assets, placements, supports, context.blobs, config, known)
     blobs = Blobs()
     files: list[ExportFile] = []

@@ -1,4 +1,4 @@
-"""What both exports are made of: shapes scaled to size, and the bodies that have them."""
+"""What all exports are made of: shapes scaled to size, and the bodies that have them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from schemas.errors import InputError
 from schemas.licenses import of_asset, stated
 from schemas.optimization import Placement, Support
 from tasks.exports.config import ExportsConfig
-from tasks.mass import MassProperties
-from tasks.meshes import load_glb
-from tasks.pieces import Hull, Method, asset_pieces
-from tasks.transforms import is_rigid, matrix
+from tasks.geometry.mass import MassProperties
+from tasks.geometry.meshes import load_glb
+from tasks.geometry.pieces import Hull, Method, asset_pieces
+from tasks.geometry.transforms import is_rigid, matrix
 from tasks.words import latin
 
 if TYPE_CHECKING:

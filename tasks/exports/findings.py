@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 
 from schemas.exports import ExportCheck
+from schemas.text import cut
 
 
 @dataclasses.dataclass(frozen=True, order=True)
@@ -26,15 +27,11 @@ class Finding:
     @property
     def broken(self) -> str:
         """Where, and how, as it is shown."""
-        return f"{_cut(self.where, 200)}: {_cut(self.message, 1000)}"
-
-
-def _cut(text: str, most: int) -> str:
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+        return f"{cut(self.where, 200)}: {cut(self.message, 1000)}"
 
 
 def verdicts(scene_id: str, format_: str, rules: Iterable[str], findings: Sequence[Finding]) -> list[ExportCheck]:
-    """One row per rule: passed, or the first few things that are wrong."""
+    """One row per rule: passed, or the first few faults."""
     rows = []
     for rule in sorted(set(rules) | {finding.rule for finding in findings if finding.is_error}):
         broken = [finding.broken for finding in findings if finding.rule == rule and finding.is_error]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Literal
 
 from tasks.exports.files import Export, File, write_folder
@@ -54,22 +55,22 @@ class ExportFormat:
     """A member of the family `schemas.families.export_formats`: how scenes are written and checked in a format.
 
     title: What it makes, in the words of a list. make: A scene's files and what the gate found in them.
-    rules: Names of the gate's rules. check: The gate: what is wrong with a file or folder that a simulator opens.
+    gate: Imports the module of the format's rules: `RULES`, by name, and `check_<name>`, which finds what is wrong with a file or folder
+    that a simulator opens.
     opened: All that a simulator opens of a folder of exports, sorted. doctor: How the gate takes anybody's files.
     shared: Makes the files that belong to no scene alone.
     with_release: A scene's file that says which snapshot, and release if there is a name, it was exported from.
     package: One file of all files of a scene, by path, given which of them is opened; ValueError where that cannot be.
     suffix: Of the name of such a package.
-    is_nested: Names of things are paths: what lies below an object belongs to it.
+    is_nested: Names of objects are paths: what lies below an object belongs to it.
 
-    What an exported scene says of the things in it only `metascenes explain` asks: `places` in the format's package.
+    What an exported scene says of the objects in it only `metascenes explain` asks: `places` in the format's package.
     """
 
     name: str
     title: str
     make: Callable[[ExportedScene], Export]
-    rules: Callable[[], Iterable[str]]
-    check: Callable[[Path], Sequence[Finding]]
+    gate: Callable[[], ModuleType]
     opened: Callable[[Path], list[Path]]
     doctor: Doctor
     shared: SharedFiles | None = None
@@ -78,15 +79,26 @@ class ExportFormat:
     suffix: str = ""
     is_nested: bool = False
 
+    @property
+    def rules(self) -> tuple[str, ...]:
+        """Names of the gate's rules."""
+        return tuple(self.gate().RULES)
+
+    @property
+    def check(self) -> Callable[[Path], Sequence[Finding]]:
+        """What is wrong with a file or folder that a simulator opens. A function of a module, which another process can be given."""
+        check: Callable[[Path], Sequence[Finding]] = getattr(self.gate(), f"check_{self.name}")
+        return check
+
     def validator(self, option: str) -> Callable[[Path], Sequence[Finding]]:
         """The check that an option of `doctor.validators` asks for."""
         check: Callable[[Path], Sequence[Finding]] = getattr(part("tasks.exports", self.name, option), f"check_{option}")
         return check
 
 
-def checked(files: Sequence[File], rules: Iterable[str], check: Callable[[Path], Sequence[Finding]]) -> Export:
-    """Files written to a temporary folder and checked there."""
+def checked(files: Sequence[File], format_: ExportFormat, opened: str) -> Export:
+    """Files, written to a temporary folder where the format's gate looks at the path that a simulator opens."""
     with tempfile.TemporaryDirectory(prefix="export-") as place:
         root = Path(place).resolve()
         write_folder(root, {file.path: file.data for file in files})
-        return Export(files, rules, check(root))
+        return Export(files, format_.rules, format_.check(root / opened))

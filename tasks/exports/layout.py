@@ -16,15 +16,15 @@ def layout(rows: Sequence[ExportFile]) -> dict[str, str]:
     Raises:
         InputError: a path leaves the folder, or two scenes have different files at one path.
     """
-    found: dict[str, str] = {}
+    names: dict[str, str] = {}
     for row in rows:
         path = PurePosixPath(row.path)
         if path.is_absolute() or ".." in path.parts or "\\" in row.path or not row.path:
             raise InputError("export_files", f"{row.scene_id} path", f"{row.path!r} leaves the folder", "run exports again")
         name = f"{row.format}/{path}"
-        if found.setdefault(name, row.file_blob) != row.file_blob:
+        if names.setdefault(name, row.file_blob) != row.file_blob:
             raise InputError("export_files", f"{row.scene_id} path", f"{row.path!r} is another scene's file too", "export the scenes apart")
-    return dict(sorted(found.items()))
+    return dict(sorted(names.items()))
 
 
 def shared_files(rows: Sequence[ExportFile], blobs: Mapping[str, bytes]) -> dict[str, bytes]:

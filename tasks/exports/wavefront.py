@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tasks.exports.bodies import Shape
 from tasks.exports.visuals import Texture, Visual, visuals_of
-from tasks.meshes import vertex_colors
+from tasks.geometry.meshes import vertex_colors
+from tasks.geometry.triangles import surface_area
 
 if TYPE_CHECKING:
     import trimesh
@@ -41,7 +42,7 @@ class Painted:
 
 def painted_shape(shape: Shape) -> list[Painted]:
     """What is seen of a shape, in its own frame; what has no area cannot be seen."""
-    return [mesh for visual in visuals_of(shape) for mesh in _painted(visual) if _area(mesh) > 1e-12]
+    return [mesh for visual in visuals_of(shape) for mesh in _painted(visual) if surface_area(mesh.vertices, mesh.faces) > 1e-12]
 
 
 def painted_part(part: trimesh.Trimesh) -> list[Painted]:
@@ -79,10 +80,10 @@ def load_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]] | Non
         elif kind not in (b"vt", b"mtllib", b"usemtl", b"#"):
             return None
     try:
-        found = np.array(vertices).astype(np.float64).reshape(-1, 3), np.array(faces).astype(np.int64).reshape(-1, 3) - 1
+        mesh = np.array(vertices).astype(np.float64).reshape(-1, 3), np.array(faces).astype(np.int64).reshape(-1, 3) - 1
     except ValueError:
         return None
-    return found if len(found[1]) and found[1].min() >= 0 else None
+    return mesh if len(mesh[1]) and mesh[1].min() >= 0 else None
 
 
 def dump_mtl(color: Sequence[float], image: str | None = None) -> bytes:
@@ -121,11 +122,11 @@ def _painted(visual: Visual) -> list[Painted]:
     which = which.reshape(-1)
     if len(colors) > COLORS:
         colors, which = _fewer(of_faces)
-    found = []
+    painted = []
     for index in np.unique(which).tolist():
         used, faces = np.unique(visual.faces[which == index], return_inverse=True)
-        found.append(Painted(visual.vertices[used], faces.reshape(-1, 3).astype(np.int64), None, _unit(colors[index]), None))
-    return found
+        painted.append(Painted(visual.vertices[used], faces.reshape(-1, 3).astype(np.int64), None, _unit(colors[index]), None))
+    return painted
 
 
 def _fewer(colors: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
@@ -140,9 +141,3 @@ def _fewer(colors: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int
 def _unit(color: NDArray[np.uint8]) -> tuple[float, ...]:
     """A color of bytes as values in 0..1."""
     return tuple(round(float(value) / 255.0, 6) for value in color)
-
-
-def _area(mesh: Painted) -> float:
-    """Area of a mesh's triangles [m2]."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())

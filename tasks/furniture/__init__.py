@@ -1,4 +1,4 @@
-"""Furniture and household things drawn from parameters: every model comes with its own convex pieces.
+"""Furniture and household objects drawn from parameters: every model comes with its own convex pieces.
 
 >>> model = generate("chair", (0.5, 0.45, 0.9), numpy.random.default_rng(0))
 
@@ -22,7 +22,7 @@ from tasks.furniture import (
     tables,
     tableware,
 )
-from tasks.furniture.drafting import ALIASES, REGISTRY, Draft, Extents, Model
+from tasks.furniture.drafting import ALIASES, REGISTRY, Draft, Extents, FurnitureModel
 from tasks.furniture.palette import Color
 
 FAMILIES = (seating, tables, storage, beds, lighting, tableware, electronics, appliances, bath, decor)
@@ -37,7 +37,7 @@ MINIMUM_M = 1e-3
 MAXIMUM_M = 20.0
 """Longest extent that is drawn: more is no furniture."""
 
-__all__ = ["CATEGORIES", "FAMILIES", "Model", "canonical_category", "generate", "is_known", "typical_extents"]
+__all__ = ["CATEGORIES", "FAMILIES", "FurnitureModel", "canonical_category", "generate", "is_known", "typical_extents"]
 
 
 def canonical_category(category: str) -> str | None:
@@ -62,7 +62,7 @@ def typical_extents(category: str) -> Extents:
     return REGISTRY[known].extents if known else (0.4, 0.4, 0.4)
 
 
-def generate(category: str, extents: Extents | None, rng: np.random.Generator, color: Color | None = None) -> Model:
+def generate(category: str, extents: Extents | None, rng: np.random.Generator, color: Color | None = None) -> FurnitureModel:
     """A model of a category whose bounds equal `extents` [m], shape (3,); usual ones, a little varied, when None.
 
     `color`: RGB 0..255 of its main surface; by chance when None.

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.furniture.palette import Color, pick, shade
-from tasks.furniture.solids import Hull, Solid, Span, box, cushion, cylinder, wedge
+from tasks.furniture.solids import Solid, Span, box, cushion, cylinder, wedge
+from tasks.geometry.pieces import Hull
 
 if TYPE_CHECKING:
     import trimesh
@@ -19,8 +20,8 @@ Extents = tuple[float, float, float]
 
 
 @dataclasses.dataclass(frozen=True)
-class Model:
-    """A generated thing in the canonical frame: +Z up, front +X, origin at the bottom center of its box [m].
+class FurnitureModel:
+    """A generated object in the canonical frame: +Z up, front +X, origin at the bottom center of its box [m].
 
     parts: What is seen, closed volumes with vertex colors. pieces: Convex closed meshes that together cover the parts.
     """
@@ -34,7 +35,7 @@ class Model:
 class Draft:
     """One model while it is drawn, in x from -X/2 to X/2 (front +x), y from -Y/2 to Y/2, z from 0 to Z [m].
 
-    The drawn thing should nearly fill these extents; `model` fits it exactly.
+    The drawn object should nearly fill these extents; `model` fits it exactly.
     """
 
     def __init__(self, category: str, extents: Extents, rng: np.random.Generator, color: Color | None) -> None:
@@ -47,7 +48,7 @@ class Draft:
         self._solids: list[tuple[str, Color, Solid]] = []
 
     def main(self, colors: tuple[Color, ...]) -> Color:
-        """The color of the whole thing: the one asked for, else one of these."""
+        """The color of the whole object: the one asked for, else one of these."""
         chosen = pick(colors, self.rng)
         return self._color or chosen
 
@@ -70,7 +71,7 @@ class Draft:
         return float(self.rng.uniform(low, high))
 
     def add(self, part: str, color: Color, solid: Solid) -> None:
-        """Put a solid under a part; its color varies by a hair, as pieces of one thing do."""
+        """Put a solid under a part; its color varies by a hair, as pieces of one object do."""
         self._solids.append((part, shade(color, 1 + 0.03 * float(self.rng.uniform(-1, 1))), solid))
 
     def box(self, part: str, color: Color, x: Span, y: Span, z: Span) -> None:
@@ -99,8 +100,8 @@ class Draft:
         x, y = self.hx - min(inset, 0.45 * self.X), self.hy - min(inset, 0.45 * self.Y)
         return [(x, y), (-x, y), (-x, -y), (x, -y)]
 
-    def model(self, extents: Extents) -> Model:
-        """The drawn thing, fitted exactly into extents [m]."""
+    def model(self, extents: Extents) -> FurnitureModel:
+        """The drawn object, fitted exactly into extents [m]."""
         import trimesh
 
         everything = np.concatenate([solid.vertices for _, _, solid in self._solids])
@@ -126,11 +127,11 @@ class Draft:
             parts.append(part)
         pieces = [mesh(piece) for _, _, solid in self._solids for piece in solid.pieces]
         name = f"{self.variant} {self.category}" if self.variant else self.category
-        return Model(name, self.category, parts, pieces)
+        return FurnitureModel(name, self.category, parts, pieces)
 
 
 @dataclasses.dataclass(frozen=True)
-class Entry:
+class FurnitureCategory:
     """A category: its usual extents [m], shape (3,), depth x width x height, and who draws it.
 
     free: Whether it is drawn at any proportions (it may stand, lie or hang); others are drawn at proportions that occur
@@ -153,7 +154,7 @@ class Entry:
 PROPORTIONS: tuple[float, float] = (0.4, 3.0)
 """Share of the usual extents within which parameters are adjusted: boards keep their thickness, legs stay legs."""
 
-REGISTRY: dict[str, Entry] = {}
+REGISTRY: dict[str, FurnitureCategory] = {}
 ALIASES: dict[str, str] = {}
 
 
@@ -162,14 +163,14 @@ def category(
 ) -> Callable[[Callable[[Draft], None]], Callable[[Draft], None]]:
     """Registers a drawing under a category with its usual extents (depth, width, height) [m], and under other words for it.
 
-    `free`: see `Entry`.
+    `free`: see `FurnitureCategory`.
     """
 
     def register(draw: Callable[[Draft], None]) -> Callable[[Draft], None]:
         for word in (name, *aliases):
             if word in REGISTRY or word in ALIASES:
                 raise ValueError(f"category {word!r} is drawn twice")
-        REGISTRY[name] = Entry(name, extents, draw, free)
+        REGISTRY[name] = FurnitureCategory(name, extents, draw, free)
         ALIASES.update(dict.fromkeys(aliases, name))
         return draw
 

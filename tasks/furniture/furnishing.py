@@ -1,6 +1,6 @@
-"""Finding places for furniture: along walls, beside and in front of other things, on tops, in shelves, on walls.
+"""Finding places for furniture: along walls, beside and in front of other objects, on tops, in shelves, on walls.
 
-World frame: +Z up, metres, floor at z = 0. Every thing stands in the oriented box of its model.
+World frame: +Z up, metres, floor at z = 0. Every object stands in the oriented box of its model.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.boxes import box_footprint, oriented_overlap
 from tasks.furniture import generate, typical_extents
 from tasks.furniture.storage import shelf_levels
-from tasks.rendering import RayScene
-from tasks.transforms import inverse, transform_points, yaw_of, yaw_pose
+from tasks.geometry.boxes import box_footprint, oriented_overlap
+from tasks.geometry.rendering import RayScene
+from tasks.geometry.transforms import inverse, transform_points, yaw_of, yaw_pose
 
 if TYPE_CHECKING:
     import trimesh
@@ -62,10 +62,6 @@ class Furnishing:
         """What is seen of it, in the world frame."""
         return [part.copy().apply_transform(self.pose) for part in self.parts]
 
-    def world_pieces(self) -> list[trimesh.Trimesh]:
-        """Its convex pieces, in the world frame."""
-        return [piece.copy().apply_transform(self.pose) for piece in self.pieces]
-
 
 @dataclasses.dataclass(frozen=True)
 class Wall:
@@ -78,12 +74,12 @@ class Wall:
 
     @property
     def yaw(self) -> float:
-        """Yaw of a thing whose back is at this wall [rad]."""
+        """Yaw of an object whose back is at this wall [rad]."""
         return float(np.arctan2(self.inward[1], self.inward[0]))
 
 
 class Furnisher:
-    """Places things in a room without collisions; every method returns None when it finds no place."""
+    """Places objects in a room without collisions; every method returns None when it finds no place."""
 
     def __init__(self, polygon: Array, height: float, rng: np.random.Generator) -> None:
         from shapely.geometry import Polygon
@@ -104,8 +100,8 @@ class Furnisher:
         self.zones.append((pose, size))
 
     def all_of(self, category: str) -> list[Furnishing]:
-        """Things of a category placed so far."""
-        return [thing for thing in self.objects if thing.category == category]
+        """Objects of a category placed so far."""
+        return [obj for obj in self.objects if obj.category == category]
 
     def against_wall(self, category: str, extents: Extents | None = None, tries: int = 40) -> Furnishing | None:
         """With its back at some wall, preferring corners a little."""
@@ -122,7 +118,7 @@ class Furnisher:
         return None
 
     def beside(self, anchor: Furnishing, category: str, gap: float = 0.03, size: Extents | None = None) -> Furnishing | None:
-        """Next to a thing, backs in line, on either side."""
+        """Next to an object, backs in line, on either side."""
         size = size or self._sizes(category)
         for side in self.rng.permutation([-1, 1]):
             local = yaw_pose(0.0, [0.5 * (size[0] - anchor.extents[0]), side * (0.5 * (anchor.extents[1] + size[1]) + gap), 0])
@@ -132,7 +128,7 @@ class Furnisher:
         return None
 
     def before(self, anchor: Furnishing, category: str, distance: float) -> Furnishing | None:
-        """In front of a thing at a distance [m], looking back at it."""
+        """In front of an object at a distance [m], looking back at it."""
         size = self._sizes(category)
         for shift in (0.0, 0.15, -0.15, 0.3):
             local = yaw_pose(np.pi, [0.5 * (anchor.extents[0] + size[0]) + distance + shift, 0, 0])
@@ -168,7 +164,7 @@ class Furnisher:
         return spots
 
     def on_top(self, anchor: Furnishing, category: str, size: Extents | None = None, tries: int = 25) -> Furnishing | None:
-        """On what carries in a thing: its top, its seat, or one of its shelves."""
+        """On what carries in an object: its top, its seat, or one of its shelves."""
         size = size or self._sizes(category)
         levels = self._levels(anchor)
         for _ in range(tries):
@@ -200,7 +196,7 @@ class Furnisher:
     def on_wall(
         self, category: str, low: tuple[float, float], size: Extents | None = None, above: Furnishing | None = None
     ) -> Furnishing | None:
-        """Hung at a wall with its bottom in a range of heights [m], centered above a thing when one is given."""
+        """Hung at a wall with its bottom in a range of heights [m], centered above an object when one is given."""
         size = size or self._sizes(category)
         for _ in range(40):
             z = float(self.rng.uniform(*low))
@@ -245,7 +241,7 @@ class Furnisher:
         return None
 
     def under_ceiling(self, category: str, over: Furnishing | None = None) -> Furnishing | None:
-        """Hung from the ceiling, over a thing or near the middle."""
+        """Hung from the ceiling, over an object or near the middle."""
         size = self._sizes(category)
         x, y = over.pose[:2, 3] if over is not None else self._floor.representative_point().coords[0]
         return self._try(category, size, yaw_pose(0.0, [x, y, self.height - size[2]]), "ceiling")
@@ -276,7 +272,7 @@ class Furnisher:
         return yaw_pose(wall.yaw, [point[0], point[1], z])
 
     def _levels(self, anchor: Furnishing) -> list[tuple[float, float]]:
-        """Heights of what carries in a thing, in its frame, with the clearance above each [m]."""
+        """Heights of what carries in an object, in its frame, with the clearance above each [m]."""
         top = anchor.extents[2]
         over = self.height - anchor.pose[2, 3] - top - 0.05
         if anchor.category == "bookshelf" or (anchor.category == "shelf" and top > 0.4):
@@ -289,7 +285,7 @@ class Furnisher:
         return [(top, over)]
 
     def _rest(self, anchor: Furnishing, at: tuple[float, float], reach: Array, low: float, clearance: float) -> float | None:
-        """Height at which a thing over a part of an anchor comes to rest, in the anchor's frame; None over a hole."""
+        """Height at which an object over a part of an anchor comes to rest, in the anchor's frame; None over a hole."""
         if anchor.name not in self._casts:
             self._casts[anchor.name] = RayScene(anchor.parts)
         grid = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 5)] * 2, indexing="ij"), axis=-1).reshape(-1, 2) * reach + at
@@ -319,13 +315,13 @@ class Furnisher:
         on_floor = parent == "floor"
         if on_floor and any(oriented_overlap(center, size, zone, sides) > TOUCH_M3 for zone, sides in self.zones):
             return None
-        for thing in self.objects:
-            if thing is inside or thing is tucked or thing.category == "rug":
+        for obj in self.objects:
+            if obj is inside or obj is tucked or obj.category == "rug":
                 continue
-            if oriented_overlap(center, size, thing.box_pose, thing.extents) > TOUCH_M3:
+            if oriented_overlap(center, size, obj.box_pose, obj.extents) > TOUCH_M3:
                 return None
         placed = self._model(category, size, pose, parent)
-        if tucked is not None and _pieces_meet(placed, tucked):
+        if tucked is not None and pieces_meet(placed, tucked):
             return None
         self.objects.append(placed)
         return placed
@@ -346,10 +342,10 @@ class Furnisher:
         return Furnishing(name, category, model.parts, model.pieces, pose, size, parent)
 
 
-def _pieces_meet(one: Furnishing, other: Furnishing) -> bool:
-    """Whether boxes around two things' pieces, along the other's axes, overlap by more than a millimetre."""
-    into = inverse(other.pose) @ one.pose
-    moved = [transform_points(piece.vertices, into) for piece in one.pieces]
+def pieces_meet(first: Furnishing, other: Furnishing) -> bool:
+    """Whether boxes around two objects' pieces, along the other's axes, overlap by more than a millimetre."""
+    into = inverse(other.pose) @ first.pose
+    moved = [transform_points(piece.vertices, into) for piece in first.pieces]
     low = np.array([points.min(axis=0) for points in moved])
     high = np.array([points.max(axis=0) for points in moved])
     bounds = np.array([piece.bounds for piece in other.pieces])

@@ -1,4 +1,4 @@
-"""Colors of things in rooms, RGB 0..255: one row per material, the usual ones of each."""
+"""Colors of objects in rooms, RGB 0..255: one row per material, the usual ones of each."""
 
 from __future__ import annotations
 

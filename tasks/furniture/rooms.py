@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tasks.furniture.furnishing import Furnisher, Furnishing, Wall
 from tasks.furniture.palette import PAINTS, WOODS, Color, pick, shade
 from tasks.furniture.solids import Solid, box
-from tasks.transforms import yaw_pose
+from tasks.geometry.transforms import yaw_pose
 
 if TYPE_CHECKING:
     import trimesh
@@ -30,10 +30,10 @@ DOOR_M = (0.9, 2.05)
 _SIZES: dict[str, tuple[float, float]] = {
     "bedroom": (3.9, 3.6), "office": (4.2, 3.6), "living room": (5.2, 4.2), "kitchen": (4.0, 3.4), "dining room": (4.4, 3.8),
 }  # fmt: skip
-"""Usual length and width of a room with 25 things in it [m]."""
+"""Usual length and width of a room with 25 objects in it [m]."""
 
-# A step: how to place, what, and where: `at` names the category of the thing it belongs to.
-_RECIPES: dict[str, tuple[tuple[str, str, str], ...]] = {
+# A step: how to place, what, and where: `at` names the category of the object it belongs to.
+RECIPES: dict[str, tuple[tuple[str, str, str], ...]] = {
     "bedroom": (
         ("wall", "bed", ""), ("beside", "nightstand", "bed"), ("on", "table lamp", "nightstand"), ("wall", "wardrobe", ""),
         ("wall", "dresser", ""), ("above", "mirror", "dresser"), ("beside", "nightstand", "bed"), ("on", "book", "nightstand"),
@@ -126,14 +126,14 @@ class FurnishedRoom:
     def named_parts(self, ceiling: bool = True) -> list[tuple[str, trimesh.Trimesh]]:
         """Every part in the world frame under its node's name, `model|category|part`."""
         parts = [(name, mesh) for name, mesh in self.structure if ceiling or "|ceiling|" not in name]
-        for thing in self.objects:
-            for source, part in zip(thing.parts, thing.world_parts(), strict=True):
-                parts.append((f"{thing.name}|{thing.category}|{source.metadata['name']}", part))
+        for obj in self.objects:
+            for source, part in zip(obj.parts, obj.world_parts(), strict=True):
+                parts.append((f"{obj.name}|{obj.category}|{source.metadata['name']}", part))
         return parts
 
 
 def furnish(room_type: str, rng: np.random.Generator, object_count: int = 25, clutter: float = 0.0) -> FurnishedRoom:
-    """A room of one of ROOM_TYPES with about `object_count` things; `clutter` from 0 to 1 adds up to ten on its floor.
+    """A room of one of ROOM_TYPES with about `object_count` objects; `clutter` from 0 to 1 adds up to ten on its floor.
 
     Raises:
         ValueError: the kind of room is unknown.
@@ -143,19 +143,19 @@ def furnish(room_type: str, rng: np.random.Generator, object_count: int = 25, cl
     polygon, height = _plan(room_type, rng, object_count), float(rng.uniform(2.4, 2.9))
     furnisher = Furnisher(polygon, height, rng)
     door_wall, door_at = _door(furnisher, rng)
-    for how, category, at in _RECIPES[room_type]:
+    for how, category, at in RECIPES[room_type]:
         if len(furnisher.objects) >= object_count:
             break
-        _place(furnisher, how, category, at)
+        place_step(furnisher, how, category, at)
     for _ in range(8 * object_count):
         if len(furnisher.objects) >= object_count:
             break
-        carriers = [thing for thing in furnisher.objects if thing.category in _TOPS]
+        carriers = [obj for obj in furnisher.objects if obj.category in _TOPS]
         if not carriers:
             break
         anchor = carriers[int(rng.integers(len(carriers)))]
         category = _SMALL[int(rng.integers(len(_SMALL)))]
-        furnisher.on_top(anchor, category, _small_size(category, rng), tries=6)
+        furnisher.on_top(anchor, category, small_size(category, rng), tries=6)
     for _ in range(round(10 * clutter)):
         category = _CLUTTER[int(rng.integers(len(_CLUTTER)))]
         furnisher.on_floor(category)
@@ -163,8 +163,8 @@ def furnish(room_type: str, rng: np.random.Generator, object_count: int = 25, cl
     return FurnishedRoom(room_type, polygon, height, structure, furnisher.objects)
 
 
-def _small_size(category: str, rng: np.random.Generator) -> tuple[float, float, float] | None:
-    """Extents of things that are smaller on a top than on the floor or at a wall [m]."""
+def small_size(category: str, rng: np.random.Generator) -> tuple[float, float, float] | None:
+    """Extents of objects that are smaller on a top than on the floor or at a wall [m]."""
     sizes = {"plant": (0.2, 0.2, 0.28), "picture": (0.03, 0.14, 0.18), "box": (0.16, 0.22, 0.12), "basket": (0.24, 0.24, 0.2)}
     if category not in sizes:
         return None
@@ -172,7 +172,7 @@ def _small_size(category: str, rng: np.random.Generator) -> tuple[float, float, 
     return float(x), float(y), float(z)
 
 
-def _place(furnisher: Furnisher, how: str, category: str, at: str) -> Furnishing | None:
+def place_step(furnisher: Furnisher, how: str, category: str, at: str) -> Furnishing | None:
     """One step of a recipe; None when its anchor is missing or no place is free."""
     anchors: list[Any] = furnisher.all_of(at) if at else [None]
     for index in furnisher.rng.permutation(len(anchors)):
@@ -209,7 +209,7 @@ def _place(furnisher: Furnisher, how: str, category: str, at: str) -> Furnishing
 
 
 def _on_size(furnisher: Furnisher, category: str, anchor: Furnishing) -> tuple[float, float, float] | None:
-    """Extents that suit what a thing is put on: books fill a shelf's height, a pillow lies flat on a bed [m]."""
+    """Extents that suit what an object is put on: books fill a shelf's height, a pillow lies flat on a bed [m]."""
     rng = furnisher.rng
     if category == "book stack" and anchor.category in ("bookshelf", "shelf"):
         return 0.19, float(rng.uniform(0.3, 0.55)), 0.25
@@ -219,7 +219,7 @@ def _on_size(furnisher: Furnisher, category: str, anchor: Furnishing) -> tuple[f
         return 0.2, min(1.1, 0.8 * anchor.extents[1]), 0.62
     if category == "blanket":
         return 0.5, min(1.1, 0.75 * anchor.extents[1]), 0.09
-    return _small_size(category, rng)
+    return small_size(category, rng)
 
 
 def _plan(room_type: str, rng: np.random.Generator, object_count: int) -> Array:
@@ -243,7 +243,7 @@ def _door(furnisher: Furnisher, rng: np.random.Generator) -> tuple[int, float]:
     point = wall.start + at * wall.along
     zone = point + 0.45 * wall.inward
     furnisher.keep_clear(yaw_pose(wall.yaw, [*zone, 1.0]), (0.9, DOOR_M[0] + 0.1, 2.0))
-    # hung things keep off too: the door itself takes part in every test of collision
+    # hung objects keep off too: the door itself takes part in every test of collision
     leaf = yaw_pose(wall.yaw, [*(point - 0.5 * WALL_M * wall.inward), 0.0])
     furnisher.put("door", (WALL_M, DOOR_M[0] - 0.01, DOOR_M[1] - 0.005), leaf, "wall")
     return index, at

@@ -1,4 +1,4 @@
-"""Things to sit on. Every drawing fills the draft's extents; the front is +x."""
+"""Objects to sit on. Every drawing fills the draft's extents; the front is +x."""
 
 from __future__ import annotations
 

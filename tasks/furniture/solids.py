@@ -12,23 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tasks.geometry.pieces import Hull
+
 Array = NDArray[np.float64]
 Span = tuple[float, float]
 
 _MERGE_M = 1e-9
 """Points of a loft nearer than this are one: rings that collapse to a point or a rectangle."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Hull:
-    """A convex closed mesh. vertices: [m], shape (n, 3). faces: counter-clockwise from outside, shape (m, 3)."""
-
-    vertices: Array
-    faces: NDArray[np.int64]
-
-    def moved(self, matrix: Array) -> Hull:
-        """The hull through an affine 4x4 matrix without mirroring."""
-        return Hull(self.vertices @ matrix[:3, :3].T + matrix[:3, 3], self.faces)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +32,7 @@ class Solid:
     def moved(self, matrix: ArrayLike) -> Solid:
         """The solid through an affine 4x4 matrix without mirroring."""
         m = np.asarray(matrix, dtype=np.float64)
-        return Solid(self.vertices @ m[:3, :3].T + m[:3, 3], self.faces, tuple(piece.moved(m) for piece in self.pieces))
+        return Solid(self.vertices @ m[:3, :3].T + m[:3, 3], self.faces, tuple(piece.transformed(m) for piece in self.pieces))
 
     def at(self, x: float, y: float, z: float) -> Solid:
         """The solid moved by (x, y, z) [m]."""
@@ -69,10 +59,10 @@ def hull(points: ArrayLike) -> Hull:
     from scipy.spatial import ConvexHull
 
     cloud = np.asarray(points, dtype=np.float64)
-    found = ConvexHull(cloud)
-    faces = found.simplices.astype(np.int64)
+    convex = ConvexHull(cloud)
+    faces = convex.simplices.astype(np.int64)
     a, b, c = (cloud[faces[:, i]] for i in range(3))
-    inward = np.einsum("nd,nd->n", np.cross(b - a, c - a), found.equations[:, :3]) < 0
+    inward = np.einsum("nd,nd->n", np.cross(b - a, c - a), convex.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     used, dense = np.unique(faces, return_inverse=True)
     return Hull(cloud[used], dense.reshape(-1, 3))

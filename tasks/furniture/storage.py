@@ -1,4 +1,4 @@
-"""Things that hold other things: shelves, cupboards, drawers, boxes. The front is +x."""
+"""Objects that hold other objects: shelves, cupboards, drawers, boxes. The front is +x."""
 
 from __future__ import annotations
 

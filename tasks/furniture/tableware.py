@@ -1,4 +1,4 @@
-"""Things on tables and in kitchens that are mostly turned: cups, bowls, bottles, pots."""
+"""Objects on tables and in kitchens that are mostly turned: cups, bowls, bottles, pots."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.errors import InputError
 from schemas.files import stays_in
-from tasks.capture.documents import name_of
+from tasks.capture.files.documents import name_of
 from tasks.ingestion.scene import Array, FinishedObject, Layout
 from tasks.ingestion.values import json_document
 
@@ -30,7 +30,7 @@ def read_layout(files: Sequence[Path], root: Path, objects: Sequence[FinishedObj
     import shapely
 
     notes: list[str] = []
-    centers = [(float(one.pose[0, 3]), float(one.pose[1, 3])) for one in objects]
+    centers = [(float(instance.pose[0, 3]), float(instance.pose[1, 3])) for instance in objects]
     for file in files:
         name = name_of(file, root)
         layout, problem = _layout(file, root, name)

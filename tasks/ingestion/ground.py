@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,9 +11,9 @@ from numpy.typing import NDArray
 from schemas.capture import Room
 from tasks.capture.cloud import sampled_cloud
 from tasks.capture.labels import FLOOR, WALL
-from tasks.capture.rooms import RoomShape, estimate_room, inferred_room_type
+from tasks.capture.rooms.room import RoomShape, estimate_room, inferred_room_type
+from tasks.geometry.meshes import Surface, surface_of, union_of
 from tasks.ingestion.scene import Array, FinishedScene
-from tasks.meshes import Surface, surface_of
 from tasks.stage import Context
 
 _MIN_SIDE_M = 0.1
@@ -42,20 +43,10 @@ def scene_room(scene: FinishedScene, surfaces: Sequence[Surface], context: Conte
         else:
             notes.append("no stage and no layout: the floor is the extent of what stands there")
             shape = _extent(low, high)
-    room = Room(
-        scene_id=context.scene_id,
-        room_type=scene.room_type or inferred_room_type(one.label.category for one in scene.objects),
-        floor_polygon=tuple((float(x), float(y)) for x, y in shape.polygon),
-        floor_area_m2=shape.area,
-        floor_source=shape.floor_source,
-        walls=tuple(tuple(float(v) for v in wall) for wall in shape.walls),
-        interior_walls=tuple(tuple(float(v) for v in wall) for wall in shape.interior_walls),
-        height_m=max(shape.height, _MIN_HEIGHT_M),
-        height_source=shape.height_source,
-        floor_color=_color(scene, FLOOR),
-        wall_color=_color(scene, WALL),
-    )
-    return room, notes
+    shape = dataclasses.replace(shape, height=max(shape.height, _MIN_HEIGHT_M))
+    kind = scene.room_type or inferred_room_type(instance.label.category for instance in scene.objects)
+    parts = [(surface_of([part]).colors, label) for part, label in scene.stage if label.nyu40_id in (FLOOR, WALL)]
+    return shape.row(context.scene_id, kind, parts), notes
 
 
 def _stated(polygon: Array, height: float, is_height_stated: bool) -> RoomShape:
@@ -74,21 +65,7 @@ def _extent(low: Array, high: Array) -> RoomShape:
 
 def _estimated(scene: FinishedScene, surfaces: Sequence[Surface], context: Context) -> RoomShape:
     """The room as capture finds it, from points spread over everything; parts of the stage count as what their names say."""
-    classes = [label.nyu40_id for _, label in scene.stage] + [one.label.nyu40_id for one in scene.objects]
-    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
-    merged = Surface(
-        np.concatenate([surface.vertices for surface in surfaces]),
-        np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=False)]),
-        np.concatenate([surface.colors for surface in surfaces]),
-    )
+    classes = [label.nyu40_id for _, label in scene.stage] + [instance.label.nyu40_id for instance in scene.objects]
     owner: NDArray[np.int64] = np.repeat(np.arange(len(surfaces)), [len(surface.faces) for surface in surfaces])
-    cloud = sampled_cloud(merged, owner, context.rng("room"))
+    cloud = sampled_cloud(union_of(surfaces), owner, context.rng("room"))
     return estimate_room(cloud, np.array([0, *classes], dtype=np.int64)[cloud.instance + 1])
-
-
-def _color(scene: FinishedScene, nyu40: int) -> tuple[int, ...] | None:
-    """Median color of the stage's parts of a class, shape (3,), None when it has none."""
-    colors = [surface_of([part]).colors for part, label in scene.stage if label.nyu40_id == nyu40]
-    if not colors:
-        return None
-    return tuple(int(value) for value in np.median(np.concatenate(colors), axis=0))

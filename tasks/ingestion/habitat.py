@@ -11,10 +11,10 @@ import numpy as np
 
 from schemas.errors import InputError
 from tasks.capture.labels import NYU40, Label, LabelMap
+from tasks.geometry.meshes import parse_node_name
+from tasks.geometry.transforms import Y_UP_TO_Z_UP, pose_from_quaternion_wxyz, to_z_up, transform_points, translation
 from tasks.ingestion.models import MAX_STAGE_BYTES, is_convex, read_model
-from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, Model, Physics, Source, scaled_pose
-from tasks.meshes import parse_node_name
-from tasks.transforms import Y_UP_TO_Z_UP, pose_from_quaternion_wxyz, to_z_up, transform_points, translation
+from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, ImportedModel, Physics, Source, scaled_pose
 
 if TYPE_CHECKING:
     import trimesh
@@ -41,22 +41,22 @@ def read_habitat(source: Source, labels: LabelMap) -> FinishedScene:
     file, scene = str(about["file"]), about["scene"]
     notes = list(about["notes"])
     stage = _stage(source, labels, notes)
-    models: dict[str, Model | None] = {}
+    models: dict[str, ImportedModel | None] = {}
     objects: list[FinishedObject] = []
     names = _instance_ids(scene.get("object_instances", []))
     for index, placed in enumerate(scene.get("object_instances", [])):
         field = f"object_instances[{index}]"
         template = about["templates"][placed["template_name"]]
-        said = _said(placed)
-        key = f"{template['handle']}|{_about_asset(said)}"
+        facts = _user_defined(placed)
+        key = f"{template['handle']}|{_about_asset(facts)}"
         if key not in models:
-            models[key] = _model(source, template, said, notes)
+            models[key] = _model(source, template, facts, notes)
         model = models[key]
         if model is None:
             notes.append(f"{file}: {field}: {template['values'].get('render_asset', 'nothing')!r} is no mesh file: left out")
             continue
         pose, scale = _pose(placed, template, model, scene.get("translation_origin"), file, field)
-        raw, label = _label(said, template, labels)
+        raw, label = _label(facts, template, labels)
         if not label.is_known:
             notes.append(f"{file}: {field}: {raw or template['handle']!r} is not in the label map, nyu40 class {label.nyu40_id}")
         physics = _physics(placed, template["values"], scale, str(template["file"]))
@@ -78,20 +78,21 @@ def read_habitat(source: Source, labels: LabelMap) -> FinishedScene:
 
 def _instance_ids(placed: Sequence[Mapping[str, Any]]) -> list[str]:
     """Ids of the objects: their own, where all have one and no two the same; else by their order."""
-    own = [str(_said(one).get("instance_id", "")) for one in placed]
+    own = [str(_user_defined(instance).get("instance_id", "")) for instance in placed]
     if own and all(_INSTANCE.fullmatch(name) for name in own) and len(set(own)) == len(own):
         return own
     return [f"{index:04d}" for index in range(len(placed))]
 
 
-def _said(placed: Mapping[str, Any]) -> Mapping[str, Any]:
-    found = placed.get("user_defined", {})
-    return found if isinstance(found, dict) else {}
+def _user_defined(placed: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What a scene states of an object beyond habitat-sim's own keys."""
+    stated = placed.get("user_defined", {})
+    return stated if isinstance(stated, dict) else {}
 
 
-def _about_asset(said: Mapping[str, Any]) -> tuple[str, str, str | None]:
+def _about_asset(facts: Mapping[str, Any]) -> tuple[str, str, str | None]:
     """Source, license and author of an asset, as far as its object states them."""
-    stated = {name: said[name] if isinstance(said.get(name), str) and said[name] else None for name in ("source", "license", "author")}
+    stated = {name: facts[name] if isinstance(facts.get(name), str) and facts[name] else None for name in ("source", "license", "author")}
     author = stated["author"] if stated["author"] != "unknown" else None
     return stated["source"] or "", stated["license"] or "", author
 
@@ -112,15 +113,15 @@ def _stage(source: Source, labels: LabelMap, notes: list[str]) -> list[tuple[tri
     axes = _axes(template, _BARE_UP if is_bare else _UP, _BARE_FRONT if is_bare else _FRONT)
     pose, scale = _placed(placed, template["values"], str(about["file"]), "stage_instance")
     move = to_z_up(pose @ np.diag([*scale, 1.0]) @ axes)
-    found = []
+    labelled = []
     for part in parts:
         named = parse_node_name(str(part.metadata.get("name", "")))
         part.apply_transform(move)
-        found.append((part, labels.of_node(named["category"], named["model"])))
-    return found
+        labelled.append((part, labels.of_node(named["category"], named["model"])))
+    return labelled
 
 
-def _model(source: Source, template: Mapping[str, Any], said: Mapping[str, Any], notes: list[str]) -> Model | None:
+def _model(source: Source, template: Mapping[str, Any], stated: Mapping[str, Any], notes: list[str]) -> ImportedModel | None:
     """The mesh of a template, upright, with the convex pieces that it collides with where it has any; None without a mesh file."""
     if not template["render"]:
         return None
@@ -134,8 +135,8 @@ def _model(source: Source, template: Mapping[str, Any], said: Mapping[str, Any],
             pieces = []
     for part in (*parts, *pieces):
         part.apply_transform(axes)
-    origin, license, author = _about_asset(said)
-    return Model(
+    origin, license, author = _about_asset(stated)
+    return ImportedModel(
         parts=tuple(parts),
         pieces=tuple(pieces),
         name=template["render"].rpartition("/")[2].rpartition(".")[0],
@@ -182,7 +183,7 @@ def _placed(placed: Mapping[str, Any], values: Mapping[str, Any], file: str, fie
 
 
 def _pose(
-    placed: Mapping[str, Any], template: Mapping[str, Any], model: Model, origin: Any, file: str, field: str
+    placed: Mapping[str, Any], template: Mapping[str, Any], model: ImportedModel, origin: Any, file: str, field: str
 ) -> tuple[Array, Array]:  # fmt: skip
     """Pose and scale of an object in the world frame, of the model as it stands upright."""
     pose, scale = _placed(placed, template["values"], file, field)
@@ -195,7 +196,7 @@ def _pose(
     return world, stretch
 
 
-def _center(template: Mapping[str, Any], model: Model) -> Array:
+def _center(template: Mapping[str, Any], model: ImportedModel) -> Array:
     """What habitat-sim takes as the center of mass: as stated, else the center of the mesh's box; in Habitat's frame [m]."""
     stated = template["values"].get("COM")
     if stated is not None:
@@ -207,12 +208,17 @@ def _center(template: Mapping[str, Any], model: Model) -> Array:
     return np.asarray(transform_points(middle[None], np.linalg.inv(Y_UP_TO_Z_UP))[0])
 
 
-def _label(said: Mapping[str, Any], template: Mapping[str, Any], labels: LabelMap) -> tuple[str, Label]:
+def _label(stated: Mapping[str, Any], template: Mapping[str, Any], labels: LabelMap) -> tuple[str, Label]:
     """Raw label and its meaning: by the object, its category table, its semantic class, else the words of its name."""
     own = template["values"].get("user_defined", {})
-    for raw in (said.get("category"), own.get("category") if isinstance(own, dict) else None, template["category"], template["class_name"]):
+    for raw in (
+        stated.get("category"),
+        own.get("category") if isinstance(own, dict) else None,
+        template["category"],
+        template["class_name"],
+    ):
         if isinstance(raw, str) and raw.strip():
-            number = said.get("nyu40_id") if raw is said.get("category") else None
+            number = stated.get("nyu40_id") if raw is stated.get("category") else None
             if isinstance(number, int) and not isinstance(number, bool) and 0 < number < len(NYU40):
                 return raw, Label(raw, number, is_known=True)  # a dataset of ours: the category is one already
             label = labels[raw]

@@ -11,13 +11,13 @@ from typing import Any
 
 from schemas.errors import InputError
 from schemas.files import is_there, stays_in
-from tasks.capture.documents import name_of, read_text
+from tasks.capture.files.documents import first_line, name_of, read_text
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 from tasks.exports.habitat.library import ENDINGS, Library, Template, read_json, read_library
 from tasks.ingestion.models import material_files
 from tasks.ingestion.scene import Source
-from tasks.ingestion.values import LICENSES, license_line
+from tasks.ingestion.values import LICENSES
 
 _IDS = ("id", "handle", "object_id", "template_name", "name")
 _CATEGORIES = ("clean_category", "main_category", "category", "super_category", "type")
@@ -33,21 +33,26 @@ def habitat_scenes(root: Path, dataset: str) -> list[Source]:
     library = read_library(root)
     if not library.config:
         raise InputError(root.name, "*.scene_dataset_config.json", "there is none", "name the folder of a Habitat scene dataset")
-    broken = [one for one in library.findings if one.rule in ("json", "shape", "dataset_config") and one.where.split()[0] == library.config]
-    broken += [one for one in library.findings if one.where == "."]
+    broken = [
+        finding
+        for finding in library.findings
+        if finding.rule in ("json", "shape", "dataset_config") and finding.where.split()[0] == library.config
+    ]
+    broken += [finding for finding in library.findings if finding.where == "."]
     if broken:
         where = library.config if broken[0].where == "." else broken[0].where
         raise InputError(where, broken[0].rule, broken[0].message, "`metascenes doctor habitat` lists all that is wrong")
     facts = _Facts(library, _lexicons(library), _categories(root), _license(root))
-    found = [facts.source(template, dataset) for template in library.sections["scene_instances"].values()]
-    for one in library.findings:  # a scene file that could not be read is in no section
-        if one.where.endswith(ENDINGS["scene_instances"]):
-            name = PurePosixPath(one.where).name.removesuffix(ENDINGS["scene_instances"])
-            files = tuple(path for path in (root / one.where,) if path.is_file())
-            found.append(Source("habitat", root, dataset, name, files, {}, InputError(one.where, one.rule, one.message, "export it again")))
-    if not found:
+    sources = [facts.source(template, dataset) for template in library.sections["scene_instances"].values()]
+    for finding in library.findings:  # a scene file that could not be read is in no section
+        if finding.where.endswith(ENDINGS["scene_instances"]):
+            name = PurePosixPath(finding.where).name.removesuffix(ENDINGS["scene_instances"])
+            files = tuple(path for path in (root / finding.where,) if path.is_file())
+            error = InputError(finding.where, finding.rule, finding.message, "export it again")
+            sources.append(Source("habitat", root, dataset, name, files, {}, error))
+    if not sources:
         raise InputError(library.config, "scene_instances", "the dataset lists no scene", "name a dataset with scenes")
-    return sorted(found, key=lambda source: source.scene_id)
+    return sorted(sources, key=lambda source: source.scene_id)
 
 
 class _Facts:
@@ -81,33 +86,33 @@ class _Facts:
         named = scene.values.get("stage_instance", {}).get("template_name")
         if named is None:
             raise InputError(scene.file, "stage_instance", "is missing", "every Habitat scene has a stage")
-        template = self._found("stages", named, f"{scene.file}", "stage_instance.template_name", notes)
+        template = self._template("stages", named, f"{scene.file}", "stage_instance.template_name", notes)
         return self._described(template, files)
 
     def _templates(self, scene: Template, files: set[Path], notes: list[str]) -> dict[str, dict[str, Any]]:
-        found: dict[str, dict[str, Any]] = {}
+        templates: dict[str, dict[str, Any]] = {}
         for index, placed in enumerate(scene.values.get("object_instances", [])):
             field = f"object_instances[{index}].template_name"
             name = placed.get("template_name")
             if name is None:
                 raise InputError(scene.file, field, "is missing", "name an object of the dataset")
-            if name not in found:
-                template = self._found("objects", name, scene.file, field, notes)
-                said = self._described(template, files)
+            if name not in templates:
+                template = self._template("objects", name, scene.file, field, notes)
+                facts = self._described(template, files)
                 number = template.values.get("semantic_id")
-                said["class_name"] = self._lexicon.get(number, "") if isinstance(number, int) else ""
-                said["category"] = self._categories.get(template.handle) or self._categories.get(PurePosixPath(said["render"]).stem, "")
-                found[name] = said
-        return found
+                facts["class_name"] = self._lexicon.get(number, "") if isinstance(number, int) else ""
+                facts["category"] = self._categories.get(template.handle) or self._categories.get(PurePosixPath(facts["render"]).stem, "")
+                templates[name] = facts
+        return templates
 
     def _described(self, template: Template, files: set[Path]) -> dict[str, Any]:
         """A template as JSON values: what it says, and where its meshes are, from the dataset's folder."""
         root = self._library.root
-        said: dict[str, Any] = {"handle": template.handle, "file": template.file, "values": dict(template.values)}
+        facts: dict[str, Any] = {"handle": template.handle, "file": template.file, "values": dict(template.values)}
         files.add(root / template.file)
         for key, name in (("render_asset", "render"), ("collision_asset", "collision")):
             asset = template.values.get(key, "")
-            said[name] = ""
+            facts[name] = ""
             if not asset or not PurePosixPath(asset).suffix:  # none, or a primitive that habitat-sim makes itself
                 continue
             path = template.folder / asset
@@ -116,9 +121,9 @@ class _Facts:
             if key == "render_asset" and not is_there(path):
                 raise InputError(template.file, key, f"{asset!r} does not exist", "copy the dataset again")
             if is_there(path):
-                said[name] = path.resolve().relative_to(root).as_posix()
+                facts[name] = path.resolve().relative_to(root).as_posix()
                 files |= {path.resolve(), *material_files(path.resolve(), root)}
-        return said
+        return facts
 
     def _navmesh(self, scene: Template, files: set[Path], notes: list[str]) -> str:
         handle = scene.values.get("navmesh_instance", "")
@@ -132,7 +137,7 @@ class _Facts:
             files.add((self._library.root / path).resolve())
         return path
 
-    def _found(self, section: str, name: str, file: str, field: str, notes: list[str]) -> Template:
+    def _template(self, section: str, name: str, file: str, field: str, notes: list[str]) -> Template:
         """The template that habitat-sim would take: of that name, else the first whose name contains it."""
         known = self._library.sections[section]
         plain = PurePosixPath(name).name.removesuffix(ENDINGS[section]).removesuffix(".glb")
@@ -144,7 +149,10 @@ class _Facts:
             note = f"{file}: {field}: there is no {name!r}; {partial[0]!r} taken, whose name contains it, as habitat-sim does"
             notes.append(note)
             return known[partial[0]]
-        why = next((one for one in self._library.findings if plain and PurePosixPath(one.where.split()[0]).name.startswith(plain)), None)
+        why = next(
+            (finding for finding in self._library.findings if plain and PurePosixPath(finding.where.split()[0]).name.startswith(plain)),
+            None,
+        )
         reason = f" ({_text(why)})" if why else ""
         raise InputError(file, field, f"{name!r} is none of the dataset's {section}{reason}", "copy the dataset again")
 
@@ -155,18 +163,18 @@ def _text(finding: Finding) -> str:
 
 def _lexicons(library: Library) -> dict[int, str]:
     """Names of semantic classes by number, of all lexicons that can be read."""
-    found: dict[int, str] = {}
+    lexicon: dict[int, str] = {}
     for path in library.semantics.values():
         if path.endswith(".json") and not path.endswith(".semantic_config.json"):
             document = read_json(library.root / path, library.root, [], shapes.LEXICON)
             for item in (document or {}).get("classes", []):
-                found.setdefault(item["id"], item["name"])
-    return found
+                lexicon.setdefault(item["id"], item["name"])
+    return lexicon
 
 
 def _categories(root: Path) -> dict[str, str]:
     """Categories by the name of an object, from the tables in `metadata` and `semantics` that have an id and a category."""
-    found: dict[str, str] = {}
+    categories: dict[str, str] = {}
     for path in sorted(file for folder in ("metadata", "semantics") for file in (root / folder).glob("*.csv")):
         if not stays_in(path, root):
             continue
@@ -180,13 +188,13 @@ def _categories(root: Path) -> dict[str, str]:
         if key and value:
             for row in rows:
                 if row[key] and row[value]:
-                    found.setdefault(row[key], row[value])
-    return found
+                    categories.setdefault(row[key], row[value])
+    return categories
 
 
 def _license(root: Path) -> str | None:
     """First line of the dataset's licence file, None without one."""
     for name in LICENSES:
         if (root / name).is_file():
-            return license_line(root / name, root)
+            return first_line(root / name, root)
     return None

@@ -14,14 +14,14 @@ import numpy as np
 
 from schemas.errors import InputError
 from schemas.files import stays_in
-from tasks.capture.documents import name_of, read_bytes
+from tasks.capture.files.documents import first_line, name_of, read_bytes
 from tasks.capture.labels import Label, LabelMap
+from tasks.geometry.meshes import surface_of
+from tasks.geometry.transforms import translation
 from tasks.ingestion.floors import read_layout
 from tasks.ingestion.models import ENDINGS, material_files, read_model
-from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, Model, Source, scaled_pose
-from tasks.ingestion.values import LICENSES, json_document, license_line
-from tasks.meshes import surface_of
-from tasks.transforms import translation
+from tasks.ingestion.scene import Array, FinishedObject, FinishedScene, ImportedModel, Source, scaled_pose
+from tasks.ingestion.values import LICENSES, json_document
 
 if TYPE_CHECKING:
     import trimesh
@@ -102,12 +102,12 @@ def _source(root: Path, dataset: str, scan: Path, names: Path | None) -> Source:
 
 def _mesh_file(folder: Path) -> Path | None:
     """The mesh of an instance: named like its folder, else `mesh`, else the only one there is."""
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and not path.name.startswith("."))
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and not path.name.startswith("."))
     for stem in (folder.name, "mesh"):
-        same = [path for path in found if path.stem == stem]
+        same = [path for path in paths if path.stem == stem]
         if same:
             return min(same, key=lambda path: ENDINGS.index(path.suffix.lower()))
-    return found[0] if len(found) == 1 else None
+    return paths[0] if len(paths) == 1 else None
 
 
 def read_metascenes(source: Source, labels: LabelMap) -> FinishedScene:
@@ -118,13 +118,13 @@ def read_metascenes(source: Source, labels: LabelMap) -> FinishedScene:
     """
     root, about = source.root, source.about
     notes = list(about["notes"])
-    matrices, said = _simulated(source)
-    names = _names(source) | said
+    matrices, remarks = _simulated(source)
+    names = _names(source) | remarks
     unknown = sorted(set(matrices) - set(about["meshes"]))
     notes += [f"{about['simulated']}: matrix.{name}: there is no such object: left out" for name in unknown]
     if not about["simulated"]:
         notes.append(f"{source.scan}: no transformations in {SIMULATED}: objects are where people put them")
-    license = license_line(root / about["license"], root) if about["license"] else None
+    license = first_line(root / about["license"], root) if about["license"] else None
     ids = instance_ids(list(about["meshes"]))
     objects = []
     for name, file in about["meshes"].items():
@@ -142,7 +142,7 @@ def read_metascenes(source: Source, labels: LabelMap) -> FinishedScene:
         notes.append(f"{source.scan}: no names of instances: every category is unlabeled; give them with --labels")
     layout, more = read_layout([root / path for path in about["layouts"]], root, objects)
     return FinishedScene(
-        objects=tuple(sorted(objects, key=lambda one: one.instance_id)),
+        objects=tuple(sorted(objects, key=lambda instance: instance.instance_id)),
         stage=(),
         layout=layout,
         alignment=np.eye(4),
@@ -158,12 +158,12 @@ def instance_ids(names: list[str]) -> dict[str, str]:
     taken: dict[int, str] = {}
     for name, number in sorted(numbers.items(), key=lambda item: (item[1], item[0])):
         taken.setdefault(number, name)
-    found = {name: f"{number:04d}" for number, name in taken.items()}
+    ids = {name: f"{number:04d}" for number, name in taken.items()}
     following = max(taken, default=-1) + 1
-    for name in sorted(set(names) - set(found), key=lambda name: [int(n) if n.isdigit() else -1 for n in re.split(r"\D+", name)] + [0]):
-        found[name] = f"{following:04d}"
+    for name in sorted(set(names) - set(ids), key=lambda name: [int(n) if n.isdigit() else -1 for n in re.split(r"\D+", name)] + [0]):
+        ids[name] = f"{following:04d}"
         following += 1
-    return found
+    return ids
 
 
 def _object(
@@ -174,7 +174,7 @@ def _object(
     center = surface_of(parts).bounds.mean(axis=0)
     for part in parts:
         part.apply_translation(-center)
-    model = Model(tuple(parts), (), f"{file.split('/')[-3]}_{name}", file, license or "unknown")
+    model = ImportedModel(tuple(parts), (), f"{file.split('/')[-3]}_{name}", file, license or "unknown")
     annotated = translation(center)
     if matrix is None:
         remains = "the dataset's physics engine has no pose for it" if simulated else None
@@ -203,11 +203,11 @@ def _simulated(source: Source) -> tuple[dict[str, Array], dict[str, str]]:
     for name, value in listed.items():
         stretch: Any = None
         if isinstance(value, dict):
-            said: Mapping[str, Any] = value
-            label = next((said[key] for key in _LABEL if isinstance(said.get(key), str)), "")
+            stated: Mapping[str, Any] = value
+            label = next((stated[key] for key in _LABEL if isinstance(stated.get(key), str)), "")
             labels |= {name: label} if label else {}
-            stretch = said.get("scale")
-            value = next((said[key] for key in _MATRIX if key in said), None)
+            stretch = stated.get("scale")
+            value = next((stated[key] for key in _MATRIX if key in stated), None)
             if value is None:
                 raise InputError(file, f"matrix.{name}", "has no matrix", "give 4 rows of 4 numbers")
         matrices[name] = _matrix(value, stretch, file, f"matrix.{name}")

@@ -13,11 +13,11 @@ import numpy as np
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_there, read_file, stays_in
-from tasks.capture.documents import name_of, read_bytes
-from tasks.capture.ply import check_counts
+from tasks.capture.files.documents import name_of, read_bytes
+from tasks.capture.files.ply import check_counts
 from tasks.containers import GLB_MAGIC
-from tasks.meshes import check_looks, load_glb
-from tasks.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
+from tasks.geometry.meshes import check_looks, load_glb
+from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 
 if TYPE_CHECKING:
     import trimesh
@@ -112,12 +112,12 @@ def material_files(path: Path, root: Path) -> list[Path]:
     """Files that an OBJ's materials name, sorted, those that exist inside `root`; empty for other kinds."""
     if path.suffix.lower() != ".obj" or not is_there(path):
         return []
-    found: set[Path] = set()
+    paths: set[Path] = set()
     libraries = _named(path, rb"mtllib")
     for library in (path.parent / name for name in libraries):
-        found.add(library)
-        found |= {library.parent / name for name in _named(library, rb"map_\w+|bump|disp|norm|refl")}
-    return sorted(file for file in found if is_there(file) and stays_in(file, root))
+        paths.add(library)
+        paths |= {library.parent / name for name in _named(library, rb"map_\w+|bump|disp|norm|refl")}
+    return sorted(file for file in paths if is_there(file) and stays_in(file, root))
 
 
 def _named(path: Path, keyword: bytes) -> list[str]:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.navigation import Navmesh, Split
-from tasks.capture.documents import read_bytes
-from tasks.exports.habitat.navmesh_file import read_navmesh
+from tasks.capture.files.documents import read_bytes
+from tasks.exports.habitat.navmesh_file import read_polygons
 from tasks.ingestion.models import MAX_MODEL_BYTES
 from tasks.ingestion.scene import IngestionConfig, Source
 from tasks.navigation import split_of
@@ -28,7 +28,7 @@ def navigation_rows(source: Source, config: IngestionConfig) -> Outcome | None:
     blobs = Blobs()
     data = read_bytes(source.root / file, file, MAX_MODEL_BYTES)
     try:
-        navmesh = read_navmesh(data)
+        navmesh = read_polygons(data)
     except ValueError as error:
         notes.append(f"{file}: left out: {error}")
     else:

@@ -13,14 +13,14 @@ from schemas.capture import Instance, Scene
 from schemas.optimization import Placement
 from tasks.candidates.assets import MAX_FACES, MadeAsset, decimated, make_asset
 from tasks.captions.sentences import shape_word
-from tasks.capture.boxes import oriented_box
-from tasks.capture.instances import modelled_solid
+from tasks.capture.instances.boxes import oriented_box
+from tasks.capture.instances.rows import modelled_solid
 from tasks.capture.reading import Group
+from tasks.geometry.meshes import Surface, dump_glb, dump_points, surface_of, union_of
+from tasks.geometry.transforms import flat, translation
 from tasks.ingestion.ground import scene_room
-from tasks.ingestion.scene import FinishedObject, FinishedScene, IngestionConfig, Model, Source
-from tasks.meshes import Surface, dump_glb, dump_points, surface_of
+from tasks.ingestion.scene import FinishedObject, FinishedScene, ImportedModel, IngestionConfig, Source
 from tasks.stage import Blobs, Context, Outcome
-from tasks.transforms import flat, translation
 
 PROVIDER, VERSION = "imported", "1"
 """Who made the rows: nobody here; the dataset's own words and meshes."""
@@ -32,24 +32,26 @@ def scene_rows(scene: FinishedScene, source: Source, context: Context, config: I
     Selection stays empty: nobody here scored anything.
     """
     assets = _Assets(context.scene_id)
-    surfaces = [_surface(one) for one in scene.objects]
-    found = {"capture": _capture(scene, source, surfaces, context, config)}
-    captions = [_caption(context.scene_id, one, surface) for one, surface in zip(scene.objects, surfaces, strict=True) if one.physics]
+    surfaces = [_surface(instance) for instance in scene.objects]
+    rows = {"capture": _capture(scene, source, surfaces, context, config)}
+    captions = [
+        _caption(context.scene_id, instance, surface) for instance, surface in zip(scene.objects, surfaces, strict=True) if instance.physics
+    ]
     if captions:
-        found["captions"] = Outcome(captions=captions)
-    placements = [row for one in scene.objects if (row := assets.add(one)) is not None]
-    found["candidates"] = Outcome(
+        rows["captions"] = Outcome(captions=captions)
+    placements = [row for instance in scene.objects if (row := assets.add(instance)) is not None]
+    rows["candidates"] = Outcome(
         candidates=assets.candidates, assets=list(assets.rows.values()), blobs=assets.files, degradations=assets.notes
     )
-    found["optimization"] = Outcome(
+    rows["optimization"] = Outcome(
         placements=placements, supports=[], contacts=[], optimization_steps=[], optimizations=[], certificates=[],
     )  # fmt: skip
-    return found
+    return rows
 
 
-def _surface(one: FinishedObject) -> Surface:
+def _surface(instance: FinishedObject) -> Surface:
     """An object's surface in the world frame."""
-    return surface_of(one.model.parts).transformed(one.pose, one.scale)
+    return surface_of(instance.model.parts).transformed(instance.pose, instance.scale)
 
 
 def _capture(
@@ -57,11 +59,11 @@ def _capture(
 ) -> Outcome:  # fmt: skip
     blobs, notes = Blobs(), list(scene.notes)
     instances = [
-        _instance(context, one, surface, blobs, config) for one, surface in zip(scene.objects, surfaces, strict=True)
+        _instance(context, instance, surface, blobs, config) for instance, surface in zip(scene.objects, surfaces, strict=True)
     ]  # fmt: skip
     room, more = scene_room(scene, surfaces, context)
     stage = [part for part, _ in scene.stage]
-    merged = surface_of(stage) if stage else _union(surfaces)
+    merged = surface_of(stage) if stage else union_of(surfaces)
     if len(merged.faces) > config.max_faces:
         notes.append(f"mesh thinned from {len(merged.faces)} to about {config.max_faces} faces")
         merged = decimated(merged, config.max_faces)
@@ -90,32 +92,22 @@ def _capture(
     )
 
 
-def _union(surfaces: Sequence[Surface]) -> Surface:
-    """Surfaces as one."""
-    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
-    return Surface(
-        np.concatenate([surface.vertices for surface in surfaces]),
-        np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=False)]),
-        np.concatenate([surface.colors for surface in surfaces]),
-    )
-
-
-def _instance(context: Context, one: FinishedObject, surface: Surface, blobs: Blobs, config: IngestionConfig) -> Instance:
+def _instance(context: Context, instance: FinishedObject, surface: Surface, blobs: Blobs, config: IngestionConfig) -> Instance:
     """An instance: the box of its placed geometry, and points on it."""
-    starts = np.concatenate([[0], np.cumsum([len(part.faces) for part in one.model.parts])]).astype(np.int64)
-    group = Group(one.source_id, one.raw_label, np.arange(len(surface.vertices)), np.arange(len(surface.faces)))
-    rng = context.rng("surface", one.instance_id)
-    solid = modelled_solid(surface, group, one.model.parts, starts, rng, config.max_points)
+    starts = np.concatenate([[0], np.cumsum([len(part.faces) for part in instance.model.parts])]).astype(np.int64)
+    group = Group(instance.source_id, instance.raw_label, np.arange(len(surface.vertices)), np.arange(len(surface.faces)))
+    rng = context.rng("surface", instance.instance_id)
+    solid = modelled_solid(surface, group, instance.model.parts, starts, rng, config.max_points)
     pose, size = oriented_box(surface.vertices[np.unique(surface.faces)], is_noisy=False)
     return Instance(
         scene_id=context.scene_id,
-        instance_id=one.instance_id,
-        source_id=one.source_id,
-        raw_label=one.raw_label,
-        category=one.label.category,
-        nyu40_id=one.label.nyu40_id,
-        nyu40_label=one.label.nyu40_label,
-        is_structure=one.label.is_structure,
+        instance_id=instance.instance_id,
+        source_id=instance.source_id,
+        raw_label=instance.raw_label,
+        category=instance.label.category,
+        nyu40_id=instance.label.nyu40_id,
+        nyu40_label=instance.label.nyu40_label,
+        is_structure=instance.label.is_structure,
         box_pose=flat(pose),
         box_size=tuple(float(v) for v in size),
         box_volume_m3=float(np.prod(size)),
@@ -127,17 +119,17 @@ def _instance(context: Context, one: FinishedObject, surface: Surface, blobs: Bl
     )
 
 
-def _caption(scene_id: str, one: FinishedObject, surface: Surface) -> Caption:
+def _caption(scene_id: str, instance: FinishedObject, surface: Surface) -> Caption:
     """What the dataset states of an object's body; nothing is told that it does not state."""
-    if one.physics is None:
-        raise ValueError(f"{one.instance_id}: the dataset states no body")
+    if instance.physics is None:
+        raise ValueError(f"{instance.instance_id}: the dataset states no body")
     size = np.ptp(surface.bounds, axis=0)
     shape = shape_word(size)
     return Caption(
-        scene_id=scene_id, instance_id=one.instance_id, provider=PROVIDER, provider_version=VERSION, is_fallback=False,
-        sentence=one.label.category, colors=(), color_shares=(), materials=(), shape=shape, body_type="rigid", density_kg_m3=None,
-        solid_fraction=None, mass_kg=one.physics.mass_kg, friction=one.physics.friction, restitution=one.physics.restitution,
-        attribute_source=one.physics.source,
+        scene_id=scene_id, instance_id=instance.instance_id, provider=PROVIDER, provider_version=VERSION, is_fallback=False,
+        sentence=instance.label.category, colors=(), color_shares=(), materials=(), shape=shape, body_type="rigid", density_kg_m3=None,
+        solid_fraction=None, mass_kg=instance.physics.mass_kg, friction=instance.physics.friction, restitution=instance.physics.restitution,
+        attribute_source=instance.physics.source,
     )  # fmt: skip
 
 
@@ -152,30 +144,30 @@ class _Assets:
         self.candidates: list[Candidate] = []
         self.notes: list[str] = []
 
-    def add(self, one: FinishedObject) -> Placement | None:
+    def add(self, instance: FinishedObject) -> Placement | None:
         """The candidate and the placement of an object; no placement where its mesh is no asset. Structures have neither."""
-        if one.label.is_structure:
+        if instance.label.is_structure:
             return None
-        key = (id(one.model), one.label.category)
+        key = (id(instance.model), instance.label.category)
         if key not in self._made:
-            self._made[key] = _made(one.model, one.label.category)
+            self._made[key] = _made(instance.model, instance.label.category)
         made, problem, shift = self._made[key]
         asset_id = made.asset.asset_id if made is not None else None
         self.candidates.append(
             Candidate(
-                scene_id=self._scene_id, instance_id=one.instance_id, slot=1, provider=PROVIDER, provider_version=VERSION,
+                scene_id=self._scene_id, instance_id=instance.instance_id, slot=1, provider=PROVIDER, provider_version=VERSION,
                 is_fallback=False, outcome="filled" if made is not None else "failed", reason=problem or None, asset_id=asset_id,
             )
         )  # fmt: skip
         if made is None:
-            self.notes.append(f"{one.instance_id}: {one.model.name}: {problem}: no asset")
+            self.notes.append(f"{instance.instance_id}: {instance.model.name}: {problem}: no asset")
             return None
         self.rows[made.asset.asset_id] = made.asset
         self.files.update(made.files)
-        return _placement(self._scene_id, one, made.asset.asset_id, shift)
+        return _placement(self._scene_id, instance, made.asset.asset_id, shift)
 
 
-def _made(model: Model, category: str) -> tuple[MadeAsset | None, str, np.ndarray[Any, Any]]:
+def _made(model: ImportedModel, category: str) -> tuple[MadeAsset | None, str, np.ndarray[Any, Any]]:
     """The asset of a model, or why there is none; and what canonical coordinates are shifted by from the model's [m]."""
     parts, surface = list(model.parts), surface_of(model.parts)
     if len(surface.faces) > MAX_FACES:
@@ -193,25 +185,29 @@ def _made(model: Model, category: str) -> tuple[MadeAsset | None, str, np.ndarra
     return made, "", shift
 
 
-def _placement(scene_id: str, one: FinishedObject, asset_id: str, shift: np.ndarray[Any, Any]) -> Placement:
-    back = translation(-one.scale * shift)
-    pose = one.pose @ back
-    proposed = pose if one.proposed is None else one.proposed @ back
+def _placement(scene_id: str, instance: FinishedObject, asset_id: str, shift: np.ndarray[Any, Any]) -> Placement:
+    back = translation(-instance.scale * shift)
+    pose = instance.pose @ back
+    proposed = pose if instance.proposed is None else instance.proposed @ back
     moved = pose[:3, 3] - proposed[:3, 3]
-    is_moved = one.proposed is not None
+    is_moved = instance.proposed is not None
     return Placement(
         scene_id=scene_id,
-        instance_id=one.instance_id,
+        instance_id=instance.instance_id,
         asset_id=asset_id,
-        origin="annotation" if one.is_annotated else "imported",
+        origin="annotation" if instance.is_annotated else "imported",
         annotator=None,  # the dataset does not say who
         annotation_match=None,
-        scale=tuple(float(v) for v in one.scale),
+        scale=tuple(float(v) for v in instance.scale),
         proposed_pose=flat(proposed),
         optimized_pose=flat(pose),
         settled_pose=None,
         displacement_m=float(np.hypot(moved[0], moved[1])) if is_moved else None,
         lift_m=float(moved[2]) + 0.0 if is_moved else None,
         method="imported",
-        remains=one.remains,
+        remains=instance.remains,
+        collider_pieces=None,
+        collider_faces=None,
+        collider_early_share=None,
+        collider_miss_share=None,
     )

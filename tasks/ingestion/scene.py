@@ -55,7 +55,7 @@ class Source:
 
 
 @dataclasses.dataclass(frozen=True)
-class Model:
+class ImportedModel:
     """A mesh of the dataset, which several objects may show.
 
     parts: In a +Z-up frame of its own [m], unscaled, textures kept. pieces: Convex pieces in that frame, where the
@@ -94,7 +94,7 @@ class FinishedObject:
     source_id: str
     raw_label: str
     label: Label
-    model: Model
+    model: ImportedModel
     pose: Array
     scale: Array
     proposed: Array | None = None

@@ -25,14 +25,16 @@ def find_sources(kind: Kind, folder: Path, dataset: str, names: Path | None = No
     if not exists:
         raise InputError(str(folder), "folder", "does not exist", "name the folder of the dataset")
     root = folder.resolve()
-    found = habitat_scenes(root, dataset) if kind == "habitat" else metascenes_scenes(root, dataset, names)
+    all_sources = habitat_scenes(root, dataset) if kind == "habitat" else metascenes_scenes(root, dataset, names)
     by_scene: dict[str, list[Source]] = {}
-    for source in found:
+    for source in all_sources:
         by_scene.setdefault(source.scene_id, []).append(source)
     sources = []
     for scene_id, same in sorted(by_scene.items()):
         if len(same) > 1:
-            both = InputError(", ".join(one.scan for one in same), "scene", f"are all scene {scene_id}", "rename all but one")
+            both = InputError(
+                ", ".join(scene_source.scan for scene_source in same), "scene", f"are all scene {scene_id}", "rename all but one"
+            )
             same = [Source(kind, root, dataset, same[0].scan, (), {}, both)]
         sources += same
     return sources

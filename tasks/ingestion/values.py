@@ -1,4 +1,4 @@
-"""JSON of finished datasets, read with a limit on size and without NaN, and the first line of a licence."""
+"""JSON of finished datasets, read with a limit on size and without NaN, and the names of their licences."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import InputError
-from tasks.capture.documents import MAX_TEXT_BYTES, name_of, read_bytes, read_text
+from tasks.capture.files.documents import MAX_TEXT_BYTES, name_of, read_bytes
 from tasks.unpacking import json_value
 
 LICENSES = ("LICENSE", "LICENSE.txt", "LICENSE.md")
@@ -26,12 +26,6 @@ def json_document(path: Path | str, root: Path | None, data: bytes | None = None
         return json_value(data, parse_constant=_refuse)
     except ValueError as error:
         raise InputError(name, "content", f"is no JSON ({error})", "copy the dataset again") from error
-
-
-def license_line(path: Path, root: Path) -> str | None:
-    """First line of a licence file, None where it is empty."""
-    lines = read_text(path, name_of(path, root)).strip().splitlines()
-    return lines[0].strip()[:200] if lines else None
 
 
 def _refuse(name: str) -> float:

@@ -28,7 +28,7 @@ def outline(lineage: Lineage, settings: Settings, width: int = 120) -> str:
         lines.append(f"  {UNRECORDED}")
     lines.append("")
     if lineage.problems:
-        lines.append(f"{len(lineage.problems)} thing{'s do' if len(lineage.problems) > 1 else ' does'} not hold")
+        lines.append(f"{len(lineage.problems)} statement{'s do' if len(lineage.problems) > 1 else ' does'} not hold")
         lines += [_wrapped(f"  {problem.kind}: {problem.text}", "    ", width) for problem in lineage.problems]
     else:
         lines.append(f"every id leads to a row: {len(lineage.nodes)} nodes, {len(lineage.edges)} links")
@@ -69,8 +69,8 @@ def _goes_on(rows: Sequence[tuple[int, str, str]], index: int, level: int) -> bo
 def _run_lines(run: RunFacts, settings: Settings, concerned: set[str], width: int) -> list[str]:
     committed = f"snapshot {run.snapshot_id}" + (f" of {moment(run.committed_at)}" if run.committed_at else ", which has expired")
     seed = UNRECORDED if run.seed is None else str(run.seed)
-    told = settings(run)
-    changed = "of a type that this version does not have" if told is None else ", ".join(told) or "all by default"
+    differing = settings(run)
+    changed = "of a type that this version does not have" if differing is None else ", ".join(differing) or "all by default"
     read = [f"{name} {value[:_HASH] or 'none'}" for name, value in (*run.inputs.items(), *run.upstream.items())]
     texts = [
         f"{moment(run.started_at)}, {run.seconds:.2f} s on {run.host}, attempt {run.attempt}, committed in {committed}",
@@ -103,7 +103,7 @@ def _wrapped(text: str, below: str, width: int) -> str:
     """Text over as many lines as it takes, the later ones after `below`."""
     lead = re.match(r"[│├└─ ]*", text)
     head = lead[0] if lead else ""
-    found = textwrap.wrap(
+    lines = textwrap.wrap(
         text[len(head) :], width, initial_indent=head, subsequent_indent=below, break_long_words=False, break_on_hyphens=False
     )
-    return "\n".join(found) if found else text
+    return "\n".join(lines) if lines else text

@@ -44,7 +44,7 @@ _SETTINGS: Any = {
 }
 
 
-def picture(lineage: Lineage, ending: str) -> bytes:
+def draw_lineage(lineage: Lineage, ending: str) -> bytes:
     """A picture of a lineage as SVG (`.svg`) or PNG (`.png`); the same lineage gives the same bytes.
 
     In the SVG every node is a group with the node's id.

@@ -1,4 +1,4 @@
-"""What an exported scene says of the things in it: under which name, from which instance and asset."""
+"""What an exported scene says of the objects in it: under which name, from which instance and asset."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tasks.families import member, part
 
 
 def places(format: str, path: str, data: bytes) -> list[Place]:
-    """Things of a format's scene file (`scene.usda`, `scene.xml`, `poses.json`, `*.scene_instance.json`, `*.glb`), in its order.
+    """Objects of a format's scene file (`scene.usda`, `scene.xml`, `poses.json`, `*.scene_instance.json`, `*.glb`), in its order.
 
     Raises:
         InputError: the file cannot be read.
@@ -28,18 +28,18 @@ def places(format: str, path: str, data: bytes) -> list[Place]:
 
 
 def places_of(format: ExportFormat) -> ModuleType:
-    """The module of a format's package that reads what exported scenes say: `places(data)` gives names and facts of things.
+    """The module of a format's package that reads what exported scenes say: `places(data)` gives names and facts of objects.
 
-    Where names of things are paths, `has_part(path, name)` says whether a file has what a name below an object's stands for, and
+    Where names of objects are paths, `has_part(path, name)` says whether a file has what a name below an object's stands for, and
     where scenes state a release, `stated_release(data)` says which. Both may load what has no bounds.
 
     Raises:
         LookupError: the format has no such module.
     """
-    found = part("tasks.exports", format.name, "places")
-    if found is None:
+    module = part("tasks.exports", format.name, "places")
+    if module is None:
         raise LookupError(f"the export format {format.name} has no module places")
-    return found
+    return module
 
 
 def _place(name: str, facts: Mapping[str, Any]) -> Place:

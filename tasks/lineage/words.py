@@ -43,7 +43,7 @@ def scaled(value: Any, factor: float, digits: int = 1) -> str:
 
 def point(value: Any) -> str:
     """A point in meters."""
-    return UNRECORDED if value is None else f"({', '.join(number(one) for one in value)})"
+    return UNRECORDED if value is None else f"({', '.join(number(coordinate) for coordinate in value)})"
 
 
 def _text(value: Any) -> str:
@@ -66,7 +66,7 @@ def _listed(facts: Facts) -> str:
 
 
 def _size(values: Any) -> str:
-    return UNRECORDED if values is None else " x ".join(number(one, 2) for one in values) + " m"
+    return UNRECORDED if values is None else " x ".join(number(length, 2) for length in values) + " m"
 
 
 def _bytes(count: Any) -> str:
@@ -75,8 +75,8 @@ def _bytes(count: Any) -> str:
     return f"{count:,} bytes" if count < 10_000 else f"{count / 1e6:.2f} MB"
 
 
-def _plural(count: Any, one: str, many: str = "") -> str:
-    return f"{number(count)} {one if count == 1 else many or one + 's'}"
+def _plural(count: Any, singular: str, many: str = "") -> str:
+    return f"{number(count)} {singular if count == 1 else many or singular + 's'}"
 
 
 def _instance(key: str, facts: Facts) -> list[str]:
@@ -146,8 +146,8 @@ def _support(key: str, facts: Facts) -> list[str]:
 def _moves(key: str, facts: Facts) -> list[str]:
     carried = f", {_plural(facts['of_what_carries_it'], 'step')} of what carries it" if facts["of_what_carries_it"] else ""
     steps = [
-        f"step {one['step']}: {one['instance_id']} {one['outcome']} by {point((one['dx_m'], one['dy_m'], one['dz_m']))} m{_turned(one)}"
-        for one in facts["steps"][:_SHOWN]
+        f"step {row['step']}: {row['instance_id']} {row['outcome']} by {point((row['dx_m'], row['dy_m'], row['dz_m']))} m{_turned(row)}"
+        for row in facts["steps"][:_SHOWN]
     ]
     more = f"and {len(facts['steps']) - _SHOWN} more" if len(facts["steps"]) > _SHOWN else ""
     return [f"{_plural(facts['own'], 'step')} of its own{carried}" if facts["steps"] else "no step: it stands as proposed", *steps, more]
@@ -164,9 +164,13 @@ def _certificate(key: str, facts: Facts) -> list[str]:
         return [f"{engine} could not simulate it: {facts['problem']}"]
     went = f"{scaled(facts['displacement_m'], 1e3)} mm and {scaled(facts['tilt_radians'], 180 / math.pi)} degrees"
     verdict = "stable" if facts["is_stable_5cm"] else "NOT STABLE"
+    nudged = {True: ", also after nudges", False: ", NOT STABLE after a nudge", None: ""}[facts["is_stable_nudged"]]
     plausible = {True: "plausible", False: "NOT PLAUSIBLE", None: "not judged"}[facts["is_density_plausible"]]
     mass = f"{number(facts['mass_kg'])} kg, {number(facts['density_kg_m3'], 0)} kg/m3, {plausible}"
-    return [f"{engine}: {verdict}, moved {went} in {number(facts['simulated_seconds'])} s{' (fixed)' if facts['is_fixed'] else ''}", mass]
+    return [
+        f"{engine}: {verdict}, moved {went} in {number(facts['simulated_seconds'])} s{' (fixed)' if facts['is_fixed'] else nudged}",
+        mass,
+    ]
 
 
 def _episodes(key: str, facts: Facts) -> list[str]:
@@ -201,8 +205,8 @@ def _candidate(key: str, facts: Facts) -> list[str]:
 
 def _provider(key: str, facts: Facts) -> list[str]:
     settings = facts["settings"]
-    told = _listed({k: v for k, v in settings.items() if k != "version"}) if isinstance(settings, Mapping) else UNRECORDED
-    return [f"provider {facts['provider']}, version {_text(facts['provider_version'])}", f"settings: {told or 'none'}"]
+    listed = _listed({k: v for k, v in settings.items() if k != "version"}) if isinstance(settings, Mapping) else UNRECORDED
+    return [f"provider {facts['provider']}, version {_text(facts['provider_version'])}", f"settings: {listed or 'none'}"]
 
 
 def _asset(key: str, facts: Facts) -> list[str]:
@@ -248,7 +252,7 @@ def _stage(key: str, facts: Facts) -> list[str]:
     head = f"{facts['stage']}: {facts['outcome']}"
     error = f"error: {facts['error']}" if facts.get("error") else ""
     rest = {k: v for k, v in facts.items() if k not in ("stage", "outcome", "error", "objects")}
-    return [head, error, _listed(rest), *(_object(one) for one in facts.get("objects", ()))]
+    return [head, error, _listed(rest), *(_object(instance) for instance in facts.get("objects", ()))]
 
 
 def _object(facts: Facts) -> str:
@@ -279,6 +283,13 @@ def _row(key: str, facts: Facts) -> list[str]:
     return [f"row {key}"]
 
 
+def _fidelity(key: str, facts: Facts) -> list[str]:
+    if facts["f_5cm"] is None:
+        return [f"no camera could see it; completeness {number(facts['completeness_5cm'])} at 5 cm"]
+    scores = ", ".join(f"{number(facts[f'f_{at}'])} at {at[:-2]} cm" for at in ("2cm", "5cm", "10cm"))
+    return [f"F-score {scores}", f"{number(100 * facts['seen_empty_share'])} % where the scan saw nothing"]
+
+
 def moment(text: str | None) -> str:
     """A time to the second."""
     return UNRECORDED if text is None else f"{text[:19].replace('T', ' ')} UTC"
@@ -286,7 +297,8 @@ def moment(text: str | None) -> str:
 
 _WORDS: Mapping[str, Callable[[str, Facts], list[str]]] = {
     "instance": _instance, "export": _export, "export_file": _export_file, "placement": _placement, "support": _support, "moves": _moves,
-    "certificate": _certificate, "episodes": _episodes, "selection": _selection, "annotation": _annotation, "candidate": _candidate,
+    "certificate": _certificate, "episodes": _episodes, "fidelity": _fidelity, "selection": _selection, "annotation": _annotation,
+    "candidate": _candidate,
     "provider": _provider, "asset": _asset, "caption": _caption, "mask": _mask, "frame": _frame, "scene": _scene, "scan": _scan,
     "stage": _stage, "export_format": _export_format, "batch": _batch, "blob": _blob, "uses": _uses, "row": _row,
 }  # fmt: skip

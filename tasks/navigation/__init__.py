@@ -19,11 +19,11 @@ from tasks.navigation.configuration import Agent, NavigationConfig, PathFinderCo
 from tasks.navigation.episodes import Route, sample_routes
 from tasks.navigation.path_finders import PATH_FINDERS
 from tasks.navigation.protocol import PathFinder
-from tasks.navigation.targets import Target, target_of
+from tasks.navigation.targets import NavigationTarget, target_of
 from tasks.stage import Blobs, Context, Outcome, Stage
 
 if TYPE_CHECKING:
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
 
 __all__ = ["STAGE", "Agent", "NavigationConfig", "PathFinderConfig", "placed_surfaces", "run", "split_of"]
 
@@ -48,8 +48,8 @@ def placed_surfaces(placements: Sequence[Placement], assets: Sequence[Asset], bl
     Raises:
         InputError: a placement names an asset that is not among `assets`.
     """
-    from tasks.meshes import Surface, load_glb
-    from tasks.transforms import matrix
+    from tasks.geometry.meshes import Surface, load_glb
+    from tasks.geometry.transforms import matrix
 
     by_id, loaded, placed = {asset.asset_id: asset for asset in assets}, {}, {}
     for placement in sorted(placements, key=lambda p: p.instance_id):
@@ -85,7 +85,7 @@ def run(
     """
     import shapely
 
-    from tasks.replica import interior_footprints
+    from tasks.shell import interior_footprints
 
     if not scenes or not rooms:
         raise InputError(context.scene_id, "rooms" if scenes else "scenes", "has no row for this scene", "run the capture stage again")
@@ -101,7 +101,7 @@ def run(
     finder = member(PATH_FINDERS, config.path_finder.kind).build(rooms[0], list(surfaces.values()), walls, config)
     blobs, degradations = Blobs(), []
     reasons = {i.instance_id: "no asset was placed for it" for i in instances if not i.is_structure and i.instance_id not in surfaces}
-    targets: list[Target] = []
+    targets: list[NavigationTarget] = []
     if not finder.islands:
         degradations.append(f"no floor is free for an agent of {agent.radius_m:g} m radius: no navmesh and no episodes")
         reasons |= dict.fromkeys(surfaces, "no floor is free for the agent")
@@ -109,7 +109,7 @@ def run(
         for instance_id, surface in surfaces.items():
             outline = shapely.MultiPoint(surface.vertices[np.unique(surface.faces), :2]).convex_hull
             target = target_of(instance_id, by_id[instance_id].category, outline, finder, config, walls)
-            if isinstance(target, Target):
+            if isinstance(target, NavigationTarget):
                 targets.append(target)
             else:
                 reasons[instance_id] = target

@@ -1,4 +1,4 @@
-"""What the navigation stage can be told."""
+"""Settings of the navigation stage."""
 
 from __future__ import annotations
 

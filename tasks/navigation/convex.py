@@ -79,24 +79,24 @@ def _merged(vertices: Array, rings: list[tuple[int, ...]], most_corners: int) ->
             heapq.heappush(queue, (0 if thin else 1, -length(edge), edge))
     while queue:
         _, _, (a, b) = heapq.heappop(queue)
-        one, other = owner.get((a, b)), owner.get((b, a))
-        if one is None or other is None or one == other:
+        first, other = owner.get((a, b)), owner.get((b, a))
+        if first is None or other is None or first == other:
             continue
-        ring = _joined(polygon[one], polygon[other], a, b)
+        ring = _joined(polygon[first], polygon[other], a, b)
         if len(ring) > most_corners or len(set(ring)) < len(ring) or not _is_convex(at, ring):
             continue
         del owner[a, b], owner[b, a]
         for edge in _edges(polygon.pop(other)):
             if edge in owner:
-                owner[edge] = one
-        polygon[one] = ring
+                owner[edge] = first
+        polygon[first] = ring
     return [polygon[number] for number in sorted(polygon)]
 
 
-def _joined(one: tuple[int, ...], other: tuple[int, ...], a: int, b: int) -> tuple[int, ...]:
+def _joined(first: tuple[int, ...], other: tuple[int, ...], a: int, b: int) -> tuple[int, ...]:
     """The ring around two polygons that share the edge from a to b of the first."""
-    i, j = one.index(b), other.index(a)
-    return (*one[i:], *one[:i], *((*other[j:], *other[:j])[1:-1]))
+    i, j = first.index(b), other.index(a)
+    return (*first[i:], *first[:i], *((*other[j:], *other[:j])[1:-1]))
 
 
 def _is_convex(at: list[tuple[float, float]], ring: tuple[int, ...]) -> bool:

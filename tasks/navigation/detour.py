@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tasks.navigation.navmesh import NavmeshFile, Settings, read_navmesh
 from tasks.navigation.points import FloorTriangles, rows
-from tasks.navigation.protocol import DistanceField, Path
+from tasks.navigation.protocol import DistanceField, PathFinder
 from tasks.navigation.regions import Region, closed_but_for, walkable_region
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ _SAME = 1e-5
 """habitat-sim's tolerance when it compares the settings of navmeshes."""
 
 
-class DetourPathFinder(abc.ABC):
+class DetourPathFinder(PathFinder):
     """A navmesh file and what can be said of it without a search, world frame [m], for an agent that stands on the floor (z = 0).
 
     Parts of the navmesh that nobody on the floor can climb to, as tops of cupboards, stay in the file but are left out here.
@@ -53,10 +53,6 @@ class DetourPathFinder(abc.ABC):
             there = (polygons >= 0) & (np.hypot(*(places - p).T) <= ON_MESH_M)
         return np.where(there, self._island_of_polygon[polygons], -1)
 
-    def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each point, shape (n, 2), lies on the floor's navmesh, shape (n,)."""
-        return self.island_of(points) >= 0
-
     def snap(self, points: ArrayLike) -> Array:
         """The navigable point nearest to each point, shape (n, 2).
 
@@ -81,14 +77,6 @@ class DetourPathFinder(abc.ABC):
     @abc.abstractmethod
     def field(self, goals: ArrayLike) -> DistanceField:
         """Distances and paths to the nearest of `goals`, shape (n, 2). Goals that are not navigable are never reached."""
-
-    def geodesic(self, start: ArrayLike, goal: ArrayLike) -> Path:
-        """Shortest path between two points, shape (2,) each."""
-        return self.field(rows(goal)).path(start)
-
-    def geodesics(self, start: ArrayLike, goals: ArrayLike) -> Array:
-        """Geodesic distances from one point, shape (2,), to many, shape (n, 2): [m], shape (n,)."""
-        return np.array([self.field(goal).distances(start)[0] for goal in rows(goals)], dtype=np.float64)
 
     def navmesh(self, settings: Settings) -> NavmeshFile:
         """The file as it was baked, tops of furniture and all, glTF frame.
@@ -141,7 +129,7 @@ def space(points: Array) -> Array:
     return result
 
 
-def plan(points: Array) -> Array:
+def from_above(points: Array) -> Array:
     """Points of the glTF frame, shape (n, 3), seen from above in the world frame, shape (n, 2)."""
     result = np.empty((len(points), 2))
     result[:, 0], result[:, 1] = points[:, 0], -points[:, 2]

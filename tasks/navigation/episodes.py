@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tasks.navigation.configuration import NavigationConfig
 from tasks.navigation.follower import follow, replay
 from tasks.navigation.protocol import DistanceField, Path, PathFinder
-from tasks.navigation.targets import Target
+from tasks.navigation.targets import NavigationTarget
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ class Route:
     final_distance: Geodesic distance from there to the goal [m].
     """
 
-    target: Target
+    target: NavigationTarget
     start: Array
     yaw: float
     path: Path
@@ -38,7 +38,7 @@ class Route:
 class RouteSampler:
     """Draws routes to one target. Its limit on the geodesic distance is halved when no start is far enough away."""
 
-    def __init__(self, target: Target, finder: PathFinder, config: NavigationConfig) -> None:
+    def __init__(self, target: NavigationTarget, finder: PathFinder, config: NavigationConfig) -> None:
         self.target, self.least_m, self.rejected = target, config.min_geodesic_m, Counter[str]()
         self._finder, self._config = finder, config
         self._fields: dict[int, DistanceField] = {}
@@ -92,7 +92,7 @@ class RouteSampler:
 
 
 def sample_routes(
-    targets: Sequence[Target], count: int, finder: PathFinder, config: NavigationConfig, rng: np.random.Generator
+    targets: Sequence[NavigationTarget], count: int, finder: PathFinder, config: NavigationConfig, rng: np.random.Generator
 ) -> tuple[list[Route], dict[str, str], list[str]]:
     """Routes to targets in random order, every target once before any comes again.
 

@@ -29,7 +29,7 @@ class Motion:
 
 
 @dataclasses.dataclass(frozen=True)
-class Trajectory:
+class FollowedPath:
     """Poses along a sequence of actions.
 
     poses: x, y [m] and yaw about +Z [rad] before the first action and after each, world frame, shape (n + 1, 3).
@@ -45,7 +45,7 @@ class Trajectory:
         return float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
 
 
-def replay(actions: Sequence[str], start: ArrayLike, yaw: float, finder: PathFinder, motion: Motion) -> Trajectory:
+def replay(actions: Sequence[str], start: ArrayLike, yaw: float, finder: PathFinder, motion: Motion) -> FollowedPath:
     """Carry out actions from a navigable start, world frame [m], shape (2,), heading `yaw` [rad].
 
     Raises:
@@ -63,7 +63,7 @@ def replay(actions: Sequence[str], start: ArrayLike, yaw: float, finder: PathFin
         elif action != STOP or index != len(actions) - 1:
             raise ValueError(f"actions: {action!r} at {index} is no action of this robot, or follows a stop")
         poses.append((position[0], position[1], _heading(yaw, turns, motion)))
-    return Trajectory(np.array(poses), collisions)
+    return FollowedPath(np.array(poses), collisions)
 
 
 def follow(
@@ -89,10 +89,10 @@ def follow(
             actions += [LEFT if wanted > 0 else RIGHT] * abs(wanted) + [FORWARD]
             position, turns, path = moved, turns + wanted, onward
             continue
-        found = _search(position, turns, yaw, field, finder, motion, max(reach, path.length - 2 * motion.forward_m), search_limit)
-        if found is None:
+        steps = _search(position, turns, yaw, field, finder, motion, max(reach, path.length - 2 * motion.forward_m), search_limit)
+        if steps is None:
             return None
-        more, position, turns = found
+        more, position, turns = steps
         actions += more
         path = field.path(position)
     return [*actions, STOP] if path.exists and len(actions) < max_steps else None

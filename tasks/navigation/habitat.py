@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.errors import InputError
-from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, plan, space
+from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, from_above, space
 from tasks.navigation.navmesh import Settings, dump_navmesh
 from tasks.navigation.points import rows
 from tasks.navigation.protocol import NO_PATH, Path, PathFinderKind
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import shapely
 
     from schemas.capture import Room
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
     from tasks.navigation.configuration import NavigationConfig
 
 Array = NDArray[np.float64]
@@ -110,7 +110,7 @@ class HabitatPathFinder(DetourPathFinder):
         places = np.full((len(points), 2), np.nan)
         if self.floor is not None:
             for index, point in enumerate(space(points)):
-                places[index] = plan(np.array([self._finder.snap_point(point.astype(np.float32))], dtype=np.float64))[0]
+                places[index] = from_above(np.array([self._finder.snap_point(point.astype(np.float32))], dtype=np.float64))[0]
         return places, self._polygons(places)
 
     def _polygons(self, places: Array) -> NDArray[np.int64]:
@@ -159,7 +159,7 @@ class HabitatPathFinder(DetourPathFinder):
     def _stepped(self, start: Array, end: Array) -> Array:
         """Where habitat-sim's step between points, shape (2,) each, ends."""
         a, b = space(np.array([start, end])).astype(np.float32)
-        return plan(np.array([self._finder.try_step_no_sliding(a, b)], dtype=np.float64))[0]
+        return from_above(np.array([self._finder.try_step_no_sliding(a, b)], dtype=np.float64))[0]
 
     def searched(self, start: Array, goal: Array) -> Array:
         """Corners of habitat-sim's path between navigable points, shape (2,) each, with exact ends; shape (0, 2) without one."""
@@ -167,7 +167,7 @@ class HabitatPathFinder(DetourPathFinder):
         path.requested_start, path.requested_end = space(np.array([start, goal])).astype(np.float32)
         if not self._finder.find_path(path):
             return np.zeros((0, 2))
-        corners = plan(np.array(path.points, dtype=np.float64))
+        corners = from_above(np.array(path.points, dtype=np.float64))
         corners[0], corners[-1] = start, goal
         return corners
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     import shapely
 
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
 
 Array = NDArray[np.float64]
 

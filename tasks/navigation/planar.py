@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.navigation.points import FloorTriangles, rows
-from tasks.navigation.protocol import NO_PATH, Path, PathFinderKind
+from tasks.navigation.protocol import NO_PATH, Path, PathFinder, PathFinderKind
 from tasks.navigation.visibility import (
     ON_BOUNDARY,
     TANGENT,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
     from schemas.capture import Room
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
     from tasks.navigation.configuration import NavigationConfig
     from tasks.navigation.navmesh import NavmeshFile, Settings
 
@@ -57,7 +57,7 @@ class PlanarConfig(Config):
     smallest_island_m2: NonNegative = 0.0625  # the square of one step: on less floor no step can be made
 
 
-class PlanarPathFinder:
+class PlanarPathFinder(PathFinder):
     """Shortest paths for a point in a closed polygon with holes, world frame [m]. Exact up to rounding.
 
     Erode the floor by the agent's radius before (`obstacles.free_space`) and the point is the center of its disc.
@@ -126,10 +126,6 @@ class PlanarPathFinder:
             result[contains(self._edges[number], p)] = number
         return result
 
-    def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each point, shape (n, 2), lies in the closed free polygon, shape (n,)."""
-        return self.island_of(points) >= 0
-
     def snap(self, points: ArrayLike) -> Array:
         """The navigable point nearest to each point, shape (n, 2).
 
@@ -178,12 +174,12 @@ class PlanarPathFinder:
             return coo_matrix((0, 0)).tocsr()
         rows, columns = [], []
         for i in range(count):  # one row at a time keeps memory linear in the corners
-            others = np.arange(i + 1, count)
-            others = others[island[others] == island[i]]
-            others = others[self._is_tangent(others, at[i])]
-            others = others[self._is_tangent(np.full(len(others), i), at[others])]
-            rows.append(np.full(len(others), i))
-            columns.append(others)
+            targets = np.arange(i + 1, count)
+            targets = targets[island[targets] == island[i]]
+            targets = targets[self._is_tangent(targets, at[i])]
+            targets = targets[self._is_tangent(np.full(len(targets), i), at[targets])]
+            rows.append(np.full(len(targets), i))
+            columns.append(targets)
         a, b = np.concatenate(rows), np.concatenate(columns)
         seen = np.zeros(len(a), dtype=np.bool_)
         for number, edges in enumerate(self._edges):
@@ -207,12 +203,12 @@ class PlanarPathFinder:
     @cached_property
     def _corners(self) -> list[tuple[NDArray[np.int64], Corners]]:
         """For every island its nodes and what is there."""
-        found = []
+        corners = []
         for island in range(len(self._parts)):
             nodes = np.flatnonzero(self.boundary.island[self._nodes] == island)
             edges = self._nodes[nodes]
-            found.append((nodes, Corners(self.boundary.starts[edges], -self.boundary.arriving[edges], self.boundary.leaving[edges])))
-        return found
+            corners.append((nodes, Corners(self.boundary.starts[edges], -self.boundary.arriving[edges], self.boundary.leaving[edges])))
+        return corners
 
     def _candidates(self, point: Array, island: int, beyond: Array | None = None, limit: float = np.inf) -> tuple[NDArray[np.int64], Array]:
         """Nodes that a shortest path from `point` could bend around first, nearest first, and the path's length over each."""
@@ -223,14 +219,6 @@ class PlanarPathFinder:
     def field(self, goals: ArrayLike) -> PlanarField:
         """Distances and paths to the nearest of `goals`, shape (n, 2). Goals that are not navigable are never reached."""
         return PlanarField(self, rows(goals))
-
-    def geodesic(self, start: ArrayLike, goal: ArrayLike) -> Path:
-        """Shortest path between two points, shape (2,) each."""
-        return self.field(rows(goal)).path(start)
-
-    def geodesics(self, start: ArrayLike, goals: ArrayLike) -> Array:
-        """Geodesic distances from one point, shape (2,), to many, shape (n, 2): [m], shape (n,)."""
-        return self.field(rows(start)).distances(goals)
 
     def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
         """Whether a straight move from a navigable point to anywhere, shape (2,) each, stays in the free polygon."""
@@ -348,10 +336,10 @@ class PlanarField:
 def _build(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> PlanarPathFinder:
     from tasks.navigation.obstacles import footprint, free_space
 
-    agent, told = config.agent, config.path_finder
-    assert isinstance(told, PlanarConfig)
+    agent, settings = config.agent, config.path_finder
+    assert isinstance(settings, PlanarConfig)
     prints = [footprint(surface, agent.max_climb_m, agent.height_m) for surface in surfaces]
-    return PlanarPathFinder(free_space(room.floor_polygon, [*prints, *walls], agent.radius_m, told.smallest_island_m2))
+    return PlanarPathFinder(free_space(room.floor_polygon, [*prints, *walls], agent.radius_m, settings.smallest_island_m2))
 
 
 PLANAR = PathFinderKind(name="planar", config=PlanarConfig, build=_build, is_exact=True)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import shapely
 
     from schemas.capture import Room
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
     from tasks.navigation.configuration import NavigationConfig
     from tasks.navigation.navmesh import NavmeshFile, Settings
     from tasks.settings import Config
@@ -71,7 +71,7 @@ class PathFinder(Protocol):
 
     def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Whether the agent's center can be at each point, shape (n, 2) to (n,)."""
-        ...
+        return self.island_of(points) >= 0
 
     def snap(self, points: ArrayLike) -> NDArray[np.float64]:
         """The navigable point nearest to each point, shape (n, 2)."""
@@ -87,11 +87,7 @@ class PathFinder(Protocol):
 
     def geodesic(self, start: ArrayLike, goal: ArrayLike) -> Path:
         """Shortest path between two points, shape (2,) each."""
-        ...
-
-    def geodesics(self, start: ArrayLike, goals: ArrayLike) -> NDArray[np.float64]:
-        """Geodesic distances from one point, shape (2,), to many, shape (n, 2): [m], shape (n,)."""
-        ...
+        return self.field(np.reshape(goal, (-1, 2))).path(start)
 
     def is_clear(self, start: ArrayLike, end: ArrayLike) -> bool:
         """Whether a straight move from a navigable point to anywhere, shape (2,) each, meets no obstacle."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.errors import InputError
-from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, plan, space
+from tasks.navigation.detour import ON_MESH_M, DetourPathFinder, from_above, space
 from tasks.navigation.navmesh import Settings, dump_navmesh, read_navmesh
 from tasks.navigation.points import rows
 from tasks.navigation.protocol import NO_PATH, Path, PathFinderKind
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import shapely
 
     from schemas.capture import Room
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
     from tasks.navigation.configuration import NavigationConfig
 
 Array = NDArray[np.float64]
@@ -167,7 +167,7 @@ class RecastPathFinder(DetourPathFinder):
         if self._mesh is None:
             return np.full((len(points), 2), np.nan), np.full(len(points), -1, dtype=np.int64)
         places, polygons = self._mesh.snap(space(points))
-        return plan(places), polygons.astype(np.int64)
+        return from_above(places), polygons.astype(np.int64)
 
     def field(self, goals: ArrayLike) -> RecastField:
         """Distances and paths to the nearest of `goals`, shape (n, 2). Goals that are not navigable are never reached."""
@@ -220,7 +220,7 @@ class RecastField:
         length = self._mesh._library.recast_goal_path(self._handle, x, -y, *self._out)
         if self._goal.value < 0:
             return NO_PATH
-        corners = plan(self._corners[: self._count.value])
+        corners = from_above(self._corners[: self._count.value])
         corners[0], corners[-1] = point, self._goals[self._goal.value]
         return Path(length, corners, self._goal.value)
 

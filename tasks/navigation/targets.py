@@ -29,7 +29,7 @@ _SAME_M = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
-class Target:
+class NavigationTarget:
     """An object and where it is seen from.
 
     view_points: World frame [m], shape (n, 2). yaws: Heading towards the object [rad], shape (n,). islands: Island of each, shape (n,).
@@ -63,17 +63,17 @@ def view_points(outline: shapely.Geometry, finder: PathFinder, config: Navigatio
     steps = np.arange(math.floor(config.view_reach_m / _MARCH_M) + 1) * _MARCH_M
     tried = edge[:, None] + steps[None, :, None] * outward[:, None]
     good = finder.is_navigable(tried.reshape(-1, 2)).reshape(tried.shape[:2])
-    found = tried[np.arange(count), good.argmax(axis=1)][good.any(axis=1)]
-    if not len(found):
+    views = tried[np.arange(count), good.argmax(axis=1)][good.any(axis=1)]
+    if not len(views):
         center = shapely.get_coordinates(solid.centroid)
         nearest = finder.snap(center)
-        found = nearest[shapely.distance(solid, shapely.points(nearest)) <= config.view_reach_m]
-    if walls and len(found):
+        views = nearest[shapely.distance(solid, shapely.points(nearest)) <= config.view_reach_m]
+    if walls and len(views):
         # what stands in a wall, as a door does, is seen from both sides: only wall beyond the object hides it
         hiding = shapely.difference(shapely.union_all(walls), shapely.buffer(solid, _SKIN_M))
-        found = found[~shapely.intersects(shapely.shortest_line(shapely.points(found), solid), hiding)]
+        views = views[~shapely.intersects(shapely.shortest_line(shapely.points(views), solid), hiding)]
     kept: list[Array] = []
-    for point in found:
+    for point in views:
         if all(np.hypot(*(point - other)) >= _SAME_M for other in kept):
             kept.append(point)
     return np.array(kept).reshape(-1, 2)
@@ -82,7 +82,7 @@ def view_points(outline: shapely.Geometry, finder: PathFinder, config: Navigatio
 def target_of(
     instance_id: str, category: str, outline: shapely.Geometry, finder: PathFinder, config: NavigationConfig,
     walls: Sequence[shapely.Geometry] = (),
-) -> Target | str:  # fmt: skip
+) -> NavigationTarget | str:  # fmt: skip
     """An object as a target, or the reason why nobody can get near it.
 
     Args:
@@ -105,4 +105,4 @@ def target_of(
     center = shapely.get_coordinates(outline.centroid)[0]
     ahead = center - points
     yaws = np.where(np.hypot(*ahead.T) > 1e-6, np.arctan2(ahead[:, 1], ahead[:, 0]), 0.0)
-    return Target(instance_id, category, points, yaws, finder.island_of(points))
+    return NavigationTarget(instance_id, category, points, yaws, finder.island_of(points))

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Room
+from tasks.geometry.transforms import Z_UP_TO_Y_UP, transform_points
 from tasks.navigation.navmesh import Settings
-from tasks.replica import floor_ring, room_shell
-from tasks.transforms import Z_UP_TO_Y_UP, transform_points
+from tasks.shell import floor_ring, room_shell
 
 if TYPE_CHECKING:
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
 
 Array = NDArray[np.float64]
 

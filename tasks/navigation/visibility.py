@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tasks.kernels import Kernels, compile_kernels
 
 if TYPE_CHECKING:
     import shapely
@@ -112,20 +114,20 @@ def joined(boundaries: Sequence[Boundary]) -> Boundary:
 
 def clear(boundary: Boundary, starts: Array, ends: Array) -> NDArray[np.bool_]:
     """Whether each segment stays in the closed polygon, (n, 2) and (n, 2) to (n,). Its ends must lie in the polygon."""
-    blocks = _compiled()(np.ascontiguousarray(starts), np.ascontiguousarray(ends), *boundary.corners, False, False)
+    blocks = _compiled()["_sights"](np.ascontiguousarray(starts), np.ascontiguousarray(ends), *boundary.corners, False, False)
     return np.asarray(np.isinf(blocks))
 
 
 def clear_length(boundary: Boundary, start: Array, end: Array) -> float:
     """How far a straight move from a point of the polygon, shape (2,), stays in it [m]; infinite when it does to its end."""
-    return float(_compiled()(start.reshape(1, 2), end.reshape(1, 2), *boundary.corners, False, True)[0])
+    return float(_compiled()["_sights"](start.reshape(1, 2), end.reshape(1, 2), *boundary.corners, False, True)[0])
 
 
 def first_clear(boundary: Boundary, start: Array, ends: Array) -> int:
     """Index of the first of `ends`, shape (n, 2), that is seen from `start`, shape (2,); -1 when none is."""
     if not len(ends):
         return -1
-    blocks = _compiled()(np.broadcast_to(start, ends.shape).copy(), np.ascontiguousarray(ends), *boundary.corners, True, False)
+    blocks = _compiled()["_sights"](np.broadcast_to(start, ends.shape).copy(), np.ascontiguousarray(ends), *boundary.corners, True, False)
     index = int(np.argmax(blocks))
     return index if np.isinf(blocks[index]) else -1
 
@@ -139,8 +141,10 @@ def tangent_corners(point: Array, corners: Corners, beyond: Array, limit: float)
         beyond: Distance from every corner to the goal [m], shape (n,).
         limit: Only lengths below this are wanted [m].
     """
-    found: tuple[NDArray[np.int64], Array] = _compiled_corners()(point[0], point[1], corners.at, corners.back, corners.ahead, beyond, limit)
-    return found
+    tangents: tuple[NDArray[np.int64], Array] = _compiled()["_tangent_corners"](
+        point[0], point[1], corners.at, corners.back, corners.ahead, beyond, limit
+    )
+    return tangents
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,39 +158,12 @@ class Corners:
 
 def contains(boundary: Boundary, points: Array) -> NDArray[np.bool_]:
     """Whether points, shape (n, 2), lie in the closed polygon, shape (n,)."""
-    return np.asarray(_compiled_contains()(np.ascontiguousarray(points), boundary.starts, boundary.ends))
+    return np.asarray(_compiled()["_contains"](np.ascontiguousarray(points), boundary.starts, boundary.ends))
 
 
 @cache
-def _compiled() -> Callable[..., Any]:
-    import numba
-
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_sights)
-    return compiled
-
-
-@cache
-def _compiled_cells() -> Callable[..., Any]:
-    import numba
-
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_cells)
-    return compiled
-
-
-@cache
-def _compiled_corners() -> Callable[..., Any]:
-    import numba
-
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_tangent_corners)
-    return compiled
-
-
-@cache
-def _compiled_contains() -> Callable[..., Any]:
-    import numba
-
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy")(_contains)
-    return compiled
+def _compiled() -> Kernels:
+    return compile_kernels(_sights, _cells, _tangent_corners, _contains)
 
 
 def _tangent_corners(
@@ -245,7 +222,7 @@ def _grid_of(starts: Array, ends: Array) -> tuple[float, float, float, int, int,
     width, depth = np.maximum(high - low, 1e-6)
     cell = float(max(np.sqrt(width * depth / len(starts)), max(width, depth) / len(starts)))
     columns, rows = int(width / cell) + 1, int(depth / cell) + 1
-    offsets, members = _compiled_cells()(starts, ends, low[0], low[1], cell, columns, rows)
+    offsets, members = _compiled()["_cells"](starts, ends, low[0], low[1], cell, columns, rows)
     return float(low[0]), float(low[1]), cell, columns, rows, offsets, members
 
 

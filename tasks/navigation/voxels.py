@@ -1,4 +1,4 @@
-"""What bakers of navmeshes can be told."""
+"""Settings of the baking of navmeshes."""
 
 from __future__ import annotations
 

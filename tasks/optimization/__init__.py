@@ -14,24 +14,24 @@ from schemas.captions import Caption
 from schemas.capture import Instance, Room
 from schemas.optimization import APPLIED
 from schemas.selection import Selection
+from tasks.geometry.pieces import PieceConfig
 from tasks.optimization import default, paper
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, certificate_rows, certify
-from tasks.optimization.collisions import MOVES, OUTCOMES, collision_loss
 from tasks.optimization.contacts import Colliders
 from tasks.optimization.default import Default
 from tasks.optimization.interior import furnish
 from tasks.optimization.paper import Paper
 from tasks.optimization.proposals import propose
-from tasks.optimization.resting import lost_supports
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
-from tasks.optimization.supports import SupportConfig
-from tasks.optimization.trace import moved_poses, replay, step_rows
-from tasks.pieces import PieceConfig
+from tasks.optimization.search.collisions import MOVES, OUTCOMES
+from tasks.optimization.search.trace import moved_poses, replayed_poses, step_rows
+from tasks.optimization.support.resting import lost_supports
+from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config
 from tasks.stage import Context, Outcome, Stage
 
-__all__ = ["MOVES", "OUTCOMES", "STAGE", "Default", "OptimizationConfig", "Paper", "SupportConfig", "collision_loss", "replay", "run"]
+__all__ = ["MOVES", "OUTCOMES", "STAGE", "Default", "OptimizationConfig", "Paper", "SupportConfig", "replayed_poses", "run"]
 
 Method = Annotated[Paper | Default, ByKind()]
 """How collisions are resolved: a union of frozen configs, matched by type."""
@@ -66,10 +66,10 @@ def run(
     Instances for which nothing can be placed, orphaned annotations and what could not be put right are said.
     """
     known = {asset.asset_id: asset for asset in assets}
-    proposals, said = propose(instances, selections, annotations, known)
+    proposals, notes = propose(instances, selections, annotations, known)
     room = rooms[0] if rooms else None
     interior, left_out = furnish(proposals, known, context.blobs, room, config.supports, config.pieces, context.caches)
-    said += left_out
+    notes += left_out
     match config.method:
         case Paper() as method:
             resolution, word = paper.resolve(interior, method, config.supports, context.rng), "paper"
@@ -90,9 +90,9 @@ def run(
     remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)
     contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)
     contacts += contact_rows(scene_id, interior, poses, after, "optimized", allowed)
-    undone = [*said, *resolution.said]
-    said = [*undone, *unknown, *resolution.noted, *set_down(interior, config.supports)]
-    said += [f"{name}: {text}" for name, text in remains.items()]
+    undone = [*notes, *resolution.notes]
+    notes = [*undone, *unknown, *resolution.noted, *set_down(interior, config.supports)]
+    notes += [f"{name}: {text}" for name, text in remains.items()]
     return Outcome(
         placements=placement_rows(scene_id, interior, poses, certified, word, remains),
         supports=support_rows(scene_id, interior, lost),
@@ -100,7 +100,7 @@ def run(
         optimization_steps=steps,
         optimizations=[optimization_row(scene_id, interior, resolution, contacts, word, remains, undone)],
         certificates=certificate_rows(scene_id, certified),
-        degradations=said,
+        degradations=notes,
     )
 
 

@@ -1,4 +1,4 @@
-"""Certificates: whether things stay where they were put, by a physics engine that had no part in putting them there."""
+"""Certificates: whether objects stay where they were put, by a physics engine that had no part in putting them there."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pydantic import model_validator
 from schemas.errors import InputError
 from schemas.optimization import Certificate
 from tasks.captions.physics import materials
-from tasks.optimization import mujoco_engine, newton_engine
-from tasks.optimization.mujoco_engine import Mujoco, Simulation
-from tasks.optimization.newton_engine import Newton
-from tasks.optimization.solids import Body, Solid
-from tasks.settings import Config, Positive
-from tasks.transforms import flat, is_rigid
+from tasks.geometry.transforms import flat, is_rigid
+from tasks.optimization.engines import mujoco_engine, newton_engine
+from tasks.optimization.engines.mujoco_engine import Mujoco, Simulation
+from tasks.optimization.engines.newton_engine import Newton
+from tasks.optimization.solids import ConvexParts, RigidBody
+from tasks.settings import Config, NonNegative, Positive
 
 Array = NDArray[np.float64]
 
@@ -35,10 +35,10 @@ SOFT: frozenset[str] = frozenset({"fabric", "foliage"})
 """Materials that are mostly air as they are used: stuffing, folds, leaves."""
 
 SOLID_SHARE = 0.01
-"""Share of a hollow thing's volume that its material fills: a box of 60 cm with walls of 1 mm."""
+"""Share of a hollow object's volume that its material fills: a box of 60 cm with walls of 1 mm."""
 
 SOFT_SHARE = 0.004
-"""The same for stuffed and leafy things: down at 5 kg/m3, of fiber at 1300."""
+"""The same for stuffed and leafy objects: down at 5 kg/m3, of fiber at 1300."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +47,8 @@ class CertificateConfig(Config):
 
     mujoco: Mujoco = dataclasses.field(default_factory=Mujoco)  # always asked
     newton: Newton = dataclasses.field(default_factory=Newton)  # asked as well when its interpreter is named
+    mujoco_defaults: bool = True  # asked as well: MuJoCo as others leave it; where the two differ, a verdict hangs on the solver
+    nudge_m_s: NonNegative = 0.05  # a door that falls shut; who balances on an edge falls at 0.03, what stands well withstands 0.1; 0: none
     seconds: Positive = 2.0  # a fall from a table takes 0.4 s; tipping begins slowly and takes longer
 
     @model_validator(mode="after")
@@ -59,11 +61,12 @@ class CertificateConfig(Config):
 
 @dataclasses.dataclass(frozen=True)
 class Certified:
-    """What an engine says of a thing: fields as in the table `certificates`.
+    """What an engine says of an object: fields as in the table `certificates`.
 
     settled_pose: asset to world at the end, 4x4 [m]. displacement_m: of the asset's origin. tilt_radians: angle between the
     upright axes before and after; turning about that axis does not count. problem: why the engine could not simulate it;
-    then these and start_penetration_m are None, and it is not stable.
+    then these and start_penetration_m are None, and it is not stable. nudged_displacement_m, nudged_tilt_radians: the greatest after any
+    of the nudges; None, as is_stable_nudged, where there were none.
     """
 
     name: str
@@ -78,6 +81,9 @@ class Certified:
     start_penetration_m: float | None
     is_stable_1cm: bool
     is_stable_5cm: bool
+    nudged_displacement_m: float | None
+    nudged_tilt_radians: float | None
+    is_stable_nudged: bool | None
     mass_kg: float
     solid_volume_m3: float
     density_kg_m3: float
@@ -86,13 +92,14 @@ class Certified:
     is_density_plausible: bool | None
 
 
-def certify(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config: CertificateConfig) -> list[Certified]:
-    """Certificates of things at `poses`, asset to world [m], shape (n, 4, 4), in the order given; MuJoCo's first, then
-    Newton's when it is asked.
+def certify(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], config: CertificateConfig) -> list[Certified]:
+    """Certificates of objects at `poses`, asset to world [m], shape (n, 4, 4), in the order given; MuJoCo's first, then
+    those of its defaults and Newton's when these are asked.
 
-    They are left alone for `config.seconds` under gravity on the floor z = 0, among the walls `shell`. Fixed things do
-    not move. The order of the bodies does not matter. A thing that an engine refuses has a problem, no settled pose, is not
-    stable, and is left out: what it carries falls.
+    They are left alone for `config.seconds` under gravity on the floor z = 0, among the walls `shell`; by MuJoCo again from
+    the same poses with a nudge in each of four directions. Fixed objects do not move. The order of the bodies does not
+    matter. An object that an engine refuses has a problem, no settled pose, is not stable, and is left out: what it carries
+    falls.
 
     Raises:
         InputError: a pose is not rigid, two bodies have one name, a material is unknown, or Newton is not there.
@@ -106,10 +113,15 @@ def certify(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config
             raise InputError("placements", f"{body.solid.name} optimized_pose", "is no rigid pose", "run the optimization again")
     order = sorted(range(len(bodies)), key=lambda i: names[i])  # engines depend on it, certificates shall not
     rank = np.argsort(order)
-    engines: list[Mujoco | Newton] = [config.mujoco, *([config.newton] if config.newton.python else [])]
+    ordered = [bodies[i] for i in order], poses[order], shell, config.seconds
+    simulations = [mujoco_engine.simulate(*ordered, config.mujoco, config.nudge_m_s)]
+    if config.mujoco_defaults:
+        defaults = dataclasses.replace(config.mujoco, cone="pyramidal", impratio=1.0, integrator="Euler")  # what is not set otherwise
+        simulations.append(mujoco_engine.simulate(*ordered, defaults, config.nudge_m_s, "mujoco_defaults"))
+    if config.newton.python:
+        simulations.append(newton_engine.simulate(*ordered, config.newton))
     certified = []
-    for engine in engines:
-        simulation = _simulate([bodies[i] for i in order], poses[order], shell, config.seconds, engine)
+    for simulation in simulations:
         certified += [_certified(body, poses[i], simulation, int(rank[i])) for i, body in enumerate(bodies)]
     return certified
 
@@ -117,8 +129,8 @@ def certify(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], config
 def certificate_rows(scene_id: str, certified: Sequence[Certified]) -> list[Certificate]:
     """Rows of the table `certificates`, by instance and engine."""
     rows = []
-    for one in sorted(certified, key=lambda c: (c.name, c.engine)):
-        values = dataclasses.asdict(one)
+    for certificate in sorted(certified, key=lambda c: (c.name, c.engine)):
+        values = dataclasses.asdict(certificate)
         name, settled = values.pop("name"), values.pop("settled_pose")
         rows.append(Certificate(scene_id=scene_id, instance_id=name, settled_pose=None if settled is None else flat(settled), **values))
     return rows
@@ -127,7 +139,7 @@ def certificate_rows(scene_id: str, certified: Sequence[Certified]) -> list[Cert
 def density_bounds(words: Sequence[str]) -> tuple[float, float] | None:
     """Least and greatest plausible mass over volume of pieces [kg/m3]; `words` of `materials.csv`. None without words.
 
-    The greatest is firm: nothing is denser than its densest material. The least is a guess: pieces are solid where things
+    The greatest is firm: nothing is denser than its densest material. The least is a guess: pieces are solid where objects
     are hollow, stuffed or folded, so it is a share, `SOLID_SHARE` or `SOFT_SHARE`, of the least density of a material.
 
     Raises:
@@ -143,22 +155,15 @@ def density_bounds(words: Sequence[str]) -> tuple[float, float] | None:
     return low, max(known[word].density_max_kg_m3 for word in words)
 
 
-def _simulate(bodies: Sequence[Body], poses: Array, shell: Sequence[Solid], seconds: float, engine: Mujoco | Newton) -> Simulation:
-    """What an engine makes of it."""
-    match engine:
-        case Mujoco():
-            return mujoco_engine.simulate(bodies, poses, shell, seconds, engine)
-        case Newton():
-            return newton_engine.simulate(bodies, poses, shell, seconds, engine)
-
-
-def _certified(body: Body, pose: Array, simulation: Simulation, index: int) -> Certified:
+def _certified(body: RigidBody, pose: Array, simulation: Simulation, index: int) -> Certified:
     """The certificate of one body."""
     problem, settled = simulation.problems[index], simulation.settled[index]
-    displacement = float(np.linalg.norm(settled[:3, 3] - pose[:3, 3]))
-    before, after = pose[:3, 2], settled[:3, 2]
-    tilt = 0.0 if body.is_fixed else float(np.arctan2(np.linalg.norm(np.cross(before, after)), before @ after))
+    displacement, tilt = _moved(body, pose, settled)
+    nudged = (
+        np.array([_moved(body, pose, end[index]) for end in simulation.nudged]).max(axis=0).tolist() if len(simulation.nudged) else None
+    )
     is_known = problem is None
+    is_stable_nudged = None if nudged is None else is_known and nudged[0] <= NEAR_M and nudged[1] <= FAR_TILT_RADIANS
     mass = body.mass_kg if np.isfinite(body.mass_kg) and body.mass_kg > 0.0 else 0.0
     volume = mujoco_engine.solid_volume(body.solid)
     density = mass / volume if volume > 0.0 else 0.0
@@ -168,9 +173,18 @@ def _certified(body: Body, pose: Array, simulation: Simulation, index: int) -> C
         simulated_seconds=simulation.seconds, is_fixed=body.is_fixed, problem=problem, settled_pose=settled if is_known else None,
         displacement_m=displacement if is_known else None, tilt_radians=tilt if is_known else None,
         start_penetration_m=float(simulation.start_penetration[index]) if is_known else None,
-        is_stable_1cm=is_known and displacement <= NEAR_M,
+        is_stable_1cm=is_known and displacement <= NEAR_M and tilt <= FAR_TILT_RADIANS,
         is_stable_5cm=is_known and displacement <= FAR_M and tilt <= FAR_TILT_RADIANS,
+        nudged_displacement_m=nudged[0] if nudged and is_known else None, nudged_tilt_radians=nudged[1] if nudged and is_known else None,
+        is_stable_nudged=is_stable_nudged,
         mass_kg=mass, solid_volume_m3=volume, density_kg_m3=density, density_low_kg_m3=None if bounds is None else bounds[0],
         density_high_kg_m3=None if bounds is None else bounds[1],
         is_density_plausible=None if bounds is None or density == 0.0 else bounds[0] <= density <= bounds[1],
     )  # fmt: skip
+
+
+def _moved(body: RigidBody, pose: Array, settled: Array) -> tuple[float, float]:
+    """How far a body's origin moved [m], and by how much its upright axis tilted [rad]."""
+    before, after = pose[:3, 2], settled[:3, 2]
+    tilt = 0.0 if body.is_fixed else float(np.arctan2(np.linalg.norm(np.cross(before, after)), before @ after))
+    return float(np.linalg.norm(settled[:3, 3] - pose[:3, 3])), tilt

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.optimization.descent import TOUCH_M
-from tasks.optimization.solids import Solid
-from tasks.pieces import Hull
+from tasks.geometry.pieces import Hull
+from tasks.kernels import compile_kernels
+from tasks.optimization.search.descent import TOUCH_M
+from tasks.optimization.solids import ConvexParts
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class Colliders:
     solids: pieces in their own frames [m]. fixed_parts: in the world frame [m]; they are not tested against each other.
     """
 
-    def __init__(self, solids: Sequence[Solid], fixed_parts: Sequence[Solid] = ()) -> None:
+    def __init__(self, solids: Sequence[ConvexParts], fixed_parts: Sequence[ConvexParts] = ()) -> None:
         everything = (*solids, *fixed_parts)
         self.names = [solid.name for solid in everything]
         self.movable_count = len(solids)
@@ -93,27 +94,27 @@ class Colliders:
             return []
         turned = np.einsum("nij,nj->ni", placed[self._point_owner, :3, :3], self._points) + placed[self._point_owner, :3, 3]
         low, high = np.minimum.reduceat(turned, self._point_first[:-1]), np.maximum.reduceat(turned, self._point_first[:-1])
-        found: dict[tuple[int, int], tuple[float, Array]] = {}
+        deepest: dict[tuple[int, int], tuple[float, Array]] = {}
         objects: dict[int, Any] = {}
         depth = _compiled_depth()
         for p, q, bound in self._near_pieces(low, high):
             a, b = int(self._owner[p]), int(self._owner[q])
-            if bound <= found.get((a, b), (TOUCH_M,))[0] or not self._overlap(p, q, placed, objects):
+            if bound <= deepest.get((a, b), (TOUCH_M,))[0] or not self._overlap(p, q, placed, objects):
                 continue
             rotation = placed[a, :3, :3].T @ placed[b, :3, :3]
             shift = placed[a, :3, :3].T @ (placed[b, :3, 3] - placed[a, :3, 3])
             deep, x, y, z = depth(*self._shape_of(p), *self._shape_of(q), rotation, shift)
-            if deep > found.get((a, b), (TOUCH_M,))[0]:
-                found[a, b] = (deep, placed[a, :3, :3] @ np.array([x, y, z]))
+            if deep > deepest.get((a, b), (TOUCH_M,))[0]:
+                deepest[a, b] = (deep, placed[a, :3, :3] @ np.array([x, y, z]))
         for i in range(movable):
             if self._first[i] < self._first[i + 1]:
                 sunk = -float(low[self._first[i] : self._first[i + 1], 2].min())
                 if sunk > TOUCH_M:
-                    found[i, total] = (sunk, np.array([0.0, 0.0, 1.0]))
+                    deepest[i, total] = (sunk, np.array([0.0, 0.0, 1.0]))
         names = [*self.names, FLOOR]
         return [
             Penetration(names[a], names[b], a, b, float(deep), (float(way[0]), float(way[1]), float(way[2])))
-            for (a, b), (deep, way) in sorted(found.items(), key=lambda item: item[0])
+            for (a, b), (deep, way) in sorted(deepest.items(), key=lambda item: item[0])
         ]
 
     def _near_pieces(self, low: Array, high: Array) -> list[tuple[int, int, float]]:
@@ -143,7 +144,7 @@ class Colliders:
         return list(zip(p[order].tolist(), q[order].tolist(), bound[order].tolist(), strict=True))
 
     def _shape_of(self, piece: int) -> tuple[Array, Array, Array]:
-        """Vertices, normals and edges of a piece, at the first need: most pieces never come near another thing's."""
+        """Vertices, normals and edges of a piece, at the first need: most pieces never come near another object's."""
         shape = int(self._shape[piece])
         if shape not in self._shapes:
             self._shapes[shape] = _shape(self._distinct[shape])
@@ -163,7 +164,7 @@ class Colliders:
         return bool(fcl.collide(objects[p], objects[q], request, fcl.CollisionResult()))
 
 
-def penetrations(solids: Sequence[Solid], poses: Array, fixed_parts: Sequence[Solid] = ()) -> list[Penetration]:
+def penetrations(solids: Sequence[ConvexParts], poses: Array, fixed_parts: Sequence[ConvexParts] = ()) -> list[Penetration]:
     """`Colliders.penetrations` for poses that are tested once."""
     return Colliders(solids, fixed_parts).penetrations(poses)
 
@@ -184,13 +185,13 @@ def _shape(hull: Hull) -> tuple[Array, Array, Array]:
     """
     from scipy.spatial import ConvexHull
 
-    found = ConvexHull(hull.vertices, qhull_options="Qt Pp")
-    planes = found.equations[:, :3]
+    convex = ConvexHull(hull.vertices, qhull_options="Qt Pp")
+    planes = convex.equations[:, :3]
     edges = []
     for k in range(3):  # the neighbor opposite to a triangle's corner shares the two others
-        here, there = np.arange(len(planes)), found.neighbors[:, k]
+        here, there = np.arange(len(planes)), convex.neighbors[:, k]
         bent = (here < there) & (np.linalg.norm(np.cross(planes, planes[there]), axis=1) > 1e-12)
-        ends = np.delete(found.simplices, k, axis=1)[bent]
+        ends = np.delete(convex.simplices, k, axis=1)[bent]
         edges.append(np.stack([hull.vertices[ends[:, 0]], hull.vertices[ends[:, 1]], planes[bent], planes[there[bent]]], axis=1))
     return np.ascontiguousarray(hull.vertices), np.unique(planes, axis=0), np.concatenate(edges)
 
@@ -198,13 +199,7 @@ def _shape(hull: Hull) -> tuple[Array, Array, Array]:
 @cache
 def _compiled_depth() -> Callable[..., tuple[float, float, float, float]]:
     """The depth of two pieces as machine code."""
-    import numba
-
-    compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
-    for function in (_width, _depth):
-        globals()[function.__name__] = compiled(function)
-    depth: Callable[..., tuple[float, float, float, float]] = globals()["_depth"]
-    return depth
+    return compile_kernels(_width, _depth)["_depth"]
 
 
 def _width(a: Array, b: Array, x: float, y: float, z: float) -> float:
@@ -244,20 +239,20 @@ def _depth(
         width = _width(a, b, x, y, z)
         if width < best:
             best, bx, by, bz = width, x, y, z
-    others: Array = np.empty(other_edges.shape)
-    for e in range(others.shape[0]):
+    other_pairs: Array = np.empty(other_edges.shape)
+    for e in range(other_pairs.shape[0]):
         for row in range(4):
             p = other_edges[e, row]
             for k in range(3):
                 turned = rotation[k, 0] * p[0] + rotation[k, 1] * p[1] + rotation[k, 2] * p[2]
-                others[e, row, k] = turned + shift[k] if row < 2 else -turned
+                other_pairs[e, row, k] = turned + shift[k] if row < 2 else -turned
     for e in range(edges.shape[0]):
         if best <= 0.0:
             break
         p, q, m, n = edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]
         ex, ey, ez = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-        for o in range(others.shape[0]):
-            r, s, c, d = others[o, 0], others[o, 1], others[o, 2], others[o, 3]
+        for o in range(other_pairs.shape[0]):
+            r, s, c, d = other_pairs[o, 0], other_pairs[o, 1], other_pairs[o, 2], other_pairs[o, 3]
             fx, fy, fz = s[0] - r[0], s[1] - r[1], s[2] - r[2]
             # the arcs m-n and c-d cross: an edge's direction is the normal of its arc's great circle
             ce, de = c[0] * ex + c[1] * ey + c[2] * ez, d[0] * ex + d[1] * ey + d[2] * ez
@@ -270,10 +265,13 @@ def _depth(
             length = np.sqrt(x * x + y * y + z * z)
             if length <= 1e-12 * np.sqrt((ex * ex + ey * ey + ez * ez) * (fx * fx + fy * fy + fz * fz)):
                 continue
-            one, two = x * (m[0] + n[0]) + y * (m[1] + n[1]) + z * (m[2] + n[2]), x * (c[0] + d[0]) + y * (c[1] + d[1]) + z * (c[2] + d[2])
-            if one * two < 0.0:  # on opposite sides of the sphere
+            first, two = (
+                x * (m[0] + n[0]) + y * (m[1] + n[1]) + z * (m[2] + n[2]),
+                x * (c[0] + d[0]) + y * (c[1] + d[1]) + z * (c[2] + d[2]),
+            )
+            if first * two < 0.0:  # on opposite sides of the sphere
                 continue
-            length = length if one + two > 0.0 else -length
+            length = length if first + two > 0.0 else -length
             x, y, z = x / length, y / length, z / length
             width = x * (p[0] - r[0]) + y * (p[1] - r[1]) + z * (p[2] - r[2])
             if width < best:

@@ -11,37 +11,35 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tasks.optimization.annealing import Schedule
-from tasks.optimization.arrangement import FIXED, HANGING, OVERHEAD, STANDING, Arrangement, compiled
-from tasks.optimization.balance import draw_back
-from tasks.optimization.boundary import outside_share, way_in
-from tasks.optimization.chains import Chain, anneal
-from tasks.optimization.collisions import outline
+from tasks.geometry.transforms import translation
 from tasks.optimization.interior import Interior
-from tasks.optimization.mounting import mounting
-from tasks.optimization.relocation import last_resort, moves_of
-from tasks.optimization.resting import DEEP_M, beside, let_down, put_to_rest, shift
+from tasks.optimization.search.annealing import AnnealingSchedule
+from tasks.optimization.search.arrangement import FIXED, HANGING, OVERHEAD, STANDING, Arrangement, compiled
+from tasks.optimization.search.chains import Chain, anneal
+from tasks.optimization.search.collisions import plan_ring
+from tasks.optimization.search.trace import Move, Resolution, SearchStep
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
-from tasks.optimization.solids import Solid, shell_solids
-from tasks.optimization.supports import PlacedAsset, SupportConfig, support_map
-from tasks.optimization.trace import Move, Resolution, Step
-from tasks.optimization.walls import wall_faces, wall_snap
+from tasks.optimization.solids import ConvexParts, shell_solids
+from tasks.optimization.support.balance import draw_back
+from tasks.optimization.support.boundary import outside_share, way_in
+from tasks.optimization.support.mounting import mounting
+from tasks.optimization.support.relocation import last_resort, moves_of
+from tasks.optimization.support.resting import DEEP_M, beside, let_down, put_to_rest, shift
+from tasks.optimization.support.supports import PlacedAsset, SupportConfig, support_map
+from tasks.optimization.support.walls import wall_faces, wall_snap
 from tasks.settings import Config, Count, NonNegative, Positive, Share
-from tasks.transforms import translation
-
-Array = NDArray[np.float64]
 
 WALL_M = 1.0
-"""Thickness that walls get while things are moved [m]: what was scanned through one is pushed back, not out behind it."""
+"""Thickness that walls get while objects are moved [m]: what was scanned through one is pushed back, not out behind it."""
 
 MAP_CELL_M = 0.02
-"""Cells in which it is known where a carried thing may stand: a fifth of a mug."""
+"""Cells in which it is known where a carried object may stand: a fifth of a mug."""
 
 MAP_REACH = 30
-"""Cells that a carried thing may stray on its carrier: 60 cm, most of a desk's depth."""
+"""Cells that a carried object may stray on its carrier: 60 cm, most of a desk's depth."""
 
 OUTSIDE_SHARE = 0.02
-"""A thing of which less lies outside of the floor, seen from above, only touches a wall that was estimated."""
+"""An object of which less lies outside of the floor, seen from above, only touches a wall that was estimated."""
 
 LEVER = 0.25
 """What a turn by one radian counts as displacement, in longest sides: the mean way of a box's corners."""
@@ -51,36 +49,37 @@ LEVER = 0.25
 class Default(Config):
     """Simulated annealing on convex pieces: Metropolis acceptance, several chains, adaptive moves along x, y, z and yaw.
 
-    The loss is the sum of the penetration depths of all pairs of pieces of different things, and of things and walls.
-    What a thing carries moves along; a carried thing stays on its carrier, a hanging one at its wall. A chain ends when
-    nothing overlaps; then things are brought back towards their places as far as nothing overlaps again.
+    The loss is the sum of the penetration depths of all pairs of pieces of different objects, and of objects and walls.
+    What an object carries moves along; a carried object stays on its carrier, a hanging one at its wall. A chain ends when
+    nothing overlaps; then objects are brought back towards their places as far as nothing overlaps again.
     """
 
     kind: ClassVar[str] = "default"
-    chains: Count = 4  # the best of four moves things a third less far than one alone, in crowded rooms
-    max_moves: Count = 15_000  # of a chain; a solvable room of 40 things takes some hundreds to thousands
+    chains: Count = 4  # the best of four moves objects a third less far than one alone, in crowded rooms
+    max_moves: Count = 15_000  # of a chain; a solvable room of 40 objects takes some hundreds to thousands
     max_kept: Count = 20_000  # moves that a chain may keep: the length of its trace
-    slop_m: NonNegative = 0.0002  # what rests on something else touches it by rounding; a tenth of the depth that counts as deep
+    slop_m: NonNegative = 0.000005  # what rests on something touches it by rounding; 0.2 mm is what PhysX throws apart in its first step
     step_m: Positive = 0.02  # the spread of moves at first: the size of a usual overlap
     turn_radians: Positive = 0.05  # the spread of turns at first: 3 degrees move a chair's corner by 2 cm
     least_step_m: Positive = 0.001  # below a millimetre nothing is won
-    most_step_m: Positive = 0.2  # farther moves throw things about
+    most_step_m: Positive = 0.2  # farther moves throw objects about
     turn_share: Share = 0.2  # of the moves are turns: shifting parts most pairs
-    rise_share: Share = 0.15  # of the other moves of a carried thing go up or down: a pillow climbs onto the one beside it
+    rise_share: Share = 0.15  # of the other moves of a carried object go up or down: a pillow climbs onto the one beside it
     most_rise_m: NonNegative = 0.1  # higher, and it stands on something else
     most_aside_m: NonNegative = 0.4  # along its wall: the width of a picture
-    most_turn_radians: NonNegative = 0.35  # 20 degrees: more, and the thing faces elsewhere than the scanned one
+    most_turn_radians: NonNegative = 0.35  # 20 degrees: more, and the object faces elsewhere than the scanned one
     most_tilt_radians: NonNegative = 0.45  # 26 degrees: what would tip farther was not meant to stand so
-    price: NonNegative = 0.05  # metres of depth that a metre of displacement costs: things move no farther than they must
+    nudge_m_s: NonNegative = 0.05  # what such a push would throw over is laid down; certificates nudge by as much; 0: it is left to balance
+    price: NonNegative = 0.05  # metres of depth that a metre of displacement costs: objects move no farther than they must
     temperature_m: Positive = 0.0003  # cold at first, so that easy rooms are solved without detours
     cooling: Annotated[float, Field(gt=0, lt=1)] = 0.8  # per sweep: seven sweeps down to the coldest
     coldest_m: Positive = 0.00005  # below it no worse state is taken any more
     warmer: Annotated[float, Field(ge=1)] = 2.0  # each time a cold chain is stuck, it starts again twice as warm
-    sweep: Count = 60  # moves per thing that may move, at each temperature
+    sweep: Count = 60  # moves per object that may move, at each temperature
 
-    def schedule(self) -> Schedule:
+    def schedule(self) -> AnnealingSchedule:
         """The same for compiled code."""
-        return Schedule(
+        return AnnealingSchedule(
             slop=self.slop_m, step=self.step_m, turn=self.turn_radians, least_step=self.least_step_m, most_step=self.most_step_m,
             turn_share=self.turn_share, rise_share=self.rise_share, most_rise=self.most_rise_m, most_aside=self.most_aside_m,
             most_turn=self.most_turn_radians,
@@ -93,10 +92,10 @@ def resolve(
     interior: Interior, method: Default, supports: SupportConfig, rng: Callable[..., np.random.Generator],
     spread: Callable[[Any, Sequence[Any]], list[Any]], wedged: Collection[int] = (),
 ) -> Resolution:  # fmt: skip
-    """Things pulled into the room, hung on their walls, put to rest, moved apart, and let down onto what is below them; what is
+    """Objects pulled into the room, hung on their walls, put to rest, moved apart, and let down onto what is below them; what is
     still in something else then is put elsewhere.
 
-    `wedged`: things that fit nowhere on or in what was taken for their carrier, as a first attempt has shown.
+    `wedged`: objects that fit nowhere on or in what was taken for their carrier, as a first attempt has shown.
     """
     walls = shell_solids(interior.room, WALL_M) if interior.room is not None else ()
     solids = (*interior.solids, *walls)
@@ -106,7 +105,7 @@ def resolve(
     names = interior.names
     proposed = interior
     interior, noted = beside(interior, shapes, stand, wedged)
-    said: list[str] = []
+    notes: list[str] = []
     steps: list[tuple[int, Move, str]] = []
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports)]
     steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
@@ -115,40 +114,40 @@ def resolve(
     room = arrangement_of(interior, solids, shapes, stand, supports, dict(drawn))
     generators = [rng("chain", number) for number in range(method.chains)]
     chain, tried = anneal(room, method.schedule(), method.max_moves, method.max_kept, generators, spread)
-    trace = [Step(names[i], move, chain.start, chain.start, outcome) for i, move, outcome in steps]
+    trace = [SearchStep(names[i], move, chain.start, chain.start, outcome) for i, move, outcome in steps]
     trace += _chain_steps(names, room, stand, chain)
-    settling = let_down(interior, shapes, stand, method.most_tilt_radians)
+    settling = let_down(interior, shapes, stand, method.most_tilt_radians, method.nudge_m_s)
     final = _loss(room, stand, DEEP_M) if chain.final == 0.0 else _loss(room, stand, method.slop_m)
-    trace += [Step(names[i], move, final, min(final, chain.final), outcome) for i, move, outcome in moves_of(settling)]
+    trace += [SearchStep(names[i], move, final, min(final, chain.final), outcome) for i, move, outcome in moves_of(settling)]
     stuck = _wedged(interior, shapes, stand) if final > 0.0 and not wedged else []
     if stuck:
-        untouched = shapes_of(solids, poses)  # letting things down has turned some of the others
+        untouched = shapes_of(solids, poses)  # letting objects down has turned some of the others
         if beside(proposed, untouched, stand_of(untouched, poses[:, :3, 3]), stuck)[1] != noted:
             other = resolve(proposed, method, supports, rng, spread, stuck)
             if other.settled < final:
                 return other
     settled = final
-    last = last_resort(interior, solids, room, stand, settling, method.slop_m, method.most_tilt_radians)
+    last = last_resort(interior, solids, room, stand, settling, method.slop_m, method.most_tilt_radians, method.nudge_m_s)
     if last.moves:
         final = _loss(room, stand, DEEP_M if chain.final == 0.0 else method.slop_m)
         smallest = min(final, trace[-1].smallest if trace else chain.start)
-        trace += [Step(names[i], move, final, smallest, outcome) for i, move, outcome in last.moves]
+        trace += [SearchStep(names[i], move, final, smallest, outcome) for i, move, outcome in last.moves]
     if final == 0.0:
         ended = "nothing_to_do" if chain.start == 0.0 and not last.moves else "zero_loss"
     else:
         ended = "out_of_moves" if tried > 0 else "no_move_helps"
-        said.append(f"penetrations of {final:.3g} m of {chain.start:.3g} m are left after {tried} moves")
+        notes.append(f"penetrations of {final:.3g} m of {chain.start:.3g} m are left after {tried} moves")
     problems = {names[i]: f"it hangs {gap:.2f} m above anything" for i, gap in last.settling.hanging.items()}
     for i in last.settling.toppling:
         problems.setdefault(names[i], "it cannot stand so: its center of mass lies beyond what it stands on")
-    for i, text in last.told.items():
+    for i, text in last.reasons.items():
         problems[names[i]] = "; ".join([text, *([problems[names[i]]] if names[i] in problems else [])])
     chains = method.chains if chain.start > 0 else 1
-    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(said), problems, interior, tuple(noted), settled)
+    return Resolution(tuple(trace), chain.start, final, tried, chains, ended, tuple(notes), problems, interior, tuple(noted), settled)
 
 
 def _wedged(interior: Interior, shapes: Shapes, stand: Stand) -> list[int]:
-    """Things that overlap their own carrier where they stand."""
+    """Objects that overlap their own carrier where they stand."""
     carried = [(i, int(parent)) for i, parent in enumerate(interior.parent) if parent >= 0]
     return [i for i, parent in carried if compiled()["pair_depth"](shapes, stand, i, parent, DEEP_M)[1] > 0.0]
 
@@ -160,12 +159,12 @@ def _loss(room: Arrangement, stand: Stand, slop: float) -> float:
 
 
 def arrangement_of(
-    interior: Interior, solids: Sequence[Solid], shapes: Shapes, stand: Stand, supports: SupportConfig,
+    interior: Interior, solids: Sequence[ConvexParts], shapes: Shapes, stand: Stand, supports: SupportConfig,
     drawn: Mapping[int, tuple[float, float]] | None = None,
 ) -> Arrangement:  # fmt: skip
-    """The room as the chains take it: things at rest, and the walls after them. `drawn`: shifts (dx, dy) [m] that things
+    """The room as the chains take it: objects at rest, and the walls after them. `drawn`: shifts (dx, dy) [m] that objects
     were given on their carriers."""
-    n, bodies = len(interior.things), len(solids)
+    n, bodies = len(interior.objects), len(solids)
     parent = np.full(bodies, -1, dtype=np.int64)
     parent[:n] = interior.parent
     groups = [*interior.groups(), *([i] for i in range(n, bodies))]
@@ -176,12 +175,12 @@ def arrangement_of(
     counted[n:, n:] = False
     maps: list[NDArray[np.bool_]] = []
     map_of, lever = np.full(bodies, -1, dtype=np.int64), np.zeros(bodies)
-    for i, (thing, carrier) in enumerate(zip(interior.things, interior.carriers, strict=True)):
-        lever[i] = LEVER * float((thing.high - thing.low)[:2].max())
+    for i, (obj, carrier) in enumerate(zip(interior.objects, interior.carriers, strict=True)):
+        lever[i] = LEVER * float((obj.high - obj.low)[:2].max())
         kind[i] = {"wall": HANGING, "ceiling": OVERHEAD}.get(carrier.relation, STANDING)
         if kind[i] == HANGING:
             along[i] = directions.get(carrier.against, np.zeros(2)) if carrier.against else 0.0
-        if interior.covering[i] or mounting(thing.category).kind == "let_in":
+        if interior.covering[i] or mounting(obj.category).kind == "let_in":
             kind[i] = FIXED
         if interior.covering[i]:
             counted[i], counted[:, i] = False, False
@@ -193,10 +192,10 @@ def arrangement_of(
                     counted[i, wall] = counted[wall, i] = False
         if parent[i] >= 0:
             map_of[i] = len(maps)
-            carrying = interior.things[parent[i]]
+            carrying = interior.objects[parent[i]]
             if drawn and i in drawn:
-                thing = _shifted(thing, *drawn[i])
-            maps.append(support_map(thing, carrying, carrier.gap, MAP_CELL_M, MAP_REACH, supports))
+                obj = _shifted(obj, *drawn[i])
+            maps.append(support_map(obj, carrying, carrier.gap, MAP_CELL_M, MAP_REACH, supports))
     side = 2 * MAP_REACH + 1
     return Arrangement(
         shapes=shapes, pivots=stand.place.copy(), counted=counted, parent=parent, first_carried=first,
@@ -205,11 +204,11 @@ def arrangement_of(
     )  # fmt: skip
 
 
-def _shifted(thing: PlacedAsset, dx: float, dy: float) -> PlacedAsset:
-    """A thing somewhere else [m]."""
+def _shifted(obj: PlacedAsset, dx: float, dy: float) -> PlacedAsset:
+    """An object somewhere else [m]."""
     move = np.array([dx, dy, 0.0])
-    surface = thing.surface.transformed(translation(move))
-    return dataclasses.replace(thing, surface=surface, low=thing.low + move, high=thing.high + move)
+    surface = obj.surface.transformed(translation(move))
+    return dataclasses.replace(obj, surface=surface, low=obj.low + move, high=obj.high + move)
 
 
 def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: SupportConfig) -> list[tuple[int, tuple[float, float], str]]:
@@ -218,12 +217,12 @@ def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: Supp
         return []
     moves = []
     groups = interior.groups()
-    for i, (thing, carrier) in enumerate(zip(interior.things, interior.carriers, strict=True)):
+    for i, (obj, carrier) in enumerate(zip(interior.objects, interior.carriers, strict=True)):
         outcome, way = "", None
         if carrier.relation == "wall":
-            outcome, way = "hung", wall_snap(thing, interior.room, carrier, supports.wall_m)
+            outcome, way = "hung", wall_snap(obj, interior.room, carrier, supports.wall_m)
         elif interior.parent[i] < 0 and carrier.relation != "ceiling" and not interior.fixed[i]:
-            ring = outline(thing.surface.vertices[np.unique(thing.surface.faces), :2])
+            ring = plan_ring(obj.surface.vertices[np.unique(obj.surface.faces), :2])
             if outside_share(ring, interior.ring) > OUTSIDE_SHARE:
                 outcome, way = "pulled_in", way_in(ring, interior.ring)
         if way is not None and math.hypot(*way) > 1e-6:
@@ -232,18 +231,18 @@ def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: Supp
     return moves
 
 
-def _chain_steps(names: Sequence[str], room: Arrangement, stand: Stand, chain: Chain) -> list[Step]:
+def _chain_steps(names: Sequence[str], room: Arrangement, stand: Stand, chain: Chain) -> list[SearchStep]:
     """The moves of a chain in the world frame; leaves the bodies in `stand` where they lead."""
     offset = np.zeros((len(room.parent), 4))
     steps = []
     columns = (chain.bodies.tolist(), chain.moves, chain.loss.tolist(), chain.smallest.tolist(), chain.numbers.tolist())
     for body, move, loss, smallest, number in zip(*columns, strict=True):
-        # a carried thing's own moves are along the axes of its carrier
+        # a carried object's own moves are along the axes of its carrier
         carrier = int(room.parent[body])
         c, s = stand.turn[carrier].tolist() if carrier >= 0 else (1.0, 0.0)
         dx, dy, dz, dyaw = move.tolist()
         offset[body] += move
         for other in room.carried[room.first_carried[body] : room.first_carried[body + 1]]:
             compiled()["compose"](room, stand, offset, other)
-        steps.append(Step(names[body], (c * dx - s * dy, s * dx + c * dy, dz, 0.0, 0.0, dyaw), loss, smallest, "kept", number))
+        steps.append(SearchStep(names[body], (c * dx - s * dy, s * dx + c * dy, dz, 0.0, 0.0, dyaw), loss, smallest, "kept", number))
     return steps

@@ -11,30 +11,30 @@ from numpy.typing import NDArray
 from schemas.candidates import Asset
 from schemas.capture import Room
 from schemas.errors import InputError
-from tasks.meshes import asset_surface, load_glb
+from tasks.geometry.meshes import asset_surface, load_glb
+from tasks.geometry.pieces import PieceConfig, asset_pieces
+from tasks.geometry.transforms import is_rigid
 from tasks.optimization.proposals import Proposal
-from tasks.optimization.solids import Solid, shell_solids
-from tasks.optimization.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering, is_fixed
-from tasks.pieces import PieceConfig, asset_pieces
-from tasks.replica import floor_ring
+from tasks.optimization.solids import ConvexParts, shell_solids
+from tasks.optimization.support.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering, is_fixed
+from tasks.shell import floor_ring
 from tasks.stage import Caches
-from tasks.transforms import is_rigid
 
 Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
 class Interior:
-    """n things in a room, carriers before what they carry.
+    """n objects in a room, carriers before what they carry.
 
     poses: asset to world frame as proposed, shape (n, 4, 4) [m]. parent: index of the carrier or -1, shape (n,). covering: rugs and cloths,
     to be stood upon; fixed: fastened to the room; shape (n,) each. ring:
     corners of the floor [m], shape (m, 2); none when no room is known. shell: the walls as convex solids.
     """
 
-    things: tuple[PlacedAsset, ...]
+    objects: tuple[PlacedAsset, ...]
     proposals: tuple[Proposal, ...]
-    solids: tuple[Solid, ...]
+    solids: tuple[ConvexParts, ...]
     poses: Array
     carriers: tuple[Carrier, ...]
     parent: NDArray[np.int64]
@@ -42,17 +42,17 @@ class Interior:
     fixed: NDArray[np.bool_]
     room: Room | None
     ring: Array | None
-    shell: tuple[Solid, ...]
+    shell: tuple[ConvexParts, ...]
 
     @property
     def names(self) -> list[str]:
         """Instance ids."""
-        return [thing.instance_id for thing in self.things]
+        return [obj.instance_id for obj in self.objects]
 
     def groups(self) -> list[list[int]]:
-        """Every thing with all it carries, carriers first, as indices."""
-        groups: list[list[int]] = [[i] for i in range(len(self.things))]
-        for i in reversed(range(len(self.things))):
+        """Every object with all it carries, carriers first, as indices."""
+        groups: list[list[int]] = [[i] for i in range(len(self.objects))]
+        for i in reversed(range(len(self.objects))):
             if self.parent[i] >= 0:
                 groups[self.parent[i]] += groups[i]
         return [sorted(group) for group in groups]
@@ -63,49 +63,49 @@ def furnish(
     supports: SupportConfig, pieces: PieceConfig, caches: Caches,
 ) -> tuple[Interior, list[str]]:  # fmt: skip
     """The proposed assets in their room, and what had to be left out of it, a line each."""
-    said: list[str] = []
-    found: list[tuple[PlacedAsset, Proposal, Solid]] = []
+    notes: list[str] = []
+    placed: list[tuple[PlacedAsset, Proposal, ConvexParts]] = []
     for proposal in proposals:
         name = proposal.instance.instance_id
         try:
-            found.append(_placed(proposal, assets[proposal.asset_id], blobs, pieces, caches))
+            placed.append(_placed(proposal, assets[proposal.asset_id], blobs, pieces, caches))
         except (InputError, KeyError, ValueError) as error:
             why = f"blob {error.args[0]} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
-            said.append(f"{name}: nothing stands for it: asset {proposal.asset_id[:12]} cannot be placed: {why}")
+            notes.append(f"{name}: nothing stands for it: asset {proposal.asset_id[:12]} cannot be placed: {why}")
     ring: Array | None = None
-    shell: tuple[Solid, ...] = ()
+    shell: tuple[ConvexParts, ...] = ()
     if room is None:
-        said.append("no room is known: nothing keeps the assets inside it")
+        notes.append("no room is known: nothing keeps the assets inside it")
     else:
         try:
             ring, shell = floor_ring(room), shell_solids(room)
         except InputError as error:
-            said.append(f"nothing keeps the assets inside the room: {error}")
+            notes.append(f"nothing keeps the assets inside the room: {error}")
             room = None
-    carriers = find_carriers([thing for thing, _, _ in found], room, supports)
-    order = _carriers_first([thing.instance_id for thing, _, _ in found], carriers)
-    kept = [found[i] for i in order]
-    index = {thing.instance_id: i for i, (thing, _, _) in enumerate(kept)}
+    carriers = find_carriers([obj for obj, _, _ in placed], room, supports)
+    order = _carriers_first([obj.instance_id for obj, _, _ in placed], carriers)
+    kept = [placed[i] for i in order]
+    index = {obj.instance_id: i for i, (obj, _, _) in enumerate(kept)}
     parents = [carriers[name].parent_id for name in index]
     interior = Interior(
-        things=tuple(thing for thing, _, _ in kept),
+        objects=tuple(obj for obj, _, _ in kept),
         proposals=tuple(proposal for _, proposal, _ in kept),
         solids=tuple(solid for _, _, solid in kept),
         poses=np.array([proposal.pose for _, proposal, _ in kept], dtype=np.float64).reshape(-1, 4, 4),
         carriers=tuple(carriers[name] for name in index),
         parent=np.array([-1 if p is None else index[p] for p in parents], dtype=np.int64),
-        covering=np.array([is_covering(thing, supports) for thing, _, _ in kept], dtype=np.bool_),
-        fixed=np.array([is_fixed(carriers[thing.instance_id], thing.category) for thing, _, _ in kept], dtype=np.bool_),
+        covering=np.array([is_covering(obj, supports) for obj, _, _ in kept], dtype=np.bool_),
+        fixed=np.array([is_fixed(carriers[obj.instance_id], obj.category) for obj, _, _ in kept], dtype=np.bool_),
         room=room,
         ring=ring,
         shell=shell,
     )
-    return interior, said
+    return interior, notes
 
 
 def _placed(
     proposal: Proposal, asset: Asset, blobs: Mapping[str, bytes], config: PieceConfig, caches: Caches
-) -> tuple[PlacedAsset, Proposal, Solid]:
+) -> tuple[PlacedAsset, Proposal, ConvexParts]:
     """A proposal's surface in the world frame, and its convex pieces in its own, scaled.
 
     Raises:
@@ -115,16 +115,16 @@ def _placed(
     if not is_rigid(proposal.pose) or not np.isfinite(proposal.scale).all() or (proposal.scale <= 0).any():
         raise InputError("selections", f"{instance.instance_id} pose, scale", "are no finite rigid pose and positive scale", "select again")
     file, pieces_blob = f"{asset.name}.glb", asset.pieces_blob
-    surface = asset_surface(asset.mesh_blob, blobs, file, caches["tasks.meshes"]).transformed(proposal.pose, proposal.scale)
+    surface = asset_surface(asset.mesh_blob, blobs, file, caches["tasks.geometry.meshes"]).transformed(proposal.pose, proposal.scale)
     known = (lambda: load_glb(blobs[pieces_blob], f"{asset.name} pieces.glb")) if pieces_blob else None
-    made = asset_pieces(asset.asset_id, lambda: load_glb(blobs[asset.mesh_blob], file), known, config, caches["tasks.pieces"])
+    made = asset_pieces(asset.asset_id, lambda: load_glb(blobs[asset.mesh_blob], file), known, config, caches["tasks.geometry.pieces"])
     hulls = tuple(hull.transformed(np.eye(4), proposal.scale) for hull in made.hulls)
-    thing = PlacedAsset.of(instance.instance_id, instance.category, surface, asset.is_watertight)
-    return thing, proposal, Solid(instance.instance_id, hulls, made.properties.scaled(proposal.scale))
+    obj = PlacedAsset.of(instance.instance_id, instance.category, surface, asset.is_watertight)
+    return obj, proposal, ConvexParts(instance.instance_id, hulls, made.properties.scaled(proposal.scale), made.shares)
 
 
 def _carriers_first(names: Sequence[str], carriers: Mapping[str, Carrier]) -> list[int]:
-    """Indices of the things, carriers before what they carry, by name among equals."""
+    """Indices of the objects, carriers before what they carry, by name among equals."""
 
     def depth(name: str) -> int:
         steps, above = 0, carriers[name].parent_id

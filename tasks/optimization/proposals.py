@@ -13,8 +13,8 @@ from schemas.annotation import Annotation
 from schemas.capture import Instance
 from schemas.selection import Selection
 from tasks.annotation.agreement import winning
-from tasks.boxes import oriented_iou
-from tasks.transforms import matrix
+from tasks.geometry.boxes import oriented_iou
+from tasks.geometry.transforms import matrix
 
 MATCH_IOU = 0.5
 """An annotation's box is an instance's box when they share half of what they cover together: two objects cannot both."""
@@ -45,7 +45,7 @@ def propose(
     for row in sorted(selections, key=lambda s: (s.instance_id, s.rank)):
         if row.asset_id in assets:
             ranked[row.instance_id].append(row)
-    matched, how, said = match_annotations(annotations, objects)
+    matched, how, notes = match_annotations(annotations, objects)
     answers = winning(matched)
     proposals = []
     for instance in objects:
@@ -53,15 +53,15 @@ def propose(
         proposal = None
         if answer is not None:
             proposal, problem = _annotated(instance, answer, how[_key(answer)], choices, assets)
-            said += [problem] if problem else []
+            notes += [problem] if problem else []
         if proposal is None and choices:
             first = choices[0]
             proposal = Proposal(instance, first.asset_id, matrix(first.pose), np.array(first.scale), "selection")
         if proposal is None:
-            said.append(f"{instance.instance_id}: nothing stands for this {instance.category}: no candidate could be used")
+            notes.append(f"{instance.instance_id}: nothing stands for this {instance.category}: no candidate could be used")
         else:
             proposals.append(proposal)
-    return proposals, said
+    return proposals, notes
 
 
 def match_annotations(
@@ -80,7 +80,7 @@ def match_annotations(
     for row in sorted(annotations, key=lambda a: (a.instance_id, a.annotator, a.batch_id)):
         same = by_id.get(row.instance_id)
         if same is not None and _is_same_box(row, same):
-            found, kind = same, "same_box"
+            match, kind = same, "same_box"
         else:
             shares = [(oriented_iou(row.box_pose, row.box_size, i.box_pose, i.box_size), i) for i in instances]
             share, best = max(shares, key=lambda s: (s[0], s[1].instance_id), default=(0.0, None))
@@ -88,8 +88,8 @@ def match_annotations(
                 whose = f"{row.instance_id}: annotation by {row.annotator} in batch {row.batch_id}"
                 orphans.append(f"{whose} is orphaned: no instance has its box; annotate again")
                 continue
-            found, kind = best, "same_box" if _is_same_box(row, best) else "box_iou"
-        moved = dataclasses.replace(row, instance_id=found.instance_id)
+            match, kind = best, "same_box" if _is_same_box(row, best) else "box_iou"
+        moved = dataclasses.replace(row, instance_id=match.instance_id)
         if _key(moved) not in how:
             how[_key(moved)] = kind
             matched.append(moved)

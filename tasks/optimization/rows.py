@@ -8,28 +8,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.optimization import Contact, Optimization, Placement, Support
-from tasks.boxes import aabb_overlaps
-from tasks.optimization.boundary import outside_share
+from tasks.geometry.boxes import aabb_overlaps
+from tasks.geometry.transforms import flat
 from tasks.optimization.certificates import Certified
-from tasks.optimization.collisions import outline
 from tasks.optimization.contacts import Penetration
-from tasks.optimization.descent import TOUCH_M
 from tasks.optimization.interior import Interior
-from tasks.optimization.resting import DEEP_M
-from tasks.optimization.supports import SupportConfig
-from tasks.optimization.trace import Resolution
-from tasks.transforms import flat
+from tasks.optimization.search.collisions import plan_ring
+from tasks.optimization.search.descent import TOUCH_M
+from tasks.optimization.search.trace import Resolution
+from tasks.optimization.support.boundary import outside_share
+from tasks.optimization.support.resting import DEEP_M
+from tasks.optimization.support.supports import SupportConfig
 
 Array = NDArray[np.float64]
 
 ABOVE_M = 0.15
-"""A thing may reach this far above the ceiling [m]: its height is known no better."""
+"""An object may reach this far above the ceiling [m]: its height is known no better."""
 
 OUTSIDE = 0.05
-"""Share of a thing outside of the floor, seen from above, from which on it is said to be outside."""
+"""Share of an object outside of the floor, seen from above, from which on it is said to be outside."""
 
 UPSIDE_DOWN = -0.5
-"""Height of the tip of a thing's upright axis below which it stands on its head; lying on its side it is at 0."""
+"""Height of the tip of an object's upright axis below which it stands on its head; lying on its side it is at 0."""
 
 
 def placement_rows(
@@ -38,7 +38,7 @@ def placement_rows(
     """Placements, by instance."""
     settled = {row.name: row.settled_pose for row in certified if row.engine == "mujoco" and row.settled_pose is not None}
     rows = []
-    for proposal, pose in zip(interior.proposals, poses, strict=True):
+    for proposal, solid, pose in zip(interior.proposals, interior.solids, poses, strict=True):
         name = proposal.instance.instance_id
         moved = pose[:3, 3] - proposal.pose[:3, 3]
         rows.append(
@@ -57,13 +57,17 @@ def placement_rows(
                 lift_m=float(moved[2]) + 0.0,
                 method=method,
                 remains=remains.get(name),
+                collider_pieces=len(solid.hulls),
+                collider_faces=sum(len(hull.faces) for hull in solid.hulls),
+                collider_early_share=None if solid.shares is None else solid.shares.early,
+                collider_miss_share=None if solid.shares is None else solid.shares.miss,
             )
         )
     return sorted(rows, key=lambda row: row.instance_id)
 
 
 def support_rows(scene_id: str, interior: Interior, lost: Collection[str]) -> list[Support]:
-    """What carries each thing, by instance. `lost`: the things that it carries no more at the optimized poses."""
+    """What carries each object, by instance. `lost`: the objects that it carries no more at the optimized poses."""
     rows = [
         Support(
             scene_id=scene_id,
@@ -81,20 +85,25 @@ def support_rows(scene_id: str, interior: Interior, lost: Collection[str]) -> li
 
 
 def contact_rows(
-    scene_id: str, interior: Interior, poses: Array, found: Sequence[Penetration], phase: str, allowed: Mapping[tuple[str, str], float]
+    scene_id: str,
+    interior: Interior,
+    poses: Array,
+    penetrations: Sequence[Penetration],
+    phase: str,
+    allowed: Mapping[tuple[str, str], float],
 ) -> list[Contact]:
     """Every pair whose boxes overlap or whose pieces penetrate, and what sticks in the room's shell, at poses (n, 4, 4).
 
-    `allowed`: depths to which things may be in parts of the room [m] (`allowed_depths`).
+    `allowed`: depths to which objects may be in parts of the room [m] (`allowed_depths`).
     """
-    n, names = len(interior.things), interior.names
+    n, names = len(interior.objects), interior.names
     if not n:
         return []
     corners = [np.concatenate([hull.vertices for hull in solid.placed(pose)]) for solid, pose in zip(interior.solids, poses, strict=True)]
     low, high = np.array([c.min(axis=0) for c in corners]), np.array([c.max(axis=0) for c in corners])
     volumes = aabb_overlaps(low, high)
     sides = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])
-    deep = {(p.a, p.b): p.depth_m for p in found}
+    deep = {(p.a, p.b): p.depth_m for p in penetrations}
     boxes = {(names[i], names[j]): float(volumes[i, j]) for i, j in np.argwhere(np.triu((sides > TOUCH_M).all(axis=2), 1)).tolist()}
     known = set(names)
     rows = []
@@ -116,7 +125,7 @@ def contact_rows(
 
 
 def allowed_depths(interior: Interior, before: Sequence[Penetration]) -> dict[tuple[str, str], float]:
-    """How deep fixed things, which hang or are built in, were in parts of the room as proposed [m], by (thing, part).
+    """How deep fixed objects, which hang or are built in, were in parts of the room as proposed [m], by (object, part).
 
     So deep they may stay: they are let into a wall or set against it, and the room's shell is only an estimate.
     """
@@ -129,7 +138,7 @@ def remains_of(
     interior: Interior, poses: Array, after: Sequence[Penetration], resolution: Resolution, lost: Collection[str],
     allowed: Mapping[tuple[str, str], float], certified: Sequence[Certified],
 ) -> dict[str, str]:  # fmt: skip
-    """What is still wrong with things at their optimized poses, by instance, one line each.
+    """What is still wrong with objects at their optimized poses, by instance, one line each.
 
     All are among them that an engine found unstable or could not simulate.
     """
@@ -145,51 +154,58 @@ def remains_of(
             lines[name].append("it stands upside down, as it was proposed")
         if carrier.relation == "none":
             lines[name].append(f"nothing carries it; it hangs {carrier.gap:.2f} m above the floor")
-    for found in sorted(after, key=lambda p: -p.depth_m):
-        if found.depth_m > DEEP_M and found.depth_m > allowed.get((found.a, found.b), -1.0) + DEEP_M:
-            lines[found.a].append(f"{100 * found.depth_m:.1f} cm in {found.b}")
-            if found.b in known:
-                lines[found.b].append(f"{100 * found.depth_m:.1f} cm in {found.a}")
+    for penetration in sorted(after, key=lambda p: -p.depth_m):
+        if penetration.depth_m > DEEP_M and penetration.depth_m > allowed.get((penetration.a, penetration.b), -1.0) + DEEP_M:
+            lines[penetration.a].append(f"{100 * penetration.depth_m:.1f} cm in {penetration.b}")
+            if penetration.b in known:
+                lines[penetration.b].append(f"{100 * penetration.depth_m:.1f} cm in {penetration.a}")
     if interior.ring is not None:
-        for i, (thing, solid) in enumerate(zip(interior.things, interior.solids, strict=True)):
-            if thing.instance_id in fixed:
+        for i, (obj, solid) in enumerate(zip(interior.objects, interior.solids, strict=True)):
+            if obj.instance_id in fixed:
                 continue
-            ring = outline(np.concatenate([hull.vertices for hull in solid.placed(poses[i])])[:, :2])
+            ring = plan_ring(np.concatenate([hull.vertices for hull in solid.placed(poses[i])])[:, :2])
             share = outside_share(ring, interior.ring)
             if share > OUTSIDE:
-                lines[thing.instance_id].append(f"{100 * share:.0f} % of it lies outside of the room")
+                lines[obj.instance_id].append(f"{100 * share:.0f} % of it lies outside of the room")
     if interior.room is not None:
         for i, solid in enumerate(interior.solids):
             top = max(float(hull.vertices[:, 2].max()) for hull in solid.placed(poses[i]))
             if top > interior.room.height_m + ABOVE_M and solid.name not in fixed:
                 lines[solid.name].append(f"it reaches {top - interior.room.height_m:.2f} m above the ceiling")
-    for one in certified:
-        if one.problem is not None:
-            lines[one.name].append(f"no certificate: {one.problem}")
-        elif not (one.is_stable_1cm and one.is_stable_5cm):
-            moved, tilted = 100 * (one.displacement_m or 0.0), np.degrees(one.tilt_radians or 0.0)
-            lines[one.name].append(f"left alone it moves by {moved:.1f} cm and tilts by {tilted:.1f} degrees ({one.engine})")
+    for certificate in certified:
+        if certificate.problem is not None:
+            lines[certificate.name].append(f"no certificate: {certificate.problem}")
+        elif not (certificate.is_stable_1cm and certificate.is_stable_5cm):
+            moved, tilted = 100 * (certificate.displacement_m or 0.0), np.degrees(certificate.tilt_radians or 0.0)
+            lines[certificate.name].append(
+                f"left alone it moves by {moved:.1f} cm and tilts by {tilted:.1f} degrees ({certificate.engine})"
+            )
+        elif certificate.is_stable_nudged is False:
+            moved, tilted = 100 * (certificate.nudged_displacement_m or 0.0), np.degrees(certificate.nudged_tilt_radians or 0.0)
+            lines[certificate.name].append(
+                f"after a nudge it moves by {moved:.1f} cm and tilts by {tilted:.1f} degrees ({certificate.engine})"
+            )
     return {name: "; ".join(texts) for name, texts in sorted(lines.items()) if texts}
 
 
 def set_down(interior: Interior, config: SupportConfig) -> list[str]:
-    """Things that nothing carried within reach and that were set down onto what lies below them, a line each."""
-    said = []
+    """Objects that nothing carried within reach and that were set down onto what lies below them, a line each."""
+    notes = []
     for name, carrier in zip(interior.names, interior.carriers, strict=True):
         if carrier.relation in ("floor", "on", "inside") and carrier.gap > config.reach_m:
-            said.append(f"{name}: nothing carried it; it was set down {carrier.gap:.2f} m onto {carrier.parent_id or 'the floor'}")
-    return sorted(said)
+            notes.append(f"{name}: nothing carried it; it was set down {carrier.gap:.2f} m onto {carrier.parent_id or 'the floor'}")
+    return sorted(notes)
 
 
 def optimization_row(
     scene_id: str, interior: Interior, resolution: Resolution, contacts: Sequence[Contact], method: str, remains: Mapping[str, str],
     left_out: Sequence[str],
 ) -> Optimization:  # fmt: skip
-    """What it came to, in one row."""
+    """The row of `optimizations`."""
     return Optimization(
         scene_id=scene_id,
         method=method,
-        object_count=len(interior.things),
+        object_count=len(interior.objects),
         loss_start=resolution.start,
         loss_final=resolution.final,
         moves=resolution.tried,

@@ -6,14 +6,15 @@ Rz(turn) v + place in the world. Whatever else its pose turns is in the vertices
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.optimization.solids import Solid
+from tasks.kernels import Kernels, compile_kernels
+from tasks.optimization.solids import ConvexParts
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -53,7 +54,7 @@ class Stand(NamedTuple):
     piece_high: Array
 
 
-def shapes_of(solids: Sequence[Solid], poses: Array) -> Shapes:
+def shapes_of(solids: Sequence[ConvexParts], poses: Array) -> Shapes:
     """Shapes of solids at their poses, 4x4 [m], shape (n, 4, 4); the pivot is the pose's translation."""
     pieces, vertices, faces = [0], [], []
     for solid, pose in zip(solids, poses, strict=True):
@@ -90,16 +91,10 @@ def stand_of(shapes: Shapes, place: Array) -> Stand:
 
 
 @cache
-def compiled() -> dict[str, Callable[..., Any]]:
-    """The functions below as machine code, by name. Compiled code calls only compiled code, so they are replaced in place."""
-    import numba
-
-    made = numba.njit(cache=True, nogil=True, error_model="numpy")
+def compiled() -> Kernels:
+    """The functions below as machine code, by name."""
     functions = (find_faces, bound, piece_depth, pair_depth, span, crossing_gap, piece_gap, body_gap, least_gap, cloth_gap)
-    known: dict[str, Callable[..., Any]] = {}
-    for function in functions:
-        globals()[function.__name__] = known[function.__name__] = made(function)
-    return known
+    return compile_kernels(*functions)
 
 
 def find_faces(
@@ -121,16 +116,16 @@ def find_faces(
             if length < 1e-14:  # a sliver says nothing about a direction; its neighbors do
                 continue
             nx, ny, nz = nx / length, ny / length, nz / length
-            found = -1
+            face = -1
             for q in range(start, planes):
                 if normals[q, 0] * nx + normals[q, 1] * ny + normals[q, 2] * nz >= FLAT_COSINE:
-                    found = q
+                    face = q
                     break
-            if found < 0:
-                found = planes
-                normals[found, 0], normals[found, 1], normals[found, 2] = nx, ny, nz
+            if face < 0:
+                face = planes
+                normals[face, 0], normals[face, 1], normals[face, 2] = nx, ny, nz
                 planes += 1
-            owner[a, b] = owner[b, c] = owner[c, a] = found
+            owner[a, b] = owner[b, c] = owner[c, a] = face
         for q in range(start, planes):
             offsets[q] = -np.inf
             for v in range(base, base + count):

@@ -1,4 +1,4 @@
-"""Placed things and the room as convex pieces: what collides, what certificates and contacts are computed from."""
+"""Placed objects and the room as convex pieces: what collides, what certificates and contacts are computed from."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Room
-from tasks.mass import MassProperties, mass_properties
-from tasks.pieces import Hull
-from tasks.replica import ShellConfig, room_shell
+from tasks.geometry.colliders import ColliderShares
+from tasks.geometry.mass import MassProperties, mass_properties
+from tasks.geometry.pieces import Hull
+from tasks.shell import ShellConfig, room_shell, wall_of
 
 Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
-class Solid:
-    """Convex pieces of one thing. name: instance id, or the part of the room's shell. hulls: scaled, in the asset's own
+class ConvexParts:
+    """Convex pieces of one object. name: instance id, or the part of the room's shell. hulls: scaled, in the asset's own
     frame (+Z up, origin at the bottom center), in the world frame for the shell [m]. properties: mass properties of the
-    pieces' union, where they are known already."""
+    pieces' union, shares: how well they stand for what is seen, where these are known already."""
 
     name: str
     hulls: tuple[Hull, ...]
     properties: MassProperties | None = None
+    shares: ColliderShares | None = None
 
     def placed(self, pose: Array) -> tuple[Hull, ...]:
         """The pieces moved by a rigid pose, 4x4 [m]."""
@@ -33,18 +35,18 @@ class Solid:
 
 
 @dataclasses.dataclass(frozen=True)
-class Body:
+class RigidBody:
     """A solid with what physics needs to know. materials: words of `tasks/captions/materials.csv`, most likely first.
     is_fixed: fastened to the room."""
 
-    solid: Solid
+    solid: ConvexParts
     mass_kg: float
     friction: float
     materials: tuple[str, ...]
     is_fixed: bool
 
 
-def mass_properties_of(solid: Solid) -> MassProperties:
+def mass_properties_of(solid: ConvexParts) -> MassProperties:
     """Mass properties of the union of a solid's pieces for unit density, remembered by content: a union takes milliseconds."""
     if solid.properties is not None:
         return solid.properties
@@ -61,7 +63,7 @@ _memo: OrderedDict[bytes, MassProperties] = OrderedDict()
 _MEMO_SIZE = 4096  # 200 bytes each
 
 
-def shell_solids(room: Room, thickness_m: float = ShellConfig.thickness_m) -> tuple[Solid, ...]:
+def shell_solids(room: Room, thickness_m: float = ShellConfig.thickness_m) -> tuple[ConvexParts, ...]:
     """The room's walls as convex solids in the world frame: `wall_00`, ..., `inner_00`, ... The floor, z = 0, is none of them.
 
     `thickness_m`: of the outer walls, where they have room for it behind them.
@@ -69,5 +71,8 @@ def shell_solids(room: Room, thickness_m: float = ShellConfig.thickness_m) -> tu
     Raises:
         InputError: the floor polygon has no area or crosses itself, or an interior wall has no size.
     """
-    parts = [(name, mesh) for name, mesh in room_shell(room, ShellConfig(thickness_m=thickness_m)) if name != "floor"]
-    return tuple(Solid(name, (Hull(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int64)),)) for name, mesh in parts)
+    walls: dict[str, list[Hull]] = {}
+    for name, mesh in room_shell(room, ShellConfig(thickness_m=thickness_m)):
+        if name != "floor":
+            walls.setdefault(wall_of(name), []).append(Hull(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int64)))
+    return tuple(ConvexParts(name, tuple(hulls)) for name, hulls in walls.items())

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.furniture.rooms import FurnishedRoom
-from tasks.meshes import Surface
-from tasks.proximity import closest_points
-from tasks.rendering import RayScene
+from tasks.geometry.meshes import Surface
+from tasks.geometry.proximity import closest_points
+from tasks.geometry.rendering import RayScene
+from tasks.geometry.transforms import flat, inverse, transform_points
 from tasks.scanner.folder import LICENSE, write_aggregation, write_exported, write_mesh, write_metadata, write_segments, write_sens
 from tasks.scanner.fusion import fuse
 from tasks.scanner.route import plan_views, targets_of
-from tasks.scanner.scenery import Paint, Scenery, Thing, scenery_of
+from tasks.scanner.scenery import Paint, Scenery, SceneryObject, scenery_of
 from tasks.scanner.segments import segment
 from tasks.scanner.sensor import Shot, drift, scan_frame, shoot
-from tasks.transforms import flat, inverse, transform_points
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class ScannerConfig:
     standpoint_spacing_m: float = 0.55  # a step
     standpoint_limit: int = 400  # a floor of 150 m2; more would only slow the choice down
     target_spacing_m: float = 0.12  # points that ask to be seen: coarser than furniture's parts, finer than furniture
-    target_least: int = 60  # per thing, so that a mug counts
+    target_least: int = 60  # per object, so that a mug counts
     looks_wanted: float = 3.0  # full-quality looks per point, after which another averages no more than noise
     least_gain: float = 0.02  # of the first view's: the walk ends when views add less
     view_limit: int = 600  # a house
@@ -72,8 +72,8 @@ class ScannerConfig:
     speck_faces: int = 150  # smaller islands float in the air
     segment_threshold: float = 0.01  # as in the names of ScanNet's segment files
     segment_least: int = 20  # vertices per segment, likewise
-    segment_color_weight: float = 0.35  # paint parts things that geometry does not: a book on a table
-    segment_owner_weight: float = 0.3  # how much a person's clean-up keeps segments from crossing things
+    segment_color_weight: float = 0.35  # paint parts objects that geometry does not: a book on a table
+    segment_owner_weight: float = 0.3  # how much a person's clean-up keeps segments from crossing objects
     owner_reach_m: float = 0.06  # a vertex farther from every true surface is nobody's
     least_vertices: int = 30  # an instance with fewer is not annotated: about 100 cm2
     least_share: float = 0.05  # nor one of which less has been seen
@@ -87,7 +87,7 @@ class ScannerConfig:
 
 @dataclasses.dataclass(frozen=True)
 class TrueObject:
-    """What is true of one thing. pose: Object to world, 4x4 row by row [m], origin at the box's bottom center.
+    """What is true of one object. pose: Object to world, 4x4 row by row [m], origin at the box's bottom center.
 
     object_id: Its number in the aggregation, None when it was not seen enough. observed: Share of its surface, within
     0..1, that the fused mesh covers to 5 cm.
@@ -146,56 +146,55 @@ def scan_scene(parts: FurnishedRoom | Sequence[Any], out: Path, scan: str, confi
     segments = segment(
         surface, config.segment_threshold, config.segment_least, config.segment_color_weight, owner, config.segment_owner_weight
     )
-    observed = observed_shares(targets.points, targets.thing, len(scenery.things), transform_points(surface.vertices, alignment))
-    groups, object_ids = aggregate(scenery.things, segments, owner, observed, config)
+    observed = observed_shares(targets.points, targets.obj, len(scenery.objects), transform_points(surface.vertices, alignment))
+    groups, object_ids = aggregate(scenery.objects, segments, owner, observed, config)
     poses = _written_poses(shots, config, rng)
-    folder.mkdir(parents=True)
-    _write(folder, scan, config, shots, poses, surface, segments, groups, alignment)
+    write_scan(folder, scan, config, shots, poses, surface, segments, groups, alignment)
     truth = _truth(scan, scenery, alignment, len(shots), observed, object_ids)
     (out / f"{scan}.truth.json").write_text(json.dumps(dataclasses.asdict(truth), indent=1))
     return truth
 
 
 def owners(scenery: Scenery, points: Array, reach: float) -> NDArray[np.int64]:
-    """Thing whose true surface is nearest to each point [m], shape (n,); -1 where none is within `reach` [m]."""
+    """Object whose true surface is nearest to each point [m], shape (n,); -1 where none is within `reach` [m]."""
     parts = [(np.asarray(part.vertices), np.asarray(part.faces)) for part in scenery.parts]
     corners = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     part_of = np.repeat(np.arange(len(parts)), [len(faces) for _, faces in parts])
     faces = np.concatenate([faces + at for (_, faces), at in zip(parts, corners[:-1], strict=True)])
     near = closest_points(np.concatenate([vertices for vertices, _ in parts]), faces, points)
-    return np.where(near.distance <= reach, scenery.thing_of[part_of[near.face]], -1)
+    return np.where(near.distance <= reach, scenery.object_of[part_of[near.face]], -1)
 
 
-def observed_shares(points: Array, thing: NDArray[np.int64], count: int, vertices: Array) -> Array:
-    """Share of each thing's surface points that have a mesh vertex within 5 cm, shape (count,)."""
+def observed_shares(points: Array, obj: NDArray[np.int64], count: int, vertices: Array) -> Array:
+    """Share of each object's surface points that have a mesh vertex within 5 cm, shape (count,)."""
     from scipy.spatial import cKDTree
 
     near = np.isfinite(cKDTree(vertices).query(points, distance_upper_bound=0.05)[0])
-    total = np.bincount(thing, minlength=count)
-    return np.asarray(np.bincount(thing, near, minlength=count) / np.maximum(total, 1), dtype=np.float64)
+    total = np.bincount(obj, minlength=count)
+    return np.asarray(np.bincount(obj, near, minlength=count) / np.maximum(total, 1), dtype=np.float64)
 
 
 def aggregate(
-    things: list[Thing], segments: NDArray[np.int64], owner: NDArray[np.int64], observed: Array, config: ScannerConfig
+    objects: list[SceneryObject], segments: NDArray[np.int64], owner: NDArray[np.int64], observed: Array, config: ScannerConfig
 ) -> tuple[list[tuple[str, list[int]]], dict[int, int]]:
-    """Instances as (label, segments): every segment goes to the thing that most of its vertices are of.
+    """Instances as (label, segments): every segment goes to the object that most of its vertices are of.
 
     Returns:
-        The instances that were seen enough, and the number of each of their things among them.
+        The instances that were seen enough, and the number of each of their objects among them.
     """
     ids, dense = np.unique(segments, return_inverse=True)
-    votes = np.zeros((len(ids), len(things) + 1), dtype=np.int64)
+    votes = np.zeros((len(ids), len(objects) + 1), dtype=np.int64)
     np.add.at(votes, (dense, owner), 1)
     winner = votes.argmax(axis=1)
     sizes = np.bincount(dense)
     groups: list[tuple[str, list[int]]] = []
     numbers: dict[int, int] = {}
-    for index, thing in enumerate(things):
+    for index, obj in enumerate(objects):
         mine = winner == index
         if sizes[mine].sum() < config.least_vertices or observed[index] < config.least_share:
             continue
         numbers[index] = len(groups)
-        groups.append((thing.category, [int(v) for v in ids[mine]]))
+        groups.append((obj.category, [int(v) for v in ids[mine]]))
     return groups, numbers
 
 
@@ -207,7 +206,7 @@ def _written_poses(shots: list[Shot], config: ScannerConfig, rng: np.random.Gene
     return poses
 
 
-def _write(
+def write_scan(
     folder: Path,
     scan: str,
     config: ScannerConfig,
@@ -218,6 +217,8 @@ def _write(
     groups: list[tuple[str, list[int]]],
     alignment: Array,
 ) -> None:
+    """Write a scan into a new folder. poses: as the scan states them; groups: instances as (label, segments); alignment: scan to world."""
+    folder.mkdir(parents=True)
     write_metadata(folder / f"{scan}.txt", config, len(shots), alignment if config.axis_alignment else None)
     write_mesh(folder / f"{scan}_vh_clean_2.ply", surface)
     segments_file = f"{scan}_vh_clean_2.0.010000.segs.json"
@@ -237,15 +238,15 @@ def _write(
 def _truth(scan: str, scenery: Scenery, alignment: Array, frames: int, observed: Array, numbers: dict[int, int]) -> ScanTruth:
     objects = tuple(
         TrueObject(
-            name=thing.name,
-            category=thing.category,
+            name=obj.name,
+            category=obj.category,
             object_id=numbers.get(index),
-            pose=flat(thing.pose),
-            extents=(float(thing.extents[0]), float(thing.extents[1]), float(thing.extents[2])),
-            parent=thing.parent,
+            pose=flat(obj.pose),
+            extents=(float(obj.extents[0]), float(obj.extents[1]), float(obj.extents[2])),
+            parent=obj.parent,
             observed=round(float(observed[index]), 4),
         )
-        for index, thing in enumerate(scenery.things)
+        for index, obj in enumerate(scenery.objects)
     )
     room = scenery.room
     return ScanTruth(

@@ -21,7 +21,7 @@ ROOMS: tuple[tuple[str, ScannerConfig], ...] = (
 
 
 def demo_scan(out: Path, index: int, seed: int) -> Path:
-    """Make scan number `index` (from 0): a room of about 25 things, in `<out>/scene<index>_00`. Returns its folder.
+    """Make scan number `index` (from 0): a room of about 25 objects, in `<out>/scene<index>_00`. Returns its folder.
 
     Raises:
         InputError: the index is negative, or the folder is there already.
@@ -34,8 +34,3 @@ def demo_scan(out: Path, index: int, seed: int) -> Path:
     scan = f"scene{index:04d}_00"
     scan_scene(room, out, scan, config, rng)
     return out / scan
-
-
-def demo_scans(out: Path, seed: int, count: int = 3) -> list[Path]:
-    """Make `count` scans one after another; their folders."""
-    return [demo_scan(out, index, seed) for index in range(count)]

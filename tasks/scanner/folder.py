@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.meshes import Surface
+from tasks.geometry.meshes import Surface
 from tasks.scanner.sensor import Shot, color_camera, depth_camera
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas.errors import InputError
-from tasks.fusion import Volume
-from tasks.meshes import Surface
+from tasks.geometry.fusion import Volume
+from tasks.geometry.meshes import Surface
 from tasks.scanner.sensor import Shot, depth_camera
 
 if TYPE_CHECKING:

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.meshes import sample_surface, surface_of
-from tasks.rendering import Camera, RayScene
+from tasks.geometry.meshes import sample_surface, surface_of
+from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.transforms import look_at
+from tasks.geometry.triangles import surface_area
 from tasks.scanner.scenery import STRUCTURE, Scenery
-from tasks.transforms import look_at
 
 if TYPE_CHECKING:
     from tasks.scanner import ScannerConfig
@@ -26,31 +27,30 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class Targets:
-    """Points to be seen: position (n, 3), normal (n, 3), thing (n,), and how much a look at each is worth (n,)."""
+    """Points to be seen: position (n, 3), normal (n, 3), object (n,), and how much a look at each is worth (n,)."""
 
     points: Array
     normals: Array
-    thing: NDArray[np.int64]
+    obj: NDArray[np.int64]
     worth: Array
 
 
 def targets_of(scenery: Scenery, spacing_m: float, least: int, rng: np.random.Generator) -> Targets:
-    """Points spread over the parts about `spacing_m` apart, at least `least` on every thing; all things count for something."""
-    points, normals, things, worth = [], [], [], []
-    for thing in range(len(scenery.things)):
-        surface = surface_of([part for part, owner in zip(scenery.parts, scenery.thing_of, strict=True) if owner == thing])
-        a, b, c = (surface.vertices[surface.faces[:, i]] for i in range(3))
-        area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    """Points spread over the parts about `spacing_m` apart, at least `least` on every object; all objects count for something."""
+    points, normals, objects, worth = [], [], [], []
+    for obj in range(len(scenery.objects)):
+        surface = surface_of([part for part, owner in zip(scenery.parts, scenery.object_of, strict=True) if owner == obj])
+        area = surface_area(surface.vertices, surface.faces)
         if area <= 0:
             continue
-        structure = scenery.things[thing].category in STRUCTURE
+        structure = scenery.objects[obj].category in STRUCTURE
         count = int(np.clip(area / spacing_m**2 * (0.35 if structure else 1.0), 12 if structure else least, 3000))
         at, _, normal = sample_surface(surface, count, rng)
         points.append(at)
         normals.append(normal)
-        things.append(np.full(count, thing))
+        objects.append(np.full(count, obj))
         worth.append(np.full(count, 0.6 if structure else 1.0 + 20.0 / count))
-    return Targets(np.concatenate(points), np.concatenate(normals), np.concatenate(things), np.concatenate(worth))
+    return Targets(np.concatenate(points), np.concatenate(normals), np.concatenate(objects), np.concatenate(worth))
 
 
 def standpoints(scene: RayScene, scenery: Scenery, config: ScannerConfig, rng: np.random.Generator) -> Array:
@@ -97,10 +97,10 @@ def plan_views(scene: RayScene, scenery: Scenery, targets: Targets, config: Scan
     poses: list[Array] = []
     rows, columns, values = [], [], []
     for eye in eyes:
-        index, quality = _looks(scene, targets, eye, config)
+        index, quality = looks(scene, targets, eye, config)
         if not len(index):
             continue
-        for pose in _directions(eye, config, rng):
+        for pose in directions(eye, config, rng):
             camera = Camera.with_fov(pose, config.depth_width, config.depth_height, config.fov_radians)
             pixel, depth = camera.project(targets.points[index])
             inside = (depth > 0) & (pixel >= 4).all(axis=1) & (pixel[:, 0] < camera.width - 4) & (pixel[:, 1] < camera.height - 4)
@@ -113,23 +113,23 @@ def plan_views(scene: RayScene, scenery: Scenery, targets: Targets, config: Scan
     shape = (len(poses), len(targets.points))
     seen = csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
     chosen = _greedy(seen, targets.worth, config)
-    return [poses[i] for i in _walk(np.array([poses[i][:3, 3] for i in chosen]), chosen)]
+    return [poses[i] for i in walk(np.array([poses[i][:3, 3] for i in chosen]), chosen)]
 
 
-def _directions(eye: Array, config: ScannerConfig, rng: np.random.Generator) -> list[Array]:
+def directions(eye: Array, config: ScannerConfig, rng: np.random.Generator) -> list[Array]:
     """Looks around from one place: all the way round at three pitches, a little irregular as hands are."""
-    found = []
+    directions = []
     for pitch in np.radians(config.pitches_degrees):
         offset = rng.uniform(0, 2 * np.pi)
         for k in range(config.yaws):
             yaw = offset + 2 * np.pi * k / config.yaws + rng.normal(0, 0.05)
             tilt = pitch + rng.normal(0, 0.05)
             ahead = np.array([np.cos(yaw) * np.cos(tilt), np.sin(yaw) * np.cos(tilt), np.sin(tilt)])
-            found.append(look_at(eye, eye + ahead))
-    return found
+            directions.append(look_at(eye, eye + ahead))
+    return directions
 
 
-def _looks(scene: RayScene, targets: Targets, eye: Array, config: ScannerConfig) -> tuple[NDArray[np.int64], Array]:
+def looks(scene: RayScene, targets: Targets, eye: Array, config: ScannerConfig) -> tuple[NDArray[np.int64], Array]:
     """Targets that an eye sees within the sensor's range, and how well, 0..1."""
     ray = targets.points - eye
     distance = np.linalg.norm(ray, axis=1)
@@ -166,7 +166,7 @@ def _greedy(seen: object, worth: Array, config: ScannerConfig) -> list[int]:
     return chosen
 
 
-def _walk(eyes: Array, chosen: list[int]) -> list[int]:
+def walk(eyes: Array, chosen: list[int]) -> list[int]:
     """The chosen views in the order of a walk: always on to the nearest place that is left."""
     left = list(range(len(chosen)))
     order = [left.pop(0)]

@@ -1,4 +1,4 @@
-"""A furnished scene as the scanner sees it: parts, which thing each belongs to, and colors per face for rays."""
+"""A furnished scene as the scanner sees it: parts, which object each belongs to, and colors per face for rays."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.furniture.rooms import FurnishedRoom
-from tasks.meshes import material_of, parse_node_name, sample_texture, vertex_colors
-from tasks.rendering import RayScene
-from tasks.transforms import translation
+from tasks.geometry.meshes import material_of, parse_node_name, sample_texture, vertex_colors
+from tasks.geometry.rendering import RayScene
+from tasks.geometry.transforms import translation
 
 if TYPE_CHECKING:
     import trimesh
@@ -26,7 +26,7 @@ STRUCTURE: tuple[str, ...] = ("floor", "wall", "ceiling")
 
 
 @dataclasses.dataclass(frozen=True)
-class Thing:
+class SceneryObject:
     """What one model of a scene is. pose: Object to world, 4x4 [m], origin at the bottom center of its box; extents:
     along its own axes [m], shape (3,); parent: what it stands on, where the scene says so."""
 
@@ -38,7 +38,7 @@ class Thing:
 
 
 @dataclasses.dataclass(frozen=True)
-class Room:
+class SceneryRoom:
     """What a furnished room says of itself. polygon: Inner floor corners [m], shape (n, 2), counter-clockwise."""
 
     room_type: str
@@ -48,28 +48,28 @@ class Room:
 
 @dataclasses.dataclass(frozen=True)
 class Scenery:
-    """A scene to scan, in the world frame: parts, the thing of every part, shape (parts,), things, and its room if known."""
+    """A scene to scan, in the world frame: parts, the object of every part, shape (parts,), objects, and its room if known."""
 
     parts: list[trimesh.Trimesh]
-    thing_of: NDArray[np.int64]
-    things: list[Thing]
-    room: Room | None
+    object_of: NDArray[np.int64]
+    objects: list[SceneryObject]
+    room: SceneryRoom | None
 
 
 def scenery_of(source: FurnishedRoom | Sequence[Any]) -> Scenery:
     """Scenery of a furnished room, of (node name, mesh) pairs, or of meshes that carry their node's name as metadata.
 
-    Names are `model|category|part`; a plain name is a thing and a category of its own.
+    Names are `model|category|part`; a plain name is an object and a category of its own.
 
     Raises:
         InputError: there are no parts.
     """
-    known: dict[str, Thing] = {}
+    known: dict[str, SceneryObject] = {}
     room = None
     if isinstance(source, FurnishedRoom):
-        room = Room(source.room_type, source.polygon, source.height)
-        for thing in source.objects:
-            known[thing.name] = Thing(thing.name, thing.category, thing.pose, np.array(thing.extents), thing.parent)
+        room = SceneryRoom(source.room_type, source.polygon, source.height)
+        for obj in source.objects:
+            known[obj.name] = SceneryObject(obj.name, obj.category, obj.pose, np.array(obj.extents), obj.parent)
         pairs = source.named_parts()
     else:
         pairs = [
@@ -89,8 +89,8 @@ def scenery_of(source: FurnishedRoom | Sequence[Any]) -> Scenery:
         bounds[model] = box if old is None else np.array([np.minimum(old[0], box[0]), np.maximum(old[1], box[1])])
         models.append(model)
     order = {model: index for index, model in enumerate(bounds)}
-    things = [known.get(model) or _thing(model, categories[model], bounds[model]) for model in order]
-    return Scenery([mesh for _, mesh in pairs], np.array([order[m] for m in models]), things, room)
+    objects = [known.get(model) or _object(model, categories[model], bounds[model]) for model in order]
+    return Scenery([mesh for _, mesh in pairs], np.array([order[m] for m in models]), objects, room)
 
 
 def _category(word: str) -> str:
@@ -100,9 +100,9 @@ def _category(word: str) -> str:
     return part[1] if part else lower
 
 
-def _thing(model: str, category: str, bounds: Array) -> Thing:
+def _object(model: str, category: str, bounds: Array) -> SceneryObject:
     center = bounds.mean(axis=0)
-    return Thing(model, category, translation([center[0], center[1], bounds[0, 2]]), bounds[1] - bounds[0])
+    return SceneryObject(model, category, translation([center[0], center[1], bounds[0, 2]]), bounds[1] - bounds[0])
 
 
 class Paint:

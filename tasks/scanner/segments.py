@@ -14,17 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.meshes import Surface
-
-
-def vertex_normals(surface: Surface) -> NDArray[np.float64]:
-    """Area-weighted unit normals at vertices, shape (n, 3)."""
-    a, b, c = (surface.vertices[surface.faces[:, i]] for i in range(3))
-    cross = np.cross(b - a, c - a)
-    normals = np.zeros_like(surface.vertices)
-    for axis in range(3):
-        normals[:, axis] = sum(np.bincount(surface.faces[:, i], cross[:, axis], minlength=len(normals)) for i in range(3))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+from tasks.geometry.meshes import Surface
+from tasks.geometry.triangles import vertex_normals
+from tasks.kernels import compile_kernels
 
 
 def edges_of(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
@@ -39,14 +31,14 @@ def segment(
 ) -> NDArray[np.int64]:
     """Segment per vertex, shape (n,); a segment's number is its lowest vertex.
 
-    owner: The thing each vertex truly belongs to, shape (n,); an edge between two weighs `owner_weight` more: 0 leaves
+    owner: The object each vertex truly belongs to, shape (n,); an edge between two weighs `owner_weight` more: 0 leaves
     flat contacts to geometry and color alone, 1 hardly lets a segment cross.
     """
     edges = edges_of(surface.faces, len(surface.vertices))
     i, j = edges.T
-    normals = vertex_normals(surface)
+    normals = vertex_normals(surface.vertices, surface.faces)
     bend = 1.0 - np.einsum("nd,nd->n", normals[i], normals[j])
-    # a concave crease parts things, a convex one is a thing's own edge: half as heavy
+    # a concave crease parts objects, a convex one is an object's own edge: half as heavy
     convex = np.einsum("nd,nd->n", normals[j], surface.vertices[j] - surface.vertices[i]) > 0
     bend = np.where(convex, 0.5 * bend, bend)
     colors = surface.colors.astype(np.float64) / 255
@@ -61,10 +53,7 @@ def segment(
 @cache
 def _compiled() -> Callable[..., Any]:
     """The joining loop, compiled on first use."""
-    import numba
-
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True)(_joined)
-    return compiled
+    return compile_kernels(_joined)["_joined"]
 
 
 def _joined(edges: Any, weight: Any, count: int, threshold: float, least: int) -> Any:

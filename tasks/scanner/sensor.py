@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.rendering import Camera, RayScene
+from tasks.geometry.rendering import Camera, RayScene
 from tasks.scanner.scenery import Paint
 
 if TYPE_CHECKING:
     from tasks.scanner import ScannerConfig
+    from tasks.scanner.defects import Blindness
 
 Array = NDArray[np.float64]
 
@@ -44,13 +45,29 @@ def color_camera(pose: Array, config: ScannerConfig) -> Camera:
     return Camera.with_fov(pose, config.color_width, config.color_height, config.fov_radians)
 
 
-def shoot(scene: RayScene, paint: Paint, pose: Array, believed: Array, config: ScannerConfig, rng: np.random.Generator) -> Shot:
-    """A frame from a true pose (camera to world); `believed` is the pose in the scan frame that goes with it."""
+def shoot(
+    scene: RayScene,
+    paint: Paint,
+    pose: Array,
+    believed: Array,
+    config: ScannerConfig,
+    rng: np.random.Generator,
+    blind: Blindness | None = None,
+) -> Shot:
+    """A frame from a true pose (camera to world); `believed` is the pose in the scan frame that goes with it.
+
+    `blind`: what gives no depth, though it has a color.
+    """
     hits = scene.cast(depth_camera(pose, config).rays())
     depth = hits["t_hit"].astype(np.float64)
     seen = np.isfinite(depth)
     facing = np.abs(hits["primitive_normals"].astype(np.float64) @ pose[:3, 2])
     measured = _measured(np.where(seen, depth, 0.0), facing, config, rng)
+    if blind is not None:
+        rays = depth_camera(pose, config).rays()[seen].astype(np.float64)
+        at = rays[:, :3] + depth[seen][:, None] * rays[:, 3:]
+        hidden = blind.hides(hits["geometry_ids"][seen].astype(np.int64), hits["primitive_ids"][seen].astype(np.int64), at)
+        measured[seen] = np.where(hidden, 0, measured[seen])
     if (config.color_width, config.color_height) != (config.depth_width, config.depth_height):
         hits = scene.cast(color_camera(pose, config).rays())
         seen = np.isfinite(hits["t_hit"])
@@ -91,15 +108,15 @@ def drift(count: int, config: ScannerConfig, rng: np.random.Generator) -> list[A
 
     keep = 0.9  # a tracker closes loops within some ten frames
     state, speed = np.zeros(6), np.zeros(6)
-    found = []
+    offsets = []
     for _ in range(count):
         speed = 0.6 * speed + 0.4 * rng.normal(size=6)
         state = keep * state + (1 - keep) * 4.0 * speed
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_rotvec(state[:3] * config.drift_radians).as_matrix()
         pose[:3, 3] = state[3:] * config.drift_m
-        found.append(pose)
-    return found
+        offsets.append(pose)
+    return offsets
 
 
 def scan_frame(config: ScannerConfig, rng: np.random.Generator, center: Array) -> Array:

@@ -12,13 +12,13 @@ from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance
 from schemas.errors import InputError
 from schemas.selection import Selection
-from tasks.boxes import oriented_iou
-from tasks.meshes import read_points
-from tasks.selection.alignment import AlignmentConfig, Distances, Fit, Sample, Target, align, make_target, sample_asset
+from tasks.geometry.boxes import oriented_iou
+from tasks.geometry.meshes import read_points
+from tasks.geometry.transforms import flat, inverse, matrix, transform_points, translation, yaw_of, yaw_pose
+from tasks.selection.alignment import AlignmentConfig, Distances, Fit, Sample, ScannedInstance, align, make_target, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.settings import Config, Texts
 from tasks.stage import Context, Outcome, Stage
-from tasks.transforms import flat, inverse, matrix, transform_points, translation, yaw_of, yaw_pose
 
 __all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "completeness", "is_own_geometry", "run", "score_of"]
 
@@ -187,7 +187,7 @@ def _rank(
     return [dataclasses.replace(row, rank=rank) for rank, row in enumerate(rows, start=1)]
 
 
-def instance_frame(instance: Instance, context: Context, config: SelectionConfig) -> tuple[np.ndarray, Target]:
+def instance_frame(instance: Instance, context: Context, config: SelectionConfig) -> tuple[np.ndarray, ScannedInstance]:
     """The instance's frame in the world, 4x4 [m], standing where the asset is to stand, and its points in that frame."""
     box = matrix(instance.box_pose)
     size = np.asarray(instance.box_size, dtype=np.float64)

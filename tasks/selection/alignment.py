@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from tasks.meshes import load_glb, sample_surface, surface_of
+from tasks.geometry.meshes import load_glb, sample_surface, surface_of
+from tasks.geometry.triangles import surface_area
 from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices, spacing
 from tasks.settings import Config, Whole
 
@@ -33,9 +34,9 @@ class AlignmentConfig(Config):
     refine_yaw_radians: float = 0.2  # a little more than half a yaw step
     rebox_yaw_radians: float = 0.03  # turned by more, the box was askew and its sides were not the object's: a 2 m desk gains 6 cm
     refine_shift: float = 0.1  # of the box's side: the box is known to a tenth even where the scan is thin
-    smallest_scale: float = 0.5  # beyond half or twice its size an asset depicts another thing (a coffee table is no desk)
+    smallest_scale: float = 0.5  # beyond half or twice its size an asset depicts another object (a coffee table is no desk)
     largest_scale: float = 2.0  # twice its size, as smallest_scale
-    anisotropy: float = 1.6  # the largest over the smallest scale: beyond it round things turn visibly oval
+    anisotropy: float = 1.6  # the largest over the smallest scale: beyond it round objects turn visibly oval
     thin_m: float = 0.03  # scan noise across a thin side: such a side says little about scale
     points: Whole = 512  # scanned points: 3 cm apart on a chair, 8 cm on a bed
     samples: Whole = 1024  # of the asset's whole surface, of which the scan saw half or less
@@ -50,7 +51,7 @@ class AlignmentConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Target:
+class ScannedInstance:
     """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
     `spacing`: distance between neighboring points [m]."""
 
@@ -120,25 +121,26 @@ def sample_asset(asset: Asset, glb: bytes, config: AlignmentConfig, rng: np.rand
         ValueError: its surface has no area.
     """
     surface = surface_of(load_glb(glb, asset.mesh_blob))
-    corners = surface.vertices[surface.faces]
-    area = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
+    area = surface_area(surface.vertices, surface.faces)
     points, colors, normals = sample_surface(surface, config.samples, rng)
     order = rng.permutation(config.samples)
     extents = np.maximum(surface.bounds[1] - surface.bounds[0], 1e-4)
     return Sample(points[order], normals[order], colors[order], extents, area)
 
 
-def make_target(points: Array, colors: NDArray[np.uint8], size: Array, config: AlignmentConfig, rng: np.random.Generator) -> Target:
+def make_target(
+    points: Array, colors: NDArray[np.uint8], size: Array, config: AlignmentConfig, rng: np.random.Generator
+) -> ScannedInstance:
     """An instance from its points in its own frame, shape (n, 3) [m]: thinned evenly, in random order."""
     order = rng.permutation(len(points))
     cell = max(float(np.linalg.norm(size)) / 40, 1e-3)
     cells = np.floor(points[order] / cell).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     thinned = points[order[np.sort(first)]][: config.points]
-    return Target(thinned, colors, np.maximum(size, 5e-3), spacing(thinned))
+    return ScannedInstance(thinned, colors, np.maximum(size, 5e-3), spacing(thinned))
 
 
-def measure(target: Target, sample: Sample, fit: Fit, threshold: float, config: AlignmentConfig) -> Distances:
+def measure(target: ScannedInstance, sample: Sample, fit: Fit, threshold: float, config: AlignmentConfig) -> Distances:
     """How a placed asset fits. `threshold`: distance within which a point counts as covered [m]."""
     placed, normals, radius = sample.placed(fit)
     scan = disc_distances(target.points, placed, normals, radius)
@@ -154,7 +156,7 @@ def measure(target: Target, sample: Sample, fit: Fit, threshold: float, config: 
     )
 
 
-def align(target: Target, sample: Sample, threshold: float, config: AlignmentConfig) -> tuple[Fit, Distances]:
+def align(target: ScannedInstance, sample: Sample, threshold: float, config: AlignmentConfig) -> tuple[Fit, Distances]:
     """The best pose of an asset on an instance, and how it fits.
 
     Every yaw of a full turn is tried with the scale that its box asks for; the best few are refined by nearest points.
@@ -181,7 +183,7 @@ def align(target: Target, sample: Sample, threshold: float, config: AlignmentCon
     return fit, measure(target, sample, fit, threshold, config)
 
 
-def refine(target: Target, sample: Sample, fit: Fit, config: AlignmentConfig) -> Fit:
+def refine(target: ScannedInstance, sample: Sample, fit: Fit, config: AlignmentConfig) -> Fit:
     """A pose with yaw and shift by least squares over nearest points (Besl and McKay, 1992, in the plane, trimmed).
 
     Height and scale stay; yaw and shift stay near where they started.
@@ -224,7 +226,7 @@ def clamp_scale(ratio: Sequence[float] | Array, weight: Sequence[float] | Array,
     return np.array([math.exp(min(max(min(max(v, middle - half), middle + half), least), most)) for v in logs])
 
 
-def _boxed(target: Target, sample: Sample, yaw: float, config: AlignmentConfig) -> Fit:
+def _boxed(target: ScannedInstance, sample: Sample, yaw: float, config: AlignmentConfig) -> Fit:
     """The pose for a yaw whose box is the instance's box along the asset's axes, as far as the limits allow."""
     turn = _turn(yaw)[:2, :2]
     quarter = yaw / (np.pi / 2)
@@ -239,7 +241,7 @@ def _boxed(target: Target, sample: Sample, yaw: float, config: AlignmentConfig) 
     return Fit(yaw, np.array([*center, 0.0]), scale)
 
 
-def _coarse_costs(target: Target, sample: Sample, fits: Sequence[Fit], config: AlignmentConfig) -> Array:
+def _coarse_costs(target: ScannedInstance, sample: Sample, fits: Sequence[Fit], config: AlignmentConfig) -> Array:
     """Cost of every pose by a part of the points and samples [m], shape (p,)."""
     part = dataclasses.replace(sample, points=sample.points[: config.coarse], normals=sample.normals[: config.coarse])
     placed, normals, radii = zip(*(part.placed(fit) for fit in fits), strict=True)

@@ -6,12 +6,12 @@ that a few hundred samples give the distance to a surface of square metres to th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
 
@@ -22,19 +22,19 @@ def coarse_distances(points: Array, placed: Array) -> tuple[Array, Array]:
     Points: shape (k, 3). Placed samples: shape (p, m, 3). Returns shapes (p, k), from the points to the samples, and
     (p, m), from the samples to the points.
     """
-    out, back = _compiled()["coarse"](np.ascontiguousarray(points), np.ascontiguousarray(placed))
+    out, back = _compiled()["_coarse"](np.ascontiguousarray(points), np.ascontiguousarray(placed))
     return np.asarray(out), np.asarray(back)
 
 
 def nearest_indices(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
     """Index of and distance to the nearest sample of every point [m]. Shapes (k, 3) and (m, 3) to (k,) and (k,)."""
-    index, distance = _compiled()["nearest"](np.ascontiguousarray(points), np.ascontiguousarray(samples))
+    index, distance = _compiled()["_nearest"](np.ascontiguousarray(points), np.ascontiguousarray(samples))
     return np.asarray(index), np.asarray(distance)
 
 
 def disc_distances(points: Array, centers: Array, normals: Array, radius: float) -> Array:
     """Distance of every point to the nearest of flat discs [m]: shape (k,). Centers and unit normals: shape (m, 3)."""
-    kernel = _compiled()["discs"]
+    kernel = _compiled()["_discs"]
     return np.asarray(kernel(np.ascontiguousarray(points), np.ascontiguousarray(centers), np.ascontiguousarray(normals), float(radius)))
 
 
@@ -48,11 +48,8 @@ def spacing(points: Array) -> float:
 
 
 @cache
-def _compiled() -> dict[str, Callable[..., Any]]:
-    import numba
-
-    # no reordering of sums: the same numbers on every machine
-    return {f.__name__.strip("_"): numba.njit(cache=True, nogil=True, error_model="numpy")(f) for f in (_coarse, _nearest, _discs)}
+def _compiled() -> Kernels:
+    return compile_kernels(_coarse, _nearest, _discs)
 
 
 def _coarse(points: Array, placed: Array) -> tuple[Array, Array]:

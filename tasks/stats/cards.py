@@ -28,7 +28,8 @@ class PicturePair:
 class SceneCard:
     """What the report says of one scene. `excuse` stands where there are no pictures.
 
-    curve, plan: address of the loss curve and of the floor plan, and what is to be seen. remains: what could not be put right.
+    curve, plan, heat: address of the loss curve, of the floor plan and of the heat map, and what is to be seen. remains: what could
+    not be put right.
     """
 
     scene_id: str
@@ -38,6 +39,7 @@ class SceneCard:
     excuse: str
     curve: tuple[str, str] | None
     plan: tuple[str, str] | None
+    heat: tuple[str, str] | None
     certificate: Grid
     remains: tuple[str, ...]
     objects: Grid
@@ -69,7 +71,7 @@ def scene_card(scene_id: str, pictures: ScenePictures | str, answers: Mapping[st
         ],
         limit=OBJECT_LIMIT,
     )
-    curve, plan = (pictures.loss_curve, pictures.plan) if isinstance(pictures, ScenePictures) else (None, None)
+    curve, plan, heat = (pictures.loss_curve, pictures.plan, pictures.heat) if isinstance(pictures, ScenePictures) else (None,) * 3
     remains = of_scene(answers["optimization_remains.pictured"], scene_id).to_pylist()
     named = [" ".join(filter(None, (row["instance_id"], row["category"]))) for row in remains]
     return SceneCard(
@@ -80,6 +82,7 @@ def scene_card(scene_id: str, pictures: ScenePictures | str, answers: Mapping[st
         excuse=as_text(pictures) if isinstance(pictures, str) else "",
         curve=(data_address(curve.svg.encode(), "image/svg+xml"), curve.alt) if curve else None,
         plan=(data_address(plan, "image/png"), f"Floor plan of {scene_id}: navmesh, footprints and paths of episodes") if plan else None,
+        heat=(data_address(heat, "image/png"), f"Distance of the scan of {scene_id} to its replica, from above") if heat else None,
         certificate=_certificate(scene_id, answers),
         remains=tuple(as_text(f"{name}: {row['remains']}" if name else row["remains"]) for name, row in zip(named, remains, strict=True)),
         objects=objects,
@@ -134,8 +137,12 @@ def _certificate(scene_id: str, answers: Mapping[str, pa.Table]) -> Grid:
     lines: list[tuple[str, Callable[[Mapping[str, Any]], str]]] = [
         ("Free to move", lambda row: share(row["free"], row["objects"])),
         ("Fixed", lambda row: share(row["fixed"], row["objects"])),
-        ("Free ones within 1 cm", lambda row: share(row["stable_1cm"], row["free"])),
+        ("Free ones within 1 cm and 5\u00b0", lambda row: share(row["stable_1cm"], row["free"])),
         ("Free ones within 5 cm and 5\u00b0", lambda row: share(row["stable_5cm"], row["free"])),
+        (
+            "The same after nudges, within 1 cm",
+            lambda row: "\u2013" if row["stable_nudged"] is None else share(row["stable_nudged"], row["free"]),
+        ),
         ("Moves most", worst),
         ("Tilts most", lambda row: "\u2013" if row["worst_tilt_degrees"] is None else f"{as_number(row['worst_tilt_degrees'])}\u00b0"),
         ("Deepest start of a free one", lambda row: depth(row["deepest_start_penetration_m"])),
@@ -166,6 +173,7 @@ def _facts(scene_id: str, answers: Mapping[str, pa.Table]) -> list[tuple[str, st
     for row in of_scene(answers["stability.listed"], scene_id).to_pylist()[:1]:
         if row["free"]:
             facts.append(("Stable at 5 cm", f"{as_share(row['stable_5cm_share'])} ({as_share(row['fixed_share'])} fixed)"))
+    add("scene_fidelity_overview.listed", "object_f_5cm", "F-score at 5 cm", as_number)
     add("navigability.listed", "navigable_share", "Navigable", as_percent)
     add("navigability.listed", "episodes", "Episodes", as_count)
     for row in of_scene(answers["export_verdicts.pictured"], scene_id).to_pylist():
@@ -182,36 +190,31 @@ def scene_table(answers: Mapping[str, pa.Table], total: int) -> Grid:
         ("categories_per_scene", ("categories",)),
         ("collision_loss", ("deep_pairs_before", "deep_pairs_after")),
         ("stability", ("fixed_share", "stable_1cm_share", "stable_5cm_share")),
+        ("scene_fidelity_overview", ("object_f_5cm",)),
         ("navigability", ("navigable_share", "episodes")),
         ("scene_timing", ("total_seconds",)),
     ):
         for row in reversed(answers[f"{view}.listed"].to_pylist()):  # of several agents or engines the first one stays
             if row["scene_id"] in rows:
                 rows[row["scene_id"]].update({column: row[column] for column in columns})
-    names = ["scene_id", "room_type", "floor_area_m2", "objects", "categories", "deep_pairs_before", "deep_pairs_after"]
-    names += ["fixed_share", "stable_1cm_share", "stable_5cm_share", "navigable_share", "episodes", "total_seconds"]
-    table = pa.table({name: [row.get(name) for row in rows.values()] for name in names})
-    return grid(
-        "All scenes",
-        "objects_per_scene",
-        table,
-        [
-            ("scene_id", "Scene", as_text),
-            ("room_type", "Room", as_text),
-            ("floor_area_m2", "Floor [m²]", as_number),
-            ("objects", "Objects", as_count),
-            ("categories", "Categories", as_count),
-            ("deep_pairs_before", "Deep pairs before", as_count),
-            ("deep_pairs_after", "Deep pairs after", as_count),
-            ("fixed_share", "Fixed", as_percent),
-            ("stable_1cm_share", "Stable at 1 cm", as_share),
-            ("stable_5cm_share", "Stable at 5 cm", as_share),
-            ("navigable_share", "Navigable", as_percent),
-            ("episodes", "Episodes", as_count),
-            ("total_seconds", "Computed [s]", as_number),
-        ],
-        total,
-    )
+    shown: list[tuple[str, str, Format]] = [
+        ("scene_id", "Scene", as_text),
+        ("room_type", "Room", as_text),
+        ("floor_area_m2", "Floor [m²]", as_number),
+        ("objects", "Objects", as_count),
+        ("categories", "Categories", as_count),
+        ("deep_pairs_before", "Deep pairs before", as_count),
+        ("deep_pairs_after", "Deep pairs after", as_count),
+        ("fixed_share", "Fixed", as_percent),
+        ("stable_1cm_share", "Stable at 1 cm", as_share),
+        ("stable_5cm_share", "Stable at 5 cm", as_share),
+        ("object_f_5cm", "F-score at 5 cm", as_number),
+        ("navigable_share", "Navigable", as_percent),
+        ("episodes", "Episodes", as_count),
+        ("total_seconds", "Computed [s]", as_number),
+    ]
+    table = pa.table({name: [row.get(name) for row in rows.values()] for name, _, _ in shown})
+    return grid("All scenes", "objects_per_scene", table, shown, total)
 
 
 def of_scene(rows: pa.Table, scene_id: str) -> pa.Table:

@@ -1,6 +1,6 @@
 """A scene before and after its optimization, from one camera, with what collides marked.
 
-Things that collide keep their place in the picture, whatever is cut away around them: they are tinted, and a ring lies
+Objects that collide keep their place in the picture, whatever is cut away around them: they are tinted, and a ring lies
 where they overlap, also when something stands before it. All else is paler than in the other pictures, so that the marks
 stand out.
 """
@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.proximity import closest_points
-from tasks.rendering import Camera
+from tasks.geometry.proximity import closest_points
+from tasks.geometry.rendering import Camera
 from tasks.stats.photographs import developed, photograph
-from tasks.stats.scenes import Outline, PictureConfig, opened, shown
+from tasks.stats.scenes import PictureConfig, RoomOutline, opened, shown
 
 if TYPE_CHECKING:
     import trimesh
@@ -32,17 +32,17 @@ DEEP_M = 0.002
 """Pairs that penetrate deeper count as collisions: resting contact of two meshes is a millimetre or so."""
 
 _NEAR_M = 0.01  # surfaces cut each other where they come this near; finer than the samples on a sofa lie apart
-_SAMPLES = 3000  # points per thing: one every 3 cm on a sofa
+_SAMPLES = 3000  # points per object: one every 3 cm on a sofa
 _TINT = np.array([214.0, 36.0, 44.0])  # a red that no wood and no skin of a sofa has
 _TINT_SHARE = 0.62  # the shading still shows which way a face is turned
 _PALE = 0.8  # share of gray in what does not collide
 _RING_PX = (11.0, 90.0)  # smallest and largest radius: to be seen, and not to be taken for the room
-_LINE_PX, _HALO_PX = 2.2, 5.0  # the halo keeps the ring visible on red things
+_LINE_PX, _HALO_PX = 2.2, 5.0  # the halo keeps the ring visible on red objects
 
 
 @dataclasses.dataclass(frozen=True)
-class Place:
-    """Where two things overlap, world frame [m]: center, shape (3,), and radius of the ball around it."""
+class OverlapPlace:
+    """Where two objects overlap, world frame [m]: center, shape (3,), and radius of the ball around it."""
 
     center: Array
     radius: float
@@ -53,8 +53,8 @@ def colliding_pairs(contacts: Iterable[Contact], phase: str) -> list[tuple[str, 
     return sorted((c.instance_a, c.body_b) for c in contacts if c.phase == phase and not c.is_allowed and c.penetration_m > DEEP_M)
 
 
-def overlap_place(first: Parts, second: Parts) -> Place:
-    """Where two things overlap: around all points at which the surface of one comes near that of the other.
+def overlap_place(first: Parts, second: Parts) -> OverlapPlace:
+    """Where two objects overlap: around all points at which the surface of one comes near that of the other.
 
     Where one is wholly inside the other no surfaces meet: then it is the overlap of their boxes.
 
@@ -62,28 +62,28 @@ def overlap_place(first: Parts, second: Parts) -> Place:
     """
     (low_a, high_a), (low_b, high_b) = (_bounds(parts) for parts in (first, second))
     low, high = np.maximum(low_a, low_b), np.minimum(high_a, high_b)
-    low, high = np.minimum(low, high), np.maximum(low, high)  # things apart: the gap between them
+    low, high = np.minimum(low, high), np.maximum(low, high)  # objects apart: the gap between them
     a, b = (_samples(parts, low - _NEAR_M, high + _NEAR_M) for parts in (first, second))
     near = [points[_distances(points, parts) < _NEAR_M] for points, parts in ((a, second), (b, first)) if len(points)]
     met = np.concatenate([np.zeros((0, 3)), *near])
     if len(met):
         low, high = met.min(axis=0), met.max(axis=0)
-    return Place((low + high) / 2, float(np.linalg.norm(high - low) / 2))
+    return OverlapPlace((low + high) / 2, float(np.linalg.norm(high - low) / 2))
 
 
 def marked_picture(
     objects: Mapping[str, Parts],
     shell: Mapping[str, Parts],
     pairs: Sequence[tuple[str, str]],
-    outline: Outline,
+    outline: RoomOutline,
     camera: Camera,
     config: PictureConfig | None = None,
 ) -> bytes:
     """JPEG of a scene, the `pairs` that collide marked.
 
     objects: parts of every instance, shell: parts of the room, by name, in the world frame [m]. pairs: names of both.
-    Names of things that are not there are passed over. A colliding wall or floor is ringed, but not tinted: it is
-    behind everything. So is a thing whose pose is not finite left out.
+    Names of objects that are not there are passed over. A colliding wall or floor is ringed, but not tinted: it is
+    behind everything. So is an object whose pose is not finite left out.
     """
     config = config or PictureConfig()
     objects, shell = _finite(objects), _finite(shell)
@@ -110,9 +110,9 @@ def _marked(colors: NDArray[np.float32], part: NDArray[np.int64], tinted: NDArra
     return marked
 
 
-def _finite(things: Mapping[str, Parts]) -> dict[str, Parts]:
-    """Things without those that are nowhere."""
-    return {name: of for name, of in things.items() if of and all(np.isfinite(part.vertices).all() for part in of)}
+def _finite(objects: Mapping[str, Parts]) -> dict[str, Parts]:
+    """Objects without those that are nowhere."""
+    return {name: of for name, of in objects.items() if of and all(np.isfinite(part.vertices).all() for part in of)}
 
 
 def _bounds(parts: Parts) -> Array:
@@ -145,8 +145,8 @@ def _distances(points: Array, parts: Parts) -> Array:
     return closest_points(vertices, faces, points).distance
 
 
-def _ringed(image: NDArray[np.float32], places: Sequence[Place], camera: Camera, config: PictureConfig) -> NDArray[np.float32]:
-    """The image with a ring around each place, its edges as smooth as those of the things."""
+def _ringed(image: NDArray[np.float32], places: Sequence[OverlapPlace], camera: Camera, config: PictureConfig) -> NDArray[np.float32]:
+    """The image with a ring around each place, its edges as smooth as those of the objects."""
     from PIL import Image, ImageDraw
 
     if not places:

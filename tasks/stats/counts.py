@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from tasks.stats.axes import bars, category_axis, integer_bins, short
-from tasks.stats.style import GRID, INK, MUTED, SERIES, Picture, canvas, in_style, panels, picture
+from tasks.stats.style import GRID, INK, MUTED, SERIES, Picture, canvas, chart, in_style, panels, picture
 
 SCENE_LIMIT = 20
 """Scenes with a bar of their own; of more, a histogram is drawn, or those that matter most."""
@@ -46,20 +46,19 @@ def per_scene(histogram: pa.Table, scenes: pa.Table, column: str, noun: str) -> 
     alt = f"{title}: {count} scene{'s' if count > 1 else ''}, {values.min()} to {values.max()} {noun}, median {median:g}."
     name = f"{column}_per_scene"
     if count <= SCENE_LIMIT:
-        figure, axes = canvas(0.9 + 0.24 * count)
+        axes = canvas(0.9 + 0.24 * count)
         bars(axes, scenes["scene_id"].to_pylist(), np.asarray(scenes[column].to_pylist(), dtype=np.int64), _BLUE, "{:.0f}")
         axes.axvline(median, color=_ORANGE, linewidth=1.2, linestyle="--", zorder=0.9)
         axes.set_xlabel(f"{noun}; dashed: median {median:g}")
     else:
-        figure, axes = canvas(2.8)
+        axes = canvas(2.8)
         axes.hist(values, bins=integer_bins(values), weights=times, color=_BLUE, edgecolor=_BLUE, linewidth=0.4, alpha=0.85)
         axes.axvline(median, color=_ORANGE, linewidth=1.4, linestyle="--")
         axes.grid(visible=False, axis="x")
         axes.grid(visible=True, axis="y", color=GRID.light, linewidth=0.7)
         axes.set_xlabel(f"{noun} in the scene; dashed: median {median:g}")
         axes.set_ylabel("scenes")
-    axes.set_title(title)
-    return picture(figure, name, title, alt)
+    return chart(axes, name, title, alt)
 
 
 def weighted_median(values: Any, times: Any) -> float:
@@ -79,7 +78,7 @@ def category_bars(counts: pa.Table, total: int) -> Picture | None:
     rows = counts.slice(0, CATEGORY_LIMIT).to_pylist()
     if not rows:
         return None
-    figure, axes = canvas(1.4 + 0.185 * len(rows))
+    axes = canvas(1.4 + 0.185 * len(rows))
     y = np.arange(len(rows))
     objects, scenes = (np.array([row[key] for row in rows]) for key in ("objects", "scenes"))
     axes.barh(y, objects, height=0.7, color=_BLUE, alpha=0.85, label="objects")
@@ -90,10 +89,9 @@ def category_bars(counts: pa.Table, total: int) -> Picture | None:
     _short_numbers(axes, "x", integer=True)
     axes.set_xlabel("objects" if len(rows) == total else f"objects, the {len(rows)} most frequent of {thousands(total)} categories")
     title = "Objects per category"
-    axes.set_title(title)
     axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.0)
     few = ", ".join(f"{row['category']} ({row['objects']} in {row['scenes']} scenes)" for row in rows[:3])
-    return picture(figure, "category_counts", title, f"{title}, {len(rows)} of {total} categories. Most frequent: {few}.")
+    return chart(axes, "category_counts", title, f"{title}, {len(rows)} of {total} categories. Most frequent: {few}.")
 
 
 @in_style
@@ -120,7 +118,7 @@ def room_map(cells: pa.Table) -> Picture | None:
     for row in rows:
         if row["category"] in place:
             objects[place[row["category"]], kept.index(row["room_type"]) if row["room_type"] in kept else -1] += row["objects"]
-    figure, axes = canvas(1.5 + 0.185 * len(categories))
+    axes = canvas(1.5 + 0.185 * len(categories))
     share = objects / objects.sum(axis=1, keepdims=True)
     for (line, column), count in np.ndenumerate(objects):
         if count:
@@ -140,14 +138,15 @@ def room_map(cells: pa.Table) -> Picture | None:
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
     title = "Categories by room type"
-    axes.set_title(title)
-    figure.supxlabel(f"Color: share of the category's objects, at most {share.max():.0%}. Number: objects.", fontsize=8, color=MUTED.light)
+    axes.figure.supxlabel(
+        f"Color: share of the category's objects, at most {share.max():.0%}. Number: objects.", fontsize=8, color=MUTED.light
+    )
     strongest = max(np.ndindex(*objects.shape), key=lambda at: (objects[at], -at[0], -at[1]))
     alt = (
         f"Heat map of {len(categories)} categories in {len(types)} room types. Most objects: "
         f"{categories[strongest[0]]} in {columns[strongest[1]]}, {objects[strongest]}."
     )
-    return picture(figure, "category_by_room_type", title, alt)
+    return chart(axes, "category_by_room_type", title, alt)
 
 
 @in_style

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from tasks.stats.axes import whole_numbers
-from tasks.stats.style import GRID, SERIES, Picture, canvas, in_style, picture
+from tasks.stats.style import GRID, SERIES, Picture, canvas, chart, in_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +32,7 @@ def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
     unit, factor, what = ("l", 1000.0, "overlap of the boxes") if method == "paper" else ("mm", 1000.0, "penetration depth")
     step, loss, smallest = (np.array([row[key] for row in rows], dtype=np.float64) for key in ("step", "loss", "smallest_loss"))
     loss, smallest = loss * factor, smallest * factor
-    figure, axes = canvas(2.7)
+    axes = canvas(2.7)
     if len(rows) > _CURVE_POINTS:
         starts = np.linspace(0, len(rows), _CURVE_POINTS // 2 + 1).astype(np.int64)[:-1]
         low, high = np.minimum.reduceat(loss, starts), np.maximum.reduceat(loss, starts)
@@ -50,12 +50,11 @@ def loss_curve(steps: pa.Table, method: str, scene_id: str) -> Picture | None:
     axes.set_xlabel("step" if method == "paper" else "step; moves that were taken back are left out")
     axes.set_ylabel(f"{what} [{unit}]")
     title = f"Loss, method {method}"
-    axes.set_title(title)
     axes.figure.legend(loc="outside lower center", ncols=2, handlelength=1.4)
     alt = (
         f"Collision loss of {scene_id} over {step[-1]:.0f} steps: {loss[0]:.3g} {unit} at the start, {smallest[-1]:.3g} {unit} in the end."
     )
-    return picture(figure, f"loss_{scene_id}", title, alt)
+    return chart(axes, f"loss_{scene_id}", title, alt)
 
 
 def _loss_axis(axes: Axes, values: Any) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.rendering import Camera, RayScene, View
+from tasks.geometry.rendering import Camera, RayScene, Rendering
 
 if TYPE_CHECKING:
     import trimesh
@@ -113,7 +113,7 @@ class _Light:
     key: Floats
 
     @staticmethod
-    def of(view: View, camera: Camera, rays: Floats, factor: int) -> _Light:
+    def of(view: Rendering, camera: Camera, rays: Floats, factor: int) -> _Light:
         """The light over a view. `factor`: rays along the side of a pixel, for which its widths are stated."""
         from scipy.ndimage import gaussian_filter, uniform_filter
 
@@ -129,7 +129,7 @@ class _Light:
         key = camera.pose[:3, :3] @ np.array([-0.45, -0.75, -0.5])  # over the camera's left shoulder
         return _Light(blurred, around, (key / np.linalg.norm(key)).astype(np.float32))
 
-    def on(self, view: View, rays: Floats, at: Any) -> Floats:
+    def on(self, view: Rendering, rays: Floats, at: Any) -> Floats:
         """Colors of a view, 0 to 255, with darkened creases, shape (..., 3); `at` says which pixels it looks through."""
         to_eye = _to_eye(rays)
         sharp = _towards(view.normal, to_eye)

@@ -27,18 +27,18 @@ def floor_plan(
     Args:
         navmesh: A .navmesh file.
         episodes: Those of the navmesh's agent.
-        objects: Parts of every placed thing in the world frame [m], by instance.
+        objects: Parts of every placed object in the world frame [m], by instance.
         names: What to write on them, by instance.
         room: For its outline and its interior walls.
     """
     import shapely
 
-    from tasks.meshes import surface_of
+    from tasks.geometry.meshes import surface_of
     from tasks.navigation.navmesh import read_navmesh
     from tasks.navigation.obstacles import footprint
     from tasks.navigation.plan import draw_plan
     from tasks.navigation.planar import PlanarPathFinder
-    from tasks.replica import interior_footprints
+    from tasks.shell import interior_footprints
 
     file = read_navmesh(navmesh)
     climb, height = (file.settings.agent_max_climb, file.settings.agent_height) if file.settings else (0.0, np.inf)

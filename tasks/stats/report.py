@@ -94,6 +94,10 @@ def _headline(rows: pa.Table) -> list[tuple[str, str]]:
             f"free objects stable at 5 cm; {as_count(row['fixed_objects'])} fixed",
         ),
         (as_count(row["deep_pairs"]), "pairs deeper than 2 mm"),
+        (
+            "\u2013" if row["median_object_f_5cm"] is None else as_number(row["median_object_f_5cm"]),
+            "median F-score of scenes' objects at 5 cm",
+        ),
         (as_count(row["episodes"]), "episodes"),
         (f"{as_count(row['exports_passed'])} of {as_count(row['exports'])}", "exports pass all checks"),
         (as_count(row["failures"]), "failed stages"),
@@ -125,7 +129,7 @@ def _strip_entry(strip: CandidateStrip) -> dict[str, object]:
         "choice": "".join(f", slot {tile.slot} chosen by {strip.origin or 'rank'}" for tile in strip.tiles if tile.is_chosen),
         "crop": data_address(strip.crop, "image/jpeg") if strip.crop is not None else "",
         "alt": f"The scan of {what}",
-        "tiles": [{"tile": tile, "address": _address(tile), "alt": _said(tile, what)} for tile in strip.tiles],
+        "tiles": [{"tile": tile, "address": _address(tile), "alt": _in_words(tile, what)} for tile in strip.tiles],
     }
 
 
@@ -133,7 +137,7 @@ def _address(tile: CandidateTile) -> str:
     return data_address(tile.picture, "image/jpeg") if tile.picture is not None else ""
 
 
-def _said(tile: CandidateTile, what: str) -> str:
+def _in_words(tile: CandidateTile, what: str) -> str:
     """A candidate in words."""
     facts = [f"score {tile.score:.3f}" if tile.score is not None else "not scored"]
     facts += ["chosen"] if tile.is_chosen else []

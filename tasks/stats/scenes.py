@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.rendering import Camera, RayScene
+from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.transforms import look_at
 from tasks.stats.photographs import developed, photograph
-from tasks.transforms import look_at
 
 if TYPE_CHECKING:
     import trimesh
@@ -37,7 +37,7 @@ class PictureConfig:
     elevation_radians: float = 0.75  # 43 degrees: sees the floor behind a table and still the fronts of shelves
     ceiling_cut_m: float = 0.2  # fused ceilings are wavy by some centimetres; lamps below that stay
     wall_cut_m: float = 0.12  # as far inside the room as noise and skirting boards of a scanned wall reach
-    hung_m: float = 0.25  # a thing above the floor that is nowhere farther from a wall hangs on it: pictures, windows, shelves
+    hung_m: float = 0.25  # an object above the floor that is nowhere farther from a wall hangs on it: pictures, windows, shelves
     standing_m: float = 0.3  # what begins lower stands on the floor
     background: tuple[int, int, int] = (240, 242, 245)  # neither page color; both scan and replica stand out on it
     jpeg_quality: int = 84  # below that, edges of thin legs show blocks
@@ -48,7 +48,8 @@ class ScenePictures:
     """JPEG files of a scene: its scan and its replica, from a corner and from above.
 
     before, after: the replica as proposed and as optimized, with what collides marked. loss_curve: the optimization's
-    loss over its steps. plan: PNG of the floor with the navmesh and the paths on it. Missing where there is nothing to show.
+    loss over its steps. plan: PNG of the floor with the navmesh and the paths on it. heat: PNG of distances from the scan to
+    the replica, from above. Missing where there is nothing to show.
     """
 
     corner_scan: bytes
@@ -59,29 +60,30 @@ class ScenePictures:
     after: bytes | None = None
     loss_curve: Picture | None = None
     plan: bytes | None = None
+    heat: bytes | None = None
 
 
 @dataclasses.dataclass(frozen=True)
-class Outline:
+class RoomOutline:
     """What the cameras need to know of a room: floor ring (n, 2) [m], counter-clockwise, and height [m]."""
 
     ring: Array
     height: float
 
     @staticmethod
-    def of_room(room: Room) -> Outline:
+    def of_room(room: Room) -> RoomOutline:
         """The outline of a row of `rooms`."""
         ring = np.asarray(room.floor_polygon, dtype=np.float64).reshape(-1, 2)
         area = np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
-        return Outline(ring if area >= 0 else ring[::-1].copy(), room.height_m)
+        return RoomOutline(ring if area >= 0 else ring[::-1].copy(), room.height_m)
 
     @staticmethod
-    def of_parts(parts: Sequence[trimesh.Trimesh]) -> Outline:
+    def of_parts(parts: Sequence[trimesh.Trimesh]) -> RoomOutline:
         """The box around parts in the world frame, for a scene without a room."""
         low = np.min([part.bounds[0] for part in parts], axis=0)
         high = np.max([part.bounds[1] for part in parts], axis=0)
         ring = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-        return Outline(ring, float(max(high[2], 0.1)))
+        return RoomOutline(ring, float(max(high[2], 0.1)))
 
     @property
     def corners(self) -> Array:
@@ -94,7 +96,7 @@ def picture_scene(
     scan: Sequence[trimesh.Trimesh],
     shell: Sequence[trimesh.Trimesh],
     objects: Sequence[Sequence[trimesh.Trimesh]],
-    outline: Outline,
+    outline: RoomOutline,
     config: PictureConfig | None = None,
     corner: Camera | None = None,
 ) -> ScenePictures:
@@ -118,7 +120,7 @@ def corner_pair(
     scan: Sequence[trimesh.Trimesh],
     shell: Sequence[trimesh.Trimesh],
     objects: Sequence[Sequence[trimesh.Trimesh]],
-    outline: Outline,
+    outline: RoomOutline,
     config: PictureConfig,
 ) -> tuple[bytes, bytes]:
     """JPEG of a scan and of its replica from the corner that `picture_scene` takes."""
@@ -127,7 +129,7 @@ def corner_pair(
     return render(opened(scan, outline, camera, config), camera, config), render(replica, camera, config)
 
 
-def corner_camera(outline: Outline, corner: int, config: PictureConfig) -> Camera:
+def corner_camera(outline: RoomOutline, corner: int, config: PictureConfig) -> Camera:
     """A camera above corner 0 to 3 of the room's box, counter-clockwise from (+x, +y), that sees the whole box."""
     corners = outline.corners
     center = corners.mean(axis=0) - [0.0, 0.0, 0.12 * outline.height]
@@ -140,7 +142,7 @@ def corner_camera(outline: Outline, corner: int, config: PictureConfig) -> Camer
     return fitting_camera(corners, center, direction, config)
 
 
-def top_camera(outline: Outline, config: PictureConfig) -> Camera:
+def top_camera(outline: RoomOutline, config: PictureConfig) -> Camera:
     """A camera straight above the room, its long side across the picture."""
     corners = outline.corners
     size = np.ptp(corners, axis=0)
@@ -154,7 +156,7 @@ def top_camera(outline: Outline, config: PictureConfig) -> Camera:
     return fitting_camera(corners, corners.mean(axis=0), np.array([0.0, 0.0, 1.0]), config, turned.pose[:3, :3])
 
 
-def opened(parts: Sequence[trimesh.Trimesh], outline: Outline, camera: Camera, config: PictureConfig) -> list[trimesh.Trimesh]:
+def opened(parts: Sequence[trimesh.Trimesh], outline: RoomOutline, camera: Camera, config: PictureConfig) -> list[trimesh.Trimesh]:
     """Parts without the ceiling and without the walls that stand between the camera and the room."""
     kept = []
     hiding = _hiding_walls(outline, camera.pose[:3, 3])
@@ -167,7 +169,9 @@ def opened(parts: Sequence[trimesh.Trimesh], outline: Outline, camera: Camera, c
     return kept
 
 
-def shown(objects: Sequence[Sequence[trimesh.Trimesh]], outline: Outline, camera: Camera, config: PictureConfig) -> list[trimesh.Trimesh]:
+def shown(
+    objects: Sequence[Sequence[trimesh.Trimesh]], outline: RoomOutline, camera: Camera, config: PictureConfig
+) -> list[trimesh.Trimesh]:
     """Parts of the objects that do not go with what is cut away: not what hangs on a cut wall, nor what sticks in the ceiling.
 
     The others stay whole, however near to a cut wall they stand.
@@ -208,7 +212,7 @@ def fitting_camera(points: Array, target: Array, direction: Array, config: Pictu
 
 
 def best_corner(
-    objects: Sequence[Sequence[trimesh.Trimesh]], shell: Sequence[trimesh.Trimesh], outline: Outline, config: PictureConfig
+    objects: Sequence[Sequence[trimesh.Trimesh]], shell: Sequence[trimesh.Trimesh], outline: RoomOutline, config: PictureConfig
 ) -> Camera:
     """Of the four corner cameras the one that sees most of the objects, not all on one spot: pixels weigh by square root."""
     small = dataclasses.replace(config, width=120, height=84, oversampling=1)
@@ -226,7 +230,7 @@ def best_corner(
     return best
 
 
-def _hiding_walls(outline: Outline, eye: Array) -> list[tuple[Array, Array, float]]:
+def _hiding_walls(outline: RoomOutline, eye: Array) -> list[tuple[Array, Array, float]]:
     """Walls that `eye` sees from outside: start (2,), unit direction (2,) with the room on its left, length [m].
 
     A camera that stands over the room sees no wall from outside.
@@ -244,7 +248,7 @@ def _hiding_walls(outline: Outline, eye: Array) -> list[tuple[Array, Array, floa
 
 
 def _is_cut(
-    part: trimesh.Trimesh, outline: Outline, hiding: Sequence[tuple[Array, Array, float]], config: PictureConfig
+    part: trimesh.Trimesh, outline: RoomOutline, hiding: Sequence[tuple[Array, Array, float]], config: PictureConfig
 ) -> NDArray[np.bool_]:
     """Which faces of a part are ceiling or belong to a wall that hides the room, shape (faces,)."""
     vertices, faces = np.asarray(part.vertices, dtype=np.float64), np.asarray(part.faces)

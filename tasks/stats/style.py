@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -108,16 +108,10 @@ def raster_of(draw: Callable[[], bytes]) -> bytes:
     return draw() if _RASTERS.get() else b""
 
 
-def canvas(height_inches: float, width_inches: float = WIDTH_INCHES) -> tuple[Figure, Axes]:
-    """A figure with one pair of axes; call it inside a function that is `in_style`."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width_inches, height_inches), layout="constrained")
-    axes = figure.add_subplot()
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.set_axisbelow(True)
-    return figure, axes
+def canvas(height_inches: float) -> Axes:
+    """The axes of a figure with one pair of them; call it inside a function that is `in_style`."""
+    _, (axes,) = panels(1, 1, height_inches)
+    return axes
 
 
 def panels(rows: int, columns: int, height_inches: float) -> tuple[Figure, list[Axes]]:
@@ -131,6 +125,12 @@ def panels(rows: int, columns: int, height_inches: float) -> tuple[Figure, list[
             axes.spines[side].set_visible(False)
         axes.set_axisbelow(True)
     return figure, grid
+
+
+def chart(axes: Axes, name: str, title: str, alt: str) -> Picture:
+    """The figure of a canvas's axes as a picture, with its title above them."""
+    axes.set_title(title)
+    return picture(cast("Figure", axes.figure), name, title, alt)
 
 
 def picture(figure: Figure, name: str, title: str, alt: str) -> Picture:

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from tasks.stats.axes import category_axis
 from tasks.stats.counts import SCENE_LIMIT
-from tasks.stats.style import MUTED, SERIES, Picture, canvas, in_style, picture
+from tasks.stats.style import MUTED, SERIES, Picture, canvas, chart, in_style
 
 LANE_LIMIT = 24
 """Workers with a lane of their own, the busiest; a phone has place for no more."""
@@ -30,7 +30,7 @@ def stage_bars(timing: pa.Table, stages: Sequence[str]) -> Picture | None:
         return None
     median = np.array([by_stage[stage]["median_seconds"] for stage in order])
     p95 = np.array([by_stage[stage]["p95_seconds"] for stage in order])
-    figure, axes = canvas(1.1 + 0.3 * len(order))
+    axes = canvas(1.1 + 0.3 * len(order))
     y = np.arange(len(order))
     axes.barh(y, median, height=0.6, color=_BLUE)
     axes.hlines(y, median, p95, color=_ORANGE, linewidth=1.6)
@@ -42,10 +42,9 @@ def stage_bars(timing: pa.Table, stages: Sequence[str]) -> Picture | None:
     axes.set_xlim(left=0)
     axes.set_xlabel("seconds per run: median (bar), 95th percentile (mark)")
     title = "Time per stage"
-    axes.set_title(title)
     slowest = order[int(np.argmax(median))]
     alt = f"Seconds per run of each stage. Slowest: {slowest}, median {median.max():.2f} s."
-    return picture(figure, "stage_timing", title, alt)
+    return chart(axes, "stage_timing", title, alt)
 
 
 @in_style
@@ -61,7 +60,7 @@ def scene_bars(runs: pa.Table, total: int, stages: Sequence[str]) -> Picture | N
     order = sorted(totals, key=lambda scene: (-totals[scene], scene))[:SCENE_LIMIT]
     if not order:
         return None
-    figure, axes = canvas(1.5 + 0.26 * len(order))
+    axes = canvas(1.5 + 0.26 * len(order))
     left = np.zeros(len(order))
     for index, stage in enumerate(stages):
         width = np.array([seconds[scene].get(stage, 0.0) for scene in order])
@@ -71,10 +70,9 @@ def scene_bars(runs: pa.Table, total: int, stages: Sequence[str]) -> Picture | N
     category_axis(axes, order)
     axes.set_xlabel("seconds")
     title = "Time per scene" if len(order) == total else f"Time of the {len(order)} slowest scenes"
-    axes.set_title(title)
     axes.figure.legend(loc="outside lower center", ncols=4, handlelength=1.0, columnspacing=1.2)
     alt = f"{title}, split by stage. Slowest: {order[0]}, {totals[order[0]]:.1f} s."
-    return picture(figure, "scene_timing", title, alt)
+    return chart(axes, "scene_timing", title, alt)
 
 
 @in_style
@@ -96,7 +94,7 @@ def run_gantt(bars: pa.Table, pauses: pa.Table, workers: int, stages: Sequence[s
         return None
     lanes = _lanes(rows)
     binned = any(row["runs"] != 1 for row in rows)
-    figure, axes = canvas(1.7 + 0.3 * len(lanes))
+    axes = canvas(1.7 + 0.3 * len(lanes))
     end = max(row["ends"] for row in rows)
     known = [*stages, *sorted({row["stage"] for row in rows} - set(stages))]
     draw = _stacks if binned else _blocks
@@ -109,7 +107,6 @@ def run_gantt(bars: pa.Table, pauses: pa.Table, workers: int, stages: Sequence[s
         notes.append(f"the {len(lanes)} busiest of {workers} workers")
     _time_axis(axes, end, notes)
     title = "What ran when"
-    axes.set_title(title)
     axes.figure.legend(loc="outside lower center", ncols=4, handlelength=1.0, columnspacing=1.2)
     runs = sum(row["runs"] for row in rows)
     alt = (
@@ -117,7 +114,7 @@ def run_gantt(bars: pa.Table, pauses: pa.Table, workers: int, stages: Sequence[s
         + ("runs put together in bins of time" if binned else "runs")
         + (f"; {pauses.num_rows} pause{'s' if pauses.num_rows != 1 else ''} left out." if pauses.num_rows else ".")
     )
-    return picture(figure, "run_timeline", title, alt)
+    return chart(axes, "run_timeline", title, alt)
 
 
 Rows = Sequence[dict[str, Any]]
@@ -190,11 +187,11 @@ def _lanes(rows: Rows) -> Lanes:
 
 def _mark_pauses(axes: Any, pauses: Sequence[dict[str, Any]], end: float, lanes: int) -> None:
     """A dashed line where all workers paused; the longest ones, as far as there is place, say how long."""
-    said: list[float] = []
+    marked: list[float] = []
     for pause in sorted(pauses, key=lambda row: (-row["seconds"], row["at"])):
         axes.axvline(pause["at"], color=MUTED.light, linewidth=0.9, linestyle=(0, (3, 2)))
-        if all(abs(pause["at"] - other) > 0.16 * end for other in said) and len(said) < 4:
-            said.append(pause["at"])
+        if all(abs(pause["at"] - other) > 0.16 * end for other in marked) and len(marked) < 4:
+            marked.append(pause["at"])
             axes.annotate(
                 f"{_duration(pause['seconds'])} later", (pause["at"], lanes - 0.42), xytext=(2, 0), textcoords="offset points",
                 fontsize=6.5, color=MUTED.light, va="bottom", ha="right" if pause["at"] > 0.8 * end else "left",

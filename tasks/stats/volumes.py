@@ -5,13 +5,13 @@ from __future__ import annotations
 import pyarrow as pa
 
 from tasks.stats.axes import volume_axis
-from tasks.stats.style import INK, MUTED, SERIES, Picture, canvas, in_style, picture
+from tasks.stats.style import INK, MUTED, SERIES, Picture, canvas, chart, in_style
 
 CATEGORY_LIMIT = 50
 """Categories in a box plot (supplementary, Fig. A7)."""
 
 SMALLEST_VOLUME_M3 = 1e-6
-"""A cubic centimetre. Flatter things are drawn there: a logarithmic axis has no zero."""
+"""A cubic centimetre. Flatter objects are drawn there: a logarithmic axis has no zero."""
 
 OUTLIER_STEPS = 12
 """Places of outliers per factor e: those closer than 8 % would be drawn on top of each other, and are drawn once."""
@@ -45,7 +45,7 @@ def volume_boxes(boxes: pa.Table, outliers: pa.Table, of: str = "oriented box", 
         }
         for row in shown
     ]
-    figure, axes = canvas(1.0 + 0.185 * len(stats))
+    axes = canvas(1.0 + 0.185 * len(stats))
     color = _BLUE if name == "volume_by_category" else _TEAL
     axes.bxp(
         stats,
@@ -64,11 +64,10 @@ def volume_boxes(boxes: pa.Table, outliers: pa.Table, of: str = "oriented box", 
     axes.set_xlabel(f"volume of the {of} [m³], logarithmic")
     what = "Volume" if name == "volume_by_category" else "Solid volume"
     title = f"{what} by category, top {CATEGORY_LIMIT}" if len(stats) >= CATEGORY_LIMIT else f"{what} by category"
-    axes.set_title(title)
     medians = {row["category"]: row["median_m3"] for row in shown}
     small, large = min(medians, key=lambda c: (medians[c], c)), max(medians, key=lambda c: (medians[c], c))
     alt = (
         f"Box plot of the volume of the {of} for {len(stats)} categories, most frequent first. Smallest median: {small}, "
         f"{medians[small]:.2g} m³; largest: {large}, {medians[large]:.2g} m³. Whiskers end at 1.5 times the interquartile range."
     )
-    return picture(figure, name, title, alt)
+    return chart(axes, name, title, alt)

@@ -70,9 +70,9 @@ _LETTER_SIZES = (150, 120, 96, 76, 60, 48, 38)
 """Sizes [px] that are tried; the last is taken when the words do not fit even then."""
 
 
-def _fitted(found: re.Match[str]) -> str:
+def _fitted(match: re.Match[str]) -> str:
     """A word of the SVG with its width fixed: Droid Sans Mono's letters are 0.6 em wide."""
-    size, rest, word = int(found[1]), found[2], found[3]
+    size, rest, word = int(match[1]), match[2], match[3]
     return f'font-size="{size}" textLength="{0.6 * size * len(html.unescape(word)):.1f}" lengthAdjust="spacingAndGlyphs"{rest}>{word}<'
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from schemas.errors import InputError
-from tasks.capture.conventions import CLEARLY_BETTER, CONVENTIONS, MIN_AGREEMENT, QUATERNIONS, agreement
-from tasks.capture.documents import license_of
-from tasks.capture.frames import exported_frames, pose_format
+from tasks.capture.files.conventions import CLEARLY_BETTER, CONVENTIONS, MIN_AGREEMENT, QUATERNIONS, agreement
+from tasks.capture.files.documents import license_of
+from tasks.capture.files.frames import exported_frames, pose_format
 from tasks.capture.layout import FrameLayout, folders_in, frame_layout, is_framed
 from tasks.capture.premises import Premises
 from tasks.capture.reading import FrameSource, Reading

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.capture.documents import floats, integers, license_of, name_of, read_json, read_text, settings
-from tasks.capture.frames import exported_frames, sens_frames
-from tasks.capture.ply import read_ply
+from tasks.capture.files.documents import floats, integers, license_of, name_of, read_json, read_text, settings
+from tasks.capture.files.frames import exported_frames, sens_frames
+from tasks.capture.files.ply import read_ply
 from tasks.capture.premises import Premises
 from tasks.capture.reading import FrameSource, Group, Reading, groups_of
 from tasks.capture.scan import Scan, ScanFormat, license_path
 from tasks.capture.scannet.layout import ScanNetLayout, scannet_layout
-from tasks.meshes import Surface
-from tasks.transforms import is_rigid, nearest_rigid
+from tasks.geometry.meshes import Surface
+from tasks.geometry.transforms import is_rigid, nearest_rigid
 
 _RIGID_TOLERANCE = 1e-2
 """Alignments are written with six digits; a rotation off by more than this was never one."""
@@ -159,7 +159,7 @@ def _groups(
     order = np.argsort(dense, kind="stable")
     starts = np.searchsorted(dense[order], np.arange(len(segments) + 1))
     owner = np.full(len(of_vertex), -1, dtype=np.int64)
-    found: list[tuple[str, str, NDArray[np.int64]]] = []
+    named_groups: list[tuple[str, str, NDArray[np.int64]]] = []
     origins: list[str] = []
     notes: list[str] = []
     seen: set[int] = set()
@@ -178,15 +178,15 @@ def _groups(
         # A segment that an earlier instance has stays with it: a vertex belongs to one instance.
         free = vertices[owner[vertices] < 0]
         shared += len(vertices) - len(free)
-        owner[free] = len(found)
+        owner[free] = len(named_groups)
         if len(free):
-            found.append((str(object_id), label, free))
+            named_groups.append((str(object_id), label, free))
             origins.append(f"{Path(name).name}: segGroups[{index}].label")
         else:
             notes.append(f"instance {object_id} ({label}): has no vertices of its own, left out")
     if shared:
         notes.append(f"{shared} vertices are claimed by two instances: they stay with the first")
-    groups = groups_of(found, owner, surface)
+    groups = groups_of(named_groups, owner, surface)
     return tuple(dataclasses.replace(group, origin=origin) for group, origin in zip(groups, origins, strict=True)), notes
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import base64
 import copy
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,12 +20,12 @@ from tasks.containers import close_glb, open_glb
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
 from tasks.exports.files import Export, File
-from tasks.exports.findings import Finding
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
+from tasks.exports.gltf import aim
 from tasks.exports.mjcf import described
-from tasks.meshes import dump_glb
-from tasks.replica import room_shell
-from tasks.transforms import Z_UP_TO_Y_UP, quaternion_xyzw, to_y_up
+from tasks.geometry.meshes import dump_glb
+from tasks.geometry.transforms import Z_UP_TO_Y_UP, quaternion_xyzw, to_y_up
+from tasks.shell import room_shell
 
 Document = dict[str, Any]
 
@@ -93,7 +93,7 @@ class _Scene:
         for view in document.get("bufferViews", []):
             view["byteOffset"] = places[view["buffer"]] + view.get("byteOffset", 0)
             view["buffer"] = 0
-        _aim(document)
+        aim(document)
         for mesh in document.get("meshes", []):
             for primitive in mesh.get("primitives", []):
                 for target in (primitive.get("attributes", {}), *primitive.get("targets", [])):
@@ -111,8 +111,8 @@ class _Scene:
             _shift(node, "mesh", first["meshes"])
         for name in _COPIED:
             self.document[name] += document.get(name, [])
-        for name, found in self.extensions.items():
-            found |= {str(extension) for extension in document.get(name, []) if "lights" not in str(extension)}
+        for name, extensions in self.extensions.items():
+            extensions |= {str(extension) for extension in document.get(name, []) if "lights" not in str(extension)}
         return document
 
     def roots(self, asset: Document) -> list[int]:
@@ -136,7 +136,7 @@ class _Scene:
 
     def dump(self, top: list[int], name: str, about: Mapping[str, str]) -> bytes:
         """The file: top nodes and what is known of the scene."""
-        found: Document = {
+        document: Document = {
             "asset": {"version": "2.0", "generator": "metascenes", "copyright": about["license"]},
             "scene": 0,
             "scenes": [{"name": name, "nodes": top, "extras": dict(about)}],
@@ -144,8 +144,8 @@ class _Scene:
             **{key: sorted(values) for key, values in self.extensions.items() if values},
         }
         if self.binary:
-            found["buffers"] = [{"byteLength": len(self.binary)}]
-        return close_glb(found, bytes(self.binary))
+            document["buffers"] = [{"byteLength": len(self.binary)}]
+        return close_glb(document, bytes(self.binary))
 
     def _buffer(self, buffer: Document, binary: bytes, file: str) -> int:
         """Where the bytes of an asset's buffer begin in this one's."""
@@ -157,18 +157,6 @@ class _Scene:
         place = len(self.binary)
         self.binary += data[: buffer.get("byteLength", len(data))]
         return place
-
-
-def _aim(document: Document) -> None:
-    """Say of every part of the buffer whether it holds vertices or indices, where the asset does not (glTF 2.0, 5.11.5)."""
-    views, accessors = document.get("bufferViews", []), document.get("accessors", [])
-    for mesh in document.get("meshes", []):
-        for primitive in mesh.get("primitives", []):
-            uses = [(accessor, 34962) for accessor in primitive.get("attributes", {}).values()]
-            uses += [(primitive["indices"], 34963)] if "indices" in primitive else []
-            for accessor, target in uses:
-                if "bufferView" in accessors[accessor]:
-                    views[accessors[accessor]["bufferView"]].setdefault("target", target)
 
 
 def _shift(value: Document, key: str, by: int) -> None:
@@ -206,27 +194,20 @@ def _shift_textures(value: Any, by: int) -> None:
 def _make(scene: ExportedScene) -> Export:
     """The files, written to a temporary folder and checked there."""
     files = glb_files(scene.replica, scene.config)
-    return checked(files, _rules(), lambda root: _check(root / files[0].path))
+    return checked(files, GLB, files[0].path)
 
 
-def _rules() -> Sequence[str]:
-    from tasks.exports.glb.rules import RULES
+def _gate() -> ModuleType:
+    from tasks.exports.glb import rules
 
-    return tuple(RULES)
-
-
-def _check(path: Path) -> Sequence[Finding]:
-    from tasks.exports.glb.rules import check_glb
-
-    return check_glb(path)
+    return rules
 
 
 GLB = ExportFormat(
     name="glb",
     title="GLB scenes",
     make=_make,
-    rules=_rules,
-    check=_check,
+    gate=_gate,
     opened=lambda root: sorted(root.glob("*.glb")),
     doctor=Doctor(
         about="Check anybody's GLB of a scene.",

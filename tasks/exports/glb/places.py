@@ -1,4 +1,4 @@
-"""What an exported scene says of the things in it: nodes of a GLB."""
+"""What an exported scene says of the objects in it: nodes of a GLB."""
 
 from __future__ import annotations
 

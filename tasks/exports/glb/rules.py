@@ -90,7 +90,7 @@ def _shape(file: str, document: Document) -> Iterator[Finding]:
         for i, value in enumerate(listed(document, kind)):
             for key in keys:
                 if not _is_index(value.get(key, 0)) or (key in ("byteLength", "count", "componentType") and key not in value):
-                    yield Finding("shape", f"{file} {kind} {i}", f"{key} is {value.get(key)!r}, no number of bytes or things")
+                    yield Finding("shape", f"{file} {kind} {i}", f"{key} is {value.get(key)!r}, no number of bytes or elements")
     for i, accessor in enumerate(listed(document, "accessors")):
         if not isinstance(accessor.get("type"), str):
             yield Finding("shape", f"{file} accessors {i}", f"type is {accessor.get('type')!r}, no text")
@@ -259,8 +259,8 @@ def _geometry(file: str, document: Document, binary: bytes) -> Iterator[Finding]
             elif points.dtype.kind == "f":
                 held = np.array([points.min(axis=0), points.max(axis=0)])
                 if not np.allclose(held, np.array([low, high], dtype=np.float64), rtol=1e-5, atol=1e-6):
-                    said = f"positions lie within {held[0].tolist()} and {held[1].tolist()}, not {low} and {high}"
-                    yield Finding("geometry", where, said)
+                    message = f"positions lie within {held[0].tolist()} and {held[1].tolist()}, not {low} and {high}"
+                    yield Finding("geometry", where, message)
             for name, other in primitive["attributes"].items():
                 count = document["accessors"][other]["count"]
                 if count != len(points):

@@ -53,20 +53,20 @@ def roots_of(document: Document) -> list[int]:
 
 def _above(document: Document) -> dict[int, list[int]]:
     """Nodes that have a node as their child, by that node."""
-    found: dict[int, list[int]] = defaultdict(list)
+    parents: dict[int, list[int]] = defaultdict(list)
     for i, node in enumerate(listed(document, "nodes")):
         for child in node.get("children", []):
-            found[child].append(i)
-    return found
+            parents[child].append(i)
+    return parents
 
 
 def seen_of(document: Document) -> set[int]:
     """Nodes that have a mesh, or one below them has."""
-    above, found = _above(document), set[int]()
+    above, seen = _above(document), set[int]()
     queue = [i for i, node in enumerate(listed(document, "nodes")) if "mesh" in node]
     while queue:
         node = queue.pop()
-        if node not in found:
-            found.add(node)
+        if node not in seen:
+            seen.add(node)
             queue += above.get(node, [])
-    return found
+    return seen

@@ -7,14 +7,13 @@ handles end in a hash of the scene or in a padded number, so that none contains 
 
 from __future__ import annotations
 
-import gzip
 import hashlib
-import json
 import math
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -25,13 +24,16 @@ from schemas.navigation import Episode, Navmesh
 from tasks.exports.bodies import Body, Replica, digest, identifier, stem
 from tasks.exports.config import ExportsConfig, HabitatConfig
 from tasks.exports.files import Export, File, write_folder
-from tasks.exports.findings import Finding
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat
-from tasks.exports.gltf import scaled_glb
-from tasks.meshes import dump_glb
-from tasks.pieces import Hull
-from tasks.replica import room_shell
-from tasks.transforms import Z_UP_TO_Y_UP, quaternion_wxyz, quaternion_xyzw, to_y_up, transform_points, yaw_pose
+from tasks.exports.gltf import aimed_glb, scaled_glb
+from tasks.exports.habitat.dataset import dataset_files, describe
+from tasks.exports.habitat.json_files import dump_json, dump_json_gz
+from tasks.exports.habitat.library import LIGHTS
+from tasks.exports.lighting import lamps
+from tasks.geometry.meshes import dump_glb
+from tasks.geometry.pieces import Hull
+from tasks.geometry.transforms import Z_UP_TO_Y_UP, quaternion_wxyz, quaternion_xyzw, to_y_up, transform_points, yaw_pose
+from tasks.shell import room_shell
 
 ACTIONS: Mapping[str, int] = {"stop": 0, "forward": 1, "left": 2, "right": 3}
 """habitat-sim's numbers of the actions that episodes are made of."""
@@ -43,6 +45,16 @@ OF_THE_DATASET = ("dataset", "dataset_folder", "forward_m", "turn_degrees", "suc
 
 UPRIGHT = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Every file is in Habitat's own frame; a stage that does not say so is taken to be +Z up."""
+
+
+MARGIN_M = 0.0
+"""Shell that habitat-sim puts around colliders [m]. Its default of 40 mm throws apart what touches as soon as it is DYNAMIC."""
+
+LAMP_INTENSITY = 2.0
+"""Of a lamp in habitat-sim, which falls off with 1 / (1 + distance squared): four lamps make a floor about as bright as its color."""
+
+LAMP_COLOR = (1.0, 0.97, 0.92)
+"""Warm white, linear RGB."""
 
 
 def scene_handle(scene_id: str) -> str:
@@ -74,33 +86,35 @@ def habitat_files(
     return sorted(files, key=lambda file: file.path), missed
 
 
-def dump_json(value: Any) -> bytes:
-    """A value as JSON: indented, ending in a line feed, never NaN."""
-    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
-
-
-def dump_json_gz(value: Any) -> bytes:
-    """A value as compressed JSON without a time stamp."""
-    return gzip.compress(json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode(), 9, mtime=0)
-
-
 def numbers(values: ArrayLike) -> list[float]:
     """Numbers as JSON has them, rounded to a nanometre; no negative zeros."""
     return [round(float(value), 9) + 0.0 for value in np.asarray(values).reshape(-1)]
 
 
 def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[File]:
-    """Floor and walls."""
+    """Floor, walls and lamps."""
     shell = room_shell(replica.room, config.shell)
     settings = {
         "render_asset": f"{handle}.glb", "collision_asset": f"{handle}.glb", **UPRIGHT, "origin": [0, 0, 0], "scale": [1, 1, 1],
-        "units_to_meters": 1, "gravity": [0, -config.habitat.gravity_m_s2, 0], "is_collidable": True,
+        "units_to_meters": 1, "gravity": [0, -config.habitat.gravity_m_s2, 0], "is_collidable": True, "margin": MARGIN_M,
         "friction_coefficient": config.room_friction, "restitution_coefficient": config.room_restitution,
     }  # fmt: skip
     return [
-        File(f"stages/{handle}.glb", dump_glb([mesh for _, mesh in shell], [name for name, _ in shell]), "stage"),
+        File(f"stages/{handle}.glb", aimed_glb(dump_glb([mesh for _, mesh in shell], [name for name, _ in shell])), "stage"),
         File(f"stages/{handle}.stage_config.json", dump_json(settings), "stage"),
+        File(f"lights/{light_handle(handle)}.lighting_config.json", dump_json(_lights(replica)), "stage"),
     ]
+
+
+def light_handle(handle: str) -> str:
+    """Name of the lights of a scene in the dataset."""
+    return f"{handle}{LIGHTS}"
+
+
+def _lights(replica: Replica) -> dict[str, Any]:
+    """A point light for every lamp under the ceiling."""
+    lamp = {"type": "point", "intensity": LAMP_INTENSITY, "color": list(LAMP_COLOR)}
+    return {"lights": {str(index): lamp | {"position": position(place)} for index, place in enumerate(lamps(replica.room))}}
 
 
 def _object_files(replica: Replica, config: ExportsConfig) -> list[File]:
@@ -121,7 +135,7 @@ def _object_files(replica: Replica, config: ExportsConfig) -> list[File]:
             "render_asset": render, "collision_asset": collision, **UPRIGHT, "scale": [1, 1, 1],
             "units_to_meters": 1, **_mass_properties(body), "friction_coefficient": body.friction,
             "restitution_coefficient": body.restitution, "is_collidable": True, "use_bounding_box_for_collision": False,
-            "join_collision_meshes": False, "semantic_id": body.nyu40_id,
+            "margin": MARGIN_M, "join_collision_meshes": False, "semantic_id": body.nyu40_id,
         }  # fmt: skip
         files[handle] = File(f"objects/{handle}.object_config.json", dump_json(settings), "object")
     return list(files.values())
@@ -148,7 +162,7 @@ def _collider(hulls: Sequence[Hull]) -> bytes:
     import trimesh
 
     meshes = [trimesh.Trimesh(hull.vertices, hull.faces, process=False) for hull in hulls]
-    return dump_glb(meshes, [f"hull_{index:02d}" for index in range(len(meshes))])
+    return aimed_glb(dump_glb(meshes, [f"hull_{index:02d}" for index in range(len(meshes))]))
 
 
 def _scene_instance(replica: Replica, navmesh: tuple[Navmesh, bytes] | None, config: ExportsConfig) -> dict[str, Any]:
@@ -163,7 +177,7 @@ def _scene_instance(replica: Replica, navmesh: tuple[Navmesh, bytes] | None, con
         **origin,
         "stage_instance": {"template_name": handle, **origin, "translation": [0, 0, 0], "rotation": [1, 0, 0, 0]},
         "object_instances": [],
-        "default_lighting": "no_lights",
+        "default_lighting": light_handle(handle),
         "semantic_scene_instance": f"{config.habitat.dataset}_lexicon",
         "user_defined": about,
     }
@@ -336,50 +350,41 @@ def _make(scene: ExportedScene) -> Export:
     config, replica = scene.config, scene.replica
     navmesh = _navmesh(scene.navmeshes, scene.episodes, config)
     missed = [] if navmesh is not None else ["no navmesh: the Habitat scene has neither navmesh nor episodes"]
-    others = sorted(row.agent for row in scene.navmeshes if navmesh is not None and row.agent != navmesh.agent)
-    missed += [f"navmesh and episodes of agent {agent!r} are left out: a Habitat scene has one navmesh" for agent in others]
+    left_out = sorted(row.agent for row in scene.navmeshes if navmesh is not None and row.agent != navmesh.agent)
+    missed += [f"navmesh and episodes of agent {agent!r} are left out: a Habitat scene has one navmesh" for agent in left_out]
     blob = None if navmesh is None else (navmesh, scene.blobs[navmesh.navmesh_blob])
     files, lost = habitat_files(replica, blob, scene.episodes, config)
     contents = {file.path: file.data for file in files}
     with tempfile.TemporaryDirectory(prefix="dataset-") as place:
         root = Path(place).resolve() / HABITAT.name
         write_folder(root, contents | _shared([({file.path: file.role for file in files}, contents.__getitem__)]))
-        return Export(files, _rules(), _check(root), [*missed, *lost])
+        return Export(files, HABITAT.rules, HABITAT.check(root), [*missed, *lost])
 
 
 def _navmesh(navmeshes: Sequence[Navmesh], episodes: Sequence[Episode], config: ExportsConfig) -> Navmesh | None:
     """The navmesh to export: of the agent that is asked for, else of the one with the most episodes."""
     wanted = config.habitat.agent
     count = Counter(episode.agent for episode in episodes)
-    found = [row for row in navmeshes if wanted is None or row.agent == wanted]
-    return min(found, key=lambda row: (-count[row.agent], row.agent), default=None)
+    rows = [row for row in navmeshes if wanted is None or row.agent == wanted]
+    return min(rows, key=lambda row: (-count[row.agent], row.agent), default=None)
 
 
 def _shared(scenes: Sequence[tuple[Mapping[str, str], Callable[[str], bytes]]]) -> dict[str, bytes]:
     """Files of the dataset beside those of its scenes."""
-    from tasks.exports.habitat.dataset import dataset_files, describe
-
     return dataset_files([describe(roles, read) for roles, read in scenes])
 
 
-def _rules() -> Sequence[str]:
-    from tasks.exports.habitat.rules import RULES
+def _gate() -> ModuleType:
+    from tasks.exports.habitat import rules
 
-    return tuple(RULES)
-
-
-def _check(path: Path) -> Sequence[Finding]:
-    from tasks.exports.habitat.rules import check_habitat
-
-    return check_habitat(path)
+    return rules
 
 
 HABITAT = ExportFormat(
     name="habitat",
     title="Habitat dataset",
     make=_make,
-    rules=_rules,
-    check=_check,
+    gate=_gate,
     opened=lambda root: [root],
     doctor=Doctor(
         about="Check a Habitat scene dataset against everything that habitat-sim and habitat-lab stumble over.",

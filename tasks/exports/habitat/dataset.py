@@ -14,8 +14,8 @@ from typing import Any
 from schemas.errors import InputError
 from tasks.capture.labels import NYU40
 from tasks.exports.config import HabitatConfig
-from tasks.exports.habitat import dump_json, dump_json_gz
-from tasks.exports.habitat.navmesh_file import read_navmesh
+from tasks.exports.habitat.json_files import dump_json, dump_json_gz
+from tasks.exports.habitat.navmesh_file import read_polygons
 
 TASKS = ("objectnav", "pointnav")
 
@@ -56,7 +56,7 @@ def describe(roles: Mapping[str, str], read: Callable[[str], bytes]) -> HabitatS
             splits.add(parts[1])
             goals |= {episode["object_category"] for episode in json.loads(gzip.decompress(read(path)))["episodes"]}
         elif parts[0] == "navmeshes":
-            navmesh = read_navmesh(read(path)).settings or {}
+            navmesh = read_polygons(read(path)).settings or {}
     return HabitatScene(
         scene_id=scene["user_defined"]["scene_id"],
         handle=PurePosixPath(scene_path).name.removesuffix(".scene_instance.json"),
@@ -137,12 +137,13 @@ def _dataset_config(scenes: Sequence[HabitatScene], config: HabitatConfig) -> di
     """The scene dataset config: every file by its own path, none by a pattern."""
 
     def listed(folder: str, ending: str) -> dict[str, Any]:
-        found = [path for scene in scenes for path in scene.paths if path.startswith(f"{folder}/") and path.endswith(ending)]
-        return {"paths": {".json": sorted(found)}}
+        paths = [path for scene in scenes for path in scene.paths if path.startswith(f"{folder}/") and path.endswith(ending)]
+        return {"paths": {".json": sorted(paths)}}
 
     navmeshes = {f"{scene.handle}_navmesh": f"navmeshes/{scene.handle}.navmesh" for scene in scenes if scene.navmesh}
     return {
         "stages": listed("stages", ".stage_config.json"),
+        "light_setups": listed("lights", ".lighting_config.json"),
         "objects": listed("objects", ".object_config.json"),
         "scene_instances": listed("scenes", ".scene_instance.json"),
         "navmesh_instances": navmeshes,
@@ -197,7 +198,9 @@ def _readme(scenes: Sequence[HabitatScene], config: HabitatConfig) -> str:
         "- `iou` of a view point is the share of a level camera's image that the object's box covers, occlusion aside.",
         "- Semantic ids are NYU40 classes (`semantics/`). Pixels of floor and walls are 0.",
         "- Geometry in `objects/` is named by its content and stored once, however many objects and scenes show it.",
-        "- Objects are static, as the navmesh needs. Masses and convex colliders are there for those who set `motion_type` to DYNAMIC.",
+        "- Objects are static, as the navmesh needs. Masses and convex colliders are there for those who set `motion_type` to DYNAMIC;",
+        "  `margin` is 0, as habitat-sim's default of 4 cm would throw them apart.",
+        "- Scenes are lit by lamps under the ceiling (`lights/`); habitat-sim's `no_lights` shows plain colors instead.",
         "- Where an object or a scene comes from is under `user_defined` in `scenes/`; source, author and license of every asset",
         "  are in `metadata/attribution.csv`, which belongs to any copy of the dataset.",
         "",

@@ -8,13 +8,14 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 from tasks.exports.habitat.ground import Ground
 from tasks.exports.habitat.library import Library, read_json
-from tasks.exports.habitat.navmesh_file import NEAR, NavmeshFile
-from tasks.exports.habitat.replay import Steps, Trip, check_trips, heading_of, steps_of
+from tasks.exports.habitat.navmesh_file import NEAR, NavmeshPolygons
+from tasks.exports.habitat.replay import AgentSteps, Trip, check_trips, heading_of, steps_of
 
 EPISODE_RULES: dict[str, str] = {
     "split_file": "every split has a split file with a list of episodes, and some episodes in all",
@@ -49,12 +50,12 @@ class _World:
     """What episodes are held against: templates by name, navmeshes by scene (None without one), the agent's steps if stated."""
 
     library: Library
-    navmeshes: Mapping[str, NavmeshFile | None]
+    navmeshes: Mapping[str, NavmeshPolygons | None]
     grounds: Mapping[str, Ground]
-    steps: Steps | None
+    steps: AgentSteps | None
 
 
-def check_episodes(library: Library, navmeshes: Mapping[str, NavmeshFile | None], agent: Mapping[str, Any] | None) -> list[Finding]:
+def check_episodes(library: Library, navmeshes: Mapping[str, NavmeshPolygons | None], agent: Mapping[str, Any] | None) -> list[Finding]:
     """Everything that is wrong with the episodes of a dataset.
 
     Args:
@@ -158,17 +159,17 @@ def _replayed(world: _World, content: Mapping[str, Any], task: str, name: str) -
     for index, episode in enumerate(content["episodes"]):
         scene, paths = str(world.library.scene_of(episode.get("scene_id"))), episode.get("shortest_paths") or []
         walked += bool(paths)
-        start = _numbers(episode.get("start_position"), 3)
+        start = numbers(episode.get("start_position"), 3)
         goals = _object_places(content, episode) if task == "objectnav" else _places(episode.get("goals") or [])
         if scene in world.grounds and start is not None and len(goals) and _heading(episode.get("start_rotation")) is None:
             heading = heading_of(episode["start_rotation"])
             trip = Trip(f"{name} episodes[{index}]", start, heading, goals, paths, episode.get("info") or {})
             trips.setdefault(scene, []).append(trip)
-    for scene, found in trips.items():
-        yield from check_trips(found, world.grounds[scene], world.steps)
+    for scene, scene_trips in trips.items():
+        yield from check_trips(scene_trips, world.grounds[scene], world.steps)
     if walked and world.steps is None:
-        said = "metadata/agent.json states no forward_step_size and turn_angle: shortest_paths cannot be replayed"
-        yield Finding("replay", name, said, world.library.is_ours)
+        message = "metadata/agent.json states no forward_step_size and turn_angle: shortest_paths cannot be replayed"
+        yield Finding("replay", name, message, world.library.is_ours)
     if walked < len(content["episodes"]):
         yield Finding("replay", name, f"{len(content['episodes']) - walked} episodes have no shortest_paths to replay", is_error=False)
 
@@ -184,8 +185,8 @@ def _object_places(content: Mapping[str, Any], episode: Mapping[str, Any]) -> np
 
 def _places(goals: Iterable[Mapping[str, Any]]) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Positions of goals or agent states that have one, shape (n, 3)."""
-    found = [position for goal in goals if (position := _numbers(goal.get("position"), 3)) is not None]
-    return np.array(found, dtype=np.float64).reshape(-1, 3)
+    positions = [position for goal in goals if (position := numbers(goal.get("position"), 3)) is not None]
+    return np.array(positions, dtype=np.float64).reshape(-1, 3)
 
 
 def _keys(item: Mapping[str, Any], allowed: set[str], needed: set[str], rule: str, where: str) -> Iterator[Finding]:
@@ -204,7 +205,8 @@ def _scene(library: Library, episode: Mapping[str, Any], where: str) -> Iterator
         yield Finding("episode_scene", where, f"scene_dataset_config {config!r} is not this dataset's {library.config}")
 
 
-def _numbers(value: Any, count: int) -> np.ndarray[Any, np.dtype[np.float64]] | None:
+def numbers(value: Any, count: int) -> NDArray[np.float64] | None:
+    """A list of `count` numbers as an array, else None."""
     return np.asarray(value, dtype=np.float64) if value is not None and len(value) == count else None
 
 
@@ -213,12 +215,12 @@ class _Floor:
     """What a scene's agents stand on. An unknown scene is another rule's."""
 
     is_known: bool
-    navmesh: NavmeshFile | None
+    navmesh: NavmeshPolygons | None
 
 
 def _standing(value: Any, floor: _Floor) -> str | None:
     """What is wrong with a position, or None."""
-    place = _numbers(value, 3)
+    place = numbers(value, 3)
     if place is None:
         return f"{value} is not three finite numbers"
     if floor.navmesh is None:
@@ -231,7 +233,7 @@ def _standing(value: Any, floor: _Floor) -> str | None:
 
 def _heading(value: Any) -> str | None:
     """What is wrong with a rotation (x, y, z, w) about +Y, or None."""
-    rotation = _numbers(value, 4)
+    rotation = numbers(value, 4)
     if rotation is None:
         return f"{value} is not four finite numbers"
     if abs(np.linalg.norm(rotation) - 1.0) > 1e-4:
@@ -272,7 +274,7 @@ def _point_goals(episode: Mapping[str, Any], where: str, floor: _Floor) -> Itera
             yield Finding("shortest_paths", where, "shortest_paths: a step is no object with position, rotation and action")
 
 
-def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: Mapping[str, NavmeshFile | None]) -> Iterator[Finding]:
+def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: Mapping[str, NavmeshPolygons | None]) -> Iterator[Finding]:
     """Goals of one category in one scene."""
     scene = next(
         (handle for handle in library.sections["scene_instances"] if key.startswith((f"{handle}_", f"{handle}.scene_instance.json_"))), None
@@ -288,7 +290,7 @@ def _object_goals(library: Library, key: str, goals: Any, name: str, navmeshes: 
         yield from _keys(goal, _OBJECT_GOAL, {"position", "object_id", "view_points"}, "goal_keys", where)
         if not isinstance(goal.get("object_id"), str) or goal["object_id"] not in objects:
             yield Finding("goal_object", where, f"object_id {goal.get('object_id')!r} is no object of {scene!r}", library.is_ours)
-        if _numbers(goal.get("position"), 3) is None:
+        if numbers(goal.get("position"), 3) is None:
             yield Finding("goals", where, f"position {goal.get('position')} is not three finite numbers")
         views = goal.get("view_points")
         if not views:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.exports.habitat.navmesh_file import NEAR, NavmeshFile
+from tasks.exports.habitat.navmesh_file import NEAR, NavmeshPolygons
 
 if TYPE_CHECKING:
     import shapely
@@ -34,7 +34,7 @@ _MOST_CORNERS = 3000  # of one connected part; the visibility graph of more take
 class Ground:
     """The walkable polygons of one navmesh, by connected part."""
 
-    def __init__(self, navmesh: NavmeshFile) -> None:
+    def __init__(self, navmesh: NavmeshPolygons) -> None:
         self._navmesh = navmesh
         self._islands: dict[int, Island] = {}
 
@@ -59,8 +59,8 @@ class Ground:
             above[above < _LEVEL] = 0.0
             beside = shapely.distance(shapely.points(points[which][:, [0, 2]]), self._tree.geometries[polygon])
             order = np.lexsort((beside, above, which))
-            found, first = np.unique(which[order], return_index=True)
-            numbers[found] = self._navmesh.islands[polygon[order[first]]]
+            rows, first = np.unique(which[order], return_index=True)
+            numbers[rows] = self._navmesh.islands[polygon[order[first]]]
         return numbers
 
     def island(self, number: int) -> Island:

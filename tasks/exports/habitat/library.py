@@ -16,8 +16,15 @@ from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
 from tasks.unpacking import gunzip, json_value
 
-ENDINGS = {"stages": ".stage_config.json", "objects": ".object_config.json", "scene_instances": ".scene_instance.json"}
+ENDINGS = {
+    "stages": ".stage_config.json", "objects": ".object_config.json", "light_setups": ".lighting_config.json",
+    "scene_instances": ".scene_instance.json",
+}  # fmt: skip
 """Sections of a scene dataset config whose files this knows, and how those files' names end."""
+
+
+LIGHTS = "_lights"
+"""How the names of a scene's lights end in datasets of this project; they begin with the scene's."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +54,19 @@ class Library:
         scenes = self.sections["scene_instances"].values()
         return (self.root / "metadata" / "agent.json").is_file() or any("scene_id" in (s.values.get("user_defined") or {}) for s in scenes)
 
+    @cached_property
+    def _lit(self) -> tuple[str, ...]:
+        """Scenes that have lights of their own, by the names of their lights."""
+        names = [PurePosixPath(name).name for name in self.sections["light_setups"]]
+        return tuple(f"{name.removesuffix(LIGHTS)}_" for name in names if name.removesuffix(LIGHTS)) if self.is_ours else ()
+
+    def is_lit(self, template: Template) -> bool:
+        """Whether this project wrote a template since scenes have lights. What it asks for since then is a warning in older ones.
+
+        A dataset may hold scenes of both kinds; names of stages, objects and scenes begin with their scene's.
+        """
+        return f"{PurePosixPath(template.handle).name}_".startswith(self._lit)
+
     def scene_of(self, scene_id: Any) -> str | None:
         """Name of the scene that an episode's `scene_id` opens, None for none.
 
@@ -69,7 +89,7 @@ def read_library(root: Path) -> Library:
     if not configs:
         return Library(root, "", {name: {} for name in ENDINGS}, {}, {}, tuple(findings))
     document = read_json(configs[0], root, findings, shapes.CONFIG) or {}
-    known = {*ENDINGS, "articulated_objects", "light_setups", "pbr_ibl_configs", "navmesh_instances", "semantic_scene_descriptor_instances"}
+    known = {*ENDINGS, "articulated_objects", "pbr_ibl_configs", "navmesh_instances", "semantic_scene_descriptor_instances"}
     for name in sorted(set(document) - known):
         findings.append(Finding("dataset_config", configs[0].name, f"section {name!r} is not read by habitat-sim"))
     sections = {name: _section(root, document.get(name, {}), name, configs[0].name, findings) for name in ENDINGS}
@@ -103,13 +123,13 @@ def _matches(root: Path, pattern: str, kind: str, file: str, findings: list[Find
         findings.append(Finding("dataset_config", file, f"{kind}: {pattern} leaves the dataset's folder"))
         return []
     try:
-        found = sorted(root.glob(pattern))
+        paths = sorted(root.glob(pattern))
     except ValueError as error:  # such as an empty one
         findings.append(Finding("dataset_config", file, f"{kind}: {pattern!r} is no pattern ({error})"))
         return []
-    if not found:
+    if not paths:
         findings.append(Finding("files_exist", file, f"{kind}: {pattern} matches no file"))
-    return found
+    return paths
 
 
 def read_json(path: Path, root: Path, findings: list[Finding], shape: Mapping[str, Any]) -> Any:
@@ -138,28 +158,28 @@ def _section(root: Path, section: Any, kind: str, file: str, findings: list[Find
     """Templates of one section, in habitat-sim's order: defaults, files, then entries written in the config itself."""
     defaults = section.get("default_attributes", {})
     ending = ENDINGS[kind]
-    found: dict[str, Template] = {}
+    templates: dict[str, Template] = {}
     for path in _listed(root, section.get("paths", {}), ending, kind, file, findings):
         shape = shapes.SECTIONS[kind]
         values = read_json(path, root, findings, shape) if path.name.endswith(ending) else {"render_asset": path.name}
         if values is not None:
             handle = path.name.removesuffix(ending).removesuffix(".glb")
-            if handle in found:
+            if handle in templates:
                 findings.append(Finding("handle_exact", path.relative_to(root).as_posix(), f"{handle!r} is the name of two files"))
-            found[handle] = Template(handle, path.relative_to(root).as_posix(), {**defaults, **values}, path.parent)
+            templates[handle] = Template(handle, path.relative_to(root).as_posix(), {**defaults, **values}, path.parent)
     for entry in section.get("configs", []):
         origin = entry.get("original_file")
         handle = entry.get("template_handle") or Path(str(origin)).name.removesuffix(ending)
-        base = next((t for t in found.values() if t.file == origin), None)
+        base = next((t for t in templates.values() if t.file == origin), None)
         if origin and base is None:
             findings.append(Finding("files_exist", file, f"{origin} is changed by the config, but not loaded"))
         values = {**(base.values if base else defaults), **entry.get("attributes", {})}
         wrong = shapes.mismatch(values, shapes.SECTIONS[kind])
         if wrong is None:
-            found[handle] = Template(handle, file, values, base.folder if base else root)
+            templates[handle] = Template(handle, file, values, base.folder if base else root)
         else:
             findings.append(Finding("shape", f"{file} {handle}", wrong))
-    return found
+    return templates
 
 
 def _listed(root: Path, paths: Any, ending: str, kind: str, file: str, findings: list[Finding]) -> Iterator[Path]:

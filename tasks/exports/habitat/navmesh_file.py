@@ -34,7 +34,7 @@ _FAR = 1e5  # metres: 32-bit numbers no longer tell centimetres apart there
 
 
 @dataclasses.dataclass(frozen=True)
-class NavmeshFile:
+class NavmeshPolygons:
     """Settings (None in version 1) and walkable polygons, corners in the glTF frame [m], shape (k, 3) each.
 
     islands: Connected part of every polygon, over the neighbors that the file names, shape (n,).
@@ -72,7 +72,7 @@ class NavmeshFile:
         return np.array(padded)[:, :, [0, 2]], np.array([corners[:, 1].mean() for corners in self.polygons])
 
 
-def read_navmesh(data: bytes) -> NavmeshFile:
+def read_polygons(data: bytes) -> NavmeshPolygons:
     """Read a .navmesh.
 
     Raises:
@@ -102,7 +102,7 @@ def read_navmesh(data: bytes) -> NavmeshFile:
         raise ValueError(f"is cut off ({error})") from error
     if offset != len(data):
         raise ValueError(f"has {len(data) - offset} bytes too many")
-    return NavmeshFile(version, settings, polygons, _parts(polygons, links + (_across(polygons) if tiles > 1 else [])))
+    return NavmeshPolygons(version, settings, polygons, _parts(polygons, links + (_across(polygons) if tiles > 1 else [])))
 
 
 def _parts(polygons: list[NDArray[np.float64]], links: list[tuple[int, int]]) -> NDArray[np.int64]:
@@ -121,16 +121,16 @@ def _across(polygons: list[NDArray[np.float64]]) -> list[tuple[int, int]]:
     import shapely
 
     flat = [shapely.Polygon(corners[:, [0, 2]]) for corners in polygons]
-    tree, found = shapely.STRtree(flat), list[tuple[int, int]]()
+    tree, pairs = shapely.STRtree(flat), list[tuple[int, int]]()
     for start in range(0, len(flat), _AT_ONCE):
         near = tree.query(flat[start : start + _AT_ONCE], predicate="dwithin", distance=_TOUCHING)
         if near.shape[1] > _NEIGHBORS * _AT_ONCE:
             raise ValueError(f"has polygons that lie on one another, more than {_NEIGHBORS} on each")
-        found += [(start + int(a), int(b)) for a, b in near.T]
-    return found
+        pairs += [(start + int(a), int(b)) for a, b in near.T]
+    return pairs
 
 
-def _tile(data: bytes, found: list[NDArray[np.float64]], links: list[tuple[int, int]]) -> None:
+def _tile(data: bytes, polygons: list[NDArray[np.float64]], links: list[tuple[int, int]]) -> None:
     """Append the corners of the walkable polygons of a Detour tile, and pairs of neighbors among them by position in `found`."""
     magic, version = struct.unpack_from("<ii", data, 0)
     if magic != 0x444E4156 or version != 7:
@@ -150,8 +150,8 @@ def _tile(data: bytes, found: list[NDArray[np.float64]], links: list[tuple[int, 
         if not 3 <= count <= 6 or max(corners[:count]) >= vertex_count:
             raise ValueError(f"polygon {index} names vertices that do not exist")
         if flags & 1 and area_and_type >> 6 == 0:
-            place[index] = len(found)
-            found.append(vertices[list(corners[:count])])
+            place[index] = len(polygons)
+            polygons.append(vertices[list(corners[:count])])
             beyond = struct.unpack_from("<6H", data, start + 16)[:count]
             named += [(index, other - 1) for other in beyond if 0 < other < _OTHER_TILE]
     if any(other >= polygon_count for _, other in named):

@@ -1,4 +1,4 @@
-"""What an exported scene says of the things in it: objects of a Habitat scene instance."""
+"""What an exported scene says of the objects in it: objects of a Habitat scene instance."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from typing import Any
 
 def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Objects of a Habitat scene."""
-    for thing in json.loads(data)["object_instances"]:
-        if "instance_id" in thing.get("user_defined", {}):
-            yield thing["template_name"], thing["user_defined"]
+    for obj in json.loads(data)["object_instances"]:
+        if "instance_id" in obj.get("user_defined", {}):
+            yield obj["template_name"], obj["user_defined"]

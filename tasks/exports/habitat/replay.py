@@ -28,7 +28,7 @@ _DETOUR_SHARE, _DETOUR_M = 2.0, 0.25  # Detour's paths are no shortest ones: up 
 
 
 @dataclasses.dataclass(frozen=True)
-class Steps:
+class AgentSteps:
     """What the dataset says of its agent: step [m], turn [rad] and how near to a goal [m] an episode is done."""
 
     forward: float
@@ -52,11 +52,11 @@ class Trip:
     info: Mapping[str, Any]
 
 
-def steps_of(agent: Mapping[str, Any] | None) -> Steps | None:
+def steps_of(agent: Mapping[str, Any] | None) -> AgentSteps | None:
     """The documented agent's steps, or None where they are not documented."""
     if agent is None or "forward_step_size" not in agent or "turn_angle" not in agent:
         return None
-    return Steps(float(agent["forward_step_size"]), math.radians(agent["turn_angle"]), float(agent.get("success_distance", 0.2)))
+    return AgentSteps(float(agent["forward_step_size"]), math.radians(agent["turn_angle"]), float(agent.get("success_distance", 0.2)))
 
 
 def heading_of(rotation: Sequence[float]) -> float:
@@ -64,7 +64,7 @@ def heading_of(rotation: Sequence[float]) -> float:
     return 2.0 * math.atan2(rotation[1], rotation[3])
 
 
-def check_trips(trips: Sequence[Trip], ground: Ground, steps: Steps | None) -> Iterator[Finding]:
+def check_trips(trips: Sequence[Trip], ground: Ground, steps: AgentSteps | None) -> Iterator[Finding]:
     """What is wrong with episodes of one scene. A start that is not on the navmesh is another rule's."""
     if not trips:
         return
@@ -126,7 +126,7 @@ def _distance(trip: Trip, goals: Array, island: Island) -> Iterator[Finding]:
 
 
 def _walk(
-    trip: Trip, name: str, path: Sequence[Any], goals: Array, island: Island, steps: Steps, moves: list[_Moves]
+    trip: Trip, name: str, path: Sequence[Any], goals: Array, island: Island, steps: AgentSteps, moves: list[_Moves]
 ) -> Iterator[Finding]:  # fmt: skip
     """Carry out one path; its forward steps are added to `moves`, to be held against the navmesh together."""
     actions = [_number(step.get("action") if isinstance(step, dict) else step) for step in path]
@@ -151,7 +151,7 @@ def _walk(
         yield Finding("replay_end", trip.where, f"{name}: ends at {end}, {away:.2f} m from the goal, not within {steps.success:g} m")
 
 
-def walk(start: Array, heading: float, actions: NDArray[np.int64], steps: Steps) -> tuple[Array, Array]:
+def walk(start: Array, heading: float, actions: NDArray[np.int64], steps: AgentSteps) -> tuple[Array, Array]:
     """Places (n + 1, 2) [m] and headings (n + 1,) [rad] before the first action and after each, without any obstacle."""
     turns = (actions == _LEFT).astype(np.int64) - (actions == _RIGHT)
     headings = heading + steps.turn * np.concatenate([[0], np.cumsum(turns)])

@@ -12,20 +12,19 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.habitat import shapes
-from tasks.exports.habitat.episode_rules import EPISODE_RULES, check_episodes
+from tasks.exports.habitat.episode_rules import EPISODE_RULES, check_episodes, numbers
 from tasks.exports.habitat.library import Library, Template, read_json, read_library
-from tasks.exports.habitat.navmesh_file import DEFAULTS, NavmeshFile, read_navmesh
+from tasks.exports.habitat.navmesh_file import DEFAULTS, NavmeshPolygons, read_polygons
 
 RULES: dict[str, str] = {
     "dataset_config": "there is one scene dataset config, with sections that habitat-sim reads and paths inside the folder",
@@ -45,9 +44,11 @@ RULES: dict[str, str] = {
     "motion_type": "motion types are known, and static where the navmesh goes around objects",
     "object_count": "a scene has as many objects as it says",
     "physics": "masses are above zero, friction, restitution and inertia not below",
+    "margin": "what collides says that it does so at its surface: habitat-sim's default of 40 mm throws apart what touches",
     "collider": "colliders of several convex pieces are not joined into one",
     "navmesh": "every navmesh can be read, is of version 2 and has polygons",
     "navmesh_settings": "the header of every navmesh equals the documented agent, so that nobody bakes another one",
+    "lights": "every scene names lights of the dataset, or none on purpose",
     "semantics": "lexicons have unique ids from 0 to 10000, and every object's id is in its scene's lexicon",
     "provenance": "in a dataset of this project, objects name instance, asset, source and license, and the list of assets has them",
     **EPISODE_RULES,
@@ -56,6 +57,8 @@ RULES: dict[str, str] = {
 
 _SHORTEST = 1e-5  # habitat-sim's own tolerance when it compares settings of navmeshes
 _PRIMITIVE = re.compile(r"(capsule3D|cone|cube|cylinder|icosphere|uvSphere)(Solid|Wireframe).*")  # made by habitat-sim itself
+_THICKEST_M = 0.002  # as deep as exported objects may start in one another
+_BUILT_IN = ("", "no_lights")  # what habitat-sim knows without any file
 _MOTIONS = ("static", "kinematic", "dynamic")
 
 
@@ -96,8 +99,8 @@ def _names(library: Library) -> Iterator[Finding]:
                 other = next((n for n in names if n != name and name.lower() in n.lower()), name)
                 yield Finding("handle_contained", library.config, f"{kind}: {name!r} is part of {other!r}", library.is_ours)
             if kind in library.sections and len(names) > 1 and name.lower() in above:
-                said = f"{kind}: {name!r} is part of the path of the dataset's folder"
-                yield Finding("handle_contained", library.config, said, library.is_ours)
+                message = f"{kind}: {name!r} is part of the path of the dataset's folder"
+                yield Finding("handle_contained", library.config, message, library.is_ours)
 
 
 def _asset(library: Library, template: Template, kind: str, seen: dict[Path, list[Finding]]) -> Iterator[Finding]:
@@ -109,15 +112,15 @@ def _asset(library: Library, template: Template, kind: str, seen: dict[Path, lis
     for key in ("render_asset", "collision_asset", "semantic_asset", "nav_asset"):
         if values.get(key) and not (key == "collision_asset" and _PRIMITIVE.fullmatch(Path(str(values[key])).name)):
             yield from _glb(library.root, template.folder / str(values[key]), where, key, seen)
-    up, front = (_vector(values.get(key), 3) for key in ("up", "front"))
+    up, front = (numbers(values.get(key), 3) for key in ("up", "front"))
     if up is None or front is None:
-        said = "a stage without them is taken to be +Z up" if kind == "stages" else "an object without them is taken to be +Y up"
-        yield Finding("upright", where, f"up or front is not stated; {said}", ours)
+        message = "a stage without them is taken to be +Z up" if kind == "stages" else "an object without them is taken to be +Y up"
+        yield Finding("upright", where, f"up or front is not stated; {message}", ours)
     elif abs(np.linalg.norm(up) - 1) > 1e-6 or abs(np.linalg.norm(front) - 1) > 1e-6:
         yield Finding("upright", where, "up or front is not of length 1")
     elif np.linalg.norm(np.cross(up, front)) < 1e-3:
         yield Finding("upright", where, "up and front are parallel")
-    gravity = _vector(values.get("gravity", [0, -9.8, 0]), 3)
+    gravity = numbers(values.get("gravity", [0, -9.8, 0]), 3)
     if kind == "stages" and (gravity is None or gravity[1] >= 0 or abs(gravity[0]) + abs(gravity[2]) > 1e-6):
         yield Finding("gravity", where, f"gravity is {values.get('gravity')}, not down (-Y)", ours)
     if values.get("units_to_meters", 1) != 1:
@@ -127,9 +130,11 @@ def _asset(library: Library, template: Template, kind: str, seen: dict[Path, lis
         if value < least:
             yield Finding("physics", where, f"{key} is {value}, which no body has")
     for key, least in (("COM", -np.inf), ("inertia", 0.0)):
-        vector = _vector(values.get(key, [0, 0, 0]), 3)
+        vector = numbers(values.get(key, [0, 0, 0]), 3)
         if vector is None or (vector < least).any():
             yield Finding("physics", where, f"{key} is {values.get(key)}, not three numbers that a body can have")
+    if values.get("is_collidable", True):
+        yield from _margin(values.get("margin"), where, library.is_lit(template))
     apart = values.get("collision_asset") not in (None, values.get("render_asset"))
     if kind == "objects" and apart and values.get("join_collision_meshes", True):
         yield Finding("collider", where, "join_collision_meshes makes one hull of all pieces", ours)
@@ -137,10 +142,35 @@ def _asset(library: Library, template: Template, kind: str, seen: dict[Path, lis
         yield Finding("collider", where, "use_bounding_box_for_collision puts a box in the place of the pieces", ours)
 
 
+def _margin(margin: float | None, where: str, ours: bool) -> Iterator[Finding]:
+    """The shell around a collider. Up to a few millimeters it is what Bullet was made for; from there on what touches overlaps."""
+    if margin is None:
+        yield Finding(
+            "margin", where, "margin is not stated: habitat-sim takes 0.04 m, and what touches is thrown apart when it moves", ours
+        )
+    elif not 0.0 <= margin <= _THICKEST_M:
+        yield Finding("margin", where, f"margin is {margin:g} m: what touches is thrown apart when it moves", ours)
+
+
+def _lights(library: Library, scene: Template) -> Iterator[Finding]:
+    """Lights that a scene names."""
+    name, is_lit = scene.values.get("default_lighting", ""), library.is_lit(scene)
+    setups = library.sections["light_setups"]
+    named = [known for known in sorted(setups) if name and (name in known or PurePosixPath(name).name == known)]  # as habitat-sim looks
+    known = setups.get(name) or (setups[named[0]] if named and not library.is_ours else None)
+    if known is not None and not known.values.get("lights"):
+        yield Finding("lights", known.file, "lights: there are none", is_lit)
+    elif known is None and name not in _BUILT_IN:
+        message = f"default_lighting {name!r} is not in the dataset config: other lights would be taken"
+        yield Finding("lights", scene.file, message, is_lit)
+    elif known is None and is_lit:
+        yield Finding("lights", scene.file, f"default_lighting {name!r} names no lights of the dataset")
+
+
 def _glb(root: Path, path: Path, where: str, key: str, seen: dict[Path, list[Finding]]) -> Iterator[Finding]:
     """A GLB that a config names."""
     from tasks.containers import GLB_MAGIC
-    from tasks.meshes import load_glb
+    from tasks.geometry.meshes import load_glb
 
     try:
         name = path.resolve().relative_to(root.resolve()).as_posix()
@@ -159,11 +189,6 @@ def _glb(root: Path, path: Path, where: str, key: str, seen: dict[Path, list[Fin
     yield from seen[path]
 
 
-def _vector(value: Any, count: int) -> NDArray[np.float64] | None:
-    """A list of `count` numbers as an array, else None."""
-    return np.asarray(value, dtype=np.float64) if value is not None and len(value) == count else None
-
-
 def _agent(root: Path, findings: list[Finding]) -> Mapping[str, Any] | None:
     """The documented agent of a dataset of this project; other datasets have none."""
     path = root / "metadata" / "agent.json"
@@ -171,32 +196,32 @@ def _agent(root: Path, findings: list[Finding]) -> Mapping[str, Any] | None:
     return agent
 
 
-def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list[Finding]) -> dict[str, NavmeshFile]:
+def _navmeshes(library: Library, agent: Mapping[str, Any] | None, findings: list[Finding]) -> dict[str, NavmeshPolygons]:
     """Navmeshes that can be read, by name."""
-    found = {}
+    readable = {}
     for name, path in sorted(library.navmeshes.items()):
         file = library.root / str(path)
         if not is_there(file):
-            said = f"navmesh_instances: {name}: {path} does not exist; the scene would have no navmesh"
-            findings.append(Finding("files_exist", library.config, said))
+            message = f"navmesh_instances: {name}: {path} does not exist; the scene would have no navmesh"
+            findings.append(Finding("files_exist", library.config, message))
             continue
         try:
-            navmesh = read_navmesh(read_file(file, str(path), BUDGET.model_bytes))
+            navmesh = read_polygons(read_file(file, str(path), BUDGET.model_bytes))
         except (ValueError, InputError) as error:
             findings.append(Finding("navmesh", str(path), str(error).removeprefix(f"{path}: ")))
             continue
-        found[name] = navmesh
+        readable[name] = navmesh
         if not navmesh.polygons:
             findings.append(Finding("navmesh", str(path), "polygons: none is walkable"))
         if navmesh.settings is None:
-            said = "version is 1, without settings: habitat-lab would bake another one"
-            findings.append(Finding("navmesh", str(path), said, library.is_ours))
+            message = "version is 1, without settings: habitat-lab would bake another one"
+            findings.append(Finding("navmesh", str(path), message, library.is_ours))
         else:
             findings += _settings(str(path), navmesh.settings, agent, library.is_ours)
     if library.navmeshes and agent is None:
-        said = "navmesh_instances: no metadata/agent.json says which agent the navmeshes are for"
-        findings.append(Finding("navmesh_settings", library.config, said, library.is_ours))
-    return found
+        message = "navmesh_instances: no metadata/agent.json says which agent the navmeshes are for"
+        findings.append(Finding("navmesh_settings", library.config, message, library.is_ours))
+    return readable
 
 
 def _settings(path: str, settings: Mapping[str, float], agent: Mapping[str, Any] | None, ours: bool) -> Iterator[Finding]:
@@ -215,11 +240,11 @@ def _settings(path: str, settings: Mapping[str, float], agent: Mapping[str, Any]
 
 def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
     """Ids of every lexicon, by name."""
-    found = {}
+    readable = {}
     for name, path in sorted(library.semantics.items()):
         if not is_there(library.root / path):
-            said = f"semantic_scene_descriptor_instances: {name}: {path} does not exist; habitat-sim stops"
-            findings.append(Finding("files_exist", library.config, said))
+            message = f"semantic_scene_descriptor_instances: {name}: {path} does not exist; habitat-sim stops"
+            findings.append(Finding("files_exist", library.config, message))
             continue
         document = read_json(library.root / path, library.root, findings, shapes.LEXICON)
         if document is None or "classes" not in document:
@@ -230,11 +255,13 @@ def _lexicons(library: Library, findings: list[Finding]) -> dict[str, set[int]]:
         wrong = [i for i in ids if not 0 <= i <= 10000]
         if wrong or len(set(ids)) != len(ids):
             findings.append(Finding("semantics", str(path), f"classes: ids must be unique numbers from 0 to 10000 (wrong: {wrong[:3]})"))
-        found[name] = set(ids)
-    return found
+        readable[name] = set(ids)
+    return readable
 
 
-def _scene(library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFile], lexicons: Mapping[str, set[int]]) -> Iterator[Finding]:
+def _scene(
+    library: Library, scene: Template, navmeshes: Mapping[str, NavmeshPolygons], lexicons: Mapping[str, set[int]]
+) -> Iterator[Finding]:
     """One scene: its stage, its objects, its navmesh and its lexicon."""
     values, where = scene.values, scene.file
     stage = values.get("stage_instance")
@@ -246,6 +273,7 @@ def _scene(library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFil
                 "handle_exact", where, f"stage_instance: template_name {stage.get('template_name')!r} is no stage's: habitat-sim crashes"
             )
         yield from _placed(stage, where, "stage_instance")
+    yield from _lights(library, scene)
     navmesh = values.get("navmesh_instance")
     if navmesh is not None and navmesh not in library.navmeshes:
         yield Finding("handle_exact", where, f"navmesh_instance {navmesh!r} is not in the dataset config: the scene would have none")
@@ -256,8 +284,8 @@ def _scene(library: Library, scene: Template, navmeshes: Mapping[str, NavmeshFil
     count = (values.get("user_defined") or {}).get("object_count")
     if count is not None and count != len(objects):
         yield Finding("object_count", where, f"object_instances are {len(objects)}, object_count is {count}")
-    found = navmeshes.get(str(navmesh))
-    baked = found is not None and bool((found.settings or {}).get("includeStaticObjects"))
+    known_navmesh = navmeshes.get(str(navmesh))
+    baked = known_navmesh is not None and bool((known_navmesh.settings or {}).get("includeStaticObjects"))
     for index, item in enumerate(objects):
         yield from _object(library, values, item, f"object_instances[{index}]", where, baked, lexicons.get(str(semantic)))
 
@@ -274,19 +302,21 @@ def _object(
     elif lexicon is not None and template.values.get("semantic_id", 0) not in lexicon:
         yield Finding("semantics", template.file, f"semantic_id {template.values.get('semantic_id')} is not in the lexicon")
     yield from _placed(item, where, place)
-    rotation = _vector(item.get("rotation", [1, 0, 0, 0]), 4)
+    rotation = numbers(item.get("rotation", [1, 0, 0, 0]), 4)
     if rotation is not None and abs(rotation[0]) < 1e-9 and abs(rotation[2]) < 1e-9:
-        said = f"{place}: rotation {item['rotation']} turns the object upside down; is it (x, y, z, w)?"
-        yield Finding("rotation_order", where, said, library.is_ours)
+        message = f"{place}: rotation {item['rotation']} turns the object upside down; is it (x, y, z, w)?"
+        yield Finding("rotation_order", where, message, library.is_ours)
     if str(item.get("translation_origin", scene.get("translation_origin", ""))).lower() != "asset_local":
-        said = f"{place}: translation_origin is not asset_local: the translation would be taken as that of the center of the object's box"
-        yield Finding("translation_origin", where, said, library.is_ours)
+        message = (
+            f"{place}: translation_origin is not asset_local: the translation would be taken as that of the center of the object's box"
+        )
+        yield Finding("translation_origin", where, message, library.is_ours)
     motion = str(item.get("motion_type", "dynamic")).lower()
     if motion not in _MOTIONS:
         yield Finding("motion_type", where, f"{place}: motion_type {item.get('motion_type')!r} is ignored")
     elif baked and motion != "static":
-        said = f"{place}: motion_type is {motion}, but the navmesh goes around it; only static objects are baked"
-        yield Finding("motion_type", where, said, library.is_ours)
+        message = f"{place}: motion_type is {motion}, but the navmesh goes around it; only static objects are baked"
+        yield Finding("motion_type", where, message, library.is_ours)
 
 
 def _provenance(library: Library) -> Iterator[Finding]:
@@ -299,12 +329,12 @@ def _provenance(library: Library) -> Iterator[Finding]:
         return
     for scene in library.sections["scene_instances"].values():
         for index, item in enumerate(scene.values.get("object_instances", [])):
-            said = item.get("user_defined") or {}
+            stated = item.get("user_defined") or {}
             for key in ("instance_id", "asset_id", "source", "license"):
-                if not isinstance(said.get(key), str) or not said[key]:
+                if not isinstance(stated.get(key), str) or not stated[key]:
                     yield Finding("provenance", scene.file, f"object_instances[{index}]: user_defined has no {key}")
-            line = listed.get(str(said.get("asset_id")), {})
-            agrees = all(line.get(key) == said.get(key) for key in ("source", "author", "license"))
+            line = listed.get(str(stated.get("asset_id")), {})
+            agrees = all(line.get(key) == stated.get(key) for key in ("source", "author", "license"))
             if not (agrees and scene.handle in (line.get("scenes") or "").split()):
                 message = (
                     f"object_instances[{index}]: asset_id is not in metadata/attribution.csv with this source, author, license and scene"
@@ -323,9 +353,9 @@ def _attributions(path: Path) -> dict[str, dict[str, str]] | None:
 
 def _placed(item: Mapping[str, Any], where: str, place: str) -> Iterator[Finding]:
     """Position and rotation of a stage or an object."""
-    if _vector(item.get("translation", [0, 0, 0]), 3) is None:
+    if numbers(item.get("translation", [0, 0, 0]), 3) is None:
         yield Finding("translation", where, f"{place}: translation {item.get('translation')} is not three finite numbers")
-    rotation = _vector(item.get("rotation", [1, 0, 0, 0]), 4)
+    rotation = numbers(item.get("rotation", [1, 0, 0, 0]), 4)
     if rotation is None:
         yield Finding("rotation", where, f"{place}: rotation {item.get('rotation')} is not four finite numbers and would be ignored")
     elif abs(np.linalg.norm(rotation) - 1.0) > 1e-5:

@@ -2,7 +2,7 @@
 
 A shape is one of: a function that says what is wrong with a value; a dictionary of shapes by key (a key that ends in
 `?` may be missing, `*` stands for every other key; keys that are not listed are none of ours); a list of one shape,
-for a list of such values.
+for a list of such values; a pair of a value and a shape, for that value or one of the shape.
 """
 
 from __future__ import annotations
@@ -10,18 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-Shape = Callable[[Any], str | None] | Mapping[str, Any] | list[Any]
+Shape = Callable[[Any], str | None] | Mapping[str, Any] | list[Any] | tuple[Any, Any]
 
 
 def mismatch(value: Any, shape: Any, where: str = "") -> str | None:
     """The first place where a value does not have a shape, and why; None when it has it."""
+    if isinstance(shape, tuple):
+        return None if value == shape[0] else mismatch(value, shape[1], where)
     if callable(shape):
         wrong = shape(value)
         return f"{where or 'the file'} {wrong}" if wrong else None
     if isinstance(shape, list):
         if not isinstance(value, list):
             return f"{where or 'the file'} is no list"
-        return next((found for i, item in enumerate(value) if (found := mismatch(item, shape[0], f"{where}[{i}]"))), None)
+        return next((problem for i, item in enumerate(value) if (problem := mismatch(item, shape[0], f"{where}[{i}]"))), None)
     if not isinstance(value, dict):
         return f"{where or 'the file'} is no object"
     for key, inner in shape.items():
@@ -29,13 +31,13 @@ def mismatch(value: Any, shape: Any, where: str = "") -> str | None:
         if name == "*":
             named = {other.removesuffix("?") for other in shape}
             rest = {k: v for k, v in value.items() if k not in named}
-            found = next((f for k, v in rest.items() if (f := mismatch(v, inner, f"{where}.{k}".lstrip(".")))), None)
+            problem = next((f for k, v in rest.items() if (f := mismatch(v, inner, f"{where}.{k}".lstrip(".")))), None)
         elif name in value:
-            found = mismatch(value[name], inner, f"{where}.{name}".lstrip("."))
+            problem = mismatch(value[name], inner, f"{where}.{name}".lstrip("."))
         else:
-            found = None if key.endswith("?") else f"{where or 'the file'} has no {name}"
-        if found:
-            return found
+            problem = None if key.endswith("?") else f"{where or 'the file'} has no {name}"
+        if problem:
+            return problem
     return None
 
 
@@ -77,11 +79,6 @@ def action(value: Any) -> str | None:
     return None if fine else "is no action"
 
 
-def or_none(shape: Any) -> Callable[[Any], str | None]:
-    """A value that may be null."""
-    return lambda value: None if value is None else mismatch(value, shape)
-
-
 _ABOUT = {
     "render_asset?": text, "collision_asset?": text, "semantic_asset?": text, "nav_asset?": text, "up?": [number], "front?": [number],
     "scale?": scale, "units_to_meters?": number, "margin?": number, "friction_coefficient?": number, "restitution_coefficient?": number,
@@ -100,7 +97,9 @@ _SCENE = {
     "stage_instance?": _PLACED, "object_instances?": [_PLACED], "translation_origin?": text, "default_lighting?": text,
     "navmesh_instance?": text, "semantic_scene_instance?": text, "user_defined?": {"object_count?": whole},
 }  # fmt: skip
-SECTIONS: Mapping[str, Any] = {"stages": _STAGE, "objects": _OBJECT, "scene_instances": _SCENE}
+_LIGHT = {"position?": [number], "direction?": [number], "intensity?": number, "color?": [number], "type?": text}
+_LIGHTS: Mapping[str, Any] = {"lights?": ([], {"*": _LIGHT})}  # habitat-sim passes over any other list
+SECTIONS: Mapping[str, Any] = {"stages": _STAGE, "objects": _OBJECT, "light_setups": _LIGHTS, "scene_instances": _SCENE}
 """Shape of the files of every section of a scene dataset config."""
 
 _LISTED = {
@@ -121,17 +120,17 @@ _MAPS = {
     "category_to_task_category_id?": {"*": whole}, "category_to_scene_annotation_category_id?": {"*": whole},
     "category_to_mp3d_category_id?": {"*": whole},
 }  # fmt: skip
-_STATE = {"position?": or_none([number]), "rotation?": or_none([number]), "action?": action}
+_STATE = {"position?": (None, [number]), "rotation?": (None, [number]), "action?": action}
 _VIEW = {"agent_state?": {"position?": [number], "rotation?": [number]}, "iou?": anything}
 _GOAL = {
-    "position?": [number], "radius?": or_none(number), "object_id?": anything, "object_name?": or_none(text),
-    "object_name_id?": or_none(whole), "object_category?": or_none(text), "room_id?": anything, "room_name?": anything,
-    "view_points?": or_none([_VIEW]),
+    "position?": [number], "radius?": (None, number), "object_id?": anything, "object_name?": (None, text),
+    "object_name_id?": (None, whole), "object_category?": (None, text), "room_id?": anything, "room_name?": anything,
+    "view_points?": (None, [_VIEW]),
 }  # fmt: skip
 _EPISODE = {
     "episode_id?": anything, "scene_id?": text, "scene_dataset_config?": text, "additional_obj_config_paths?": [text],
-    "start_position?": [number], "start_rotation?": [number], "info?": or_none({"*": anything}), "goals?": [_GOAL],
-    "start_room?": or_none(text), "object_category?": text, "shortest_paths?": or_none([[anything]]),
+    "start_position?": [number], "start_rotation?": [number], "info?": (None, {"*": anything}), "goals?": [_GOAL],
+    "start_room?": (None, text), "object_category?": text, "shortest_paths?": (None, [[anything]]),
 }  # fmt: skip
 SPLIT: Mapping[str, Any] = {**_MAPS, "episodes?": [_EPISODE]}
 CONTENT: Mapping[str, Any] = {**_MAPS, "episodes?": [_EPISODE], "goals_by_category?": {"*": [_GOAL]}}

@@ -8,8 +8,9 @@ seen is an OBJ file beside it.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from types import ModuleType
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,13 +19,13 @@ from numpy.typing import ArrayLike
 from tasks.exports.bodies import Body, Replica, Shape
 from tasks.exports.config import ExportsConfig
 from tasks.exports.files import Export, File
-from tasks.exports.findings import Finding
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
+from tasks.exports.lighting import FIELD_OF_VIEW_DEGREES, lamps, viewpoint
 from tasks.exports.wavefront import Painted, as_png, dump_obj, painted_part, painted_shape
-from tasks.optimization.mujoco_engine import Mujoco, contact_of, friction_of
-from tasks.pieces import Hull
-from tasks.replica import room_shell
-from tasks.transforms import quaternion_wxyz
+from tasks.geometry.pieces import Hull
+from tasks.geometry.transforms import quaternion_wxyz
+from tasks.optimization.engines.mujoco_engine import Mujoco, contact_of, friction_of
+from tasks.shell import floor_ring, room_shell
 
 Element = ElementTree.Element
 
@@ -33,6 +34,13 @@ ABOUT = (
     "MuJoCo takes the greater friction of two geoms: the room's is small, so that the object's decides. "
     "Texts under custom say where every body comes from. "
 )
+
+
+CAMERA = "room"
+"""Name of the camera that looks into the room: `mujoco.Renderer.update_scene(data, "room")`."""
+
+LIGHT = 0.9
+"""Of one lamp alone, 0..1; lamps of larger rooms overlap and are weaker, by the root of their number."""
 
 
 def mjcf_files(replica: Replica, config: ExportsConfig) -> list[File]:
@@ -44,10 +52,12 @@ def mjcf_files(replica: Replica, config: ExportsConfig) -> list[File]:
     _options(root, settings, config)
     custom = ElementTree.SubElement(root, "custom")
     _defaults(root, settings)
+    _views(root, replica)
     assets = ElementTree.SubElement(root, "asset")
     world = ElementTree.SubElement(root, "worldbody")
     files: dict[str, bytes] = {}
     _text(custom, "scene", {"scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type})
+    _lights(world, replica)
     _room(world, assets, files, replica, settings, config)
     known: dict[str, list[dict[str, str]]] = {}
     for body in replica.bodies:
@@ -57,7 +67,7 @@ def mjcf_files(replica: Replica, config: ExportsConfig) -> list[File]:
         _text(custom, body.name, described(body))
     state = [value for body in replica.bodies if not body.is_fixed for value in (*body.pose[:3, 3], *quaternion_wxyz(body.pose))]
     frames = ElementTree.SubElement(root, "keyframe")
-    ElementTree.SubElement(frames, "key", {"name": "start", **({"qpos": _numbers(state)} if state else {})})
+    ElementTree.SubElement(frames, "key", {"name": "start", **({"qpos": numbers(state)} if state else {})})
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode") + "\n"
     made = [File(f"{replica.stem}/scene.xml", text.encode(), "scene")]
@@ -74,10 +84,11 @@ def described(body: Body) -> dict[str, str | int | bool]:
 
 
 def _options(root: Element, settings: Mujoco, config: ExportsConfig) -> None:
-    """Options of the simulation: those of `tasks.optimization.mujoco_engine`."""
+    """Options of the simulation: those of `tasks.optimization.engines.mujoco_engine`."""
     option = ElementTree.SubElement(
-        root, "option", timestep=repr(settings.timestep_s), cone="elliptic", impratio=repr(settings.impratio), integrator="implicitfast",
-        iterations=str(settings.iterations), tolerance=repr(settings.tolerance), gravity=_numbers([0.0, 0.0, -config.mjcf.gravity_m_s2]),
+        root, "option", timestep=repr(settings.timestep_s), cone=settings.cone, impratio=repr(settings.impratio),
+        integrator=settings.integrator, iterations=str(settings.iterations), tolerance=repr(settings.tolerance),
+        gravity=numbers([0.0, 0.0, -config.mjcf.gravity_m_s2]),
     )  # fmt: skip
     flags = {"autoreset": "disable"}  # a state that went astray must not look like the start
     if settings.sleep_m_s > 0.0:
@@ -92,17 +103,47 @@ def _defaults(root: Element, settings: Mujoco) -> None:
     top = ElementTree.SubElement(root, "default")
     ElementTree.SubElement(top, "mesh", inertia="shell")  # masses are stated; this one asks nothing of a mesh but an area
     collision = ElementTree.SubElement(top, "default", {"class": "collision"})
-    contact = {key: _numbers(values) for key, values in contact_of(settings).items()}
+    contact = {key: numbers(values) for key, values in contact_of(settings).items()}
     ElementTree.SubElement(collision, "geom", {"type": "mesh", "group": "3", "rgba": "0.4 0.7 0.4 0.4", **contact})
     visual = ElementTree.SubElement(top, "default", {"class": "visual"})
     ElementTree.SubElement(visual, "geom", type="mesh", group="2", contype="0", conaffinity="0", mass="0")
+
+
+def _views(root: Element, replica: Replica) -> None:
+    """What a viewer shows first: the whole room, lit by its lamps rather than from the viewer's head."""
+    ring = floor_ring(replica.room)
+    low, high = np.array([*ring.min(axis=0), 0.0]), np.array([*ring.max(axis=0), replica.room.height_m])
+    extent = 0.5 * float(np.linalg.norm(high - low))
+    ElementTree.SubElement(root, "statistic", center=numbers(np.round(0.5 * (low + high), 6)), extent=repr(round(extent, 6)))
+    visual = ElementTree.SubElement(root, "visual")
+    ElementTree.SubElement(visual, "headlight", ambient="0.3 0.3 0.3", diffuse="0.2 0.2 0.2", specular="0 0 0")
+
+
+def _lights(world: Element, replica: Replica) -> None:
+    """Lamps that shine down, of which one casts shadows, and a camera that looks into the room."""
+    places = lamps(replica.room)
+    bright = numbers([round(LIGHT / math.sqrt(len(places)), 3)] * 3)
+    for index, place in enumerate(places):
+        ElementTree.SubElement(
+            world, "light", name=f"lamp_{index:02d}", pos=numbers(np.round(place, 6)), dir="0 0 -1", cutoff="90", exponent="1",
+            diffuse=bright, specular="0.1 0.1 0.1", castshadow="true" if index == 0 else "false",
+        )  # fmt: skip
+    pose = viewpoint(replica)
+    fovy = math.degrees(2.0 * math.atan(math.tan(math.radians(0.5 * FIELD_OF_VIEW_DEGREES)) * 9.0 / 16.0))
+    look = {
+        "name": CAMERA,
+        "pos": numbers(np.round(pose[:3, 3], 6)),
+        "quat": numbers(quaternion_wxyz(pose)),
+        "fovy": repr(round(fovy, 4)),
+    }
+    ElementTree.SubElement(world, "camera", look)
 
 
 def _room(
     world: Element, assets: Element, files: dict[str, bytes], replica: Replica, settings: Mujoco, config: ExportsConfig
 ) -> None:  # fmt: skip
     """The floor as a plane, the walls as static bodies. A plane has no edge and no depth to fall through."""
-    rubs = _numbers(friction_of(0.0, settings))
+    rubs = numbers(friction_of(0.0, settings))
     ElementTree.SubElement(world, "geom", {"name": "room_floor", "class": "collision", "type": "plane", "size": "0 0 1", "friction": rubs})
     for name, part in room_shell(replica.room, config.shell):
         seen = _visuals(assets, files, f"room_{name}", painted_part(part))
@@ -126,7 +167,7 @@ def _shape(assets: Element, files: dict[str, bytes], shape: Shape) -> list[dict[
 def _mesh(assets: Element, name: str, hull: Hull) -> None:
     """A hull in the XML itself."""
     faces = " ".join(str(value) for value in hull.faces.reshape(-1).tolist())
-    ElementTree.SubElement(assets, "mesh", name=name, vertex=_numbers(hull.vertices), face=faces)
+    ElementTree.SubElement(assets, "mesh", name=name, vertex=numbers(hull.vertices), face=faces)
 
 
 def _visuals(assets: Element, files: dict[str, bytes], name: str, meshes: Sequence[Painted]) -> list[dict[str, str]]:
@@ -138,7 +179,7 @@ def _visuals(assets: Element, files: dict[str, bytes], name: str, meshes: Sequen
         uv = None if mesh.uv is None else np.concatenate([mesh.uv, mesh.uv[-1:]])[: len(vertices)]
         files[f"{part}.obj"] = dump_obj(vertices, mesh.faces, uv)
         ElementTree.SubElement(assets, "mesh", name=part, file=f"{part}.obj")
-        look = {"mesh": part, "rgba": _numbers([*mesh.color, 1.0])}
+        look = {"mesh": part, "rgba": numbers([*mesh.color, 1.0])}
         if mesh.texture is not None:
             look = {"mesh": part, "material": _material(assets, files, mesh)}
         shown.append(look)
@@ -149,30 +190,30 @@ def _material(assets: Element, files: dict[str, bytes], mesh: Painted) -> str:
     """Name of the material that draws a mesh with its image; MuJoCo reads PNG only."""
     assert mesh.texture is not None
     image = f"{mesh.texture.file.rsplit('.', 1)[0]}.png"
-    color = _numbers([*mesh.color, 1.0])
+    color = numbers([*mesh.color, 1.0])
     texture = f"image_{image.removesuffix('.png')}"
     if image not in files:
         files[image] = as_png(mesh.texture)[1]
         ElementTree.SubElement(assets, "texture", name=texture, type="2d", file=image)
-    found = next((m for m in assets.iterfind("material") if (m.get("texture"), m.get("rgba")) == (texture, color)), None)
-    if found is None:
+    material = next((m for m in assets.iterfind("material") if (m.get("texture"), m.get("rgba")) == (texture, color)), None)
+    if material is None:
         name = f"look_{sum(1 for _ in assets.iterfind('material')):03d}"
-        found = ElementTree.SubElement(assets, "material", name=name, texture=texture, rgba=color, specular="0", shininess="0")
-    return found.attrib["name"]
+        material = ElementTree.SubElement(assets, "material", name=name, texture=texture, rgba=color, specular="0", shininess="0")
+    return material.attrib["name"]
 
 
 def _body(world: Element, body: Body, seen: Sequence[Mapping[str, str]], settings: Mujoco) -> None:
     """A body with its joint, its mass properties and its geoms."""
     place, turn = body.pose[:3, 3], quaternion_wxyz(body.pose)
-    element = ElementTree.SubElement(world, "body", name=body.name, pos=_numbers(place), quat=_numbers(turn))
+    element = ElementTree.SubElement(world, "body", name=body.name, pos=numbers(place), quat=numbers(turn))
     if not body.is_fixed:
         ElementTree.SubElement(element, "freejoint", name=body.name)
     inertia = body.inertia
     upper = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     ElementTree.SubElement(
-        element, "inertial", pos=_numbers(body.shape.properties.center), mass=repr(float(body.mass_kg)), fullinertia=_numbers(upper)
+        element, "inertial", pos=numbers(body.shape.properties.center), mass=repr(float(body.mass_kg)), fullinertia=numbers(upper)
     )  # fmt: skip
-    _collide(element, body.name, body.shape.name, len(body.shape.hulls), _numbers(friction_of(body.friction, settings)))
+    _collide(element, body.name, body.shape.name, len(body.shape.hulls), numbers(friction_of(body.friction, settings)))
     _add_visuals(element, body.name, seen)
 
 
@@ -196,9 +237,9 @@ def _text(custom: Element, name: str, about: Mapping[str, str | int | bool]) -> 
     ElementTree.SubElement(custom, "text", name=name, data=json.dumps(about, sort_keys=True))
 
 
-def _numbers(values: ArrayLike) -> str:
+def numbers(values: ArrayLike) -> str:
     """Numbers as the shortest text that reads back as the same doubles; no negative zeros."""
-    return " ".join(repr(value if value != 0.0 else 0.0) for value in np.asarray(values, dtype=np.float64).reshape(-1).tolist())
+    return " ".join(repr(value + 0.0) for value in np.asarray(values, dtype=np.float64).reshape(-1).tolist())
 
 
 def _role(name: str) -> str:
@@ -209,27 +250,20 @@ def _role(name: str) -> str:
 def _make(scene: ExportedScene) -> Export:
     """The files, written to a temporary folder and checked there."""
     files = mjcf_files(scene.replica, scene.config)
-    return checked(files, _rules(), lambda root: _check(root / scene.replica.stem / "scene.xml"))
+    return checked(files, MJCF, f"{scene.replica.stem}/scene.xml")
 
 
-def _rules() -> Sequence[str]:
-    from tasks.exports.mjcf.rules import RULES
+def _gate() -> ModuleType:
+    from tasks.exports.mjcf import rules
 
-    return tuple(RULES)
-
-
-def _check(path: Path) -> Sequence[Finding]:
-    from tasks.exports.mjcf.rules import check_mjcf
-
-    return check_mjcf(path)
+    return rules
 
 
 MJCF = ExportFormat(
     name="mjcf",
     title="MuJoCo scenes",
     make=_make,
-    rules=_rules,
-    check=_check,
+    gate=_gate,
     opened=lambda root: sorted(root.glob("*/scene.xml")),
     doctor=Doctor(
         about="Check anybody's MuJoCo model: what MuJoCo refuses, and what it lets pass without a word.",

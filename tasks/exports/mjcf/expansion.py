@@ -1,4 +1,4 @@
-"""What MuJoCo makes of few words: copies, grids and images. Counted before they are made."""
+"""Elements of MJCF that expand into many: copies, grids and images, counted before MuJoCo makes them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Pairs = list[tuple[Path, ElementTree.Element]]
 
 
 def made(file: str, elements: Pairs) -> Iterator[Finding]:
-    """More than the budget has of anything."""
+    """Findings where elements expand beyond the budget."""
     inside = {id(child) for _, element in elements for child in element}
     queue = [(element, 1) for _, element in elements if id(element) not in inside]
     copies = points = pixels = 0

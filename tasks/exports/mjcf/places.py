@@ -1,4 +1,4 @@
-"""What an exported scene says of the things in it: texts of a MuJoCo model."""
+"""What an exported scene says of the objects in it: texts of a MuJoCo model."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from schemas.files import is_irregular, is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.mjcf.expansion import Pairs, made
 from tasks.exports.usd.prims import dent
-from tasks.optimization.mujoco_engine import LONGEST_TIMESTEP_S, mujoco_module
+from tasks.optimization.engines.mujoco_engine import LONGEST_TIMESTEP_S, mujoco_module
 from tasks.unpacking import xml_root
 
 RULES: dict[str, str] = {
@@ -42,13 +42,14 @@ RULES: dict[str, str] = {
     "explicit_hulls": "meshes that collide are convex as they are",
     "visual": "every moving body can be seen, where it collides",
     "friction": "friction lies within bounds",
+    "viewing": "a scene has lights, and a camera among what collides",
     "penetration": "nothing is deeper in something else than 2 mm at the start",
     "step": "one step leaves every number finite",
 }
 """Every rule, and what holds when it passes."""
 
 DEEPEST_M = 0.002
-"""Deeper than this things are pushed apart with a jolt [m]."""
+"""Deeper than this objects are pushed apart with a jolt [m]."""
 
 _HULL_TOLERANCE = 2e-3  # metres; as for USD
 _PRODUCTS = 20_000_000  # vertices times triangles that are compared: 160 MB
@@ -73,7 +74,7 @@ def check_mjcf(path: Path) -> list[Finding]:
 
 def _elements(path: Path, root: Path, findings: list[Finding]) -> Pairs:
     """Every element with the file that it stands in; files that are included come after the one that includes them."""
-    found: Pairs = []
+    elements: Pairs = []
     queue, seen = [path], {path.resolve()}
     for file in queue:
         try:
@@ -85,13 +86,13 @@ def _elements(path: Path, root: Path, findings: list[Finding]) -> Pairs:
             findings.append(Finding("xml", path.name, f"root is {top.tag}, not mujoco"))
             return []
         own = [(file, element) for element in top.iter() if isinstance(element.tag, str)]
-        found += own
+        elements += own
         for _, element in own:
             other = root / element.get("file", "")
             if element.tag == "include" and element.get("file") and is_there(other) and other.resolve() not in seen:
                 seen.add(other.resolve())
                 queue.append(other)
-    return found
+    return elements
 
 
 def _where(path: Path, element: ElementTree.Element) -> str:
@@ -125,11 +126,12 @@ def _paths(path: Path, elements: Pairs) -> Iterator[Finding]:
             if not name:
                 continue
             target = root / (folder if element.tag != "include" else "") / name
-            if is_irregular(target):
+            irregular = is_irregular(target)
+            if irregular:
                 yield Finding("closed_paths", _where(file, element), f"{key} {PurePosixPath(name).name!r} {_IRREGULAR}")
             if not _is_inside(name):
                 yield Finding("closed_paths", _where(file, element), f"{key} {PurePosixPath(name).name!r} is absolute or leaves the folder")
-            elif not is_there(target) and not is_irregular(target):
+            elif not is_there(target) and not irregular:
                 yield Finding("closed_paths", _where(file, element), f"{key} {name!r} does not exist")
 
 
@@ -225,6 +227,7 @@ def _model(path: Path, elements: Pairs) -> Iterator[Finding]:
         yield Finding("compiles", path.name, text[:300])
         return
     yield from _world(path, model)
+    yield from _viewing(path, model, any(element.tag == "statistic" for _, element in elements))
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -276,7 +279,7 @@ def _world(path: Path, model: Any) -> Iterator[Finding]:
         if not seen[geoms].any():
             yield Finding("visual", where, "has no geom in groups 0 to 2 that can be seen")
         if model.jnt_type[model.body_jntadr[tree]] == mujoco_module().mjtJoint.mjJNT_FREE and (model.body_rootid == tree).sum() == 1:
-            yield from _thing(where, model, tree, geoms[solid[geoms]], geoms[seen[geoms]])
+            yield from _object(where, model, tree, geoms[solid[geoms]], geoms[seen[geoms]])
     dents: dict[int, float] = {}
     for geom in np.flatnonzero(solid):
         where = f"{path.name} geom {model.geom(geom).name or model.body(model.geom_bodyid[geom]).name}"
@@ -296,7 +299,28 @@ def _world(path: Path, model: Any) -> Iterator[Finding]:
             yield Finding("explicit_hulls", where, f"lies up to {dents[mesh] * 1000:.1f} mm inside its own hull")
 
 
-def _thing(where: str, model: Any, body: int, solid: Any, seen: Any) -> Iterator[Finding]:
+def _viewing(path: Path, model: Any, is_lit: bool) -> Iterator[Finding]:
+    """Whether anybody who opens a scene sees it lit, from inside. Others, and this project's older files, leave that to the viewer."""
+    mujoco = mujoco_module()
+    ours = is_lit and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "scene") >= 0
+    if not model.nlight:
+        yield Finding("viewing", path.name, "there is no light", ours)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)
+    solid = np.flatnonzero(((model.geom_contype != 0) | (model.geom_conaffinity != 0)) & (model.geom_rbound > 0.0))
+    low, high = (
+        (end(data.geom_xpos[solid] + sign * model.geom_rbound[solid, None], axis=0) if len(solid) else np.zeros(3))
+        for end, sign in ((np.min, -1.0), (np.max, 1.0))
+    )
+    if not model.ncam:
+        yield Finding("viewing", path.name, "there is no camera", ours)
+    elif len(solid) and not ((low <= data.cam_xpos) & (data.cam_xpos <= high)).all(axis=1).any():
+        yield Finding("viewing", path.name, "no camera is among what collides", ours)
+
+
+def _object(where: str, model: Any, body: int, solid: Any, seen: Any) -> Iterator[Finding]:
     """A free body without others in it: mass properties and what is seen of it, held against where it collides."""
     box, drawn = _box(model, solid), _box(model, seen)
     if box is None:
@@ -310,8 +334,8 @@ def _thing(where: str, model: Any, body: int, solid: Any, seen: Any) -> Iterator
     both = box if drawn is None else np.array([np.minimum(box[0], drawn[0]), np.maximum(box[1], drawn[1])])
     reach = np.abs(both - center).max(axis=0)
     if moments.max() > 2.0 * mass * float(reach @ reach):
-        said = f"{moments.max():.3g} is more than its mass could have in its farthest corner, {mass * float(reach @ reach):.3g}"
-        yield Finding("inertia", where, said)
+        message = f"{moments.max():.3g} is more than its mass could have in its farthest corner, {mass * float(reach @ reach):.3g}"
+        yield Finding("inertia", where, message)
 
 
 def _box(model: Any, geoms: Any) -> NDArray[np.float64] | None:
@@ -325,15 +349,15 @@ def _box(model: Any, geoms: Any) -> NDArray[np.float64] | None:
         mujoco_module().mju_quat2Mat(turn, model.geom_quat[geom])
         middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         points.append((middle + corners * half) @ turn.reshape(3, 3).T + model.geom_pos[geom])
-    found = np.concatenate(points)
-    return np.array([found.min(axis=0), found.max(axis=0)])
+    cloud = np.concatenate(points)
+    return np.array([cloud.min(axis=0), cloud.max(axis=0)])
 
 
 def _contacts(path: Path, model: Any, data: Any) -> Iterator[Finding]:
-    """Pairs of things that are in one another at the start."""
+    """Pairs of objects that are in one another at the start."""
     deepest: dict[tuple[str, str], float] = {}
     for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
-        if min(geoms) >= 0:  # else it is a flexible thing's
+        if min(geoms) >= 0:  # else it is a flexible object's
             first, second = sorted((model.body(model.geom_bodyid[geom]).name or "without name" for geom in geoms), reverse=True)
             deepest[first, second] = max(deepest.get((first, second), 0.0), -float(distance))
     for (first, second), depth in sorted(deepest.items()):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Sequence
-from pathlib import Path
+from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
@@ -19,17 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
 from tasks.exports.files import Export, File
-from tasks.exports.findings import Finding
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
-from tasks.exports.mjcf import described
+from tasks.exports.mjcf import described, numbers
+from tasks.exports.urdf.places import POSES
 from tasks.exports.wavefront import Painted, dump_mtl, dump_obj, painted_part, painted_shape
-from tasks.replica import room_shell
-from tasks.transforms import quaternion_wxyz
+from tasks.geometry.transforms import quaternion_wxyz
+from tasks.shell import room_shell
 
 Element = ElementTree.Element
-
-POSES = "poses.json"
-"""Name of the file beside the URDF files that says where they stand."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +87,7 @@ def _room(files: dict[str, bytes], replica: Replica, config: ExportsConfig) -> b
 
 def _hull_of(vertices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Convex hull of points, shape (n, 3) [m]: vertices and outward triangles."""
-    from tasks.pieces import PieceConfig, convex_hull
+    from tasks.geometry.pieces import PieceConfig, convex_hull
 
     hull = convex_hull(vertices, PieceConfig())
     return hull.vertices, hull.faces
@@ -122,7 +119,7 @@ def _robot(name: str) -> Element:
 
 def _seen(files: dict[str, bytes], name: str, meshes: Sequence[Painted]) -> tuple[tuple[str, tuple[float, ...]], ...]:
     """OBJ files with MTL files and images of what is seen, put into `files`; paths and colors."""
-    found = []
+    seen = []
     for index, mesh in enumerate(meshes):
         part = f"{name}_part_{index:02d}"
         image = mesh.texture.file if mesh.texture is not None else None
@@ -130,8 +127,8 @@ def _seen(files: dict[str, bytes], name: str, meshes: Sequence[Painted]) -> tupl
         files[f"meshes/{part}.mtl"] = dump_mtl(mesh.color, image)
         if mesh.texture is not None:
             files[f"meshes/{mesh.texture.file}"] = mesh.texture.data
-        found.append((f"meshes/{part}.obj", mesh.color))
-    return tuple(found)
+        seen.append((f"meshes/{part}.obj", mesh.color))
+    return tuple(seen)
 
 
 def _geometry(link: Element, meshes: _Meshes) -> None:
@@ -140,7 +137,7 @@ def _geometry(link: Element, meshes: _Meshes) -> None:
         visual = ElementTree.SubElement(link, "visual", name=f"{link.attrib['name']}_part_{index:02d}")
         _mesh(visual, path)
         material = ElementTree.SubElement(visual, "material", name=f"{link.attrib['name']}_{index:02d}")
-        ElementTree.SubElement(material, "color", rgba=_numbers([*color, 1.0]))
+        ElementTree.SubElement(material, "color", rgba=numbers([*color, 1.0]))
     for index, path in enumerate(meshes.hulls):
         _mesh(ElementTree.SubElement(link, "collision", name=f"{link.attrib['name']}_hull_{index:02d}"), path)
 
@@ -153,7 +150,7 @@ def _mesh(element: Element, path: str) -> None:
 
 def _origin(element: Element, place: ArrayLike) -> None:
     """A frame that is moved [m] and not turned."""
-    ElementTree.SubElement(element, "origin", xyz=_numbers(place), rpy="0 0 0")
+    ElementTree.SubElement(element, "origin", xyz=numbers(place), rpy="0 0 0")
 
 
 def _contact(link: Element, friction: float, restitution: float) -> None:
@@ -161,11 +158,6 @@ def _contact(link: Element, friction: float, restitution: float) -> None:
     contact = ElementTree.SubElement(link, "contact")
     ElementTree.SubElement(contact, "lateral_friction", value=repr(float(friction)))
     ElementTree.SubElement(contact, "restitution", value=repr(float(restitution)))
-
-
-def _numbers(values: ArrayLike) -> str:
-    """Numbers as the shortest text that reads back as the same doubles; no negative zeros."""
-    return " ".join(repr(value + 0.0) for value in np.asarray(values, dtype=np.float64).reshape(-1).tolist())
 
 
 def _dump(robot: Element) -> bytes:
@@ -189,27 +181,20 @@ def _role(name: str) -> str:
 def _make(scene: ExportedScene) -> Export:
     """The files, written to a temporary folder and checked there."""
     files = urdf_files(scene.replica, scene.config)
-    return checked(files, _rules(), lambda root: _check(root / scene.replica.stem))
+    return checked(files, URDF, scene.replica.stem)
 
 
-def _rules() -> Sequence[str]:
-    from tasks.exports.urdf.rules import RULES
+def _gate() -> ModuleType:
+    from tasks.exports.urdf import rules
 
-    return tuple(RULES)
-
-
-def _check(path: Path) -> Sequence[Finding]:
-    from tasks.exports.urdf.rules import check_urdf
-
-    return check_urdf(path)
+    return rules
 
 
 URDF = ExportFormat(
     name="urdf",
     title="URDF objects",
     make=_make,
-    rules=_rules,
-    check=_check,
+    gate=_gate,
     opened=lambda root: sorted(path.parent for path in root.glob(f"*/{POSES}")),
     doctor=Doctor(
         about="Check anybody's URDF file, or a folder of them with its poses.json.",

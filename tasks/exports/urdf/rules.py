@@ -17,10 +17,10 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_there, read_file
 from tasks.exports.findings import Finding
-from tasks.exports.urdf import POSES
+from tasks.exports.urdf.places import POSES
 from tasks.exports.usd.prims import dent
 from tasks.exports.wavefront import load_obj
-from tasks.transforms import Z_UP_TO_Y_UP
+from tasks.geometry.transforms import Z_UP_TO_Y_UP
 from tasks.unpacking import json_value, xml_root
 
 RULES: dict[str, str] = {
@@ -206,21 +206,21 @@ def _mesh(path: Path, where: str, name: str, known: dict[Any, Any]) -> tuple[lis
 
 def _lost(path: Path, name: str) -> list[str]:
     """Files that an OBJ and its materials name, and that are not there."""
-    found = []
+    lost = []
     try:
         libraries = re.findall(rb"^mtllib +(\S+)", read_file(path, name, BUDGET.model_bytes), re.M) if path.suffix.lower() == ".obj" else []
         for library in dict.fromkeys(libraries):
             material = path.parent / library.decode(errors="replace")
             if not is_there(material):
-                found.append(f"{name} names {material.name!r}, which does not exist")
+                lost.append(f"{name} names {material.name!r}, which does not exist")
                 continue
             for image in dict.fromkeys(re.findall(rb"^map_Kd +(\S+)", read_file(material, material.name, BUDGET.text_bytes), re.M)):
                 picture = path.parent / image.decode(errors="replace")
                 if not is_there(picture):
-                    found.append(f"{material.name} names {picture.name!r}, which does not exist")
+                    lost.append(f"{material.name} names {picture.name!r}, which does not exist")
     except (InputError, ValueError) as error:
-        found.append(str(error))
-    return found
+        lost.append(str(error))
+    return lost
 
 
 def _hollow(path: Path, loaded: Any, known: dict[Any, Any]) -> tuple[bool, float]:
@@ -230,16 +230,16 @@ def _hollow(path: Path, loaded: Any, known: dict[Any, Any]) -> tuple[bool, float
         every = -(-len(vertices) * len(faces) // _PRODUCTS)
         is_flat = bool(np.linalg.matrix_rank(vertices - vertices.mean(axis=0), tol=1e-7) < 3)
         known[path, "gap"] = is_flat, dent((vertices, faces[::every]))
-    found: tuple[bool, float] = known[path, "gap"]
-    return found
+    verdict: tuple[bool, float] = known[path, "gap"]
+    return verdict
 
 
 def _read(path: Path) -> Any:
     """Positions [m], shape (n, 3), and triangles, shape (m, 3), of a mesh file, or what is wrong with it."""
     import trimesh
 
-    from tasks.capture.ply import check_counts
-    from tasks.meshes import load_glb, surface_of
+    from tasks.capture.files.ply import check_counts
+    from tasks.geometry.meshes import load_glb, surface_of
 
     kind = path.suffix.lower().lstrip(".")
     try:
@@ -314,9 +314,9 @@ def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
     """The file that says where the objects stand."""
     path = folder / POSES
     try:
-        told = json_value(read_file(path, POSES, BUDGET.json_bytes))
-        objects = [dict(item) for item in told["objects"]]
-        named = Counter([*(str(item["file"]) for item in objects), str(told["room"])])
+        document = json_value(read_file(path, POSES, BUDGET.json_bytes))
+        objects = [dict(item) for item in document["objects"]]
+        named = Counter([*(str(item["file"]) for item in objects), str(document["room"])])
     except (InputError, ValueError, KeyError, TypeError) as error:
         yield Finding("poses", POSES, f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:100]})")
         return

@@ -7,9 +7,11 @@ a ceiling is a static collider without a rigid body, like the room.
 
 from __future__ import annotations
 
+import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,9 +19,8 @@ import numpy as np
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import ExportsConfig
 from tasks.exports.files import Export, files_below
-from tasks.exports.findings import Finding
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat
-from tasks.exports.shading import corner_normals
+from tasks.exports.lighting import FIELD_OF_VIEW_DEGREES, lamps, viewpoint
 from tasks.exports.usd.assets import asset_name, write_asset
 from tasks.exports.usd.layers import (
     add_collider,
@@ -33,10 +34,18 @@ from tasks.exports.usd.layers import (
     new_stage,
     set_mass,
 )
-from tasks.meshes import vertex_colors
-from tasks.pieces import Hull, convex_hull
-from tasks.replica import room_shell
-from tasks.transforms import quaternion_wxyz
+from tasks.geometry.meshes import vertex_colors
+from tasks.geometry.pieces import Hull, convex_hull
+from tasks.geometry.transforms import quaternion_wxyz
+from tasks.geometry.triangles import corner_normals
+from tasks.shell import room_shell
+
+CAMERA = "/World/Camera"
+APERTURE = 20.955
+"""Width of the camera's film [tenths of a meter, as USD counts them]: USD's own default, of 35 mm film."""
+
+SKY_NITS, LAMP_NITS, LAMP_RADIUS_M = 500.0, 1e5, 0.1
+"""Luminance of the sky and of a lamp, and a lamp's radius [m]: on the floor below it a lamp is about half as bright as the sky."""
 
 
 def write_usd(root: Path, replica: Replica, config: ExportsConfig) -> Path:
@@ -85,19 +94,20 @@ def _write_room(folder: Path, replica: Replica, config: ExportsConfig) -> None:
 
 
 def _write_scene(path: Path, replica: Replica, first: dict[str, Body], config: ExportsConfig) -> None:
-    """The scene file: gravity, light, the room, and every body as a reference with a pose."""
-    from pxr import Gf, Kind, Usd, UsdGeom, UsdLux, UsdPhysics
+    """The scene file: gravity, lights, a camera, the room, and every body as a reference with a pose."""
+    from pxr import Gf, Kind, Usd, UsdGeom, UsdPhysics
 
     stage = new_stage(path, "World")
     world = stage.GetDefaultPrim()
     Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
     origin = {"scene_id": replica.scene_id, "license": replica.license, "room_type": replica.room.room_type}
-    stage.GetRootLayer().customLayerData = {"metascenes": origin}
+    stage.GetRootLayer().customLayerData = {"metascenes": origin, "cameraSettings": {"boundCamera": CAMERA}}
     world.SetCustomDataByKey("metascenes", origin)
     physics = UsdPhysics.Scene.Define(stage, "/World/PhysicsScene")
     physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
     physics.CreateGravityMagnitudeAttr(config.usd.gravity_m_s2)
-    UsdLux.DomeLight.Define(stage, "/World/Light").CreateIntensityAttr(1000.0)
+    _add_lights(stage, replica)
+    _add_camera(stage, replica)
     room = stage.DefinePrim("/World/Room")
     room.GetReferences().AddReference("./room/room.usda")
     objects = UsdGeom.Xform.Define(stage, "/World/Objects")
@@ -106,6 +116,35 @@ def _write_scene(path: Path, replica: Replica, first: dict[str, Body], config: E
     for body in replica.bodies:
         _add_body(stage, body, first[asset_name(body, config.usd)], materials, config)
     stage.GetRootLayer().Save()
+
+
+def _add_lights(stage: Any, replica: Replica) -> None:
+    """A sky, as the room has no ceiling, and a lamp wherever one would hang."""
+    from pxr import Gf, UsdGeom, UsdLux
+
+    UsdGeom.Scope.Define(stage, "/World/Lights")
+    UsdLux.DomeLight.Define(stage, "/World/Lights/Sky").CreateIntensityAttr(SKY_NITS)
+    for index, place in enumerate(lamps(replica.room)):
+        lamp = UsdLux.SphereLight.Define(stage, f"/World/Lights/Lamp_{index:02d}")
+        lamp.CreateRadiusAttr(LAMP_RADIUS_M)
+        lamp.CreateIntensityAttr(LAMP_NITS)
+        lamp.CreateTreatAsPointAttr(False)
+        UsdGeom.Xformable(lamp).AddTranslateOp().Set(Gf.Vec3d(*map(float, place)))
+
+
+def _add_camera(stage: Any, replica: Replica) -> None:
+    """A camera that looks into the room."""
+    from pxr import Gf, UsdGeom
+
+    camera = UsdGeom.Camera.Define(stage, CAMERA)
+    camera.CreateHorizontalApertureAttr(APERTURE)
+    camera.CreateVerticalApertureAttr(APERTURE * 9.0 / 16.0)
+    camera.CreateFocalLengthAttr(0.5 * APERTURE / math.tan(math.radians(0.5 * FIELD_OF_VIEW_DEGREES)))
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.05, 100.0))
+    pose = viewpoint(replica)
+    place = UsdGeom.Xformable(camera)
+    place.AddTranslateOp().Set(Gf.Vec3d(*map(float, pose[:3, 3])))
+    place.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*quaternion_wxyz(pose)))
 
 
 def _add_body(stage: Any, body: Body, first: Body, materials: dict[tuple[float, float], Any], config: ExportsConfig) -> None:
@@ -164,8 +203,8 @@ def _make(scene: ExportedScene) -> Export:
     """The scene, written to a temporary folder, checked there, read back."""
     with tempfile.TemporaryDirectory(prefix="usd-") as place:
         root = Path(place).resolve()
-        findings = _check(write_usd(root, scene.replica, scene.config))
-        return Export(files_below(root, _role), _rules(), findings)
+        findings = USD.check(write_usd(root, scene.replica, scene.config))
+        return Export(files_below(root, _role), USD.rules, findings)
 
 
 def _role(name: str) -> str:
@@ -174,16 +213,10 @@ def _role(name: str) -> str:
     return next((role for part, role in _ROLES.items() if part in parts), "asset")
 
 
-def _rules() -> Sequence[str]:
-    from tasks.exports.usd.rules import RULES
+def _gate() -> ModuleType:
+    from tasks.exports.usd import rules
 
-    return tuple(RULES)
-
-
-def _check(path: Path) -> Sequence[Finding]:
-    from tasks.exports.usd.rules import check_usd
-
-    return check_usd(path)
+    return rules
 
 
 def _package(files: Mapping[str, bytes], root: str) -> bytes:
@@ -196,12 +229,11 @@ USD = ExportFormat(
     name="usd",
     title="USD scenes",
     make=_make,
-    rules=_rules,
-    check=_check,
+    gate=_gate,
     opened=lambda root: [*sorted(root.glob("*/scene.usda")), *sorted(root.glob("*.usdz"))],
     doctor=Doctor(
         about="Check anybody's USD file or .usdz: UsdValidation's rules and those for scenes with physics.\n\n"
-        "Things with a variant set `physics` are checked in each of its variants.",
+        "Objects with a variant set `physics` are checked in each of its variants.",
         example="scene.usda --omniverse",
         names_others=True,
         validators=(("omniverse", "Ask NVIDIA's omniverse-asset-validator too, where it is installed."),),

@@ -10,11 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tasks.exports.bodies import Body, Shape, digest
 from tasks.exports.config import UsdConfig
-from tasks.exports.shading import corner_normals
 from tasks.exports.usd.deformables import Deformable, deformable_of, write_deformable, write_simulation
 from tasks.exports.usd.layers import (
     add_collider,
@@ -22,16 +19,20 @@ from tasks.exports.usd.layers import (
     add_display_color,
     add_mesh,
     add_physics_material,
+    add_solids,
+    add_texture_coordinates,
     bind_physics,
     extent,
     label,
+    limit_depenetration,
     make_collider,
     new_stage,
     preview_material,
     set_mass,
 )
 from tasks.exports.visuals import Texture, Visual, visuals_of
-from tasks.pieces import Hull
+from tasks.geometry.pieces import Hull
+from tasks.geometry.triangles import corner_normals
 
 
 def write_asset(folder: Path, body: Body, config: UsdConfig) -> str:
@@ -46,7 +47,7 @@ def write_asset(folder: Path, body: Body, config: UsdConfig) -> str:
     visuals = visuals_of(body.shape)
     _write_geometry(root / f"{name}_geometry.usdc", name, visuals, body.shape.hulls, config)
     _write_looks(root / f"{name}_looks.usda", name, visuals)
-    _write_physics(root / f"{name}_physics.usda", name, body)
+    _write_physics(root / f"{name}_physics.usda", name, body, config)
     _write_payload(root / f"{name}_payload.usda", name, ("physics.usda", "looks.usda", "geometry.usdc"))
     deformable = deformable_of(body) if config.deformables else None
     if deformable is not None:
@@ -102,7 +103,7 @@ def _add_texture_material(stage: Any, path: str, texture: Texture) -> Any:
 
 def _write_geometry(path: Path, name: str, visuals: Sequence[Visual], hulls: Sequence[Hull], config: UsdConfig) -> None:
     """Positions, triangles, normals, colors and texture coordinates, in USD's binary form."""
-    from pxr import Sdf, UsdGeom, Vt
+    from pxr import UsdGeom
 
     stage = new_stage(path, name)
     UsdGeom.Xform.Define(stage, f"/{name}/Visual")
@@ -113,8 +114,9 @@ def _write_geometry(path: Path, name: str, visuals: Sequence[Visual], hulls: Seq
         if visual.colors is not None:
             add_display_color(mesh, visual.colors)
         if visual.uv is not None:
-            st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
-            st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(visual.uv, dtype=np.float32)))
+            add_texture_coordinates(mesh, visual.uv)
+        if visual.solids is not None and visual.solids.any():
+            add_solids(mesh, visual.solids)
     UsdGeom.Scope.Define(stage, f"/{name}/Colliders")
     for index, hull in enumerate(hulls):
         add_collider(stage, f"/{name}/Colliders/Hull_{index:02d}", hull)
@@ -134,7 +136,7 @@ def _write_looks(path: Path, name: str, visuals: Sequence[Visual]) -> None:
     stage.GetRootLayer().Save()
 
 
-def _write_physics(path: Path, name: str, body: Body) -> None:
+def _write_physics(path: Path, name: str, body: Body, config: UsdConfig) -> None:
     """The rigid body, its mass, its colliders and their material."""
     from pxr import UsdPhysics
 
@@ -143,10 +145,12 @@ def _write_physics(path: Path, name: str, body: Body) -> None:
     if not body.is_fixed:
         UsdPhysics.RigidBodyAPI.Apply(root)
         set_mass(root, body)
+        limit_depenetration(root, config.max_depenetration_m_s)
     material = add_physics_material(stage, f"/{name}/PhysicsMaterial", body.friction, body.restitution)
-    bind_physics(stage.OverridePrim(f"/{name}/Colliders"), material)
     for index in range(len(body.shape.hulls)):
-        make_collider(stage.OverridePrim(f"/{name}/Colliders/Hull_{index:02d}"))
+        collider = stage.OverridePrim(f"/{name}/Colliders/Hull_{index:02d}")
+        make_collider(collider)
+        bind_physics(collider, material)  # on each: USD's own physics parser sees no binding of a prim above
     stage.GetRootLayer().Save()
 
 

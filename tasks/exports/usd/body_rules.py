@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tasks.exports.findings import Finding
+from tasks.exports.usd.layers import DEPENETRATION
 from tasks.exports.usd.prims import (
     bodies,
     cloud_of,
@@ -16,6 +17,7 @@ from tasks.exports.usd.prims import (
     is_body,
     is_collider,
     is_deformable,
+    is_lit,
     is_ours,
     is_visible,
     moves,
@@ -30,6 +32,7 @@ from tasks.exports.usd.prims import (
     vector,
     within,
 )
+from tasks.geometry.hulls import complexity, hull_of, is_within
 
 SUPPORT_M = 5e-4
 """How far colliders may reach below what is seen [m]: float32 positions in a room are good to a micrometre, hulls to a tenth."""
@@ -50,6 +53,10 @@ OVERLAP_M = 2e-3
 """How deep colliders may start in one another [m]: engines push them apart, from here on visibly."""
 
 
+FASTEST_M_S = 1.0
+"""From here on what PhysX pushes out of another object jumps [m/s]: at 1 m/s an object flies 5 cm high."""
+
+
 def nesting(stage: Any, path: Path) -> Iterator[Finding]:
     """A body that moves with another one's frame is moved twice."""
     from pxr import UsdGeom
@@ -64,15 +71,15 @@ def nesting(stage: Any, path: Path) -> Iterator[Finding]:
 
 
 def one_body(stage: Any, path: Path) -> Iterator[Finding]:
-    """Tools that take a model for one thing want one body in it; where there are more, joints hold them together."""
+    """Tools that take a model for one object want one body in it; where there are more, joints hold them together."""
     from pxr import Kind, Usd, UsdPhysics
 
     for prim in traverse(stage):
         if Usd.ModelAPI(prim).GetKind() != Kind.Tokens.component or prim.IsInstanceProxy():
             continue
         below = list(subtree(prim))
-        count = sum(is_body(one) for one in below)
-        if count > 1 and not any(one.IsA(UsdPhysics.Joint) for one in below):
+        count = sum(is_body(below_prim) for below_prim in below)
+        if count > 1 and not any(below_prim.IsA(UsdPhysics.Joint) for below_prim in below):
             yield Finding("one_body", where(prim), f"is one model with {count} rigid bodies, and no joint among them", False)
 
 
@@ -96,8 +103,8 @@ def poses(stage: Any, path: Path) -> Iterator[Finding]:
         if not turned or not np.allclose(lengths, 1.0, atol=5e-5):
             # cubes and spheres are scaled by everybody who writes them, meshes of rooms too; engines agree about those
             serious = is_body(prim) or (prim.IsA(UsdGeom.PointBased) and (not turned or simulation_kind(prim) is not None))
-            said = ", ".join(f"{value:.4g}" for value in lengths)
-            yield Finding("rigid_pose", where(prim), f"is {'scaled' if turned else 'sheared or mirrored'} (axes {said})", serious)
+            text = ", ".join(f"{value:.4g}" for value in lengths)
+            yield Finding("rigid_pose", where(prim), f"is {'scaled' if turned else 'sheared or mirrored'} (axes {text})", serious)
 
 
 def animation(stage: Any, path: Path) -> Iterator[Finding]:
@@ -157,6 +164,10 @@ def colliders(stage: Any, path: Path) -> Iterator[Finding]:
                 yield Finding("collider", where(prim), "is flat: there is no hull with a volume")
             elif mesh is not None and dent(mesh) > HULL_M:
                 yield Finding("explicit_hulls", where(prim), f"lies up to {dent(mesh) * 1000:.1f} mm inside its own hull", is_ours(stage))
+            elif mesh is not None and not is_within(hull := hull_of(mesh[0])):
+                counts = complexity(hull)
+                message = f"has {counts.vertices} vertices and {counts.polygons} faces: PhysX takes 64 of each, and cooks a smaller one"
+                yield Finding("hull_limits", where(prim), message, is_lit(stage))
         elif kind in ("sdf", "sphereFill"):
             yield Finding("explicit_hulls", where(prim), f"collides as {kind}, which only PhysX knows", False)
         elif not raw and kind not in (UsdPhysics.Tokens.boundingCube, UsdPhysics.Tokens.boundingSphere):
@@ -204,7 +215,7 @@ def _is_weighed(body: Any) -> bool:
 
 
 def boxes(stage: Any, path: Path) -> Iterator[Finding]:
-    """What is seen and what collides are the same thing in the same place."""
+    """What is seen and what collides are the same object in the same place."""
     from pxr import UsdGeom, UsdPhysics
 
     up = 1 if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else 2
@@ -252,27 +263,27 @@ def _balance(body: Any, seen: Any, solid: Any, meters: float) -> Iterator[Findin
     box, slack = within(solid, body), 1e-3 / meters
     if box is not None and ((center < box[0] - slack) | (center > box[1] + slack)).any():
         yield Finding("center_of_mass", where(body), "lies outside the body's colliders")
-    whole = [one for one in (within(seen, body), box) if one is not None]
+    whole = [bounds for bounds in (within(seen, body), box) if bounds is not None]
     if not whole or moments is None or not np.isfinite(moments).all() or mass is None or not 0.0 < mass < np.inf:
         return
-    reach = np.maximum(*(np.abs(end([one[i] for one in whole], axis=0) - center) for i, end in enumerate((np.min, np.max))))
+    reach = np.maximum(*(np.abs(end([bounds[i] for bounds in whole], axis=0) - center) for i, end in enumerate((np.min, np.max))))
     if moments.max() > 2.0 * mass * float(reach @ reach):
-        said = f"{moments.max():.3g} is more than its mass could have in its farthest corner, {mass * float(reach @ reach):.3g}"
-        yield Finding("inertia", where(body), said)
+        message = f"{moments.max():.3g} is more than its mass could have in its farthest corner, {mass * float(reach @ reach):.3g}"
+        yield Finding("inertia", where(body), message)
 
 
 def overlaps(stage: Any, path: Path) -> Iterator[Finding]:
     """Moving bodies whose convex meshes start inside others': they jump when the simulation begins."""
     from pxr import UsdGeom, UsdPhysics
 
+    from tasks.geometry.pieces import Hull
     from tasks.optimization.contacts import penetrations
-    from tasks.optimization.solids import Solid
-    from tasks.pieces import Hull
+    from tasks.optimization.solids import ConvexParts
 
     meters = UsdGeom.GetStageMetersPerUnit(stage)
-    things = objects(stage)
-    found: list[tuple[int, Any, Hull]] = []
-    for thing, prim in enumerate(things):
+    prims = objects(stage)
+    bodies_hulls: list[tuple[int, Any, Hull]] = []
+    for obj, prim in enumerate(prims):
         for collider in subtree(prim):
             if not (is_collider(collider) and collider.IsA(UsdGeom.Mesh)) or simulation_kind(collider):
                 continue
@@ -280,31 +291,31 @@ def overlaps(stage: Any, path: Path) -> Iterator[Finding]:
                 continue
             mesh, place = triangles(collider), to_world(collider)
             if mesh is not None and np.isfinite(place).all():
-                found.append((thing, mesh, Hull((mesh[0] @ place[:3, :3].T + place[:3, 3]) * meters, mesh[1])))
+                bodies_hulls.append((obj, mesh, Hull((mesh[0] @ place[:3, :3].T + place[:3, 3]) * meters, mesh[1])))
     solids: dict[int, list[Hull]] = {}
-    for at in _near(found):
-        thing, mesh, hull = found[at]
+    for at in _near(bodies_hulls):
+        obj, mesh, hull = bodies_hulls[at]
         if dent(mesh) <= HULL_M and _is_solid(hull.vertices):
-            solids.setdefault(thing, []).append(hull)
-    named = {thing: Solid(where(things[thing]), tuple(hulls)) for thing, hulls in solids.items()}
-    moving = [solid for thing, solid in named.items() if is_body(things[thing]) and moves(things[thing])]
-    still = [solid for thing, solid in named.items() if not (is_body(things[thing]) and moves(things[thing]))]
+            solids.setdefault(obj, []).append(hull)
+    named = {obj: ConvexParts(where(prims[obj]), tuple(hulls)) for obj, hulls in solids.items()}
+    moving = [solid for obj, solid in named.items() if is_body(prims[obj]) and moves(prims[obj])]
+    still = [solid for obj, solid in named.items() if not (is_body(prims[obj]) and moves(prims[obj]))]
     if moving and np.isfinite(meters):
         names = {solid.name for solid in named.values()}  # the floor z = 0 is not in the file
-        for one in penetrations(moving, np.tile(np.eye(4), (len(moving), 1, 1)), still):
-            if one.depth_m > OVERLAP_M and {one.a, one.b} <= names:
-                yield Finding("start_overlap", one.a, f"starts {one.depth_m * 1000:.1f} mm inside {one.b}")
+        for contact in penetrations(moving, np.tile(np.eye(4), (len(moving), 1, 1)), still):
+            if contact.depth_m > OVERLAP_M and {contact.a, contact.b} <= names:
+                yield Finding("start_overlap", contact.a, f"starts {contact.depth_m * 1000:.1f} mm inside {contact.b}")
 
 
-def _near(found: Sequence[tuple[int, Any, Any]]) -> list[int]:
-    """Places of hulls whose boxes reach into the box of another thing's hull."""
-    if not found:
+def _near(hulls: Sequence[tuple[int, Any, Any]]) -> list[int]:
+    """Places of hulls whose boxes reach into the box of another object's hull."""
+    if not hulls:
         return []
-    owner = np.array([one[0] for one in found])
-    low, high = (np.array([end(one[2].vertices, axis=0) for one in found]) for end in (np.min, np.max))
+    owner = np.array([entry[0] for entry in hulls])
+    low, high = (np.array([end(entry[2].vertices, axis=0) for entry in hulls]) for end in (np.min, np.max))
     near = [
         bool((((np.minimum(high, high[i]) - np.maximum(low, low[i])).min(axis=1) > OVERLAP_M) & (owner != owner[i])).any())
-        for i in range(len(found))
+        for i in range(len(hulls))
     ]
     return np.flatnonzero(near).tolist()
 
@@ -320,6 +331,9 @@ def materials(stage: Any, path: Path) -> Iterator[Finding]:
         if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
             yield Finding("physics_material", where(prim), "has no physics material", False)
             continue
+        if not prim.HasAPI(UsdShade.MaterialBindingAPI):
+            message = "inherits its physics material: USD's own physics parser sees only what is bound on a collider"
+            yield Finding("physics_material", where(prim), message, is_lit(stage))
         api = UsdPhysics.MaterialAPI(material)
         for name, attribute, limit in (
             ("static friction", api.GetStaticFrictionAttr(), 2.0), ("dynamic friction", api.GetDynamicFrictionAttr(), 2.0),
@@ -327,8 +341,22 @@ def materials(stage: Any, path: Path) -> Iterator[Finding]:
         ):  # fmt: skip
             value = number(attribute)
             if value is None or not 0.0 <= value <= limit:
-                said = "is no number" if value is None else f"is {value:g}, not within 0 and {limit:g}"
-                yield Finding("physics_material", where(prim), f"{name} {said}")
+                message = "is no number" if value is None else f"is {value:g}, not within 0 and {limit:g}"
+                yield Finding("physics_material", where(prim), f"{name} {message}")
+
+
+def depenetration(stage: Any, path: Path) -> Iterator[Finding]:
+    """How fast what overlaps at the start is driven apart in PhysX, whose first step takes micrometers for a collision."""
+    for body in bodies(stage):
+        if not moves(body):
+            continue
+        speed = number(body.GetAttribute(DEPENETRATION))
+        if speed is None:
+            yield Finding("depenetration", where(body), f"{DEPENETRATION} is not stated: PhysX takes 3 m/s", is_lit(stage))
+        elif not 0.0 < speed <= FASTEST_M_S:
+            yield Finding(
+                "depenetration", where(body), f"{DEPENETRATION} is {speed:g}, not above 0 and at most {FASTEST_M_S:g}", is_ours(stage)
+            )
 
 
 def labels(stage: Any, path: Path) -> Iterator[Finding]:
@@ -337,8 +365,8 @@ def labels(stage: Any, path: Path) -> Iterator[Finding]:
         if _labeled(body):
             continue
         inside = body.IsInstance() and any(_labeled(prim) for prim in subtree(body))
-        said = "has its semantic labels inside its prototype, not on the instance" if inside else "has no semantic label"
-        yield Finding("labels", where(body), said, False)
+        message = "has its semantic labels inside its prototype, not on the instance" if inside else "has no semantic label"
+        yield Finding("labels", where(body), message, False)
 
 
 def _labeled(prim: Any) -> bool:

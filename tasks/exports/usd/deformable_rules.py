@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tasks.exports.findings import Finding
 from tasks.exports.usd.prims import applied, array_of, is_body, is_deformable, number, simulation_kind, subtree, traverse, triangles
-from tasks.tetrahedra import surface_of, volumes_of
+from tasks.geometry.tetrahedra import surface_of, volumes_of
 
 
 def deformables(stage: Any, path: Path) -> Iterator[Finding]:
@@ -31,10 +31,10 @@ def _body(prim: Any) -> Iterator[Finding]:
     """A deformable body itself."""
     from pxr import Usd
 
-    rigid = [one for one in subtree(prim) if is_body(one)]
+    rigid = [child for child in subtree(prim) if is_body(child)]
     if rigid:
         yield Finding("deformable_body", _path(prim), f"is deformed, but {rigid[0].GetPath()} is a rigid body")
-    meshes = [one for one in (prim, *prim.GetFilteredChildren(Usd.TraverseInstanceProxies())) if simulation_kind(one) is not None]
+    meshes = [child for child in (prim, *prim.GetFilteredChildren(Usd.TraverseInstanceProxies())) if simulation_kind(child) is not None]
     if len(meshes) != 1:
         yield Finding("deformable", _path(prim), f"{len(meshes)} simulation meshes, on it and right below it, not one")
     for family in ("physics", "omniphysics"):
@@ -73,16 +73,16 @@ def _mesh(prim: Any, kind: str) -> Iterator[Finding]:
         if stated is None or sorted(map(tuple, np.sort(stated, axis=1))) != sorted(map(tuple, np.sort(surface, axis=1))):
             yield Finding("tetrahedra", _path(prim), "surfaceFaceVertexIndices are not the surface of the tetrahedra")
     elif kind == "Surface":
-        found = triangles(prim) if prim.IsA(UsdGeom.Mesh) else None
-        if found is None:
+        mesh = triangles(prim) if prim.IsA(UsdGeom.Mesh) else None
+        if mesh is None:
             yield Finding("sheet", _path(prim), "is no mesh with finite positions and triangles that name them")
             return
-        faces = found[1]
+        faces = mesh[1]
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         most = int(np.unique(edges, axis=0, return_counts=True)[1].max())
         if most > 2:
             yield Finding("sheet", _path(prim), f"{most} triangles meet in one edge")
-        a, b, c = (found[0][faces[:, i]] for i in range(3))
+        a, b, c = (mesh[0][faces[:, i]] for i in range(3))
         flat = np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 1e-12
         if flat.any():
             yield Finding("sheet", _path(prim), f"{int(flat.sum())} of {len(faces)} triangles have no area")

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.exports.bodies import Body, Shape
-from tasks.exports.shading import corner_normals
 from tasks.exports.usd.layers import add_mesh, add_physics_material, bind_physics, extent, new_stage
 from tasks.exports.visuals import Visual
-from tasks.sheets import Sheet, sheet_of
-from tasks.tetrahedra import CELLS, COVERED, OUTSIDE_M, Tetrahedra, distance_to, tetrahedralize
+from tasks.geometry.sheets import Sheet, sheet_of
+from tasks.geometry.tetrahedra import CELLS, COVERED, OUTSIDE_M, Tetrahedra, distance_to, tetrahedralize
+from tasks.geometry.triangles import corner_normals
 
 SIMULATION = "Simulation"
 """Name of the prim, below the asset's root, that an engine deforms."""
@@ -142,7 +142,7 @@ def _material(deformable: Deformable) -> dict[str, float]:
     """Attributes of the material that both families have. A plate's stiffness per width [N/m], and against bending [N m]."""
     young, poisson = deformable.elasticity.youngs_modulus, deformable.elasticity.poissons_ratio
     values = {"youngsModulus": young, "poissonsRatio": poisson}
-    if isinstance(deformable.mesh, Sheet):  # as thick as the thing where it touches, as stiff as one layer of its cloth
+    if isinstance(deformable.mesh, Sheet):  # as thick as the object where it touches, as stiff as one layer of its cloth
         values["surfaceStretchStiffness"] = young * FABRIC_M / (1.0 - poisson**2)
         values["surfaceShearStiffness"] = young * FABRIC_M / (2.0 * (1.0 + poisson))
         values["surfaceBendStiffness"] = young * FABRIC_M**3 / (12.0 * (1.0 - poisson**2))

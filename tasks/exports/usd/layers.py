@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.exports.bodies import Body
-from tasks.exports.shading import face_normals, linear_colors
-from tasks.mass import principal_axes
-from tasks.pieces import Hull
+from tasks.exports.shading import linear_colors
+from tasks.geometry.mass import principal_axes
+from tasks.geometry.pieces import Hull
+from tasks.geometry.triangles import face_normals
+
+DEPENETRATION = "physxRigidBody:maxDepenetrationVelocity"
+"""An attribute of PhysX; USD without it carries it along."""
 
 
 def new_stage(path: Path, root: str, kind: str = "Xform") -> Any:
@@ -105,11 +109,19 @@ def set_mass(prim: Any, body: Body) -> None:
     mass.CreatePrincipalAxesAttr(quaternion(axes))
 
 
+def limit_depenetration(prim: Any, speed: float) -> None:
+    """How fast PhysX may push a rigid body out of others [m/s]: from its own default of 3 m/s objects that touch are thrown."""
+    from pxr import Sdf
+
+    prim.AddAppliedSchema("PhysxRigidBodyAPI")
+    prim.CreateAttribute(DEPENETRATION, Sdf.ValueTypeNames.Float, custom=False).Set(speed)
+
+
 def quaternion(rotation: ArrayLike) -> Any:
     """A rotation, shape (3, 3), as USD's single precision quaternion."""
     from pxr import Gf
 
-    from tasks.transforms import quaternion_wxyz
+    from tasks.geometry.transforms import quaternion_wxyz
 
     pose = np.eye(4)
     pose[:3, :3] = rotation
@@ -134,13 +146,37 @@ def add_display_color(mesh: Any, colors: NDArray[np.uint8]) -> None:
     """Vertex colors, shape (n, 3) sRGB, as the mesh's display color."""
     from pxr import UsdGeom, Vt
 
-    values = np.ascontiguousarray(linear_colors(colors), dtype=np.float32)
-    if (values == values[0]).all():
-        primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant)
-        values = values[:1]
-    else:
-        primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-    primvar.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values)))
+    values, index = _indexed(linear_colors(colors))
+    primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant if len(values) == 1 else UsdGeom.Tokens.vertex)
+    primvar.Set(Vt.Vec3fArray.FromNumpy(values))
+    if len(values) > 1:
+        primvar.SetIndices(index)
+
+
+def add_texture_coordinates(mesh: Any, uv: ArrayLike) -> None:
+    """Texture coordinates per vertex, shape (n, 2), as the mesh's primvar `st`."""
+    from pxr import Sdf, UsdGeom, Vt
+
+    values, index = _indexed(uv)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+    primvar.Set(Vt.Vec2fArray.FromNumpy(values))
+    primvar.SetIndices(index)
+
+
+def add_solids(mesh: Any, solids: NDArray[np.int64]) -> None:
+    """Which connected surface each vertex belongs to, shape (n,), as the primvar `solid`: what touches is not one surface."""
+    from pxr import Sdf, UsdGeom, Vt
+
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("solid", Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.vertex)
+    primvar.Set(Vt.IntArray.FromNumpy(solids.astype(np.int32)))
+
+
+def _indexed(values: ArrayLike) -> tuple[NDArray[np.float32], Any]:
+    """The different rows of values, shape (k, d), in single precision, and which of them each row is, as USD's integers."""
+    from pxr import Vt
+
+    rows, index = np.unique(np.asarray(values, dtype=np.float32) + np.float32(0.0), axis=0, return_inverse=True)
+    return np.ascontiguousarray(rows), Vt.IntArray.FromNumpy(index.reshape(-1).astype(np.int32))
 
 
 def preview_material(stage: Any, path: str) -> tuple[Any, Any]:

@@ -29,13 +29,13 @@ def check_omniverse(path: Path) -> list[Finding]:
     except Exception as error:  # rules of others, on anybody's file
         raise InputError(path.name, "omniverse-asset-validator", f"stops: {_line(str(error), path)}") from error
     serious = (validator.IssueSeverity.ERROR, validator.IssueSeverity.FAILURE)
-    found = set()
+    findings = set()
     for issue in issues:
         if issue.severity == validator.IssueSeverity.NONE:
             continue
         name = getattr(issue.rule, "__name__", "?")
-        found.add(Finding(RULE, _where(issue.at, path), f"{name}: {_line(str(issue.message), path)}", issue.severity in serious))
-    return sorted(found)
+        findings.add(Finding(RULE, _where(issue.at, path), f"{name}: {_line(str(issue.message), path)}", issue.severity in serious))
+    return sorted(findings)
 
 
 def _validator() -> Any:

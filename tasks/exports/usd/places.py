@@ -1,4 +1,4 @@
-"""What an exported scene says of the things in it: prims of a USD scene."""
+"""What an exported scene says of the objects in it: prims of a USD scene."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """
     path: list[str] = []
     scopes: list[str] = []  # what each open bracket belongs to: "prim", "about" (a prim's metadata), "ours", "" (anything else)
-    said: dict[str, str] = {}
+    stated: dict[str, str] = {}
     wants_name, field, starts_ours, in_custom, named = False, "", False, False, False
     for match in _TOKEN.finditer(data.decode()):
         word = match.group().strip()
@@ -35,9 +35,9 @@ def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
         if word[0] in "\"'":
             if wants_name:
                 path.append(_unquoted(word))
-                wants_name, named, said = False, True, {}
+                wants_name, named, stated = False, True, {}
             elif field and scopes and scopes[-1] == "ours":
-                said[field] = _unquoted(word)
+                stated[field] = _unquoted(word)
             field = ""
         elif word in ("def", "over", "class"):
             wants_name = not scopes or scopes[-1] == "prim"
@@ -56,8 +56,8 @@ def places(data: bytes) -> Iterator[tuple[str, Mapping[str, Any]]]:
                 scopes.append("ours")
             else:
                 scopes.append("prim" if named else "")
-                if named and "instance_id" in said:
-                    yield "/" + "/".join(path), said
+                if named and "instance_id" in stated:
+                    yield "/" + "/".join(path), stated
                 named = False
             in_custom = starts_ours = False
         elif scopes.pop() == "prim":
@@ -81,8 +81,8 @@ def stated_release(data: bytes) -> tuple[int, str | None] | None:
         readable = layer.ImportFromString(data.decode())
     except (UnicodeDecodeError, RuntimeError):
         return None
-    said = dict(layer.customLayerData).get("metascenes", {}) if readable else {}
-    return (int(said["snapshot_id"]), said.get("release")) if "snapshot_id" in said else None
+    stated = dict(layer.customLayerData).get("metascenes", {}) if readable else {}
+    return (int(stated["snapshot_id"]), stated.get("release")) if "snapshot_id" in stated else None
 
 
 def has_part(path: Path, name: str) -> bool:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.geometry.triangles import face_planes
+
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 """Positions in the prim's own frame, shape (n, 3), and triangles, shape (m, 3)."""
 
@@ -30,6 +32,11 @@ def is_ours(stage: Any) -> bool:
     """Whether this project wrote the root layer of a stage: then what USD would allow is held against it all the same."""
     prim = stage.GetDefaultPrim()
     return "metascenes" in stage.GetRootLayer().customLayerData or bool(prim and "metascenes" in prim.GetCustomData())
+
+
+def is_lit(stage: Any) -> bool:
+    """Whether this project wrote a stage since scenes have lights and a camera; what it asks for since then is a warning in older ones."""
+    return is_ours(stage) and "cameraSettings" in stage.GetRootLayer().customLayerData
 
 
 def is_body(prim: Any) -> bool:
@@ -102,14 +109,14 @@ def moves(prim: Any) -> bool:
 
 def own_colliders(body: Any) -> list[Any]:
     """Colliders that belong to a body and not to one below it."""
-    found = []
+    colliders = []
     for prim in subtree(body):
         owner = prim
         while not is_body(owner):
             owner = owner.GetParent()
         if owner == body and is_collider(prim):
-            found.append(prim)
-    return found
+            colliders.append(prim)
+    return colliders
 
 
 def triangles(prim: Any) -> Triangles | None:
@@ -158,15 +165,9 @@ def to_world(prim: Any) -> NDArray[np.float64]:
 def dent(mesh: Triangles) -> float:
     """How far [m] a vertex of a mesh lies in front of one of its faces: 0 for a convex mesh with outward triangles."""
     vertices, faces = mesh
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals = normals[lengths > 1e-12] / lengths[lengths > 1e-12][:, None]
-    offsets = np.einsum("ij,ij->i", normals, corners[lengths > 1e-12][:, 0])
-    used = vertices[np.unique(faces)]
     # slivers have no direction to speak of: judge by faces that are larger than a square millimetre
-    large = lengths[lengths > 1e-12] > 2e-6
-    return float(((used @ normals.T) - offsets)[:, large].max(initial=0.0)) if large.any() else 0.0
+    normals, offsets = face_planes(vertices, faces, 2e-6)
+    return float((vertices[np.unique(faces)] @ normals.T - offsets).max(initial=0.0))
 
 
 def cloud_of(body: Any, wanted: Callable[[Any], bool]) -> NDArray[np.float64] | None:
@@ -216,7 +217,7 @@ def is_visible(prim: Any) -> bool:
 
 
 def objects(stage: Any) -> list[Any]:
-    """Rigid bodies, and models (kind component) that have colliders without being one: fixed or deformable things."""
+    """Rigid bodies, and models (kind component) that have colliders without being one: fixed or deformable objects."""
     from pxr import Kind, Usd
 
     components = [prim for prim in traverse(stage) if Usd.ModelAPI(prim).GetKind() == Kind.Tokens.component]

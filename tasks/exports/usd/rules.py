@@ -42,14 +42,16 @@ RULES: dict[str, str] = {
     "collider": "every rigid body has a collider, and hulls have a volume",
     "triangle_collider": "no moving body collides with its raw triangles",
     "explicit_hulls": "colliders are convex as they are, so no engine has to decompose them",
+    "hull_limits": "hulls have no more vertices and faces than PhysX takes: it cooks smaller ones otherwise",
     "guides": "colliders are not drawn beside what is meant to be seen",
     "mass": "every moving body has a mass above zero",
     "inertia": "every moving body has an inertia that a solid can have",
     "center_of_mass": "the center of mass lies inside the box of the body's colliders",
     "support_plane": "colliders do not reach below what is seen of their object",
     "protrusion": "colliders do not reach far out of what is seen of their object",
-    "start_overlap": "no moving body starts inside another thing",
-    "physics_material": "every collider has friction and restitution within bounds",
+    "start_overlap": "no moving body starts inside another object",
+    "physics_material": "every collider has friction and restitution within bounds, bound on itself, where all readers see it",
+    "depenetration": "what moves says how fast PhysX may push it out of others: at its default what touches is thrown",
     "deformable": "a deformable body has one simulation mesh, on it or right below it",
     "deformable_body": "nothing in a deformable body is a rigid body",
     "deformable_mass": "a deformable body has a mass above zero",
@@ -57,6 +59,7 @@ RULES: dict[str, str] = {
     "sheet": "at most two triangles of a simulation mesh meet in an edge, and none is flat",
     "deformable_material": "a deformable body has an elasticity that a stable solid can have",
     "visual": "every body can be seen, where it collides",
+    "viewing": "a scene has lights, and a camera among what is to be seen",
     "labels": "every body says what it is, on its root",
 }
 """Every rule, and what holds when it passes."""
@@ -71,7 +74,7 @@ VARIANT_SET = "physics"
 def check_usd(path: Path) -> list[Finding]:
     """Everything that is wrong with a USD scene, sorted; empty for one that can be simulated as it is.
 
-    Things with a variant set `physics` are checked in each of its variants; what is found only there says so.
+    Objects with a variant set `physics` are checked in each of its variants; what is found only there says so.
     """
     from pxr import Tf, Usd
 
@@ -79,19 +82,19 @@ def check_usd(path: Path) -> list[Finding]:
         check_file(path, path.name, BUDGET.scene_bytes)
     except (InputError, OSError) as error:
         return [Finding("stage_opens", path.name, _line(str(error), path))]
-    found = list(check_package(path))
+    findings = list(check_package(path))
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        return [*found, Finding("stage_opens", path.name, _line(_words(error), path))]
-    found += _checked(stage, path, _CHECKS)
-    known = {(finding.rule, finding.where, finding.message) for finding in found}
+        return [*findings, Finding("stage_opens", path.name, _line(_words(error), path))]
+    findings += _checked(stage, path, _CHECKS)
+    known = {(finding.rule, finding.where, finding.message) for finding in findings}
     for variant, part in _variants(stage):
         for finding in _checked(part, path, _IN_VARIANTS):
             if (finding.rule, finding.where, finding.message) not in known:
-                said = f"{finding.message} (in variant {VARIANT_SET}={variant})"
-                found.append(Finding(finding.rule, finding.where, said, finding.is_error))
-    return sorted(set(found))
+                message = f"{finding.message} (in variant {VARIANT_SET}={variant})"
+                findings.append(Finding(finding.rule, finding.where, message, finding.is_error))
+    return sorted(set(findings))
 
 
 def _checked(stage: Any, path: Path, checks: tuple[Callable[[Any, Path], Iterator[Finding]], ...]) -> list[Finding]:
@@ -113,9 +116,9 @@ def _variants(stage: Any) -> Iterator[tuple[str, Any]]:
 
     sets = {prim.GetPath(): prim.GetVariantSets().GetVariantSet(VARIANT_SET) for prim in traverse(stage) if not prim.IsInstanceProxy()}
     names: dict[str, list[Any]] = {}
-    for place, one in sets.items():
-        for name in one.GetVariantNames():
-            if name != one.GetVariantSelection():
+    for place, variants in sets.items():
+        for name in variants.GetVariantNames():
+            if name != variants.GetVariantSelection():
                 names.setdefault(name, []).append(place)
     for name in sorted(names):
         session = Sdf.Layer.CreateAnonymous(".usda")
@@ -155,13 +158,13 @@ def _validators(stage: Any, path: Path) -> Iterator[Finding]:
 
 _IN_VARIANTS: tuple[Callable[[Any, Path], Iterator[Finding]], ...] = (
     _validators, body_rules.nesting, body_rules.one_body, body_rules.poses, body_rules.geometry,
-    body_rules.colliders, body_rules.masses, body_rules.boxes, body_rules.materials, body_rules.labels,
+    body_rules.colliders, body_rules.masses, body_rules.boxes, body_rules.materials, body_rules.depenetration, body_rules.labels,
     deformable_rules.deformables,
 )  # fmt: skip
-"""What is looked at again in variants: things, not the file."""
+"""What is looked at again in variants: objects, not the file."""
 
 _CHECKS: tuple[Callable[[Any, Path], Iterator[Finding]], ...] = (
     *_IN_VARIANTS, stage_rules.metadata, stage_rules.layers, stage_rules.paths, stage_rules.hierarchy,
     stage_rules.physics_scene, stage_rules.ground, stage_rules.joints, stage_rules.point_instancers,
-    body_rules.animation, body_rules.overlaps,
+    stage_rules.viewing,    body_rules.animation, body_rules.overlaps,
 )  # fmt: skip

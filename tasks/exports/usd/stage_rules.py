@@ -13,7 +13,20 @@ import numpy as np
 from schemas.files import is_there
 from tasks.exports.findings import Finding
 from tasks.exports.usd.package import names_in
-from tasks.exports.usd.prims import bodies, cloud_of, is_body, is_collider, is_deformable, moves, number, subtree, traverse, vector
+from tasks.exports.usd.prims import (
+    bodies,
+    cloud_of,
+    is_body,
+    is_collider,
+    is_deformable,
+    is_lit,
+    moves,
+    number,
+    subtree,
+    to_world,
+    traverse,
+    vector,
+)
 
 
 def metadata(stage: Any, path: Path) -> Iterator[Finding]:
@@ -169,8 +182,8 @@ def _joined(stage: Any) -> set[Any]:
     """Paths of all prims that a joint holds."""
     from pxr import UsdPhysics
 
-    found = [UsdPhysics.Joint(prim) for prim in traverse(stage) if prim.IsA(UsdPhysics.Joint)]
-    return {target for joint in found for end in (joint.GetBody0Rel(), joint.GetBody1Rel()) for target in end.GetTargets()}
+    joints = [UsdPhysics.Joint(prim) for prim in traverse(stage) if prim.IsA(UsdPhysics.Joint)]
+    return {target for joint in joints for end in (joint.GetBody0Rel(), joint.GetBody1Rel()) for target in end.GetTargets()}
 
 
 def point_instancers(stage: Any, path: Path) -> Iterator[Finding]:
@@ -179,9 +192,9 @@ def point_instancers(stage: Any, path: Path) -> Iterator[Finding]:
 
     for prim in traverse(stage):
         if prim.IsA(UsdGeom.PointInstancer):
-            found = next((below for below in subtree(prim) if is_body(below) or is_collider(below)), None)
-            if found is not None:
-                yield Finding("point_instancer", prim.GetPath().pathString, f"scatters {found.GetPath()}, which is to be simulated")
+            physical = next((below for below in subtree(prim) if is_body(below) or is_collider(below)), None)
+            if physical is not None:
+                yield Finding("point_instancer", prim.GetPath().pathString, f"scatters {physical.GetPath()}, which is to be simulated")
 
 
 def ground(stage: Any, path: Path) -> Iterator[Finding]:
@@ -190,7 +203,7 @@ def ground(stage: Any, path: Path) -> Iterator[Finding]:
 
     root = stage.GetDefaultPrim()
     if root and Usd.ModelAPI(root).GetKind() == Kind.Tokens.component:
-        return  # one thing, which stands in another file
+        return  # one object, which stands in another file
     moving = {prim.GetPath(): prim for prim in bodies(stage) if moves(prim)}
     still = [prim for prim in traverse(stage) if is_collider(prim) and not any(path in moving for path in prim.GetPath().GetPrefixes())]
     if any(prim.IsA(UsdGeom.Plane) for prim in still):
@@ -210,15 +223,33 @@ def ground(stage: Any, path: Path) -> Iterator[Finding]:
             yield Finding("ground", place.pathString, "nothing that stays in place lies below it: it falls for ever", False)
 
 
+def viewing(stage: Any, path: Path) -> Iterator[Finding]:
+    """Whether anybody who opens a scene sees something. A file of one object leaves that to the scene that refers to it."""
+    from pxr import Kind, Usd, UsdGeom, UsdLux
+
+    root = stage.GetDefaultPrim()
+    if not root or Usd.ModelAPI(root).GetKind() == Kind.Tokens.component or not any(is_collider(prim) for prim in traverse(stage)):
+        return
+    prims = list(traverse(stage))
+    if not any(prim.HasAPI(UsdLux.LightAPI) for prim in prims):
+        yield Finding("viewing", path.name, "there is no light", is_lit(stage))
+    eyes = [to_world(prim)[:3, 3] for prim in prims if prim.IsA(UsdGeom.Camera)]
+    solid = cloud_of(root, is_collider)
+    if not eyes:
+        yield Finding("viewing", path.name, "there is no camera", is_lit(stage))
+    elif solid is not None and not any(((solid.min(axis=0) <= eye) & (eye <= solid.max(axis=0))).all() for eye in eyes):
+        yield Finding("viewing", path.name, "no camera is inside the box of what collides", is_lit(stage))
+
+
 def physics_scene(stage: Any, path: Path) -> Iterator[Finding]:
-    """Gravity, once. A file of one thing, or of a room in which nothing moves, leaves it to the scene that refers to it."""
+    """Gravity, once. A file of one object, or of a room in which nothing moves, leaves it to the scene that refers to it."""
     from pxr import Kind, Usd, UsdGeom, UsdPhysics
 
     scenes = [prim for prim in traverse(stage) if prim.IsA(UsdPhysics.Scene)]
     root = stage.GetDefaultPrim()
-    is_thing = root and Usd.ModelAPI(root).GetKind() == Kind.Tokens.component
+    is_object = root and Usd.ModelAPI(root).GetKind() == Kind.Tokens.component
     moving = any(is_body(prim) or is_deformable(prim) for prim in traverse(stage))
-    if len(scenes) > 1 or not (scenes or is_thing or (not moving and any(is_collider(prim) for prim in traverse(stage)))):
+    if len(scenes) > 1 or not (scenes or is_object or (not moving and any(is_collider(prim) for prim in traverse(stage)))):
         yield Finding("physics_scene", path.name, f"{len(scenes)} physics scenes")
     down = (0.0, -1.0, 0.0) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else (0.0, 0.0, -1.0)
     for prim in scenes:

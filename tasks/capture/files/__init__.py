@@ -1,0 +1,1 @@
+"""Files of a scan, read with bounds: meshes, images, frames, trajectories, documents."""

@@ -1,0 +1,1 @@
+"""Instances of a scan: found, boxed, seen in frames, made into rows."""

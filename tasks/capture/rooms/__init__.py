@@ -1,0 +1,1 @@
+"""The room of a scan: its frame, floor, walls and what divides it."""

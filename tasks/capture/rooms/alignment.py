@@ -1,0 +1,325 @@
+"""From the scan's frame to the world frame: gravity from floor and walls, yaw from the walls, the floor at z = 0."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.geometry.meshes import Surface
+from tasks.geometry.transforms import flat, matrix, translation, yaw_pose
+from tasks.geometry.triangles import face_areas
+
+Array = NDArray[np.float64]
+
+_FLOOR_BAND_M = 0.04
+"""Depth noise of a fused floor: vertices this near to the plane count as floor."""
+
+_MIN_FLOOR_M2 = 0.25
+"""Less than the free floor between a desk and a wall cannot be told from a low shelf."""
+
+_BELOW_SHARE = 0.03
+"""Share of the surface that may lie below the floor: reflections and stray depth, not a lower storey."""
+
+_ENOUGH_FACES = 150_000
+"""Faces that the estimate is made of: a room's floor still has some ten thousand."""
+
+_LINE_M = 0.02
+"""Width of a bin across a wall: the noise of its fused surface."""
+
+_IDENTITY_YAW = np.deg2rad(1.0)
+_IDENTITY_SHIFT_M = 0.02
+"""A modelled scene nearer than this to the world frame is left exactly where it was authored."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Alignment:
+    """How a scan is brought to the world frame.
+
+    pose: Scan frame to world frame, 4x4 [m]. source: `file`, `estimated` or `identity`.
+    floor_tilt: Angle between the scan's floor and its horizontal before alignment [rad].
+    """
+
+    pose: Array
+    source: str
+    floor_tilt: float
+    notes: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Facets:
+    """Faces as planes, in the frame of their surface: centers [m] (m, 3), unit normals (m, 3), areas [m2] (m,)."""
+
+    centers: Array
+    normals: Array
+    areas: Array
+    corners: Array
+
+    def turned(self, rotation: Array) -> Facets:
+        """The faces turned by a 3x3 rotation."""
+        return Facets(self.centers @ rotation.T, self.normals @ rotation.T, self.areas, self.corners @ rotation.T)
+
+    def chosen(self, where: NDArray[np.bool_]) -> Facets:
+        """The faces where `where`, shape (m,), is set."""
+        return Facets(self.centers[where], self.normals[where], self.areas[where], self.corners[where])
+
+
+def facets(corners: Array, weight: float = 1.0) -> Facets:
+    """Faces by their three corners [m], shape (m, 3, 3), as planes, each standing for `weight` faces; those without area are left out."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    solid = length > 1e-12
+    corners, cross, length = corners[solid], cross[solid], length[solid]
+    return Facets(corners.mean(axis=1), cross / length[:, None], 0.5 * weight * length, corners)
+
+
+def align(
+    surface: Surface,
+    *,
+    floor_faces: NDArray[np.bool_] | None = None,
+    wall_faces: NDArray[np.bool_] | None = None,
+    stated: Array | None = None,
+    camera_up: Array | None = None,
+    is_authored: bool = False,
+) -> Alignment:
+    """The alignment of a scan.
+
+    floor_faces, wall_faces: Faces that the scan itself calls floor and wall, shape (m,), where it names them.
+    stated: The scan's own axis alignment, 4x4; only the floor's height is corrected then.
+    camera_up: Mean up direction of its cameras in the scan frame, shape (3,).
+    is_authored: The scene was modelled, not scanned: its up axis is right, and it stays as it is when it is aligned already.
+    """
+    # Every k-th face tells as much as all of them.
+    every = max(1, len(surface.faces) // _ENOUGH_FACES)
+    surface_faces = surface.faces[::every]
+    corners = surface.vertices[surface_faces]
+    solid = face_areas(surface.vertices, surface_faces) > 0.5e-12
+    faces = facets(corners, every)
+    floor_faces, wall_faces = (mask[::every] if mask is not None else None for mask in (floor_faces, wall_faces))
+    if not len(faces.areas):
+        notes = ["mesh without area: not aligned"]
+        return Alignment(np.eye(4) if stated is None else stated, "identity" if stated is None else "file", 0.0, tuple(notes))
+    floor = faces.chosen(floor_faces[solid]) if floor_faces is not None and floor_faces[solid].any() else None
+    walls = faces.chosen(wall_faces[solid]) if wall_faces is not None and wall_faces[solid].any() else faces
+    if stated is not None:
+        return _as_stated(faces, floor, stated)
+    notes = []
+    rotation = np.eye(3)
+    if not is_authored:
+        up, notes = _up(faces, floor, camera_up)
+        rotation = rotation_to_z(up)
+    # Furniture says nothing about how a modeller meant the axes: only walls may turn a modelled scene.
+    yaw = 0.0 if is_authored and wall_faces is None else dominant_yaw(walls.turned(rotation))
+    if yaw is None:
+        notes.append("no walls or other vertical faces seen: yaw left as scanned")
+        yaw = 0.0
+    height = floor_height(faces.turned(rotation), floor.turned(rotation) if floor is not None else None)
+    tilt = _tilt(floor or faces, rotation.T[:, 2])
+    points = surface.vertices @ (yaw_pose(-yaw)[:3, :3] @ rotation).T
+    if height is None:
+        notes.append("no floor seen: the lowest points are taken for its height")
+        height = float(np.percentile(points[:, 2], 0.5))
+    if is_authored and abs(yaw) < _IDENTITY_YAW and abs(height) < _IDENTITY_SHIFT_M:
+        return Alignment(np.eye(4), "identity", tilt, tuple(notes))
+    low, high = np.percentile(points[:, :2], [1, 99], axis=0)
+    pose = np.eye(4)
+    pose[:3, :3] = yaw_pose(-yaw)[:3, :3] @ rotation
+    pose[:3, 3] = [*(-(low + high) / 2), -height]
+    return Alignment(matrix(flat(pose)), "estimated", tilt, tuple(notes))
+
+
+def _as_stated(faces: Facets, floor: Facets | None, stated: Array) -> Alignment:
+    """The stated alignment, its height corrected so that the floor is at z = 0."""
+    rotation = stated[:3, :3]
+    turned = faces.turned(rotation)
+    height = floor_height(turned, floor.turned(rotation) if floor is not None else None)
+    tilt = _tilt(floor or faces, rotation.T[:, 2])
+    notes: list[str] = []
+    if height is None:
+        notes.append("no floor seen: height left as the axis alignment has it")
+        return Alignment(stated, "file", tilt, tuple(notes))
+    shift = -(height + stated[2, 3])
+    remaining = _tilt((floor or faces).turned(rotation), np.array([0.0, 0.0, 1.0]))
+    if remaining > np.deg2rad(5):
+        notes.append(f"the axis alignment leaves the floor {np.rad2deg(remaining):.1f} degrees from horizontal")
+    if abs(shift) > 0.3:
+        notes.append(f"the axis alignment leaves the floor at {-shift:.2f} m: moved to 0")
+    return Alignment(matrix(flat(translation([0, 0, shift]) @ stated)), "file", tilt, tuple(notes))
+
+
+def _up(faces: Facets, floor: Facets | None, camera_up: Array | None) -> tuple[Array, list[str]]:
+    """Up in the scan frame: from the first of the plausible guesses that a floor confirms."""
+    guesses = [np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, -1.0, 0.0])]
+    if camera_up is not None:
+        guesses.insert(0, camera_up / np.linalg.norm(camera_up))
+    if floor is not None and floor.areas.sum() > _MIN_FLOOR_M2:
+        normal = fitted_normal(floor, (floor.normals * floor.areas[:, None]).sum(axis=0))
+        if normal is not None:
+            inside = faces.centers.mean(axis=0) - floor.centers.mean(axis=0)
+            return (normal if normal @ inside > 0 else -normal), []
+    for guess in guesses:
+        up = gravity_aligned(faces, guess)
+        turned = faces.turned(rotation_to_z(up))
+        if up @ guess > np.cos(np.deg2rad(35)) and (height := floor_height(turned, None)) is not None:
+            near = (np.abs(turned.centers[:, 2] - height) < 2 * _FLOOR_BAND_M) & (np.abs(turned.normals[:, 2]) > 0.9)
+            normal = fitted_normal(faces.chosen(near), up)
+            return (normal if normal is not None and normal @ up > np.cos(np.deg2rad(10)) else up), []
+    return guesses[0], ["no floor seen: up taken from the " + ("cameras" if camera_up is not None else "scan's z axis")]
+
+
+def gravity_aligned(faces: Facets, guess: Array) -> Array:
+    """Up direction, shape (3,), near `guess`, to which most faces are parallel or perpendicular.
+
+    Iterates over shrinking angle thresholds; each step takes the eigenvector that is most along the normals of nearly
+    horizontal faces and least along those of nearly vertical ones (Gupta, Arbelaez and Malik, CVPR 2013, section 3).
+    """
+    up = guess / np.linalg.norm(guess)
+    for degrees in (40.0, 40.0, 25.0, 25.0, 15.0, 10.0, 7.0, 5.0, 5.0):
+        cosine = np.abs(faces.normals @ up)
+        level, upright = cosine > np.cos(np.deg2rad(degrees)), cosine < np.sin(np.deg2rad(degrees))
+        scatter = np.zeros((3, 3))
+        for where, sign in ((upright, 1.0), (level, -1.0)):
+            n = faces.normals[where]
+            scatter += sign * (n * faces.areas[where][:, None]).T @ n
+        if not level.any() and not upright.any():
+            break
+        candidate = np.linalg.eigh(scatter)[1][:, 0]
+        up = candidate * (1.0 if candidate @ up >= 0 else -1.0)
+    return up
+
+
+def floor_height(faces: Facets, floor: Facets | None) -> float | None:
+    """Height of the floor [m] in a frame whose z axis is up; None when nothing level and low enough is seen.
+
+    The lowest level of at least `_MIN_FLOOR_M2` that is not dwarfed by a level above it and has hardly anything below.
+    """
+    source = floor if floor is not None else faces
+    level = np.abs(source.normals[:, 2]) > np.cos(np.deg2rad(20))
+    heights, areas = source.centers[level, 2], source.areas[level]
+    if not len(heights) or areas.sum() < _MIN_FLOOR_M2:
+        return _weighted_median(source.centers[:, 2], source.areas) if floor is not None else None
+    if floor is not None:
+        # Of a slab, the upper side; of a scan whose faces are turned the wrong way round, whatever there is.
+        upward = source.normals[level, 2] > 0
+        return _weighted_median(heights[upward], areas[upward]) if upward.mean() > 0.1 else _weighted_median(heights, areas)
+    below = np.argsort(faces.centers[:, 2])
+    share = np.cumsum(faces.areas[below]) / faces.areas.sum()
+    ceiling_of_noise = float(faces.centers[below, 2][np.searchsorted(share, _BELOW_SHARE)])
+    start = heights.min()
+    bins = np.floor((heights - start) / 0.02).astype(np.int64)
+    if bins.max() > 100_000:
+        return None
+    by_bin = np.bincount(bins, weights=areas, minlength=5)
+    filled = np.convolve(by_bin, np.ones(5), mode="same")
+    centers = start + (np.arange(len(filled)) + 0.5) * 0.02
+    reach = centers <= ceiling_of_noise + 0.35
+    enough = (filled >= max(_MIN_FLOOR_M2, 0.08 * filled.max())) & reach
+    if not enough.any():
+        return None
+    first = int(np.argmax(enough))
+    stop = min(first + 8, len(filled))
+    peak = first + int(np.argmax(filled[first:stop]))
+    # All bins around a thin floor are as full; a platform a little above it must not draw its height up.
+    window = slice(max(peak - 2, 0), peak + 3)
+    three = np.convolve(by_bin, np.ones(3), mode="same")
+    crests = (three >= np.append(three[1:], 0.0)) & (three >= np.append(0.0, three[:-1])) & (three >= 0.5 * three[window].max())
+    peak = window.start + int(np.argmax(crests[window])) if crests[window].any() else peak
+    near = np.abs(heights - centers[peak]) < _FLOOR_BAND_M
+    return _weighted_median(heights[near], areas[near])
+
+
+def dominant_yaw(faces: Facets) -> float | None:
+    """Turn about z of the walls [rad], in (-pi/4, pi/4], in a frame whose z axis is up; None without vertical faces.
+
+    The strongest direction modulo a right angle, by area; then the turn near it at which walls, seen along themselves, are
+    thinnest. Normals of fused depth are off by ten degrees and more, the places of walls by a centimetre.
+    """
+    upright = np.abs(faces.normals[:, 2]) < np.sin(np.deg2rad(15))
+    if not upright.any():
+        return None
+    angle = np.arctan2(faces.normals[upright, 1], faces.normals[upright, 0]) % (np.pi / 2)
+    weight = faces.areas[upright]
+    bins = 180
+    histogram = np.bincount((angle / (np.pi / 2) * bins).astype(np.int64) % bins, weights=weight, minlength=bins)
+    reach = np.arange(-8, 9)
+    smooth = sum(np.roll(histogram, k) * np.exp(-0.5 * (k / 3.0) ** 2) for k in reach)
+    peak = (int(np.argmax(smooth)) + 0.5) / bins * (np.pi / 2)
+    plan = faces.corners[upright].reshape(-1, 3)[:, :2]
+    plan = plan - plan.mean(axis=0)
+    sides = np.repeat(faces.normals[upright, :2], 3, axis=0)
+    weights = np.repeat(weight, 3)
+    best = peak
+    for span, step in ((6.0, 0.5), (0.5, 0.1), (0.1, 0.02)):
+        turns = best + np.deg2rad(np.arange(-span, span + step / 2, step))
+        best = float(turns[int(np.argmax([_sharpness(plan, sides, weights, turn) for turn in turns]))])
+    return float((best + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+
+
+def _sharpness(plan: Array, sides: Array, weights: Array, turn: float) -> float:
+    """How much upright surface gathers on few lines at a turn [rad]: sum of squares of its histograms along both axes.
+
+    plan: Positions on the floor [m], shape (n, 2). sides: Normals, shape (n, 2); a point counts for the axis it faces.
+    """
+    total = 0.0
+    for angle in (turn, turn + np.pi / 2):
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        facing = np.abs(sides @ direction) > 0.8
+        if facing.any():
+            offset = plan[facing] @ direction / _LINE_M
+            low = np.floor(offset.min())
+            place = np.floor(offset - low).astype(np.int64)
+            # Shared between two neighboring bins, so that the measure does not jump where a wall crosses a border.
+            share = offset - low - place
+            mass = np.bincount(place, weights[facing] * (1 - share), minlength=int(place.max()) + 2)
+            mass += np.bincount(place + 1, weights[facing] * share, minlength=int(place.max()) + 2)
+            total += float((mass**2).sum())
+    return total
+
+
+def rotation_to_z(up: Array) -> Array:
+    """The shortest rotation, 3x3, that turns the unit vector `up` to +z; half a turn about x for -z."""
+    x, y, z = up / np.linalg.norm(up)
+    if z < -1 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + z)
+
+
+def fitted_normal(faces: Facets, toward: Array) -> Array | None:
+    """Normal, shape (3,), of the plane through faces, by area, pointing `toward`; None when they span no plane."""
+    if not len(faces.areas):
+        return None
+    points = faces.corners.reshape(-1, 3)
+    weights = np.repeat(faces.areas, 3)
+    normal = None
+    for _ in range(3):
+        center = np.average(points, axis=0, weights=weights)
+        spread = points - center
+        values, vectors = np.linalg.eigh((spread * weights[:, None]).T @ spread / weights.sum())
+        # The narrower extent in the plane must exceed the noise by far, or the normal is noise.
+        if values[1] < 0.15**2:
+            return normal
+        normal = vectors[:, 0] * (1.0 if vectors[:, 0] @ toward >= 0 else -1.0)
+        near = np.abs(spread @ normal) < max(2.0 * np.sqrt(max(values[0], 0.0)), 0.01)
+        if near.sum() < 3:
+            return normal
+        points, weights = points[near], weights[near]
+    return normal
+
+
+def _tilt(faces: Facets, up: Array) -> float:
+    """Angle [rad] between the scan's z axis and the normal of its floor, which `up` is near to."""
+    turned = faces.turned(rotation_to_z(up))
+    height = floor_height(turned, None)
+    normal = None
+    if height is not None:
+        near = (np.abs(turned.centers[:, 2] - height) < 2 * _FLOOR_BAND_M) & (np.abs(turned.normals[:, 2]) > 0.9)
+        normal = fitted_normal(faces.chosen(near), up)
+    return float(np.arccos(np.clip((normal if normal is not None else up)[2], -1.0, 1.0)))
+
+
+def _weighted_median(values: Array, weights: Array) -> float:
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    return float(values[order][min(int(np.searchsorted(total, 0.5 * total[-1])), len(values) - 1)])

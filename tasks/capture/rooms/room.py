@@ -1,0 +1,400 @@
+"""The room of a scene: floor polygon, walls and height, estimated from its points."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.capture import Room
+from tasks.capture.cloud import Cloud
+from tasks.capture.labels import CEILING, FLOOR, WALL, Label
+from tasks.capture.rooms.partitions import interior_walls
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+Array = NDArray[np.float64]
+
+_CELL_M = 0.05
+"""Cell of the floor plan: two to three vertices of a usual scan mesh wide, a tenth of the narrowest passage."""
+
+_BRIDGE_CELLS = 3
+"""Parts of the plan are grown by as many cells to see which are one: rooms with a wall of up to 30 cm between them."""
+
+_MIN_WALL_M2 = 0.4
+"""Wall surface on one plane below which it is rather the side of a cupboard."""
+
+_LINE_GAP_M = 0.08
+"""Lines nearer than this are one wall: thinner walls than that do not exist."""
+
+_WALL_THICKNESS_M = 0.23
+"""Thicker than the walls between rooms usually are."""
+
+_MIN_HEIGHT_M = 1.8
+
+_MISSED_SHARE = 0.03
+"""Furniture outside of the outline, as a share of it, from which on the outline is too small: bleeding through walls is a percent."""
+
+_BRIDGED_M = 1.5
+"""Farther from the seen floor than this, furniture may stand in another room."""
+
+_STANDING_M = 0.5
+"""What begins lower than this stands on the floor; the lowest part of furniture is often hidden."""
+
+_FEW_POINTS = 50
+"""Fewer points than this are no furniture."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RoomShape:
+    """Shape of a room in the world frame.
+
+    polygon: Corners of the floor, counter-clockwise, open ring [m], shape (n, 2). walls: Segments x0, y0, x1, y1 with the
+    room to their left [m], shape (m, 4): edges of the polygon, then faces of interior walls. interior_walls: Center lines
+    x0, y0, x1, y1, thickness, height [m], shape (k, 6). height [m].
+    """
+
+    polygon: Array
+    area: float
+    floor_source: str
+    walls: Array
+    interior_walls: Array
+    height: float
+    height_source: str
+    notes: tuple[str, ...]
+
+    def row(
+        self, scene_id: str, room_type: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
+        openings: tuple[tuple[float, ...], ...] | None = None,
+    ) -> Room:  # fmt: skip
+        """The row of `rooms` for this shape. parts: Colors, shape (n, 3), and label of what tells the colors of floor and walls."""
+        return Room(
+            scene_id=scene_id,
+            room_type=room_type,
+            floor_polygon=tuple((float(x), float(y)) for x, y in self.polygon),
+            floor_area_m2=self.area,
+            floor_source=self.floor_source,
+            walls=tuple(tuple(float(v) for v in wall) for wall in self.walls),
+            interior_walls=tuple(tuple(float(v) for v in wall) for wall in self.interior_walls),
+            openings=openings,
+            height_m=self.height,
+            height_source=self.height_source,
+            floor_color=_median_color(parts, FLOOR),
+            wall_color=_median_color(parts, WALL),
+        )
+
+
+def _median_color(parts: Iterable[tuple[NDArray[np.uint8], Label]], nyu40: int) -> tuple[int, ...] | None:
+    """Median color of the parts of an NYU40 class, shape (3,); None where they have none."""
+    colors = [values for values, label in parts if label.nyu40_id == nyu40 and len(values)]
+    return tuple(int(value) for value in np.median(np.concatenate(colors), axis=0)) if colors else None
+
+
+def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
+    """The room around a scan. `nyu40`: NYU40 class of each point of the cloud, 0 for none, shape (n,)."""
+    kinds = _kinds(cloud, nyu40)
+    height, height_source = _height(cloud, kinds)
+    plan = _Plan.of(cloud, kinds, height)
+    notes: list[str] = []
+    outline = plan.outline()
+    if outline is None:
+        low, high = (np.percentile(cloud.points[:, :2], q, axis=0) for q in (0.5, 99.5))
+        high = np.maximum(high, low + 0.2)
+        polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+        notes.append("no floor to be seen: its polygon is the extent of the scan")
+        area, walls, inner = float(np.prod(high - low)), _edges(polygon), np.zeros((0, 6))
+        return RoomShape(polygon, area, "extent", walls, inner, height, height_source, tuple(notes))
+    outline, missed = _with_furniture(outline, cloud, kinds)
+    if missed > 0.0:
+        notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
+    lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
+    shape, is_snapped = _snapped(plan, outline, lines)
+    if plan.left_out_m2 > 1.0:
+        notes.append(f"{plan.left_out_m2:.1f} m2 of floor not connected to the rest: left out of the polygon")
+    polygon = _ring(shape)
+    seen = plan.share_of_floor(shape)
+    source = "surface" if seen >= 0.25 else ("walls" if is_snapped and any(len(side_lines) for side_lines in lines) else "extent")
+    slabs, more = interior_walls(cloud, kinds == WALL, shape, height, plan.is_floor)
+    walls = np.array([*_edges(polygon), *(face for slab in slabs for face in slab.faces)])
+    inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
+    return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more))
+
+
+def inferred_room_type(categories: Iterable[str]) -> str:
+    """Kind of room by what stands in it, 'unknown' when nothing tells. Ties go to the first of the list below."""
+    present = list(categories)
+    best, most = "unknown", 0.0
+    for room_type, words in _TELLING.items():
+        score = sum(weight for word, weight in words.items() if word in present)
+        if score > most:
+            best, most = room_type, score
+    return best if most >= 1 else "unknown"
+
+
+_TELLING: dict[str, dict[str, float]] = {
+    "bathroom": {"toilet": 3, "bathtub": 3, "shower": 2, "shower curtain": 2, "sink": 0.8},
+    "bedroom": {"bed": 3, "nightstand": 1, "wardrobe": 1, "dresser": 0.8},
+    "kitchen": {"stove": 2, "refrigerator": 2, "oven": 2, "dishwasher": 2, "range hood": 2, "kitchen cabinet": 1.5, "kitchen counter": 1.5,
+                "microwave": 0.8, "sink": 0.6},
+    "living room": {"sofa": 2, "coffee table": 1, "tv": 0.8, "tv stand": 1, "armchair": 0.6, "fireplace": 1},
+    "dining room": {"dining table": 2.5},
+    "office": {"desk": 1.5, "monitor": 1, "office chair": 1.5, "whiteboard": 1, "printer": 0.8, "keyboard": 0.6, "file cabinet": 0.8},
+}  # fmt: skip
+"""How much a category speaks for a kind of room; one clear object, or two weak ones, decide."""
+
+
+def _kinds(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.int64]:
+    """WALL, FLOOR or CEILING per point, 0 for anything else: as labelled, else by where unlabelled points lie."""
+    kinds = np.where(np.isin(nyu40, (WALL, FLOOR, CEILING)), nyu40, 0)
+    loose = (cloud.instance < 0) & (kinds == 0)
+    level = np.abs(cloud.normals[:, 2]) > 0.9
+    kinds[loose & level & (np.abs(cloud.points[:, 2]) < 0.06)] = FLOOR
+    if not (kinds == WALL).any():
+        kinds[loose & (np.abs(cloud.normals[:, 2]) < 0.2)] = WALL
+    if not (kinds == CEILING).any():
+        kinds[loose & level & (cloud.points[:, 2] > _MIN_HEIGHT_M + 0.2)] = CEILING
+    return kinds
+
+
+def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
+    """Height of the room [m] and what it was taken from."""
+    z, areas = cloud.points[:, 2], cloud.areas
+    ceiling = (kinds == CEILING) & (z > _MIN_HEIGHT_M)
+    if areas[ceiling].sum() > 0.5:
+        heights, weights = z[ceiling], areas[ceiling]
+        bins = np.floor(heights / 0.05).astype(np.int64)
+        filled = np.convolve(np.bincount(bins, weights=weights), np.ones(3), mode="same")
+        near = np.abs(heights - (int(np.argmax(filled)) + 0.5) * 0.05) < 0.1
+        return float(np.median(heights[near])), "ceiling"
+    walls = z[kinds == WALL]
+    if areas[kinds == WALL].sum() > 1.0 and (top := float(np.percentile(walls, 99.7))) > 1.0:
+        return top, "walls"
+    return max(float(np.percentile(z, 99.5)), 0.1), "extent"
+
+
+@dataclasses.dataclass
+class _Plan:
+    """Cells of the floor plan: `inside` where there is floor or something on it, `floor` where the floor itself is seen."""
+
+    origin: Array
+    inside: NDArray[np.bool_]
+    floor: NDArray[np.bool_]
+    left_out_m2: float = 0.0
+
+    @staticmethod
+    def of(cloud: Cloud, kinds: NDArray[np.int64], height: float) -> _Plan:
+        """Cells that points fall into, closed over gaps and holes, the largest connected piece of them."""
+        from scipy import ndimage
+
+        z = cloud.points[:, 2]
+        is_floor = kinds == FLOOR
+        is_object = (kinds == 0) & (cloud.instance >= 0) & (z > -0.05) & (z < height)
+        if not is_object.any() and not is_floor.any():
+            is_object = (kinds != WALL) & (z < height)
+        used = is_floor | is_object
+        base = cloud.points[used, :2] if used.any() else cloud.points[:, :2]
+        low, high = np.percentile(base, [0.05, 99.95], axis=0)
+        origin = low - 6 * _CELL_M
+        shape = np.ceil((high - low) / _CELL_M).astype(int) + 12
+        is_wall = (kinds == WALL) & (z < height)
+        floor, objects, walls = (_raster(cloud.points[where, :2], origin, shape) for where in (is_floor, is_object, is_wall))
+        # Floor is seen once in a cell, but a single point of an object may be a stray one.
+        raw = (floor >= 1) | (objects >= 2)
+        ball = ndimage.generate_binary_structure(2, 1)
+        # What walls and floor enclose is inside, seen or not: behind the front of a wardrobe nobody has looked.
+        barrier = raw | (walls >= 2)
+        closed = ndimage.binary_closing(np.pad(barrier, 6), ball, iterations=5)[6:-6, 6:-6]
+        filled = ndimage.binary_fill_holes(closed) & (raw | ~barrier)
+        opened = ndimage.binary_opening(filled, ball, iterations=2)
+        if not opened.any():
+            return _Plan(origin, np.zeros_like(raw), floor >= 1)
+        joined, _ = ndimage.label(ndimage.binary_dilation(opened, ball, iterations=_BRIDGE_CELLS))
+        sizes = np.bincount(joined[opened])
+        main = int(np.argmax(sizes))
+        inside = opened & (joined == main)
+        return _Plan(origin, inside, floor >= 1, float((opened & ~inside).sum()) * _CELL_M**2)
+
+    def outline(self) -> Polygon | None:
+        """Union of the cells inside, None when there are none. Gaps between rooms are closed, a little wider than whole cells: parts
+        that are just one plan would else touch in a line."""
+        import shapely
+
+        if self.inside.sum() * _CELL_M**2 < 0.2:
+            return None
+        boxes = []
+        for column in range(self.inside.shape[0]):
+            steps = np.diff(np.pad(self.inside[column].astype(np.int8), 1))
+            x = self.origin[0] + column * _CELL_M
+            ys = self.origin[1] + np.column_stack([np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)]) * _CELL_M
+            boxes += [shapely.box(x, low, x + _CELL_M, high) for low, high in ys]
+        return _largest(_closed(shapely.union_all(boxes), (_BRIDGE_CELLS + 0.1) * _CELL_M))
+
+    def share_of_floor(self, shape: Polygon) -> float:
+        """Share of a polygon in whose cells the floor itself is seen."""
+        return float(min(1.0, self.floor.sum() * _CELL_M**2 / max(shape.area, 1e-9)))
+
+    def filled_share(self, xs: Array, ys: Array) -> Array:
+        """Share of each rectangle between consecutive lines that is inside, shape (len(xs) - 1, len(ys) - 1)."""
+        total = np.zeros((self.inside.shape[0] + 1, self.inside.shape[1] + 1))
+        total[1:, 1:] = self.inside.cumsum(axis=0).cumsum(axis=1)
+        i = np.clip(np.round((xs - self.origin[0]) / _CELL_M).astype(int), 0, self.inside.shape[0])
+        j = np.clip(np.round((ys - self.origin[1]) / _CELL_M).astype(int), 0, self.inside.shape[1])
+        counts = total[np.ix_(i[1:], j[1:])] - total[np.ix_(i[:-1], j[1:])] - total[np.ix_(i[1:], j[:-1])] + total[np.ix_(i[:-1], j[:-1])]
+        return counts / np.maximum(np.outer(np.diff(i), np.diff(j)), 1)
+
+    def is_floor(self, points: Array) -> NDArray[np.bool_]:
+        """Whether the floor was seen at places, shape (n, 2)."""
+        cells = np.floor((points - self.origin) / _CELL_M).astype(np.int64)
+        known = ((cells >= 0) & (cells < self.floor.shape)).all(axis=1)
+        seen = np.zeros(len(points), dtype=bool)
+        seen[known] = self.floor[cells[known, 0], cells[known, 1]]
+        return seen
+
+
+def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[Polygon, float]:
+    """The outline with what stands outside of it, and how much was added [m2]; as it was where little stands outside.
+
+    A few frames see furniture well and the floor in patches: then furniture lies across the patches' outline.
+    """
+    import shapely
+
+    hulls = []
+    order = np.argsort(cloud.instance, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(cloud.instance[order])) + 1):
+        points = cloud.points[members]
+        if cloud.instance[members[0]] < 0 or len(points) < _FEW_POINTS or kinds[members].any():
+            continue
+        low, high = np.percentile(points, [1, 99], axis=0)
+        if low[2] < _STANDING_M:
+            within = ((points[:, :2] >= low[:2]) & (points[:, :2] <= high[:2])).all(axis=1)
+            hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(_CELL_M))
+    walls = cloud.points[kinds == WALL, :2]
+    hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
+    furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
+    if furniture.difference(outline).area < _MISSED_SHARE * outline.area:
+        return outline, 0.0
+    whole = shapely.union_all([outline, furniture])
+    for part in sorted(shapely.get_parts(whole), key=lambda part: float(part.distance(outline))):
+        away = float(part.distance(outline))
+        if 0.0 < away <= _BRIDGED_M:  # the floor between was not seen
+            near = shapely.intersection(outline, part.buffer(away + 0.3))
+            whole = shapely.union_all([whole, shapely.union_all([part, near]).convex_hull])
+    largest = _largest(_closed(whole, 0.15))
+    return (largest, float(largest.area - outline.area)) if largest is not None else (outline, 0.0)
+
+
+def _is_behind_wall(hull: Polygon, outline: Polygon, walls: Array) -> bool:
+    """Whether wall points, shape (n, 2), lie where furniture leaves the outline, or between the two."""
+    import shapely
+
+    outside = hull.difference(outline)
+    if outside.is_empty:
+        return False
+    away = float(hull.distance(outline))
+    near = shapely.intersection(outline, hull.buffer(away + 0.1))
+    between = shapely.union_all([outside, near]).convex_hull.difference(outline.buffer(-0.05)).difference(hull.buffer(-0.1))
+    return bool(shapely.contains_xy(between, walls[:, 0], walls[:, 1]).sum() >= _FEW_POINTS)
+
+
+def _raster(points: Array, origin: Array, shape: NDArray[np.int64]) -> NDArray[np.int64]:
+    cells = np.floor((points - origin) / _CELL_M).astype(np.int64)
+    cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
+    return np.bincount(cells[:, 0] * shape[1] + cells[:, 1], minlength=int(np.prod(shape))).reshape(shape)
+
+
+def _wall_lines(cloud: Cloud, is_wall: NDArray[np.bool_], axis: int) -> Array:
+    """Positions along `axis` [m], sorted, of walls that stand across it."""
+    across = is_wall & (np.abs(cloud.normals[:, axis]) > 0.9)
+    values, areas = cloud.points[across, axis], cloud.areas[across]
+    if not len(values):
+        return np.zeros(0)
+    start = values.min() - 0.2
+    bins = np.floor((values - start) / 0.01).astype(np.int64)
+    histogram = np.bincount(bins, weights=areas, minlength=bins.max() + 20)
+    smooth = np.convolve(histogram, np.ones(7), mode="same")
+    lines: list[float] = []
+    for peak in np.argsort(-smooth, kind="stable"):
+        if smooth[peak] < _MIN_WALL_M2:
+            break
+        position = start + (peak + 0.5) * 0.01
+        if all(abs(position - other) > _LINE_GAP_M for other in lines):
+            near = np.abs(values - position) < 0.04
+            lines.append(float(np.average(values[near], weights=areas[near])))
+    return np.sort(np.array(lines))
+
+
+def _snapped(plan: _Plan, outline: Polygon, lines: list[Array]) -> tuple[Polygon, bool]:
+    """The outline made of straight edges; along the walls where walls run along the axes.
+
+    The plane is cut at every wall and at every long straight stretch of the outline; the rectangles between that are
+    mostly inside make up the floor. Where that does not fit the outline (walls askew), the outline is only simplified.
+    """
+    import shapely
+
+    simple = outline.simplify(0.12)
+    xs, ys = (_with_outline(lines[axis], simple, axis) for axis in (0, 1))
+    share = plan.filled_share(xs, ys)
+    # A strip no wider than a wall between two walls is that wall, though modelled floors run on below it. Inside the
+    # room such strips are bridged again by the closing below.
+    share[_is_wall_strip(xs, lines[0]), :] = 0
+    share[:, _is_wall_strip(ys, lines[1])] = 0
+    boxes = [shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(share > 0.5)]
+    if boxes:
+        # Strips narrower than a wall is thick are floor below a wall, or its recess at a window.
+        shape = _largest(_closed(_closed(shapely.union_all(boxes), 0.2), -0.13))
+        if shape is not None:
+            overlap = shape.intersection(outline).area / shape.union(outline).area
+            if overlap > 0.85:
+                return shape.simplify(0.03), True
+    return shapely.Polygon(simple.exterior), False
+
+
+def _is_wall_strip(positions: Array, walls: Array) -> NDArray[np.bool_]:
+    """Which gaps between consecutive lines lie between two walls and are as narrow as a wall, shape (len(positions) - 1,)."""
+    is_wall = np.isin(positions, walls)
+    return is_wall[:-1] & is_wall[1:] & (np.diff(positions) < _WALL_THICKNESS_M)
+
+
+def _with_outline(lines: Array, outline: Polygon, axis: int) -> Array:
+    """Wall lines, and where no wall is near (0.3 m), the outline's own long edges and extremes; sorted."""
+    corners = np.asarray(outline.exterior.coords)
+    a, b = corners[:-1], corners[1:]
+    other = 1 - axis
+    along = np.abs(b[:, other] - a[:, other])
+    straight = (along > 0.5) & (np.abs(b[:, axis] - a[:, axis]) < 0.15 * along + 0.05)
+    edges = sorted(zip((-along[straight]).tolist(), ((a + b) / 2)[straight, axis].tolist(), strict=True))
+    extremes = [(0.0, float(corners[:, axis].min())), (0.0, float(corners[:, axis].max()))]
+    kept = lines.tolist()
+    for _, position in [*edges, *extremes]:
+        if all(abs(position - other_line) > 0.3 for other_line in kept):
+            kept.append(position)
+    return np.sort(np.array(kept))
+
+
+def _closed(shape: Any, reach: float) -> Any:
+    return shape.buffer(reach, join_style="mitre").buffer(-reach, join_style="mitre")
+
+
+def _largest(shape: Any) -> Polygon | None:
+    """The largest polygon of a shape, without holes."""
+    import shapely
+
+    parts = [part for part in getattr(shape, "geoms", [shape]) if part.geom_type == "Polygon" and part.area > 0]
+    return shapely.Polygon(max(parts, key=lambda part: part.area).exterior) if parts else None
+
+
+def _ring(shape: Polygon) -> Array:
+    """Corners, counter-clockwise, starting with the lowest (x, y), without the repeated last one, shape (n, 2)."""
+    import shapely
+
+    ring = np.asarray(shapely.geometry.polygon.orient(shape).exterior.coords)[:-1]
+    first = int(np.lexsort((ring[:, 1], ring[:, 0]))[0])
+    return np.roll(ring, -first, axis=0) + 0.0
+
+
+def _edges(ring: Array) -> Array:
+    return np.column_stack([ring, np.roll(ring, -1, axis=0)])

@@ -1,0 +1,135 @@
+"""A replica as surfaces: the assets where they were placed, and what of the room's slabs looks into the room."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.candidates import Asset
+from schemas.capture import Room
+from schemas.errors import InputError
+from schemas.optimization import Placement
+from tasks.fidelity.visibility import reach
+from tasks.geometry.meshes import Surface, surface_of, union_of
+from tasks.geometry.rendering import Camera, RayScene, Rendering
+from tasks.geometry.triangles import face_crosses, face_normals
+from tasks.replica import placed_parts
+from tasks.shell import ShellConfig, floor_ring, room_shell, wall_of
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+
+_INSIDE_M = 0.01
+"""A face of a wall looks into the room when the floor is this far before its middle [m]."""
+
+_TURNED = 0.999
+"""Cosine from which on a face is turned as its wall is: within 2.6 degrees."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ReplicaSurface:
+    """What stands in a replica, world frame [m].
+
+    objects: Parts of every placed asset, by instance. shell: The faces of floor and walls that look into the room: their backs
+    are nobody's to see, and would pass for surface where a scan looks through a door.
+    """
+
+    objects: Mapping[str, Sequence[trimesh.Trimesh]]
+    shell: Surface
+
+    @property
+    def owners(self) -> list[str]:
+        """The instance that each part of the objects belongs to, in their order."""
+        return [name for name, parts in self.objects.items() for _ in parts]
+
+
+class ReplicaRays:
+    """What rays meet in a replica. A wall hides nothing from a camera behind it: the room's outline is estimated, and the
+    scan's cameras stood where they stood."""
+
+    def __init__(self, replica: ReplicaSurface) -> None:
+        self._objects = RayScene([part for parts in replica.objects.values() for part in parts])
+        self._shell = replica.shell
+        self._crosses = face_crosses(self._shell.vertices, self._shell.faces)
+
+    def reach(self, camera: Camera, points: Array) -> Array:
+        """How far the rays from a camera through points get before they meet something [m], infinite where they do not, (n,)."""
+        return np.minimum(reach(camera, points, self._objects), reach(camera, points, self._before(camera)))
+
+    def render(self, camera: Camera, rays: NDArray[np.float32]) -> Rendering:
+        """What the camera sees, unlit. Parts are those of the objects, -1 for the shell."""
+        objects, shell = (scene.render(camera, shade=False, rays=rays) for scene in (self._objects, self._before(camera)))
+        near = shell.depth < objects.depth
+        return Rendering(
+            np.where(near, shell.depth, objects.depth), np.where(near, -1, objects.part),
+            np.where(near[..., None], shell.color, objects.color), np.where(near[..., None], shell.normal, objects.normal),
+        )  # fmt: skip
+
+    def _before(self, camera: Camera) -> RayScene:
+        """The faces of the shell whose front the camera sees."""
+        shell = self._shell
+        if not len(shell.faces):
+            return RayScene([])
+        front = np.einsum("nd,nd->n", self._crosses, camera.pose[:3, 3] - shell.vertices[shell.faces[:, 0]]) > 0
+        return RayScene([Surface(shell.vertices, shell.faces[front], shell.colors).to_trimesh()])
+
+
+def replica_surface(
+    room: Room | None, placements: Sequence[Placement], assets: Sequence[Asset], blobs: Mapping[str, bytes]
+) -> ReplicaSurface:
+    """The assets of a scene at their optimized poses, and its room.
+
+    Raises:
+        InputError: a placement's asset is not there or cannot be read, or the room's floor has no area.
+    """
+    known = {asset.asset_id: asset for asset in assets}
+    objects = {}
+    for placement in sorted(placements, key=lambda p: p.instance_id):
+        asset = known.get(placement.asset_id)
+        if asset is None:
+            problem = f"asset {placement.asset_id[:12]} is not in assets"
+            raise InputError(placement.scene_id, f"placement {placement.instance_id}", problem, "run the candidates stage again")
+        objects[placement.instance_id] = placed_parts(placement, blobs[asset.mesh_blob])
+    named = room_shell(room) if room is not None else []
+    shell = union_of([_inward(room, name, surface_of([part])) for name, part in named if room is not None])
+    return ReplicaSurface(objects, shell)
+
+
+def _inward(room: Room, name: str, slab: Surface) -> Surface:
+    """The faces of a slab that look into the room: the floor's top, what has floor before it, and the backs of an outer wall's
+    niches, however deep."""
+    import shapely
+
+    ring = floor_ring(room)
+    floor = shapely.Polygon(ring)
+    normals, middles = face_normals(slab.vertices, slab.faces), slab.vertices[slab.faces].mean(axis=1)
+    looks_in: NDArray[np.bool_] = shapely.contains_xy(floor, *(middles + _INSIDE_M * normals)[:, :2].T)
+    kind, _, number = wall_of(name).partition("_")
+    if kind == "wall":
+        looks_in |= _niche_backs(room, ring[int(number)], ring[(int(number) + 1) % len(ring)], normals, middles)
+    is_top = (normals[:, 2] > 0.5) & (middles[:, 2] < _INSIDE_M)
+    return Surface(slab.vertices, slab.faces[((np.abs(normals[:, 2]) < 0.5) & looks_in) | is_top], slab.colors)
+
+
+def _niche_backs(room: Room, start: Array, end: Array, normals: Array, middles: Array) -> NDArray[np.bool_]:
+    """Which faces of the outer wall from start to end, shape (2,), close an opening of it: those turned as the wall is, before
+    which there is the opening, as deep as what fills it or the wall. Normals and middles of faces [m]: shape (n, 3)."""
+    along = (end - start) / np.linalg.norm(end - start)
+    inward = np.array([-along[1], along[0]])
+    across, behind, z = (middles[:, :2] - start) @ along, -(middles[:, :2] - start) @ inward, middles[:, 2]
+    backs = np.zeros(len(middles), dtype=bool)
+    for opening in room.openings or ():
+        ends = np.asarray(opening, dtype=np.float64)[:4].reshape(2, 2) - start
+        if np.abs(ends @ inward).max() > _INSIDE_M:
+            continue
+        low, high = sorted(ends @ along)
+        bottom, top, depth = opening[4:7]
+        deepest = max(depth, ShellConfig().thickness_m) + _INSIDE_M
+        backs |= (low < across) & (across < high) & (bottom < z) & (z < top) & (behind < deepest)
+    return backs & (normals[:, :2] @ inward > _TURNED)

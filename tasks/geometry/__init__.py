@@ -1,0 +1,1 @@
+"""Geometry that several stages share: boxes, meshes, convex pieces, surfaces, frames."""

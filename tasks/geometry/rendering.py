@@ -1,0 +1,179 @@
+"""Ray casting on Embree: depth, identity and color of a scene from a pinhole camera.
+
+Used by the virtual scanner, by visibility tests and by the report's pictures.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.geometry.meshes import material_of, sample_texture, vertex_colors
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+NOOBJECT = 0xFFFFFFFF
+"""Part and face of a ray that hits nothing."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """A pinhole camera. `pose`: OpenCV camera to world, 4x4 [m]; focal lengths and center in pixels."""
+
+    pose: NDArray[np.float64]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    @property
+    def intrinsic(self) -> NDArray[np.float64]:
+        """The 3x3 intrinsic matrix [px]."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @staticmethod
+    def with_fov(pose: NDArray[np.float64], width: int, height: int, horizontal_fov_radians: float) -> Camera:
+        """A camera with square pixels, its center in the middle of the image."""
+        focal = 0.5 * width / np.tan(0.5 * horizontal_fov_radians)
+        return Camera(pose, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height)
+
+    def rays(self) -> NDArray[np.float32]:
+        """Origin and direction per pixel in the world frame, shape (height, width, 6). Directions have z = 1 in the
+        camera frame, so a hit's parameter is its depth [m]."""
+        u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
+        local = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], axis=-1)
+        rays = np.empty((self.height, self.width, 6), dtype=np.float32)
+        rays[..., :3] = self.pose[:3, 3]
+        rays[..., 3:] = local @ self.pose[:3, :3].T
+        return rays
+
+    def project(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pixel coordinates, shape (n, 2), and depth [m], shape (n,), of world points, shape (n, 3)."""
+        local = (points - self.pose[:3, 3]) @ self.pose[:3, :3]
+        depth = local[:, 2]
+        safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
+        return np.stack([self.fx * local[:, 0] / safe + self.cx, self.fy * local[:, 1] / safe + self.cy], axis=1), depth
+
+
+@dataclasses.dataclass(frozen=True)
+class Rendering:
+    """What a camera sees, arrays of shape (height, width): depth [m] (inf where nothing is), part index (-1 where
+    nothing is), and color, shape (height, width, 3) uint8."""
+
+    depth: NDArray[np.float32]
+    part: NDArray[np.int64]
+    color: NDArray[np.uint8]
+    normal: NDArray[np.float32]
+
+
+class RayScene:
+    """Parts (trimeshes in one frame) that rays can be cast at. Both sides of a face are hit; casting takes one thread."""
+
+    def __init__(self, parts: Sequence[trimesh.Trimesh]) -> None:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        self.parts = list(parts)
+        self._looks: dict[int, tuple[Any, ...]] = {}
+        counts = np.array([len(part.faces) for part in self.parts], dtype=np.int64)
+        self._part_of = np.repeat(np.arange(len(self.parts)), counts).astype(np.uint32)
+        self._first = np.cumsum(counts) - counts
+        self._scene = None
+        if not counts.sum():
+            return
+        corners = np.cumsum([0, *(len(part.vertices) for part in self.parts)])
+        vertices = np.concatenate([np.asarray(part.vertices, dtype=np.float32).reshape(-1, 3) for part in self.parts])
+        faces = np.concatenate(
+            [np.asarray(part.faces, dtype=np.int64).reshape(-1, 3) + at for part, at in zip(self.parts, corners[:-1], strict=True)]
+        )
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.int32))
+
+    def cast(self, rays: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+        """The first hit of rays (origin and direction of any length), shape (..., 6).
+
+        Returns:
+            `t_hit`: in lengths of the direction, inf where there is none, shape (...). `geometry_ids`: part, and
+            `primitive_ids`: face of the part, uint32, `NOTHING` where there is none. `primitive_uvs`: barycentric
+            coordinates of the face's corners 1 and 2, shape (..., 2). `primitive_normals`: unit, by the face's winding,
+            shape (..., 3); 0 where there is none.
+        """
+        flat = np.asarray(rays, dtype=np.float32).reshape(-1, 6)
+        shape, n = rays.shape[:-1], len(flat)
+        hits: dict[str, NDArray[Any]] = {
+            "t_hit": np.full(n, np.inf, dtype=np.float32),
+            "geometry_ids": np.full(n, NOOBJECT, dtype=np.uint32),
+            "primitive_ids": np.full(n, NOOBJECT, dtype=np.uint32),
+            "primitive_uvs": np.zeros((n, 2), dtype=np.float32),
+            "primitive_normals": np.zeros((n, 3), dtype=np.float32),
+        }
+        if self._scene is not None and n:
+            answer = self._scene.run(np.ascontiguousarray(flat[:, :3]), np.ascontiguousarray(flat[:, 3:]), output=True)
+            face = np.asarray(answer["primID"], dtype=np.int64)
+            hit = np.flatnonzero(face >= 0)
+            face = face[hit]
+            part = self._part_of[face]
+            normal = np.asarray(answer["Ng"], dtype=np.float32)[hit]
+            length = np.sqrt(np.einsum("nd,nd->n", normal, normal))[:, None]
+            hits["t_hit"][hit] = answer["tfar"][hit]
+            hits["geometry_ids"][hit] = part
+            hits["primitive_ids"][hit] = face - self._first[part]
+            hits["primitive_uvs"][hit] = np.column_stack([answer["u"][hit], answer["v"][hit]])
+            hits["primitive_normals"][hit] = normal / np.where(length > 0, length, 1)
+        return {name: values.reshape(*shape, *values.shape[1:]) for name, values in hits.items()}
+
+    def render(
+        self,
+        camera: Camera,
+        background: tuple[int, int, int] = (255, 255, 255),
+        shade: bool = True,
+        rays: NDArray[np.float32] | None = None,
+    ) -> Rendering:
+        """Depth, part and color from a camera. `shade` darkens faces that turn away from the camera and from above.
+
+        `rays` are the camera's, where they are known already.
+        """
+        hits = self.cast(camera.rays() if rays is None else rays)
+        depth = hits["t_hit"].astype(np.float32)
+        seen = np.isfinite(depth)
+        part = np.where(seen, hits["geometry_ids"].astype(np.int64), -1)
+        color = np.empty((*depth.shape, 3), dtype=np.uint8)
+        color[:] = background
+        face, bary, painted = hits["primitive_ids"].reshape(-1), hits["primitive_uvs"].reshape(-1, 2), color.reshape(-1, 3)
+        hit = np.flatnonzero(seen)
+        kind = np.uint16 if len(self.parts) < 2**16 else np.uint32  # short numbers are sorted in one pass
+        hit = hit[np.argsort(hits["geometry_ids"].reshape(-1)[hit].astype(kind), kind="stable")]  # pixels part by part
+        ends = np.cumsum(np.bincount(part.reshape(-1)[hit], minlength=1))
+        for index, (start, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
+            if end > start:
+                where = hit[start:end]
+                painted[where] = self._hit_colors(index, face[where].astype(np.int64), bary[where])
+        normal = hits["primitive_normals"].astype(np.float32)
+        if shade:
+            forward = camera.pose[:3, 2].astype(np.float32)
+            facing = np.abs(normal @ forward)
+            light = 0.55 + 0.3 * facing + 0.15 * np.abs(normal[..., 2])
+            color[seen] = np.clip(color[seen] * light[seen][:, None], 0, 255).astype(np.uint8)
+        return Rendering(depth, part, color, normal)
+
+    def _hit_colors(self, index: int, face: NDArray[np.int64], bary: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Color at hits on one part: faces (n,), barycentric coordinates of corners 1 and 2 (n, 2)."""
+        part = self.parts[index]
+        if index not in self._looks:
+            visual: Any = part.visual
+            textured = visual.kind == "texture" and visual.uv is not None and len(visual.uv) == len(part.vertices)
+            image, factor = material_of(part) if textured else (None, None)
+            self._looks[index] = (image, factor, np.asarray(visual.uv) if image is not None else vertex_colors(part))
+        image, factor, values = self._looks[index]
+        corners = values[np.asarray(part.faces)[face]]
+        weights = np.column_stack([1 - bary.sum(axis=1), bary])
+        blended = np.einsum("nk,nkd->nd", weights, corners.astype(np.float64))
+        return sample_texture(image, blended, factor) if image is not None else np.clip(np.round(blended), 0, 255).astype(np.uint8)

@@ -1,0 +1,102 @@
+"""Areas, normals and volumes of triangle meshes. Vertices: [m], shape (n, 3). Faces: vertex indices, shape (m, 3).
+
+Normals at vertices and corners are libigl's; sums over faces that other figures hang on are NumPy's, to the bit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+WELD_DECIMALS = 6
+"""Corners whose coordinates agree to a micrometre are at one place: textures and parts split vertices without moving them."""
+
+MOST_FACES = 64
+"""Corners at a place with more faces are flat: every face there is compared with every other one."""
+
+
+def face_crosses(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Cross product of two edges of each face: its normal, twice its area long [m2], shape (m, 3)."""
+    a, b, c = np.asarray(vertices)[np.asarray(faces).T]
+    return np.cross(b - a, c - a)
+
+
+def face_areas(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Area of each face [m2], shape (m,)."""
+    return 0.5 * np.linalg.norm(face_crosses(vertices, faces), axis=1)
+
+
+def surface_area(vertices: ArrayLike, faces: ArrayLike) -> float:
+    """Area of all faces [m2]."""
+    return float(0.5 * np.linalg.norm(face_crosses(vertices, faces), axis=1).sum())
+
+
+def enclosed_volume(vertices: ArrayLike, faces: ArrayLike) -> float:
+    """Volume inside a closed surface [m3], negative where faces look inward: sum over tetrahedra to the origin."""
+    a, b, c = np.asarray(vertices)[np.asarray(faces).T]
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+
+
+def spread(vertices: Array, faces: Integers, count: int, rng: np.random.Generator) -> tuple[Integers, Array]:
+    """Places spread evenly over a surface: face, shape (count,), sorted, and barycentric weights of its corners, shape (count, 3)."""
+    area = np.linalg.norm(face_crosses(vertices, faces), axis=1)
+    total = area.sum()
+    area, total = (area, total) if total > 0 else (np.ones(len(faces)), float(len(faces)))
+    steps = (np.arange(count) + rng.random(count)) / count * total
+    face = np.minimum(np.searchsorted(np.cumsum(area), steps), len(area) - 1)
+    u, v = rng.random((2, count))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    return face.astype(np.int64), np.stack([1 - u - v, u, v], axis=1)
+
+
+def face_planes(vertices: Array, faces: Integers, least: float = 0.0) -> tuple[Array, Array]:
+    """Unit normals, shape (k, 3), and offsets along them [m], shape (k,), of faces of more than `least` twice the area [m2]."""
+    crosses = face_crosses(vertices, faces)
+    lengths = np.linalg.norm(crosses, axis=1)
+    solid = lengths > least
+    normals = crosses[solid] / lengths[solid, None]
+    return normals, np.einsum("ij,ij->i", normals, vertices[faces[solid, 0]])
+
+
+def face_normals(vertices: Array, faces: Integers) -> Array:
+    """Unit normals of faces, shape (m, 3); +Z for faces without area."""
+    import igl
+
+    return np.asarray(igl.per_face_normals(vertices, faces, np.array([0.0, 0.0, 1.0])))
+
+
+def vertex_normals(vertices: Array, faces: Integers) -> Array:
+    """Area-weighted unit normals at vertices, shape (n, 3); zero where no face with area is."""
+    import igl
+
+    weighting: Any = igl.PerVertexNormalsWeightingType.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+    return np.nan_to_num(igl.per_vertex_normals(vertices, faces, weighting))
+
+
+def corner_normals(vertices: Array, faces: Integers, crease: float) -> Array:
+    """Unit normal per corner of every face, shape (m, 3, 3).
+
+    A corner's normal is the area-weighted mean of the faces around its place that turn away from its own face by less than
+    `crease` [rad]: round objects are smooth, edges stay edges. Corners shared by more than `MOST_FACES` faces are flat.
+    """
+    import igl
+
+    first, place = welded(vertices)
+    corner = place[faces]
+    crowded = np.bincount(corner.ravel(), minlength=len(first))[corner] > MOST_FACES
+    loose = vertices[faces[crowded]]
+    corner[crowded] = len(first) + np.arange(len(loose))
+    smooth = igl.per_corner_normals(np.concatenate([vertices[first], loose]), corner, np.degrees(crease)).reshape(-1, 3, 3)
+    is_unit = np.einsum("mck,mck->mc", smooth, smooth) > 0.5
+    return np.where(is_unit[:, :, None], smooth, face_normals(vertices, faces)[:, None])
+
+
+def welded(vertices: Array, decimals: int = WELD_DECIMALS) -> tuple[Integers, Integers]:
+    """The first vertex at each place, shape (k,), and the place of each vertex, shape (n,)."""
+    _, first, place = np.unique(np.round(vertices, decimals), axis=0, return_index=True, return_inverse=True)
+    return first, place.reshape(-1)

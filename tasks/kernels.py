@@ -1,0 +1,55 @@
+"""Loops over numbers as machine code."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+Kernels = dict[str, Callable[..., Any]]
+
+
+def compile_kernels(*functions: Callable[..., Any], known: Mapping[str, Callable[..., Any]] | None = None) -> Kernels:
+    """Functions of one module as machine code, by name, with those of other modules that they call.
+
+    Compiled code calls only compiled code, so functions are replaced in place in their order: callees come before callers.
+    Sums are not reordered: the same numbers on every machine.
+
+    Args:
+        functions: Of one module.
+        known: Kernels of other modules, put beside the functions under their names.
+    """
+    import numba
+
+    _keep_apart()
+    compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+    names, kernels = functions[0].__globals__, dict(known or {})
+    names.update(kernels)
+    for function in functions:
+        names[function.__name__] = kernels[function.__name__] = compiled(function)
+    return kernels
+
+
+@cache
+def _keep_apart() -> None:
+    """Cache machine code in a folder of its own for every state of the modules with kernels.
+
+    numba looks at the file of a function alone: code that calls a changed function of another module would stay in use.
+    """
+    import numba
+
+    rooms = Path(__file__).parent
+    sources = {path.relative_to(rooms).as_posix(): path.read_bytes() for path in sorted(rooms.rglob("*.py"))}
+    hasher = hashlib.sha256()
+    for name, source in sources.items():
+        if compile_kernels.__name__.encode() in source:
+            hasher.update(name.encode() + b"\0" + source + b"\0")
+    folder = Path(numba.config.CACHE_DIR or rooms / "__pycache__")  # type: ignore[attr-defined]
+    own = folder / f"kernels-{hasher.hexdigest()[:16]}"
+    for former in folder.glob("kernels-*") if folder.is_dir() else ():
+        if former != own:
+            shutil.rmtree(former, ignore_errors=True)
+    numba.config.CACHE_DIR = str(own)  # type: ignore[attr-defined]

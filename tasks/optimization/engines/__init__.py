@@ -1,0 +1,1 @@
+"""Physics engines that certify what was optimized."""

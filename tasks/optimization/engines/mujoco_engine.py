@@ -1,0 +1,278 @@
+"""MuJoCo on the CPU: objects under gravity on the floor z = 0, among the room's walls.
+
+Only convex pieces are looked at, each as a hull of its own, with the union's mass properties; nothing that MuJoCo would
+make of a mesh by itself is used.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tasks.geometry.transforms import pose_from_quaternion_wxyz, quaternion_wxyz
+from tasks.optimization.solids import ConvexParts, RigidBody, mass_properties_of
+from tasks.settings import LISTED, Config, Count, NonNegative, Positive
+
+Array = NDArray[np.float64]
+LONGEST_TIMESTEP_S = 0.02
+"""From here on a fall of one step goes deeper than objects are thick [s]: contacts are missed or shoot objects away."""
+
+
+Timestep = Annotated[float, Field(gt=0, lt=LONGEST_TIMESTEP_S)]
+"""At which an engine's contacts are stable [s]."""
+
+_Inner = Annotated[float, Field(gt=0, lt=1)]
+Impedance = Annotated[tuple[_Inner, _Inner, Positive], LISTED]
+"""Two shares, then a width."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Mujoco(Config):
+    """How MuJoCo is set."""
+
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"  # of friction; the pyramid, MuJoCo's default, lets go sooner along its edges
+    integrator: Literal["implicitfast", "Euler"] = "implicitfast"  # MuJoCo's default is Euler, which needs shorter steps
+    timestep_s: Timestep = 0.004  # verdicts of 2 in 1,000 objects differ from those at 1 ms, by fractions of a millimeter
+    impratio: Positive = 10.0  # friction 10 times as stiff as the contact, against creep on slopes
+    stiffness_s: Positive = 0.02  # time constant of a contact: a 1 cm overlap is pushed apart by 1 cm; at 8 ms it is shot 4 cm away
+    impedance: Impedance = (0.99, 0.999, 0.001)  # objects sink in by 0.01 mm, by 1 mm under a hundredfold load
+    iterations: Count = 100  # of Newton's method, which needs few; cut off at 10, piles explode
+    tolerance: NonNegative = 1e-8  # MuJoCo's own default
+    sleep_m_s: NonNegative = 1e-6  # slower for 10 steps, an object is not computed until touched; at 1e-4 the balanced never tip; 0: never
+    friction_floor: Positive = 1e-3  # MuJoCo takes the greater friction of a pair, and an object's is measured against floors
+    memory_bytes: Count = 2**28  # room for 10,000 contacts and more; what is not touched costs nothing
+    check_steps: Count = 5  # how often the state is looked at for having gone astray
+
+
+NUDGES = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+"""Directions, x and y of the world frame, in which all free objects are nudged at once."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulation:
+    """What an engine makes of objects left alone.
+
+    settled: asset to world at the end [m], shape (n, 4, 4). start_penetration: deepest at the start [m], shape (n,).
+    problems: why an object could not be simulated, or None. seconds: simulated time. nudged: as settled after each nudge,
+    shape (k, n, 4, 4), k 0 where there was none.
+    """
+
+    engine: str
+    version: str
+    seconds: float
+    settled: Array
+    start_penetration: Array
+    problems: tuple[str | None, ...]
+    nudged: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0, 4, 4)))
+
+
+def simulate(
+    bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], seconds: float, settings: Mujoco, nudge: float = 0.0,
+    name: str = "mujoco",
+) -> Simulation:  # fmt: skip
+    """Objects left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given; then again from there, with every free object
+    at a speed of `nudge` [m/s] in each direction of `NUDGES`, unless that is 0.
+
+    An object that MuJoCo refuses, or whose state diverges, has a problem: it is left out and stays where it is.
+    """
+    mujoco = mujoco_module()
+    problems = [unfit(body) for body in bodies]
+    pushes = [np.zeros(2), *(nudge * np.array(direction) for direction in (NUDGES if nudge > 0.0 else ()))]
+    while True:
+        model = _model(bodies, poses, shell, problems, settings)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        depth = _start_penetration(model, data, len(bodies))
+        free = [i for i, body in enumerate(bodies) if not body.is_fixed and problems[i] is None]
+        ends = []
+        for push in pushes:
+            mujoco.mj_resetData(model, data)
+            data.qvel.reshape(-1, 6)[:, :2] = push
+            failed, problem = _run(model, data, round(seconds / settings.timestep_s) if free else 0, settings)
+            if failed:
+                break
+            ends.append(_settled(poses, free, data))
+        if not failed:
+            break
+        for row in failed:
+            problems[free[row]] = problem
+    nudged = np.array(ends[1:]).reshape(len(ends) - 1, len(bodies), 4, 4)
+    return Simulation(name, mujoco.__version__, seconds, ends[0], depth, tuple(problems), nudged)
+
+
+def _settled(poses: Array, free: Sequence[int], data: Any) -> Array:
+    """Poses, shape (n, 4, 4), of which those of the free bodies, by number, are as MuJoCo has them now [m]."""
+    settled = np.array(poses, dtype=np.float64)
+    for row, i in enumerate(free):
+        state = data.qpos[7 * row : 7 * row + 7]  # place, then quaternion (w, x, y, z)
+        settled[i] = pose_from_quaternion_wxyz(state[3:], state[:3])
+    return settled
+
+
+def _run(model: Any, data: Any, steps: int, settings: Mujoco) -> tuple[list[int], str]:
+    """Simulate so many steps, or until it fails: the objects, by number, that it fails for, and why."""
+    mujoco = mujoco_module()
+    which = mujoco.mjtWarning
+    for done in range(0, steps, settings.check_steps):
+        mujoco.mj_step(model, data, min(settings.check_steps, steps - done))
+        if any(data.warning[w].number for w in (which.mjWARN_CONTACTFULL, which.mjWARN_CNSTRFULL)):
+            return list(range(model.njnt)), "MuJoCo has no room for the scene's contacts"
+        state = np.column_stack([data.qpos.reshape(-1, 7), data.qvel.reshape(-1, 6), data.qacc.reshape(-1, 6)])
+        bad = any(data.warning[w].number for w in (which.mjWARN_BADQPOS, which.mjWARN_BADQVEL, which.mjWARN_BADQACC))
+        if bad or not np.isfinite(state).all():
+            size = np.where(np.isfinite(state), np.abs(state), np.inf).max(axis=1)
+            worst = min(float(size.max()), mujoco.mjMAXVAL)
+            return np.flatnonzero(size >= worst).tolist(), f"its state diverges after {data.time:.3g} s"
+    return [], ""
+
+
+def solid_volume(solid: ConvexParts) -> float:
+    """Volume of the union of a solid's pieces [m3]; 0 when they are none."""
+    if not all(np.isfinite(hull.vertices).all() and hull.volume > 0.0 for hull in solid.hulls) or not solid.hulls:
+        return 0.0
+    volume = mass_properties_of(solid).volume
+    return volume if np.isfinite(volume) else 0.0
+
+
+def mujoco_module() -> Any:
+    """MuJoCo without a window system, unless the user has chosen one."""
+    os.environ.setdefault("MUJOCO_GL", "disable")
+    import mujoco
+
+    mujoco.set_mju_user_warning(_quiet)  # else it writes a log file into the current folder
+    return mujoco
+
+
+def _quiet(warning: str) -> None:
+    """Take a warning of MuJoCo's, which counts it as well."""
+
+
+def contact_of(settings: Mujoco) -> dict[str, list[float]]:
+    """Attributes of a geom that say how its contacts give way."""
+    return {"solref": [settings.stiffness_s, 1.0], "solimp": [*settings.impedance, 0.5, 2.0]}
+
+
+def friction_of(friction: float, settings: Mujoco) -> list[float]:
+    """Sliding, torsional and rolling friction of a geom; of a pair of geoms MuJoCo takes the greater."""
+    return [max(friction, settings.friction_floor), 0.005, 0.0001]
+
+
+def unfit(body: RigidBody) -> str | None:
+    """Why a body cannot be simulated by any engine, or None."""
+    if not body.solid.hulls:
+        return "it has no pieces"
+    for number, hull in enumerate(body.solid.hulls):
+        if not np.isfinite(hull.vertices).all():
+            return f"piece {number} has a vertex that is not finite"
+        if not hull.volume > 0.0:
+            return f"piece {number} has no volume"
+    if not (np.isfinite(body.mass_kg) and body.mass_kg > 0.0):
+        return f"its mass is {body.mass_kg:g} kg"
+    return None if solid_volume(body.solid) > 0.0 else "its pieces have no volume"
+
+
+def _model(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], problems: list[str | None], settings: Mujoco) -> Any:
+    """The compiled scene without the bodies that have problems; those that MuJoCo refuses are added to these."""
+    try:
+        return _spec(bodies, poses, shell, problems, settings).compile()
+    except ValueError:
+        for i, body in enumerate(bodies):  # each alone, to know whom it refuses
+            if problems[i] is None:
+                try:
+                    _spec([body], poses[i : i + 1], (), [None], settings).compile()
+                except ValueError as error:
+                    problems[i] = "MuJoCo refuses it: " + " ".join(str(error).split())
+        return _spec(bodies, poses, shell, problems, settings).compile()
+
+
+def empty_spec(settings: Mujoco) -> Any:
+    """MuJoCo's specification of nothing, with the options of `settings`."""
+    mujoco = mujoco_module()
+    spec = mujoco.MjSpec()
+    option = spec.option
+    option.timestep, option.impratio = settings.timestep_s, settings.impratio
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if settings.cone == "elliptic" else mujoco.mjtCone.mjCONE_PYRAMIDAL
+    which = mujoco.mjtIntegrator
+    option.integrator = which.mjINT_IMPLICITFAST if settings.integrator == "implicitfast" else which.mjINT_EULER
+    option.iterations, option.tolerance = settings.iterations, settings.tolerance
+    option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a state that went astray must not look like the start
+    if settings.sleep_m_s > 0.0:
+        option.enableflags, option.sleep_tolerance = mujoco.mjtEnableBit.mjENBL_SLEEP, settings.sleep_m_s
+    spec.compiler.usethread = False
+    spec.memory = settings.memory_bytes
+    return spec
+
+
+def _spec(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], problems: Sequence[str | None], settings: Mujoco) -> Any:
+    """The scene as MuJoCo's specification: body i has the name `b<i>`."""
+    mujoco = mujoco_module()
+    spec = empty_spec(settings)
+    contact, small = contact_of(settings), friction_of(0.0, settings)
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], friction=small, **contact)
+
+    def colliders(body: Any, solid: ConvexParts, name: str, friction: Sequence[float]) -> None:
+        for number, hull in enumerate(solid.hulls):
+            mesh = f"{name}_{number}"
+            spec.add_mesh(
+                name=mesh, uservert=hull.vertices.ravel(), userface=hull.faces.ravel().astype(np.int32),
+                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+            )  # fmt: skip
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, friction=friction, **contact)
+
+    for number, wall in enumerate(shell):
+        colliders(spec.worldbody.add_body(name=f"s{number}"), wall, f"s{number}", small)
+    for i, body in enumerate(bodies):
+        if problems[i] is not None:
+            continue
+        added = spec.worldbody.add_body(name=f"b{i}", pos=poses[i][:3, 3], quat=quaternion_wxyz(poses[i]))
+        if not body.is_fixed:
+            added.add_freejoint()
+        properties = mass_properties_of(body.solid)
+        inertia = properties.inertia * (body.mass_kg / properties.volume)
+        added.explicitinertial, added.mass, added.ipos = True, body.mass_kg, properties.center
+        added.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+        colliders(added, body.solid, f"b{i}", friction_of(body.friction, settings))
+    return spec
+
+
+def _start_penetration(model: Any, data: Any, count: int) -> Array:
+    """Deepest penetration of every object with anything [m], shape (count,). Pairs of fixed objects, which MuJoCo does not
+    collide, are measured one by one."""
+    mujoco = mujoco_module()
+    depth = np.zeros(count)
+    names = [model.body(number).name for number in range(model.nbody)]
+    owner = np.array([int(name[1:]) if name.startswith("b") else -1 for name in names])[model.geom_bodyid]
+
+    def deepen(first: int, second: int, distance: float) -> None:
+        for geom in (first, second):
+            if owner[geom] >= 0:
+                depth[owner[geom]] = max(depth[owner[geom]], -distance)
+
+    for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
+        deepen(int(geoms[0]), int(geoms[1]), float(distance))
+    static = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] == 0]
+    fixed = [g for g in static if owner[g] >= 0]
+    reach = model.geom_rbound
+    for a in fixed:
+        lowest = float((_world_vertices(model, data, a)[:, 2]).min())
+        deepen(a, 0, min(lowest, 0.0))
+        for b in static:
+            if b == 0 or owner[a] == owner[b] or (owner[b] >= 0 and b < a):
+                continue
+            if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) < reach[a] + reach[b]:
+                deepen(a, b, min(float(mujoco.mj_geomDistance(model, data, a, b, 0.0, None)), 0.0))
+    return depth
+
+
+def _world_vertices(model: Any, data: Any, geom: int) -> Array:
+    """Vertices of a mesh geom in the world frame [m], shape (k, 3)."""
+    mesh = model.geom_dataid[geom]
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    turned: Array = model.mesh_vert[first : first + count].astype(np.float64) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    return turned

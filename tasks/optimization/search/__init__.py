@@ -1,0 +1,1 @@
+"""The search for an arrangement in which nothing collides."""

@@ -1,0 +1,1 @@
+"""What carries what, and where objects come to rest."""

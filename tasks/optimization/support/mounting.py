@@ -1,0 +1,82 @@
+"""How categories are usually carried: what hangs, what is let into a wall, what covers, what is built in.
+
+A prior only: where a category says nothing, the geometry decides alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from typing import Literal
+
+Kind = Literal["let_in", "wall", "frame", "ceiling", "either", "covering", "stands", "any"]
+"""`let_in`: an opening's leaf, in the wall itself. `wall`: hangs wherever a wall or rail is near, even where it touches
+something below. `frame`: hangs, unless it rests on something. `ceiling`: hangs from the ceiling. `either`: stands where
+something carries it, else hangs. `covering`: lies flat, to be stood upon. `stands`: never hangs. `any`: unknown."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Mounting:
+    """How the objects of a category are carried. is_built_in: nobody picks them up or pushes them, wherever they stand."""
+
+    kind: Kind
+    is_built_in: bool = False
+
+
+_KINDS: tuple[tuple[Kind, str, str], ...] = (
+    ("let_in", "fills an opening of the wall", "door|doorframe|window|closet door|bathroom door|garage door|shower door"),
+    ("wall", "is mounted where it is used; what it touches below does not carry it",
+     "curtain|blinds|shower curtain|shower curtain rod|curtain rod|range hood|light switch|wall lamp|vent|air vent|rail|"
+     "paper towel dispenser|hand dryer|power outlet|thermostat|fuse box|towel rail|towel bar"),
+    ("frame", "hangs as a rule, but is also leaned and put on furniture",
+     "picture|painting|poster|mirror|clock|whiteboard|blackboard|bulletin board|board|sign|calendar|map|towel|"
+     "air conditioner|medicine cabinet|dart board|soap dispenser|toilet paper|toilet paper dispenser"),
+    ("ceiling", "hangs over the room",
+     "ceiling lamp|ceiling light|ceiling fan|chandelier|pendant lamp|hanging lamp|smoke detector|sprinkler"),
+    ("either", "is sold in both forms: on feet, and with brackets",
+     "tv|monitor|kitchen cabinet|cabinet|bathroom cabinet|cabinet door|shelf|bookshelf|rack|coat rack|spice rack|dish rack|speaker|"
+     "projector|projector screen|lamp|light|fan|security camera|camera|heater|radiator|sink|urinal|toilet|telephone|fire extinguisher|"
+     "power strip|tv stand|cabinets|wall cabinet|hat|clothes|jacket|bag|plant|microwave|decoration"),
+    ("covering", "is cloth or foam made to be stood upon",
+     "rug|mat|carpet|floor mat|bath mat|doormat|yoga mat|tablecloth|table cloth|place mat|placemat"),
+    ("stands", "has feet or a floor under it",
+     "chair|office chair|armchair|sofa chair|folding chair|high chair|rocking chair|stool|bar stool|bench|ottoman|sofa|bean bag|"
+     "futon|bed|bunk bed|crib|mattress|table|dining table|desk|coffee table|side table|end table|console table|round table|"
+     "workbench|kitchen counter|kitchen island|counter|bar|nightstand|file cabinet|wardrobe|dresser|chest|trash can|recycling bin|"
+     "bucket|suitcase|backpack|computer tower|printer|copier|laptop|keyboard|mouse|floor lamp|table lamp|desk lamp|refrigerator|"
+     "mini fridge|oven|stove|dishwasher|washing machine|clothes dryer|vacuum cleaner|bathtub|piano|person|bicycle|ladder|"
+     "treadmill|pillow|cushion|blanket|storage bin|box|container|storage container|crate|basket|laundry basket|laundry hamper|"
+     "book|book stack|mug|cup|glass|wine glass|bottle|can|jar|bowl|plate|tray|pot|pan|kettle|toaster|toaster oven|coffee maker|"
+     "blender|vase|candle|sculpture|toy|stuffed animal|ball|shoe|tissue box|remote|remote control|desk organizer|umbrella|dumbbell|"
+     "fruit|food|iron|cell phone|tablet|headphones|flower pot"),
+)  # fmt: skip
+"""Kind, why, and its categories."""
+
+HOLDS_NOOBJECT: frozenset[str] = frozenset(
+    {"plant", "sculpture", "statue", "lamp", "desk lamp", "floor lamp", "wine glass", "candle", "fan"}
+)
+"""Objects that others are never in: what is found among their leaves or arms stands beside them."""
+
+BUILT_IN: tuple[str, ...] = (
+    "toilet", "urinal", "bathtub", "sink",  # pipes and sealant hold them
+    "shower", "radiator", "fireplace", "stairs", "pillar", "column", "rail", "banister",  # parts of the house
+    "door", "doorframe", "window", "closet door", "bathroom door", "garage door", "shower door",  # hinges and frames in the wall
+)  # fmt: skip
+"""What is fixed wherever it is. Counters, stoves and refrigerators are not: two people push them."""
+
+
+def mounting(category: str) -> Mounting:
+    """How objects of a category are carried; a longer name is taken by its last words, a plural by its singular."""
+    words = category.lower().replace("_", " ").replace("-", " ").split()
+    for start in range(len(words)):
+        name = " ".join(words[start:])
+        for form in (name, name.removesuffix("s"), name.removesuffix("es")):
+            if form in _mountings():
+                return _mountings()[form]
+    return Mounting("any")
+
+
+@cache
+def _mountings() -> dict[str, Mounting]:
+    kinds = {name: kind for kind, _, names in _KINDS for name in names.split("|")}
+    return {name: Mounting(kinds.get(name, "any"), name in BUILT_IN) for name in (*kinds, *BUILT_IN)}
