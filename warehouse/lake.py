@@ -19,22 +19,22 @@ from typing import Any
 from schemas.errors import InputError, RecordError
 from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
-from warehouse.adoption import overlaid, plan
-from warehouse.blobs import BlobStore
-from warehouse.claims import Claim, Claims, claims_of, sweep_claims
-from warehouse.commit import Commit
-from warehouse.delta import DeltaTables
-from warehouse.history import Key, StageState, naming, states
-from warehouse.lease import Lease
-from warehouse.looks import Looks
-from warehouse.outline import COLUMNS as OUTLINE_COLUMNS
-from warehouse.outline import Outline, outline_of
-from warehouse.presence import LiveRun, Presence, runs_of, sweep_runs
-from warehouse.snapshot import Reader
-from warehouse.staging import Staging, is_left_over
-from warehouse.storage import TEMPORARY, Storage, storage_at
-from warehouse.workplace import sweep_workplaces
-from warehouse.writer import writer_of
+from warehouse.sharing.claims import Claim, Claims, claims_of, sweep_claims
+from warehouse.sharing.lease import Lease
+from warehouse.sharing.looks import Looks
+from warehouse.sharing.presence import LiveRun, Presence, runs_of, sweep_runs
+from warehouse.sharing.writer import writer_of
+from warehouse.storage.blobs import BlobStore
+from warehouse.storage.files import TEMPORARY, Storage, storage_at
+from warehouse.storage.workplace import sweep_workplaces
+from warehouse.tables.adoption import overlaid, plan
+from warehouse.tables.commit import Commit
+from warehouse.tables.delta import DeltaTables
+from warehouse.tables.history import Key, StageState, naming, states
+from warehouse.tables.outline import COLUMNS as OUTLINE_COLUMNS
+from warehouse.tables.outline import Outline, outline_of
+from warehouse.tables.snapshot import Reader
+from warehouse.tables.staging import Staging, is_left_over
 
 MARKER = "lake.json"
 FORMAT = 1
@@ -62,6 +62,18 @@ class Lake:
         """
         lake = cls(storage_at(address))
         lake._read_marker()
+        return lake
+
+    @classmethod
+    def existing(cls, address: str | Path, field: str = "lake") -> Lake:
+        """The lake that is at an address already: a mistyped one must not look like an empty lake. `field` names it in the error.
+
+        Raises:
+            InputError: there is none, or as `open`.
+        """
+        lake = cls.open(address)
+        if not lake.exists:
+            raise InputError(str(address), field, "there is no lake", "name its folder; `metascenes run` makes one")
         return lake
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -98,8 +110,8 @@ class Lake:
         if staged is not None:
             return staged
         reader = self.snapshot()
-        found = self._committed(reader, [scene_id]).get((scene_id, TABLES[table].stage))
-        if found is None or found.done is None or found.done.fingerprint != fingerprint:
+        committed = self._committed(reader, [scene_id]).get((scene_id, TABLES[table].stage))
+        if committed is None or committed.done is None or committed.done.fingerprint != fingerprint:
             return None
         return reader.rows(TABLES[table].record, scene_id)
 
@@ -123,7 +135,7 @@ class Lake:
         return self._commit(f"remove {scene_id}", (scene_id,), (scene_id,), timeout)
 
     def sweep(self, keep: Collection[tuple[str, str, str]] = (), *, timeout: float = 300.0) -> None:
-        """Remove what can be of no use to anybody: temporary and staged files and claims of the dead, runs that cannot be adopted.
+        """Remove leftovers: temporary and staged files and claims of dead processes, and runs that cannot be adopted.
 
         `keep` names (scene, stage, fingerprint) that may still be adopted. What other living processes staged stays,
         and so do files whose names give no writer.
@@ -147,12 +159,12 @@ class Lake:
         self.tables.sweep()
 
     def abandoned(self) -> set[str]:
-        """Scenes with complete staged runs of which no writer lives: nobody but another run's commit will take them in.
+        """Scenes whose complete staged runs have no living writer: only the commit of another run adopts them.
 
         A writer on another machine cannot be asked and is taken to live for a day after its run.
         """
         staged = self.staging.runs()
-        return {one.run.scene_id for one in staged} - {one.run.scene_id for one in staged if not one.is_abandoned}
+        return {run.run.scene_id for run in staged} - {run.run.scene_id for run in staged if not run.is_abandoned}
 
     def last_commit(self) -> str:
         """A cheap sign of whether there is a new snapshot: it changes with every one."""
@@ -165,24 +177,24 @@ class Lake:
     def history(self, scenes: Collection[str] | None = None) -> dict[Key, StageState]:
         """The state of every (scene, stage), staged runs that a commit would take included; of `scenes` when they are given."""
         current = self._committed(self.snapshot(), scenes)
-        staged = [one for one in self.staging.runs() if scenes is None or one.run.scene_id in scenes]
+        staged = [run for run in self.staging.runs() if scenes is None or run.run.scene_id in scenes]
         return overlaid(current, plan(current, staged)) if staged else current
 
     def recorded(self, stage: str, reasons: Collection[str]) -> dict[str, StageState]:
-        """The state of a stage on the scenes of which a run of it recorded one of these among its `reasons`, by scene."""
+        """The state of a stage by scene, of the scenes where one of its runs recorded any of these `reasons`."""
         runs = self.tables.read(TABLES["stage_runs"], self.snapshot().files("stage_runs"), ["scene_id", "reasons"], {"stage": [stage]})
         scenes = naming(runs, reasons)
         scenes |= {
-            one.run.scene_id for one in self.staging.runs() if one.run.stage == stage and not set(reasons).isdisjoint(one.run.reasons)
+            run.run.scene_id for run in self.staging.runs() if run.run.stage == stage and not set(reasons).isdisjoint(run.run.reasons)
         }
         return {scene: state for (scene, name), state in self.history(scenes).items() if name == stage}
 
     def outline(self) -> Outline:
-        """The history of all scenes in outline, for telling how things stand; cheaper than `history` by far."""
+        """The history of all scenes in outline, for reports of the status; far cheaper than `history`."""
         staged = self.staging.runs()  # first: what is committed meanwhile is in the snapshot then
         runs = self.tables.read(TABLES["stage_runs"], self.snapshot().files("stage_runs"), OUTLINE_COLUMNS)
-        states = self.history({one.run.scene_id for one in staged}) if staged else {}
-        return outline_of(runs, states, [one.run for one in staged])
+        states = self.history({run.run.scene_id for run in staged}) if staged else {}
+        return outline_of(runs, states, [run.run for run in staged])
 
     def snapshot(self, snapshot_id: int | None = None) -> Reader:
         """A snapshot, the last one by default. A lake without snapshots reads as empty tables.
@@ -245,22 +257,22 @@ class Lake:
         """Mark the address as a lake before the first write.
 
         Raises:
-            InputError: the folder holds other things, or cannot be made.
+            InputError: the folder holds other files, or cannot be made.
         """
         if self.exists:
             return
-        others = self._others()
-        if others and not self._read_marker():
-            raise InputError(self.address, "", f"this is no lake but holds other things ({others[0]}, ...)", "give a new or empty folder")
+        strangers = self._strangers()
+        if strangers and not self._read_marker():
+            raise InputError(self.address, "", f"this is no lake but holds other files ({strangers[0]}, ...)", "give a new or empty folder")
         self.storage.create(MARKER, json.dumps({"format": FORMAT}).encode())
         self._is_marked = True
 
-    def _others(self) -> list[str]:
-        """What no lake holds before its marker. Temporary files of writers may be there: of one beside us, or a dead one."""
-        found = [name for name in self.storage.folders("") if name != TEMPORARY]
-        found += [name for name in self.storage.names("") if name != MARKER]
+    def _strangers(self) -> list[str]:
+        """Files and folders that no lake holds before its marker. Temporary files of other writers, alive or dead, do not count."""
+        names = [name for name in self.storage.folders("") if name != TEMPORARY]
+        names += [name for name in self.storage.names("") if name != MARKER]
         inner = [*self.storage.folders(TEMPORARY), *(name for name in self.storage.names(TEMPORARY) if writer_of(name) is None)]
-        return found + [f"{TEMPORARY}/{name}" for name in inner]
+        return names + [f"{TEMPORARY}/{name}" for name in inner]
 
     def _read_marker(self) -> bool:
         """Whether the address is marked as a lake."""

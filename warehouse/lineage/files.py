@@ -1,4 +1,4 @@
-"""The walk from a file: one of an export, a thing in it, an asset, or a blob by its name."""
+"""The walk from a file: one of an export, an object in it, an asset, or a blob by its name."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from warehouse.lineage.nodes import (
     candidate_node,
     exported_node,
     exported_places,
+    follow_scan,
     instance_node,
     placement_node,
-    scan_node,
     scene_node,
     verdict,
 )
@@ -43,35 +43,30 @@ def walk_export(walk: Walk, file: ExportFile, also_in: Sequence[str] = (), conte
     named: list[str] | None = None
     if file.role != "scene" and file.file_blob in walk.blobs:
         placed = {row.asset_id for row in walk.rows(Placement, file.scene_id)}
-        stated = {found.decode() for found in re.findall(_HASH, walk.blobs[file.file_blob])}
+        stated = {hash_text.decode() for hash_text in re.findall(_HASH, walk.blobs[file.file_blob])}
         named = sorted(placed & stated)
     root = _file_node(walk, file, {"also_in": list(also_in), "content": content, "assets": named})
     walk.line(0, "", root)
     if file.role == "scene":
         for place in exported_places(walk, file):
-            thing = exported_node(walk, file, place)
-            walk.edge(root, thing, "holds")
-            walk.line(1, "holds", thing)
+            obj = exported_node(walk, file, place)
+            walk.leads(1, root, obj, "holds")
             row = walk.row(Placement, file.scene_id, instance_id=place.instance_id)
             if row is not None:
                 walk.line(2, "shows", placement_node(walk, row))
     for row in walk.rows(Placement, file.scene_id) if named else ():
         if row.asset_id in (named or ()):
             placement = placement_node(walk, row)
-            walk.edge(root, f"asset:{row.asset_id}", "made from")
-            walk.line(1, "made from", f"asset:{row.asset_id}")
+            walk.leads(1, root, f"asset:{row.asset_id}", "made from")
             walk.line(2, "used by", placement)
     scene = scene_node(walk, root, file.scene_id, "part of")
     walk.line(1, "part of", scene)
-    scan = scan_node(walk, file.scene_id)
-    if scan is not None:
-        walk.edge(scene, scan, "read from")
-        walk.line(2, "read from", scan)
+    follow_scan(walk, scene, file.scene_id, 2)
     return root
 
 
-def walk_thing(walk: Walk, file: ExportFile, place: Place, content: str | None = None) -> str:
-    """Walk a thing in an exported scene; the id of its node."""
+def walk_exported(walk: Walk, file: ExportFile, place: Place, content: str | None = None) -> str:
+    """Walk an object in an exported scene; the id of its node."""
     root = exported_node(walk, file, place)
     walk.line(0, "", root)
     node = _file_node(walk, file, {"content": content})
@@ -97,8 +92,8 @@ def walk_asset(walk: Walk, asset: Asset, depth: int = 0, role: str = "") -> str:
     node = walk.node("uses", asset.asset_id, uses)
     walk.edge(node, root, "of")
     walk.line(depth + 1, "used in", node)
-    for one in placements[:SHOWN]:
-        placement = walk.row(Placement, one["scene_id"], instance_id=one["instance_id"])
+    for placed in placements[:SHOWN]:
+        placement = walk.row(Placement, placed["scene_id"], instance_id=placed["instance_id"])
         if placement is not None:
             walk.line(depth + 2, "stands in", placement_node(walk, placement))
     for answer in answers[:SHOWN]:
@@ -141,7 +136,7 @@ def walk_blob(walk: Walk, name: str, owners: Sequence[tuple[Table, str, Any]]) -
         elif isinstance(row, Scene):
             owner = scene_node(walk, root, row.scene_id, role)
         else:
-            key = "/".join(str(getattr(row, one)) for one in table.key)
+            key = "/".join(str(getattr(row, part)) for part in table.key)
             scene_id = getattr(row, "scene_id", None)
             owner = walk.node("row", f"{table.name}/{key}", {"table": table.name}, walk.run(scene_id, table.stage) if scene_id else None)
         walk.edge(root, owner, role)
@@ -149,33 +144,30 @@ def walk_blob(walk: Walk, name: str, owners: Sequence[tuple[Table, str, Any]]) -
             walk.line(1, role, owner)
         if not index and getattr(row, "scene_id", None) and not isinstance(row, Instance):
             scene = scene_node(walk, owner, row.scene_id, "part of") if not isinstance(row, Scene) else owner
-            scan = scan_node(walk, row.scene_id)
-            if scan is not None:
-                walk.edge(scene, scan, "read from")
-                walk.line(2, "read from", scan)
+            follow_scan(walk, scene, row.scene_id, 2)
     return root
 
 
 def blob_owners(walk: Walk, name: str) -> list[tuple[Table, str, Any]]:
     """Rows that name a blob, as (table, column, row), in the order of the data path."""
-    found: list[tuple[Table, str, Any]] = []
+    owners: list[tuple[Table, str, Any]] = []
     for table in TABLES.values():
         for column in table.blob_columns:
             rows = walk.reader.matching(table.name, {column: [name]})
             records: list[Any] = arrow_to_rows(rows, table.record)
-            found += [(table, column, record) for record in records]
-    return found
+            owners += [(table, column, record) for record in records]
+    return owners
 
 
-def _file_node(walk: Walk, file: ExportFile, found: Mapping[str, Any] | None = None) -> str:
-    """The node of an exported file; `found` are facts that are no row's: of a copy outside the lake, of other scenes, of what it says."""
+def _file_node(walk: Walk, file: ExportFile, extra: Mapping[str, Any] | None = None) -> str:
+    """The node of an exported file; `extra` are facts beside the row: of a copy outside the lake, of other scenes, of what it says."""
     facts = {
         "format": file.format,
         "file": f"{file.format}/{file.path}",
         "scene_id": file.scene_id,
         **picked(file, "role", "file_blob", "size_bytes"),
         **verdict(walk, file),
-        **(found or {}),
+        **(extra or {}),
     }
     node = walk.node("export_file", f"{file.scene_id}/{file.format}/{file.path}", facts, walk.run(file.scene_id, "exports"))
     walk.check_blobs(node, (file.file_blob,))

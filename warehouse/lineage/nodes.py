@@ -7,6 +7,7 @@ from typing import Any
 
 from schemas.annotation import Annotation
 from schemas.candidates import Asset, Candidate
+from schemas.captions import Caption
 from schemas.capture import Instance, Scene
 from schemas.exports import ExportCheck, ExportFile
 from schemas.licenses import OF_THE_SCAN, of_asset, scan_of
@@ -48,6 +49,13 @@ def scene_node(walk: Walk, source: str, scene_id: str, role: str) -> str:
     walk.check_blobs(node, (row.mesh_blob,))
     walk.edge(source, node, role)
     return node
+
+
+def follow_scan(walk: Walk, scene: str, scene_id: str, depth: int) -> None:
+    """The scan that a scene was read from, where the scene is there."""
+    scan = scan_node(walk, scene_id)
+    if scan is not None:
+        walk.leads(depth, scene, scan, "read from")
 
 
 def scan_node(walk: Walk, scene_id: str) -> str | None:
@@ -95,20 +103,21 @@ def candidate_node(walk: Walk, row: Candidate, depth: int, role: str) -> str:
     follow_instance(walk, node, row.scene_id, row.instance_id, "stands in for")
     run = walk.facts_of_run(row.scene_id, "candidates")
     settings = _slot_settings(run.config if run is not None else None, row.slot, row.is_fallback)
-    provider = walk.node(
-        "provider", f"{row.scene_id}/{row.provider} in slot {row.slot}",
-        {"provider": row.provider, "provider_version": row.provider_version, "stage": "candidates", "settings": settings},
-        walk.run(row.scene_id, "candidates"),
-    )  # fmt: skip
-    walk.edge(node, provider, "made by")
-    walk.line(depth + 1, "made by", provider)
+    follow_provider(walk, node, row, f"in slot {row.slot}", "candidates", settings, depth + 1)
     if row.asset_id is not None:
         walk.line(depth + 1, "filled with", asset_node(walk, node, row.asset_id, "filled with"))
     return node
 
 
+def follow_provider(walk: Walk, source: str, row: Candidate | Caption, where: str, stage: str, settings: Any, depth: int) -> None:
+    """The provider of a row, with its settings."""
+    facts = picked(row, "provider", "provider_version") | {"stage": stage, "settings": settings}
+    node = walk.node("provider", f"{row.scene_id}/{row.provider} {where}", facts, walk.run(row.scene_id, stage))
+    walk.leads(depth, source, node, "made by")
+
+
 def exported_places(walk: Walk, file: ExportFile) -> Sequence[Place]:
-    """What a scene's exported file says of its things; none when its blob is not there, which is noted."""
+    """What a scene's exported file says of its objects; none when its blob is not there, which is noted."""
     if file.file_blob not in walk.blobs:
         node = walk.node("export_file", f"{file.format}/{file.path}", picked(file, "role"), walk.run(file.scene_id, "exports"))
         walk.check_blobs(node, (file.file_blob,))
@@ -127,7 +136,7 @@ def verdict(walk: Walk, file: ExportFile) -> dict[str, Any]:
 
 
 def exported_node(walk: Walk, file: ExportFile, place: Place) -> str:
-    """A thing in an exported scene, held against the placement that it shows; the id of its node."""
+    """The node of an object in an exported scene, compared with the placement that it shows; its id."""
     facts = {"format": file.format, "file": f"{file.format}/{file.path}", "name": place.name, "file_blob": file.file_blob}
     node = walk.node("export", f"{file.format}/{file.path}:{place.name}", facts | verdict(walk, file), walk.run(file.scene_id, "exports"))
     placement = walk.row(Placement, file.scene_id, instance_id=place.instance_id)
@@ -162,13 +171,13 @@ def placement_node(walk: Walk, row: Placement, absent: Sequence[str] | None = No
 
 
 def _contact_facts(walk: Walk, scene_id: str, instance_id: str) -> dict[str, Any]:
-    """What a thing overlaps with, before and after: bodies, and the deepest penetration [m]."""
-    found: dict[str, Any] = {}
+    """What an object overlaps with, before and after: bodies, and the deepest penetration [m]."""
+    facts: dict[str, Any] = {}
     for phase in ("proposed", "optimized"):
         rows = [r for r in walk.rows(Contact, scene_id) if r.phase == phase and instance_id in (r.instance_a, r.body_b)]
-        found[f"{phase}_contacts"] = sorted(r.body_b if r.instance_a == instance_id else r.instance_a for r in rows)
-        found[f"{phase}_penetration_m"] = max((r.penetration_m for r in rows), default=0.0)
-    return found
+        facts[f"{phase}_contacts"] = sorted(r.body_b if r.instance_a == instance_id else r.instance_a for r in rows)
+        facts[f"{phase}_penetration_m"] = max((r.penetration_m for r in rows), default=0.0)
+    return facts
 
 
 def add_annotation(walk: Walk, row: Annotation, depth: int, role: str) -> str:
@@ -189,7 +198,7 @@ def answer_key(row: Annotation) -> str:
 
 
 def _slot_settings(config: Any, slot: int, is_fallback: bool) -> Any:
-    """What the provider of a slot was told; None where the config does not say."""
+    """Settings of the provider of a slot; None where the config does not state them."""
     slots = part(config, "slots")
     if not isinstance(slots, list) or not 1 <= slot <= len(slots):
         return None

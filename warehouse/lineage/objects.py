@@ -7,6 +7,7 @@ from schemas.candidates import Candidate
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.exports import ExportFile
+from schemas.fidelity import Fidelity
 from schemas.navigation import Episode, UnreachableTarget
 from schemas.optimization import APPLIED, Certificate, OptimizationStep, Placement, Support
 from schemas.selection import Selection
@@ -18,6 +19,8 @@ from warehouse.lineage.nodes import (
     exported_node,
     exported_places,
     follow_instance,
+    follow_provider,
+    follow_scan,
     instance_node,
     part,
     placement_node,
@@ -28,7 +31,7 @@ from warehouse.lineage.walk import Walk, picked, position
 
 
 def walk_object(walk: Walk, instance: Instance, depth: int = 0, role: str = "") -> str:
-    """Walk an instance and all that was made of it and that it was made from; the id of its node."""
+    """Walk an instance: what it was made from, and what was made from it; the id of its node."""
     scene_id, instance_id = instance.scene_id, instance.instance_id
     root = instance_node(walk, instance)
     walk.line(depth, role, root)
@@ -41,10 +44,7 @@ def walk_object(walk: Walk, instance: Instance, depth: int = 0, role: str = "") 
     _views(walk, instance, root, depth + 1)
     scene = scene_node(walk, root, scene_id, "cut from")
     walk.line(depth + 1, "cut from", scene)
-    scan = scan_node(walk, scene_id)
-    if scan is not None:
-        walk.edge(scene, scan, "read from")
-        walk.line(depth + 2, "read from", scan)
+    follow_scan(walk, scene, scene_id, depth + 2)
     return root
 
 
@@ -62,18 +62,19 @@ def _layout(walk: Walk, row: Placement, depth: int) -> None:
     walk.line(depth, "placed as", node)
     _support(walk, node, scene_id, instance_id, depth + 1)
     _moves(walk, node, scene_id, instance_id, depth + 1)
-    for found in walk.rows(Certificate, scene_id):
-        if found.instance_id == instance_id:
+    for issued in walk.rows(Certificate, scene_id):
+        if issued.instance_id == instance_id:
             certificate = walk.node(
-                "certificate", f"{scene_id}/{instance_id}/{found.engine}",
+                "certificate", f"{scene_id}/{instance_id}/{issued.engine}",
                 picked(
-                    found, "engine", "engine_version", "simulated_seconds", "is_fixed", "problem", "is_stable_1cm", "is_stable_5cm",
-                    "displacement_m", "tilt_radians", "mass_kg", "density_kg_m3", "is_density_plausible",
+                    issued, "engine", "engine_version", "simulated_seconds", "is_fixed", "problem", "is_stable_1cm", "is_stable_5cm",
+                    "is_stable_nudged", "displacement_m", "tilt_radians", "mass_kg", "density_kg_m3", "is_density_plausible",
                 ), walk.run(scene_id, "optimization"),
             )  # fmt: skip
             walk.edge(certificate, node, "certifies")
             walk.line(depth + 1, "certified by", certificate)
     _episodes(walk, node, scene_id, instance_id, depth + 1)
+    _fidelity(walk, node, scene_id, instance_id, depth + 1)
     # Of a finished dataset whose assets people chose, their answers are nowhere.
     if row.origin == "annotation" and row.method != "imported":
         _annotated(walk, row, node, depth + 1)
@@ -116,7 +117,7 @@ def _support(walk: Walk, placement: str, scene_id: str, instance_id: str, depth:
 
 
 def _moves(walk: Walk, placement: str, scene_id: str, instance_id: str, depth: int) -> None:
-    """Steps that moved a thing: its own, and those of what carries it."""
+    """Steps that moved an object: its own, and those of what carries it."""
     parents = {row.instance_id: row.parent_id for row in walk.rows(Support, scene_id)}
     chain = [instance_id]
     while (above := parents.get(chain[-1])) is not None and above not in chain:
@@ -131,8 +132,7 @@ def _moves(walk: Walk, placement: str, scene_id: str, instance_id: str, depth: i
         "steps": [picked(row, *names) for row in moved],
     }
     node = walk.node("moves", f"{scene_id}/{instance_id}", facts, walk.run(scene_id, "optimization"))
-    walk.edge(placement, node, "moved by")
-    walk.line(depth, "moved by", node)
+    walk.leads(depth, placement, node, "moved by")
 
 
 def _episodes(walk: Walk, placement: str, scene_id: str, instance_id: str, depth: int) -> None:
@@ -148,6 +148,15 @@ def _episodes(walk: Walk, placement: str, scene_id: str, instance_id: str, depth
     for row in walk.rows(UnreachableTarget, scene_id):
         if row.instance_id == instance_id:
             walk.line(depth, "reached by", _unreached(walk, placement, row))
+
+
+def _fidelity(walk: Walk, placement: str, scene_id: str, instance_id: str, depth: int) -> None:
+    row = walk.row(Fidelity, scene_id, instance_id=instance_id)
+    if row is not None:
+        columns = ("completeness_5cm", "accuracy_5cm", "f_2cm", "f_5cm", "f_10cm", "seen_empty_share", "in_others_share")
+        node = walk.node("fidelity", f"{scene_id}/{instance_id}", picked(row, *columns), walk.run(scene_id, "fidelity"))
+        walk.edge(node, placement, "measures")
+        walk.line(depth, "measured by", node)
 
 
 def _unreached(walk: Walk, target: str, row: UnreachableTarget) -> str:
@@ -166,16 +175,15 @@ def _selected(walk: Walk, scene_id: str, instance_id: str, asset_id: str, source
     names = ("rank", "score", "chamfer_m", "coverage", "box_iou", "color_similarity", "provider", "provider_version")
     facts = picked(row, *names) | {"ranked": len(rows)}
     node = walk.node("selection", f"{scene_id}/{instance_id}/{row.rank}", facts, walk.run(scene_id, "selection"))
-    walk.edge(source, node, role)
-    walk.line(depth, role, node)
+    walk.leads(depth, source, node, role)
     key = f"{scene_id}/{instance_id}/{row.slot}"
     candidate = walk.row(Candidate, scene_id, instance_id=instance_id, slot=row.slot)
     if candidate is None:
         walk.line(depth + 1, "scored", walk.missing(node, "candidate", key, "scored"))
         walk.line(depth + 1, "uses", asset_node(walk, node, row.asset_id, "uses"))
         return True
-    found = candidate_node(walk, candidate, depth + 1, "scored")
-    walk.edge(node, found, "scored")
+    scored = candidate_node(walk, candidate, depth + 1, "scored")
+    walk.edge(node, scored, "scored")
     if candidate.asset_id != row.asset_id:
         walk.problem("differs", node, f"selections has asset {row.asset_id[:12]} in slot {row.slot}, and candidates {candidate.asset_id}")
     return True
@@ -225,12 +233,7 @@ def _caption(walk: Walk, instance: Instance, root: str, depth: int) -> None:
     known = walk.facts_of_run(instance.scene_id, "captions")
     config = known.config if known is not None else None
     settings = part(config, "fallback" if row.is_fallback else "provider")
-    provider = walk.node(
-        "provider", f"{instance.scene_id}/{row.provider} of captions",
-        {"provider": row.provider, "provider_version": row.provider_version, "stage": "captions", "settings": settings}, run,
-    )  # fmt: skip
-    walk.edge(node, provider, "made by")
-    walk.line(depth + 1, "made by", provider)
+    follow_provider(walk, node, row, "of captions", "captions", settings, depth + 1)
 
 
 def _views(walk: Walk, instance: Instance, root: str, depth: int) -> None:
@@ -253,8 +256,7 @@ def _views(walk: Walk, instance: Instance, root: str, depth: int) -> None:
         row = frames[frame_id]
         facts = picked(row, "color_file", "depth_file", "width", "height") | {"has_pose": row.pose is not None}
         node = walk.node("frame", f"{scene_id}/{frame_id}", facts | {"camera_position_m": position(row.pose)}, run)
-        walk.edge(source, node, role)
-        walk.line(below, role, node)
+        walk.leads(below, source, node, role)
         scan = scan_node(walk, scene_id)
         if scan is not None:
             walk.edge(node, scan, "file of")

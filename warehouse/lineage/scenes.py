@@ -11,6 +11,7 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask, Room, Scene
 from schemas.exports import ExportFile
+from schemas.fidelity import SceneFidelity
 from schemas.navigation import Episode, Navmesh, UnreachableTarget
 from schemas.optimization import Certificate, Optimization, OptimizationStep, Placement, Support
 from schemas.record import table_of
@@ -101,8 +102,7 @@ def _batches(walk: Walk, scene_id: str, stage: str) -> None:
             "first": min(row.answered_at for row in rows), "last": max(row.answered_at for row in rows),
         }  # fmt: skip
         node = walk.node("batch", batch, facts, walk.run(batch, "annotation"))
-        walk.edge(stage, node, "answers from")
-        walk.line(2, "answers from", node)
+        walk.leads(2, stage, node, "answers from")
         choices = {row.choice for row in rows if row.choice is not None}
         there_are = {row.asset_id for row in walk.reader.rows_by_key(Asset, choices)}
         for asset in lost(choices, there_are):
@@ -120,7 +120,7 @@ def _follow(walk: Walk, scene_id: str, root: str) -> None:
     selections = walk.rows(Selection, scene_id)
     assets = {row.asset_id for row in placements} | {row.asset_id for row in selections}
     assets |= {row.asset_id for row in candidates if row.asset_id is not None}
-    found = {row.asset_id for row in walk.reader.rows_by_key(Asset, assets)}
+    known = {row.asset_id for row in walk.reader.rows_by_key(Asset, assets)}
 
     def check(source: str, kind: str, named: Iterable[str], among: Iterable[str]) -> None:
         node = f"stage:{scene_id}/{source}"
@@ -132,12 +132,12 @@ def _follow(walk: Walk, scene_id: str, root: str) -> None:
     check("capture", "instance", (row.instance_id for row in walk.rows(Mask, scene_id)), instances)
     check("captions", "instance", (row.instance_id for row in walk.rows(Caption, scene_id)), instances)
     check("candidates", "instance", (row.instance_id for row in candidates), instances)
-    check("candidates", "asset", (row.asset_id for row in candidates if row.asset_id is not None), found)
+    check("candidates", "asset", (row.asset_id for row in candidates if row.asset_id is not None), known)
     check("selection", "instance", (row.instance_id for row in selections), instances)
     check("selection", "candidate", (f"{row.instance_id}/{row.slot}" for row in selections), slots)
-    check("selection", "asset", (row.asset_id for row in selections), found)
+    check("selection", "asset", (row.asset_id for row in selections), known)
     check("optimization", "instance", placed, instances)
-    check("optimization", "asset", (row.asset_id for row in placements), found)
+    check("optimization", "asset", (row.asset_id for row in placements), known)
     check("optimization", "placement", (row.instance_id for row in walk.rows(Support, scene_id)), placed)
     check("optimization", "placement", (row.instance_id for row in walk.rows(Certificate, scene_id)), placed)
     check("optimization", "placement", (i for row in walk.rows(OptimizationStep, scene_id) if (i := row.instance_id)), placed)
@@ -189,15 +189,15 @@ def _selection(walk: Walk, scene_id: str) -> dict[str, Any]:
 
 def _optimization(walk: Walk, scene_id: str) -> dict[str, Any]:
     row = walk.row(Optimization, scene_id)
-    certificates = walk.rows(Certificate, scene_id)
-    categories = {one.instance_id: one.category for one in walk.rows(Instance, scene_id)}
+    certificates = [entry for entry in walk.rows(Certificate, scene_id) if entry.engine == "mujoco"]
+    categories = {entry.instance_id: entry.category for entry in walk.rows(Instance, scene_id)}
     objects = [
-        {"category": categories.get(one.instance_id), **picked(one, "instance_id", "asset_id", "origin", "annotator")}
-        for one in walk.rows(Placement, scene_id)
+        {"category": categories.get(entry.instance_id), **picked(entry, "instance_id", "asset_id", "origin", "annotator")}
+        for entry in walk.rows(Placement, scene_id)
     ]
     summary = picked(row, "method", "loss_start", "loss_final", "moves", "ended", "remains") if row is not None else {}
     return {
-        **summary, "certificates": len(certificates), "stable_5cm": sum(one.is_stable_5cm for one in certificates), "objects": objects,
+        **summary, "certificates": len(certificates), "stable_5cm": sum(entry.is_stable_5cm for entry in certificates), "objects": objects,
     }  # fmt: skip
 
 
@@ -210,11 +210,16 @@ def _navigation(walk: Walk, scene_id: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _fidelity(walk: Walk, scene_id: str) -> dict[str, Any]:
+    columns = ("object_f_5cm", "shell_f_5cm", "unexplained_share", "seen_empty_share", "cameras", "camera_count")
+    return {"fidelity": [picked(row, *columns) for row in walk.rows(SceneFidelity, scene_id)]}
+
+
 def _exports(walk: Walk, scene_id: str) -> dict[str, Any]:
     return {table_of(ExportFile).name: len(walk.rows(ExportFile, scene_id))}
 
 
 _SUMMARIES: Mapping[str, Callable[[Walk, str], dict[str, Any]]] = {
     "capture": _capture, "captions": _captions, "candidates": _candidates, "selection": _selection, "optimization": _optimization,
-    "navigation": _navigation, "exports": _exports,
+    "navigation": _navigation, "fidelity": _fidelity, "exports": _exports,
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a person may ask after: an object, a scene, an asset, a blob, an exported file, or a thing in one."""
+"""Targets of a walk: an object, a scene, an asset, a blob, an exported file, or an object in one."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.record import BLOB_PATTERN, INSTANCE_PATTERN, SCENE_PATTERN, arrow_to_rows
-from warehouse.snapshot import Reader
+from warehouse.tables.snapshot import Reader
 
 _FORMS = "give <scene>/<instance>, a scene, the hash of an asset, the name of a blob, or the path of an exported file"
 
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """What is asked after. `thing` is the name of something in an exported file: in USD a prim path.
+    """What is asked after. `object` is the name of an object in an exported file: in USD a prim path.
 
     `files` are the rows of an exported file, one per scene that has it.
     """
@@ -29,14 +29,14 @@ class Target:
     scene_id: str = ""
     instance_id: str = ""
     files: tuple[ExportFile, ...] = ()
-    thing: str | None = None
+    obj: str | None = None
 
 
 def find_target(reader: Reader, address: str, asked: str) -> Target:
-    """What the words of a person mean in a snapshot. `address` is the lake's, for what is said of it.
+    """The target that a text names in a snapshot. `address` is the lake's, for messages.
 
     Raises:
-        InputError: they mean nothing, nothing that is there, or more than one thing.
+        InputError: they mean nothing, nothing that is there, or more than one of these.
     """
     if re.fullmatch(BLOB_PATTERN, asked):
         return Target("blob", key=asked)
@@ -44,28 +44,28 @@ def find_target(reader: Reader, address: str, asked: str) -> Target:
         return Target("asset", key=asked)
     scene, _, last = asked.rpartition("/")
     if scene and re.fullmatch(INSTANCE_PATTERN, last):
-        found = _scenes(reader, address, asked, scene)
-        if found:
-            return Target("instance", scene_id=found, instance_id=last)
-    found = _scenes(reader, address, asked, asked)
-    if found:
-        return Target("scene", scene_id=found)
-    path, thing = split_thing(asked)
+        full_id = _scenes(reader, address, asked, scene)
+        if full_id:
+            return Target("instance", scene_id=full_id, instance_id=last)
+    full_id = _scenes(reader, address, asked, asked)
+    if full_id:
+        return Target("scene", scene_id=full_id)
+    path, obj = split_object(asked)
     files = export_files(reader, path)
-    if not files and thing is not None:  # a file whose name holds a colon
-        files, thing = export_files(reader, asked), None
+    if not files and obj is not None:  # a file whose name holds a colon
+        files, obj = export_files(reader, asked), None
     if files:
-        return Target("export", files=files, thing=thing)
+        return Target("export", files=files, obj=obj)
     raise InputError(address, "explain", f"snapshot {reader.snapshot_id} has nothing that is called {asked!r}", _FORMS)
 
 
-def split_thing(asked: str) -> tuple[str, str | None]:
+def split_object(asked: str) -> tuple[str, str | None]:
     """The path of a file and what is named in it, None where nothing is: ``scene.usda:/World/Objects/bed_0009``."""
-    path, colon, thing = asked.partition(":/")
+    path, colon, obj = asked.partition(":/")
     if colon:
-        return path, f"/{thing}"
-    path, colon, thing = asked.rpartition(":")
-    return (path, thing) if colon and path else (asked, None)
+        return path, f"/{obj}"
+    path, colon, obj = asked.rpartition(":")
+    return (path, obj) if colon and path else (asked, None)
 
 
 def export_files(reader: Reader, path: str) -> tuple[ExportFile, ...]:
@@ -109,7 +109,7 @@ def _scenes(reader: Reader, address: str, asked: str, name: str) -> str | None:
         return rows[0].scene_id if rows else None
     if "/" in name:
         return None
-    found = [row["scene_id"] for row in reader.matching("scenes", {"scan": [name]}, ["scan"]).to_pylist()]
-    if len(found) > 1:
-        raise InputError(address, "explain", f"{asked!r} may be of {', '.join(found[:5])}", "name the dataset, too")
-    return found[0] if found else None
+    matches = [row["scene_id"] for row in reader.matching("scenes", {"scan": [name]}, ["scan"]).to_pylist()]
+    if len(matches) > 1:
+        raise InputError(address, "explain", f"{asked!r} may be of {', '.join(matches[:5])}", "name the dataset, too")
+    return matches[0] if matches else None

@@ -11,14 +11,14 @@ from typing import Any, TypeVar
 from schemas.lineage import Edge, Lineage, Node, Place, Problem, RunFacts
 from schemas.record import table_of
 from schemas.runs import StageRun
-from warehouse.history import StageState, states
-from warehouse.reviews import returned_batches
-from warehouse.snapshot import Reader
+from warehouse.tables.history import StageState, states
+from warehouse.tables.reviews import returned_batches
+from warehouse.tables.snapshot import Reader
 
 R = TypeVar("R")
 
 ReadPlaces = Callable[[str, str, bytes], Sequence[Place]]
-"""What a scene's exported file says of its things, from format, path and contents."""
+"""What a scene's exported file says of its objects, from format, path and contents."""
 
 _OWN_PARTS = ("config", "code", "seed")
 """Parts of a fingerprint that are neither outside inputs nor stages."""
@@ -46,12 +46,12 @@ class Walk:
     def rows(self, record_type: type[R], scene_id: str) -> list[R]:
         """Rows of a scene, sorted by key. That they are as many as their stage's run wrote is checked when they are first read."""
         table = table_of(record_type)
-        found = self._rows.get((table.name, scene_id))
-        if found is None:
-            found = self._rows[table.name, scene_id] = list(self.reader.rows(record_type, scene_id))
+        rows = self._rows.get((table.name, scene_id))
+        if rows is None:
+            rows = self._rows[table.name, scene_id] = list(self.reader.rows(record_type, scene_id))
             if table.grain == "scene":
-                self._check_count(table.name, table.stage, scene_id, len(found))
-        return found
+                self._check_count(table.name, table.stage, scene_id, len(rows))
+        return rows
 
     def row(self, record_type: type[R], scene_id: str, **values: Any) -> R | None:
         """The first row of a scene with these values; None when there is none."""
@@ -60,8 +60,8 @@ class Walk:
     def state(self, scene_id: str, stage: str) -> StageState | None:
         """What was run of a stage on a scene or batch; None when nothing was."""
         if scene_id not in self._states:
-            found = states(self.reader.arrow("stage_runs", scene_id))
-            self._states[scene_id] = {name: state for (_, name), state in found.items()}
+            by_stage = states(self.reader.arrow("stage_runs", scene_id))
+            self._states[scene_id] = {name: state for (_, name), state in by_stage.items()}
         return self._states[scene_id].get(stage)
 
     def stages(self, scene_id: str) -> list[str]:
@@ -114,6 +114,11 @@ class Walk:
     def line(self, depth: int, role: str, node_id: str) -> None:
         """Add a line to the outline."""
         self._outline.append((depth, role, node_id))
+
+    def leads(self, depth: int, source: str, target: str, role: str) -> None:
+        """An edge from `source` to `target`, and the line of the outline that shows it."""
+        self.edge(source, target, role)
+        self.line(depth, role, target)
 
     def check_blobs(self, node_id: str, names: Iterable[str | None]) -> None:
         """Follow the names of blobs to the lake's files."""
@@ -198,14 +203,14 @@ def plain(value: Any) -> Any:
     if isinstance(value, datetime):
         return value.isoformat()
     if isinstance(value, Mapping):
-        return {str(name): plain(one) for name, one in value.items()}
+        return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain(item) for item in value]
     return value
 
 
 def lost(values: Iterable[str], among: Container[str]) -> list[str]:
-    """Those of some values that are not among others, sorted, once each."""
+    """The distinct values that are not `among` these, sorted."""
     return sorted({value for value in values if value not in among})
 
 

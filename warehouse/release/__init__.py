@@ -16,16 +16,16 @@ from typing import Any
 
 from schemas.errors import InputError
 from schemas.releases import NAME_PATTERN, Release
-from warehouse.adoption import now_utc
-from warehouse.documentation import tables_page
 from warehouse.lake import Lake
-from warehouse.refusals import named
+from warehouse.questions.documentation import tables_page
 from warehouse.release.attribution import attribution_of
 from warehouse.release.card import ReleaseFile, data_card
 from warehouse.release.catalog import open_catalog, write_catalog
 from warehouse.release.tables import settings, sha256_of, write_releases, write_tables
-from warehouse.released import FOLDER, RECORD, folder_of, record_fields, released
-from warehouse.snapshot import Reader
+from warehouse.storage.refusals import named
+from warehouse.tables.adoption import now_utc
+from warehouse.tables.released import FOLDER, RECORD, folder_of, record_fields, released
+from warehouse.tables.snapshot import Reader
 
 __all__ = ["FOLDER", "SUMS", "Release", "make_release", "planned_release", "releases", "rewrite_release", "snapshot_of"]
 
@@ -169,15 +169,15 @@ def _check_kept(lake: Lake, reader: Reader, cause: Exception | None = None) -> N
 def _build(lake: Lake, reader: Reader, release: Release, folder: Path, advance: Callable[[str], None] | None) -> Release:
     """Write all files of a release into `folder`, a local one; the release with its counts."""
     rows = write_tables(reader, folder, advance)
-    others = [one for one in reader.releases if one.name != release.name]
-    rows["releases"] = len(others) + 1
+    other_releases = [other for other in reader.releases if other.name != release.name]
+    rows["releases"] = len(other_releases) + 1
     write_releases([], folder)  # so that the views that ask for it can be made
     final, catalog = lake.storage.duckdb_path(folder_of(release.name)), folder / f"{release.name}.duckdb"
     write_catalog(catalog, release.name, final, folder)
     with open_catalog(catalog, release.name, folder, settings(folder)) as connection:
         counts = _counted(connection)
     release = dataclasses.replace(release, **counts, row_counts=tuple(f"{name}={count}" for name, count in sorted(rows.items())))
-    write_releases([*others, release], folder)
+    write_releases([*other_releases, release], folder)
     (folder / "tables.md").write_text(tables_page(), encoding="utf-8")
     tables = [_described(folder / f"{name}.parquet", count) for name, count in sorted(rows.items())]
     with open_catalog(catalog, release.name, folder, settings(folder)) as connection:
@@ -189,9 +189,9 @@ def _build(lake: Lake, reader: Reader, release: Release, folder: Path, advance: 
     return release
 
 
-def _write_sums(folder: Path, release: Release, tables: Sequence[ReleaseFile], others: Sequence[str]) -> None:
+def _write_sums(folder: Path, release: Release, tables: Sequence[ReleaseFile], further: Sequence[str]) -> None:
     """`SHA256SUMS` of all files, and `release.json` with the same of these and of `SHA256SUMS`."""
-    files = sorted([*tables, *(_described(folder / name) for name in others)], key=lambda file: file.path)
+    files = sorted([*tables, *(_described(folder / name) for name in further)], key=lambda file: file.path)
     (folder / SUMS).write_text("".join(f"{file.sha256}  {file.path}\n" for file in files), encoding="utf-8")
     listed = [dataclasses.asdict(file) for file in (*files, _described(folder / SUMS))]
     (folder / RECORD).write_text(json.dumps(record_fields(release) | {"files": listed}, indent=1) + "\n", encoding="utf-8")

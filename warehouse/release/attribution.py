@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from schemas.licenses import UNKNOWN, is_unknown, of_asset, stated
-from warehouse.licenses import duties
+from warehouse.release.licenses import duties
 
 if TYPE_CHECKING:
     import duckdb
@@ -92,9 +92,9 @@ def _attribution(scans: Sequence[tuple[str, str, int]], assets: Sequence[tuple[s
     summed: dict[tuple[str, str, str], Counter[str]] = {}
     for license_, author, source, items, scenes in assets:
         what = f"cut from scans of {source.removeprefix('scan ').partition('/')[0]}" if source.startswith("scan ") else source or UNKNOWN
-        found = summed.setdefault((license_, UNKNOWN if is_unknown(author) else author, what), Counter())
-        found.update(items=items, scenes=scenes)
-    used = [Credit(*key, found["items"], found["scenes"]) for key, found in summed.items()]
+        counts = summed.setdefault((license_, UNKNOWN if is_unknown(author) else author, what), Counter())
+        counts.update(items=items, scenes=scenes)
+    used = [Credit(*key, counts["items"], counts["scenes"]) for key, counts in summed.items()]
     return Attribution(tuple(sorted(made)), tuple(sorted(used)))
 
 
@@ -114,9 +114,9 @@ def attribution_of_rows(
             datasets.setdefault(asset, set()).add(scene.partition("/")[0])
     for scene, asset, license_, author, source, _ in placed:
         whence = _source(source, datasets.get(asset, ()))
-        found = items.setdefault((of_asset(license_, source, licenses), author or "", whence), (set(), set()))
-        found[0].add(asset)
-        found[1].add(scene)
+        named = items.setdefault((of_asset(license_, source, licenses), author or "", whence), (set(), set()))
+        named[0].add(asset)
+        named[1].add(scene)
     return _attribution(
         [(license_, dataset, count) for (license_, dataset), count in counts.items()],
         [(*key, len(assets), len(scenes)) for key, (assets, scenes) in items.items()],

@@ -105,8 +105,8 @@ class _Answers:
         return "\n".join(lines) + "\n"
 
     def row(self, sql: str) -> tuple[Any, ...]:
-        found: tuple[Any, ...] = self._connection.execute(sql).fetchall()[0]
-        return found
+        row: tuple[Any, ...] = self._connection.execute(sql).fetchall()[0]
+        return row
 
 
 def _shown(value: Any) -> Any:

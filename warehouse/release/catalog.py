@@ -17,15 +17,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError
-from schemas.files import read_file
+from schemas.files import making, read_file
 from schemas.tables import TABLES
-from warehouse import views
-from warehouse.documentation import comment_statements, quoted
 from warehouse.lake import Lake
-from warehouse.macros import literal
-from warehouse.released import RECORD, folder_of, parse_release, released
-from warehouse.renames import with_former
-from warehouse.snapshot import relation
+from warehouse.questions import views
+from warehouse.questions.documentation import comment_statements
+from warehouse.questions.quoting import literal, quoted
+from warehouse.questions.renames import with_former
+from warehouse.tables.released import RECORD, folder_of, parse_release, released
+from warehouse.tables.snapshot import relation
 
 if TYPE_CHECKING:
     import duckdb
@@ -65,8 +65,8 @@ def write_catalog(
             source = None
             if tables is None or table.name in tables:
                 source = f"SELECT * FROM read_parquet({folder} || {literal(f'/{table.name}.parquet')})"
-                found = [row[0] for row in connection.execute(f"DESCRIBE {source}").fetchall()]
-                if found != [column.name for column in table.columns]:
+                columns = [row[0] for row in connection.execute(f"DESCRIBE {source}").fetchall()]
+                if columns != [column.name for column in table.columns]:
                     source = relation(table, source)
             connection.execute(f"CREATE VIEW {quoted(table.name)} AS {with_former(table.name, source or relation(table))}")
             connection.execute(";\n".join(comment_statements(table)))
@@ -99,13 +99,8 @@ def _write_whole(file: Path, name: str, address: str, files: Sequence[str], regi
     tables = {table for table in TABLES if f"{table}.parquet" in files}
     if not tables:
         raise InputError(address, "release", "has no tables", "restore the folder")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    making = file.with_name(f".{file.name}.{os.getpid()}.making")
-    try:
-        write_catalog(making, name, address, tables=tables, register=register)
-        os.replace(making, file)
-    finally:
-        making.unlink(missing_ok=True)
+    with making(file) as unfinished:
+        write_catalog(unfinished, name, address, tables=tables, register=register)
 
 
 @contextmanager

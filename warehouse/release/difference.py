@@ -14,11 +14,11 @@ import pyarrow as pa
 from schemas.errors import InputError
 from schemas.record import Column, Table
 from schemas.tables import TABLES
-from warehouse.documentation import quoted
 from warehouse.lake import Lake
-from warehouse.references import workspace
+from warehouse.questions.quoting import quoted
 from warehouse.release import releases
-from warehouse.snapshot import Reader, read_files, relation
+from warehouse.tables.snapshot import Reader, read_files, relation
+from warehouse.upkeep.references import workspace
 
 if TYPE_CHECKING:
     import duckdb
@@ -32,7 +32,7 @@ _MEMORY = "2GB"
 
 @dataclasses.dataclass(frozen=True)
 class Names:
-    """Things of one kind: how many, and the first of their names in order."""
+    """Objects of one kind: how many, and the first of their names in order."""
 
     count: int
     names: tuple[str, ...]
@@ -90,7 +90,7 @@ def named_snapshot(lake: Lake, text: str) -> Reader:
 
 
 def difference(lake: Lake, before: Reader, after: Reader, most: int | None = 20) -> Difference:
-    """What differs between two snapshots; at most `most` names of each kind of thing, None for all."""
+    """What differs between two snapshots; at most `most` names of each kind of object, None for all."""
     with workspace(lake.storage, _MEMORY) as connection:
         connection.execute("CREATE TABLE differing (about VARCHAR, kind VARCHAR, scene_id VARCHAR, instance_id VARCHAR, rows BIGINT)")
         tables = [_compare(connection, lake, table, before, after) for name, table in TABLES.items() if name not in _ABOUT_THE_LAKE]
@@ -133,11 +133,11 @@ def _side(table: Table, paths: list[str], mark: str) -> str:
 
 
 def _hashed(column: Column) -> list[str]:
-    """What the hash is taken over: DuckDB's own of a list does not see where inner lists end, nor [] from NULL."""
+    """Expressions to hash: DuckDB's hash of a list ignores where inner lists end, and takes [] and NULL for equal."""
     name = quoted(column.name)
     if not pa.types.is_list(column.type):
         return [name]
-    inner = [f"list_transform({name}, lambda one: len(one))"] if pa.types.is_list(column.type.value_type) else []
+    inner = [f"list_transform({name}, lambda item: len(item))"] if pa.types.is_list(column.type.value_type) else []
     return [name, f"len({name})", *inner]
 
 
@@ -147,7 +147,7 @@ _STAGED = ", ".join(f"'{name}'" for name, table in TABLES.items() if table.stage
 def _scenes(connection: duckdb.DuckDBPyConnection, most: int | None) -> Changes:
     """What became of scenes."""
     connection.execute(
-        "CREATE OR REPLACE TABLE thing AS SELECT scene_id AS name,"
+        "CREATE OR REPLACE TABLE object AS SELECT scene_id AS name,"
         " coalesce(max(kind) FILTER (about = 'scenes' AND kind <> 'changed'), 'changed') AS kind"
         f" FROM differing WHERE about IN ({_STAGED}) AND scene_id IS NOT NULL GROUP BY ALL"
     )
@@ -164,7 +164,7 @@ def _objects(connection: duckdb.DuckDBPyConnection, lake: Lake, before: Reader, 
             " SEMI JOIN differing USING (scene_id, instance_id)"
         )
     connection.execute(
-        "CREATE OR REPLACE TABLE thing AS SELECT scene_id || '/' || instance_id AS name,"
+        "CREATE OR REPLACE TABLE object AS SELECT scene_id || '/' || instance_id AS name,"
         " CASE WHEN new.is_object AND old.is_object IS DISTINCT FROM true THEN 'added'"
         " WHEN old.is_object AND new.is_object IS DISTINCT FROM true THEN 'removed' ELSE 'changed' END AS kind"
         f" FROM (SELECT DISTINCT scene_id, instance_id FROM differing WHERE about IN ({_STAGED}) AND instance_id IS NOT NULL) AS about"
@@ -175,12 +175,12 @@ def _objects(connection: duckdb.DuckDBPyConnection, lake: Lake, before: Reader, 
 
 
 def _changes(connection: duckdb.DuckDBPyConnection, most: int | None) -> Changes:
-    """What became of the things in the table `thing`."""
+    """What became of the objects in the table `object`."""
     limit = f"LIMIT {most}" if most is not None else ""
 
     def names(kind: str) -> Names:
-        count: Any = connection.execute("SELECT count(*) FROM thing WHERE kind = ?", [kind]).fetchall()[0][0]
-        found = connection.execute(f"SELECT name FROM thing WHERE kind = ? ORDER BY name {limit}", [kind]).fetchall()
-        return Names(int(count), tuple(name for (name,) in found))
+        count: Any = connection.execute("SELECT count(*) FROM object WHERE kind = ?", [kind]).fetchall()[0][0]
+        rows = connection.execute(f"SELECT name FROM object WHERE kind = ? ORDER BY name {limit}", [kind]).fetchall()
+        return Names(int(count), tuple(name for (name,) in rows))
 
     return Changes(names("added"), names("changed"), names("removed"))

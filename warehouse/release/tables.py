@@ -12,9 +12,9 @@ import pyarrow as pa
 from schemas.record import Table, rows_to_arrow
 from schemas.releases import Release
 from schemas.tables import TABLES
-from warehouse.delta import nullable
-from warehouse.documentation import quoted
-from warehouse.snapshot import Reader
+from warehouse.questions.quoting import quoted
+from warehouse.tables.delta import nullable
+from warehouse.tables.snapshot import Reader
 
 if TYPE_CHECKING:
     import duckdb

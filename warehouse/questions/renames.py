@@ -1,0 +1,49 @@
+"""Names that SQL used to have. For one version the old name stands beside the new one, so that nobody's query breaks over night.
+
+Whoever renames a view, a column of a view or a column of a table adds a line to `RENAMES`, and nothing else: SQL on lakes,
+releases and their catalogs then knows both names, files that were written under the old one are read, and `docs/views.md` and
+`docs/tables.md` name it. A line goes with the next version: tests hold it against what the version before knew (tests/earlier).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+
+@dataclasses.dataclass(frozen=True)
+class Rename:
+    """``Rename("old", "new")`` of a view, ``Rename("old", "new", of="relation")`` of a column of a view or table."""
+
+    before: str
+    after: str
+    of: str = ""
+
+
+RENAMES: tuple[Rename, ...] = ()
+"""What the version before called otherwise."""
+
+
+def former_views() -> dict[str, str]:
+    """Views by their old names."""
+    return {rename.before: rename.after for rename in RENAMES if not rename.of}
+
+
+def former_columns(relation: str) -> dict[str, str]:
+    """Columns of a view or table by their old names."""
+    return {rename.before: rename.after for rename in RENAMES if rename.of == relation}
+
+
+def with_former(relation: str, query: str) -> str:
+    """A query for a view or table with the old names of its columns after the others."""
+    former = former_columns(relation)
+    if not former:
+        return query
+    old = ", ".join(f'"{after}" AS "{before}"' for before, after in former.items())
+    return f"SELECT *, {old} FROM ({query})"
+
+
+def merged(relation: str, columns: Iterable[str]) -> list[str]:
+    """SQL for a table's columns, of files some of which may have them under their old names."""
+    former = {after: before for before, after in former_columns(relation).items()}
+    return [f'coalesce("{name}", "{former[name]}") AS "{name}"' if name in former else f'"{name}"' for name in columns]

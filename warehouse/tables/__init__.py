@@ -1,0 +1,1 @@
+"""Rows of a lake: tables and snapshots, and how staged rows get into them."""

@@ -1,0 +1,1 @@
+"""Keeping a lake small, whole and safe: compaction, vacuum, backup, inspection, erasure."""

@@ -1,0 +1,62 @@
+"""What an erasure is about, kept in `erasure.json` while it is under way: whoever is killed leaves the rest to the next."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from datetime import datetime
+
+from schemas.errors import InputError
+from warehouse.storage.files import Storage
+from warehouse.upkeep.erasure.traces import Traces
+
+PATH = "erasure.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class ErasurePlan:
+    """An erasure under way: the scene, since when, its traces, and the blobs, asset ids and releases that name it."""
+
+    scene_id: str
+    started_at: datetime
+    traces: Traces
+    blobs: frozenset[str]
+    assets: frozenset[str]
+    releases: frozenset[str]
+
+    def __or__(self, other: ErasurePlan) -> ErasurePlan:
+        """Both, as begun by this one."""
+        traces = self.traces | other.traces
+        sets = [getattr(self, name) | getattr(other, name) for name in ("blobs", "assets", "releases")]
+        return ErasurePlan(self.scene_id, self.started_at, traces, *sets)
+
+    def write(self, storage: Storage) -> None:
+        """Keep the plan in the lake."""
+        fields = {
+            "scene_id": self.scene_id, "started_at": self.started_at.isoformat(),
+            "names": sorted(self.traces.names), "spared": sorted(self.traces.spared),
+            "blobs": sorted(self.blobs), "assets": sorted(self.assets), "releases": sorted(self.releases),
+        }  # fmt: skip
+        storage.write(PATH, json.dumps(fields).encode())
+
+
+def read_plan(storage: Storage) -> ErasurePlan | None:
+    """The erasure that was begun and not finished; None when there is none.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        data = storage.read(PATH)
+    except FileNotFoundError:
+        return None
+    try:
+        fields = json.loads(data)
+        sets = {name: frozenset(map(str, fields[name])) for name in ("names", "spared", "blobs", "assets", "releases")}
+        begun = datetime.fromisoformat(fields["started_at"])
+        traces = Traces(sets["names"], sets["spared"])
+        return ErasurePlan(str(fields["scene_id"]), begun, traces, sets["blobs"], sets["assets"], sets["releases"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{storage.address}/{PATH}", "", f"cannot be read ({type(error).__name__})", "remove it and erase again"
+        ) from error

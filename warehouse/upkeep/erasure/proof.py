@@ -1,0 +1,154 @@
+"""The proof of an erasure: every byte of every file of the lake is searched, compressed ones unpacked."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import io
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from warehouse.questions.quoting import quoted
+from warehouse.storage.files import Storage
+from warehouse.upkeep.erasure.traces import Traces
+
+_SHOWN = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Hit:
+    """A file that still tells of the scene: where in it, how often, and what was found first."""
+
+    path: str
+    place: str
+    count: int
+    traces: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Proof:
+    """What was searched, and what was found: nothing, where the erasure is complete."""
+
+    files: int
+    bytes: int
+    rows: int
+    hits: tuple[Hit, ...]
+
+
+def search(storage: Storage, traces: Traces, advance: Callable[[str], None] = lambda path: None, folder: str = "") -> Proof:
+    """Look for traces in the names and the contents of all files (below `folder`).
+
+    Parquet files are decoded as well (their pages are compressed), and so are gzip and zip files and the tables and
+    views of `.duckdb` files.
+    """
+    files = size = rows = 0
+    hits: list[Hit] = []
+    for entry in storage.walk(folder):
+        try:
+            data = storage.read(entry.path)
+        except FileNotFoundError:  # a writer's temporary file, renamed or removed meanwhile
+            continue
+        decoded, traced = _looked_through(entry.path, data, traces)
+        files, size, rows = files + 1, size + len(data), rows + decoded
+        hits += traced
+        advance(entry.path)
+    return Proof(files, size, rows, tuple(hits))
+
+
+def tells(path: str, data: bytes, traces: Traces) -> bool:
+    """Whether a file's name or content tells of the scene."""
+    return bool(_looked_through(path, data, traces)[1])
+
+
+def _looked_through(path: str, data: bytes, traces: Traces) -> tuple[int, list[Hit]]:
+    """Rows that were decoded, and what was found."""
+    hits: list[Hit] = []
+    rows = 0
+    places = [("name", path.encode()), ("contents", data)]
+    for place, content in (*places, *_unpacked(path, data)):
+        if traced := list(traces.in_bytes(content)):
+            hits.append(_hit(path, place, traced))
+    if data[:4] == b"PAR1":
+        rows, traced = _in_parquet(data, traces)
+        if traced:
+            hits.append(_hit(path, "rows", traced))
+    return rows, hits
+
+
+def _hit(path: str, place: str, traced: list[str]) -> Hit:
+    return Hit(path, place, len(traced), tuple(sorted(set(traced)))[:_SHOWN])
+
+
+def _unpacked(path: str, data: bytes) -> Iterator[tuple[str, bytes]]:
+    """What lies packed in a file, by the place that it has there."""
+    if data[:2] == b"\x1f\x8b":
+        try:
+            yield "gzip", gzip.decompress(data)
+        except (OSError, EOFError, zlib.error):
+            return  # only begins like one
+    elif data[:4] == b"PK\x03\x04":
+        try:
+            with zipfile.ZipFile(io.BytesIO(data)) as packed:
+                for name in packed.namelist():
+                    yield f"zip: {name}", packed.read(name)
+        except (zipfile.BadZipFile, NotImplementedError, RuntimeError):
+            return
+    elif data[8:12] == b"DUCK":
+        yield from _from_duckdb(data)
+
+
+def _from_duckdb(data: bytes) -> Iterator[tuple[str, bytes]]:
+    """Texts of a database: its tables' rows, and the SQL of its views."""
+    import duckdb
+
+    with tempfile.TemporaryDirectory(prefix="metascenes-") as folder:
+        copy = Path(folder) / "copy.duckdb"
+        copy.write_bytes(data)
+        with duckdb.connect(str(copy), read_only=True, config={"enable_external_access": "false"}) as connection:
+            for (sql,) in connection.execute("SELECT sql FROM duckdb_views() WHERE NOT internal").fetchall():
+                yield "views", str(sql).encode()
+            for schema, name in connection.execute("SELECT schema_name, table_name FROM duckdb_tables()").fetchall():
+                for row in connection.execute(f"SELECT * FROM {quoted(schema)}.{quoted(name)}").fetchall():
+                    yield f"table {name}", repr(row).encode()
+
+
+def _in_parquet(data: bytes, traces: Traces) -> tuple[int, list[str]]:
+    """Rows of a Parquet file, and the traces in all texts that its columns hold."""
+    import pyarrow.parquet as pq
+
+    try:
+        file = pq.ParquetFile(io.BytesIO(data))
+    except pa.ArrowException:
+        return 0, []  # damaged; its bytes were searched
+    traced: list[str] = []
+    for group in range(file.num_row_groups):
+        for column in file.read_row_group(group).columns:
+            for chunk in column.chunks:
+                traced += _in_texts(chunk, traces)
+    return file.metadata.num_rows, traced
+
+
+def _in_texts(values: Any, traces: Traces) -> list[str]:
+    """Traces in the texts of an Arrow array, however deep these lie."""
+    kind = values.type
+    if pa.types.is_dictionary(kind):
+        return _in_texts(values.dictionary, traces)
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind):
+        return _in_texts(values.flatten(), traces)
+    if pa.types.is_struct(kind):
+        return [trace for field in values.flatten() for trace in _in_texts(field, traces)]
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        return []
+    texts = pc.unique(values).drop_null()
+    suspect = pc.is_in(texts, value_set=pa.array(sorted(traces.hashes), kind))
+    for core in traces.cores:
+        suspect = pc.or_(suspect, pc.match_substring(texts, core))
+    longer = pc.greater(pc.binary_length(texts), 64)  # a hash inside of something
+    return [trace for text in texts.filter(pc.or_(suspect, longer)).to_pylist() for trace in traces.in_bytes(text.encode())]
