@@ -100,7 +100,7 @@ def _main() -> None:
 def _explain(error: BaseException) -> NoReturn:
     """Say what the operating system refused, whichever library says so; everything else is a defect of ours."""
     from schemas.text import one_line
-    from warehouse.refusals import Refused, number_of
+    from warehouse.storage.refusals import Refused, number_of
 
     number = number_of(error)
     if number is not None and not isinstance(error, ConnectionError):

@@ -10,15 +10,15 @@ from prefect import flow
 from prefect.artifacts import create_link_artifact
 from prefect.states import Completed, Failed
 
-from flows.artifacts import artifact_key, run_log, short_name
-from flows.export import write_exports
-from flows.parameters import Address
-from flows.patience import patiently
-from flows.shipment import summary
+from flows.outputs.export import write_exports
+from flows.outputs.shipment import left_out_lines
+from flows.run.parameters import Address
+from flows.run.patience import patiently
+from flows.server.artifacts import artifact_key, run_log, short_name
 from schemas.errors import InputError
 from schemas.families.export_formats import EXPORT_FORMATS
 from warehouse.lake import Lake
-from warehouse.licenses import Allowed
+from warehouse.release.licenses import Allowed
 
 HOURS = 12
 """10,000 scenes are 70 GB of small files, checked one by one."""
@@ -35,8 +35,9 @@ SHOWN = 20
 def _name() -> str:
     from prefect.runtime import flow_run
 
-    told = flow_run.parameters
-    return f"{'release ' + told['release'] if told.get('release') else short_name(told['lake'])} -> {short_name(told['out'])}"
+    parameters = flow_run.parameters
+    source = f"release {parameters['release']}" if parameters.get("release") else short_name(parameters["lake"])
+    return f"{source} -> {short_name(parameters['out'])}"
 
 
 @flow(name="export", flow_run_name=_name, persist_result=False, timeout_seconds=HOURS * 3600)
@@ -68,9 +69,7 @@ def export(
     """
     if "://" in out:
         raise InputError(out, "out", "is no folder", "name a folder of the machine that runs the flow")
-    store = Lake.open(lake)
-    if not store.exists:
-        raise InputError(lake, "lake", "there is no lake", "name its folder; `metascenes run` makes one")
+    store = Lake.existing(lake)
     allowed = Allowed.parse(tuple(licenses)) if licenses else None
     place = Path(out)
     written = patiently(
@@ -78,7 +77,7 @@ def export(
             store, place, formats, scenes, snapshot, release=release, usdz=usdz, allowed=allowed, workers=workers or os.cpu_count() or 1
         )
     )
-    left_out = list(summary(written.shipment)) if written.shipment is not None else []
+    left_out = list(left_out_lines(written.shipment)) if written.shipment is not None else []
     text = f"{written.files} files below {place}; {written.failed_checks} checks failed"
     run_log(text)
     for line in (*left_out, *written.notes[:SHOWN], *written.problems[:SHOWN]):

@@ -21,21 +21,21 @@ from prefect.cache_policies import NO_CACHE
 from prefect.states import Completed, Failed, State
 from prefect.tasks import exponential_backoff
 
-from flows.artifacts import Board, committed, flow_run_name, run_log, task_run_name
-from flows.configuration import configure
-from flows.fanout.batch import Batch
-from flows.fanout.coordinator import Coordinator, FanOut, Outcome
-from flows.fanout.pools import shared_pool
-from flows.fanout.runners import Runner, task_runner
-from flows.identity import sentence
-from flows.outcome import MAX_NOTES
-from flows.parameters import Address, StageTables
-from flows.patience import patiently
-from flows.plan import Plan, ScenePlan, make_plan, planned_again
 from flows.progress import current
-from flows.report import RunReport, broken_checks, keep, report_of
-from flows.scans import found_scans, settled
-from flows.scene import STAGE_SECONDS, SceneResult, settle
+from flows.run.configuration import configure
+from flows.run.fanout.batch import SceneBatch
+from flows.run.fanout.coordinator import Coordinator, FanOut, RunOutcome
+from flows.run.fanout.pools import shared_pool
+from flows.run.fanout.runners import Runner, task_runner
+from flows.run.identity import sentence
+from flows.run.outcome import MAX_NOTES
+from flows.run.parameters import Address, StageTables
+from flows.run.patience import patiently
+from flows.run.plan import Plan, ScenePlan, make_plan, planned_again
+from flows.run.report import RunReport, broken_checks, keep, report_of
+from flows.run.scene import STAGE_SECONDS, SceneResult, settle
+from flows.scans.choice import found_scans, settled
+from flows.server.artifacts import Board, committed, flow_run_name, run_log, task_run_name
 from schemas.runs import StageRun
 from warehouse.lake import Lake
 
@@ -87,7 +87,7 @@ def compute_stage(name: str, work: Work) -> Any:
     persist_result=False,
     cache_policy=NO_CACHE,
 )
-def compute_scenes(name: str, batch: Batch) -> Any:
+def compute_scenes(name: str, batch: SceneBatch) -> Any:
     """Some scenes through their stages. What is finished when a worker is lost is not computed again."""
     from prefect.runtime import task_run
 
@@ -95,11 +95,11 @@ def compute_scenes(name: str, batch: Batch) -> Any:
         with _limited(stage, batch.limits):
             if not batch.shows_stages:
                 return work()
-            told = Work(work)
-            state = compute_stage(task_run_name(scene_id, stage), told, return_state=True)
-        if told.run is None:
+            stage_work = Work(work)
+            state = compute_stage(task_run_name(scene_id, stage), stage_work, return_state=True)
+        if stage_work.run is None:
             raise state.result(raise_on_failure=False)
-        return told.run
+        return stage_work.run
 
     results = Results(batch.compute(around))
     lost = [result for result in results if result.is_lost]
@@ -113,7 +113,7 @@ def _limited(stage: str, limits: Mapping[str, str]) -> contextlib.AbstractContex
     """A slot of the stage's global concurrency limit; nothing where it has none."""
     if stage not in limits:
         return contextlib.nullcontext()
-    from flows.limits import limited
+    from flows.run.limits import limited
 
     return limited(stage, limits)
 
@@ -128,8 +128,8 @@ class _Tasks:
         self._from: dict[Any, Any] = {}
         self._stack = contextlib.ExitStack()
 
-    def submit(self, batch: Batch) -> Any:
-        """See flows.fanout.coordinator.Tasks."""
+    def submit(self, batch: SceneBatch) -> Any:
+        """See flows.run.fanout.coordinator.Tasks."""
         parameters = {"name": task_run_name([scene.scan.scene_id for scene in batch.scenes]), "batch": batch}
         if self._is_broken:
             self._renew()
@@ -142,16 +142,16 @@ class _Tasks:
         return future
 
     def results(self, future: Any) -> list[SceneResult]:
-        """See flows.fanout.coordinator.Tasks."""
+        """See flows.run.fanout.coordinator.Tasks."""
         runner = self._from.pop(future.task_run_id)
         try:
-            found = future.result(raise_on_failure=False)
-            if isinstance(found, BaseException):
-                raise found
+            result = future.result(raise_on_failure=False)
+            if isinstance(result, BaseException):
+                raise result
         except BrokenExecutor:  # one of its processes was killed; the others have ended with it
             self._is_broken = self._is_broken or runner is self._runner
             raise
-        results: list[SceneResult] = found
+        results: list[SceneResult] = result
         return results
 
     def _renew(self) -> None:
@@ -171,8 +171,8 @@ class _Tasks:
 def _name() -> str:
     from prefect.runtime import flow_run
 
-    told = flow_run.parameters
-    return flow_run_name(told["scans"], told["lake"], dataset=told.get("dataset"))
+    parameters = flow_run.parameters
+    return flow_run_name(parameters["scans"], parameters["lake"], dataset=parameters.get("dataset"))
 
 
 @flow(name="replicate", flow_run_name=_name, persist_result=False, validate_parameters=True)
@@ -206,7 +206,7 @@ def replicate(
 ) -> Any:
     """Replica scenes of the scans at an address, into a lake. Scenes are independent: one that fails stops no other.
 
-    The run fails when a scene failed that had not failed before on the same input. Its result is a `flows.report.RunReport`.
+    The run fails when a scene failed that had not failed before on the same input. Its result is a `flows.run.report.RunReport`.
 
     Args:
         scans: Folder of scans, one scan, or s3://bucket/prefix.
@@ -240,7 +240,7 @@ def replicate(
         Path(config_file) if config_file else None, settings, Path(library) if library else None, seed, tables=stages or None
     )
     if limits:
-        from flows.limits import check_limits
+        from flows.run.limits import check_limits
 
         check_limits(limits)
     fan_out = FanOut(workers or os.cpu_count() or 1, runner, dask_address, batch, limits, keep_free_gb, quota_gb, stage_seconds)
@@ -249,14 +249,14 @@ def replicate(
 
     def once() -> RunReport:
         store = Lake.open(lake)
-        found, unusable = found_scans(
+        scan_list, unusable = found_scans(
             scans, format, dataset, scenes=scenes, first=first, last=last, since=since, until=until, links_into=links_into
         )
         if settle_seconds > 0:
-            found, arriving = settled(found, settle_seconds, by_change="://" not in scans)
+            scan_list, arriving = settled(scan_list, settle_seconds, by_change="://" not in scans)
             for scan in arriving:
                 run_log(f"{scan.scene_id}: changed less than {settle_seconds:g} s ago, or is being copied; left to a later run")
-        plan = make_plan(store, found, unusable, configuration, retry_failed, again=again)
+        plan = make_plan(store, scan_list, unusable, configuration, retry_failed, again=again)
         for given, scene_id in list(plan.same.items())[:MAX_NOTES]:
             run_log(sentence(given, scene_id))
 
@@ -295,7 +295,7 @@ def _carry_out(
     """Compute what a plan says, commit it in batches, and leave no staged or temporary file behind."""
     keep = {(s.scan.scene_id, step.stage, step.fingerprint.value) for s in plan.scenes for step in s.steps}
     lake.sweep(keep)
-    outcome = Outcome()
+    outcome = RunOutcome()
     with Board() as board:
         board.begin(plan, lake.address, scans, dataset)
         if plan.todo:

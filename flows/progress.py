@@ -17,15 +17,15 @@ LINE_SECONDS = 10.0
 class Progress:
     """A bar over (scene, stage) steps on standard error when that is a terminal; silent otherwise.
 
-    `told`: where it is none, a line at the start, at the end and now and then between.
+    `lines`: where it is none, a line at the start, at the end and now and then between.
     """
 
-    def __init__(self, title: str, total: int, shown: bool | None = None, told: bool = False) -> None:
+    def __init__(self, title: str, total: int, shown: bool | None = None, lines: bool = False) -> None:
         self._lock = threading.Lock()
         self._bar: Any = None
         self._title, self._total = title, total
         self._shown = sys.stderr.isatty() if shown is None else shown
-        self._told, self._done, self._said_at = told and not self._shown and total > 0, 0, 0.0
+        self._told, self._done, self._said_at = lines and not self._shown and total > 0, 0, 0.0
 
     def advance(self, text: str = "") -> None:
         """One step is over; `text` says which."""

@@ -7,13 +7,12 @@ from typing import Any
 from prefect import flow
 from prefect.states import Completed, State
 
-from flows.artifacts import run_log, short_name
-from flows.parameters import Address
-from flows.patience import patiently
-from schemas.errors import InputError
+from flows.run.parameters import Address
+from flows.run.patience import patiently
+from flows.server.artifacts import run_log, short_name
 from warehouse.lake import Lake
 from warehouse.release import make_release, planned_release
-from warehouse.released import folder_of
+from warehouse.tables.released import folder_of
 
 HOURS = 6
 """A release of 10,000 scenes copies some hundred GB."""
@@ -36,15 +35,13 @@ def release(lake: Address, name: str | None = None, notes: str = "", snapshot: i
         snapshot: Snapshot to release; the newest by default.
         dry_run: Say what would be released; write nothing.
     """
-    store = Lake.open(lake)
-    if not store.exists:
-        raise InputError(lake, "lake", "there is no lake", "name its folder; `metascenes run` makes one")
+    store = Lake.existing(lake)
     name = name or _dated()
     if dry_run:
         snapshot_id, counts = planned_release(store, name, snapshot, notes)
-        return _said(f"would release snapshot {snapshot_id} as {name}: {counts['scenes']:,} scenes")
+        return _completed(f"would release snapshot {snapshot_id} as {name}: {counts['scenes']:,} scenes")
     made = patiently(lambda: make_release(store, name, snapshot, notes))
-    return _said(f"released snapshot {made.snapshot_id} as {name}: {made.scenes:,} scenes in {store.address}/{folder_of(name)}")
+    return _completed(f"released snapshot {made.snapshot_id} as {name}: {made.scenes:,} scenes in {store.address}/{folder_of(name)}")
 
 
 def _dated() -> str:
@@ -53,6 +50,6 @@ def _dated() -> str:
     return f"v{flow_run.scheduled_start_time:%Y-%m-%d}"
 
 
-def _said(text: str) -> State[Any]:
+def _completed(text: str) -> State[Any]:
     run_log(text)
     return Completed(message=text)

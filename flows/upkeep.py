@@ -7,13 +7,13 @@ from typing import Any
 from prefect import flow
 from prefect.states import Completed
 
-from flows.artifacts import run_log, short_name
-from flows.parameters import Address
-from flows.patience import patiently
+from flows.run.parameters import Address
+from flows.run.patience import patiently
+from flows.server.artifacts import run_log, short_name
 from schemas.errors import InputError
-from warehouse.compaction import compact
 from warehouse.lake import Lake
-from warehouse.vacuum import vacuum
+from warehouse.upkeep.compaction import compact
+from warehouse.upkeep.vacuum import vacuum
 
 HOURS = 12
 """Compaction rewrites what is scattered; on a lake of 10,000 scenes that is most of it, once."""
@@ -35,16 +35,14 @@ def upkeep(lake: Address, days: float = 7.0, compacts: bool = True, dry_run: boo
         compacts: Put small files together first.
         dry_run: Say what would be done; change nothing.
     """
-    store = Lake.open(lake)
-    if not store.exists:
-        raise InputError(lake, "lake", "there is no lake", "name its folder; `metascenes run` makes one")
+    store = Lake.existing(lake)
     if days < 0:
         raise InputError("days", "", f"must be at least 0, is {days:g}", "7 keeps a week")
     would = "would be " if dry_run else ""
     parts = []
     if compacts:
         done = patiently(lambda: compact(store, dry_run=dry_run))
-        parts.append(f"{sum(one.files_rewritten for one in done.tables)} files of {len(done.tables)} tables {would}put together")
+        parts.append(f"{sum(table.files_rewritten for table in done.tables)} files of {len(done.tables)} tables {would}put together")
     gone = patiently(lambda: vacuum(store, days=days, dry_run=dry_run))
     parts.append(f"{len(gone.snapshots)} snapshots, {gone.files} data files, {gone.blobs} blobs {would}removed: {gone.bytes / 1e6:.1f} MB")
     text = "; ".join(parts)

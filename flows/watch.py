@@ -10,11 +10,11 @@ from typing import Any
 from prefect import flow
 from prefect.states import Failed
 
-from flows.arrivals import HERE, SETTLE_SECONDS, Arrival, Look, look, remember, request_key, watch_report
-from flows.artifacts import MAX_ROWS, artifact_key, flow_run_name, public_address, run_log
-from flows.deployments import lake_name
-from flows.fingerprints import digest
-from flows.parameters import Address
+from flows.run.fingerprints import digest
+from flows.run.parameters import Address
+from flows.scans.arrivals import HERE, SETTLE_SECONDS, Arrival, Look, look, remember, request_key, watch_report
+from flows.server.artifacts import MAX_ROWS, artifact_key, flow_run_name, public_address, run_log
+from flows.server.deployments import lake_name
 from schemas.errors import InputError
 from warehouse.lake import Lake
 
@@ -28,8 +28,8 @@ MAX_SCANS = 500
 def _name() -> str:
     from prefect.runtime import flow_run
 
-    told = flow_run.parameters
-    return f"watch {flow_run_name(told['scans'], told['lake'], dataset=told.get('dataset'))}"
+    parameters = flow_run.parameters
+    return f"watch {flow_run_name(parameters['scans'], parameters['lake'], dataset=parameters.get('dataset'))}"
 
 
 @flow(name="watch", flow_run_name=_name, persist_result=False)
@@ -45,7 +45,7 @@ def watch(
 ) -> Any:
     """Find new and changed scans by content, and ask one run for them. Scans that are still being copied wait.
 
-    Looks once and ends: schedule it every few minutes. Its result is a `flows.arrivals.WatchReport`. It fails when scenes of
+    Looks once and ends: schedule it every few minutes. Its result is a `flows.scans.arrivals.WatchReport`. It fails when scenes of
     its own failed, and once a day for a scan that has been incomplete for more than a day.
 
     Args:
@@ -59,29 +59,29 @@ def watch(
         links_into: Folders that links out of the folder of scans may lead into.
     """
     store = Lake.open(lake)
-    found = look(scans, store, settle_seconds, format, dataset, links_into=links_into)
-    due = found.due(is_over)[:MAX_SCANS]
-    has_news = found.is_news
+    latest = look(scans, store, settle_seconds, format, dataset, links_into=links_into)
+    due = latest.due(is_over)[:MAX_SCANS]
+    has_news = latest.is_news
     run = ""
     failures: list[str] = []
     parameters = request(scans, lake, format, dataset, due, links_into)
     if due and not dry_run:
         if deployment is not None:
             run = ask(deployment, parameters, request_key(scans, store.address, due))
-            found.asked(due, run)
+            latest.asked(due, run)
         else:
             run = HERE
-            found.asked(due, run)
-            remember(found, scans, store)  # before it is begun: a scan that kills its run is soon tried only once a day
+            latest.asked(due, run)
+            remember(latest, scans, store)  # before it is begun: a scan that kills its run is soon tried only once a day
             failures = _replicate(parameters)
     if not dry_run:
-        remember(found, scans, store)
-    report = watch_report(found, due if run else (), run, failures)
+        remember(latest, scans, store)
+    report = watch_report(latest, due if run else (), run, failures)
     run_log(str(report))
     for line in report.overdue:
         run_log(f"incomplete for more than a day: {line}", warning=True)
     if has_news:
-        _leave_table(found, scans, store.address)
+        _leave_table(latest, scans, store.address)
     if failures:
         return Failed(message=f"{len(failures)} scenes failed: {failures[0]}", data=report)
     if report.overdue and not dry_run:
@@ -153,20 +153,20 @@ def _replicate(parameters: dict[str, Any]) -> list[str]:
     return [*report.failures, *(f"{scene}: {report.stopped}" for scene in report.postponed or ["the run"] if report.stopped)]
 
 
-def _leave_table(found: Look, scans: str, lake: str) -> None:
+def _leave_table(latest: Look, scans: str, lake: str) -> None:
     """The table artifact: scans that want something first."""
     from prefect.artifacts import create_table_artifact
 
     order = ("new", "changed", "waiting", "failed before", "known")
-    shown = sorted(found.arrivals, key=lambda one: (not one.is_overdue, order.index(one.state), one.scan))
+    shown = sorted(latest.arrivals, key=lambda arrival: (not arrival.is_overdue, order.index(arrival.state), arrival.scan))
     rows = [
         {
-            "scan": one.scan,
-            "state": one.state,
-            "why": f"{'for more than a day: ' * one.is_overdue}{'; '.join(filter(None, (one.why, one.left_out)))}",
-            "MB": round(one.size_bytes / 1e6, 1),
+            "scan": arrival.scan,
+            "state": arrival.state,
+            "why": f"{'for more than a day: ' * arrival.is_overdue}{'; '.join(filter(None, (arrival.why, arrival.left_out)))}",
+            "MB": round(arrival.size_bytes / 1e6, 1),
         }
-        for one in shown
+        for arrival in shown
     ]
     cut = f" The first {MAX_ROWS} of {len(rows)}." if len(rows) > MAX_ROWS else ""
     create_table_artifact(rows[:MAX_ROWS], key=artifact_key("arrivals", lake), description=f"Scans in {public_address(scans)}.{cut}")

@@ -20,8 +20,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from flows.fingerprints import ModuleCaches, annotations_digest
-from flows.pool import spread_over
+from flows.run.fingerprints import ModuleCaches, annotations_digest
+from flows.run.pool import spread_over
 from schemas.errors import InputError, LakeError, RecordError
 from schemas.record import arrow_to_rows, check
 from schemas.runs import StageRun
@@ -29,9 +29,9 @@ from schemas.tables import TABLES
 from schemas.text import one_line
 from tasks.stage import Context, Outcome, Stage
 from warehouse.lake import Lake
-from warehouse.licenses import with_licenses_of_scans
-from warehouse.reviews import standing_answers
-from warehouse.snapshot import Reader
+from warehouse.release.licenses import with_licenses_of_scans
+from warehouse.tables.reviews import standing_answers
+from warehouse.tables.snapshot import Reader
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,37 +85,29 @@ def execute(job: Job, spread: Spread | None = None) -> StageRun:
         error, kind = _one_line(problem), "lost" if _passes(problem) else "defect"
         if os.environ.get("METASCENES_TRACEBACK"):
             traceback.print_exc(file=sys.stderr)
-    run = StageRun(
-        scene_id=job.scene_id,
-        stage=job.stage,
-        fingerprint=job.fingerprint,
-        attempt=job.attempt,
-        outcome="lost" if kind == "lost" else "failed" if error else "done",
-        upstream=job.upstream,
-        reasons=job.reasons,
-        config=job.config_json,
+    run = dataclasses.replace(
+        lost_run(job, kind, error, time.perf_counter() - clock),
         row_counts=tuple(f"{table}={len(values)}" for table, values in sorted(rows.items())),
         degradations=tuple(degradations),
-        error=error,
-        error_kind=kind,
         started_at=started,
-        seconds=time.perf_counter() - clock,
         host=f"{socket.gethostname()}:{os.getpid()}",
         peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        snapshot_id=0,
     )
     lake.stage_rows(run, rows)
     return run
 
 
-def lost_run(job: Job, kind: str, message: str, seconds: float) -> StageRun:
-    """The row of `stage_runs` for a job whose worker did not come back; staged by the coordinator."""
+def lost_run(job: Job, kind: str | None, message: str | None, seconds: float) -> StageRun:
+    """The row of `stage_runs` for a job whose worker did not come back; staged by the coordinator.
+
+    With no `kind` of error it is that of a job that is done and wrote nothing.
+    """
     return StageRun(
         scene_id=job.scene_id,
         stage=job.stage,
         fingerprint=job.fingerprint,
         attempt=job.attempt,
-        outcome="lost" if kind == "lost" else "failed",
+        outcome="lost" if kind == "lost" else "failed" if kind else "done",
         upstream=job.upstream,
         reasons=job.reasons,
         config=job.config_json,
@@ -210,31 +202,37 @@ def _rows(lake: Lake, table: str, scene_id: str, fingerprint: str | None) -> lis
     if fingerprint is None:
         return list(lake.snapshot().rows(spec.record, scene_id))
     if spec.rule != "share":
-        return _found(lake.rows_of(table, scene_id, fingerprint), table, scene_id)
+        return _still_there(lake.rows_of(table, scene_id, fingerprint), table, scene_id)
     staged = lake.staged_rows(table, scene_id, fingerprint)
     if staged is not None:
         return list(staged)
-    sharing = _found(lake.rows_of(spec.shared_by, scene_id, fingerprint), table, scene_id)
+    sharing = _still_there(lake.rows_of(spec.shared_by, scene_id, fingerprint), table, scene_id)
     names = sorted({getattr(row, spec.key[0]) for row in sharing} - {None})
     return list(lake.snapshot().rows_by_key(spec.record, names))
 
 
-def _found(rows: list[Any] | None, table: str, scene_id: str) -> list[Any]:
+def _still_there(rows: list[Any] | None, table: str, scene_id: str) -> list[Any]:
     if rows is None:
         raise RowsGone(f"{scene_id}: {table}: the rows that this stage reads were replaced by another run; run again")
     return rows
 
 
 def _passes(error: Exception) -> bool:
-    """Whether it is no fault of the scan or ours, so that another try may do better: a store that is away, a full disk."""
-    from flows.patience import is_away
+    """Whether the cause lies outside of scan and code, so that another try may succeed: a store that is away, a full disk."""
+    from flows.run.patience import is_away
 
     return is_away(error) or (isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT))
+
+
+def _below_root(file: Path) -> str:
+    """A file of ours from its room on; many are called `__init__.py`."""
+    root = Path(__file__).parents[1]
+    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
 
 
 def _one_line(error: BaseException) -> str:
     """An unexpected error as one line with the place in our code that it came from."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent.name]
     ours = [f for f in frames if "/tasks/" in f.filename or "/warehouse/" in f.filename or "/flows/" in f.filename]
-    place = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
+    place = f" at {_below_root(Path(ours[-1].filename))}:{ours[-1].lineno}" if ours else ""
     return f"{type(error).__name__}: {one_line(error)[:500]}{place}"

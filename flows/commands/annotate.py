@@ -28,7 +28,7 @@ def import_batch(file: Path, dry_run: bool, address: str, as_json: bool) -> None
 
     Example: metascenes annotate import batch.json --lake ./lake
     """
-    from flows.annotation import import_annotations
+    from flows.inputs.annotation import import_annotations
 
     result = import_annotations(existing_lake(address), file, dry_run)
     if as_json:
@@ -55,7 +55,7 @@ def import_review(file: Path, dry_run: bool, address: str, as_json: bool) -> Non
 
     Example: metascenes annotate review review.json --lake ./lake
     """
-    from flows.annotation import import_reviews
+    from flows.inputs.annotation import import_reviews
 
     result = import_reviews(existing_lake(address), file, dry_run)
     if as_json:
@@ -65,6 +65,6 @@ def import_review(file: Path, dry_run: bool, address: str, as_json: bool) -> Non
         print(f"the reviews of batch {result['batch_id']} are in the lake already; nothing to do")
         return
     verb = "would be imported" if dry_run else "imported"
-    found = f"{result['wrong']} of {result['sampled']} sampled answers wrong, {result['returned']} returned"
+    verdict = f"{result['wrong']} of {result['sampled']} sampled answers wrong, {result['returned']} returned"
     known = f", {result['already']} known already" if result["already"] else ""
-    print(f"batch {result['batch_id']}: {result['reviews']} review{'' if result['reviews'] == 1 else 's'}{known} {verb}: {found}")
+    print(f"batch {result['batch_id']}: {result['reviews']} review{'' if result['reviews'] == 1 else 's'}{known} {verb}: {verdict}")

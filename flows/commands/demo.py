@@ -25,12 +25,12 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
 
     Example: metascenes demo --out demo
     """
-    from flows.commands.run import carry_out, summary, tell
-    from flows.configuration import configure
-    from flows.demo import make_scans
-    from flows.evaluation import run_policy
-    from flows.export import WrittenExports, write_exports
-    from flows.plan import make_plan
+    from flows.commands.run import carry_out, report_line, tell
+    from flows.inputs.demo import make_scans
+    from flows.inputs.evaluation import run_policy
+    from flows.outputs.export import WrittenExports, write_exports
+    from flows.run.configuration import configure
+    from flows.run.plan import make_plan
     from flows.stats import stage_table, write_report
     from tasks.capture.formats import find_scans
     from warehouse.lake import Lake
@@ -39,9 +39,9 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     made = make_scans(out / "scans", scenes, seed, workers)
     scanned = time.perf_counter() - clock
     lake = Lake.open(str(out / "lake"))
-    found, unusable = find_scans(out / "scans", "auto", "demo")
+    scan_list, unusable = find_scans(out / "scans", "auto", "demo")
     configuration = configure(seed=seed)
-    plan = make_plan(lake, found, unusable, configuration)
+    plan = make_plan(lake, scan_list, unusable, configuration)
     report = carry_out(plan, lake, scans=str(out / "scans"), lake=str(out / "lake"), dataset="demo", workers=workers, seed=seed)
     replicated = time.perf_counter() - clock - scanned
     policies = POLICIES if lake.snapshot().arrow("episodes").num_rows else ()
@@ -57,7 +57,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
         print()
         scans = f"{made} scans made in {scanned:.1f} s" if made else "scans are up to date"
         exported = f"{written.files} files exported, {written.failed_checks} checks failed"
-        print(f"{scans}; {summary(report)} in {replicated:.1f} s; {exported}; {time.perf_counter() - clock:.1f} s in all")
+        print(f"{scans}; {report_line(report)} in {replicated:.1f} s; {exported}; {time.perf_counter() - clock:.1f} s in all")
         print()
         for name, place in places.items():
             print(f"{name:<16} {place}")

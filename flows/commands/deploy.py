@@ -17,7 +17,7 @@ import click
 from flows.commands.options import json_option, lake_option, links_option
 
 if TYPE_CHECKING:
-    from flows.deployments import Item, Schedule
+    from flows.server.deployments import Item, Schedule
 
 NOTIFY = "METASCENES_NOTIFY_URL"
 
@@ -63,7 +63,7 @@ def command(
 
     Example: metascenes deploy --scans /data/scans --lake /data/lake --timezone Europe/Berlin --nightly "30 1 * * *"
     """
-    from flows.deployments import Schedule
+    from flows.server.deployments import Schedule
 
     if no_notify and notify_env:
         raise click.UsageError("--no-notify and --notify-env contradict each other")
@@ -89,19 +89,19 @@ def command(
         _tell(items, as_json)
         _tell_others(also, schedule)
         return
-    from flows.access import CLIENT_TOKEN, SERVER_TOKEN, kept_token, token_file
-    from flows.services import first_to_end, server, worker
+    from flows.server.access import CLIENT_TOKEN, SERVER_TOKEN, kept_token, token_file
+    from flows.server.services import first_to_end, server, worker
 
     print("starting a Prefect server", file=sys.stderr)
-    told = os.environ.get(SERVER_TOKEN)
-    token = told or kept_token(port)
+    server_token = os.environ.get(SERVER_TOKEN)
+    token = server_token or kept_token(port)
     with server(token, host, port) as (api, served):
         os.environ |= {"PREFECT_API_URL": api, CLIENT_TOKEN: token}
         items, also = _set_up(schedule, limits, notify_env, no_notify)
         with worker(pool, api) as working:
             _tell(items, as_json)
             _tell_others(also, schedule)
-            shown = f'"${SERVER_TOKEN}"' if told else f'"$(cat {shlex.quote(str(token_file(port)))})"'
+            shown = f'"${SERVER_TOKEN}"' if server_token else f'"$(cat {shlex.quote(str(token_file(port)))})"'
             trigger = f"prefect deployment run replicate/nightly-{schedule.name} --param settle_seconds=0"
             print(f"UI       {api.removesuffix('/api')}, which asks for the token: echo {shown}", file=sys.stderr)
             print(f"run now  PREFECT_API_URL={api} {CLIENT_TOKEN}={shown} {trigger}", file=sys.stderr)
@@ -127,7 +127,7 @@ def _set_up(
     schedule: Schedule, limits: Mapping[str, Any], notify_env: str | None, no_notify: bool
 ) -> tuple[list[Item], dict[str, list[str]]]:
     """Set all of it up; what became of it, and the other lakes that are there."""
-    from flows.services import NO_TELEMETRY
+    from flows.server.services import NO_TELEMETRY
 
     for name, value in NO_TELEMETRY.items():
         os.environ.setdefault(name, value)
@@ -135,9 +135,9 @@ def _set_up(
     os.environ.setdefault("PREFECT_LOGGING_LEVEL", "ERROR")  # read when Prefect is imported; a worker keeps its own
     import prefect.main  # noqa: F401
 
-    from flows.deployments import others, set_up
-    from flows.notifications import find_lost_runs, notify, silence
-    from flows.server import is_of_server, why_not
+    from flows.server.deployments import foreign, set_up
+    from flows.server.notifications import find_lost_runs, notify, silence
+    from flows.server.process import is_of_server, why_not
     from schemas.errors import LakeError
 
     if loud is None:
@@ -149,7 +149,7 @@ def _set_up(
                 items += notify(notify_env)
             if no_notify:
                 items += silence()
-            return items, others(schedule)
+            return items, foreign(schedule)
         except Exception as error:
             if is_of_server(error) and not isinstance(error, LakeError):
                 raise LakeError(why_not(api, error)) from error
@@ -164,14 +164,14 @@ def _token_shown() -> Iterator[str]:
     """
     from prefect.settings import PREFECT_API_AUTH_STRING, get_current_settings, temporary_settings
 
-    from flows.access import CLIENT_TOKEN, take_token
+    from flows.server.access import CLIENT_TOKEN, take_token
 
-    told = get_current_settings().api
-    if told.url and not told.auth_string:
-        take_token(told.url)
+    api = get_current_settings().api
+    if api.url and not api.auth_string:
+        take_token(api.url)
     token = os.environ.get(CLIENT_TOKEN)
     with temporary_settings({PREFECT_API_AUTH_STRING: token} if token else {}):
-        yield told.url or "PREFECT_API_URL"
+        yield api.url or "PREFECT_API_URL"
 
 
 def _tell(items: list[Item], as_json: bool) -> None:
@@ -183,7 +183,7 @@ def _tell(items: list[Item], as_json: bool) -> None:
 
 
 def _tell_plan(schedule: Schedule, notify_env: str | None, as_json: bool) -> None:
-    from flows.deployments import planned
+    from flows.server.deployments import planned
 
     schedule.check_crons()
     entries = planned(schedule)

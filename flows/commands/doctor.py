@@ -41,10 +41,12 @@ def _gate(format_: ExportFormat) -> click.Command:
     argument, kind = _TAKES[doctor.takes]
 
     def check(budget: float, as_json: bool, **given: Any) -> None:
-        from flows.bounds import findings_of
+        from flows.run.bounds import findings_of
 
         checks = [format_.check, *(format_.validator(name) for name, _ in doctor.validators if given[name])]
-        findings = [found for check in checks for found in findings_of(check, given[argument], budget, names_others=doctor.names_others)]
+        findings = [
+            finding for check in checks for finding in findings_of(check, given[argument], budget, names_others=doctor.names_others)
+        ]
         _tell([str(f) for f in findings if f.is_error], [str(f) for f in findings if not f.is_error], as_json)
 
     made = budget_option(json_option(check))
@@ -73,16 +75,16 @@ def lake(quick: bool, snapshot_id: int | None, release: str | None, address: str
     Example: metascenes doctor lake --release v1 --lake ./lake
     """
     from flows.progress import Progress
-    from warehouse.inspection import inspect
+    from warehouse.upkeep.inspection import inspect
 
     opened = existing_lake(address)
     chosen = chosen_snapshot(opened, snapshot_id, release)
     with Progress("checking", sum(1 for _ in opened.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
-        found = inspect(opened, chosen, release=release, quick=quick, advance=progress.advance)
-    looked = f"{found.snapshots} snapshots, {found.files} data files, {found.blobs} blobs"
-    if found.reclaimable_bytes and not as_json:
-        print(f"`metascenes lake vacuum` would free {found.reclaimable_bytes / 1e6:.1f} MB of data files between snapshots")
-    _tell([str(finding) for finding in found.errors], [str(finding) for finding in found.warnings], as_json, looked)
+        inspection = inspect(opened, chosen, release=release, quick=quick, advance=progress.advance)
+    looked = f"{inspection.snapshots} snapshots, {inspection.files} data files, {inspection.blobs} blobs"
+    if inspection.reclaimable_bytes and not as_json:
+        print(f"`metascenes lake vacuum` would free {inspection.reclaimable_bytes / 1e6:.1f} MB of data files between snapshots")
+    _tell([str(finding) for finding in inspection.errors], [str(finding) for finding in inspection.warnings], as_json, looked)
 
 
 def _tell(errors: Sequence[str], warnings: Sequence[str], as_json: bool, what: str = "") -> None:

@@ -14,7 +14,7 @@ from flows.commands.options import configuration_options, existing_lake, json_op
 from schemas.families.policies import POLICIES
 
 if TYPE_CHECKING:
-    from flows.evaluation import Evaluated
+    from flows.inputs.evaluation import Evaluated
 
 MAX_NOTES = 20
 """Notes that are printed; all of them are in the column `trajectories.problem`."""
@@ -40,8 +40,8 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
 
     Example: metascenes evaluate --policy expert --policy random --lake ./lake
     """
-    from flows.configuration import configure
-    from flows.evaluation import import_trajectories, metrics_of, run_policy
+    from flows.inputs.evaluation import import_trajectories, metrics_of, run_policy
+    from flows.run.configuration import configure
 
     if (file is None) == (not policies):
         raise click.UsageError("give either a file of trajectories or --policy")
@@ -53,10 +53,10 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
         evaluated = [run_policy(lake, policy, configuration, dry_run) for policy in dict.fromkeys(policies)]
     metrics = metrics_of(lake.snapshot(), evaluated, configuration)
     if as_json:
-        print(json.dumps({"policies": [dataclasses.asdict(one) for one in evaluated], "metrics": metrics}))
+        print(json.dumps({"policies": [dataclasses.asdict(policy_run) for policy_run in evaluated], "metrics": metrics}))
     else:
         _tell(evaluated, metrics, dry_run)
-    failed = [f"{one.policy}: {line}" for one in evaluated for line in one.failed]
+    failed = [f"{policy_run.policy}: {line}" for policy_run in evaluated for line in policy_run.failed]
     for line in failed:
         print(f"failed: {line}", file=sys.stderr)
     if failed:
@@ -65,14 +65,14 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
 
 def _tell(evaluated: list[Evaluated], metrics: list[dict[str, Any]], dry_run: bool) -> None:
     """What was done, and the metrics, for people."""
-    for one in evaluated:
-        counts = f"{one.policy}, {one.run_name}: {one.trajectories} trajectories in {one.scenes} scenes"
-        old = f", {one.trajectories - one.new} are in the lake already" if one.new < one.trajectories else ""
-        print(f"{counts}: {one.new} {'would be measured' if dry_run else 'measured'}{old}")
-        for note in one.notes[:MAX_NOTES]:
+    for policy_run in evaluated:
+        counts = f"{policy_run.policy}, {policy_run.run_name}: {policy_run.trajectories} trajectories in {policy_run.scenes} scenes"
+        old = f", {policy_run.trajectories - policy_run.new} are in the lake already" if policy_run.new < policy_run.trajectories else ""
+        print(f"{counts}: {policy_run.new} {'would be measured' if dry_run else 'measured'}{old}")
+        for note in policy_run.notes[:MAX_NOTES]:
             print(f"note: {note}", file=sys.stderr)
-        if len(one.notes) > MAX_NOTES:
-            print(f"note: and {len(one.notes) - MAX_NOTES} more in trajectories.problem", file=sys.stderr)
+        if len(policy_run.notes) > MAX_NOTES:
+            print(f"note: and {len(policy_run.notes) - MAX_NOTES} more in trajectories.problem", file=sys.stderr)
     if metrics:
         width = max(len("run"), *(len(row["run_name"]) for row in metrics))
         long = max(len("policy"), *(len(row["policy"]) for row in metrics))

@@ -25,16 +25,16 @@ def command(
     """Say what WHAT was made from, link by link, with the stage runs behind it. Every id on the way is followed.
 
     WHAT is an object (<scene>/<instance>), a scene, the hash of an asset, the name of a blob, the path of an exported
-    file, or <path>:<name> of a thing in one (in USD its prim path). The exit code is 1 when anything that is named is not
+    file, or <path>:<name> of an object in one (in USD its prim path). The exit code is 1 when anything that is named is not
     there, or does not fit what names it.
 
     Example: metascenes explain scannet/scene0001_00/0007 --picture lineage.svg
     """
-    from flows.explain import explain, settings_of, write_picture
+    from flows.outputs.explain import explain, settings_of
     from schemas.errors import InputError
+    from schemas.files import write_whole
     from tasks.lineage.outline import outline
-    from tasks.lineage.pictures import FORMATS
-    from tasks.lineage.pictures import picture as drawn
+    from tasks.lineage.pictures import FORMATS, draw_lineage
 
     if picture is not None and picture.suffix.lower() not in FORMATS:
         raise InputError(str(picture), "--picture", f"{picture.suffix or 'no ending'} is no picture", f"give one of {', '.join(FORMATS)}")
@@ -44,7 +44,7 @@ def command(
     if as_json:
         print()
     if picture is not None:
-        write_picture(picture, drawn(lineage, picture.suffix.lower()))
+        write_whole(picture, draw_lineage(lineage, picture.suffix.lower()))
         if not as_json:
             print(f"picture {picture}")
     context.exit(1 if lineage.problems else 0)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from warehouse.lake import Lake
-    from warehouse.licenses import Allowed
-    from warehouse.snapshot import Reader
+    from warehouse.release.licenses import Allowed
+    from warehouse.tables.snapshot import Reader
 
 
 @click.command("export", short_help="Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.")
@@ -60,9 +60,9 @@ def command(
 
     Example: metascenes export --lake ./lake --out ./replicas --release v1 --license-allow CC0-1.0 --license-allow MIT-0
     """
-    from flows.export import write_exports
-    from flows.shipment import summary
-    from warehouse.licenses import Allowed
+    from flows.outputs.export import write_exports
+    from flows.outputs.shipment import left_out_lines
+    from warehouse.release.licenses import Allowed
 
     lake = existing_lake(address)
     allowed = Allowed.parse(licenses) if licenses else None
@@ -73,14 +73,14 @@ def command(
     if as_json:
         packages = [str(path) for path in written.usd_packages]
         scenes_written = [str(path) for path in written.usd_scenes]
-        said = {"files": written.files, "usd_scenes": scenes_written, "usd_packages": packages, "findings": written.findings}
-        said |= {"notes": written.notes, "emptied": written.emptied}
-        print(json.dumps(said | ({"left_out": written.shipment.told()} if written.shipment is not None else {})))
+        answer = {"files": written.files, "usd_scenes": scenes_written, "usd_packages": packages, "findings": written.findings}
+        answer |= {"notes": written.notes, "emptied": written.emptied}
+        print(json.dumps(answer | ({"left_out": written.shipment.as_json()} if written.shipment is not None else {})))
     else:
         print(f"{written.files} files below {out}; {written.failed_checks} checks failed")
         for scene in (*written.usd_scenes, *written.usd_packages):
             print(scene)
-        for line in summary(written.shipment) if written.shipment is not None else ():
+        for line in left_out_lines(written.shipment) if written.shipment is not None else ():
             print(line)
     _tell(() if as_json else written.notes, written.problems)
 
@@ -89,19 +89,19 @@ def _plan(
     lake: Lake, reader: Reader, out: Path, formats: tuple[str, ...], scenes: tuple[str, ...], allowed: Allowed | None, as_json: bool
 ) -> None:
     """Say what would be written."""
-    from flows.export import chosen_exports
-    from flows.shipment import shipment, summary
+    from flows.outputs.export import chosen_exports
+    from flows.outputs.shipment import left_out_lines, shipment
 
     chosen = chosen_exports(lake, reader, formats, scenes)
     sent = shipment(reader, sorted({row.scene_id for row in chosen.rows}), allowed) if allowed is not None else None
     rows = [row for row in chosen.rows if sent is None or row.scene_id in sent.scenes]
     emptied = [name for name in chosen.formats if name not in {row.format for row in rows}]
     if as_json:
-        said = {"files": len(rows), "notes": chosen.missing, "emptied": emptied}
-        print(json.dumps(said | ({"left_out": sent.told()} if sent is not None else {})))
+        answer = {"files": len(rows), "notes": chosen.missing, "emptied": emptied}
+        print(json.dumps(answer | ({"left_out": sent.as_json()} if sent is not None else {})))
     else:
         print(f"{'at most ' if sent is not None and sent.kept else ''}{len(rows)} files would be written below {out}")
-        for line in summary(sent) if sent is not None else ():
+        for line in left_out_lines(sent) if sent is not None else ():
             print(line)
     _tell(() if as_json else chosen.missing, [f"{name}: the allowed licenses leave nothing of it" for name in emptied])
 

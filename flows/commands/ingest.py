@@ -4,35 +4,28 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from flows.commands.options import json_option, lake_option, workers_option
+from flows.commands.options import grouped, json_option, lake_option, workers_option
 
 if TYPE_CHECKING:
-    from flows.ingestion import DatasetImport
+    from flows.inputs.ingestion import DatasetImport
     from tasks.ingestion.scene import Kind
 
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def _import_options(function: F) -> F:
-    """What imports of all layouts take."""
-    for option in (
-        json_option,
-        click.option("--dry-run", is_flag=True, help="Say what would be imported; write nothing."),
-        click.option("--retry-failed", is_flag=True, help="Read scenes again that failed before on the same files."),
-        click.option("--seed", type=int, default=0, show_default=True, help="Seed of the points that are drawn on objects."),
-        workers_option,
-        lake_option,
-        click.option("--dataset", required=True, metavar="NAME", help="Name of the dataset in the lake; scenes are <name>/<scan>."),
-        click.argument("folder", metavar="PATH", type=click.Path(path_type=Path, file_okay=False)),
-    ):
-        function = option(function)
-    return function
+_import_options = grouped(
+    json_option,
+    click.option("--dry-run", is_flag=True, help="Say what would be imported; write nothing."),
+    click.option("--retry-failed", is_flag=True, help="Read scenes again that failed before on the same files."),
+    click.option("--seed", type=int, default=0, show_default=True, help="Seed of the points that are drawn on objects."),
+    workers_option,
+    lake_option,
+    click.option("--dataset", required=True, metavar="NAME", help="Name of the dataset in the lake; scenes are <name>/<scan>."),
+    click.argument("folder", metavar="PATH", type=click.Path(path_type=Path, file_okay=False)),
+)
+"""What imports of all layouts take."""
 
 
 @click.group("import", short_help="Import finished datasets: Habitat scene datasets, the MetaScenes release.")
@@ -77,7 +70,7 @@ def _run(
     kind: Kind, folder: Path, dataset: str, address: str, labels: Path | None, workers: int, seed: int, retry_failed: bool, dry_run: bool,
     as_json: bool,
 ) -> None:  # fmt: skip
-    from flows.ingestion import import_dataset
+    from flows.inputs.ingestion import import_dataset
     from warehouse.lake import Lake
 
     result = import_dataset(
@@ -93,22 +86,21 @@ def _run(
 
 def _as_json(result: DatasetImport, dry_run: bool) -> dict[str, Any]:
     scenes = [
-        {"scene_id": one.scene_id, "action": one.action, "why": one.why, "objects": one.objects, "notes": one.notes, "error": one.error}
-        for one in result.scenes
+        {name: getattr(scene, name) for name in ("scene_id", "action", "why", "objects", "notes", "error")} for scene in result.scenes
     ]
     return {"dataset": result.dataset, "format": result.kind, "dry_run": dry_run, "scenes": scenes, "failed": len(result.failed)}
 
 
 def _as_text(result: DatasetImport, dry_run: bool) -> str:
     """A line of what was done; for a dry run also a line for each scene."""
-    fresh = [one for one in result.scenes if one.action == "import" and one.error is None]
-    kept = [one for one in result.scenes if one.action == "reuse"]
-    lines = [f"{one.scene_id:<40} {one.action:<7} {one.why}" for one in result.scenes] if dry_run else []
-    notes = sum(len(one.notes) for one in result.scenes)
+    fresh = [scene for scene in result.scenes if scene.action == "import" and scene.error is None]
+    kept = [scene for scene in result.scenes if scene.action == "reuse"]
+    lines = [f"{scene.scene_id:<40} {scene.action:<7} {scene.why}" for scene in result.scenes] if dry_run else []
+    notes = sum(len(scene.notes) for scene in result.scenes)
     verb = "would be imported" if dry_run else "imported"
     parts = [f"{len(fresh)} scenes {verb}", f"{len(kept)} unchanged", f"{len(result.failed)} failed"]
     if fresh and not dry_run:
-        parts[0] += f" ({sum(one.objects for one in fresh)} objects)"
+        parts[0] += f" ({sum(scene.objects for scene in fresh)} objects)"
     if notes:
         parts.append(f"{notes} notes (in stage_runs.degradations)")
     return "\n".join([*lines, f"{result.dataset}: {', '.join(parts)}"])

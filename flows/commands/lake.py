@@ -13,7 +13,7 @@ from flows.commands.options import existing_lake, json_option, lake_option
 from flows.progress import Progress
 
 if TYPE_CHECKING:
-    from warehouse.erasure import Erasure, Traces
+    from warehouse.upkeep.erasure import Erasure, Traces
 
 dry_run_option = click.option("--dry-run", is_flag=True, help="Say what would be done; change nothing.")
 
@@ -39,7 +39,7 @@ def compact(tables: tuple[str, ...], dry_run: bool, address: str, as_json: bool)
     Example: metascenes lake compact --table instances --lake ./lake
     """
     from schemas.tables import TABLES
-    from warehouse.compaction import compact as run
+    from warehouse.upkeep.compaction import compact as run
 
     lake = existing_lake(address)
     with Progress("compacting", len(tables) or len(TABLES)) as progress:
@@ -47,9 +47,9 @@ def compact(tables: tuple[str, ...], dry_run: bool, address: str, as_json: bool)
     if as_json:
         print(json.dumps(dataclasses.asdict(done)))
         return
-    for one in done.tables:
-        sizes = f"{_megabytes(one.bytes_rewritten)}{'' if dry_run else f' to {_megabytes(one.bytes_after)}'}"
-        print(f"{one.table:<22} {one.files_rewritten} of {one.files_before} files rewritten, {one.files_after} after, {sizes}")
+    for table in done.tables:
+        sizes = f"{_megabytes(table.bytes_rewritten)}{'' if dry_run else f' to {_megabytes(table.bytes_after)}'}"
+        print(f"{table.table:<22} {table.files_rewritten} of {table.files_before} files rewritten, {table.files_after} after, {sizes}")
     if not done.tables:
         print("nothing to put together")
     else:
@@ -68,7 +68,7 @@ def vacuum(days: float, dry_run: bool, address: str, as_json: bool) -> None:
 
     Example: metascenes lake vacuum --days 30 --dry-run --lake ./lake
     """
-    from warehouse.vacuum import vacuum as run
+    from warehouse.upkeep.vacuum import vacuum as run
 
     done = run(existing_lake(address), days=days, dry_run=dry_run)
     if as_json:
@@ -91,7 +91,7 @@ def backup(target: str, address: str, as_json: bool) -> None:
 
     Example: metascenes lake backup /mnt/backups/lake --lake ./lake
     """
-    from warehouse.backup import backup as run
+    from warehouse.upkeep.backup import backup as run
 
     lake = existing_lake(address)
     with Progress("copying", sum(1 for _ in lake.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
@@ -108,7 +108,7 @@ def restore(source: str, address: str, as_json: bool) -> None:
 
     Example: metascenes lake restore /mnt/backups/lake --lake ./restored
     """
-    from warehouse.backup import restore as run
+    from warehouse.upkeep.backup import restore as run
 
     with Progress("copying", 1) as progress:
         done = run(source, address, advance=progress.advance)
@@ -130,8 +130,8 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
 
     Example: metascenes lake erase scannet/scene0001_00 --dry-run --lake ./lake
     """
-    from flows.erasure import erase_from_caches
-    from warehouse.erasure import erase as run
+    from flows.scans.erasure import erase_from_caches
+    from warehouse.upkeep.erasure import erase as run
 
     cached: list[int] = []
 
@@ -174,7 +174,7 @@ def _tell_erased(done: Erasure, cached: int, dry_run: bool, as_json: bool) -> No
         proof = done.proof
         print(f"searched {proof.files} files, {_megabytes(proof.bytes)}, {proof.rows} rows: {len(proof.hits)} hits")
         for hit in proof.hits:
-            print(f"{hit.path}: {hit.place}: {hit.count} times, {', '.join(hit.found)}")
+            print(f"{hit.path}: {hit.place}: {hit.count} times, {', '.join(hit.traces)}")
     print("Not reached: scans, folders that were exported, backups (make the next one), other machines' caches.")
 
 

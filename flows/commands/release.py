@@ -41,15 +41,15 @@ def create(name: str, notes: str, snapshot_id: int | None, dry_run: bool, addres
     from flows.progress import Progress
     from schemas.tables import TABLES
     from warehouse.release import make_release, planned_release
-    from warehouse.released import folder_of, record_fields
+    from warehouse.tables.released import folder_of, record_fields
 
     lake = existing_lake(address)
     folder = f"{lake.address}/{folder_of(name)}"
     if dry_run:
         snapshot, counts = planned_release(lake, name, snapshot_id, notes)
-        said = ", ".join(f"{count:,} {what.replace('_', ' ')}" for what, count in counts.items())
+        totals = ", ".join(f"{count:,} {what.replace('_', ' ')}" for what, count in counts.items())
         print(json.dumps({"name": name, "snapshot_id": snapshot, "folder": folder, **counts}) if as_json else
-              f"would release snapshot {snapshot} as {name} in {folder}: {said}")  # fmt: skip
+              f"would release snapshot {snapshot} as {name} in {folder}: {totals}")  # fmt: skip
         return
     with Progress("tables", len(TABLES) - 1) as progress:
         release = make_release(lake, name, snapshot_id, notes, advance=progress.advance)
@@ -69,19 +69,19 @@ def list_(address: str, as_json: bool) -> None:
     Example: metascenes release list --lake ./lake
     """
     from warehouse.release import releases
-    from warehouse.released import record_fields
+    from warehouse.tables.released import record_fields
 
-    found = sorted(releases(existing_lake(address)), key=lambda release: (release.created_at, release.name))
+    sorted_releases = sorted(releases(existing_lake(address)), key=lambda release: (release.created_at, release.name))
     if as_json:
-        print(json.dumps({"releases": [record_fields(release) for release in found]}))
-    elif not found:
+        print(json.dumps({"releases": [record_fields(release) for release in sorted_releases]}))
+    elif not sorted_releases:
         print("no release yet; `metascenes release create NAME` makes one")
     else:
         rows: list[tuple[str, ...]] = [("release", "snapshot", "released", "scenes", "objects", "episodes", "notes")]
-        for one in found:
-            counts = [f"{number:,}" for number in (one.scenes, one.objects, one.episodes)]
-            notes = " ".join(one.notes.split())
-            rows.append((one.name, str(one.snapshot_id), f"{one.created_at:%Y-%m-%d %H:%M}", *counts, notes[:60]))
+        for row in sorted_releases:
+            counts = [f"{number:,}" for number in (row.scenes, row.objects, row.episodes)]
+            notes = " ".join(row.notes.split())
+            rows.append((row.name, str(row.snapshot_id), f"{row.created_at:%Y-%m-%d %H:%M}", *counts, notes[:60]))
         _print_columns(rows, right=(1, 3, 4, 5))
 
 
@@ -95,7 +95,7 @@ def show(name: str, address: str, as_json: bool) -> None:
     Example: metascenes release show v1 --lake ./lake
     """
     from warehouse.release import release_of
-    from warehouse.released import RECORD, folder_of
+    from warehouse.tables.released import RECORD, folder_of
 
     lake = existing_lake(address)
     release_of(lake, name)
@@ -119,11 +119,11 @@ def diff(before: str, after: str, every: bool, address: str, as_json: bool) -> N
     from warehouse.release.difference import difference, named_snapshot
 
     lake = existing_lake(address)
-    found = difference(lake, named_snapshot(lake, before), named_snapshot(lake, after), None if every else 20)
+    delta = difference(lake, named_snapshot(lake, before), named_snapshot(lake, after), None if every else 20)
     if as_json:
-        print(json.dumps(dataclasses.asdict(found)))
+        print(json.dumps(dataclasses.asdict(delta)))
     else:
-        _print_difference(found, before, after)
+        _print_difference(delta, before, after)
 
 
 @command.command("attach")
@@ -139,7 +139,7 @@ def attach(name: str, out: Path, force: bool, address: str) -> None:
     from schemas.errors import InputError
     from warehouse.lake import Lake
     from warehouse.release.catalog import attach_release
-    from warehouse.released import RECORD
+    from warehouse.tables.released import RECORD
 
     if out.exists() and not force:
         raise InputError(str(out), "--out", "is there already", "name a new file, or give --force")
@@ -148,17 +148,17 @@ def attach(name: str, out: Path, force: bool, address: str) -> None:
     print(f"ATTACH '{out}' AS r (READ_ONLY);")
 
 
-def _print_difference(found: Difference, before: str, after: str) -> None:
+def _print_difference(delta: Difference, before: str, after: str) -> None:
     """A difference as text."""
-    print(f"from {before} (snapshot {found.before}) to {after} (snapshot {found.after})")
-    changed = [one for one in found.tables if one.added or one.changed or one.removed]
+    print(f"from {before} (snapshot {delta.before}) to {after} (snapshot {delta.after})")
+    changed = [table for table in delta.tables if table.added or table.changed or table.removed]
     if not changed:
         print("no row differs")
         return
     rows = [("table", "added", "changed", "removed")]
-    rows += [(one.table, f"{one.added:,}", f"{one.changed:,}", f"{one.removed:,}") for one in changed]
+    rows += [(table.table, f"{table.added:,}", f"{table.changed:,}", f"{table.removed:,}") for table in changed]
     _print_columns(rows, right=(1, 2, 3))
-    for what, changes in (("scenes", found.scenes), ("objects", found.objects)):
+    for what, changes in (("scenes", delta.scenes), ("objects", delta.objects)):
         _print_changes(what, changes)
 
 

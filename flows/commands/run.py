@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flows.commands.options import configuration_options, json_option, lake_option, scans_options, workers_option
-from flows.fanout.runners import RUNNERS
+from flows.run.fanout.runners import RUNNERS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from prefect.states import State
 
-    from flows.plan import Plan
-    from flows.report import RunReport
+    from flows.run.plan import Plan
+    from flows.run.report import RunReport
     from warehouse.lake import Lake
 
 
@@ -64,17 +64,17 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
 
     Example: metascenes run --scans ./scans --format auto --lake ./lake
     """
-    from flows.configuration import configure
-    from flows.plan import make_plan
-    from flows.scans import found_scans
+    from flows.run.configuration import configure
+    from flows.run.plan import make_plan
+    from flows.scans.choice import found_scans
     from warehouse.lake import Lake
 
     configuration = configure(config_file, settings, library, seed)
     lake = Lake.open(address)
-    found, unusable = found_scans(
+    scan_list, unusable = found_scans(
         scans, scan_format, dataset, scenes=scenes, first=first, last=last, since=since, until=until, links_into=links_into
     )
-    plan = make_plan(lake, found, unusable, configuration, retry_failed, again=again)
+    plan = make_plan(lake, scan_list, unusable, configuration, retry_failed, again=again)
     if dry_run:
         print(json.dumps(_plan_json(plan)) if as_json else _plan_text(plan))
         return
@@ -85,7 +85,7 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
         until=until, links_into=list(links_into), runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb,
         quota_gb=quota_gb,
     )  # fmt: skip
-    print(json.dumps(dataclasses.asdict(report)) if as_json else summary(report))
+    print(json.dumps(dataclasses.asdict(report)) if as_json else report_line(report))
     tell(report)
     if report.failures or report.postponed or report.stopped:
         raise click.exceptions.Exit(1)
@@ -93,16 +93,16 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
 
 def carry_out(plan: Plan, store: Lake, **parameters: Any) -> RunReport:
     """Run `flows.pipeline.replicate` in this process; Prefect and its server start only when there is something to compute."""
-    from flows.report import broken_checks, report_of
+    from flows.run.report import broken_checks, report_of
 
     if not plan.todo:
-        from flows.scene import settle
+        from flows.run.scene import settle
 
         settle(store, plan)  # what an interrupted run had finished and not yet committed
         return report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
     from flows.progress import Progress, listen
-    from flows.report import RunReport, kept
-    from flows.server import is_of_server, prefect_server, why_not
+    from flows.run.report import RunReport, kept
+    from flows.server.process import is_of_server, prefect_server, why_not
     from schemas.errors import LakeError
 
     steps = sum(len(scene.todo) for scene in plan.scenes)
@@ -113,20 +113,20 @@ def carry_out(plan: Plan, store: Lake, **parameters: Any) -> RunReport:
             from flows.pipeline import replicate
 
             state: State[Any] = replicate(**parameters, return_state=True)  # type: ignore[assignment]  # it is a sync flow
-            found = state.result(raise_on_failure=False)
+            result = state.result(raise_on_failure=False)
         except Exception as error:
-            found = error
+            result = error
         finally:
             listen(None)
     report = kept()  # what was done is done, whatever Prefect's server has to say
     if report is not None:
-        if not isinstance(found, RunReport):
-            print(f"note: Prefect's server does not know how the run ended ({type(found).__name__}); the lake does", file=sys.stderr)
+        if not isinstance(result, RunReport):
+            print(f"note: Prefect's server does not know how the run ended ({type(result).__name__}); the lake does", file=sys.stderr)
         return report
-    assert isinstance(found, BaseException)
-    if is_of_server(found):
-        raise LakeError(why_not(api, found)) from found
-    raise found
+    assert isinstance(result, BaseException)
+    if is_of_server(result):
+        raise LakeError(why_not(api, result)) from result
+    raise result
 
 
 MAX_NOTES = 20
@@ -149,7 +149,7 @@ def tell(report: RunReport) -> None:
         print(f"failed: {report.stopped}", file=sys.stderr)
 
 
-def summary(report: RunReport) -> str:
+def report_line(report: RunReport) -> str:
     """A run's report in a line."""
     if not (report.done or report.failed or report.failures or report.shared or report.postponed):
         return f"nothing to do: {len(report.unchanged)} scenes are up to date{_other_names(report.same)}"
@@ -176,13 +176,13 @@ def _other_names(same: Mapping[str, str]) -> str:
     if not same:
         return ""
     scan, scene = next(iter(same.items()))
-    others = ", ..." if len(same) > 1 else ""
-    return f", {len(same)} under another name ({scan} is {scene}{others})"
+    more = ", ..." if len(same) > 1 else ""
+    return f", {len(same)} under another name ({scan} is {scene}{more})"
 
 
 def _same(same: Mapping[str, str]) -> list[str]:
     """Scans that are scenes of another name, a line each, and what to do about it."""
-    from flows.identity import sentence
+    from flows.run.identity import sentence
 
     lines = [sentence(scan, scene) for scan, scene in list(same.items())[:MAX_NOTES]]
     if len(same) > MAX_NOTES:

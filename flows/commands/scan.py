@@ -30,7 +30,7 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
     from schemas.errors import InputError
     from schemas.files import read_file
     from tasks.containers import GLB_MAGIC
-    from tasks.meshes import load_glb
+    from tasks.geometry.meshes import load_glb
     from tasks.scanner import ScannerConfig, scan_scene
 
     scan = name or scene.stem
@@ -49,5 +49,5 @@ def command(scene: Path, out: Path, name: str | None, voxel: float | None, seed:
             made.rename(out / made.name)
     finally:
         shutil.rmtree(making)
-    seen = sum(thing.object_id is not None for thing in truth.objects)
-    print(f"{out / scan}: {truth.frame_count} frames, {seen} of {len(truth.objects)} things seen")
+    seen = sum(obj.object_id is not None for obj in truth.objects)
+    print(f"{out / scan}: {truth.frame_count} frames, {seen} of {len(truth.objects)} objects seen")

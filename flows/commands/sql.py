@@ -17,7 +17,7 @@ import click
 from flows.commands.options import chosen_snapshot, existing_lake, lake_option, snapshot_options
 
 if TYPE_CHECKING:
-    from warehouse.answers import Output
+    from warehouse.questions.answers import Output
 
 _FORMS: dict[str, Output] = {".csv": "csv", ".json": "json", ".jsonl": "jsonl", ".ndjson": "jsonl", ".parquet": "parquet", ".txt": "table"}
 """Forms of an answer by the ending of the file that takes it."""
@@ -69,8 +69,8 @@ def command(
     Example: metascenes sql "FROM instances" --out instances.parquet
     """
     from flows.terminal import output as terminal_output
-    from warehouse.answers import write_answer
-    from warehouse.sql import ask
+    from warehouse.questions.answers import write_answer
+    from warehouse.questions.sql import ask
 
     if as_json and output not in (None, "json"):
         raise click.UsageError(f"--json contradicts --output {output}")
@@ -110,7 +110,7 @@ def _form_of(out: Path) -> Output:
 
 def _list(output: Output | None) -> None:
     """Every name that a statement can use."""
-    from warehouse.catalog import entries
+    from warehouse.questions.catalog import entries
 
     if output == "json":
         print(json.dumps([dataclasses.asdict(entry) for entry in entries()], indent=2, ensure_ascii=False))
@@ -216,7 +216,7 @@ def _bounded_memory(size: int) -> Iterator[None]:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     most = pages * resource.getpagesize() + size + _SLACK
-    limits = [one for one in (most, soft, hard) if one != resource.RLIM_INFINITY]
+    limits = [limit for limit in (most, soft, hard) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
     try:
         yield

@@ -47,13 +47,13 @@ def command(
     if dry_run:
         with reader.connect() as connection:
             scenes = connection.sql("SELECT scenes FROM headline").fetchall()[0][0]
-        said = {"dry_run": True, "snapshot_id": reader.snapshot_id, "scenes": scenes, "report": str(report_path(out))}
-        said |= {"pictures_folder": str(pictures)} if pictures else {}
+        answer = {"dry_run": True, "snapshot_id": reader.snapshot_id, "scenes": scenes, "report": str(report_path(out))}
+        answer |= {"pictures_folder": str(pictures)} if pictures else {}
         words = f"would write {report_path(out)} on snapshot {reader.snapshot_id} with {scenes} scene{'' if scenes == 1 else 's'}"
-        print(json.dumps(said) if as_json else words + (f", and pictures into {pictures}" if pictures else ""))
+        print(json.dumps(answer) if as_json else words + (f", and pictures into {pictures}" if pictures else ""))
         return
     if artifacts:
-        from flows.server import prefect_server
+        from flows.server.process import prefect_server
 
         with prefect_server() as api:
             from flows.stats import statistics

@@ -1,4 +1,4 @@
-"""`metascenes status`: how things stand, from the lake alone."""
+"""`metascenes status`: the status of a lake, from the lake alone."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from flows.commands.options import existing_lake, json_option, lake_option
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from flows.configuration import Configuration
-    from flows.status import SceneStatus, Status
+    from flows.run.configuration import Configuration
+    from flows.run.status import SceneStatus, Status
     from warehouse.lake import Lake
 
 SHOWN = 20
@@ -47,10 +47,10 @@ def command(address: str, config_file: Path | None, settings: tuple[str, ...], s
     lake = existing_lake(address)
     configuration = None
     if config_file is not None or settings or seed is not None:
-        from flows.configuration import configure
+        from flows.run.configuration import configure
 
         configuration = configure(config_file, settings, seed=seed)
-    gc.disable()  # of 100,000 small things, none of which is garbage, it would look at all again and again
+    gc.disable()  # of 100,000 small Python objects, none of which is garbage, it would look at all again and again
     try:
         status, scenes, wrong, broken = _asked(lake, configuration, bool(config_file or settings), seed is not None)
     finally:
@@ -65,9 +65,9 @@ def _asked(
     lake: Lake, configuration: Configuration | None, configs: bool, seed: bool
 ) -> tuple[Status, dict[str, dict[str, str]], list[str], list[str]]:
     """How the lake stands, what it says of every stage, the errors, and the checks that exports did not pass."""
-    from flows.plan import annotation_digests
-    from flows.report import broken_checks
-    from flows.status import errors, expected, recorded_states, status_of
+    from flows.run.plan import annotation_digests
+    from flows.run.report import broken_checks
+    from flows.run.status import errors, expected, recorded_states, status_of
 
     claims, runs = lake.claimed(), lake.live_runs()  # first: what is given back later is in the history
     outline = lake.outline()
@@ -77,7 +77,7 @@ def _asked(
 
 
 def _json(status: Status) -> dict[str, Any]:
-    from flows.status import when
+    from flows.run.status import when
 
     running = [
         {
@@ -91,29 +91,31 @@ def _json(status: Status) -> dict[str, Any]:
         if scene.claim is not None and scene.state == "running"
     ]
     todo = {
-        scene.scene_id: {one.stage: {"action": one.action, "why": one.why} for one in scene.todo} for scene in status.scenes if scene.todo
+        scene.scene_id: {item.stage: {"action": item.action, "why": item.why} for item in scene.todo}
+        for scene in status.scenes
+        if scene.todo
     }
     runs = [
-        {**dataclasses.asdict(one.run), "started_at": one.run.started_at.isoformat(), "seconds_left": one.seconds_left}
-        for one in status.runs
+        {**dataclasses.asdict(item.run), "started_at": item.run.started_at.isoformat(), "seconds_left": item.seconds_left}
+        for item in status.runs
     ]
-    told = {"counts": status.counts(), "seconds_left": status.seconds_left, "running": running, "todo": todo, "runs": runs}
-    return told | {"same": [list(scenes) for scenes in status.same]}
+    answer = {"counts": status.counts(), "seconds_left": status.seconds_left, "running": running, "todo": todo, "runs": runs}
+    return answer | {"same": [list(scenes) for scenes in status.same]}
 
 
 def _print(status: Status, errors: Sequence[str], broken: Sequence[str], show_all: bool) -> None:
     if not status.scenes and not status.runs:
         print("the lake is empty")
         return
-    print(summary(status) + (f"; {len(broken)} checks of exports failed" if broken else ""))
+    print(status_line(status) + (f"; {len(broken)} checks of exports failed" if broken else ""))
     wrong = [*errors, *broken]
     now = time.time()
-    for one in status.runs:
-        run = one.run
+    for item in status.runs:
+        run = item.run
         how = f"{run.workers} workers" + (f" ({run.runner})" if run.runner else "")
         since = _span(now - run.started_at.timestamp())
         print(
-            f"run on {run.host} for {since}: {how}, {run.done} of {run.scenes} scenes done, {run.failed} failed; {_left(one.seconds_left)}"
+            f"run on {run.host} for {since}: {how}, {run.done} of {run.scenes} scenes done, {run.failed} failed; {_left(item.seconds_left)}"
         )
     order = ("running", "failed", "stale", "unfinished")
     listed = sorted(
@@ -133,8 +135,8 @@ def _print(status: Status, errors: Sequence[str], broken: Sequence[str], show_al
         print(f"and {len(wrong) - SHOWN} more errors (--all lists them)")
 
 
-def summary(status: Status) -> str:
-    """How things stand, in a line."""
+def status_line(status: Status) -> str:
+    """The status in a line."""
     counts = status.counts()
     parts = [f"{counts['done']} done", *(f"{count} {state}" for state, count in counts.items() if count and state != "done")]
     if status.runs:
@@ -149,22 +151,22 @@ def _what(scene: SceneStatus, now: float) -> str:
     if scene.claim is not None and scene.state == "running":
         since = scene.claim.since if scene.since is None else scene.since
         return f"{scene.stage or 'begun'}, for {_span(now - since)}, on {scene.claim.host}"
-    told = [f"waits for a worker on {scene.claim.host}"] if scene.claim is not None else []
-    told += [f"{one.stage} failed" for one in scene.todo if one.has_failed]
+    parts = [f"waits for a worker on {scene.claim.host}"] if scene.claim is not None else []
+    parts += [f"{item.stage} failed" for item in scene.todo if item.has_failed]
     causes: dict[str, list[str]] = {}
     waiting = following = 0
-    for one in scene.todo:
-        if one.action == "wait":
+    for item in scene.todo:
+        if item.action == "wait":
             waiting += 1
-        elif one.why.endswith("will be redone"):
+        elif item.why.endswith("will be redone"):
             following += 1
-        elif one.action == "run" or not one.has_failed:
-            causes.setdefault(one.why, []).append(one.stage)
-    told += [f"{', '.join(stages)}: {why}" for why, stages in causes.items()]
+        elif item.action == "run" or not item.has_failed:
+            causes.setdefault(item.why, []).append(item.stage)
+    parts += [f"{', '.join(stages)}: {why}" for why, stages in causes.items()]
     for count, what in ((following, "follow"), (waiting, "wait")):
         if count:
-            told.append(f"{count} stages {what}" if count > 1 else f"1 stage {what}s")
-    return "; ".join(told)
+            parts.append(f"{count} stages {what}" if count > 1 else f"1 stage {what}s")
+    return "; ".join(parts)
 
 
 def _left(seconds: float | None) -> str:

@@ -15,7 +15,7 @@ import click
 from flows.commands.options import configuration_options, json_option, lake_option, scans_options, workers_option
 
 if TYPE_CHECKING:
-    from flows.arrivals import Look, WatchReport
+    from flows.scans.arrivals import Look, WatchReport
     from warehouse.lake import Lake
 
 
@@ -44,7 +44,7 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
 
     Example: metascenes watch --scans ./incoming --lake ./lake --every 60
     """
-    from flows.configuration import configure
+    from flows.run.configuration import configure
     from schemas.errors import InputError, LakeError
 
     configure(config_file, settings, library, seed)  # a mistake in it is told now, not when the first scan arrives
@@ -88,24 +88,24 @@ class _Watcher:
 
     def look(self) -> tuple[WatchReport, bool]:
         """One look with all that follows from it; and whether it has news."""
-        from flows.arrivals import look, remember, watch_report
+        from flows.scans.arrivals import look, remember, watch_report
         from warehouse.lake import Lake
 
         lake = Lake.open(self.address)
-        found = look(self.scans, lake, self.settle, self.format, self.dataset, links_into=self.parameters["links_into"])
-        report = watch_report(found)
+        latest = look(self.scans, lake, self.settle, self.format, self.dataset, links_into=self.parameters["links_into"])
+        report = watch_report(latest)
         if (report.new or report.changed) and not self.dry_run:
-            report = self._computed(found, lake) if self.deployment is None else self._asked(found, lake, self.deployment)
-        is_news = found.is_news or bool(report.run)
+            report = self._computed(latest, lake) if self.deployment is None else self._asked(latest, lake, self.deployment)
+        is_news = latest.is_news or bool(report.run)
         if not self.dry_run:
-            remember(found, self.scans, lake)
+            remember(latest, self.scans, lake)
         return report, is_news
 
-    def _asked(self, found: Look, lake: Lake, deployment: str) -> WatchReport:
+    def _asked(self, latest: Look, lake: Lake, deployment: str) -> WatchReport:
         """Ask a deployment for what is due."""
-        from flows.access import take_token
-        from flows.arrivals import request_key, watch_report
-        from flows.server import QUIET, check_server
+        from flows.scans.arrivals import request_key, watch_report
+        from flows.server.access import take_token
+        from flows.server.process import QUIET, check_server
 
         for name, value in QUIET.items():
             if "LOGGING" not in name:
@@ -115,36 +115,38 @@ class _Watcher:
         check_server(api)
         from flows.watch import MAX_SCANS, ask, is_over, request
 
-        due = found.due(is_over)[:MAX_SCANS]
+        due = latest.due(is_over)[:MAX_SCANS]
         if not due:
-            return watch_report(found)
+            return watch_report(latest)
         asked = request(self.scans, lake.address, self.format, self.dataset, due, self.parameters["links_into"])
         run = ask(deployment, asked, request_key(self.scans, lake.address, due))
-        found.asked(due, run)
-        return watch_report(found, due, run)
+        latest.asked(due, run)
+        return watch_report(latest, due, run)
 
-    def _computed(self, found: Look, lake: Lake) -> WatchReport:
+    def _computed(self, latest: Look, lake: Lake) -> WatchReport:
         """Run the pipeline on what is due, in this process."""
-        from flows.arrivals import HERE, remember, watch_report
         from flows.commands.run import carry_out
-        from flows.configuration import configure
-        from flows.plan import make_plan
-        from flows.scans import found_scans
+        from flows.run.configuration import configure
+        from flows.run.plan import make_plan
+        from flows.scans.arrivals import HERE, remember, watch_report
+        from flows.scans.choice import found_scans
 
-        due = found.due(lambda run: True)
+        due = latest.due(lambda run: True)
         if not due:
-            return watch_report(found)
-        found.asked(due, HERE)
-        remember(found, self.scans, lake)  # before it is begun: a scan that kills its run is soon tried only once a day
-        told = self.parameters
-        config_file, library = (Path(told[name]) if told[name] else None for name in ("config_file", "library"))
-        configuration = configure(config_file, told["settings"], library, told["seed"])
+            return watch_report(latest)
+        latest.asked(due, HERE)
+        remember(latest, self.scans, lake)  # before it is begun: a scan that kills its run is soon tried only once a day
+        parameters = self.parameters
+        config_file, library = (Path(parameters[name]) if parameters[name] else None for name in ("config_file", "library"))
+        configuration = configure(config_file, parameters["settings"], library, parameters["seed"])
         scenes = [arrival.scan for arrival in due]
-        ready = found_scans(self.scans, self.format, self.dataset, scenes=scenes, links_into=told["links_into"])
+        ready = found_scans(self.scans, self.format, self.dataset, scenes=scenes, links_into=parameters["links_into"])
         plan = make_plan(lake, *ready, configuration)
-        report = carry_out(plan, lake, scans=self.scans, lake=lake.address, format=self.format, dataset=self.dataset, scenes=scenes, **told)
+        report = carry_out(
+            plan, lake, scans=self.scans, lake=lake.address, format=self.format, dataset=self.dataset, scenes=scenes, **parameters
+        )
         return watch_report(
-            found,
+            latest,
             due,
             HERE,
             (*report.failures, *(f"{scene}: {report.stopped}" for scene in report.postponed or ["the run"] if report.stopped)),

@@ -15,8 +15,8 @@ import pyarrow as pa
 from prefect import flow
 from prefect.artifacts import create_image_artifact, create_link_artifact, create_markdown_artifact, create_table_artifact
 
-from flows.artifacts import Ticker, link_of, public_address, short_name
-from flows.parameters import Address
+from flows.run.parameters import Address
+from flows.server.artifacts import Ticker, link_of, public_address, short_name
 from flows.stats.report import Written, write_report
 from schemas.errors import InputError
 from tasks.stats.columns import GRIDS
@@ -24,7 +24,7 @@ from tasks.stats.grids import Grid, grid
 from tasks.stats.style import Picture
 from warehouse.lake import Lake
 from warehouse.release import snapshot_of
-from warehouse.storage import storage_at
+from warehouse.storage.files import storage_at
 
 PREFIX = "statistics"
 """Keys of all artifacts begin with it."""
@@ -40,9 +40,9 @@ def _name() -> str:
     """`statistics of lake`, and of which snapshot or release."""
     from prefect.runtime import flow_run
 
-    told = flow_run.parameters
-    which = told.get("release") or (f"snapshot {told['snapshot']}" if told.get("snapshot") else "")
-    return f"statistics of {short_name(told['lake'])}" + (f", {which}" if which else "")
+    parameters = flow_run.parameters
+    which = parameters.get("release") or (f"snapshot {parameters['snapshot']}" if parameters.get("snapshot") else "")
+    return f"statistics of {short_name(parameters['lake'])}" + (f", {which}" if which else "")
 
 
 @flow(name="statistics", flow_run_name=_name, persist_result=False)

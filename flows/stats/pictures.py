@@ -1,7 +1,7 @@
 """Pictures that were drawn before, in the cache of this machine: under a hash of all that they show and of the code that draws.
 
 Nothing stale is ever shown: other rows, another look or other code have another hash. An erasure of a scene removes them
-all (`flows.erasure`), for a hash does not say whose it is.
+all (`flows.scans.erasure`), for a hash does not say whose it is.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import pyarrow as pa
 
-from flows.fingerprints import PICTURES, FileCache, cache_folder, code_fingerprint, digest
+from flows.run.fingerprints import PICTURES, FileCache, cache_folder, code_fingerprint, digest
 from tasks.stats.scenes import ScenePictures
 from tasks.stats.style import Picture
 from tasks.stats.thumbnails import CandidateStrip, CandidateTile
@@ -33,12 +33,12 @@ KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (ScenePictures, Pic
 
 
 def remembered(facts: Sequence[Any], draw: Callable[[], T]) -> T:
-    """What `draw` gives, drawn once for the same `facts` (tables, rows, numbers, configs): all that it depends on."""
+    """The result of `draw`, cached by the `facts` that it depends on (tables, rows, numbers, configs)."""
     store = _cache()
     key = digest(*map(_text, facts))
     try:
-        found: T = _made(json.loads(store[key]))
-        return found
+        picture: T = _made(json.loads(store[key]))
+        return picture
     except (KeyError, ValueError, TypeError):  # not there, or not whole
         pass
     made = draw()

@@ -15,11 +15,12 @@ import pyarrow as pa
 from tasks.stats import counts, timelines, volumes, words
 from tasks.stats.columns import GRIDS
 from tasks.stats.grids import OBJECT_LIMIT, ROW_LIMIT
+from warehouse.questions.quoting import listed
 
 if TYPE_CHECKING:
     import duckdb
 
-    from warehouse.snapshot import Reader
+    from warehouse.tables.snapshot import Reader
 
 PICTURED_SCENES = 10
 """Scenes with pictures: about 0.35 MB each, so that the report can still be mailed."""
@@ -135,7 +136,7 @@ def when_cut() -> dict[str, tuple[str, int]]:
 
 def _names(names: Sequence[str]) -> str:
     """Names as a list of SQL literals; one that no scene has where there is none."""
-    return "(" + ", ".join("'" + name.replace("'", "''") + "'" for name in names or ("",)) + ")"
+    return "(" + listed(names or ("",)) + ")"
 
 
 def _between(names: Sequence[str]) -> str:
@@ -234,7 +235,10 @@ _ORDERS: Mapping[str, str] = {
     "unstable_objects": "displacement_m DESC NULLS FIRST, scene_id, instance_id, engine",
     "optimization_remains": "scene_id, instance_id NULLS FIRST, remains",
     "support_counts": "lost DESC, unsupported DESC, scene_id",
+    "collider_fit": "greatest(early_share, miss_share) DESC, asset_id",
     "density_check": "implausible DESC, objects DESC, category",
+    "scene_fidelity_overview": "object_f_5cm NULLS LAST, scene_id",
+    "fidelity_by_category": "mean_f_5cm NULLS LAST, category",
     "navigability": "navigable_share, scene_id, agent",
     "navigation_metrics": "policy, run_name, agent, split, success_distance_m",
     "unreachable_objects": "scene_id, instance_id",
@@ -251,8 +255,9 @@ _OF_LISTED: Mapping[str, str] = {
     "objects_per_scene": "room_type, floor_area_m2, objects",
     "categories_per_scene": "categories",
     "collision_loss": "deep_pairs_before, deep_pairs_after",
-    "stability": "engine, engine_version, objects, free, fixed, fixed_share, stable_1cm, stable_5cm, stable_1cm_share, stable_5cm_share, "
-    "worst_instance_id, worst_displacement_m, worst_tilt_degrees, deepest_start_penetration_m, refused, uncertified",
+    "stability": "engine, engine_version, objects, free, fixed, fixed_share, stable_1cm, stable_5cm, stable_nudged, stable_1cm_share, "
+    "stable_5cm_share, worst_instance_id, worst_displacement_m, worst_tilt_degrees, deepest_start_penetration_m, refused, uncertified",
+    "scene_fidelity_overview": "object_f_5cm",
     "navigability": "agent, navigable_share, episodes",
     "scene_timing": "total_seconds",
 }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import os
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
@@ -15,15 +14,16 @@ import pyarrow as pa
 
 from flows.stats.queries import Answers, answers_of
 from flows.stats.scenes import Job, carried_out, picture_scene_of, strip_of, thumbnails_of
+from schemas.files import write_whole
 from schemas.tables import TABLES
-from warehouse.views import views
+from warehouse.questions.views import views
 
 if TYPE_CHECKING:
     from tasks.stats.scenes import PictureConfig, ScenePictures
     from tasks.stats.style import Picture
     from tasks.stats.thumbnails import CandidateStrip, SceneTile
     from warehouse.lake import Lake
-    from warehouse.snapshot import Reader
+    from warehouse.tables.snapshot import Reader
 
 STAGES: tuple[str, ...] = tuple(dict.fromkeys(table.stage for table in TABLES.values() if table.stage))
 """Stages in the order of the data path."""
@@ -92,14 +92,14 @@ def write_report(
         code_version=_code_version(),
     )
     path = report_path(out)
-    _write(path, render_report(content).encode())
+    write_whole(path, render_report(content).encode())
     drawn = [*charts, *_sheets(answers, tiles, strips)] if rasters else []
     files = []
     if pictures is not None:
         for chart in drawn:
             for suffix, data in (("svg", chart.svg.encode()), ("png", chart.png)):
                 files.append(pictures / f"{chart.name}.{suffix}")
-                _write(files[-1], data)
+                write_whole(files[-1], data)
     return Written(path, tuple(files), reader.snapshot_id, answers, tuple(drawn))
 
 
@@ -152,7 +152,7 @@ def draw_charts(answers: Answers, rasters: bool = True) -> list[Picture]:
         (counts.growth, (rows["dataset_growth"],)),
     ]
     with nullcontext() if rasters else only_vectors():
-        drawn = [remembered([draw.__module__, draw.__name__, rasters, *told], partial(draw, *told)) for draw, told in asked]
+        drawn = [remembered([draw.__module__, draw.__name__, rasters, *arguments], partial(draw, *arguments)) for draw, arguments in asked]
     return [chart for chart in drawn if chart is not None]
 
 
@@ -173,14 +173,14 @@ def _pictured(
     jobs |= {name: (strip_of, (lake, rows)) for name, rows in strips.items()}
     if expect is not None:
         expect(len(jobs))
-    with Progress("pictures", len(jobs), told=True) as progress:
+    with Progress("pictures", len(jobs), lines=True) as progress:
 
-        def told(name: str) -> None:
+        def tell(name: str) -> None:
             progress.advance(name)
             if advance is not None:
                 advance(name)
 
-        made = carried_out(jobs, workers, told)
+        made = carried_out(jobs, workers, tell)
     forget_old()
     tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
     return {scene: made[scene] for scene in shown.pictured}, tiles, [made[name] for name in strips if not isinstance(made[name], str)]
@@ -192,17 +192,6 @@ def _sheets(answers: Answers, tiles: Sequence[SceneTile], strips: Sequence[Candi
 
     sheets = (scene_sheet(tiles, answers.rows["headline"]["scenes"][0].as_py()), candidate_sheet(strips))
     return [sheet for sheet in sheets if sheet is not None]
-
-
-def _write(path: Path, data: bytes) -> None:
-    """A file, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    making = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        making.write_bytes(data)
-        making.replace(path)
-    finally:
-        making.unlink(missing_ok=True)
 
 
 def _code_version() -> str:

@@ -19,16 +19,17 @@ from numpy.typing import NDArray
 from schemas.candidates import Asset
 from schemas.capture import Instance, Room, Scene
 from schemas.errors import InputError, LakeError
+from schemas.fidelity import SceneFidelity
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Contact, Placement
 
 if TYPE_CHECKING:
     import trimesh
 
-    from tasks.stats.scenes import Outline, PictureConfig, ScenePictures
+    from tasks.stats.scenes import PictureConfig, RoomOutline, ScenePictures
     from tasks.stats.thumbnails import CandidateStrip, CandidateTile
     from warehouse.lake import Lake
-    from warehouse.snapshot import Reader
+    from warehouse.tables.snapshot import Reader
 
 R = TypeVar("R")
 
@@ -45,19 +46,22 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
     from flows.stats.pictures import remembered
 
     reader = lake.snapshot(snapshot_id)
-    facts = ["scene", look, *_facts(reader, scene_id, (*_MODEL, "contacts", "optimization_steps", "navmeshes", "episodes", "instances"))]
+    facts = ["scene", look, *_facts(reader, scene_id, (*_MODEL, *_SHOWN))]
     return remembered(facts, lambda: _pictures(lake, reader, scene_id, look))
 
 
 _MODEL = ("scenes", "rooms", "placements")
 """Tables that say what stands where."""
 
+_SHOWN = ("contacts", "optimization_steps", "navmeshes", "episodes", "instances", "scene_fidelity")
+"""Tables of what else is pictured."""
+
 
 def _facts(reader: Reader, scene_id: str, tables: Sequence[str]) -> list[Any]:
     """All rows that the pictures of a scene are drawn from; meshes are named by the hash of their content."""
-    found: list[Any] = [reader.arrow(table, scene_id) for table in tables]
+    facts: list[Any] = [reader.arrow(table, scene_id) for table in tables]
     placed = {p.asset_id for p in reader.rows(Placement, scene_id)}
-    return [*found, [(asset.asset_id, asset.mesh_blob) for asset in reader.rows_by_key(Asset, sorted(placed))]]
+    return [*facts, [(asset.asset_id, asset.mesh_blob) for asset in reader.rows_by_key(Asset, sorted(placed))]]
 
 
 def _pictures(lake: Lake, reader: Reader, scene_id: str, look: PictureConfig) -> ScenePictures:
@@ -72,8 +76,9 @@ def _pictures(lake: Lake, reader: Reader, scene_id: str, look: PictureConfig) ->
     camera = best_corner(list(objects.values()) or [[part] for part in model.scan], model.walls, model.outline, look)
     pictures = picture_scene(model.scan, model.walls, list(objects.values()), model.outline, look, camera)
     plan = _plan(lake, reader, scene_id, objects, model.room) if model.room and placements else None
+    pictures = dataclasses.replace(pictures, plan=plan, heat=_heat(lake, reader, scene_id, model.room))
     if not placements or placements[0].method == "imported":  # a finished dataset states one pose: there is no before
-        return dataclasses.replace(pictures, plan=plan)
+        return pictures
     contacts = reader.rows(Contact, scene_id)
     with only_vectors():
         curve = loss_curve(reader.arrow("optimization_steps", scene_id), placements[0].method, scene_id)
@@ -83,7 +88,6 @@ def _pictures(lake: Lake, reader: Reader, scene_id: str, look: PictureConfig) ->
         before=marked_picture(proposed, model.shell, colliding_pairs(contacts, "proposed"), model.outline, camera, look),
         after=marked_picture(objects, model.shell, colliding_pairs(contacts, "optimized"), model.outline, camera, look),
         loss_curve=curve,
-        plan=plan,
     )
 
 
@@ -133,11 +137,11 @@ def _strip(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
 
 
 def carried_out(jobs: Mapping[Any, Job], workers: int | None, advance: Callable[[str], None]) -> dict[Any, Any]:
-    """What each job gives, by its key; a text where it could not, which says why. One worker means this process."""
+    """The result of each job by its key; of one that failed the reason, a text. One worker means this process."""
     count = workers or min(os.cpu_count() or 1, 4)
     if min(count, len(jobs)) <= 1:
         return {key: _result_or_reason(_call_here, key, job, advance) for key, job in jobs.items()}
-    from flows.pool import WorkerPool
+    from flows.run.pool import WorkerPool
 
     with WorkerPool(min(count, len(jobs))) as pool, ThreadPoolExecutor(count) as threads:
         made = threads.map(lambda entry: _result_or_reason(pool.call, entry[0], entry[1], advance), jobs.items())
@@ -154,7 +158,7 @@ class _Model:
     blobs: Mapping[str, bytes]
     objects: Mapping[str, list[trimesh.Trimesh]]
     shell: Mapping[str, list[trimesh.Trimesh]]
-    outline: Outline
+    outline: RoomOutline
 
     @property
     def walls(self) -> list[trimesh.Trimesh]:
@@ -162,21 +166,22 @@ class _Model:
 
     @staticmethod
     def of(lake: Lake, reader: Reader, scene_id: str) -> _Model:
-        from tasks.meshes import load_glb
-        from tasks.replica import placed_parts, room_shell
-        from tasks.stats.scenes import Outline
+        from tasks.geometry.meshes import load_glb
+        from tasks.replica import placed_parts
+        from tasks.shell import room_shell
+        from tasks.stats.scenes import RoomOutline
 
-        found = reader.rows(Scene, scene_id)
-        if not found:
+        scenes = reader.rows(Scene, scene_id)
+        if not scenes:
             raise InputError("scenes", scene_id, "is not in the snapshot", "run its capture stage")
-        scan = load_glb(lake.blobs[found[0].mesh_blob], f"{scene_id} scan")
+        scan = load_glb(lake.blobs[scenes[0].mesh_blob], f"{scene_id} scan")
         rooms = reader.rows(Room, scene_id)
         placements = reader.rows(Placement, scene_id)
         assets = {asset.asset_id: asset for asset in reader.rows_by_key(Asset, sorted({p.asset_id for p in placements}))}
         blobs = {p.instance_id: lake.blobs[assets[p.asset_id].mesh_blob] for p in placements}
         objects = {p.instance_id: placed_parts(p, blobs[p.instance_id]) for p in placements}
         shell = {name: [part] for name, part in room_shell(rooms[0])} if rooms else {}
-        outline = Outline.of_room(rooms[0]) if rooms else Outline.of_parts(scan)
+        outline = RoomOutline.of_room(rooms[0]) if rooms else RoomOutline.of_parts(scan)
         return _Model(scan, rooms[0] if rooms else None, placements, blobs, objects, shell, outline)
 
 
@@ -194,9 +199,20 @@ def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Seque
     return floor_plan(lake.blobs[navmesh.navmesh_blob], own, objects, names, room)
 
 
+def _heat(lake: Lake, reader: Reader, scene_id: str, room: Room | None) -> bytes | None:
+    """The heat map of a scene; None where its fidelity was not measured."""
+    from tasks.fidelity.marked_points import read_marked
+    from tasks.stats.heat_maps import heat_map
+
+    rows = reader.rows(SceneFidelity, scene_id)
+    if not rows:
+        return None
+    return heat_map(read_marked(lake.blobs[rows[0].distances_blob], f"{scene_id} distances.ply"), room)
+
+
 def _crop(lake: Lake, row: Mapping[str, Any]) -> bytes | None:
     """How the scan shows an object: its best view, else its faces of the scan; None where there is neither."""
-    from tasks.meshes import load_glb
+    from tasks.geometry.meshes import load_glb
     from tasks.stats.thumbnails import OBJECT_PX, fitted, object_thumbnail
 
     for name, drawn in (
@@ -226,7 +242,7 @@ def _heading(row: Mapping[str, Any]) -> NDArray[np.float64]:
 
 
 def _tile(lake: Lake, row: Mapping[str, Any], chosen: int | None, turn: NDArray[np.float64]) -> CandidateTile:
-    from tasks.meshes import load_glb
+    from tasks.geometry.meshes import load_glb
     from tasks.stats.thumbnails import CandidateTile, object_thumbnail
 
     note, picture = row["reason"] or "", None
@@ -259,7 +275,7 @@ def _call_here(function: Callable[..., R], *arguments: Any) -> R:
 
 
 def _result_or_reason(call: Callable[..., Any], key: Any, job: Job, advance: Callable[[str], None]) -> Any:
-    from flows.pool import WorkerLost
+    from flows.run.pool import WorkerLost
 
     function, arguments = job
     try:

@@ -1,3 +1,0 @@
-SELECT scene_id, instance_id, 'the free floor near it is 1.30 m away, view points reach 1 m' AS reason
-FROM objects_now
-WHERE u(thing, 'reach') < 0.015

@@ -1,0 +1,1 @@
+"""What enters the lake besides scans: annotations, trajectories, finished datasets; and the demo's scans."""

@@ -1,0 +1,1 @@
+"""What leaves the lake: exports, and explanations of what they were made from."""

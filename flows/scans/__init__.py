@@ -1,0 +1,1 @@
+"""Scans: where they lie, which are chosen, which are new."""

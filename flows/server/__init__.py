@@ -1,0 +1,1 @@
+"""Prefect servers of ours: processes, access, deployments, notifications, and what their UI shows."""
