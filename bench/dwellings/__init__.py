@@ -1,0 +1,178 @@
+"""The benchmark of hard rooms: dwellings, scanned badly, through the pipeline up to the optimization, held against what is true
+and, by the stage `fidelity`, against the scan."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.dwellings.judgement import FIGURES, judged, lost_room, summed
+from bench.dwellings.replicas import replica_of
+from bench.goals import goal
+from bench.machine import machine
+from flows.run.configuration import configure
+from flows.run.fingerprints import code_fingerprint
+from flows.run.plan import make_plan
+from flows.run.pool import WorkerLost, WorkerPool, WorkerTimeout
+from flows.run.scene import job_of
+from flows.worker import execute
+from schemas.files import write_whole
+from tasks.capture.formats import find_scans
+from tasks.furniture.dwellings import dwelling
+from tasks.scanner.dwellings import HardScanSettings, scan_dwelling
+from tasks.scanner.truth import DwellingTruth
+from warehouse.lake import Lake
+
+STEPS = ("capture", "captions", "candidates", "selection", "optimization", "fidelity")
+"""The stages that are run."""
+
+SECONDS = 1800.0
+"""A room that takes longer has failed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DwellingsBench:
+    """What is measured. folder: where finished rooms are remembered, so that the same command goes on; nowhere if None."""
+
+    rooms: int = 30
+    seed: int = 0
+    processes: int = 1
+    folder: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class DwellingJob:
+    """Room `index` of a seed, to be scanned and worked on in an empty folder, which is the caller's to remove."""
+
+    index: int
+    seed: int
+    folder: str
+
+
+def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) -> dict[str, Any]:
+    """The report: figures of every room, of those with frames, of those without, and of all. `advance` is told each room done."""
+    with tempfile.TemporaryDirectory(prefix="rooms-", ignore_cleanup_errors=True) as temporary:
+        work = Path(temporary)
+        rooms: list[dict[str, Any]] = []
+        with WorkerPool(config.processes) as pool, ThreadPoolExecutor(config.processes) as threads:
+            for room in threads.map(partial(_measured, pool, config.seed, config.folder, work), range(config.rooms)):
+                advance(str(room["room"]))
+                rooms.append(room)
+    groups = {"with frames": [r for r in rooms if r["has_frames"]], "mesh only": [r for r in rooms if not r["has_frames"]], "all": rooms}
+    sums = {name: summed(chosen) for name, chosen in groups.items() if chosen}
+    return {
+        "machine": machine(),
+        "seed": config.seed,
+        "processes": config.processes,
+        "figures": [key for key, _, _ in FIGURES],
+        "rooms": rooms,
+        "groups": sums,
+        "errors": [{"room": r["room"], "stage": r["stage"], "error": r["error"]} for r in rooms if r["error"]],
+        "goals": goals(sums["all"]),
+    }
+
+
+def goals(group: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What the figures of all rooms, from `summed`, are held against. Nothing is found where every room failed and none can tell."""
+
+    def figure(key: str, scale: int = 1) -> float | int | None:
+        return None if math.isnan(group[key]) else scale * group[key]
+
+    return [
+        goal("free objects that the annotation has, stable at 5 cm [%]", figure("annotated_5cm", 100), ">=", 97),
+        goal("F-score over objects at 5 cm, mean of rooms", figure("object_f_5cm"), ">=", 0.8),
+        goal("pairs deeper than 2 mm, of rooms that did not fail", figure("deep_pairs"), "==", 0),
+        goal("objects moved by more than 30 cm", figure("moved_30cm"), "==", 0),
+        goal("doors and windows with at least 80 % of the silhouette seen [%]", figure("openings_seen", 100), ">=", 95),
+        goal("free objects anchored wrongly, of rooms that did not fail", figure("anchored"), "==", 0),
+        goal("failed rooms", figure("failed"), "==", 0),
+        goal("seconds per 25 objects, of rooms that did not fail", figure("seconds_per_25"), "<=", 12),
+    ]
+
+
+def has_frames(index: int) -> bool:
+    """Whether room `index` is scanned with its frames: every other one."""
+    return index % 2 == 0
+
+
+def make_scan(folder: Path, index: int, seed: int) -> DwellingTruth:
+    """Room `index` of a seed as a scan below a folder. The same arguments write the same bytes."""
+    settings = HardScanSettings(frames="exported" if has_frames(index) else "none")
+    return scan_dwelling(dwelling((seed, index)), folder, f"scene{index:04d}_00", settings, np.random.default_rng([seed, index, 1]))
+
+
+def _measured(pool: WorkerPool, seed: int, folder: Path | None, work: Path, index: int) -> dict[str, Any]:
+    """A room's figures, remembered or measured; a worker that dies or hangs is a failed room, which is not remembered: it may have
+    been the machine's fault. Scan and lake lie below `work` and are gone afterwards, whatever became of the worker."""
+    mark = {"code": [code_fingerprint("tasks.pipeline"), code_fingerprint("bench.dwellings")], "seed": seed, "index": index}
+    path = folder / f"room_{seed}_{index:04d}.json" if folder is not None else None
+    known = _remembered(path, mark) if path is not None else None
+    if known is not None:
+        return known
+    with tempfile.TemporaryDirectory(prefix=f"room_{index:04d}_", dir=work, ignore_cleanup_errors=True) as place:
+        try:
+            figures = pool.call(measure_room, DwellingJob(index, seed, place), timeout=SECONDS)
+        except (WorkerLost, WorkerTimeout) as error:
+            return lost_room(index, has_frames(index), dwelling((seed, index)), "worker", str(error))
+    if path is not None:
+        write_whole(path, json.dumps({"mark": mark, "figures": figures}).encode())
+    return figures
+
+
+def _remembered(path: Path, mark: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The figures in a file, if it has them under this mark; None where it is absent, cannot be read, or is of other code."""
+    try:
+        known = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return None
+    if not isinstance(known, dict) or known.get("mark") != mark or not isinstance(known.get("figures"), dict):
+        return None
+    return dict(known["figures"])
+
+
+def measure_room(job: DwellingJob) -> dict[str, Any]:
+    """A room's figures: scan it, run the stages of `STEPS`, judge what came out. Runs in a worker."""
+    place = Path(job.folder)
+    home = dwelling((job.seed, job.index))
+    clock = time.perf_counter()
+    truth = make_scan(place / "scans", job.index, job.seed)
+    scanned = time.perf_counter() - clock
+    lake = Lake.open(place / "lake")
+    seconds, stage, error = _run(lake, place / "scans")
+    if error is not None:
+        return lost_room(job.index, has_frames(job.index), home, stage, error, truth, seconds) | {"scan_seconds": scanned}
+    try:
+        figures = judged(job.index, has_frames(job.index), home, truth, replica_of(lake, "scannet/" + truth.scan), seconds)
+    except Exception as problem:
+        where = traceback.extract_tb(problem.__traceback__)[-1]
+        text = f"{type(problem).__name__}: {problem} ({Path(where.filename).name}:{where.lineno})"
+        figures = lost_room(job.index, has_frames(job.index), home, "judgement", text, truth, seconds)
+    return figures | {"scan_seconds": scanned}
+
+
+def _run(lake: Lake, scans: Path) -> tuple[dict[str, float], str, str | None]:
+    """The stages of `STEPS` on the one scan of a folder: seconds by stage, and the stage that failed, with its error."""
+    configuration = configure()
+    scan_list, unusable = find_scans(scans)
+    plan = make_plan(lake, scan_list, unusable, configuration)
+    seconds: dict[str, float] = {}
+    if plan.unusable or not plan.todo:
+        return seconds, "capture", str(plan.unusable[0]) if plan.unusable else "no scan was found"
+    for step in (step for step in plan.todo[0].todo if step.stage in STEPS):
+        run = execute(job_of(lake, plan.todo[0], step, configuration))
+        seconds[step.stage] = run.seconds
+        if run.outcome != "done":
+            return seconds, step.stage, run.error or run.outcome
+    lake.commit()
+    return seconds, "", None

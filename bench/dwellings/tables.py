@@ -1,0 +1,43 @@
+"""The hard rooms' report as tables for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from bench.dwellings.judgement import FIGURES
+from bench.tables import add_row, as_text, goals_table, headline, table_of
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+BY_ROOM: tuple[tuple[str, str, str], ...] = (
+    ("objects", "objects", "count"), ("free", "free", "count"), ("stable_1cm", "1 cm", "percent"), ("stable_5cm", "5 cm", "percent"),
+    ("stable_nudged", "nudged", "percent"), ("left_out", "left out", "count"), ("anchored", "fixed", "count"),
+    ("deep_pairs", "deep", "count"), ("moved_15cm", "> 15 cm", "count"), ("openings_seen", "openings", "percent"),
+    ("categories_right", "categories", "percent"), ("seconds", "seconds", "seconds"),
+)  # fmt: skip
+"""Figures of single rooms, and their headers."""
+
+
+def print_dwellings(report: Mapping[str, Any], console: Console) -> None:
+    """Print the figures of all rooms, of each, what failed, and goals."""
+    console.print(headline(report["machine"], report["seed"], report["processes"]))
+    groups = report["groups"]
+    table = table_of("hard rooms", ("", False), *((name, True) for name in groups))
+    add_row(table, "rooms", *(str(group["rooms"]) for group in groups.values()))
+    add_row(table, "of these failed", *(str(group["failed"]) for group in groups.values()))
+    for key, words, unit in FIGURES:
+        add_row(table, words, *(as_text(group[key], unit) for group in groups.values()))
+    console.print(table)
+    rooms = table_of("by room", ("", False), ("frames", False), *((words, True) for _, words, _ in BY_ROOM))
+    for room in report["rooms"]:
+        name = f"{room['room']}: {room['stage']} failed" if room["error"] else room["room"]
+        add_row(rooms, name, "yes" if room["has_frames"] else "no", *(as_text(room[key], unit) for key, _, unit in BY_ROOM))
+    console.print(rooms)
+    if report["errors"]:
+        failed = table_of("what failed", ("room", False), ("stage", False), ("", False))
+        for row in report["errors"]:
+            add_row(failed, row["room"], row["stage"], row["error"])
+        console.print(failed)
+    console.print(goals_table(report["goals"]))

@@ -1,0 +1,21 @@
+SELECT
+    scene_id,
+    instance_id,
+    slot,
+    filling.provider,
+    '1' AS provider_version,
+    is_fallback,
+    CASE WHEN rank <= filled THEN 'filled' WHEN rank = 10 THEN 'failed' ELSE 'empty' END AS outcome,
+    CASE WHEN rank > filled THEN 'nothing fits' WHEN is_fallback THEN 'the provider had nothing' END AS reason,
+    CASE WHEN rank <= filled THEN asset_of(object, slot, library.asset_id) END AS asset_id
+FROM (
+    SELECT
+        *,
+        slot > 6 AND u(object * 16 + slot, 'fallback') < 0.1 AS is_fallback,
+        CASE
+            WHEN slot < 5 OR is_fallback THEN 'procedural' WHEN slot = 5 THEN 'scan_crop_closed' WHEN slot = 6 THEN 'generated'
+            ELSE 'library'
+        END AS provider
+    FROM slots_now
+) AS filling
+LEFT JOIN library ON library.library_index = filling.library_index

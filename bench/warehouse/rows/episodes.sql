@@ -1,0 +1,20 @@
+SELECT
+    scene_id,
+    name_of(episode) AS episode_id,
+    'cylinder_r18_h88' AS agent,
+    split,
+    name_of(place) AS instance_id,
+    category,
+    'Navigate to the ' || category AS instruction,
+    [start_x, start_y, 0.0] AS start_position,
+    start_yaw AS start_yaw_radians,
+    [goal_x, goal_y, 0.0] AS goal_position,
+    [[goal_x, goal_y, 0.0, start_yaw], [goal_x + 0.1, goal_y, 0.0, start_yaw]] AS view_points,
+    geodesic AS geodesic_m,
+    euclidean AS euclidean_m,
+    [[start_x, start_y], [start_x, goal_y], [goal_x, goal_y]] AS path,
+    actions_of(trip, forwards) AS actions,
+    [goal_x, goal_y, 0.0] AS final_position,
+    0.0 AS final_distance_m,
+    'planar' AS path_finder
+FROM episodes_now

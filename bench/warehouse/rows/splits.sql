@@ -1,0 +1,3 @@
+SELECT room_id, split
+FROM scenes_now
+WHERE NOT is_rescan
