@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from tasks.meshes import Surface
-from tasks.rendering import Camera, RayScene
-from tasks.transforms import inverse, look_at, yaw_pose
+from tasks.geometry.meshes import Surface
+from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.transforms import inverse, look_at, yaw_pose
 
 ROOM = np.array([4.0, 3.0, 2.5])
 """Extents of the room [m]; it is centered, its floor at z = 0."""
@@ -226,7 +226,7 @@ def write_scannet(
 
 def write_posed_rgbd(folder: Path, room: BoxRoom) -> Path:
     """A plain folder of posed frames: color, depth, pose.txt with quaternions, intrinsics.json."""
-    from tasks.transforms import quaternion_xyzw
+    from tasks.geometry.transforms import quaternion_xyzw
 
     shots, camera = rendered(room), room.cameras[0]
     for name in ("color", "depth"):

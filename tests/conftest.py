@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,8 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 os.environ.setdefault("DO_NOT_TRACK", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # so starts a shell what it runs in the background, and processes of ours would, too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # `make test` draws the same examples every time, so that what it says is about the change; `make test-all` draws new ones.
 # No example has a time limit: on a busy machine any takes a second now and then, and a clock says nothing about the code.

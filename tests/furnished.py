@@ -14,18 +14,21 @@ from schemas.captions import Caption
 from schemas.capture import Instance, Room, Scene
 from schemas.exports import ExportCheck, ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
+from schemas.fidelity import Fidelity, SceneFidelity
 from schemas.navigation import Episode, Navmesh, UnreachableTarget
 from schemas.optimization import Certificate, Contact, Optimization, OptimizationStep, Placement, Support
 from schemas.selection import Selection
-from tasks.meshes import dump_glb
+from tasks.fidelity.marked_points import MarkedPoints, dump_marked
+from tasks.geometry.meshes import dump_glb
+from tasks.geometry.transforms import flat, translation, yaw_pose
 from tasks.navigation.convex import convex_cover
 from tasks.navigation.navmesh import Settings, dump_navmesh, navmesh_from_polygons
-from tasks.replica import placed_parts, room_shell
-from tasks.transforms import flat, translation, yaw_pose
+from tasks.replica import placed_parts
+from tasks.shell import room_shell
 from tests.samples import fingerprint, sample, stage_run
 from warehouse.lake import Lake
 
-STAGES = ("capture", "captions", "candidates", "selection", "optimization", "navigation", "exports")
+STAGES = ("capture", "captions", "candidates", "selection", "optimization", "navigation", "fidelity", "exports")
 HEIGHT = 2.6
 CATEGORIES = ("chair", "table", "lamp", "book", "box", "plant", "mug & <saucer>")
 
@@ -49,6 +52,12 @@ def floor_navmesh() -> bytes:
     import shapely
 
     return dump_navmesh(navmesh_from_polygons(convex_cover(shapely.box(-1.5, -1.0, 1.5, 1.0)), Settings()))
+
+
+def floor_points(seed: int) -> MarkedPoints:
+    """Points of objects all over a floor of 4 by 3 m."""
+    rng = np.random.default_rng(seed)
+    return MarkedPoints(rng.uniform((0, 0, 0), (4, 3, 1), (200, 3)), rng.exponential(0.1, 200), np.zeros(200, np.uint8))
 
 
 def furnished_lake(folder: Path, scenes: int = 2, objects: int = 6) -> Lake:
@@ -119,6 +128,18 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
             "episodes": [sample(Episode, scene_id=scene_id, agent="stretch", instance_id="0001")],
             "unreachable_targets": [sample(UnreachableTarget, scene_id=scene_id, instance_id="0002", reason="too high")], "splits": [],
         },
+        "fidelity": {
+            "fidelity": [
+                sample(Fidelity, scene_id=scene_id, instance_id=row.instance_id, f_5cm=0.25 * (1 + index % 4), accuracy_5cm=1.0)
+                for index, row in enumerate(rows["placements"])
+            ],
+            "scene_fidelity": [
+                sample(
+                    SceneFidelity, scene_id=scene_id, cameras="virtual", object_count=objects, placed_count=objects,
+                    object_f_5cm=0.75 + 0.125 * number, distances_blob=lake.blobs.put(dump_marked(floor_points(number)), "ply"),
+                )
+            ],
+        },
         "exports": {
             "export_files": [
                 sample(ExportFile, scene_id=scene_id, format=kind, path="a", file_blob=lake.blobs.put(b"f", "usd"), size_bytes=150_000,
@@ -152,7 +173,7 @@ def _stage_object(lake: Lake, rows: dict[str, list[Any]], scene_id: str, index: 
     blob = lake.blobs.put(glb, "glb")
     asset = blob.split(".")[0]
     pose = yaw_pose(float(rng.uniform(0, 6)), (0.7 + 1.1 * (index % 3), 0.7 + 1.3 * (index // 3 % 2), 0.0))
-    shift = -0.65 if index == 1 else 0.0  # the second thing was proposed inside the first
+    shift = -0.65 if index == 1 else 0.0  # the second object was proposed inside the first
     placement = sample(
         Placement, **of, asset_id=asset, scale=(1.0, 1.0, 1.0), proposed_pose=flat(translation((shift, 0.0, 0.0)) @ pose),
         optimized_pose=flat(pose), displacement_m=abs(shift), lift_m=-0.01 * index, method="default",
@@ -179,7 +200,9 @@ def _stage_object(lake: Lake, rows: dict[str, list[Any]], scene_id: str, index: 
             Certificate, **of, engine="mujoco", engine_version="4.0.0", is_fixed=index == 0, problem=problem,
             displacement_m=None if problem else moved, tilt_radians=None if problem else 0.1 * moved,
             start_penetration_m=None if problem else 0.0, is_stable_1cm=problem is None and moved <= 0.01,
-            is_stable_5cm=problem is None and moved <= 0.05, is_density_plausible=True,
+            is_stable_5cm=problem is None and moved <= 0.05, nudged_displacement_m=None if problem else 1.5 * moved,
+            nudged_tilt_radians=None if problem else 0.2 * moved, is_stable_nudged=problem is None and moved <= 0.005,
+            is_density_plausible=True,
         )
     )  # fmt: skip
     return placed_parts(placement, glb)

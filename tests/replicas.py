@@ -15,16 +15,22 @@ from schemas.captions import Caption
 from schemas.capture import Instance, Room, Scene
 from schemas.optimization import Placement, Support
 from tasks import navigation
+from tasks.exports import ExportsConfig
+from tasks.exports.bodies import Replica, gather
 from tasks.furniture import generate
-from tasks.meshes import dump_glb, surface_of
+from tasks.geometry.meshes import dump_glb, surface_of
+from tasks.geometry.transforms import flat, translation, yaw_pose
 from tasks.stage import Blobs, Context
-from tasks.transforms import flat, translation, yaw_pose
 
 ROOM = ((-3.0, -2.0), (3.0, -2.0), (3.0, 1.0), (1.0, 1.0), (1.0, 2.0), (-3.0, 2.0))
 
 
+TABLES = ("scenes", "rooms", "instances", "captions", "assets", "placements", "supports")
+"""What an export is made of."""
+
+
 @dataclasses.dataclass(frozen=True)
-class Thing:
+class Object:
     """An object to place. `pose`: 4x4 [m]. `known`: the asset comes with its convex pieces."""
 
     category: str
@@ -39,30 +45,30 @@ class Thing:
     friction: float = 0.5
 
 
-def thing(category: str, pose: np.ndarray, seed: int = 0, **rest: Any) -> Thing:
+def obj(category: str, pose: np.ndarray, seed: int = 0, **rest: Any) -> Object:
     """A generated piece of furniture."""
     model = generate(category, None, np.random.default_rng(seed))
-    return Thing(category, model.parts, model.pieces, pose, **rest)
+    return Object(category, model.parts, model.pieces, pose, **rest)
 
 
-def cube(size: Sequence[float], pose: np.ndarray, **rest: Any) -> Thing:
+def cube(size: Sequence[float], pose: np.ndarray, **rest: Any) -> Object:
     """A red box that stands on its origin."""
     mesh = trimesh.creation.box(size)
     mesh.apply_translation([0, 0, size[2] / 2])
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile(np.array([200, 40, 30, 255], np.uint8), (8, 1)))
-    return Thing("box", [mesh], [mesh], pose, **rest)
+    return Object("box", [mesh], [mesh], pose, **rest)
 
 
 def room_of(scene_id: str = "demo/room_01", polygon: Sequence[Sequence[float]] = ROOM) -> Room:
     """An L-shaped room."""
     return Room(
         scene_id=scene_id, room_type="office", floor_polygon=tuple(tuple(map(float, p)) for p in polygon), floor_area_m2=22.0,
-        floor_source="surface", walls=(), interior_walls=(), height_m=2.6, height_source="walls",
+        floor_source="surface", walls=(), interior_walls=(), openings=None, height_m=2.6, height_source="walls",
         floor_color=None, wall_color=None,
     )  # fmt: skip
 
 
-def rows_of(things: Sequence[Thing], scene_id: str = "demo/room_01") -> tuple[dict[str, list[Any]], Blobs]:
+def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[dict[str, list[Any]], Blobs]:
     """Rows of a scene up to optimization, by table, and the blobs they name."""
     blobs = Blobs()
     none = blobs.add(b"none", "ply")
@@ -70,12 +76,12 @@ def rows_of(things: Sequence[Thing], scene_id: str = "demo/room_01") -> tuple[di
     scene = Scene(
         scene_id=scene_id, room_id=scene_id, dataset=dataset, scan=scan, scan_format="scannet", scan_path="-", alignment=flat(np.eye(4)),
         alignment_source="identity", floor_tilt_radians=0.0, mesh_blob=blobs.add(b"none", "glb"), vertex_count=3, face_count=1,
-        frame_count=0, instance_count=len(things), segmentation="file", license="CC0-1.0",
+        frame_count=0, instance_count=len(objects), segmentation="file", license="CC0-1.0",
     )  # fmt: skip
     rows: dict[str, list[Any]] = {name: [] for name in ("instances", "captions", "placements", "supports")}
     rows |= {"scenes": [scene], "rooms": [room_of(scene_id)]}
     assets: dict[str, Asset] = {}
-    for index, item in enumerate(things):
+    for index, item in enumerate(objects):
         instance_id = f"{index + 1:04d}"
         glb = dump_glb(item.parts)
         asset_id = hashlib.sha256(glb).hexdigest()
@@ -98,7 +104,7 @@ def rows_of(things: Sequence[Thing], scene_id: str = "demo/room_01") -> tuple[di
         )  # fmt: skip
         rows["captions"].append(
             Caption(
-                scene_id=scene_id, instance_id=instance_id, provider="test", provider_version="1", is_fallback=False, sentence="a thing",
+                scene_id=scene_id, instance_id=instance_id, provider="test", provider_version="1", is_fallback=False, sentence="an object",
                 colors=(), color_shares=(), materials=(), shape="box", body_type="rigid", density_kg_m3=500.0, solid_fraction=0.5,
                 mass_kg=item.mass_kg, friction=item.friction, restitution=0.1, attribute_source="test",
             )
@@ -108,6 +114,7 @@ def rows_of(things: Sequence[Thing], scene_id: str = "demo/room_01") -> tuple[di
                 scene_id=scene_id, instance_id=instance_id, asset_id=asset_id, origin="selection", annotator=None, annotation_match=None,
                 scale=item.scale, proposed_pose=pose, optimized_pose=pose, displacement_m=0.0, lift_m=0.0, method="default",
                 settled_pose=None, remains=None,
+                collider_pieces=None, collider_faces=None, collider_early_share=None, collider_miss_share=None,
             )
         )  # fmt: skip
         rows["supports"].append(
@@ -118,6 +125,13 @@ def rows_of(things: Sequence[Thing], scene_id: str = "demo/room_01") -> tuple[di
         )  # fmt: skip
     rows["assets"] = [assets[key] for key in sorted(assets)]
     return rows, blobs
+
+
+def replica_of(rows: dict[str, list[Any]], blobs: Blobs, config: ExportsConfig | None = None) -> Replica:
+    """The replica that is exported, with nothing left out."""
+    replica, missed = gather(*[rows[name] for name in TABLES], blobs, config or ExportsConfig())
+    assert missed == []
+    return replica
 
 
 def with_navigation(
@@ -131,15 +145,15 @@ def with_navigation(
     return rows | {name: outcome.rows[name] for name in ("navmeshes", "episodes")}, {**blobs, **outcome.blobs}
 
 
-def furnished() -> list[Thing]:
+def furnished() -> list[Object]:
     """An office: a table with a box on it, two equal chairs, a stretched box, a picture on the wall."""
-    table = thing("table", translation([-1.5, 0.5, 0.0]), seed=3)
+    table = obj("table", translation([-1.5, 0.5, 0.0]), seed=3)
     top = float(surface_of(table.parts).vertices[:, 2].max())
     return [
         table,
-        thing("chair", yaw_pose(0.4, [1.5, -1.0, 0.0]), seed=4, mass_kg=4.0),
-        thing("chair", yaw_pose(2.4, [2.3, 0.2, 0.0]), seed=4, mass_kg=7.0, friction=0.8),
+        obj("chair", yaw_pose(0.4, [1.5, -1.0, 0.0]), seed=4, mass_kg=4.0),
+        obj("chair", yaw_pose(2.4, [2.3, 0.2, 0.0]), seed=4, mass_kg=7.0, friction=0.8),
         cube((0.3, 0.2, 0.25), translation([-1.5, 0.5, top]), relation="on", parent_id="0001"),
         cube((0.3, 0.2, 0.25), yaw_pose(-0.7, [-0.2, -1.2, 0.0]), scale=(1.0, 2.0, 1.5), known=False),
-        thing("picture", yaw_pose(-1.5707963, [0.0, 1.98, 1.4]), seed=5, relation="wall"),
+        obj("picture", yaw_pose(-1.5707963, [0.0, 1.98, 1.4]), seed=5, relation="wall"),
     ]

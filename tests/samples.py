@@ -8,7 +8,7 @@ from typing import Any
 import pyarrow as pa
 from hypothesis import strategies as st
 
-from flows.bench.samples import START, fingerprint, sample, stage_run
+from bench.samples import START, fingerprint, sample, stage_run
 from schemas.record import Column, table_of
 
 __all__ = ["START", "fingerprint", "rows", "sample", "stage_run"]

@@ -1,6 +1,6 @@
 """Real services for tests, on free ports of the loopback: PostgreSQL, a Prefect server, moto's S3 server.
 
-Each starts below the guard of `flows.services`, which takes in all its descendants and ends them when the test process is
+Each starts below the guard of `flows.server.services`, which takes in all its descendants and ends them when the test process is
 gone, however that ended.
 """
 
@@ -24,15 +24,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from functools import cache
+from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-from flows.access import CLIENT_TOKEN, SERVER_TOKEN, new_token
-from flows.server import is_healthy
+from flows.server.access import CLIENT_TOKEN, SERVER_TOKEN, new_token
+from flows.server.process import is_healthy
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 START_SECONDS = 120
@@ -79,7 +79,7 @@ class Service(abc.ABC):
         theirs, self._lifeline = os.pipe()
         with self.log.open("ab") as log:
             self._guard = subprocess.Popen(
-                [sys.executable, "-m", "flows.services", str(theirs), "0", *self.command()],
+                [sys.executable, "-m", "flows.server.services", str(theirs), "0", *self.command()],
                 cwd=REPOSITORY, env=self._surroundings(), pass_fds=[theirs],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
             )  # fmt: skip
@@ -243,23 +243,36 @@ class S3(Service):
 
     def make_bucket(self, name: str) -> None:
         """An empty bucket."""
-        self._files().mkdir(name)
+        self.client.create_bucket(Bucket=name)
 
     def make_object(self, name: str, data: bytes) -> None:
         """An object `bucket/key`; the bucket is there."""
-        self._files().pipe_file(name, data)
+        bucket, _, key = name.partition("/")
+        self.client.put_object(Bucket=bucket, Key=key, Body=data)
 
     def objects(self, prefix: str) -> dict[str, bytes]:
         """Every object below `bucket/prefix` with its bytes, by name."""
-        files = self._files()
-        return {name: files.cat_file(name) for name in files.find(prefix)}
+        bucket = prefix.partition("/")[0]
+        return {f"{bucket}/{key}": self.client.get_object(Bucket=bucket, Key=key)["Body"].read() for key in self._keys(prefix)}
 
-    def _files(self) -> Any:
-        import s3fs
+    def remove(self, prefix: str) -> None:
+        """Remove every object below `bucket/prefix`."""
+        for key in self._keys(prefix):
+            self.client.delete_object(Bucket=prefix.partition("/")[0], Key=key)
 
-        return s3fs.S3FileSystem(
-            endpoint_url=self.url, key=self.access["AWS_ACCESS_KEY_ID"], secret=self.access["AWS_SECRET_ACCESS_KEY"],
-            skip_instance_cache=True, use_listings_cache=False,
+    def _keys(self, prefix: str) -> list[str]:
+        bucket, _, folder = prefix.partition("/")
+        pages = self.client.get_paginator("list_objects_v2").paginate(Bucket=bucket, Prefix=f"{folder}/" if folder else "")
+        return [row["Key"] for page in pages for row in page.get("Contents", [])]
+
+    @cached_property
+    def client(self) -> Any:
+        """Amazon's own client of this server."""
+        import boto3
+
+        return boto3.client(
+            "s3", endpoint_url=self.url, region_name="us-east-1",
+            aws_access_key_id=self.access["AWS_ACCESS_KEY_ID"], aws_secret_access_key=self.access["AWS_SECRET_ACCESS_KEY"],
         )  # fmt: skip
 
 
@@ -326,7 +339,7 @@ def s3_server(folder: Path | None = None) -> Iterator[S3]:
     """moto's S3 server, empty; `access` are the variables that lead to it. Skips where moto is not installed."""
     import pytest
 
-    for package in ("moto", "s3fs", "flask"):
+    for package in ("moto", "obstore", "flask"):
         pytest.importorskip(package)
     with tempfile.TemporaryDirectory(prefix="metascenes-s3-") as own:
         service = S3(folder or Path(own))
@@ -341,7 +354,6 @@ def s3_server(folder: Path | None = None) -> Iterator[S3]:
 def environment_of(s3: S3) -> Iterator[None]:
     """This process and its children reach S3 at this server, and nowhere else."""
     import pytest
-    import s3fs
 
     elsewhere = ("AWS_PROFILE", "AWS_SESSION_TOKEN", "AWS_ENDPOINT_URL_S3", "HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy")
     with pytest.MonkeyPatch.context() as patch:
@@ -349,7 +361,6 @@ def environment_of(s3: S3) -> Iterator[None]:
             patch.setenv(name, value)
         for name in elsewhere:
             patch.delenv(name, raising=False)
-        s3fs.S3FileSystem.clear_instance_cache()
         yield
 
 

@@ -15,16 +15,18 @@ import duckdb
 import pytest
 from click.testing import CliRunner
 
-from flows.bench.flows.small_scenes import SETTINGS
+from bench.flows.small_scenes import SETTINGS
 from flows.cli import cli
 from schemas.tables import TABLES
-from warehouse.catalog import described, empty_lake
-from warehouse.inspection import inspect
 from warehouse.lake import Lake
-from warehouse.macros import macros
-from warehouse.renames import RENAMES
-from warehouse.sql import query
-from warehouse.views import views
+from warehouse.questions.catalog import described, empty_lake
+from warehouse.questions.macros import macros
+from warehouse.questions.renames import RENAMES
+from warehouse.questions.sql import query
+from warehouse.questions.views import views
+from warehouse.upkeep.inspection import inspect
+
+pytestmark = pytest.mark.whole
 
 EARLIER = Path(__file__).parent / "earlier"
 CATALOG: dict[str, list[str]] = json.loads((EARLIER / "catalog.json").read_text())
@@ -69,7 +71,7 @@ def computed(lake: Lake) -> set[str]:
 
 
 def test_every_name_that_a_query_may_hold_is_known_still() -> None:
-    """What is missing here was renamed or removed: add a line to warehouse/renames.py."""
+    """What is missing here was renamed or removed: add a line to warehouse/questions/renames.py."""
     with empty_lake() as connection:
         known = {row[0] for row in connection.execute("SELECT table_name FROM information_schema.tables").fetchall()}
         columns = {name: {row[0] for row in connection.execute(f'DESCRIBE "{name}"').fetchall()} for name in known}

@@ -45,45 +45,45 @@ def house(home: dict[str, str], realdata: Callable[[str], Path], tmp_path_factor
 
 
 def matched(house: dict[str, Path]) -> list[tuple[dict, dict, float]]:
-    """Things of the house that were seen well, each with the instance whose box overlaps it most."""
+    """Objects of the house that were seen well, each with the instance whose box overlaps it most."""
     connection = Lake.open(house["lake"]).snapshot().connect()
     rows = connection.execute("SELECT instance_id, category, box_pose, box_size FROM instances WHERE NOT is_structure").fetchall()
     instances = [{"instance_id": i, "category": c, "bounds": bounds_of(p, s)} for i, c, p, s in rows]
-    seen = {thing["name"]: thing for thing in json.loads(house["scan"].read_text())["objects"] if thing["observed"] >= 0.8}
+    seen = {obj["name"]: obj for obj in json.loads(house["scan"].read_text())["objects"] if obj["observed"] >= 0.8}
     pairs = []
-    for thing in json.loads(house["truth"].read_text()):
-        if thing["name"] not in seen or seen[thing["name"]]["object_id"] is None:
+    for obj in json.loads(house["truth"].read_text()):
+        if obj["name"] not in seen or seen[obj["name"]]["object_id"] is None:
             continue
-        bounds = np.array(thing["bounds"])
+        bounds = np.array(obj["bounds"])
         if (bounds[1] - bounds[0]).max() > 6:  # the shell
             continue
         best = max(instances, key=lambda instance: box_iou(instance["bounds"], bounds))
-        pairs.append((thing, best, box_iou(best["bounds"], bounds)))
+        pairs.append((obj, best, box_iou(best["bounds"], bounds)))
     return pairs
 
 
-def test_instances_lie_where_the_house_has_its_things(house: dict[str, Path]) -> None:
+def test_instances_lie_where_the_house_has_its_objects(house: dict[str, Path]) -> None:
     pairs = matched(house)
     assert len(pairs) >= 25
     overlaps = np.array([iou for _, _, iou in pairs])
     # Legs and edges thinner than the voxel are not in the scan, so axis-aligned boxes of chairs and frames come out short.
     assert np.median(overlaps) > 0.6
     assert (overlaps > 0.25).mean() > 0.9
-    words = [(thing["category"], best["category"]) for thing, best, iou in pairs if iou > 0.4]
+    words = [(obj["category"], best["category"]) for obj, best, iou in pairs if iou > 0.4]
     same = [b in a or bool(set(a.split()) & set(b.split())) for a, b in words]  # the house says `foldingdoor`, `roomwindow`
     assert np.mean(same) > 0.95, words
 
 
-def test_replicas_stand_where_the_things_stood(house: dict[str, Path]) -> None:
+def test_replicas_stand_where_the_objects_stood(house: dict[str, Path]) -> None:
     connection = Lake.open(house["lake"]).snapshot().connect()
     rows = connection.execute("SELECT instance_id, optimized_pose FROM placements").fetchall()
     placed = {row[0]: row for row in rows}
     off = []
-    for thing, best, iou in matched(house):
+    for obj, best, iou in matched(house):
         if iou < 0.4 or best["instance_id"] not in placed:
             continue
         pose = np.array(placed[best["instance_id"]][1]).reshape(4, 4)
-        center = np.array(thing["bounds"]).mean(axis=0)
+        center = np.array(obj["bounds"]).mean(axis=0)
         off.append(np.linalg.norm(pose[:2, 3] - center[:2]))
     assert len(off) >= 20
     assert np.median(off) < 0.05
@@ -108,8 +108,8 @@ def test_retrieval_finds_the_models_that_furnish_the_house(house: dict[str, Path
     names = {instance: [name.lower() for name in found] for instance, found in rows}
     library = {path.stem.lower() for path in realdata("assets").glob("*.glb")}
     hits = []
-    for thing, best, iou in matched(house):
-        model = thing["model"].replace("aws_robomaker_residential_", "aws_").lower()
+    for obj, best, iou in matched(house):
+        model = obj["model"].replace("aws_robomaker_residential_", "aws_").lower()
         if iou > 0.4 and model in library and best["instance_id"] in names:
             hits.append(any(model in name for name in names[best["instance_id"]]))
     assert len(hits) >= 15

@@ -16,21 +16,23 @@ import numpy as np
 import psutil
 import pytest
 
-from flows.bench.flows.small_scenes import SETTINGS
+from bench.flows.small_scenes import SETTINGS
 from schemas.annotation import Annotation
 from schemas.candidates import Asset
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.optimization import Placement
 from schemas.selection import Selection
+from tasks.geometry.transforms import flat, translation
 from tasks.pipeline import SCENE_STAGES, STAGES, upstream
-from tasks.transforms import flat, translation
 from tests.samples import fingerprint, sample, stage_run
 from tests.scans import OBJECTS, write_scan
-from warehouse.digest import digests
 from warehouse.lake import Lake
+from warehouse.tables.digest import digests
+
+pytestmark = pytest.mark.whole
 
 STAGE_NAMES = [stage.name for stage in SCENE_STAGES]
-THING = OBJECTS[1:2]
+OBJECT = OBJECTS[1:2]
 QUICK = [word for setting in SETTINGS if not setting.startswith(("capture.", "exports.")) for word in ("--set", setting)]
 """Settings of every run here: short stages, of which the scan is read and the exports are made and checked as ever."""
 
@@ -53,9 +55,9 @@ def run(home: dict[str, str], scans: Path, lake: Path, *more: object) -> subproc
 
 
 def write_rooms(folder: Path) -> Path:
-    """Scans of a room with three things and of one with a single thing: most of a run goes into candidates, by thing."""
+    """Scans of a room with three objects and of one with a single object: most of a run goes into candidates, by object."""
     write_scan(folder, "scene0000_00", objects=OBJECTS[:3])
-    write_scan(folder, "scene0001_00", size=(4.5, 3.2, 2.5), objects=THING)
+    write_scan(folder, "scene0001_00", size=(4.5, 3.2, 2.5), objects=OBJECT)
     return folder
 
 
@@ -97,7 +99,7 @@ def test_every_stage_of_every_scene_is_done_and_nothing_is_left_behind(lake: Pat
         for name in ("scenes", "rooms", "instances", "placements", "export_files")
     }
     assert counts["scenes"] == counts["rooms"] == 2
-    assert counts["placements"] == 4, "three things in one room, one in the other"
+    assert counts["placements"] == 4, "three objects in one room, one in the other"
     assert connection.execute("SELECT count(*) FROM export_checks WHERE NOT passed").fetchone()[0] == 0
     slots = connection.execute(
         "SELECT count(*), min(n), max(n) FROM (SELECT count(*) AS n FROM candidates GROUP BY scene_id, instance_id)"
@@ -169,7 +171,7 @@ def test_a_changed_scan_is_redone_and_its_neighbor_is_not(home: dict[str, str], 
     shutil.copytree(scans, changed)
     shutil.copytree(lake, copy)
     shutil.rmtree(changed / "scene0001_00")
-    write_scan(changed, "scene0001_00", size=(5.0, 3.4, 2.5), objects=THING, shift=(0.1, 0.0))
+    write_scan(changed, "scene0001_00", size=(5.0, 3.4, 2.5), objects=OBJECT, shift=(0.1, 0.0))
     assert {scene for scene, _ in stale(copy, changed, home)} == {"scannet/scene0001_00"}
     before = Lake.open(copy).snapshot()
     done = run(home, changed, copy, "--workers", 2)
@@ -185,10 +187,10 @@ def test_a_failing_scene_stops_no_other_and_is_not_computed_again(home: dict[str
     mixed, copy = tmp_path / "scans", tmp_path / "lake"
     shutil.copytree(scans, mixed)
     shutil.copytree(lake, copy)
-    broken = write_scan(mixed, "scene0002_00", objects=THING)
+    broken = write_scan(mixed, "scene0002_00", objects=OBJECT)
     ply = broken / "scene0002_00_vh_clean_2.ply"
     ply.write_bytes(ply.read_bytes()[:-1000])
-    write_scan(mixed, "scene0003_00", size=(4.9, 3.2, 2.5), objects=THING)
+    write_scan(mixed, "scene0003_00", size=(4.9, 3.2, 2.5), objects=OBJECT)
     (mixed / "scene0004_00").mkdir()
     done = run(home, mixed, copy, "--workers", 2)
     assert done.returncode == 1

@@ -1,5 +1,5 @@
 """Whole scenes for tests: rows in every table, which name one another as a pipeline's rows do, made in milliseconds."""
 
-from flows.bench.samples import INSTANCES, stage_batch, stage_whole_scene
+from bench.samples import INSTANCES, stage_batch, stage_whole_scene
 
 __all__ = ["INSTANCES", "stage_batch", "stage_whole_scene"]

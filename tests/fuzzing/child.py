@@ -82,7 +82,7 @@ def registry(module: str) -> dict[str, Target]:
 
 
 def _reached(read: Callable[[], None]) -> set[str]:
-    """Our own functions that are called meanwhile, as `tasks/capture/ply.py _header`."""
+    """Our own functions that are called meanwhile, as `tasks/capture/files/ply.py _header`."""
     seen: set[Any] = set()
     sys.setprofile(lambda frame, event, _: seen.add(frame.f_code) if event == "call" else None)
     try:

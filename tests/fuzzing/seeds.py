@@ -9,6 +9,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,15 @@ from PIL import Image
 
 from tasks import exports
 from tasks.exports.bodies import Replica
-from tasks.meshes import dump_glb
-from tasks.rendering import Camera
-from tasks.transforms import translation, yaw_pose
+from tasks.exports.formats import FORMATS
+from tasks.families import member
+from tasks.geometry.meshes import dump_glb
+from tasks.geometry.rendering import Camera
+from tasks.geometry.transforms import translation, yaw_pose
 from tests import capture_scans, scans
 from tests.conftest import REPOSITORY
 from tests.fuzzing.cases import Case, read_case
-from tests.replicas import Thing, cube, rows_of, with_navigation
+from tests.replicas import Object, cube, rows_of, with_navigation
 
 REALDATA = Path(os.environ.get("METASCENES_REALDATA") or REPOSITORY.parent / "shared" / "realdata")
 """Files of others, where there are any (see tests/conftest.py)."""
@@ -64,13 +67,13 @@ def _painted() -> trimesh.Trimesh:
     return mesh
 
 
-def _things() -> list[Thing]:
+def _objects() -> list[Object]:
     painted = _painted()
     painted.apply_translation([0, 0, 0.3])
     return [
         cube((0.3, 0.2, 0.25), yaw_pose(-0.7, [-0.2, -1.2, 0.0])),
         cube((0.3, 0.2, 0.25), yaw_pose(0.3, [1.2, -0.6, 0.0]), scale=(1.0, 2.0, 1.5), known=False),
-        Thing("table", [painted], [trimesh.creation.box((0.4, 0.5, 0.6), translation([0, 0, 0.3]))], yaw_pose(0.4, [-1.5, 0.5, 0.0])),
+        Object("table", [painted], [trimesh.creation.box((0.4, 0.5, 0.6), translation([0, 0, 0.3]))], yaw_pose(0.4, [-1.5, 0.5, 0.0])),
         cube((0.1, 0.1, 0.1), translation([-1.5, 0.5, 0.6]), relation="on", parent_id="0003"),
     ]
 
@@ -78,7 +81,7 @@ def _things() -> list[Thing]:
 @cache
 def replica() -> tuple[Replica, dict[str, list[Any]], dict[str, bytes]]:
     """A small replica, its rows and its blobs."""
-    rows, blobs = with_navigation(*rows_of(_things()), episodes=2)
+    rows, blobs = with_navigation(*rows_of(_objects()), episodes=2)
     tables = ("scenes", "rooms", "instances", "captions", "assets", "placements", "supports")
     made, _ = exports.gather(*[rows[name] for name in tables], blobs, exports.ExportsConfig())
     return made, rows, blobs
@@ -101,6 +104,19 @@ def _below(files: dict[str, bytes], name: str, called: str) -> Case:
     inside = {path.removeprefix(f"{root}/"): data for path, data in files.items() if path.startswith(f"{root}/")}
     inside[called] = inside.pop(found.removeprefix(f"{root}/"))
     return inside
+
+
+@cache
+def exported(format_: str) -> list[Case]:
+    """What is written in a format: the folder that its doctor takes, or that of the file which is opened, called `scene`."""
+    files = dict(_export(format_))
+    with tempfile.TemporaryDirectory() as place:
+        root = Path(place)
+        exports.write_folder(root, files)
+        (opened,) = member(FORMATS, format_).opened(root)
+        if not opened.is_dir():
+            opened = opened.rename(opened.with_name("scene" + "".join(opened.suffixes))).parent
+        return [read_case(opened)]
 
 
 @cache
@@ -179,7 +195,7 @@ def doctor_usd() -> list[Case]:
 def doctor_habitat() -> list[Case]:
     """A Habitat dataset of one scene, with episodes and a navmesh."""
     from tasks.exports.layout import layout, shared_files
-    from tests.test_exports import export
+    from tests.tasks.exports.test_exports import export
 
     _, rows, blobs = replica()
     outcome = export(rows, blobs, exports.ExportsConfig(formats=("habitat",)))
@@ -200,9 +216,9 @@ def import_habitat() -> list[Case]:
 
 def import_metascenes() -> list[Case]:
     """A release of one small scan, with layouts."""
-    from tests.metascenes_release import write_release
+    from tests.flows.inputs.metascenes_release import write_release
 
-    return [folder_of(lambda root: write_release(root, {"scene0001_00": _things()}))]
+    return [folder_of(lambda root: write_release(root, {"scene0001_00": _objects()}))]
 
 
 def models(ending: str) -> list[Case]:
@@ -231,7 +247,7 @@ def models(ending: str) -> list[Case]:
 def ply() -> list[Case]:
     """PLY meshes: binary of either order, text, polygons, and one that is cut, for which there is code of its own."""
     box = trimesh.creation.box((1.0, 2.0, 1.5))
-    from tasks.meshes import Surface
+    from tasks.geometry.meshes import Surface
 
     surface = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((8, 3), 90, np.uint8))
     text = (
@@ -277,7 +293,7 @@ def sens() -> list[Case]:
 @cache
 def posed_rgbd() -> list[Case]:
     """Folders of posed frames: a trajectory of quaternions, poses by file, frames side by side."""
-    from tasks.transforms import quaternion_xyzw
+    from tasks.geometry.transforms import quaternion_xyzw
 
     shots, camera = _shots()
     paired = folder_of(lambda root: capture_scans.write_frames(root, shots, camera))
@@ -314,7 +330,7 @@ def poses() -> list[Case]:
 
 @cache
 def capture(format_: str) -> list[Case]:
-    """A whole scan of that format, as small as one can be that becomes a scene."""
+    """A whole scan of that format, as small as one can be that becomes a scene: the sample of its test, where it has none here."""
     match format_:
         case "scannet":
             plain = folder_of(lambda root: scans.write_scan(root, "scene0001_00"))
@@ -327,7 +343,7 @@ def capture(format_: str) -> list[Case]:
             return posed_rgbd()
         case "glb":
             return glb()
-    raise NotImplementedError(f"write a sound scan for the fuzzing of {format_}")
+    return [folder_of(import_module(f"tests.tasks.capture.test_{format_}").write_sample)]
 
 
 def library() -> list[Case]:
@@ -446,7 +462,7 @@ def labels() -> list[Case]:
 
 def images() -> list[Case]:
     """Images of color and depth in every kind that frames may have."""
-    from tasks.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+    from tasks.capture.files.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 
     kinds = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG", ".ppm": "PPM", ".bmp": "BMP", ".pgm": "PPM", ".tif": "TIFF", ".tiff": "TIFF"}
     found = [{f"color{ending}": _image((16, 12), kinds[ending])} for ending in COLOR_SUFFIXES]

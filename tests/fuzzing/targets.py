@@ -57,7 +57,7 @@ def _doctors() -> list[Target]:
 
 def _doctor(name: str) -> Target:
     """A check of files. Those that run a parser of others, or read a whole dataset, are run as the command runs them."""
-    sound = seeds.glb if name == "glb" else getattr(seeds, f"doctor_{name}")
+    sound = seeds.glb if name == "glb" else getattr(seeds, f"doctor_{name}", lambda: seeds.exported(name))
     if name in ("glb", "urdf"):
         return Target(f"doctor {name}", PARSER, sound, _checked(name))
     return Target(f"doctor {name}", STAGE, sound, _examined(name), within=_checked(name))
@@ -160,13 +160,13 @@ def _examined(name: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
         import click
 
-        import flows.bounds
+        import flows.run.bounds
         from flows.commands.doctor import command
         from flows.terminal import Terminal
 
         for module in (f"tasks.exports.{name}.rules", *_FOREIGN.get(name, ())):
             import_module(module)  # loaded once, then forked
-        flows.bounds.START = "fork"
+        flows.run.bounds.START = "fork"
         for path in _files(name, folder):
             try:
                 with contextlib.redirect_stdout(Terminal(io.TextIOWrapper(io.BytesIO(), encoding="utf-8"), is_answer=True)):
@@ -224,9 +224,9 @@ def _model(ending: str) -> Callable[[Path], None]:
 
 
 def _read_glb(folder: Path) -> None:
-    from tasks.capture.documents import read_bytes
+    from tasks.capture.files.documents import read_bytes
     from tasks.exports.gltf import open_glb
-    from tasks.meshes import load_glb, surface_of
+    from tasks.geometry.meshes import load_glb, surface_of
 
     data = read_bytes(folder / "scene.glb", "scene.glb", 2**26)
     with contextlib.suppress(LakeError):
@@ -235,13 +235,13 @@ def _read_glb(folder: Path) -> None:
 
 
 def _read_ply(folder: Path) -> None:
-    from tasks.capture.ply import read_ply
+    from tasks.capture.files.ply import read_ply
 
     read_ply(folder / "mesh.ply", "mesh.ply")
 
 
 def _read_sens(folder: Path) -> None:
-    from tasks.capture.sens import open_sens
+    from tasks.capture.files.sens import open_sens
 
     container = open_sens(folder / "scan.sens", "scan.sens")
     for index in range(min(4, len(container.frames))):
@@ -265,14 +265,14 @@ def _read_posed_rgbd(folder: Path) -> None:
 
 
 def _read_poses(folder: Path) -> None:
-    from tasks.capture.trajectory import read_trajectory
+    from tasks.capture.files.trajectory import read_trajectory
 
     for described in ("", "world-to-camera, OpenGL, qw qx qy qz"):
         read_trajectory(folder / "poses.txt", "poses.txt", ["0", "1", "2.5"], described)
 
 
 def _read_images(folder: Path) -> None:
-    from tasks.capture.images import image_size, read_color, read_depth
+    from tasks.capture.files.images import image_size, read_color, read_depth
 
     for path in sorted(folder.iterdir()):
         size = image_size(path, path.name)
@@ -288,14 +288,14 @@ def _read_labels(folder: Path) -> None:
 
 
 def _read_navmesh(folder: Path) -> None:
-    from tasks.capture.documents import read_bytes
+    from tasks.capture.files.documents import read_bytes
     from tasks.exports.habitat import navmesh_file
     from tasks.navigation.navmesh import polygon_areas, polygon_islands, read_navmesh
     from tasks.navigation.regions import walkable_region
 
     data = read_bytes(folder / "scene.navmesh", "scene.navmesh", 2**26)
     with contextlib.suppress(LakeError, ValueError):  # the second reader says ValueError, and what calls it knows
-        _ = navmesh_file.read_navmesh(data).islands
+        _ = navmesh_file.read_polygons(data).islands
     found = read_navmesh(data)
     for tile in found.tiles:
         polygon_areas(tile)
@@ -315,7 +315,7 @@ def _read_scannet(folder: Path) -> None:
 
 
 def _read_settings(folder: Path) -> None:
-    from flows.configuration import configure
+    from flows.run.configuration import configure
 
     refused: LakeError | None = None
     lines = folder / "sets.txt"
@@ -335,7 +335,7 @@ def deployed() -> dict[str, dict[str, Any]]:
     """Parameters of the deployments of `prefect.yaml`, by the flow that they run."""
     import yaml
 
-    from flows.deployments import deployment_file
+    from flows.server.deployments import deployment_file
 
     found: dict[str, dict[str, Any]] = {}
     for one in yaml.safe_load(deployment_file().read_text())["deployments"]:
@@ -359,7 +359,7 @@ def _read_parameters(folder: Path) -> None:
     from prefect.exceptions import ParameterBindError, ParameterTypeError, SignatureMismatchError
     from pydantic import TypeAdapter, ValidationError
 
-    from flows.parameters import StageTables
+    from flows.run.parameters import StageTables
 
     try:
         document = json.loads(read_file(folder / "parameters.json", "parameters.json", 2**24))

@@ -1,0 +1,198 @@
+"""Meshes whose nodes nobody named: they are refused with what to do, and no scene with one object called geometry comes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas.errors import InputError
+from tasks.capture import CaptureConfig, run
+from tasks.capture.formats import find_scans
+from tasks.capture.glb import is_label, plain_label
+from tasks.containers import close_glb, open_glb
+from tasks.geometry.meshes import dump_glb, load_glb
+from tasks.stage import Context, Outcome
+from tests.capture_scans import box_room
+
+Part = tuple[str, tuple[float, float, float], tuple[float, float, float]]
+SHELL: tuple[Part, ...] = (
+    ("floor", (4.0, 3.0, 0.1), (0, 0, -0.05)),
+    ("wall_1", (4.0, 0.1, 2.5), (0, 1.5, 1.25)),
+    ("wall_2", (0.1, 3.0, 2.5), (2, 0, 1.25)),
+)
+TABLE: Part = ("table_1", (1.2, 0.7, 0.7), (0.5, 0.2, 0.35))
+CHAIR: Part = ("chair", (0.5, 0.5, 0.9), (-0.8, 0.5, 0.45))
+
+
+def written(path: Path, parts: Sequence[Part], names: Sequence[str] | None = None) -> Path:
+    meshes = []
+    for _, extents, center in parts:
+        mesh = trimesh.creation.box(extents)
+        mesh.apply_translation(center)
+        meshes.append(mesh)
+    path.write_bytes(dump_glb(meshes, list(names) if names is not None else [name for name, _, _ in parts]))
+    return path
+
+
+def captured(path: Path) -> Outcome:
+    (scan,), errors = find_scans(path)
+    assert not errors
+    return run(scan=scan, context=Context(scan.scene_id, "capture", 3, {}), config=CaptureConfig())
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InputError) as raised:
+        captured(path)
+    assert "chair_01, or model|category|part" in raised.value.remedy
+    return str(raised.value)
+
+
+DEFAULTS = [
+    "Mesh_0", "geometry_0", "geometry", "model", "Object_12", "node3", "polySurface1", "pCube4", "Cube.001", "Icosphere", "mesh_id_17",
+    "mesh", "world", "Scene", "0", "", "_", "7f3a", "submesh_0_lod1", "texturedMesh", "Group 2", "StaticMesh_LOD0", "obj-3",
+]  # fmt: skip
+LABELS = ["chair", "Chair.001", "mesh_chair", "table_2", "HouseWallB_01", "стул_1", "椅子", "كرسي", "TV", "object_sofa", "night stand"]
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_what_programs_call_a_node_by_themselves_is_no_label(name: str) -> None:
+    assert not is_label(name)
+
+
+@pytest.mark.parametrize("name", LABELS)
+def test_what_says_what_an_object_is_is_a_label(name: str) -> None:
+    assert is_label(name)
+
+
+@given(st.sampled_from(DEFAULTS), st.integers(0, 10**6), st.sampled_from([".", "_", "-", " ", ""]))
+def test_numbers_make_no_label_of_a_name_that_is_none(name: str, number: int, between: str) -> None:
+    assert not is_label(f"{name}{between}{number}")
+
+
+@pytest.mark.parametrize("name", ["geometry", "Mesh_0", "model", "scan", "my_living_room", "chair"])
+def test_a_mesh_in_one_piece_is_refused_whatever_it_is_called(tmp_path: Path, name: str) -> None:
+    whole = box_room(cameras=1).surface.to_trimesh()
+    (tmp_path / "room.glb").write_bytes(dump_glb([whole], [name]))
+    assert refusal(tmp_path / "room.glb").startswith(f"{tmp_path.name}/room.glb: node '{name}': holds 100% of the surface; divide it")
+
+
+def test_a_room_of_which_nobody_named_the_nodes_is_refused(tmp_path: Path) -> None:
+    parts = [*SHELL, TABLE, CHAIR]
+    path = written(tmp_path / "room.glb", parts, [f"Object_{index}" for index in range(len(parts))])
+    said = refusal(path)
+    assert "nodes: 5 with 100% of the surface have names that are no labels, as 'Object_0'" in said
+
+
+def test_a_room_with_named_nodes_is_taken_with_some_that_are_not(tmp_path: Path) -> None:
+    path = written(tmp_path / "room.glb", [*SHELL, TABLE, CHAIR], [*(name for name, _, _ in SHELL), "table_1", "Mesh_7"])
+    rows = captured(path).rows["instances"]
+    assert sorted(row.category for row in rows) == ["floor", "mesh", "table", "wall", "wall"]
+
+
+def in_primitives(path: Path, count: int) -> Path:
+    """The same file with the triangles of every mesh in so many primitives."""
+    made, binary = open_glb(path.read_bytes())
+    for mesh in made["meshes"]:
+        (primitive,) = mesh["primitives"]
+        whole = made["accessors"][primitive["indices"]]
+        each = whole["count"] // count
+        assert (each * count, each % 3) == (whole["count"], 0)
+        mesh["primitives"] = [primitive | {"indices": len(made["accessors"]) + i} for i in range(count)]
+        made["accessors"] += [whole | {"count": each, "byteOffset": 4 * each * i} for i in range(count)]
+    path.write_bytes(close_glb(made, binary))
+    return path
+
+
+def test_the_primitives_of_a_node_are_one_object_with_its_name_every_time(tmp_path: Path) -> None:
+    hall: Part = ("floor", (40.0, 30.0, 0.1), (0, 0, -0.05))
+    named: Part = ("chair_1|chair|seat", *CHAIR[1:])
+    path = in_primitives(written(tmp_path / "hall.glb", [hall, TABLE, named]), 2)
+    loaded = [[str(part.metadata["name"]) for part in load_glb(path.read_bytes())] for _ in range(5)]
+    assert loaded == [["chair_1|chair|seat_0", "chair_1|chair|seat_1", "floor||0", "floor||1", "table_1||0", "table_1||1"]] * 5
+    outcomes = [captured(path) for _ in range(3)]
+    first, *others = [outcome.rows["instances"] for outcome in outcomes]
+    assert [(row.source_id, row.raw_label, row.category) for row in first] == [
+        ("chair_1", "chair", "chair"), ("floor", "floor", "floor"), ("table_1", "table", "table"),
+    ]  # fmt: skip
+    assert others == [first, first]
+    assert len({outcome.rows["scenes"][0].mesh_blob for outcome in outcomes}) == 1
+
+
+def test_the_triangles_of_primitives_are_in_the_order_of_the_file(tmp_path: Path) -> None:
+    path = in_primitives(written(tmp_path / "table.glb", [TABLE]), 12)
+    parts = {str(part.metadata["name"]): part for part in load_glb(path.read_bytes())}
+    corners = trimesh.creation.box(TABLE[1]).triangles + TABLE[2]
+    for number, triangle in enumerate(corners):
+        assert parts[f"table_1||{number}"].triangles[0] == pytest.approx(triangle, abs=1e-6)
+
+
+def test_a_mesh_that_nobody_named_is_refused_in_primitives_too(tmp_path: Path) -> None:
+    whole = box_room(cameras=1).surface.to_trimesh()
+    whole.update_faces(np.arange(len(whole.faces) // 4 * 4))
+    path = tmp_path / "room.glb"
+    path.write_bytes(dump_glb([whole], ["Mesh_0"]))
+    assert "node 'Mesh_0': holds 100% of the surface" in refusal(in_primitives(path, 4))
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("Chair.001", "Chair"), ("table_2", "table"), ("night stand 1-2_3", "night stand"), ("a1b22", "a1b"), ("12", "12"), ("_1", "_1"),
+     ("sofa_", "sofa_"), ("desk\u0663", "desk"), ("", "")],
+)  # fmt: skip
+def test_numbers_at_the_end_of_a_name_are_no_part_of_its_label(name: str, label: str) -> None:
+    assert plain_label(name) == label
+
+
+@pytest.mark.parametrize("name", ["1" * 10_000 + "x", "1_" * 5_000 + "x", "chair" + "_1" * 5_000, "1" * 10_000])
+def test_the_label_of_a_name_of_many_numbers_is_found(name: str) -> None:
+    assert plain_label(name) == ("chair" if name.startswith("chair") else name)
+
+
+def test_a_large_floor_is_no_object(tmp_path: Path) -> None:
+    hall: Part = ("floor", (40.0, 30.0, 0.1), (0, 0, -0.05))
+    assert len(captured(written(tmp_path / "hall.glb", [hall, TABLE])).rows["instances"]) == 2
+
+
+def test_the_rule_is_at_one_half(tmp_path: Path) -> None:
+    cube: Part = ("chair", (1, 1, 1), (0, 0, 0.5))
+    other: Part = ("table", (1, 1, 1), (2, 0, 0.5))
+    assert len(captured(written(tmp_path / "two.glb", [cube, other])).rows["instances"]) == 2
+    larger: Part = ("table", (1.01, 1.01, 1.01), (2, 0, 0.505))
+    assert "node 'table': holds 50% of the surface" in refusal(written(tmp_path / "more.glb", [cube, larger]))
+
+
+def test_a_wall_must_say_that_it_is_one(tmp_path: Path) -> None:
+    names = ["Object_0", "wall_1", "wall_2", "table", "chair"]
+    hall: Part = ("", (40.0, 30.0, 0.1), (0, 0, -0.05))
+    assert "'Object_0'" in refusal(written(tmp_path / "room.glb", [hall, *SHELL[1:], TABLE, CHAIR], names))
+
+
+@pytest.mark.parametrize("ending", [".ply", ".obj", ".stl"])
+def test_a_bare_mesh_of_another_kind_is_no_scan(tmp_path: Path, ending: str) -> None:
+    box_room(cameras=1).surface.to_trimesh().export(tmp_path / f"room{ending}")
+    found, (error,) = find_scans(tmp_path)
+    assert not found
+    assert "holds no scan of a known format" in error.problem
+    assert "folders color and depth" in error.remedy
+
+
+def test_a_real_house_with_named_parts_is_taken(realdata: Callable[[str], Path]) -> None:
+    rows = captured(realdata("scene_aws_small_house") / "house.glb").rows["instances"]
+    assert len(rows) > 50
+    assert {"wall", "floor", "bed", "sofa"} <= {row.category for row in rows}
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["habitat_sim_test_assets/data/test_assets/scenes/simple_room.glb", "habitat_sim_test_assets/data/test_assets/objects/5boxes.glb",
+     "assets/aws_Bed_01.glb", "assets/aws_SofaC_01.glb", "assets/aws_Door_01.glb"],
+)  # fmt: skip
+def test_real_meshes_without_named_nodes_and_single_models_are_refused(realdata: Callable[[str], Path], place: str) -> None:
+    folder, _, name = place.rpartition("/")
+    refusal(realdata(folder) / name)

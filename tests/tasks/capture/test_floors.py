@@ -1,0 +1,48 @@
+"""The floor: the lowest large level surface, whatever lies a little above it, and scans without any."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tasks.capture.instances.segmentation import geometry_groups
+from tasks.capture.rooms.alignment import facets, floor_height
+from tasks.geometry.meshes import Surface
+
+
+def level(area: float, height: float, cells: int = 12, noise: float = 0.0, seed: int = 0) -> np.ndarray:
+    """Triangles of a level square [m], shape (2 cells^2, 3, 3)."""
+    side = np.linspace(0, np.sqrt(area), cells + 1)
+    x, y = np.meshgrid(side, side, indexing="ij")
+    points = np.stack([x, y, height + noise * np.random.default_rng(seed).standard_normal(x.shape)], axis=-1)
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    return np.concatenate([np.stack([a, b, c], axis=-2).reshape(-1, 3, 3), np.stack([a, c, d], axis=-2).reshape(-1, 3, 3)])
+
+
+@given(
+    height=st.floats(-3, 3), step=st.floats(0.041, 0.3), area=st.floats(0.3, 14), noise=st.sampled_from([0.0, 0.003, 0.008, 0.012]),
+    smooth=st.sampled_from([0.0, 0.003]),
+)  # fmt: skip
+def test_a_platform_just_above_the_floor_does_not_lift_it(height: float, step: float, area: float, noise: float, smooth: float) -> None:
+    corners = np.concatenate([level(20.0, height, 40, noise), level(area, height + step, 40, smooth, seed=1)])
+    seen = floor_height(facets(corners), None)
+    assert seen == pytest.approx(height, abs=0.001 + noise)
+
+
+@given(height=st.floats(-3, 3), area=st.floats(0.5, 40))
+def test_a_floor_alone_is_found_where_it_is(height: float, area: float) -> None:
+    assert floor_height(facets(level(area, height)), None) == pytest.approx(height, abs=1e-6)
+
+
+def test_what_lies_low_in_a_scan_without_a_floor_keeps_its_own_name() -> None:
+    """A box low above the ground and a mat beside it, no floor: neither takes the other's name."""
+    box = np.concatenate([level(0.3, 0.4, 20), level(0.3, 0.0, 20)[:1]])
+    mat = level(0.2, 0.02, 20) + np.array([3.0, 0.0, 0.0])
+    mat[:, :, 2] += 0.035 * np.sin(40 * mat[:, :, 0])  # too rough to count as level
+    triangles = np.concatenate([box, mat])
+    vertices, faces = np.unique(triangles.reshape(-1, 3).round(9), axis=0, return_inverse=True)
+    groups, _ = geometry_groups(Surface(vertices, faces.reshape(-1, 3), np.full((len(vertices), 3), 128, dtype=np.uint8)))
+    assert "floor" not in {group.raw_label.split(":")[1] for group in groups}
+    assert len(groups) == 2

@@ -1,0 +1,54 @@
+"""Machine code is that of the code as it is now."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.conftest import REPOSITORY
+
+CALLEE = """
+def plus(x):
+    return x + {what}
+
+class Toy:
+    pass
+"""
+CALLER = """
+from tasks import callee
+from tasks.kernels import compile_kernels
+
+def twice(x):
+    return plus(x) + plus(x)
+
+def run():
+    known = compile_kernels(callee.plus)
+    return compile_kernels(twice, known=known)["twice"](10)
+"""
+
+
+def test_a_function_that_calls_a_changed_one_of_another_module_is_compiled_anew(tmp_path: Path) -> None:
+    room = tmp_path / "tasks"
+    room.mkdir()
+    (room / "__init__.py").touch()
+    shutil.copyfile(REPOSITORY / "tasks" / "kernels.py", room / "kernels.py")
+    (room / "caller.py").write_text(CALLER)
+
+    def twice(what: int) -> tuple[int, set[str]]:
+        (room / "callee.py").write_text(CALLEE.format(what=what) + "# for compile_kernels\n")
+        code = "from tasks.caller import run; print(run())"
+        done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+        return int(done.stdout), {path.name for path in (room / "__pycache__").glob("kernels-*")}
+
+    first, kept = twice(1)
+    assert (first, len(kept)) == (22, 1)
+    (index,) = room.rglob("*twice*.nbi")
+    before = index.stat().st_mtime_ns
+    assert twice(1) == (22, kept)
+    assert index.stat().st_mtime_ns == before, "what is unchanged is not compiled again"
+    changed, now = twice(5)
+    assert changed == 30
+    assert len(now) == 1
+    assert now != kept, "machine code of former states goes"

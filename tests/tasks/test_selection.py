@@ -1,0 +1,395 @@
+"""Selection: the right asset, turned and scaled onto a partial, noisy scan of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from schemas.candidates import Asset, Candidate
+from schemas.capture import Instance
+from schemas.record import check
+from schemas.selection import Selection
+from tasks.geometry.boxes import oriented_iou
+from tasks.geometry.meshes import canonical, dump_glb, dump_points, load_glb, sample_surface, surface_of
+from tasks.geometry.transforms import flat, matrix, transform_points, yaw_of, yaw_pose
+from tasks.selection import STAGE, ScoreConfig, SelectionConfig, run, score_of
+from tasks.selection.alignment import AlignmentConfig, Distances, Fit, clamp_scale, make_target, measure, sample_asset
+from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices
+from tasks.stage import Blobs, Context
+
+SCENE = "test/room"
+WOOD, GRAY, RED = (150, 105, 60), (120, 120, 125), (190, 40, 40)
+
+
+def part(size: tuple[float, float, float], center: tuple[float, float, float], color: tuple[int, int, int] = WOOD) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box(size).subdivide()
+    mesh.apply_translation(center)
+    mesh.visual.vertex_colors = np.tile([*color, 255], (len(mesh.vertices), 1)).astype(np.uint8)
+    return mesh
+
+
+def chair(color: tuple[int, int, int] = WOOD) -> list[trimesh.Trimesh]:
+    """Seat, four legs, a back at -x and one arm at +y: no symmetry in yaw."""
+    legs = [part((0.04, 0.04, 0.44), (x, y, 0.22), color) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    return [
+        *legs, part((0.46, 0.46, 0.05), (0, 0, 0.45), color), part((0.05, 0.46, 0.45), (-0.2, 0, 0.7), color),
+        part((0.4, 0.05, 0.05), (0, 0.21, 0.66), color),
+    ]  # fmt: skip
+
+
+def table(color: tuple[int, int, int] = WOOD) -> list[trimesh.Trimesh]:
+    legs = [part((0.06, 0.06, 0.7), (x, y, 0.35), color) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    return [*legs, part((0.46, 0.51, 0.04), (0, 0, 0.72), color)]
+
+
+def cabinet(color: tuple[int, int, int] = WOOD) -> list[trimesh.Trimesh]:
+    return [part((0.46, 0.46, 0.92), (0, 0, 0.46), color)]
+
+
+def shelf(color: tuple[int, int, int] = WOOD) -> list[trimesh.Trimesh]:
+    """Open at +x."""
+    boards = [part((0.3, 0.8, 0.02), (0, 0, z), color) for z in (0.01, 0.5, 1.0, 1.49)]
+    sides = [part((0.3, 0.02, 1.5), (0, y, 0.75), color) for y in (-0.39, 0.39)]
+    return [*boards, *sides, part((0.02, 0.8, 1.5), (-0.14, 0, 0.75), color)]
+
+
+class Room:
+    """Instances, candidates and assets under construction, with the blobs they name."""
+
+    def __init__(self) -> None:
+        self.blobs = Blobs()
+        self.instances: list[Instance] = []
+        self.candidates: list[Candidate] = []
+        self.assets: dict[str, Asset] = {}
+
+    def asset(self, parts: list[trimesh.Trimesh], name: str, provider: str = "library", watertight: bool = False) -> str:
+        data = dump_glb(canonical(parts))
+        asset_id = hashlib.sha256(data).hexdigest()
+        surface = surface_of(canonical(parts))
+        self.assets[asset_id] = Asset(
+            asset_id=asset_id, provider=provider, name=name, category=name, source="test", license="CC0-1.0", author=None,
+            mesh_blob=self.blobs.add(data, "glb"), pieces_blob=None, extents=tuple(map(float, surface.bounds[1] - surface.bounds[0])),
+            volume_m3=1.0, is_watertight=watertight, vertex_count=len(surface.vertices), face_count=len(surface.faces),
+        )  # fmt: skip
+        return asset_id
+
+    def instance(self, points: np.ndarray, colors: np.ndarray, yaw: float, category: str = "thing", structure: bool = False) -> Instance:
+        """An instance whose box is the box of its points, turned by `yaw`."""
+        local = transform_points(points, yaw_pose(-yaw))
+        low, high = local.min(axis=0), local.max(axis=0)
+        center = transform_points([(low + high) / 2], yaw_pose(yaw))[0]
+        row = Instance(
+            scene_id=SCENE, instance_id=f"{len(self.instances):04d}", source_id="1", raw_label=category, category=category, nyu40_id=0,
+            nyu40_label="unlabeled", is_structure=structure, box_pose=flat(yaw_pose(yaw, center)),
+            box_size=tuple(map(float, high - low)),
+            box_volume_m3=float(np.prod(high - low)), point_count=len(points),
+            points_blob=self.blobs.add(dump_points(points, colors), "ply"), mesh_blob=None, view_blob=None, best_frames=(),
+        )  # fmt: skip
+        self.instances.append(row)
+        return row
+
+    def candidate(self, instance: Instance, slot: int, asset_id: str | None, provider: str = "library") -> None:
+        outcome = "filled" if asset_id else "empty"
+        self.candidates.append(
+            Candidate(
+                scene_id=SCENE, instance_id=instance.instance_id, slot=slot, provider=provider, provider_version="1", is_fallback=False,
+                outcome=outcome, reason=None if asset_id else "nothing", asset_id=asset_id,
+            )
+        )  # fmt: skip
+
+    def select(self, config: SelectionConfig | None = None, seed: int = 0) -> tuple[list[Selection], tuple[str, ...]]:
+        context = Context(scene_id=SCENE, stage="selection", seed=seed, blobs=self.blobs)
+        outcome = run(
+            instances=self.instances, candidates=self.candidates, assets=list(self.assets.values()), context=context,
+            config=config or SelectionConfig(),
+        )  # fmt: skip
+        rows = outcome.rows["selections"]
+        check(rows, Selection)
+        return rows, outcome.degradations
+
+
+def scan(
+    parts: list[trimesh.Trimesh],
+    pose: np.ndarray,
+    scale: tuple[float, float, float],
+    rng: np.random.Generator,
+    noise: float = 0.006,
+    view: float | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a scanner saw: points whose normals face the half space of direction `view` [rad] or up, with noise; never undersides."""
+    placed = surface_of(canonical(parts)).transformed(pose, scale)
+    points, colors, normals = sample_surface(placed, 6000, rng)
+    seen = normals[:, 2] > -0.5
+    if view is not None:
+        seen &= (normals @ [np.cos(view), np.sin(view), 0.6]) > -0.1
+    return (points + rng.normal(0, noise, points.shape))[seen], colors[seen]
+
+
+def yaw_error(pose: np.ndarray, truth: np.ndarray) -> float:
+    return abs(float(np.degrees(np.angle(np.exp(1j * (yaw_of(pose) - yaw_of(truth)))))))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("make", [chair, shelf])
+def test_a_turned_scaled_partly_seen_object_is_recovered(make: Callable[[], list[trimesh.Trimesh]], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = Room()
+    ids = {f.__name__: room.asset(f(), f.__name__) for f in (table, cabinet, chair, shelf)}
+    truth = yaw_pose(rng.uniform(-np.pi, np.pi), [*rng.uniform(-3, 3, 2), 0.0])
+    scale = tuple(float(v) for v in rng.uniform(0.8, 1.2, 3))
+    front = yaw_of(truth) + rng.uniform(-1, 1)
+    points, colors = scan(make(), truth, scale, rng, view=front)
+    instance = room.instance(points, colors, yaw_of(truth) + rng.integers(4) * np.pi / 2 + rng.uniform(-0.1, 0.1), make.__name__)
+    for slot, asset_id in enumerate(ids.values(), start=1):
+        room.candidate(instance, slot, asset_id)
+    rows, _ = room.select()
+    best = rows[0]
+    assert [row.rank for row in rows] == [1, 2, 3, 4]
+    assert best.asset_id == ids[make.__name__]
+    assert yaw_error(matrix(best.pose), truth) < 5.0
+    assert np.allclose(best.scale, scale, rtol=0.2)
+    assert np.allclose(matrix(best.pose)[:3, 3], truth[:3, 3], atol=0.08)
+    assert best.box_iou > 0.7
+    assert best.coverage > 0.85
+
+
+def test_real_furniture_is_recovered_among_its_kind(realdata: Callable[[str], Path]) -> None:
+    folder = realdata("assets")
+    names = [
+        "ChairA_01",
+        "ChairD_01",
+        "NightStand_01",
+        "ReadingDesk_01",
+        "Sofa_01",
+        "SofaC_01",
+        "Bed_01",
+        "CoffeeTable_01",
+        "ShoeRack_01",
+        "Trash_01",
+    ]
+    parts = {name: load_glb((folder / f"aws_{name}.glb").read_bytes()) for name in names}
+    room, rng = Room(), np.random.default_rng(5)
+    ids = {name: room.asset(p, name) for name, p in parts.items()}
+    truths = {}
+    for index, name in enumerate(names):
+        truths[name] = yaw_pose(rng.uniform(-3, 3), [2.0 * index, 0.0, 0.0])
+        points, colors = scan(parts[name], truths[name], (1.0, 1.0, 1.0), rng, view=float(rng.uniform(-3, 3)))
+        instance = room.instance(points, colors, yaw_of(truths[name]), name)
+        for slot, other in enumerate(names, start=1):
+            room.candidate(instance, slot, ids[other])
+    rows, degradations = room.select()
+    first = {row.instance_id: row for row in rows if row.rank == 1}
+    right = [name for index, name in enumerate(names) if first[f"{index:04d}"].asset_id == ids[name]]
+    assert not degradations
+    assert len(right) >= 9, set(names) - set(right)
+    turned = [
+        name for name in right if yaw_error(matrix(first[f"{names.index(name):04d}"].pose), truths[name]) > 8 and name not in ("Trash_01",)
+    ]
+    assert len(turned) <= 2, turned
+
+
+def test_an_underside_that_nobody_can_see_hardly_counts() -> None:
+    """A wide, low object shows half of its surface at most; the half on the floor is no sign of a wrong asset."""
+    room, rng = Room(), np.random.default_rng(9)
+    asset_id = room.asset([part((1.6, 1.2, 0.3), (0, 0, 0.15))], "bed")
+    points, colors = scan([part((1.6, 1.2, 0.3), (0, 0, 0.15))], np.eye(4), (1, 1, 1), rng, noise=0.002)
+    config = AlignmentConfig()
+    target = make_target(points, colors, np.array([1.6, 1.2, 0.3]), config, rng)
+    sample = sample_asset(room.assets[asset_id], room.blobs[room.assets[asset_id].mesh_blob], config, rng)
+    fit = Fit(0.0, np.zeros(3), np.ones(3))
+    found, strict = (measure(target, sample, fit, 0.03, dataclasses.replace(config, hidden_weight=w)) for w in (0.1, 1.0))
+    assert found.scan < 0.01
+    assert found.asset < 0.5 * strict.asset
+
+
+def test_every_filled_slot_has_one_row_and_equal_assets_rank_by_slot() -> None:
+    rng = np.random.default_rng(0)
+    room = Room()
+    points, colors = scan(table(), yaw_pose(0.3), (1, 1, 1), rng)
+    instance = room.instance(points, colors, 0.3)
+    asset_id = room.asset(table(), "table")
+    for slot, value in ((4, asset_id), (2, asset_id), (7, None), (9, room.asset(cabinet(), "cabinet"))):
+        room.candidate(instance, slot, value)
+    rows, _ = room.select()
+    assert [(row.rank, row.slot) for row in rows] == [(1, 2), (2, 4), (3, 9)]
+    assert rows[0].score == rows[1].score
+    assert rows[0].pose == rows[1].pose
+
+
+def test_a_crop_of_the_scan_wins_only_when_clearly_better() -> None:
+    """The crop is the scanned surface itself, so it fits best; the clean model is preferred all the same, a wrong one is not."""
+    rng = np.random.default_rng(1)
+    pose = yaw_pose(0.4, [1.0, 1.0, 0.0])
+    points, colors = scan(chair(), pose, (1, 1, 1), rng, view=0.4)
+    crop = trimesh.util.concatenate([p.subdivide() for p in chair()[1:]])  # a leg was not seen, and noise is baked in
+    crop.vertices += rng.normal(0, 0.006, crop.vertices.shape)
+    crop.visual.vertex_colors = np.tile([*WOOD, 255], (len(crop.vertices), 1)).astype(np.uint8)
+    for model, winner in ((chair, "chair"), (cabinet, "crop")):
+        room = Room()
+        instance = room.instance(points, colors, 0.4)
+        ids = {model.__name__: room.asset(model(), model.__name__), "crop": room.asset([crop], "crop", "scan_crop_closed", watertight=True)}
+        room.candidate(instance, 1, ids["crop"], "scan_crop_closed")
+        room.candidate(instance, 2, ids[model.__name__])
+        rows, _ = room.select()
+        assert rows[0].asset_id == ids[winner], [(r.slot, r.score) for r in rows]
+
+
+def test_color_decides_between_equal_shapes() -> None:
+    rng = np.random.default_rng(2)
+    room = Room()
+    points, colors = scan(chair(RED), yaw_pose(1.0), (1, 1, 1), rng)
+    instance = room.instance(points, colors, 1.0)
+    ids = [room.asset(chair(c), "chair") for c in (GRAY, RED, WOOD)]
+    for slot, asset_id in enumerate(ids, start=1):
+        room.candidate(instance, slot, asset_id)
+    rows, _ = room.select()
+    assert rows[0].asset_id == ids[1]
+    assert rows[0].color_similarity > rows[1].color_similarity + 0.2
+
+
+@pytest.mark.parametrize(("bottom", "expected"), [(0.04, 0.0), (-0.045, 0.0), (0.3, 0.3), (-0.2, -0.2)])
+def test_what_ends_near_the_floor_stands_on_it(bottom: float, expected: float) -> None:
+    room = Room()
+    points, colors = scan(cabinet(), yaw_pose(0, [0, 0, bottom]), (1, 1, 1), np.random.default_rng(0), noise=0)
+    points = np.vstack([points, [[0, 0, bottom]]])
+    instance = room.instance(points, np.vstack([colors, colors[:1]]), 0.0)
+    room.candidate(instance, 1, room.asset(cabinet(), "cabinet"))
+    rows, _ = room.select()
+    assert matrix(rows[0].pose)[2, 3] == pytest.approx(expected, abs=1e-6)
+    assert (matrix(rows[0].pose)[2, 3] == 0.0) == (expected == 0.0)
+    top = matrix(rows[0].pose)[2, 3] + rows[0].scale[2] * 0.92
+    assert top == pytest.approx(bottom + 0.92, abs=0.02)
+
+
+def test_the_same_rows_in_any_order_and_run_give_the_same_selections() -> None:
+    rng = np.random.default_rng(3)
+    room = Room()
+    for index in range(3):
+        points, colors = scan(chair(), yaw_pose(index, [index, 0, 0]), (1, 1, 1), rng)
+        instance = room.instance(points, colors, float(index))
+        for slot, parts in enumerate((table(), chair(), cabinet()), start=1):
+            room.candidate(instance, slot, room.asset(parts, "x"))
+    first, _ = room.select()
+    room.instances.reverse()
+    room.candidates.reverse()
+    room.assets = dict(reversed(room.assets.items()))
+    second, _ = room.select()
+    assert first == second
+
+
+def test_what_cannot_be_used_is_said_and_stops_nothing() -> None:
+    rng = np.random.default_rng(4)
+    room = Room()
+    points, colors = scan(table(), yaw_pose(0), (1, 1, 1), rng)
+    good, bare, wall = (room.instance(points, colors, 0.0, structure=s) for s in (False, False, True))
+    broken = room.asset(cabinet(), "broken")
+    room.assets[broken] = dataclasses.replace(room.assets[broken], mesh_blob=room.blobs.add(b"no mesh", "glb"))
+    room.candidate(good, 1, broken)
+    room.candidate(good, 2, room.asset(table(), "table"))
+    room.candidate(bare, 1, None)
+    rows, degradations = room.select()
+    assert [(row.instance_id, row.slot, row.rank) for row in rows] == [(good.instance_id, 2, 1)]
+    assert any(broken[:12] in text and "GLB" in text for text in degradations)
+    assert any(text.startswith(bare.instance_id) for text in degradations)
+    assert not any(text.startswith(wall.instance_id) for text in degradations)
+
+
+def test_one_flat_or_single_point_instance_is_no_error() -> None:
+    room = Room()
+    for points in (np.zeros((1, 3)), np.column_stack([np.random.default_rng(0).random((50, 2)), np.zeros(50)])):
+        instance = room.instance(points, np.zeros((len(points), 3), dtype=np.uint8), 0.0)
+        room.candidate(instance, 1, room.asset(table(), "table"))
+    rows, _ = room.select()
+    assert len(rows) == 2
+
+
+@given(ratio=st.tuples(*[st.floats(0.01, 100)] * 3), weight=st.tuples(*[st.floats(0.01, 1)] * 3))
+@settings(max_examples=60, deadline=None)
+def test_scales_keep_their_limits_and_change_only_where_they_must(ratio: tuple[float, ...], weight: tuple[float, ...]) -> None:
+    config = AlignmentConfig()
+    scale = clamp_scale(np.array(ratio), np.array(weight), config)
+    assert (scale >= config.smallest_scale - 1e-9).all()
+    assert (scale <= config.largest_scale + 1e-9).all()
+    assert scale.max() / scale.min() <= config.anisotropy + 1e-6
+    allowed = min(ratio) >= config.smallest_scale and max(ratio) <= config.largest_scale and max(ratio) / min(ratio) <= config.anisotropy
+    assert not allowed or np.allclose(scale, ratio, rtol=1e-6)
+
+
+def test_compiled_distances_equal_an_independent_implementation() -> None:
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(6)
+    points, samples = rng.random((70, 3)), rng.random((90, 3))
+    index, distance = nearest_indices(points, samples)
+    expected, at = cKDTree(samples).query(points)
+    assert np.allclose(distance, expected, atol=1e-12)
+    assert (index == at).all()
+    out, back = coarse_distances(points, np.stack([samples, samples + 1.0]))
+    assert np.allclose(out[0], expected)
+    assert np.allclose(back[1], cKDTree(points).query(samples + 1.0)[0])
+
+
+def test_disc_distance_is_the_distance_to_the_surface() -> None:
+    """Discs spread over a plane and a box stand for them: far fewer samples than nearest points would need."""
+    rng = np.random.default_rng(7)
+    mesh = trimesh.creation.box((1.0, 1.0, 1.0)).subdivide()
+    mesh.visual.vertex_colors = [200, 200, 200, 255]
+    surface = surface_of([mesh])
+    centers, _, normals = sample_surface(surface, 800, rng)
+    points = sample_surface(surface, 300, rng)[0] + rng.normal(0, 0.02, (300, 3))
+    found = disc_distances(points, centers, normals, float(np.sqrt(6.0 / (np.pi * 800))))
+    exact = trimesh.proximity.closest_point_naive(mesh, points)[1]
+    nearest = nearest_indices(points, centers)[1]
+    assert np.abs(found - exact).mean() < 0.015
+    assert (found <= nearest + 1e-12).all()
+    assert np.abs(found - exact).mean() < 0.5 * np.abs(nearest - exact).mean()
+
+
+@given(
+    st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=1, max_size=30),
+    st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=1, max_size=30),
+)
+@settings(max_examples=40, deadline=None)
+def test_color_similarity_is_a_similarity(first: list[tuple[int, int, int]], second: list[tuple[int, int, int]]) -> None:
+    a, b = (color_histogram(np.array(colors, dtype=np.uint8)) for colors in (first, second))
+    assert a.sum() == pytest.approx(1.0)
+    assert color_similarity(a, a) == pytest.approx(1.0, abs=1e-6)
+    assert color_similarity(a, b) == pytest.approx(color_similarity(b, a), abs=1e-9)
+    assert 0.0 <= color_similarity(a, b) <= 1.0
+
+
+def test_the_score_is_a_weighted_sum_that_grows_with_every_term() -> None:
+    config = ScoreConfig()
+    weights = [config.coverage, config.scan_closeness, config.asset_closeness, config.box_iou, config.color, config.completeness]
+    assert sum(weights) == pytest.approx(1.0)
+    best = score_of(Distances(0.0, 0.0, 0.0, 1.0), 1.0, 1.0, 1.0, False, 1.0, config)
+    assert best == pytest.approx(1.0)
+    worse = [
+        score_of(Distances(0.1, 0, 0.1, 1), 1, 1, 1, False, 1, config), score_of(Distances(0, 0.1, 0.1, 1), 1, 1, 1, False, 1, config),
+        score_of(Distances(0, 0, 0, 0.5), 1, 1, 1, False, 1, config), score_of(Distances(0, 0, 0, 1), 0.5, 1, 1, False, 1, config),
+        score_of(Distances(0, 0, 0, 1), 1, 0.5, 1, False, 1, config), score_of(Distances(0, 0, 0, 1), 1, 1, 0.4, False, 1, config),
+        score_of(Distances(0, 0, 0, 1), 1, 1, 1, True, 1, config),
+    ]  # fmt: skip
+    assert all(0 <= value < best for value in worse)
+
+
+def test_the_recorded_box_overlap_is_that_of_the_recorded_pose() -> None:
+    room = Room()
+    points, colors = scan(chair(), yaw_pose(0.7, [2, 1, 0]), (1, 1, 1), np.random.default_rng(8))
+    instance = room.instance(points, colors, 0.7)
+    asset_id = room.asset(chair(), "chair")
+    room.candidate(instance, 1, asset_id)
+    rows, _ = room.select()
+    size = np.array(room.assets[asset_id].extents) * rows[0].scale
+    center = matrix(rows[0].pose) @ yaw_pose(0.0, [0, 0, size[2] / 2])
+    assert oriented_iou(center, size, matrix(instance.box_pose), instance.box_size) == pytest.approx(rows[0].box_iou, abs=1e-6)
+    assert STAGE.writes == ("selections",)
