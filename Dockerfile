@@ -6,7 +6,7 @@ WORKDIR /opt/metascenes
 COPY requirements/run.lock requirements/test.lock requirements/
 # What the extras `s3` and `dask` add is pinned by the lock of the tests, which have them, too.
 RUN pip install --no-cache-dir --no-deps -r requirements/run.lock \
-    && pip install --no-cache-dir -c requirements/run.lock -c requirements/test.lock s3fs prefect-dask
+    && pip install --no-cache-dir -c requirements/run.lock -c requirements/test.lock botocore obstore prefect-dask
 
 COPY pyproject.toml README.md LICENSE prefect.yaml ./
 COPY schemas schemas

@@ -12,7 +12,7 @@ CHAOS ?= chaos
 
 RECAST := native/build/libmetascenes_recast.so
 
-.PHONY: help demo test test-all chaos fuzz check format docs native lock clean
+.PHONY: help demo test test-whole test-all chaos fuzz check format golden docs pages native lock clean
 
 help:  ## Say what there is to make.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -21,9 +21,12 @@ demo: $(VENV)/.run-ready  ## Raw scans in, replica scenes out, in ./demo.
 	$(BIN)/metascenes demo --out $(OUT)
 
 test: $(VENV)/.test-ready check  ## Lint, types and the tests that run in minutes.
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" --hypothesis-profile same
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not whole and not slow" --hypothesis-profile same
 
-test-all: $(VENV)/.test-ready check  ## The same and the slow ones.
+test-whole: $(VENV)/.test-ready  ## Whole runs, servers, stores and benchmarks.
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "whole and not slow" --hypothesis-profile same
+
+test-all: $(VENV)/.test-ready check  ## All of these and the slow ones.
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 chaos: $(VENV)/.run-ready  ## Kill whatever works on small lakes, KILLS times or for MINUTES; goes on where it was stopped.
@@ -42,8 +45,15 @@ format: $(VENV)/.test-ready  ## Format the code.
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-docs: $(VENV)/.run-ready  ## Write the pages of tables, views and settings from the schemas, the SQL and the configs.
-	$(BIN)/python -m warehouse.documentation
+golden: $(VENV)/.test-ready  ## Write the golden files and generated pages anew, after a change on purpose.
+	@$(BIN)/python -m tests.contributing.golden_files
+
+docs: pages $(VENV)/.docs-ready  ## Build the site of the documentation in ./site.
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "site/index.html; with its search: python -m http.server -d site"
+
+pages: $(VENV)/.run-ready  ## Write the pages of tables, views, settings and commands from the schemas, the SQL and the code.
+	$(BIN)/python -m warehouse.questions.catalog
 	$(BIN)/python -m flows.documentation
 
 native: $(RECAST)  ## Build the path finder that bakes as habitat-sim; wants Debian's librecast-dev and g++.
@@ -71,8 +81,12 @@ $(VENV)/.test-ready: requirements/test.lock $(VENV)/.run-ready
 	$(PIP) install -q --no-deps -r requirements/test.lock
 	touch $@
 
+$(VENV)/.docs-ready: requirements/docs.lock $(VENV)/.run-ready
+	$(PIP) install -q --no-deps -r requirements/docs.lock
+	touch $@
+
 lock:  ## Resolve the dependencies anew and pin them.
 	$(PYTHON) requirements/lock.py
 
-clean:  ## Remove the environment and what the demo made.
-	rm -rf $(VENV) $(OUT) native/build
+clean:  ## Remove the environment, the site and what the demo made.
+	rm -rf $(VENV) $(OUT) native/build site

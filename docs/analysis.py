@@ -19,7 +19,7 @@ def _():
     import numpy as np
 
     from warehouse.lake import Lake
-    from warehouse.sql import read_only
+    from warehouse.questions.sql import read_only
 
     return Lake, mo, np, os, plt, read_only
 
@@ -184,7 +184,7 @@ def _(ask, chart, np):
 
 @app.cell
 def _(BLUE, GRAY, ask, chart):
-    # 8. How many pairs of things are deep in each other, before and after the optimization?
+    # 8. How many pairs of objects are deep in each other, before and after the optimization?
     collisions = ask(
         "SELECT count(*) AS scenes, coalesce(sum(deep_pairs_before), 0)::BIGINT AS before,"
         " coalesce(sum(deep_pairs_after), 0)::BIGINT AS after FROM collision_loss"
@@ -198,12 +198,12 @@ def _(BLUE, GRAY, ask, chart):
 
 @app.cell
 def _(BLUE, ORANGE, ask, chart):
-    # 9. What share of the free things stays where it was put, left alone under gravity?
+    # 9. What share of the free objects stays where it was put, left alone under gravity?
     stable = ask(
         "SELECT engine, sum(free)::BIGINT AS free, sum(stable_1cm) / nullif(sum(free), 0) AS within_1cm,"
         " sum(stable_5cm) / nullif(sum(free), 0) AS within_5cm FROM stability GROUP BY engine ORDER BY engine"
     )
-    _figure, _axes = chart("What share of the free things stays where it was put?", "", "share", wide=5.0)
+    _figure, _axes = chart("What share of the free objects stays where it was put?", "", "share", wide=5.0)
     for _index, (_engine, _free, _one, _five) in enumerate(zip(*stable.values(), strict=True)):
         _axes.bar([_index - 0.2, _index + 0.2], [_one or 0, _five or 0], 0.38, color=[ORANGE, BLUE])
     _axes.set_xticks(range(len(stable["engine"])), [f"{engine}\n(1 cm, 5 cm)" for engine in stable["engine"]])

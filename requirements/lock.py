@@ -1,4 +1,5 @@
-"""Resolve the project's dependencies and pin them: `run.lock` for running it, `test.lock` for what its tests need besides."""
+"""Resolve the project's dependencies and pin them: `run.lock` for running it, `test.lock` and `docs.lock` for what else its tests and
+the site of its documentation need. A package that both name has one version."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -14,27 +16,32 @@ BUILD = ["editables", "async-timeout"]
 """Needed besides: by hatchling to install the project in place; by redis on Python before 3.11.3."""
 
 
-def resolve(requirements: list[str]) -> dict[str, str]:
-    """Names and versions that pip would install into an empty environment."""
+def resolve(requirements: list[str], constraints: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Names and versions that pip would install into an empty environment, those of `constraints` where they name a package."""
     with tempfile.TemporaryDirectory() as folder:
-        report = Path(folder) / "report.json"
+        report, pins = Path(folder) / "report.json", Path(folder) / "pins.txt"
+        pins.write_text("".join(f"{name}=={version}\n" for name, version in (constraints or {}).items()))
         command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", "--report", str(report)]
-        subprocess.run([*command, *requirements], check=True)
+        subprocess.run([*command, "--constraint", str(pins), *requirements], check=True)
         return {item["metadata"]["name"].lower(): item["metadata"]["version"] for item in json.loads(report.read_text())["install"]}
 
 
 def main() -> None:
-    """Write both lock files."""
+    """Write the lock files."""
     project = tomllib.loads((HERE.parent / "pyproject.toml").read_text())
+    extras = project["project"]["optional-dependencies"]
     run = [*project["project"]["dependencies"], *project["build-system"]["requires"], *BUILD]
     pinned = resolve(run)
-    everything = resolve(
-        [*(f"{name}=={version}" for name, version in pinned.items()), *project["project"]["optional-dependencies"]["test"]]
-    )
-    extra = {name: version for name, version in everything.items() if name not in pinned}
-    for name, pins in (("run", pinned), ("test", extra)):
+    everything = resolve([*run, *extras["test"]], pinned)
+    site = resolve([*run, *extras["docs"]], everything)
+    locks = {"run": pinned, "test": _besides(pinned, everything), "docs": _besides(pinned, site)}
+    for name, pins in locks.items():
         lines = [f"{package}=={version}" for package, version in sorted(pins.items())]
         (HERE / f"{name}.lock").write_text("# Written by `make lock`.\n" + "\n".join(lines) + "\n")
+
+
+def _besides(pinned: Mapping[str, str], more: Mapping[str, str]) -> dict[str, str]:
+    return {name: version for name, version in more.items() if name not in pinned}
 
 
 if __name__ == "__main__":

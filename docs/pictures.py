@@ -1,0 +1,66 @@
+"""The moving picture of the README: a replica that is wiped over its scan, both from the same camera.
+
+python docs/pictures.py demo/lake demo/scene0001_00 docs/replica.webp
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+from matplotlib import font_manager
+from PIL import Image, ImageDraw, ImageFont
+
+from flows.stats.scenes import picture_scene_of
+from tasks.stats.scenes import PictureConfig
+from warehouse.lake import Lake
+
+LOOK = PictureConfig(width=1050, height=600, jpeg_quality=95)
+MARGIN_PX = 105  # cut off on the left and on the right: rooms are about as high as wide
+STEPS = 24  # pictures of one sweep
+STEP_MS, REST_MS = 60, 1500
+INK, PAPER = (38, 42, 51), (255, 255, 255)
+
+
+def moving_picture(scan: Image.Image, replica: Image.Image) -> bytes:
+    """A WebP of a line that sweeps from right to left and back: the scan on its left, the replica on its right."""
+    shares = [step / STEPS for step in range(STEPS + 1)]
+    sweep = [round(scan.width * (1 - (3 - 2 * share) * share**2)) for share in shares]
+    places = sweep + sweep[-2:0:-1]
+    first, *rest = (wiped(scan, replica, place) for place in places)
+    times = [REST_MS if place in (0, scan.width) else STEP_MS for place in places]
+    file = io.BytesIO()
+    first.save(file, "WEBP", save_all=True, append_images=rest, duration=times, quality=80, method=6, minimize_size=True)
+    return file.getvalue()
+
+
+def wiped(scan: Image.Image, replica: Image.Image, place: int) -> Image.Image:
+    """The scan left of column `place` [px], the replica right of it, and a line between."""
+    image = replica.copy()
+    image.paste(scan.crop((0, 0, place, scan.height)), (0, 0))
+    draw = ImageDraw.Draw(image)
+    draw.rectangle((place - 3, 0, place + 2, image.height), fill=INK)
+    draw.rectangle((place - 1, 0, place, image.height), fill=PAPER)
+    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 22)
+    labels = (("scan", 16, place > 100), ("replica", image.width - 120, place < image.width - 140))
+    for text, left, is_shown in labels:
+        if is_shown:
+            right = left + 24 + draw.textlength(text, font=font)
+            draw.rounded_rectangle((left, 16, right, 54), 8, fill=INK)
+            draw.text((left + 12, 35), text, font=font, fill=PAPER, anchor="lm")
+    return image
+
+
+def main() -> None:
+    """Write the picture of a scene of a lake."""
+    address, scene_id, out = sys.argv[1:]
+    lake = Lake.open(address)
+    pictures = picture_scene_of(lake, lake.snapshot().snapshot_id, scene_id, LOOK)
+    pair = [Image.open(io.BytesIO(data)).convert("RGB") for data in (pictures.corner_scan, pictures.corner_replica)]
+    scan, replica = (image.crop((MARGIN_PX, 0, image.width - MARGIN_PX, image.height)) for image in pair)
+    Path(out).write_bytes(moving_picture(scan, replica))
+
+
+if __name__ == "__main__":
+    main()
