@@ -21,8 +21,8 @@ from tasks.furniture.rooms import ROOM_TYPES, FurnishedRoom, furnish
 from tasks.geometry.meshes import dump_glb, dump_points, sample_surface, surface_of
 from tasks.geometry.pieces import PieceConfig, pieces
 from tasks.geometry.transforms import flat, transform_points, translation
+from tasks.mounting import mounting
 from tasks.optimization.solids import ConvexParts, shell_solids
-from tasks.optimization.support.mounting import mounting
 from tasks.stage import Blobs, Context
 
 if TYPE_CHECKING:
@@ -199,5 +199,6 @@ def _instance(
         scene_id=scene_id, instance_id=name, source_id=name, raw_label=category, category=category, nyu40_id=0, nyu40_label="unlabeled",
         is_structure=False, box_pose=flat(pose @ translation([0.0, 0.0, 0.5 * extents[2]])), box_size=extents,
         box_volume_m3=float(np.prod(extents)), point_count=POINTS, points_blob=blobs.add(dump_points(placed, colors), "ply"),
+        hidden_m=None,
         mesh_blob=None, view_blob=None, best_frames=(),
     )  # fmt: skip

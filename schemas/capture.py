@@ -119,6 +119,13 @@ class Instance:
     )
     box_size: tuple[float, ...] = column("Extents of the oriented box along its own axes", unit="m", length=3, minimum=0)
     box_volume_m3: float = column("Volume of the oriented box", unit="m3", minimum=0)
+    hidden_m: tuple[float, ...] | None = column(
+        "How far the object reaches beyond its box on the sides -x, +x, -y, +y, -z, +z where the scan could not see it: down to what "
+        "it stands on, back to its wall; missing where nobody looked",
+        unit="m",
+        length=6,
+        minimum=0,
+    )
     point_count: int = column("Points of the instance", minimum=1)
     points_blob: str = column("Points in the world frame, binary PLY: x y z float32 [m], red green blue uint8", blob=True)
     mesh_blob: str | None = column("The instance's faces cut from the scan mesh, world frame, GLB", blob=True)

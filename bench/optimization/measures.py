@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from tasks.geometry.rendering import RayScene
 from tasks.geometry.transforms import inverse
+from tasks.mounting import mounting
 from tasks.optimization.solids import ConvexParts
-from tasks.optimization.support.mounting import mounting
 
 Array = NDArray[np.float64]
 

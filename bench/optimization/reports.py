@@ -15,7 +15,7 @@ STANDS_BESIDE = re.compile(r"\bit stands beside (?P<lost>\d{4,}), on ")
 SET_DOWN = re.compile(r"\bnothing carried it; it was set down [\d.]+ m onto (?P<now>\d{4,}|the floor)")
 """It was taken to be carried by nothing and is carried by another now."""
 
-CARRIED_BY_NOOBJECT = re.compile(r"\bnothing carries it\b")
+CARRIED_BY_NOTHING = re.compile(r"\bnothing carries it\b")
 
 OUTSIDE = re.compile(r"\blies outside of the room\b")
 
@@ -34,7 +34,7 @@ def reported_losses(outcome: Outcome, was_carried: Mapping[str, Carried]) -> set
         carrier = was.parent_id or (FLOOR if was.relation == "floor" else None)
         beside, down = STANDS_BESIDE.search(text), SET_DOWN.search(text)
         now = down["now"].removeprefix("the ") if down else None
-        if CARRIED_BY_NOOBJECT.search(text) or (beside and beside["lost"] == carrier) or (down and now != carrier):
+        if CARRIED_BY_NOTHING.search(text) or (beside and beside["lost"] == carrier) or (down and now != carrier):
             lost.add(name)
     return lost
 

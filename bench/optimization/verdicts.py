@@ -323,7 +323,7 @@ class _Laboratory:
         return lost
 
     def _is_let_in(self, name: str) -> bool:
-        from tasks.optimization.support.mounting import mounting
+        from tasks.mounting import mounting
 
         return mounting(self.categories[name]).kind == "let_in"
 

@@ -18,8 +18,10 @@ from tasks.candidates.provider import NothingToOffer
 from tasks.candidates.retrieval import retrieve
 from tasks.candidates.scan_crop import crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
+from tasks.geometry.boxes import grown_box
 from tasks.geometry.meshes import Surface, read_points
-from tasks.geometry.transforms import inverse, matrix, transform_points
+from tasks.geometry.transforms import inverse, transform_points
+from tasks.mounting import mounting
 from tasks.stage import Context
 
 if TYPE_CHECKING:
@@ -45,8 +47,8 @@ class CandidateRequest:
 
     @property
     def extents(self) -> tuple[float, float, float]:
-        """Extents of the box [m], no side thinner than `MIN_SIDE_M`."""
-        x, y, z = (max(float(v), MIN_SIDE_M) for v in self.instance.box_size)
+        """Extents of the box with what the scan could not see [m], no side thinner than `MIN_SIDE_M`."""
+        x, y, z = np.maximum(grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)[1], MIN_SIDE_M).tolist()
         return x, y, z
 
     @cached_property
@@ -61,7 +63,8 @@ class CandidateRequest:
         if name not in self.context.blobs:
             raise NothingToOffer("the points of the instance are not among the blobs")
         points, colors = read_points(self.context.blobs[name], name)
-        return transform_points(points, inverse(matrix(self.instance.box_pose))), colors
+        pose, _ = grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)
+        return transform_points(points, inverse(pose)), colors
 
     @cached_property
     def color(self) -> tuple[int, int, int] | None:
@@ -100,7 +103,7 @@ class CandidateRequest:
     @cached_property
     def field(self) -> SolidField:
         """The solid field of the crop."""
-        return solid_field(self.crop)
+        return solid_field(self.crop, self.instance.hidden_m, mounting(self.category).base or "body")
 
     @cached_property
     def pieces(self) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:

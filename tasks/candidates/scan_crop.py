@@ -13,8 +13,9 @@ from tasks.candidates.assets import MadeAsset, make_asset
 from tasks.candidates.closing import SolidField, closed_mesh, fitted, manifold_arrays, nearest_colors
 from tasks.candidates.pieces import convex_pieces
 from tasks.candidates.provider import CandidateProvider, NothingToOffer
+from tasks.geometry.boxes import grown_box
 from tasks.geometry.meshes import Surface, load_glb, surface_of
-from tasks.geometry.transforms import inverse, matrix, translation
+from tasks.geometry.transforms import inverse, translation
 from tasks.geometry.triangles import surface_area
 from tasks.settings import Config
 
@@ -50,7 +51,7 @@ class ScanCrop(Config):
 
 
 def crop_of(instance: Instance, context: Context) -> Surface:
-    """The instance's faces in the frame of its box, bottom at z = 0.
+    """The instance's faces in the frame of its box with what the scan could not see, bottom at z = 0.
 
     Raises:
         ValueError: the scan has no mesh of the instance, or too few faces.
@@ -61,8 +62,8 @@ def crop_of(instance: Instance, context: Context) -> Surface:
     if instance.mesh_blob not in context.blobs:
         raise ValueError("the faces of the instance are not among the blobs")
     world = surface_of(load_glb(context.blobs[instance.mesh_blob], instance.mesh_blob))
-    size = np.asarray(instance.box_size)
-    to_box = translation((0, 0, size[2] / 2)) @ inverse(matrix(instance.box_pose))
+    pose, size = grown_box(instance.box_pose, instance.box_size, instance.hidden_m)
+    to_box = translation((0, 0, size[2] / 2)) @ inverse(pose)
     local = world.transformed(to_box)
     reach = np.maximum(SPILL * size, 0.03)
     low, high = np.array([-size[0] / 2, -size[1] / 2, 0.0]) - reach, np.array([size[0] / 2, size[1] / 2, size[2]]) + reach
@@ -94,18 +95,18 @@ def _thinned(crop: Surface) -> Surface:
 
 
 def closed_crop(crop: Surface, field: SolidField) -> trimesh.Trimesh:
-    """The crop closed, colored by the scan; frame and bounds of the crop.
+    """The crop closed, colored by the scan; frame and bounds of the field.
 
     Raises:
         ValueError: it encloses nothing.
     """
     vertices, faces = closed_mesh(field)
-    vertices = fitted(vertices, *_bounds(crop))
+    vertices = fitted(vertices, field.low, field.high)
     return Surface(vertices, faces, nearest_colors(vertices, crop.vertices, crop.colors)).to_trimesh()
 
 
 def pieces_of_crop(crop: Surface, field: SolidField) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:
-    """Convex pieces that stand for the crop, and the surface of their union, colored by the scan; bounds of the crop.
+    """Convex pieces that stand for the crop, and the surface of their union, colored by the scan; bounds of the field.
 
     Raises:
         ValueError: it encloses nothing.
@@ -115,7 +116,7 @@ def pieces_of_crop(crop: Surface, field: SolidField) -> tuple[trimesh.Trimesh, l
 
     groups = convex_pieces(field)
     everything = np.concatenate(groups)
-    moved = fitted(everything, *_bounds(crop))
+    moved = fitted(everything, field.low, field.high)
     groups = np.split(moved, np.cumsum([len(group) for group in groups])[:-1])
     hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(group)) for group in groups]
     hulls = [hull for hull in hulls if hull.volume() > 0]
@@ -127,14 +128,6 @@ def pieces_of_crop(crop: Surface, field: SolidField) -> tuple[trimesh.Trimesh, l
     surface = Surface(vertices, faces, nearest_colors(vertices, crop.vertices, crop.colors, neighbors=12)).to_trimesh()
     pieces = [trimesh.Trimesh(*manifold_arrays(hull), process=False) for hull in hulls]
     return surface, pieces
-
-
-def _bounds(crop: Surface) -> tuple[Array, Array]:
-    """Bounds of the crop, standing on z = 0 where it reaches near to it; no side thinner than 5 mm."""
-    low, high = crop.bounds
-    low[2] = min(low[2], 0.0)
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.0025)
-    return middle - half, middle + half
 
 
 def _label(provider: ScanCrop) -> str:

@@ -18,6 +18,7 @@ from tasks.captions.colors import ColorNames, name_colors, roughness
 from tasks.captions.materials import likely_materials, rank_materials
 from tasks.captions.physics import attributes, implausible, mass
 from tasks.captions.sentences import compose, shape_word
+from tasks.geometry.boxes import grown_box
 from tasks.geometry.meshes import read_points
 from tasks.settings import Config, Whole
 from tasks.stage import Context, Outcome, Stage
@@ -68,23 +69,24 @@ def _describe(instance: Instance, context: Context, provider: ClassicalCaptions)
             problems.append(f"{len(colors)} points are too few for a color that can be trusted")
     except InputError as error:
         problems.append(f"no color: {error}")
-    row = attributes(instance.category, instance.nyu40_label, instance.box_size)
+    size = tuple(grown_box(instance.box_pose, instance.box_size, instance.hidden_m)[1].tolist())
+    row = attributes(instance.category, instance.nyu40_label, size)
     ranked = likely_materials(rank_materials(row, names, rough))
-    weight = mass(row, ranked[0], instance.box_size)
+    weight = mass(row, ranked[0], size)
     if weight.problem:
         problems.append(weight.problem)
     if ":" in row.name:
         problems.append(f"category is not in the table; attributes of {row.name} taken")
-        doubt = implausible(row.body_type, weight.mass_kg, row.restitution, instance.box_size)
+        doubt = implausible(row.body_type, weight.mass_kg, row.restitution, size)
         problems += [doubt] if doubt else []
-    shape = shape_word(instance.box_size)
+    shape = shape_word(size)
     caption = Caption(
         scene_id=context.scene_id,
         instance_id=instance.instance_id,
         provider="classical",
         provider_version=provider.version,
         is_fallback=False,
-        sentence=compose(instance.category, names.words, names.shares, ranked[0], shape, instance.box_size),
+        sentence=compose(instance.category, names.words, names.shares, ranked[0], shape, size),
         colors=names.words,
         color_shares=names.shares,
         materials=ranked,

@@ -16,6 +16,7 @@ from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
 from tasks.capture.files.images import encode_jpeg
 from tasks.capture.formats import format_of, left_out, room_of
 from tasks.capture.fusion import FusionConfig, fused_surface
+from tasks.capture.instances.hidden import with_hidden_parts
 from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
 from tasks.capture.instances.segmentation import geometry_groups
 from tasks.capture.instances.views import Sight, best_sights, camera_up, run_lengths, view_of
@@ -91,7 +92,11 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     ]
     sights = _sights(reading, world, groups, meanings, solids, alignment, context, config)
     rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config)
-    room = _room(context, reading, world, groups, meanings, solids, notes)
+    cloud = _cloud(reading, world, groups, context)
+    classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
+    room = _room(context, reading, cloud, classes, meanings, solids, notes)
+    if not format.is_modelled:
+        rows = with_hidden_parts(rows, [solid.points for solid in solids], cloud.points[classes == FLOOR, :2], room)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
@@ -237,12 +242,10 @@ def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: C
 
 
 def _room(
-    context: Context, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label],
+    context: Context, reading: Reading, cloud: Cloud, classes: NDArray[np.int64], meanings: Sequence[Label],
     solids: Sequence[InstancePoints], notes: list[str],
 ) -> Room:  # fmt: skip
-    cloud = _cloud(reading, world, groups, context)
-    classes: NDArray[np.int64] = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)
-    shape = estimate_room(cloud, classes[cloud.instance + 1])
+    shape = estimate_room(cloud, classes)
     notes += shape.notes
     if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
         notes.append(f"no ceiling seen: height taken from the {shape.height_source}")

@@ -36,6 +36,16 @@ def box_footprint(pose: ArrayLike, size: ArrayLike) -> Array:
     return corners @ m[:2, :2].T + m[:2, 3]
 
 
+def grown_box(pose: ArrayLike, size: ArrayLike, sides: ArrayLike | None) -> tuple[Array, Array]:
+    """An oriented box grown on its sides (-x, +x, -y, +y, -z, +z) [m], shape (6,), or as it is without any: its pose, shape (4, 4),
+    and extents, shape (3,)."""
+    m, grown = np.array(pose, dtype=np.float64).reshape(4, 4), np.zeros((3, 2))
+    if sides is not None:
+        grown = np.asarray(sides, dtype=np.float64).reshape(3, 2)
+    m[:3, 3] += m[:3, :3] @ (0.5 * (grown[:, 1] - grown[:, 0]))
+    return m, np.asarray(size, dtype=np.float64) + grown.sum(axis=1)
+
+
 def oriented_overlap(pose_a: ArrayLike, size_a: ArrayLike, pose_b: ArrayLike, size_b: ArrayLike) -> float:
     """Volume of the intersection of two oriented boxes [m3], exact: clipped footprints times the shared height.
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import trimesh
 
 
-NOOBJECT = 0xFFFFFFFF
+NOTHING = 0xFFFFFFFF
 """Part and face of a ray that hits nothing."""
 
 
@@ -110,8 +110,8 @@ class RayScene:
         shape, n = rays.shape[:-1], len(flat)
         hits: dict[str, NDArray[Any]] = {
             "t_hit": np.full(n, np.inf, dtype=np.float32),
-            "geometry_ids": np.full(n, NOOBJECT, dtype=np.uint32),
-            "primitive_ids": np.full(n, NOOBJECT, dtype=np.uint32),
+            "geometry_ids": np.full(n, NOTHING, dtype=np.uint32),
+            "primitive_ids": np.full(n, NOTHING, dtype=np.uint32),
             "primitive_uvs": np.zeros((n, 2), dtype=np.float32),
             "primitive_normals": np.zeros((n, 3), dtype=np.float32),
         }

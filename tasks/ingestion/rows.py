@@ -111,6 +111,7 @@ def _instance(context: Context, instance: FinishedObject, surface: Surface, blob
         box_pose=flat(pose),
         box_size=tuple(float(v) for v in size),
         box_volume_m3=float(np.prod(size)),
+        hidden_m=None,
         point_count=len(solid.points),
         points_blob=blobs.add(dump_points(solid.points, solid.colors), "ply"),
         mesh_blob=None,  # the asset has the same triangles, once for all objects that show it

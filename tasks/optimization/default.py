@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tasks.geometry.transforms import translation
+from tasks.mounting import mounting
 from tasks.optimization.interior import Interior
 from tasks.optimization.search.annealing import AnnealingSchedule
 from tasks.optimization.search.arrangement import FIXED, HANGING, OVERHEAD, STANDING, Arrangement, compiled
@@ -22,7 +23,6 @@ from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import ConvexParts, shell_solids
 from tasks.optimization.support.balance import draw_back
 from tasks.optimization.support.boundary import outside_share, way_in
-from tasks.optimization.support.mounting import mounting
 from tasks.optimization.support.relocation import last_resort, moves_of
 from tasks.optimization.support.resting import DEEP_M, beside, let_down, put_to_rest, shift
 from tasks.optimization.support.supports import PlacedAsset, SupportConfig, support_map

@@ -12,9 +12,9 @@ from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance
 from schemas.errors import InputError
 from schemas.selection import Selection
-from tasks.geometry.boxes import oriented_iou
+from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.meshes import read_points
-from tasks.geometry.transforms import flat, inverse, matrix, transform_points, translation, yaw_of, yaw_pose
+from tasks.geometry.transforms import flat, inverse, transform_points, translation, yaw_of, yaw_pose
 from tasks.selection.alignment import AlignmentConfig, Distances, Fit, Sample, ScannedInstance, align, make_target, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.settings import Config, Texts
@@ -189,8 +189,7 @@ def _rank(
 
 def instance_frame(instance: Instance, context: Context, config: SelectionConfig) -> tuple[np.ndarray, ScannedInstance]:
     """The instance's frame in the world, 4x4 [m], standing where the asset is to stand, and its points in that frame."""
-    box = matrix(instance.box_pose)
-    size = np.asarray(instance.box_size, dtype=np.float64)
+    box, size = grown_box(instance.box_pose, instance.box_size, instance.hidden_m)
     bottom, top = box[2, 3] - 0.5 * size[2], box[2, 3] + 0.5 * size[2]
     if abs(bottom) <= config.floor_snap_m < top:
         bottom = 0.0
@@ -205,4 +204,4 @@ def _placed_iou(frame: np.ndarray, fit: Fit, sample: Sample, instance: Instance)
     """Intersection over union of the placed asset's box and the instance's box."""
     size = sample.extents * fit.scale
     center = frame @ yaw_pose(fit.yaw, fit.offset) @ translation([0.0, 0.0, 0.5 * size[2]])
-    return oriented_iou(center, size, matrix(instance.box_pose), instance.box_size)
+    return oriented_iou(center, size, *grown_box(instance.box_pose, instance.box_size, instance.hidden_m))

@@ -38,9 +38,9 @@ from tasks.furniture.furnishing import Furnishing
 from tasks.furniture.rooms import ROOM_TYPES, FurnishedRoom, furnish
 from tasks.geometry.pieces import PieceConfig, pieces
 from tasks.geometry.transforms import inverse, matrix, translation, yaw_of, yaw_pose
+from tasks.mounting import mounting
 from tasks.optimization.contacts import Colliders
 from tasks.optimization.solids import ConvexParts, shell_solids
-from tasks.optimization.support.mounting import mounting
 from tasks.stage import Blobs, Outcome
 from tests.flows.outputs.test_export_folder import built
 from tests.replicas import room_of

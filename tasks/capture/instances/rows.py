@@ -88,6 +88,7 @@ def instance_row(
         box_pose=flat(pose),
         box_size=tuple(float(v) for v in size),
         box_volume_m3=float(np.prod(size)),
+        hidden_m=None,
         point_count=count,
         points_blob=blobs.add(dump_points(solid.points[kept], solid.colors[kept]), "ply"),
         mesh_blob=blobs.add(cropped_mesh(surface, solid.faces), "glb") if len(solid.faces) else None,

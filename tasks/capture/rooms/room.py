@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,12 @@ from schemas.capture import Room
 from tasks.capture.cloud import Cloud
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label
 from tasks.capture.rooms.partitions import interior_walls
+from tasks.capture.rooms.plan import CELL_M, FloorPlan, closed, enclosed, largest
 
 if TYPE_CHECKING:
     from shapely import Polygon
 
 Array = NDArray[np.float64]
-
-_CELL_M = 0.05
-"""Cell of the floor plan: two to three vertices of a usual scan mesh wide, a tenth of the narrowest passage."""
-
-_BRIDGE_CELLS = 3
-"""Parts of the plan are grown by as many cells to see which are one: rooms with a wall of up to 30 cm between them."""
 
 _MIN_WALL_M2 = 0.4
 """Wall surface on one plane below which it is rather the side of a cupboard."""
@@ -98,7 +93,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     """The room around a scan. `nyu40`: NYU40 class of each point of the cloud, 0 for none, shape (n,)."""
     kinds = _kinds(cloud, nyu40)
     height, height_source = _height(cloud, kinds)
-    plan = _Plan.of(cloud, kinds, height)
+    plan = FloorPlan.of(cloud, kinds, height)
     notes: list[str] = []
     outline = plan.outline()
     if outline is None:
@@ -112,7 +107,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     if missed > 0.0:
         notes.append(f"the floor was seen in patches: {missed:.1f} m2 under and around furniture are added to its polygon")
     lines = [_wall_lines(cloud, kinds == WALL, axis) for axis in (0, 1)]
-    shape, is_snapped = _snapped(plan, outline, lines)
+    shape, is_snapped = _snapped(plan, outline, lines, cloud, kinds)
     if plan.left_out_m2 > 1.0:
         notes.append(f"{plan.left_out_m2:.1f} m2 of floor not connected to the rest: left out of the polygon")
     polygon = _ring(shape)
@@ -176,85 +171,6 @@ def _height(cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[float, str]:
     return max(float(np.percentile(z, 99.5)), 0.1), "extent"
 
 
-@dataclasses.dataclass
-class _Plan:
-    """Cells of the floor plan: `inside` where there is floor or something on it, `floor` where the floor itself is seen."""
-
-    origin: Array
-    inside: NDArray[np.bool_]
-    floor: NDArray[np.bool_]
-    left_out_m2: float = 0.0
-
-    @staticmethod
-    def of(cloud: Cloud, kinds: NDArray[np.int64], height: float) -> _Plan:
-        """Cells that points fall into, closed over gaps and holes, the largest connected piece of them."""
-        from scipy import ndimage
-
-        z = cloud.points[:, 2]
-        is_floor = kinds == FLOOR
-        is_object = (kinds == 0) & (cloud.instance >= 0) & (z > -0.05) & (z < height)
-        if not is_object.any() and not is_floor.any():
-            is_object = (kinds != WALL) & (z < height)
-        used = is_floor | is_object
-        base = cloud.points[used, :2] if used.any() else cloud.points[:, :2]
-        low, high = np.percentile(base, [0.05, 99.95], axis=0)
-        origin = low - 6 * _CELL_M
-        shape = np.ceil((high - low) / _CELL_M).astype(int) + 12
-        is_wall = (kinds == WALL) & (z < height)
-        floor, objects, walls = (_raster(cloud.points[where, :2], origin, shape) for where in (is_floor, is_object, is_wall))
-        # Floor is seen once in a cell, but a single point of an object may be a stray one.
-        raw = (floor >= 1) | (objects >= 2)
-        ball = ndimage.generate_binary_structure(2, 1)
-        # What walls and floor enclose is inside, seen or not: behind the front of a wardrobe nobody has looked.
-        barrier = raw | (walls >= 2)
-        closed = ndimage.binary_closing(np.pad(barrier, 6), ball, iterations=5)[6:-6, 6:-6]
-        filled = ndimage.binary_fill_holes(closed) & (raw | ~barrier)
-        opened = ndimage.binary_opening(filled, ball, iterations=2)
-        if not opened.any():
-            return _Plan(origin, np.zeros_like(raw), floor >= 1)
-        joined, _ = ndimage.label(ndimage.binary_dilation(opened, ball, iterations=_BRIDGE_CELLS))
-        sizes = np.bincount(joined[opened])
-        main = int(np.argmax(sizes))
-        inside = opened & (joined == main)
-        return _Plan(origin, inside, floor >= 1, float((opened & ~inside).sum()) * _CELL_M**2)
-
-    def outline(self) -> Polygon | None:
-        """Union of the cells inside, None when there are none. Gaps between rooms are closed, a little wider than whole cells: parts
-        that are just one plan would else touch in a line."""
-        import shapely
-
-        if self.inside.sum() * _CELL_M**2 < 0.2:
-            return None
-        boxes = []
-        for column in range(self.inside.shape[0]):
-            steps = np.diff(np.pad(self.inside[column].astype(np.int8), 1))
-            x = self.origin[0] + column * _CELL_M
-            ys = self.origin[1] + np.column_stack([np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)]) * _CELL_M
-            boxes += [shapely.box(x, low, x + _CELL_M, high) for low, high in ys]
-        return _largest(_closed(shapely.union_all(boxes), (_BRIDGE_CELLS + 0.1) * _CELL_M))
-
-    def share_of_floor(self, shape: Polygon) -> float:
-        """Share of a polygon in whose cells the floor itself is seen."""
-        return float(min(1.0, self.floor.sum() * _CELL_M**2 / max(shape.area, 1e-9)))
-
-    def filled_share(self, xs: Array, ys: Array) -> Array:
-        """Share of each rectangle between consecutive lines that is inside, shape (len(xs) - 1, len(ys) - 1)."""
-        total = np.zeros((self.inside.shape[0] + 1, self.inside.shape[1] + 1))
-        total[1:, 1:] = self.inside.cumsum(axis=0).cumsum(axis=1)
-        i = np.clip(np.round((xs - self.origin[0]) / _CELL_M).astype(int), 0, self.inside.shape[0])
-        j = np.clip(np.round((ys - self.origin[1]) / _CELL_M).astype(int), 0, self.inside.shape[1])
-        counts = total[np.ix_(i[1:], j[1:])] - total[np.ix_(i[:-1], j[1:])] - total[np.ix_(i[1:], j[:-1])] + total[np.ix_(i[:-1], j[:-1])]
-        return counts / np.maximum(np.outer(np.diff(i), np.diff(j)), 1)
-
-    def is_floor(self, points: Array) -> NDArray[np.bool_]:
-        """Whether the floor was seen at places, shape (n, 2)."""
-        cells = np.floor((points - self.origin) / _CELL_M).astype(np.int64)
-        known = ((cells >= 0) & (cells < self.floor.shape)).all(axis=1)
-        seen = np.zeros(len(points), dtype=bool)
-        seen[known] = self.floor[cells[known, 0], cells[known, 1]]
-        return seen
-
-
 def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[Polygon, float]:
     """The outline with what stands outside of it, and how much was added [m2]; as it was where little stands outside.
 
@@ -271,7 +187,7 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) ->
         low, high = np.percentile(points, [1, 99], axis=0)
         if low[2] < _STANDING_M:
             within = ((points[:, :2] >= low[:2]) & (points[:, :2] <= high[:2])).all(axis=1)
-            hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(_CELL_M))
+            hulls.append(shapely.MultiPoint(points[within, :2]).convex_hull.buffer(CELL_M))
     walls = cloud.points[kinds == WALL, :2]
     hulls = [hull for hull in hulls if not _is_behind_wall(hull, outline, walls)]
     furniture = shapely.union_all(hulls) if hulls else shapely.Polygon()
@@ -283,8 +199,8 @@ def _with_furniture(outline: Polygon, cloud: Cloud, kinds: NDArray[np.int64]) ->
         if 0.0 < away <= _BRIDGED_M:  # the floor between was not seen
             near = shapely.intersection(outline, part.buffer(away + 0.3))
             whole = shapely.union_all([whole, shapely.union_all([part, near]).convex_hull])
-    largest = _largest(_closed(whole, 0.15))
-    return (largest, float(largest.area - outline.area)) if largest is not None else (outline, 0.0)
+    grown = largest(closed(whole, 0.15))
+    return (grown, float(grown.area - outline.area)) if grown is not None else (outline, 0.0)
 
 
 def _is_behind_wall(hull: Polygon, outline: Polygon, walls: Array) -> bool:
@@ -298,12 +214,6 @@ def _is_behind_wall(hull: Polygon, outline: Polygon, walls: Array) -> bool:
     near = shapely.intersection(outline, hull.buffer(away + 0.1))
     between = shapely.union_all([outside, near]).convex_hull.difference(outline.buffer(-0.05)).difference(hull.buffer(-0.1))
     return bool(shapely.contains_xy(between, walls[:, 0], walls[:, 1]).sum() >= _FEW_POINTS)
-
-
-def _raster(points: Array, origin: Array, shape: NDArray[np.int64]) -> NDArray[np.int64]:
-    cells = np.floor((points - origin) / _CELL_M).astype(np.int64)
-    cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
-    return np.bincount(cells[:, 0] * shape[1] + cells[:, 1], minlength=int(np.prod(shape))).reshape(shape)
 
 
 def _wall_lines(cloud: Cloud, is_wall: NDArray[np.bool_], axis: int) -> Array:
@@ -327,11 +237,12 @@ def _wall_lines(cloud: Cloud, is_wall: NDArray[np.bool_], axis: int) -> Array:
     return np.sort(np.array(lines))
 
 
-def _snapped(plan: _Plan, outline: Polygon, lines: list[Array]) -> tuple[Polygon, bool]:
+def _snapped(plan: FloorPlan, outline: Polygon, lines: list[Array], cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[Polygon, bool]:
     """The outline made of straight edges; along the walls where walls run along the axes.
 
     The plane is cut at every wall and at every long straight stretch of the outline; the rectangles between that are
-    mostly inside make up the floor. Where that does not fit the outline (walls askew), the outline is only simplified.
+    mostly inside make up the floor, and those that walls face on all sides, though furniture hides their floor. Where that does not fit the
+    outline (walls askew), the outline is only simplified.
     """
     import shapely
 
@@ -340,12 +251,16 @@ def _snapped(plan: _Plan, outline: Polygon, lines: list[Array]) -> tuple[Polygon
     share = plan.filled_share(xs, ys)
     # A strip no wider than a wall between two walls is that wall, though modelled floors run on below it. Inside the
     # room such strips are bridged again by the closing below.
-    share[_is_wall_strip(xs, lines[0]), :] = 0
-    share[:, _is_wall_strip(ys, lines[1])] = 0
-    boxes = [shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(share > 0.5)]
+    is_floor = ~_is_wall_strip(xs, lines[0])[:, None] & ~_is_wall_strip(ys, lines[1])
+    chosen = (share > 0.5) & is_floor
+    if min(map(len, lines)) >= 2:
+        hidden = is_floor & ~chosen & enclosed(cloud, kinds == WALL, xs, ys, lines) & (plan.filled_share(xs, ys, is_seen=True) > 0.0)
+        outline = shapely.union_all([outline, *(shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(hidden))])
+        chosen |= hidden
+    boxes = [shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in np.argwhere(chosen)]
     if boxes:
         # Strips narrower than a wall is thick are floor below a wall, or its recess at a window.
-        shape = _largest(_closed(_closed(shapely.union_all(boxes), 0.2), -0.13))
+        shape = largest(closed(closed(shapely.union_all(boxes), 0.2), -0.13))
         if shape is not None:
             overlap = shape.intersection(outline).area / shape.union(outline).area
             if overlap > 0.85:
@@ -373,18 +288,6 @@ def _with_outline(lines: Array, outline: Polygon, axis: int) -> Array:
         if all(abs(position - other_line) > 0.3 for other_line in kept):
             kept.append(position)
     return np.sort(np.array(kept))
-
-
-def _closed(shape: Any, reach: float) -> Any:
-    return shape.buffer(reach, join_style="mitre").buffer(-reach, join_style="mitre")
-
-
-def _largest(shape: Any) -> Polygon | None:
-    """The largest polygon of a shape, without holes."""
-    import shapely
-
-    parts = [part for part in getattr(shape, "geoms", [shape]) if part.geom_type == "Polygon" and part.area > 0]
-    return shapely.Polygon(max(parts, key=lambda part: part.area).exterior) if parts else None
 
 
 def _ring(shape: Polygon) -> Array:

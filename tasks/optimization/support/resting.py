@@ -9,11 +9,11 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.mounting import HOLDS_NOTHING
 from tasks.optimization.interior import Interior
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import mass_properties_of
 from tasks.optimization.support.laying import lay_down
-from tasks.optimization.support.mounting import HOLDS_NOOBJECT
 from tasks.optimization.support.tipping import SUNK_M, compiled, kept_shape, put_back, tip, turn_along
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ def beside(interior: Interior, shapes: Shapes, stand: Stand, wedged: Collection[
         parent = int(parents[i])
         if parent < 0:
             continue
-        is_in = carrier.relation == "inside" and interior.objects[parent].category not in HOLDS_NOOBJECT and _is_amid(stand, i, parent)
+        is_in = carrier.relation == "inside" and interior.objects[parent].category not in HOLDS_NOTHING and _is_amid(stand, i, parent)
         if (abs(carrier.gap) < SUNKEN_M or is_in) and i not in wedged:
             continue
         below = int(parents[parent])

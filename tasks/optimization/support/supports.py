@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from schemas.capture import Room
 from tasks.geometry.meshes import Surface
+from tasks.mounting import mounting
 from tasks.optimization.support.enclosures import encloses
 from tasks.optimization.support.heights import face_blocks, plan_view, underside
-from tasks.optimization.support.mounting import mounting
 from tasks.optimization.support.standing import MOST_CELLS, kept_cells, standing_map
 from tasks.optimization.support.walls import WallFace, stands_against, wall_contact, wall_faces
 from tasks.settings import Config, NonNegative, Positive, Share

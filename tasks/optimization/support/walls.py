@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.capture import Room
 from schemas.errors import InputError
-from tasks.optimization.support.mounting import mounting
+from tasks.mounting import mounting
 from tasks.shell import floor_ring, interior_footprints
 
 if TYPE_CHECKING:

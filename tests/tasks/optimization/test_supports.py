@@ -19,8 +19,8 @@ from tasks.furniture import generate
 from tasks.furniture.rooms import ROOM_TYPES, FurnishedRoom, furnish
 from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.transforms import translation, yaw_pose
+from tasks.mounting import BUILT_IN, mounting
 from tasks.optimization.support.heights import face_blocks, occupancy, plan_view, underside
-from tasks.optimization.support.mounting import BUILT_IN, mounting
 from tasks.optimization.support.supports import (
     Carrier,
     PlacedAsset,

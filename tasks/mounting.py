@@ -14,13 +14,19 @@ Kind = Literal["let_in", "wall", "frame", "ceiling", "either", "covering", "stan
 something below. `frame`: hangs, unless it rests on something. `ceiling`: hangs from the ceiling. `either`: stands where
 something carries it, else hangs. `covering`: lies flat, to be stood upon. `stands`: never hangs. `any`: unknown."""
 
+Base = Literal["legs", "body"]
+"""What furniture stands on: legs, which scans lose, or its whole body, whose lower part is hidden behind other furniture."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Mounting:
-    """How the objects of a category are carried. is_built_in: nobody picks them up or pushes them, wherever they stand."""
+    """How the objects of a category are carried. is_built_in: nobody picks them up or pushes them, wherever they stand. base: what
+    they have below them where they stand on the floor; none where they stand on furniture as often. is_boxy: they fill their box."""
 
     kind: Kind
     is_built_in: bool = False
+    base: Base | None = None
+    is_boxy: bool = False
 
 
 _KINDS: tuple[tuple[Kind, str, str], ...] = (
@@ -52,7 +58,7 @@ _KINDS: tuple[tuple[Kind, str, str], ...] = (
 )  # fmt: skip
 """Kind, why, and its categories."""
 
-HOLDS_NOOBJECT: frozenset[str] = frozenset(
+HOLDS_NOTHING: frozenset[str] = frozenset(
     {"plant", "sculpture", "statue", "lamp", "desk lamp", "floor lamp", "wine glass", "candle", "fan"}
 )
 """Objects that others are never in: what is found among their leaves or arms stands beside them."""
@@ -63,6 +69,23 @@ BUILT_IN: tuple[str, ...] = (
     "door", "doorframe", "window", "closet door", "bathroom door", "garage door", "shower door",  # hinges and frames in the wall
 )  # fmt: skip
 """What is fixed wherever it is. Counters, stoves and refrigerators are not: two people push them."""
+
+
+_BASES: tuple[tuple[Base, str], ...] = (
+    ("legs",
+     "chair|office chair|armchair|sofa chair|folding chair|high chair|rocking chair|stool|bar stool|bench|table|dining table|desk|"
+     "coffee table|side table|end table|console table|round table|workbench|piano|crib|bunk bed|tv stand"),
+    ("body",
+     "sofa|futon|bed|ottoman|bean bag|nightstand|file cabinet|wardrobe|dresser|kitchen island|refrigerator|oven|stove|dishwasher|"
+     "washing machine|clothes dryer|bathtub|bookshelf|kitchen cabinet|cabinet|bathroom cabinet"),
+)  # fmt: skip
+"""What stands on the floor, and never on other furniture; a cabinet where it is not far above it."""
+
+_BOXY = (
+    "kitchen cabinet|cabinet|bathroom cabinet|kitchen counter|counter|nightstand|file cabinet|wardrobe|dresser|refrigerator|mini fridge|"
+    "oven|stove|dishwasher|washing machine|clothes dryer|bookshelf|shelf|tv stand|cabinets|wall cabinet|microwave"
+)
+"""What stands with its back to a wall, and of which a scan may have the front alone."""
 
 
 def mounting(category: str) -> Mounting:
@@ -79,4 +102,6 @@ def mounting(category: str) -> Mounting:
 @cache
 def _mountings() -> dict[str, Mounting]:
     kinds = {name: kind for kind, _, names in _KINDS for name in names.split("|")}
-    return {name: Mounting(kinds.get(name, "any"), name in BUILT_IN) for name in (*kinds, *BUILT_IN)}
+    bases = {name: base for base, names in _BASES for name in names.split("|")}
+    boxy = set(_BOXY.split("|"))
+    return {name: Mounting(kinds.get(name, "any"), name in BUILT_IN, bases.get(name), name in boxy) for name in (*kinds, *BUILT_IN)}

@@ -1,0 +1,147 @@
+"""What the scan could not see of furniture: legs and bases down to what it stands on, and bodies back to the wall behind."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.capture import Instance, Room
+from tasks.geometry.boxes import grown_box
+from tasks.geometry.transforms import inverse, matrix, transform_points
+from tasks.mounting import Mounting, mounting
+
+Array = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+
+SEEN_M = 0.03
+"""What ends this near to the floor, or to its wall, was seen whole."""
+
+MOST_BELOW_M = {"legs": 0.85, "body": 0.65}
+"""Legs are no longer than a table's; of a body more than this is not hidden without the rest."""
+
+MOST_BEHIND_M = 0.75
+"""Farther from a wall than this, furniture does not stand against it."""
+
+MOST_DEPTH_M = 0.8
+"""Furniture of which the front alone was seen is not deeper."""
+
+CELL_M = 0.05
+"""Cells in which it is known what was seen below and behind furniture."""
+
+CARRIED_SHARE = 0.2
+"""Of the cells below furniture, in which something else ends right below it, from which on that carries it."""
+
+FLOOR_SHARE = 0.1
+"""Of the cells between furniture and a wall, in which the floor was seen, from which on nothing of it is there."""
+
+FILLED_SHARE = 0.3
+"""Of those cells, in which something else was seen, from which on that stands there."""
+
+RAISED = ("platform", "stage", "step", "steps", "stairs")
+"""What furniture stands on as on the floor."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Seen:
+    """Points of all objects [m], shape (n, 3), whose each is, shape (n,), and of the floor, shape (m, 2)."""
+
+    points: Array
+    owners: NDArray[np.int64]
+    floor: Array
+
+
+def with_hidden_parts(rows: Sequence[Instance], points: Sequence[Array], floor: Array, room: Room) -> list[Instance]:
+    """The rows of a scan, `hidden_m` filled in. points: of each [m], shape (n, 3). floor: points of the floor that was seen [m],
+    shape (m, 2)."""
+    movable = [i for i, row in enumerate(rows) if not row.is_structure]
+    seen = _Seen(
+        np.concatenate([np.zeros((0, 3)), *(points[i] for i in movable)]),
+        np.concatenate([np.zeros(0, dtype=np.int64), *(np.full(len(points[i]), i) for i in movable)]),
+        floor,
+    )
+    raised = np.array([row.category.split(" ")[-1] in RAISED for row in rows], dtype=np.bool_)
+    walls = np.array(room.walls, dtype=np.float64).reshape(-1, 4)
+    made = list(rows)
+    for i in movable:
+        kind = mounting(rows[i].category)
+        below = _below(i, rows[i], kind, seen, raised)
+        sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
+        if kind.is_boxy:
+            sides[:4] = _behind(i, rows[i], sides, seen, walls)
+        made[i] = dataclasses.replace(rows[i], hidden_m=tuple(float(v) for v in sides))
+    return made
+
+
+def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Booleans) -> float:
+    """How far furniture reaches below its box, to the floor or a platform [m]."""
+    if kind.base is None:
+        return 0.0
+    pose, size = matrix(row.box_pose), np.asarray(row.box_size)
+    bottom = float(pose[2, 3] - 0.5 * size[2])
+    if bottom <= SEEN_M:
+        return 0.0
+    local = transform_points(seen.points, inverse(pose))
+    under = (np.abs(local[:, :2]) < 0.5 * size[:2]).all(axis=1) & (seen.owners != index) & (seen.points[:, 2] < bottom + 0.05)
+    cells = max(float(np.prod(np.maximum(size[:2] / CELL_M, 1.0))), 1.0)
+    near = under & (seen.points[:, 2] > bottom - 0.12) & ~raised[seen.owners]
+    if _filled(local[near, :2]) > CARRIED_SHARE * cells:
+        return 0.0
+    stage = under & raised[seen.owners]
+    base = _top(local[stage, :2], seen.points[stage, 2]) if _filled(local[stage, :2]) > CARRIED_SHARE * cells else 0.0
+    lost = bottom - base
+    return lost if SEEN_M < lost <= MOST_BELOW_M[kind.base] else 0.0
+
+
+def _behind(index: int, row: Instance, sides: Array, seen: _Seen, walls: Array) -> Array:
+    """How far furniture reaches beyond its box on its sides -x, +x, -y, +y, to the nearest wall that nothing is seen before [m]."""
+    pose, size = grown_box(row.box_pose, row.box_size, sides)
+    best, found = np.zeros(4), MOST_BEHIND_M
+    local = transform_points(seen.points, inverse(pose))
+    floor = transform_points(np.column_stack([seen.floor, np.zeros(len(seen.floor))]), inverse(pose))
+    for side in range(4):
+        axis, sign = side // 2, 1.0 if side % 2 else -1.0
+        if size[axis] > 1.3 * size[1 - axis]:  # its end, not its front or back
+            continue
+        outward, half = sign * pose[:2, axis], 0.5 * size
+        for x0, y0, x1, y1 in walls.tolist():
+            along = np.array([x1 - x0, y1 - y0])
+            length = float(np.hypot(*along))
+            if length < CELL_M or float(np.array([along[1], -along[0]]) @ outward) < 0.97 * length:
+                continue
+            away = float((np.array([x0, y0]) - pose[:2, 3]) @ outward - half[axis])
+            if not SEEN_M < away < found or size[axis] + away > MOST_DEPTH_M:
+                continue
+            ends = np.sort((np.array([[x0, y0], [x1, y1]]) - pose[:2, 3]) @ pose[:2, 1 - axis])
+            if min(ends[1], half[1 - axis]) - max(ends[0], -half[1 - axis]) < 0.6 * size[1 - axis]:
+                continue
+            cells = away * float(size[1 - axis]) / CELL_M**2
+            high = np.abs(local[:, 2]) < half[2] - min(0.05, 0.2 * float(size[2]))
+            others = _between(local, axis, sign, half, away) & high & (seen.owners != index)
+            if _filled(floor[_between(floor, axis, sign, half, away), :2]) < FLOOR_SHARE * cells and (
+                _filled(local[others, :2]) < FILLED_SHARE * cells
+            ):
+                best, found = np.zeros(4), away
+                best[side] = away
+    return best
+
+
+def _between(local: Array, axis: int, sign: float, half: Array, away: float) -> Booleans:
+    """Which points, shape (n, 3), in a box's frame [m] lie beside it, up to `away` from a side."""
+    out = sign * local[:, axis] - half[axis]
+    return np.asarray((out > 0.02) & (out < away - 0.02) & (np.abs(local[:, 1 - axis]) < half[1 - axis]))
+
+
+def _filled(plan: Array) -> int:
+    """How many cells points are in, shape (n, 2) [m]."""
+    return len(np.unique(np.floor(plan / CELL_M).astype(np.int64), axis=0))
+
+
+def _top(plan: Array, heights: Array) -> float:
+    """Height of what points are of, shape (n, 2) and (n,), seen from above [m]."""
+    _, cell = np.unique(np.floor(plan / CELL_M).astype(np.int64), axis=0, return_inverse=True)
+    highest = np.full(int(cell.max()) + 1, -np.inf)
+    np.maximum.at(highest, cell.ravel(), heights)
+    return float(np.median(highest))

@@ -1,0 +1,120 @@
+"""What a scan could not see of furniture: legs that it lost, fronts without bodies, and what must stay as it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas.capture import Instance, Room
+from tasks.candidates.closing import closed_mesh, solid_field
+from tasks.capture.instances.hidden import with_hidden_parts
+from tasks.geometry.boxes import grown_box
+from tasks.geometry.meshes import Surface
+from tasks.geometry.transforms import flat, yaw_pose
+from tests.samples import sample
+
+Array = np.ndarray
+
+ROOM = sample(Room, walls=((0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 4.0), (4.0, 4.0, 0.0, 4.0), (0.0, 4.0, 0.0, 0.0)))
+"""A room of 4 m by 4 m."""
+
+
+def grid(low: tuple[float, ...], high: tuple[float, ...], step: float = 0.02) -> Array:
+    """Points of a box, evenly spread [m], shape (n, 3)."""
+    axes = [np.linspace(a, b, max(round((b - a) / step), 1) + 1) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def floor_without(low: tuple[float, float], high: tuple[float, float]) -> Array:
+    """Points of the floor that is seen but for a rectangle [m], shape (n, 2)."""
+    points = grid((0.0, 0.0, 0.0), (4.0, 4.0, 0.0))[:, :2]
+    return points[~((points > low) & (points < high)).all(axis=1)]
+
+
+def instance(category: str, points: Array, number: int = 0) -> Instance:
+    low, high = points.min(axis=0), points.max(axis=0)
+    pose = yaw_pose(0.0, 0.5 * (low + high))
+    return sample(
+        Instance, instance_id=f"{number:04d}", category=category, is_structure=False, box_pose=flat(pose), box_size=tuple(high - low),
+        hidden_m=None,
+    )  # fmt: skip
+
+
+def whole(*objects: tuple[str, Array], floor: Array | None = None) -> list[tuple[Array, Array]]:
+    """Lowest and highest corner of every object with what is hidden of it [m]."""
+    rows = [instance(category, points, number) for number, (category, points) in enumerate(objects)]
+    made = with_hidden_parts(rows, [points for _, points in objects], floor_without((9, 9), (9, 9)) if floor is None else floor, ROOM)
+    boxes = [grown_box(row.box_pose, row.box_size, row.hidden_m) for row in made]
+    return [(pose[:3, 3] - 0.5 * size, pose[:3, 3] + 0.5 * size) for pose, size in boxes]
+
+
+@given(seat=st.floats(0.1, 0.6), x=st.floats(0.6, 3.0), y=st.floats(0.6, 3.0), category=st.sampled_from(["chair", "offcie chair", "stool"]))
+def test_legs_that_the_scan_lost_reach_the_floor(seat: float, x: float, y: float, category: str) -> None:
+    ((low, high),) = whole((category, grid((x, y, seat), (x + 0.45, y + 0.45, seat + 0.45))))
+    assert low == pytest.approx([x, y, 0.0])
+    assert high == pytest.approx([x + 0.45, y + 0.45, seat + 0.45])
+
+
+def test_furniture_on_a_platform_reaches_down_to_that() -> None:
+    platform = grid((1.0, 1.0, 0.0), (3.0, 3.0, 0.18))
+    (_, _), (low, _) = whole(("platform", platform), ("armchair", grid((1.5, 1.5, 0.3), (2.2, 2.2, 0.9))))
+    assert low[2] == pytest.approx(0.18, abs=0.01)
+
+
+@pytest.mark.parametrize("category", ["mug", "pillow", "keyboard", "picture", "ceiling lamp", "kitchen counter", "box"])
+def test_what_stands_on_furniture_or_hangs_stays_as_it_was_seen(category: str) -> None:
+    points = grid((1.0, 1.0, 0.7), (1.4, 1.4, 0.9))
+    ((low, high),) = whole((category, points))
+    assert low == pytest.approx(points.min(axis=0))
+    assert high == pytest.approx(points.max(axis=0))
+
+
+def test_a_chair_that_lies_on_a_table_stays_on_it() -> None:
+    table, chair = grid((1.0, 1.0, 0.0), (2.2, 2.2, 0.75)), grid((1.3, 1.3, 0.76), (1.75, 1.75, 1.2))
+    assert whole(("table", table), ("chair", chair))[1][0][2] == pytest.approx(0.76)
+
+
+@given(depth=st.floats(0.02, 0.1), gap=st.floats(0.2, 0.6), yaw=st.sampled_from([0.0, 90.0]))
+def test_a_front_before_a_wall_is_the_front_of_a_body(depth: float, gap: float, yaw: float) -> None:
+    low, high = np.array([gap, 1.0, 0.02]), np.array([gap + depth, 1.6, 0.86])
+    if yaw:  # before the other wall
+        low[:2], high[:2] = low[1::-1], high[1::-1]
+    ((body_low, body_high),) = whole(("kitchen cabinet", grid(low, high)), floor=floor_without((0.0, 0.0), tuple(high[:2])))
+    assert np.delete(body_low, 1 if yaw else 0) == pytest.approx(np.delete(low, 1 if yaw else 0))
+    assert body_low[1 if yaw else 0] == pytest.approx(0.0, abs=1e-9)
+    assert body_high == pytest.approx(high)
+
+
+def test_a_front_whose_back_was_seen_is_no_body() -> None:
+    """A folding screen half a metre before a wall, the floor behind it in sight, and one with a box behind it."""
+    front = grid((0.5, 1.0, 0.0), (0.55, 1.6, 0.86))
+    ((low, _),) = whole(("cabinet", front))
+    assert low[0] == pytest.approx(0.5)
+    behind = grid((0.1, 1.05, 0.0), (0.45, 1.55, 0.8), 0.04)
+    (low, _), _ = whole(("cabinet", front), ("box", behind), floor=floor_without((0.0, 0.0), (0.6, 2.0)))
+    assert low[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("base", "hidden"), [("legs", (0, 0, 0, 0, 0.42, 0)), ("body", (0, 0, 0, 0, 0.42, 0)), ("body", (0.5, 0, 0, 0, 0, 0))])
+def test_a_crop_is_drawn_out_to_what_it_stands_on_and_leans_on(base: str, hidden: tuple[float, ...]) -> None:
+    """A slab at the height of a seat, and a front: closed, they fill the box that they are said to have, and stand on all of it."""
+    x = np.linspace(-0.225, 0.225, 24) if hidden[4] else np.linspace(-0.02, 0.02, 4)
+    z = np.linspace(0.42, 0.47, 4) if hidden[4] else np.linspace(0.0, 0.8, 40)
+    low, high = np.array([x[0], -0.225, z[0]]), np.array([x[-1], 0.225, z[-1]])
+    import trimesh
+
+    box = trimesh.creation.box(high - low, trimesh.transformations.translation_matrix(0.5 * (low + high))).subdivide_to_size(0.025)
+    crop = Surface(np.asarray(box.vertices), np.asarray(box.faces), np.full((len(box.vertices), 3), 128, dtype=np.uint8))
+    field = solid_field(crop, hidden, base)  # type: ignore[arg-type]
+    vertices, faces = closed_mesh(field)
+    made = trimesh.Trimesh(vertices, faces, process=False)
+    assert made.is_watertight
+    assert field.low == pytest.approx(low - [hidden[0], hidden[2], hidden[4]], abs=1e-9)
+    assert made.bounds[0] == pytest.approx(field.low, abs=2 * field.step)
+    foot = vertices[vertices[:, 2] < field.low[2] + 1.5 * field.step, :2]
+    assert np.ptp(foot, axis=0) == pytest.approx((field.high - field.low)[:2], abs=0.2 * 0.45 + 2 * field.step)
+    middle = np.array([[*(0.5 * (field.low + field.high))[:2], 0.2]])
+    assert bool(made.contains(middle)[0]) == (base == "body"), "legs leave the space between them free"
+
