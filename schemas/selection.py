@@ -18,6 +18,11 @@ class Selection:
     chamfer_m: float = column("Mean of the two mean nearest distances, asset surface and instance points", unit="m", minimum=0)
     coverage: float = column("Share of the instance's points within the distance threshold of the asset's surface", minimum=0, maximum=1)
     box_iou: float = column("Intersection over union of the placed asset's box and the instance's box", minimum=0, maximum=1)
+    foreign_share: float | None = column(
+        "Share of what was seen where the asset is that belongs to other instances or is free floor; missing where nobody looked",
+        minimum=0,
+        maximum=1,
+    )
     color_similarity: float = column("1 - Jensen-Shannon distance of the color histograms", minimum=0, maximum=1)
     pose: tuple[float, ...] = column("Asset to world frame, rotation about +Z, 4x4 row by row", unit="m", length=16)
     scale: tuple[float, ...] = column("Scale along the asset's own axes, applied before the pose", length=3, minimum=0.001)

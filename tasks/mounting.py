@@ -21,12 +21,15 @@ Base = Literal["legs", "body"]
 @dataclasses.dataclass(frozen=True)
 class Mounting:
     """How the objects of a category are carried. is_built_in: nobody picks them up or pushes them, wherever they stand. base: what
-    they have below them where they stand on the floor; none where they stand on furniture as often. is_boxy: they fill their box."""
+    they have below them where they stand on the floor; none where they stand on furniture as often. is_boxy: they fill their box.
+    is_fitted: whoever sets them against a wall screws them to it. is_flat_topped: what is above their top stands on it."""
 
     kind: Kind
     is_built_in: bool = False
     base: Base | None = None
     is_boxy: bool = False
+    is_fitted: bool = False
+    is_flat_topped: bool = False
 
 
 _KINDS: tuple[tuple[Kind, str, str], ...] = (
@@ -63,6 +66,9 @@ HOLDS_NOTHING: frozenset[str] = frozenset(
 )
 """Objects that others are never in: what is found among their leaves or arms stands beside them."""
 
+FITTED: frozenset[str] = frozenset({"kitchen cabinet", "kitchen counter", "counter", "wall cabinet", "kitchen cabinets"})
+"""Parts of fitted kitchens: cabinets and worktops."""
+
 BUILT_IN: tuple[str, ...] = (
     "toilet", "urinal", "bathtub", "sink",  # pipes and sealant hold them
     "shower", "radiator", "fireplace", "stairs", "pillar", "column", "rail", "banister",  # parts of the house
@@ -88,6 +94,13 @@ _BOXY = (
 """What stands with its back to a wall, and of which a scan may have the front alone."""
 
 
+_FLAT_TOPPED = (
+    "table|dining table|desk|coffee table|side table|end table|console table|round table|workbench|kitchen counter|counter|nightstand|"
+    "kitchen island|tv stand|bench|dresser|file cabinet|ottoman"
+)
+"""What others are put on."""
+
+
 def mounting(category: str) -> Mounting:
     """How objects of a category are carried; a longer name is taken by its last words, a plural by its singular."""
     words = category.lower().replace("_", " ").replace("-", " ").split()
@@ -103,5 +116,8 @@ def mounting(category: str) -> Mounting:
 def _mountings() -> dict[str, Mounting]:
     kinds = {name: kind for kind, _, names in _KINDS for name in names.split("|")}
     bases = {name: base for base, names in _BASES for name in names.split("|")}
-    boxy = set(_BOXY.split("|"))
-    return {name: Mounting(kinds.get(name, "any"), name in BUILT_IN, bases.get(name), name in boxy) for name in (*kinds, *BUILT_IN)}
+    boxy, topped = set(_BOXY.split("|")), set(_FLAT_TOPPED.split("|"))
+    return {
+        name: Mounting(kinds.get(name, "any"), name in BUILT_IN, bases.get(name), name in boxy, name in FITTED, name in topped)
+        for name in (*kinds, *BUILT_IN, *FITTED)
+    }

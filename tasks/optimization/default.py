@@ -67,6 +67,7 @@ class Default(Config):
     rise_share: Share = 0.15  # of the other moves of a carried object go up or down: a pillow climbs onto the one beside it
     most_rise_m: NonNegative = 0.1  # higher, and it stands on something else
     most_aside_m: NonNegative = 0.4  # along its wall: the width of a picture
+    most_way_m: NonNegative = 0.3  # objects that would have to go farther than this stay, and are named: it would be another room
     most_turn_radians: NonNegative = 0.35  # 20 degrees: more, and the object faces elsewhere than the scanned one
     most_tilt_radians: NonNegative = 0.45  # 26 degrees: what would tip farther was not meant to stand so
     nudge_m_s: NonNegative = 0.05  # what such a push would throw over is laid down; certificates nudge by as much; 0: it is left to balance
@@ -82,7 +83,7 @@ class Default(Config):
         return AnnealingSchedule(
             slop=self.slop_m, step=self.step_m, turn=self.turn_radians, least_step=self.least_step_m, most_step=self.most_step_m,
             turn_share=self.turn_share, rise_share=self.rise_share, most_rise=self.most_rise_m, most_aside=self.most_aside_m,
-            most_turn=self.most_turn_radians,
+            most_turn=self.most_turn_radians, most_way=self.most_way_m,
             price=self.price, temperature=self.temperature_m,
             cooling=self.cooling, coldest=self.coldest_m, warmer=self.warmer, sweep=self.sweep, adapts=True, returns=True,
         )  # fmt: skip
@@ -107,7 +108,9 @@ def resolve(
     interior, noted = beside(interior, shapes, stand, wedged)
     notes: list[str] = []
     steps: list[tuple[int, Move, str]] = []
-    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports)]
+    steps += [
+        (i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports, method.most_way_m)
+    ]
     steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
     drawn = draw_back(interior, shapes, stand)
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), "pulled_in") for i, way in drawn]
@@ -127,7 +130,9 @@ def resolve(
             if other.settled < final:
                 return other
     settled = final
-    last = last_resort(interior, solids, room, stand, settling, method.slop_m, method.most_tilt_radians, method.nudge_m_s)
+    last = last_resort(
+        interior, solids, room, stand, settling, method.slop_m, method.most_tilt_radians, method.nudge_m_s, method.most_way_m
+    )
     if last.moves:
         final = _loss(room, stand, DEEP_M if chain.final == 0.0 else method.slop_m)
         smallest = min(final, trace[-1].smallest if trace else chain.start)
@@ -187,6 +192,7 @@ def arrangement_of(
         if interior.fixed[i]:
             if kind[i] == STANDING:  # built in
                 kind[i] = FIXED
+            counted[i, :n][interior.fixed] = False  # neither moves
             for wall in range(n, bodies):  # let into a wall or set against it: the room's shell is only an estimate there
                 if compiled()["pair_depth"](shapes, stand, i, wall, 0.0)[1] > 0.0:
                     counted[i, wall] = counted[wall, i] = False
@@ -211,8 +217,11 @@ def _shifted(obj: PlacedAsset, dx: float, dy: float) -> PlacedAsset:
     return dataclasses.replace(obj, surface=surface, low=obj.low + move, high=obj.high + move)
 
 
-def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: SupportConfig) -> list[tuple[int, tuple[float, float], str]]:
-    """What hangs is put onto its wall, and what stands outside of the room pulled in, the shortest way. Moves `stand`."""
+def _brought_in(
+    interior: Interior, shapes: Shapes, stand: Stand, supports: SupportConfig, most_way: float
+) -> list[tuple[int, tuple[float, float], str]]:
+    """What hangs is put onto its wall, and what stands outside of the room pulled in, the shortest way, `most_way` [m] at most. Moves
+    `stand`."""
     if interior.room is None or interior.ring is None:
         return []
     moves = []
@@ -225,7 +234,7 @@ def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: Supp
             ring = plan_ring(obj.surface.vertices[np.unique(obj.surface.faces), :2])
             if outside_share(ring, interior.ring) > OUTSIDE_SHARE:
                 outcome, way = "pulled_in", way_in(ring, interior.ring)
-        if way is not None and math.hypot(*way) > 1e-6:
+        if way is not None and 1e-6 < math.hypot(*way) <= most_way:
             shift(shapes, stand, groups[i], (*way, 0.0))
             moves.append((i, way, outcome))
     return moves

@@ -16,7 +16,7 @@ from tasks.geometry.pieces import PieceConfig, asset_pieces
 from tasks.geometry.transforms import is_rigid
 from tasks.optimization.proposals import Proposal
 from tasks.optimization.solids import ConvexParts, shell_solids
-from tasks.optimization.support.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering, is_fixed
+from tasks.optimization.support.supports import Carrier, PlacedAsset, SupportConfig, find_carriers, is_covering
 from tasks.shell import floor_ring
 from tasks.stage import Caches
 
@@ -95,7 +95,7 @@ def furnish(
         carriers=tuple(carriers[name] for name in index),
         parent=np.array([-1 if p is None else index[p] for p in parents], dtype=np.int64),
         covering=np.array([is_covering(obj, supports) for obj, _, _ in kept], dtype=np.bool_),
-        fixed=np.array([is_fixed(carriers[obj.instance_id], obj.category) for obj, _, _ in kept], dtype=np.bool_),
+        fixed=np.array([carriers[obj.instance_id].is_fixed for obj, _, _ in kept], dtype=np.bool_),
         room=room,
         ring=ring,
         shell=shell,

@@ -127,11 +127,13 @@ def contact_rows(
 def allowed_depths(interior: Interior, before: Sequence[Penetration]) -> dict[tuple[str, str], float]:
     """How deep fixed objects, which hang or are built in, were in parts of the room as proposed [m], by (object, part).
 
-    So deep they may stay: they are let into a wall or set against it, and the room's shell is only an estimate.
+    So deep they may stay: they are let into a wall or set against it, and the room's shell is only an estimate. Two of them may be in
+    each other: neither ever moves.
     """
     known = set(interior.names)
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
-    return {(p.a, p.b): p.depth_m for p in before if p.a in fixed and p.b not in known}
+    let_in = {(p.a, p.b): p.depth_m for p in before if p.a in fixed and p.b not in known}
+    return let_in | {(a, b): np.inf for a in fixed for b in fixed if a != b}
 
 
 def remains_of(

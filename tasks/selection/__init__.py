@@ -17,6 +17,7 @@ from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import flat, inverse, transform_points, translation, yaw_of, yaw_pose
 from tasks.selection.alignment import AlignmentConfig, Distances, Fit, Sample, ScannedInstance, align, make_target, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.selection.neighbors import Neighborhood, foreign_share
 from tasks.settings import Config, Texts
 from tasks.stage import Context, Outcome, Stage
 
@@ -25,16 +26,20 @@ __all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "comple
 PROVIDER = "geometric"
 PROVIDER_VERSION = "1"
 
+LEAST_WITHIN = 0.3
+"""A box that holds less than this share of its points is none to go by."""
+
 
 @dataclasses.dataclass(frozen=True)
 class ScoreConfig(Config):
-    """What a candidate's score is made of. The weights add up to 1, every term lies in 0..1."""
+    """What a candidate's score is made of. The weights but `foreign` add up to 1, every term lies in 0..1."""
 
     coverage: float = 0.25  # what was scanned must be there: the surest evidence there is
     scan_closeness: float = 0.20  # how near the surface is to the points: tells shapes apart that both cover
     asset_closeness: float = 0.20  # surface where nothing was scanned; less sure, for scans are partial
     box_iou: float = 0.10  # size and place; mostly settled by the alignment, so it separates only gross misfits
     color: float = 0.10  # light and exposure move colors about; a hint
+    foreign: float = 0.6  # taken off as a share of all, per share of foreign space: two chairs in one place throw each other about
     completeness: float = 0.15  # a closed, clean model is worth more in a simulator than a slightly better fit
     threshold_m: float = 0.03  # covered within 3 cm, the noise of a room scan ...
     threshold_share: float = 0.05  # ... or a twentieth of the diagonal, where that is less: a mug is not covered by a point 3 cm off
@@ -52,6 +57,7 @@ class SelectionConfig(Config):
 
     alignment: AlignmentConfig = dataclasses.field(default_factory=AlignmentConfig)
     score: ScoreConfig = dataclasses.field(default_factory=ScoreConfig)
+    beside_m: float = 0.05  # points farther out of the instance's box than its own noise are another object's
     floor_snap_m: float = 0.05  # scans bleed: what ends this near the floor stands on it
 
 
@@ -77,6 +83,7 @@ def run(
     for asset_id in sorted({c.asset_id for rows in by_instance.values() for c in rows if c.asset_id}):
         samples[asset_id] = _sample(by_asset.get(asset_id), asset_id, context, config, degradations)
     selections: list[Selection] = []
+    neighborhood = Neighborhood.of(instances, context.blobs)
     for instance in sorted(instances, key=lambda i: i.instance_id):
         if instance.is_structure:
             continue
@@ -84,7 +91,7 @@ def run(
         if not usable:
             degradations.append(f"{instance.instance_id}: no candidate to select from")
             continue
-        selections += _rank(instance, usable, by_asset, samples, context, config)
+        selections += _rank(instance, usable, by_asset, samples, neighborhood, context, config)
     return Outcome(selections=selections, degradations=degradations)
 
 
@@ -97,8 +104,12 @@ STAGE = Stage(
 )
 
 
-def score_of(distances: Distances, box_iou: float, color: float, complete: float, own: bool, diagonal: float, config: ScoreConfig) -> float:
-    """Weighted score in 0..1. `own`: the asset is made of the instance's own points. `diagonal`: of its box [m]."""
+def score_of(
+    distances: Distances, box_iou: float, color: float, complete: float, own: bool, diagonal: float, config: ScoreConfig,
+    foreign: float = 0.0,
+) -> float:  # fmt: skip
+    """Weighted score in 0..1. `own`: the asset is made of the instance's own points. `diagonal`: of its box [m]. `foreign`: share of
+    what was seen in it that is not the instance's."""
     scan, asset = (float(np.exp(-d / (config.falloff * diagonal))) for d in (distances.scan, distances.asset))
     coverage = distances.coverage
     if own:
@@ -111,7 +122,7 @@ def score_of(distances: Distances, box_iou: float, color: float, complete: float
         + config.color * color
         + config.completeness * complete
     )
-    return float(np.clip(total, 0.0, 1.0))
+    return float(np.clip(total * (1.0 - config.foreign * foreign), 0.0, 1.0))
 
 
 def is_own_geometry(asset: Asset, provider: str, config: ScoreConfig) -> bool:
@@ -142,6 +153,7 @@ def _rank(
     candidates: Sequence[Candidate],
     assets: Mapping[str, Asset],
     samples: Mapping[str, Sample | None],
+    neighborhood: Neighborhood,
     context: Context,
     config: SelectionConfig,
 ) -> list[Selection]:
@@ -150,7 +162,10 @@ def _rank(
     histogram = color_histogram(target.colors)
     score = config.score
     threshold = max(min(score.threshold_m, score.threshold_share * target.diagonal), score.threshold_least_m)
-    done: dict[str, tuple[Fit, Distances, float, float]] = {}
+    reach = np.array([0.5 * target.diagonal, 0.5 * target.diagonal, 0.0])
+    others = neighborhood.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
+    others, own_cubes = transform_points(others, inverse(frame)), len(neighborhood.seen.get(instance.instance_id, ()))
+    done: dict[str, tuple[Fit, Distances, float, float, float]] = {}
     rows: list[Selection] = []
     for candidate in candidates:
         asset_id = candidate.asset_id or ""
@@ -160,8 +175,10 @@ def _rank(
         if asset_id not in done:
             fit, distances = align(target, sample, threshold, config.alignment)
             color = color_similarity(histogram, color_histogram(sample.colors))
-            done[asset_id] = (fit, distances, color, _placed_iou(frame, fit, sample, instance))
-        fit, distances, color, iou = done[asset_id]
+            placed, normals, _ = sample.placed(fit)
+            foreign = foreign_share(others, own_cubes, placed, normals)
+            done[asset_id] = (fit, distances, color, _placed_iou(frame, fit, sample, instance), foreign)
+        fit, distances, color, iou, foreign = done[asset_id]
         asset = assets[asset_id]
         own = is_own_geometry(asset, candidate.provider, score)
         complete = completeness(asset, own, score)
@@ -172,10 +189,11 @@ def _rank(
                 rank=1,
                 slot=candidate.slot,
                 asset_id=asset_id,
-                score=score_of(distances, iou, color, complete, own, target.diagonal, score),
+                score=score_of(distances, iou, color, complete, own, target.diagonal, score, foreign),
                 chamfer_m=distances.chamfer,
                 coverage=distances.coverage,
                 box_iou=iou,
+                foreign_share=foreign,
                 color_similarity=color,
                 pose=flat(frame @ yaw_pose(fit.yaw, fit.offset)),
                 scale=tuple(float(v) for v in fit.scale),
@@ -197,6 +215,9 @@ def instance_frame(instance: Instance, context: Context, config: SelectionConfig
     points, colors = read_points(context.blobs[instance.points_blob], instance.points_blob)
     local = transform_points(points, inverse(frame))
     extent = np.array([size[0], size[1], top - bottom])
+    within = (np.abs(local - [0.0, 0.0, 0.5 * extent[2]]) <= 0.5 * extent + config.beside_m).all(axis=1)
+    if within.mean() >= LEAST_WITHIN:  # what lies farther off was annotated with it and is another object
+        local, colors = local[within], colors[within]
     return frame, make_target(local, colors, extent, config.alignment, context.rng("instance", instance.instance_id))
 
 

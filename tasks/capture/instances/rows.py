@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from schemas.capture import Instance
 from tasks.capture.instances.boxes import oriented_box
+from tasks.capture.instances.merged import own_part
 from tasks.capture.labels import Label
 from tasks.capture.reading import Group
 from tasks.geometry.meshes import Surface, dump_glb, dump_points, material_of, sample_texture
@@ -73,7 +74,8 @@ def instance_row(
 ) -> Instance:  # fmt: skip
     """The row of an instance, without its views; keeps at most `most` points in its blob."""
     exact = surface.vertices[np.unique(surface.faces[solid.faces])] if solid.is_exact else solid.points
-    pose, size = oriented_box(exact, is_noisy=not solid.is_exact)
+    own = exact if solid.is_exact else exact[own_part(exact, label.category)]
+    pose, size = oriented_box(own, is_noisy=not solid.is_exact)
     count = len(solid.points)
     kept = np.sort(rng.choice(count, most, replace=False)) if count > most else np.arange(count)
     return Instance(

@@ -43,7 +43,7 @@ class AnnealingSchedule(NamedTuple):
     """How a chain runs. slop [m]: depth that only touches. step [m], turn [rad]: spread of moves at first. least_step,
     most_step [m]: bounds of the adapted spread. turn_share: share of turns among moves; rise_share: of moves up and down
     among the others, for what is carried. most_turn [rad]: farthest turn. most_rise [m]: highest rise over the carrier, or
-    move up or down a wall. most_aside [m]: farthest slide along a wall.
+    move up or down a wall. most_aside [m]: farthest slide along a wall. most_way [m]: farthest of what stands on the floor.
     price: of a metre of displacement, in metres of depth. temperature [m]: at first. cooling: factor per sweep.
     coldest [m]: then it is warmed up again. warmer: factor on the temperature each time. sweep: moves per active body.
     adapts: whether the spread of moves follows their acceptance. returns: whether objects are brought back towards
@@ -59,6 +59,7 @@ class AnnealingSchedule(NamedTuple):
     most_turn: float
     most_rise: float
     most_aside: float
+    most_way: float
     price: float
     temperature: float
     cooling: float
@@ -112,7 +113,7 @@ def bring_back(
                 for k in range(4):
                     move[k] = (share - 1.0) * before[k]
                 move_group(room, stand, kept, offset, obj, move)
-                if off_carrier(room, offset, obj, plan.most_turn, plan.most_rise, plan.most_aside) or overlaps(
+                if off_carrier(room, offset, obj, plan.most_turn, plan.most_rise, plan.most_aside, plan.most_way) or overlaps(
                     room, stand, obj, plan.slop, mark
                 ):
                     low = share
@@ -220,7 +221,7 @@ def anneal(
         take_row(before, offset, obj)
         move_group(room, stand, kept, offset, obj, move)
         tries[obj] += 1.0
-        accepted = not off_carrier(room, offset, obj, plan.most_turn, plan.most_rise, plan.most_aside)
+        accepted = not off_carrier(room, offset, obj, plan.most_turn, plan.most_rise, plan.most_aside, plan.most_way)
         begin, end = room.first_carried[obj], room.first_carried[obj + 1]
         near = True
         for g in range(begin, end):

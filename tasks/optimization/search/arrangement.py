@@ -108,8 +108,10 @@ def displacement(room: Arrangement, stand: Stand, body: int) -> float:
     return float(np.sqrt(dx * dx + dy * dy + dz * dz) + room.lever[body] * np.sqrt(dc * dc + ds * ds))
 
 
-def off_carrier(room: Arrangement, offset: Array, body: int, most_turn: float, most_rise: float, most_aside: float) -> bool:
-    """Whether an object stands where its carrier does not carry it, or is turned, raised or slid along its wall too far."""
+def off_carrier(
+    room: Arrangement, offset: Array, body: int, most_turn: float, most_rise: float, most_aside: float, most_way: float
+) -> bool:
+    """Whether an object stands where its carrier does not carry it, or is turned, raised, moved or slid along its wall too far."""
     if abs(offset[body, 3]) > most_turn:
         return True
     if room.kind[body] == HANGING:
@@ -117,7 +119,7 @@ def off_carrier(room: Arrangement, offset: Array, body: int, most_turn: float, m
         return bool(aside > most_aside or abs(offset[body, 2]) > most_rise)
     which = room.map_of[body]
     if which < 0:
-        return False
+        return bool(offset[body, 0] ** 2 + offset[body, 1] ** 2 > most_way**2)
     if offset[body, 2] < 0.0 or offset[body, 2] > most_rise:
         return True
     reach = (room.maps.shape[1] - 1) // 2

@@ -75,6 +75,7 @@ def last_resort(
     slop: float,
     most_tilt: float,
     nudge: float = 0.0,
+    most_way: float = np.inf,
 ) -> LastResort:
     """Put objects that are still in others elsewhere (`relocate`), and let down again what stood on them.
 
@@ -84,7 +85,7 @@ def last_resort(
     ways: dict[int, Array] = {}
     floored: set[int] = set()
     for _ in range(MOST_ROUNDS):
-        relocated = relocate(interior, solids, room, stand, slop, most_tilt)
+        relocated = relocate(interior, solids, room, stand, slop, most_tilt, most_way)
         if not relocated:
             break
         for move in relocated:
@@ -119,10 +120,11 @@ def _move(shift: Array, rotation: Array) -> Move:
 
 
 def relocate(
-    interior: Interior, solids: Sequence[ConvexParts], room: Arrangement, stand: Stand, slop: float, most_tilt: float
-) -> list[Relocation]:
+    interior: Interior, solids: Sequence[ConvexParts], room: Arrangement, stand: Stand, slop: float, most_tilt: float,
+    most_way: float = np.inf,
+) -> list[Relocation]:  # fmt: skip
     """Put objects of pairs that are deeper than `DEEP_M` in each other at the nearest place where they overlap nothing by more
-    than `slop` [m], deepest pair first. Changes `room.shapes` and `stand`.
+    than `slop` [m], deepest pair first, `most_way` [m] away at most from where they were proposed. Changes `room.shapes` and `stand`.
 
     Of a pair the smaller one goes, with all it carries; the other where that is fixed or fits nowhere. Places are looked for
     on what carries it, at the height at which it stands, then on the floor, within the room; where none is, the pair stays.
@@ -133,7 +135,7 @@ def relocate(
     done: list[Relocation] = []
     while pair := next((p for p in _deep_pairs(solids, room, stand) if _movable(interior, groups, p, hopeless)), None):
         for i in _movable(interior, groups, pair, hopeless):
-            made = _put_elsewhere(interior, room, stand, i, slop, most_tilt)
+            made = _put_elsewhere(interior, room, stand, i, slop, most_tilt, most_way)
             if made is not None:
                 done.append(made)
                 break
@@ -193,7 +195,9 @@ def _size(interior: Interior, obj: int) -> tuple[float, int]:
     return float(np.prod(interior.objects[obj].high - interior.objects[obj].low)), obj
 
 
-def _put_elsewhere(interior: Interior, room: Arrangement, stand: Stand, obj: int, slop: float, most_tilt: float) -> Relocation | None:
+def _put_elsewhere(
+    interior: Interior, room: Arrangement, stand: Stand, obj: int, slop: float, most_tilt: float, most_way: float
+) -> Relocation | None:
     """Move an object, with what it carries, to the nearest place for it; None, and it stays, where there is none."""
     parent, bodies = int(interior.parent[obj]), len(stand.low)
     carrier, cloths = np.zeros((2, bodies), dtype=np.bool_)
@@ -202,8 +206,11 @@ def _put_elsewhere(interior: Interior, room: Arrangement, stand: Stand, obj: int
     if parent >= 0:
         carrier[parent] = True
     shifts = _shifts(interior, room, stand, obj)
+    away = stand.place[obj][:2] + shifts - interior.poses[obj][:2, 3]
+    shifts = np.ascontiguousarray(shifts[np.hypot(*away.T) <= most_way])
+    may_fall = float(stand.low[obj, 2]) <= most_way
     for is_strict in (True, False):  # where it stands nowhere, it may as well lie somewhere
-        for on_floor in (False, True) if parent >= 0 else (True,):
+        for on_floor in ((False, True) if may_fall else (False,)) if parent >= 0 else (True,):
             near = shifts if on_floor else _above(shifts, stand, obj, parent)
             spot = _first_place(interior, room, stand, obj, near, cloths if on_floor else carrier, on_floor, slop, most_tilt, is_strict)
             if spot is not None:

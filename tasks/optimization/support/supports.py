@@ -28,8 +28,8 @@ class SupportConfig(Config):
     """When an object counts as carried."""
 
     reach_m: NonNegative = 0.10  # scans bleed and boxes are a few centimetres off; a gap beyond this is a gap
-    drop_m: NonNegative = 0.5  # legs are often too thin for a scan: what nothing carries and is this low was standing on what lies below
-    stand_drop_m: NonNegative = 1.0  # as drop_m, for what never hangs: nothing else than a lost support explains it
+    drop_m: NonNegative = 0.3  # legs are often too thin for a scan: what nothing carries and is this low was standing on what lies below
+    stand_drop_m: NonNegative = 0.3  # as drop_m, for what never hangs: farther down it would stand where nobody has seen it
     sunk_m: NonNegative = 0.2  # what nothing carries within reach may have sunk this deep: the object and its carrier are both off
     base_m: Positive = 0.02  # feet and rims within this of the lowest point are what an object stands on
     share: Share = 0.3  # of the base over a surface: less, and the center of mass may be past the edge
@@ -166,15 +166,16 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: Supp
                 known = dataclasses.replace(known, relation="inside" if inside else "on", lift=lift)
             if faces and against is None and not is_covering(by_id[name], config):
                 against = stands_against(by_id[name], faces, config.against_m)
-            carriers[name] = dataclasses.replace(known, against=against, is_fixed=is_fixed(known, by_id[name].category))
+            carriers[name] = dataclasses.replace(known, against=against, is_fixed=is_fixed(known, by_id[name].category, against))
         return carriers[name]
 
     return {name: settle(name) for name in sorted(by_instance)}
 
 
-def is_fixed(carrier: Carrier, category: str) -> bool:
-    """Whether an object is fastened to the room: it hangs on a wall or ceiling, or its category is built in."""
-    return carrier.relation in ("wall", "ceiling") or mounting(category).is_built_in
+def is_fixed(carrier: Carrier, category: str, against: str | None = None) -> bool:
+    """Whether an object is fastened to the room: it hangs on a wall or ceiling, is built in, or is fitted and stands `against` a wall."""
+    kind = mounting(category)
+    return carrier.relation in ("wall", "ceiling") or kind.is_built_in or (kind.is_fitted and against is not None)
 
 
 def descendants(parents: Mapping[str, str | None]) -> dict[str, set[str]]:
@@ -248,6 +249,8 @@ def _carrier(
     deep = _rest_off(obj, order, rests, 2 * config.reach_m, config) if rest is None else None
     if rest is None and deep is None and contact is not None and contact.depth <= config.hung_depth_m:
         return wall or ceiling
+    if rest is None and deep is None and mounting(obj.category).is_fitted and (against := stands_against(obj, faces, config.wall_m)):
+        return Carrier("wall", None, 0.0, 0.0, against)
     rest = rest or deep or _rest_off(obj, order, rests, config.stand_drop_m if kind == "stands" else config.drop_m, config)
     if rest is None and kind == "ceiling":  # a lamp hangs low over a dining table, on a cord that no scan has
         return ceiling

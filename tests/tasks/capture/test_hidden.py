@@ -97,7 +97,9 @@ def test_a_front_whose_back_was_seen_is_no_body() -> None:
     assert low[0] == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize(("base", "hidden"), [("legs", (0, 0, 0, 0, 0.42, 0)), ("body", (0, 0, 0, 0, 0.42, 0)), ("body", (0.5, 0, 0, 0, 0, 0))])
+@pytest.mark.parametrize(
+    ("base", "hidden"), [("legs", (0, 0, 0, 0, 0.42, 0)), ("body", (0, 0, 0, 0, 0.42, 0)), ("body", (0.5, 0, 0, 0, 0, 0))]
+)
 def test_a_crop_is_drawn_out_to_what_it_stands_on_and_leans_on(base: str, hidden: tuple[float, ...]) -> None:
     """A slab at the height of a seat, and a front: closed, they fill the box that they are said to have, and stand on all of it."""
     x = np.linspace(-0.225, 0.225, 24) if hidden[4] else np.linspace(-0.02, 0.02, 4)
@@ -117,4 +119,3 @@ def test_a_crop_is_drawn_out_to_what_it_stands_on_and_leans_on(base: str, hidden
     assert np.ptp(foot, axis=0) == pytest.approx((field.high - field.low)[:2], abs=0.2 * 0.45 + 2 * field.step)
     middle = np.array([[*(0.5 * (field.low + field.high))[:2], 0.2]])
     assert bool(made.contains(middle)[0]) == (base == "body"), "legs leave the space between them free"
-

@@ -1,0 +1,117 @@
+"""Assets that fill each other's place: another candidate of the same object, or a smaller one, before anything is moved.
+
+A scan's objects are beside each other. Where their assets are deep in each other one of them has the wrong shape: the solid of a corner
+sofa fills its bend. To push the other out of it changes the scene more than to take the next best asset.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping, Sequence
+
+import numpy as np
+
+from schemas.selection import Selection
+from tasks.geometry.transforms import matrix
+from tasks.optimization.contacts import Colliders
+from tasks.optimization.interior import Interior
+from tasks.optimization.proposals import Proposal
+
+MOST_ROUNDS = 5
+"""How often assets are taken for others."""
+
+LESS = 0.05
+"""By as much less foreign space must another candidate fill to be taken instead."""
+
+SMALLER = 0.8
+"""Factor on the scale of an asset of which every candidate fills another's place."""
+
+LEAST_SCALE = 0.5
+"""Smaller than this share of what was selected, an asset is another object."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitting:
+    """Proposals, the interior that they make, what was left out of it, and what was taken for something else, a line each."""
+
+    proposals: tuple[Proposal, ...]
+    interior: Interior
+    left_out: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def fit_together(
+    proposals: Sequence[Proposal], selections: Sequence[Selection], assets: Collection[str], depth: float,
+    furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
+) -> Fitting:  # fmt: skip
+    """The proposals, those of them that are deeper in each other than `depth` [m] replaced. What people chose stays as it is.
+
+    Of two the one that fills more of what was seen not to be its own gives way, of equal ones the smaller: to the best candidate that
+    fills less, and where there is none, it is made smaller.
+    """
+    ranked: dict[str, list[Selection]] = defaultdict(list)
+    for row in sorted(selections, key=lambda s: (s.instance_id, s.rank)):
+        if row.asset_id in assets:
+            ranked[row.instance_id].append(row)
+    chosen = {p.instance.instance_id: p for p in proposals}
+    first = dict(chosen)
+    said: dict[str, str] = {}
+    interior, left_out = furnish(tuple(chosen.values()))
+    for _ in range(MOST_ROUNDS):
+        changed = False
+        for name in _misfits(interior, ranked, chosen, depth):
+            other = _other(chosen[name], ranked[name])
+            if other is not None:
+                chosen[name], changed = other, True
+                is_other = other.asset_id != first[name].asset_id
+                said[name] = "another asset, whose shape leaves its neighbors their place" if is_other else ""
+                if (other.scale < (1 - 1e-9) * _selected(other, ranked[name])).any():
+                    said[name] = "; ".join(filter(None, [said[name], "made smaller to leave its neighbors their place"]))
+        if not changed:
+            break
+        interior, left_out = furnish(tuple(chosen.values()))
+    notes = tuple(f"{name}: {text}" for name, text in sorted(said.items()))
+    return Fitting(tuple(chosen.values()), interior, tuple(left_out), notes)
+
+
+def _selected(proposal: Proposal, rows: Sequence[Selection]) -> np.ndarray:
+    """The scale at which an asset was selected, shape (3,)."""
+    return np.array(next(row.scale for row in rows if row.asset_id == proposal.asset_id))
+
+
+def _misfits(interior: Interior, ranked: Mapping[str, Sequence[Selection]], chosen: Mapping[str, Proposal], depth: float) -> list[str]:
+    """The objects that give way to others, one of each pair that is deeper than `depth` [m]."""
+    index = {name: i for i, name in enumerate(interior.names)}
+    fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
+    carried = {(name, c.parent_id) for name, c in zip(interior.names, interior.carriers, strict=True) if c.relation == "on"}
+    names: set[str] = set()
+    for pair in Colliders(interior.solids).penetrations(interior.poses):
+        if pair.depth_m <= depth or pair.b not in index or (pair.a in fixed and pair.b in fixed):
+            continue
+        if (pair.a, pair.b) in carried or (pair.b, pair.a) in carried:  # it is lifted out of its carrier
+            continue
+        sides = [name for name in (pair.a, pair.b) if chosen[name].origin == "selection"]
+        if sides and not names & {pair.a, pair.b}:
+            names.add(max(sides, key=lambda name: (round(_foreign(chosen[name], ranked[name]), 3), -_volume(interior, index[name]), name)))
+    return sorted(names)
+
+
+def _foreign(proposal: Proposal, rows: Sequence[Selection]) -> float:
+    """Share of foreign space that a proposal's asset fills, as it was selected."""
+    return next((row.foreign_share or 0.0 for row in rows if row.asset_id == proposal.asset_id), 0.0)
+
+
+def _volume(interior: Interior, obj: int) -> float:
+    return float(np.prod(interior.objects[obj].high - interior.objects[obj].low))
+
+
+def _other(proposal: Proposal, rows: Sequence[Selection]) -> Proposal | None:
+    """The best candidate that fills less foreign space than a proposal, else a smaller one; None where neither is left."""
+    foreign = _foreign(proposal, rows)
+    for row in rows:
+        if (row.foreign_share or 0.0) < foreign - LESS:
+            return dataclasses.replace(proposal, asset_id=row.asset_id, pose=matrix(row.pose), scale=np.array(row.scale))
+    if (SMALLER * proposal.scale < LEAST_SCALE * _selected(proposal, rows)).any():
+        return None
+    return dataclasses.replace(proposal, scale=SMALLER * proposal.scale)

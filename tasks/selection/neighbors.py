@@ -1,0 +1,84 @@
+"""What else is where an asset would stand: points of other instances, and the floor that was seen there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.capture import Instance
+from tasks.geometry.meshes import read_points
+from tasks.mounting import mounting
+from tasks.selection.distances import nearest_indices
+
+Array = NDArray[np.float64]
+
+CELL_M = 0.04
+"""Space is counted in cubes of this edge."""
+
+DEEP_M = 0.03
+"""Points deeper in an asset than this are in it; others touch it."""
+
+ABOVE_FLOOR_M = 0.06
+"""So far above a floor that was seen there is nothing."""
+
+MOST_CUBES = 600
+"""More cubes tell no more of a share."""
+
+FLOOR = "floor"
+"""The NYU40 class of floors."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Neighborhood:
+    """What was seen in a scene: middles of cubes in the world frame [m], shape (n, 3), by instance; a floor's are what is free above it."""
+
+    seen: Mapping[str, Array]
+
+    @staticmethod
+    def of(instances: Sequence[Instance], blobs: Mapping[str, bytes]) -> Neighborhood:
+        """The cubes of all instances but ceilings, walls and what lies flat to be stood upon.
+
+        Raises:
+            InputError: points of an instance are no point cloud of this lake.
+        """
+        seen = {}
+        for instance in instances:
+            is_floor = instance.is_structure and instance.nyu40_label == FLOOR
+            if (
+                (instance.is_structure and not is_floor)
+                or mounting(instance.category).kind == "covering"
+                or instance.points_blob not in blobs
+            ):
+                continue
+            points, _ = read_points(blobs[instance.points_blob], instance.points_blob)
+            if is_floor:
+                points = points + np.array([0.0, 0.0, ABOVE_FLOOR_M])
+            seen[instance.instance_id] = cubes(points)
+        return Neighborhood(seen)
+
+    def within(self, own: str, low: Array, high: Array) -> Array:
+        """Cubes of all but one instance in a box along the world's axes [m], shape (n, 3)."""
+        parts = [points for name, points in self.seen.items() if name != own]
+        near = [points[((points >= low) & (points <= high)).all(axis=1)] for points in parts]
+        return np.concatenate([np.zeros((0, 3)), *near])
+
+
+def cubes(points: Array) -> Array:
+    """Middles of the cubes that points are in [m], shape (n, 3) to (m, 3)."""
+    return np.asarray((np.unique(np.floor(points / CELL_M).astype(np.int64), axis=0) + 0.5) * CELL_M)
+
+
+def foreign_share(others: Array, own: int, placed: Array, normals: Array) -> float:
+    """Of the cubes with anything in them, `own` ones and others, shape (n, 3) [m], how many are others and lie in an asset. placed,
+    normals: samples of its surface [m] and their outward normals, shape (m, 3)."""
+    if not len(others):
+        return 0.0
+    stride = -(-len(others) // MOST_CUBES)
+    others = others[::stride]
+    index, _ = nearest_indices(others, placed)
+    depth = ((placed[index] - others) * normals[index]).sum(axis=1)
+    inside = stride * int((depth > DEEP_M).sum())
+    return inside / max(inside + own, 1)
