@@ -80,7 +80,7 @@ BUILT_IN: tuple[str, ...] = (
 _BASES: tuple[tuple[Base, str], ...] = (
     ("legs",
      "chair|office chair|armchair|sofa chair|folding chair|high chair|rocking chair|stool|bar stool|bench|table|dining table|desk|"
-     "coffee table|side table|end table|console table|round table|workbench|piano|crib|bunk bed|tv stand"),
+     "coffee table|side table|end table|console table|round table|workbench|piano|crib|bunk bed|tv stand|floor lamp"),
     ("body",
      "sofa|futon|bed|ottoman|bean bag|nightstand|file cabinet|wardrobe|dresser|kitchen island|refrigerator|oven|stove|dishwasher|"
      "washing machine|clothes dryer|bathtub|bookshelf|kitchen cabinet|cabinet|bathroom cabinet"),

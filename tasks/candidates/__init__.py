@@ -39,10 +39,9 @@ def run(*, instances: list[Instance], captions: list[Caption], library: Path | N
     candidates: list[Candidate] = []
     assets: dict[str, Asset] = {}
     blobs = Blobs()
-    for instance in sorted(instances, key=lambda row: row.instance_id):
-        if instance.is_structure:
-            continue
-        request = CandidateRequest(instance, by_instance.get(instance.instance_id), context, index)
+    objects = sorted((row for row in instances if not row.is_structure), key=lambda row: row.instance_id)
+    for instance in objects:
+        request = CandidateRequest(instance, by_instance.get(instance.instance_id), context, index, objects)
         for number, slot in enumerate(config.slots, start=1):
             candidate, made = _fill(number, slot, request)
             candidates.append(candidate)

@@ -11,24 +11,22 @@ A distance is put on a grid and its level taken, so the result is closed whateve
   generalized winding number (Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers",
   SIGGRAPH 2013).
 * The lowest layer reaches straight down to the bottom of the box, so that the solid stands on a flat contact.
-* What the scan could not see of furniture is drawn out of what it saw: bodies back to the wall behind and down to what they
-  stand on, legs down from the corners.
+* What the scan could not see of furniture is drawn out of what it saw (`tasks.candidates.completion`).
 * What the shell added around the outside is taken away again: the solid is fitted to the bounds of the crop.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from tasks.candidates.completion import NOTHING_UNSEEN, Unseen, completed
 from tasks.geometry.isosurfaces import dense_surface
 from tasks.geometry.meshes import Surface
 from tasks.geometry.proximity import closest_points
 from tasks.geometry.rendering import RayScene
-from tasks.mounting import Base
 
 Array = NDArray[np.float64]
 
@@ -84,19 +82,13 @@ class SolidField:
     high: Array
 
 
-def solid_field(crop: Surface, hidden: ArrayLike | None = None, base: Base | None = None) -> SolidField:
-    """The field of a crop whose frame has +Z up and the bottom of the object's box at z = 0.
-
-    hidden: how far the object reaches beyond the crop on the sides -x, +x, -y, +y, -z [m], shape (5,) or more. base: what it
-    reaches down with.
-    """
+def solid_field(crop: Surface, unseen: Unseen = NOTHING_UNSEEN) -> SolidField:
+    """The field of a crop whose frame has +Z up and the bottom of the object's box at z = 0, completed by what is unseen of it."""
     from scipy.ndimage import gaussian_filter, uniform_filter
 
-    sides = np.zeros(5) if hidden is None else np.asarray(hidden, dtype=np.float64)[:5]
     low, high = crop.bounds
-    seen_low = float(low[2])
-    low[:2] -= sides[[0, 2]]
-    high[:2] += sides[[1, 3]]
+    low[:2] -= [unseen.sides[0], unseen.sides[2]]
+    high[:2] += [unseen.sides[1], unseen.sides[3]]
     low[2] = min(low[2], 0.0)
     extent = np.maximum(high - low, 0.01)
     step = float(max((np.prod(extent) / GRID_CELLS) ** (1 / 3), MIN_STEP_M))
@@ -118,50 +110,9 @@ def solid_field(crop: Surface, hidden: ArrayLike | None = None, base: Base | Non
     solid = uniform_filter(inside.reshape(shape), 3) > 0.5
     distance = distance.reshape(shape)
     field = gaussian_filter(np.where(solid, -distance, distance) - SHELL_STEPS * step, SMOOTHING_CELLS, mode="nearest")
-    field = _drawn_out(field, axes, low, high, sides, seen_low, base)
+    field = completed(field, axes, low, high, unseen)
     middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.5 * MIN_THICKNESS_M)
     return SolidField(_grounded(field, axes[2], low[2], step), origin, step, middle - half, middle + half)
-
-
-def _drawn_out(
-    field: NDArray[np.float32], axes: Sequence[Array], low: Array, high: Array, sides: Array, bottom: float, base: Base | None
-) -> NDArray[np.float32]:
-    """The field with what the scan could not see: drawn out of the outermost solid nodes to the box's sides, and down from `bottom` [m]."""
-    drawn = field.copy()
-    for side in np.flatnonzero(sides[:4] > 0.0).tolist():
-        axis, end = side // 2, side % 2
-        bound = high[axis] if end else low[axis]
-        rows, at = np.moveaxis(drawn, axis, 0), axes[axis]
-        if end:
-            rows, at, bound = rows[::-1], -at[::-1], -bound
-        solid = rows < 0
-        first = np.where(solid.any(axis=0), solid.argmax(axis=0), 0)
-        value = np.take_along_axis(rows, first[None], axis=0)[0]
-        number = np.arange(len(at))[:, None, None]
-        behind = (number < first) & (at >= bound - 1e-9)[:, None, None] & (value < 0)
-        rows[behind] = np.broadcast_to(value, rows.shape)[behind]
-    if sides[4] > 0.0 and base is not None:
-        solid = drawn < 0
-        plan = np.asarray(solid.any(axis=2))
-        lowest = np.where(plan, solid.argmax(axis=2), 0)
-        if base == "legs":
-            plan = plan & _corners(plan)
-        value = np.take_along_axis(drawn, lowest[:, :, None], axis=2)
-        below = (np.arange(drawn.shape[2]) < lowest[:, :, None]) & (axes[2] >= low[2] - 1e-9) & plan[:, :, None]
-        drawn[below] = np.broadcast_to(value, drawn.shape)[below]
-    return drawn
-
-
-def _corners(plan: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Nodes of a plan, shape (nx, ny), that legs stand below: squares at its four corners, a twelfth of its side and two nodes at least."""
-    nodes = np.argwhere(plan)
-    legs = np.zeros_like(plan)
-    wide = max(round(float(np.ptp(nodes, axis=0).min()) / 12), 2) if len(nodes) else 0
-    for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)) if len(nodes) else ():
-        i, j = nodes[np.argmax(x * nodes[:, 0] + y * nodes[:, 1])]
-        first_x, first_y = (max(k - (wide - 1), 0) if s > 0 else k for k, s in ((i, x), (j, y)))  # inward from the corner
-        legs[first_x : first_x + wide, first_y : first_y + wide] = True
-    return legs
 
 
 def _near(triangles: Array, origin: Array, step: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:

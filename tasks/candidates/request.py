@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,13 +13,14 @@ from numpy.typing import NDArray
 from schemas.captions import Caption
 from schemas.capture import Instance
 from tasks.candidates.closing import SolidField, solid_field
+from tasks.candidates.completion import Unseen
 from tasks.candidates.descriptors import Descriptor, describe
 from tasks.candidates.library import LibraryEntry, LibraryIndex
 from tasks.candidates.provider import NothingToOffer
 from tasks.candidates.retrieval import retrieve
 from tasks.candidates.scan_crop import crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
-from tasks.geometry.boxes import grown_box
+from tasks.geometry.boxes import box_footprint, grown_box
 from tasks.geometry.meshes import Surface, read_points
 from tasks.geometry.transforms import inverse, transform_points
 from tasks.mounting import mounting
@@ -27,18 +29,39 @@ from tasks.stage import Context
 if TYPE_CHECKING:
     import trimesh
 
+ON_TOP_M = 0.05
+"""What ends this near to the top of another stands on it."""
+
 MIN_SIDE_M = 0.005
 """A model gets no side thinner than 5 mm, however flat the scanned box is: posters and rugs come out without thickness."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CandidateRequest:
-    """An instance to be stood in for, and the library where one is given. What is computed once for several slots is a property."""
+    """An instance to be stood in for, the library where one is given, and the scene's objects. What is computed once for several slots
+    is a property."""
 
     instance: Instance
     caption: Caption | None
     context: Context
     library: LibraryIndex | None
+    neighbors: Sequence[Instance] = ()
+
+    @property
+    def held(self) -> list[tuple[float, float, float, float]]:
+        """Where neighbors stand on the top of the box: x0, y0, x1, y1 in its frame [m]."""
+        pose, size = grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)
+        places = []
+        for other in self.neighbors:
+            low = float(other.box_pose[11]) - 0.5 * other.box_size[2]
+            if other.instance_id == self.instance.instance_id or abs(low - float(pose[2, 3] + 0.5 * size[2])) > ON_TOP_M:
+                continue
+            corners = np.column_stack([box_footprint(other.box_pose, other.box_size), np.zeros(4)])
+            plan = transform_points(corners, inverse(pose))[:, :2]
+            if (np.abs(plan.mean(axis=0)) <= 0.5 * size[:2]).all():
+                (x0, y0), (x1, y1) = np.clip([plan.min(axis=0), plan.max(axis=0)], -0.5 * size[:2], 0.5 * size[:2]).tolist()
+                places.append((x0, y0, x1, y1))
+        return places
 
     @property
     def category(self) -> str:
@@ -103,7 +126,7 @@ class CandidateRequest:
     @cached_property
     def field(self) -> SolidField:
         """The solid field of the crop."""
-        return solid_field(self.crop, self.instance.hidden_m, mounting(self.category).base or "body")
+        return solid_field(self.crop, Unseen.of(self.instance.hidden_m, mounting(self.category), self.held))
 
     @cached_property
     def pieces(self) -> tuple[trimesh.Trimesh, list[trimesh.Trimesh]]:

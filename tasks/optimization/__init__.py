@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.annotation import Annotation
 from schemas.candidates import Asset
 from schemas.captions import Caption
 from schemas.capture import Instance, Room
-from schemas.optimization import APPLIED
+from schemas.optimization import APPLIED, OptimizationStep
 from schemas.selection import Selection
 from tasks.geometry.pieces import PieceConfig
 from tasks.optimization import default, paper
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, certificate_rows, certify
-from tasks.optimization.contacts import Colliders
+from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.default import Default
-from tasks.optimization.interior import furnish
-from tasks.optimization.misfits import fit_together
+from tasks.optimization.interior import Interior, furnish
+from tasks.optimization.misfits import fit_together, made_smaller
 from tasks.optimization.paper import Paper
 from tasks.optimization.proposals import propose
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
-from tasks.optimization.search.trace import moved_poses, replayed_poses, step_rows
-from tasks.optimization.support.resting import lost_supports
+from tasks.optimization.search.trace import Resolution, moved_poses, replayed_poses, step_rows
+from tasks.optimization.support.resting import DEEP_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config, NonNegative
 from tasks.stage import Context, Outcome, Stage
@@ -36,6 +37,10 @@ __all__ = ["MOVES", "OUTCOMES", "STAGE", "Default", "OptimizationConfig", "Paper
 
 Method = Annotated[Paper | Default, ByKind()]
 """How collisions are resolved: a union of frozen configs, matched by type."""
+
+
+MOST_TRIES = 3
+"""How often what is stuck in the end is made smaller, and everything resolved again."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,20 +80,16 @@ def run(
     fitting = fit_together(proposals, selections, known, deepest, lambda some: furnish(some, *placed))
     interior = fitting.interior
     notes += fitting.left_out
-    match config.method:
-        case Paper() as method:
-            resolution, word = paper.resolve(interior, method, config.supports, context.rng), "paper"
-        case Default() as method:
-            resolution, word = default.resolve(interior, method, config.supports, context.rng, context.spread), "default"
-    interior = resolution.interior or interior
-    names, scene_id = interior.names, context.scene_id
-    steps = step_rows(scene_id, resolution.start, resolution.steps)
-    parents = {name: carrier.parent_id for name, carrier in zip(names, interior.carriers, strict=True)}
-    moves = [(step.name, step.move) for step in resolution.steps if step.outcome in APPLIED]
-    moved = moved_poses(dict(zip(names, interior.poses, strict=True)), parents, moves)
-    poses = np.array([moved[name] for name in names]).reshape(-1, 4, 4)
-    colliders = Colliders(interior.solids, interior.shell)
-    before, after = colliders.penetrations(interior.poses), colliders.penetrations(poses)
+    resolved = _resolved(interior, config, context)
+    for _ in range(MOST_TRIES if isinstance(config.method, Default) else 0):
+        allowed = allowed_depths(resolved.interior, resolved.before)
+        stuck = [p for p in resolved.after if p.depth_m > DEEP_M + allowed.get((p.a, p.b), 0.0)]
+        smaller = made_smaller(fitting, resolved.interior, stuck, selections, lambda some: furnish(some, *placed)) if stuck else None
+        if smaller is None:
+            break
+        fitting, resolved = smaller, _resolved(smaller.interior, config, context)
+    resolution, interior, poses, before, after, steps = resolved
+    scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
     certified = certify(bodies, poses, interior.shell, config.certificate)
     lost, allowed = lost_supports(interior, poses), allowed_depths(interior, before)
@@ -107,6 +108,33 @@ def run(
         certificates=certificate_rows(scene_id, certified),
         degradations=notes,
     )
+
+
+class _Resolved(NamedTuple):
+    """What a method made of an interior: its steps as rows, poses in the end, shape (n, 4, 4), penetrations before and after."""
+
+    resolution: Resolution
+    interior: Interior
+    poses: NDArray[np.float64]
+    before: list[Penetration]
+    after: list[Penetration]
+    steps: list[OptimizationStep]
+
+
+def _resolved(interior: Interior, config: OptimizationConfig, context: Context) -> _Resolved:
+    match config.method:
+        case Paper() as method:
+            resolution = paper.resolve(interior, method, config.supports, context.rng)
+        case Default() as method:
+            resolution = default.resolve(interior, method, config.supports, context.rng, context.spread)
+    interior = resolution.interior or interior
+    parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
+    moves = [(step.name, step.move) for step in resolution.steps if step.outcome in APPLIED]
+    moved = moved_poses(dict(zip(interior.names, interior.poses, strict=True)), parents, moves)
+    poses = np.array([moved[name] for name in interior.names]).reshape(-1, 4, 4)
+    colliders = Colliders(interior.solids, interior.shell)
+    steps = step_rows(context.scene_id, resolution.start, resolution.steps)
+    return _Resolved(resolution, interior, poses, colliders.penetrations(interior.poses), colliders.penetrations(poses), steps)
 
 
 STAGE = Stage(

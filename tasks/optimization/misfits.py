@@ -14,7 +14,7 @@ import numpy as np
 
 from schemas.selection import Selection
 from tasks.geometry.transforms import matrix
-from tasks.optimization.contacts import Colliders
+from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.interior import Interior
 from tasks.optimization.proposals import Proposal
 
@@ -26,6 +26,11 @@ LESS = 0.05
 
 SMALLER = 0.8
 """Factor on the scale of an asset of which every candidate fills another's place."""
+
+LITTLE = 0.88
+"""Factor on the plan of an asset that is stuck in another in the end."""
+
+SMALLER_NOTE = "made smaller to leave its neighbors their place"
 
 LEAST_SCALE = 0.5
 """Smaller than this share of what was selected, an asset is another object."""
@@ -60,14 +65,14 @@ def fit_together(
     interior, left_out = furnish(tuple(chosen.values()))
     for _ in range(MOST_ROUNDS):
         changed = False
-        for name in _misfits(interior, ranked, chosen, depth):
+        for name in _giving_way(interior, Colliders(interior.solids).penetrations(interior.poses), ranked, chosen, depth):
             other = _other(chosen[name], ranked[name])
             if other is not None:
                 chosen[name], changed = other, True
                 is_other = other.asset_id != first[name].asset_id
                 said[name] = "another asset, whose shape leaves its neighbors their place" if is_other else ""
                 if (other.scale < (1 - 1e-9) * _selected(other, ranked[name])).any():
-                    said[name] = "; ".join(filter(None, [said[name], "made smaller to leave its neighbors their place"]))
+                    said[name] = "; ".join(filter(None, [said[name], SMALLER_NOTE]))
         if not changed:
             break
         interior, left_out = furnish(tuple(chosen.values()))
@@ -75,18 +80,42 @@ def fit_together(
     return Fitting(tuple(chosen.values()), interior, tuple(left_out), notes)
 
 
+def made_smaller(
+    fitting: Fitting, interior: Interior, stuck: Sequence[Penetration], selections: Sequence[Selection],
+    furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
+) -> Fitting | None:  # fmt: skip
+    """The same with those that are still stuck in others a little smaller in plan, of each pair one; None where nothing can be."""
+    ranked: dict[str, list[Selection]] = defaultdict(list)
+    for row in selections:
+        ranked[row.instance_id].append(row)
+    chosen = {p.instance.instance_id: p for p in fitting.proposals}
+    notes = dict(note.split(": ", 1) for note in fitting.notes)
+    names = _giving_way(interior, stuck, ranked, chosen, 0.0)
+    shrunk = {name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [LITTLE, LITTLE, 1.0]) for name in names}
+    shrunk = {name: p for name, p in shrunk.items() if (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()}
+    if not shrunk:
+        return None
+    chosen |= shrunk
+    notes |= {name: "; ".join(sorted({*notes.get(name, SMALLER_NOTE).split("; "), SMALLER_NOTE})) for name in shrunk}
+    made, left_out = furnish(tuple(chosen.values()))
+    return Fitting(tuple(chosen.values()), made, tuple(left_out), tuple(f"{name}: {text}" for name, text in sorted(notes.items())))
+
+
 def _selected(proposal: Proposal, rows: Sequence[Selection]) -> np.ndarray:
     """The scale at which an asset was selected, shape (3,)."""
     return np.array(next(row.scale for row in rows if row.asset_id == proposal.asset_id))
 
 
-def _misfits(interior: Interior, ranked: Mapping[str, Sequence[Selection]], chosen: Mapping[str, Proposal], depth: float) -> list[str]:
+def _giving_way(
+    interior: Interior, pairs: Sequence[Penetration], ranked: Mapping[str, Sequence[Selection]], chosen: Mapping[str, Proposal],
+    depth: float,
+) -> list[str]:  # fmt: skip
     """The objects that give way to others, one of each pair that is deeper than `depth` [m]."""
     index = {name: i for i, name in enumerate(interior.names)}
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     carried = {(name, c.parent_id) for name, c in zip(interior.names, interior.carriers, strict=True) if c.relation == "on"}
     names: set[str] = set()
-    for pair in Colliders(interior.solids).penetrations(interior.poses):
+    for pair in pairs:
         if pair.depth_m <= depth or pair.b not in index or (pair.a in fixed and pair.b in fixed):
             continue
         if (pair.a, pair.b) in carried or (pair.b, pair.a) in carried:  # it is lifted out of its carrier

@@ -53,7 +53,7 @@ def draw_back(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[in
     points = np.empty((MOST_POINTS, 3))
     for i, carrier in enumerate(interior.carriers):
         parent = int(interior.parent[i])
-        if parent < 0 or interior.covering[parent] or interior.covering[i] or carrier.relation not in ("on", "inside"):
+        if parent < 0 or interior.covering[[parent, i]].any() or interior.fixed[i] or carrier.relation not in ("on", "inside"):
             continue
         among = np.zeros(len(stand.low), dtype=np.bool_)
         among[parent] = True

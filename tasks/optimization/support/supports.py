@@ -165,7 +165,8 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: Supp
                 lift = known.lift + settle(known.parent_id).lift
                 known = dataclasses.replace(known, relation="inside" if inside else "on", lift=lift)
             if faces and against is None and not is_covering(by_id[name], config):
-                against = stands_against(by_id[name], faces, config.against_m)
+                within = config.wall_m if mounting(by_id[name].category).is_fitted else config.against_m
+                against = stands_against(by_id[name], faces, within)
             carriers[name] = dataclasses.replace(known, against=against, is_fixed=is_fixed(known, by_id[name].category, against))
         return carriers[name]
 
