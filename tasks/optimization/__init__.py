@@ -39,7 +39,10 @@ Method = Annotated[Paper | Default, ByKind()]
 """How collisions are resolved: a union of frozen configs, matched by type."""
 
 
-MOST_TRIES = 3
+ANYWHERE_M = 1000.0
+"""Farther than any room is wide."""
+
+MOST_TRIES = 2
 """How often what is stuck in the end is made smaller, and everything resolved again."""
 
 
@@ -82,12 +85,14 @@ def run(
     notes += fitting.left_out
     resolved = _resolved(interior, config, context)
     for _ in range(MOST_TRIES if isinstance(config.method, Default) else 0):
-        allowed = allowed_depths(resolved.interior, resolved.before)
-        stuck = [p for p in resolved.after if p.depth_m > DEEP_M + allowed.get((p.a, p.b), 0.0)]
+        stuck = _stuck(resolved)
         smaller = made_smaller(fitting, resolved.interior, stuck, selections, lambda some: furnish(some, *placed)) if stuck else None
         if smaller is None:
             break
         fitting, resolved = smaller, _resolved(smaller.interior, config, context)
+    if isinstance(config.method, Default) and config.method.most_way_m < ANYWHERE_M and _stuck(resolved):
+        anywhere = dataclasses.replace(config, method=dataclasses.replace(config.method, most_way_m=ANYWHERE_M))
+        resolved = _resolved(fitting.interior, anywhere, context)
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -119,6 +124,12 @@ class _Resolved(NamedTuple):
     before: list[Penetration]
     after: list[Penetration]
     steps: list[OptimizationStep]
+
+
+def _stuck(resolved: _Resolved) -> list[Penetration]:
+    """What is still in something else in the end."""
+    allowed = allowed_depths(resolved.interior, resolved.before)
+    return [p for p in resolved.after if p.depth_m > DEEP_M + allowed.get((p.a, p.b), 0.0)]
 
 
 def _resolved(interior: Interior, config: OptimizationConfig, context: Context) -> _Resolved:

@@ -67,7 +67,7 @@ class Default(Config):
     rise_share: Share = 0.15  # of the other moves of a carried object go up or down: a pillow climbs onto the one beside it
     most_rise_m: NonNegative = 0.1  # higher, and it stands on something else
     most_aside_m: NonNegative = 0.4  # along its wall: the width of a picture
-    most_way_m: NonNegative = 0.3  # objects that would have to go farther than this stay, and are named: it would be another room
+    most_way_m: NonNegative = 0.3  # farther only goes what is still stuck after it was made smaller, and it is named
     most_turn_radians: NonNegative = 0.35  # 20 degrees: more, and the object faces elsewhere than the scanned one
     most_tilt_radians: NonNegative = 0.45  # 26 degrees: what would tip farther was not meant to stand so
     nudge_m_s: NonNegative = 0.05  # what such a push would throw over is laid down; certificates nudge by as much; 0: it is left to balance
@@ -108,9 +108,7 @@ def resolve(
     interior, noted = beside(interior, shapes, stand, wedged)
     notes: list[str] = []
     steps: list[tuple[int, Move, str]] = []
-    steps += [
-        (i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports, method.most_way_m)
-    ]
+    steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), outcome) for i, way, outcome in _brought_in(interior, shapes, stand, supports)]
     steps += [(i, (0.0, 0.0, dz, 0.0, 0.0, 0.0), "rested") for i, dz in put_to_rest(interior, shapes, stand)]
     drawn = draw_back(interior, shapes, stand)
     steps += [(i, (*way, 0.0, 0.0, 0.0, 0.0), "pulled_in") for i, way in drawn]
@@ -217,11 +215,8 @@ def _shifted(obj: PlacedAsset, dx: float, dy: float) -> PlacedAsset:
     return dataclasses.replace(obj, surface=surface, low=obj.low + move, high=obj.high + move)
 
 
-def _brought_in(
-    interior: Interior, shapes: Shapes, stand: Stand, supports: SupportConfig, most_way: float
-) -> list[tuple[int, tuple[float, float], str]]:
-    """What hangs is put onto its wall, and what stands outside of the room pulled in, the shortest way, `most_way` [m] at most. Moves
-    `stand`."""
+def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: SupportConfig) -> list[tuple[int, tuple[float, float], str]]:
+    """What hangs is put onto its wall, and what stands outside of the room pulled in, the shortest way. Moves `stand`."""
     if interior.room is None or interior.ring is None:
         return []
     moves = []
@@ -234,7 +229,7 @@ def _brought_in(
             ring = plan_ring(obj.surface.vertices[np.unique(obj.surface.faces), :2])
             if outside_share(ring, interior.ring) > OUTSIDE_SHARE:
                 outcome, way = "pulled_in", way_in(ring, interior.ring)
-        if way is not None and 1e-6 < math.hypot(*way) <= most_way:
+        if way is not None and math.hypot(*way) > 1e-6:
             shift(shapes, stand, groups[i], (*way, 0.0))
             moves.append((i, way, outcome))
     return moves

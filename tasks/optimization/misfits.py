@@ -25,7 +25,7 @@ LESS = 0.05
 """By as much less foreign space must another candidate fill to be taken instead."""
 
 SMALLER = 0.8
-"""Factor on the scale of an asset of which every candidate fills another's place."""
+"""Factor on the plan of an asset of which every candidate fills another's place."""
 
 LITTLE = 0.88
 """Factor on the plan of an asset that is stuck in another in the end."""
@@ -52,8 +52,8 @@ def fit_together(
 ) -> Fitting:  # fmt: skip
     """The proposals, those of them that are deeper in each other than `depth` [m] replaced. What people chose stays as it is.
 
-    Of two the one that fills more of what was seen not to be its own gives way, of equal ones the smaller: to the best candidate that
-    fills less, and where there is none, it is made smaller.
+    Of two the one that fills more of what was seen not to be its own gives way, of equal ones the one that carries nothing, then the
+    smaller: to the best candidate that fills less, and where there is none, it is made smaller.
     """
     ranked: dict[str, list[Selection]] = defaultdict(list)
     for row in sorted(selections, key=lambda s: (s.instance_id, s.rank)):
@@ -114,6 +114,11 @@ def _giving_way(
     index = {name: i for i, name in enumerate(interior.names)}
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     carried = {(name, c.parent_id) for name, c in zip(interior.names, interior.carriers, strict=True) if c.relation == "on"}
+    carriers = {carrier.parent_id for carrier in interior.carriers}
+
+    def volume(name: str) -> float:
+        return float(np.prod(interior.objects[index[name]].high - interior.objects[index[name]].low))
+
     names: set[str] = set()
     for pair in pairs:
         if pair.depth_m <= depth or pair.b not in index or (pair.a in fixed and pair.b in fixed):
@@ -122,7 +127,9 @@ def _giving_way(
             continue
         sides = [name for name in (pair.a, pair.b) if chosen[name].origin == "selection"]
         if sides and not names & {pair.a, pair.b}:
-            names.add(max(sides, key=lambda name: (round(_foreign(chosen[name], ranked[name]), 3), -_volume(interior, index[name]), name)))
+            names.add(
+                max(sides, key=lambda name: (round(_foreign(chosen[name], ranked[name]), 3), name not in carriers, -volume(name), name))
+            )
     return sorted(names)
 
 
@@ -131,16 +138,11 @@ def _foreign(proposal: Proposal, rows: Sequence[Selection]) -> float:
     return next((row.foreign_share or 0.0 for row in rows if row.asset_id == proposal.asset_id), 0.0)
 
 
-def _volume(interior: Interior, obj: int) -> float:
-    return float(np.prod(interior.objects[obj].high - interior.objects[obj].low))
-
-
 def _other(proposal: Proposal, rows: Sequence[Selection]) -> Proposal | None:
     """The best candidate that fills less foreign space than a proposal, else a smaller one; None where neither is left."""
     foreign = _foreign(proposal, rows)
     for row in rows:
         if (row.foreign_share or 0.0) < foreign - LESS:
             return dataclasses.replace(proposal, asset_id=row.asset_id, pose=matrix(row.pose), scale=np.array(row.scale))
-    if (SMALLER * proposal.scale < LEAST_SCALE * _selected(proposal, rows)).any():
-        return None
-    return dataclasses.replace(proposal, scale=SMALLER * proposal.scale)
+    smaller = proposal.scale * [SMALLER, SMALLER, 1.0]
+    return dataclasses.replace(proposal, scale=smaller) if (smaller >= LEAST_SCALE * _selected(proposal, rows)).all() else None

@@ -28,8 +28,9 @@ class SupportConfig(Config):
     """When an object counts as carried."""
 
     reach_m: NonNegative = 0.10  # scans bleed and boxes are a few centimetres off; a gap beyond this is a gap
-    drop_m: NonNegative = 0.3  # legs are often too thin for a scan: what nothing carries and is this low was standing on what lies below
-    stand_drop_m: NonNegative = 0.3  # as drop_m, for what never hangs: farther down it would stand where nobody has seen it
+    drop_m: NonNegative = 0.5  # legs are often too thin for a scan: what nothing carries and is this low was standing on what lies below
+    stand_drop_m: NonNegative = 1.0  # as drop_m, for what never hangs: nothing else than a lost support explains it
+    most_drop_m: NonNegative = 0.3  # what would come down farther keeps its place and is named: nobody has seen it there
     sunk_m: NonNegative = 0.2  # what nothing carries within reach may have sunk this deep: the object and its carrier are both off
     base_m: Positive = 0.02  # feet and rims within this of the lowest point are what an object stands on
     share: Share = 0.3  # of the base over a surface: less, and the center of mass may be past the edge
@@ -139,7 +140,7 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: Supp
     stands on the laptop on the desk, and a book on the board of its compartment, not on the shelf's top. Where the
     lowest part has nothing below it, the next broad part may: a chair lies upside down on a table, its back past the
     edge. What hangs keeps its height, its gap and lift are zero; what nothing carries is set down onto what is below it
-    from `drop_m` at most (`stand_drop_m` what never hangs), and else keeps its height above the floor as its gap.
+    from `drop_m` at most (`stand_drop_m` what never hangs, `most_drop_m` all), and else keeps its height above the floor as its gap.
     """
     span = max((float((p.high - p.low)[:2].max()) for p in placed), default=0.0)
     # what is larger than a hall has the wrong unit: its grid must still fit into memory
@@ -342,7 +343,8 @@ def _rest_off(
             if within.mean() >= config.share:
                 options.append(_Rest(other.instance_id, float(np.quantile(gaps[within], 1 - config.rest_quantile))))
                 break
-    return min(options, key=lambda r: (abs(r.gap), r.parent is not None, r.parent or ""), default=None)
+    nearest = min(options, key=lambda r: (abs(r.gap), r.parent is not None, r.parent or ""), default=None)
+    return nearest if nearest is not None and nearest.gap <= config.most_drop_m else None
 
 
 def _may_carry(carrier: PlacedAsset, obj: PlacedAsset, config: SupportConfig) -> bool:

@@ -227,7 +227,7 @@ def test_a_move_of_the_last_resort_is_told_and_can_be_replayed() -> None:
     large = scene.add([block((0.9, 0.9, 0.5))], np.eye(4), "cabinet")
     small = scene.add([block((0.5, 0.5, 0.5))], yaw_pose(0.3, [0.1, 0.2, 0.0]), "box")
     on_it = scene.add([block((0.1, 0.1, 0.1))], translation([0.1, 0.2, 0.5]), "mug")
-    outcome = scene.run(Default(max_moves=2, chains=1))
+    outcome = scene.run(Default(max_moves=2, chains=1, most_way_m=10.0))
     (summary,) = outcome.rows["optimizations"]
     assert summary.deep_pairs == 0
     assert (summary.ended, summary.loss_final) == ("zero_loss", 0.0)
