@@ -24,6 +24,7 @@ from tasks.selection import STAGE, ScoreConfig, SelectionConfig, run, score_of
 from tasks.selection.alignment import AlignmentConfig, Distances, Fit, clamp_scale, make_target, measure, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices
+from tasks.selection.neighbors import foreign_share
 from tasks.stage import Blobs, Context
 
 SCENE = "test/room"
@@ -393,3 +394,42 @@ def test_the_recorded_box_overlap_is_that_of_the_recorded_pose() -> None:
     center = matrix(rows[0].pose) @ yaw_pose(0.0, [0, 0, size[2] / 2])
     assert oriented_iou(center, size, matrix(instance.box_pose), instance.box_size) == pytest.approx(rows[0].box_iou, abs=1e-6)
     assert STAGE.writes == ("selections",)
+
+
+# neighbors
+
+
+def test_a_block_that_fills_the_bend_of_a_corner_sofa_loses_to_the_sofa_that_leaves_it_free() -> None:
+    """By what else was seen there: a table in the bend, and the floor before it."""
+    rng = np.random.default_rng(0)
+    solid = [part((1.8, 1.8, 0.7), (0, 0, 0.35), (90, 90, 120))]
+    bent = [part((1.8, 0.7, 0.7), (0, 0.55, 0.35), (90, 90, 120)), part((0.7, 1.1, 0.7), (-0.55, -0.35, 0.35), (90, 90, 120))]
+    shares = {}
+    for with_table in (False, True):
+        room = Room()
+        sofa = room.instance(*scan(bent, np.eye(4), (1.0, 1.0, 1.0), rng), 0.0, "sofa")
+        if with_table:
+            table = [part((0.6, 0.6, 0.4), (0.3, -0.45, 0.2), (200, 180, 150))]
+            room.instance(*scan(table, np.eye(4), (1.0, 1.0, 1.0), rng), 0.0, "coffee table")
+        for slot, parts in enumerate((solid, bent), start=1):
+            room.candidate(sofa, slot, room.asset(parts, f"sofa{slot}", watertight=True))
+        rows, _ = room.select()
+        by_slot = {row.slot: row for row in rows if row.instance_id == sofa.instance_id}
+        shares[with_table] = by_slot[1].foreign_share, by_slot[2].foreign_share
+        if with_table:
+            assert by_slot[2].rank == 1
+    assert shares[False] == (0.0, 0.0)
+    assert shares[True][0] > 0.03
+    assert shares[True][1] < 0.5 * shares[True][0]
+
+
+def test_foreign_space_is_a_share_of_what_was_seen() -> None:
+    surface = surface_of([part((1.0, 1.0, 1.0), (0, 0, 0.5))])
+    placed, _, normals = sample_surface(surface, 1024, np.random.default_rng(0))
+    inside = np.array([[0.0, 0.0, 0.5], [0.3, 0.3, 0.4]])
+    outside = np.array([[0.6, 0.0, 0.5], [0.0, 0.0, 1.1], [0.49, 0.0, 0.5]])
+    assert foreign_share(outside, 10, placed, normals) == 0.0
+    assert foreign_share(np.concatenate([inside, outside]), 2, placed, normals) == 0.5
+    assert foreign_share(np.zeros((0, 3)), 5, placed, normals) == 0.0
+    many = np.tile(inside, (2000, 1))
+    assert foreign_share(many, 4000, placed, normals) == pytest.approx(0.5, abs=0.01)

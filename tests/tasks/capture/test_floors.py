@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from tasks.capture.instances.segmentation import geometry_groups
 from tasks.capture.rooms.alignment import facets, floor_height
 from tasks.geometry.meshes import Surface
+from tests.capture_scans import plate
+from tests.tasks.capture.test_partitions import estimated, shell, solid_piece
 
 
 def level(area: float, height: float, cells: int = 12, noise: float = 0.0, seed: int = 0) -> np.ndarray:
@@ -46,3 +48,30 @@ def test_what_lies_low_in_a_scan_without_a_floor_keeps_its_own_name() -> None:
     groups, _ = geometry_groups(Surface(vertices, faces.reshape(-1, 3), np.full((len(vertices), 3), 128, dtype=np.uint8)))
     assert "floor" not in {group.raw_label.split(":")[1] for group in groups}
     assert len(groups) == 2
+
+
+def hidden_corner(is_walled: bool) -> np.ndarray:
+    """The estimated floor of a room of 6 m by 4 m, in a corner of which a desk hides floor and one of the walls [m], shape (n, 2).
+    is_walled: the other wall of the corner was seen."""
+    top = solid_piece("bed", (4.7, 2.7, 0.7), (5.9, 3.9, 0.74))
+    bottom = -0.1 if is_walled else 0.0
+    return estimated([*shell(), top], without=(4.4, 2.4, bottom - 0.1, 5.95 if is_walled else 6.1, 4.1, 2.6)).polygon
+
+
+def test_a_corner_that_furniture_hides_is_floor_where_walls_face_it() -> None:
+    import shapely
+
+    assert shapely.Polygon(hidden_corner(True)).area == pytest.approx(24.0, abs=0.3)
+    assert shapely.Polygon(hidden_corner(False)).area < 22.5, "neither wall of it was seen: nobody knows"
+
+
+def test_what_lies_outside_of_walls_is_no_floor() -> None:
+    """A house around a corner: walls turn their backs to the part that is missing."""
+    import shapely
+
+    up, pieces = [0, 0, 2.5], [("floor", plate([0, 0, 0], [6, 0, 0], [0, 2, 0])), ("floor", plate([0, 2, 0], [3, 0, 0], [0, 2, 0]))]
+    corners = [(0, 0), (6, 0), (6, 2), (3, 2), (3, 4), (0, 4)]
+    for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        pieces.append(("wall", plate([x0, y0, 0], up, [x1 - x0, y1 - y0, 0])))
+    outside = solid_piece("bed", (4.0, 2.8, 0.0), (4.5, 3.3, 0.5))
+    assert shapely.Polygon(estimated([*pieces, outside]).polygon).area == pytest.approx(18.0, abs=0.4)

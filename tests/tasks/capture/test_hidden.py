@@ -120,3 +120,43 @@ def test_a_crop_is_drawn_out_to_what_it_stands_on_and_leans_on(base: str, hidden
     assert np.ptp(foot, axis=0) == pytest.approx((field.high - field.low)[:2], abs=0.2 * 0.45 + 2 * field.step)
     middle = np.array([[*(0.5 * (field.low + field.high))[:2], 0.2]])
     assert bool(made.contains(middle)[0]) == (base == "body"), "legs leave the space between them free"
+
+
+def crop_of(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Surface:
+    """Closed boxes between corners [m], as a scan has them."""
+    import trimesh
+
+    parts = [
+        trimesh.creation.box(np.subtract(b, a), trimesh.transformations.translation_matrix(np.add(a, b) / 2)).subdivide_to_size(0.03)
+        for a, b in boxes
+    ]
+    whole = trimesh.util.concatenate(parts)
+    return Surface(np.asarray(whole.vertices), np.asarray(whole.faces), np.full((len(whole.vertices), 3), 128, dtype=np.uint8))
+
+
+def test_a_crop_that_would_topple_gets_feet() -> None:
+    """A desk of which the scan has the top and one leg."""
+    import trimesh
+
+    crop = crop_of(((-0.6, -0.35, 0.68), (0.6, 0.35, 0.74)), ((-0.6, -0.35, 0.0), (-0.52, -0.27, 0.7)))
+    feet = {}
+    for stands in (False, True):
+        field = solid_field(crop, Unseen(stands=stands))
+        made = trimesh.Trimesh(*closed_mesh(field), process=False)
+        foot = made.vertices[made.vertices[:, 2] < made.bounds[0, 2] + field.step, :2]
+        feet[stands] = np.ptp(foot, axis=0)
+    assert (feet[False] < 0.3).all(), "as it was seen it stands on its one leg"
+    assert (feet[True] > [1.0, 0.5]).all()
+
+
+@pytest.mark.parametrize("is_held", [False, True])
+def test_a_top_is_whole_below_what_stood_on_it(is_held: bool) -> None:
+    """A desk's top with a hole where a screen hid it, and one whose end nobody saw, but a keyboard on it."""
+    frame = [((-0.6, -0.35, 0.7), (0.6, -0.15, 0.74)), ((-0.6, 0.0, 0.7), (0.6, 0.35, 0.74))]
+    crop = crop_of(*frame, ((-0.6, -0.2, 0.7), (-0.2, 0.1, 0.74)), ((0.0, -0.2, 0.7), (0.6, 0.1, 0.74)))
+    held = ((0.6, -0.1, 0.8, 0.1),) if is_held else ()
+    field = solid_field(crop, Unseen(sides=(0.0, 0.3, 0.0, 0.0, 0.0) if is_held else (0.0,) * 5, is_flat_topped=True, held=held))
+    top = (field.values < 0).any(axis=2)
+    hole = tuple(np.rint((np.array([-0.1, -0.08]) - field.origin[:2]) / field.step).astype(int))
+    assert top[hole]
+    assert (solid_field(crop).values < 0).any(axis=2).sum() < top.sum()

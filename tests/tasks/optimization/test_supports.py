@@ -242,6 +242,8 @@ CARRIED: dict[str, tuple[list[PlacedAsset], tuple[str, str | None, float]]] = {
     "a television on a table": ([small(-1.93, 0, 0.77, block(0.06, 1.1, 0.6), "tv"), at(1, TABLE, -1.6, 0, 0)], ("on", "0001", 0.02)),
     "a kitchen cabinet on the wall": ([small(-1.8, 0, 1.4, block(0.35, 0.8, 0.7), "kitchen cabinet")], ("wall", None, 0.0)),
     "a kitchen cabinet that stands": ([small(-1.7, 0, 0.02, block(0.6, 0.8, 0.85), "kitchen cabinet")], ("floor", None, 0.02)),
+    "a worktop on the wall above nothing": ([small(-1.69, 0, 0.8, block(0.62, 1.5, 0.04), "kitchen counter")], ("wall", None, 0.0)),
+    "a worktop in the middle of the room": ([small(0, 0, 0.25, block(0.62, 1.5, 0.04), "kitchen counter")], ("floor", None, 0.25)),
     "something flat on the wall": ([small(-1.97, 0, 1.2, block(0.06, 0.4, 0.3))], ("wall", None, 0.0)),
     "something deep before the wall": ([small(-1.4, 0, 1.2, block(1.1, 0.4, 0.3))], ("none", None, 1.2)),
     "under the ceiling": ([small(0, 0, 2.15, block(0.4, 0.4, 0.3), "lamp")], ("ceiling", None, 0.0)),
@@ -660,3 +662,13 @@ def test_objects_without_volume_are_carried_like_others() -> None:
     found = find_carriers(objects, room(), CONFIG)
     assert [found[f"{i:04d}"].parent_id for i in range(4)] == ["0001", None, "0001", None]
     assert found["0003"].relation == "floor"
+
+
+def test_what_is_fitted_is_fastened_where_it_stands_against_a_wall() -> None:
+    for x, is_fitted in ((-1.69, True), (0.0, False)):
+        cabinet = small(x, 0, 0.0, block(0.6, 1.5, 0.8), "kitchen cabinet")
+        worktop = at(1, block(0.62, 1.5, 0.04), x, 0, 0.8, "kitchen counter")
+        mug = at(2, block(0.1, 0.1, 0.1), x, 0, 0.84, "mug")
+        carriers = find_carriers([cabinet, worktop, mug], room(), CONFIG)
+        assert [carriers[name].is_fixed for name in ("0000", "0001", "0002")] == [is_fitted, is_fitted, False]
+        assert (carriers["0001"].relation, carriers["0002"].parent_id) == ("on", "0001")

@@ -1,0 +1,87 @@
+"""Assets that fill each other's place give way before anything is moved; what people chose stays."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from schemas.annotation import Annotation
+from tasks.geometry.transforms import translation
+from tasks.optimization import Default, Paper
+from tests.samples import sample
+from tests.tasks.optimization.test_optimization import SCENE, Scene, block, bounds, poses_of, remains
+
+
+def corner_sofa() -> tuple[Scene, str, str, str]:
+    """A sofa around a corner, first taken for a solid block that fills its bend, and the table in that; the L that it is comes second."""
+    scene = Scene()
+    sofa = scene.add(block(1.8, 1.8, 0.7), translation([-0.4, 0.0, 0.0]), "sofa")
+    table = scene.add(block(0.5, 0.5, 0.4), translation([0.1, -0.4, 0.0]), "coffee table")
+    (seat,), (back,) = block(1.8, 0.7, 0.7), block(0.7, 1.1, 0.7)
+    seat.apply_translation([0.0, 0.55, 0.0])
+    back.apply_translation([-0.55, -0.35, 0.0])
+    bent = scene.asset([seat, back], known=[seat, back])
+    first = scene.selections[0]
+    scene.selections[0] = dataclasses.replace(first, foreign_share=0.3)
+    scene.selections[1] = dataclasses.replace(scene.selections[1], foreign_share=0.1)
+    scene.selections.append(dataclasses.replace(first, rank=2, slot=2, asset_id=bent, foreign_share=0.0))
+    return scene, sofa, table, bent
+
+
+def test_a_solid_that_fills_a_bend_gives_way_to_the_shape_that_leaves_it_free() -> None:
+    scene, sofa, table, bent = corner_sofa()
+    outcome = scene.run()
+    rows = {row.instance_id: row for row in outcome.rows["placements"]}
+    assert rows[sofa].asset_id == bent
+    assert rows[table].displacement_m < 0.01
+    assert set(remains(outcome).values()) == {None}
+    assert any(sofa in text and "another asset" in text for text in outcome.degradations)
+
+
+def test_the_method_of_the_paper_moves_what_it_was_given() -> None:
+    scene, sofa, _, bent = corner_sofa()
+    rows = {row.instance_id: row for row in scene.run(Paper()).rows["placements"]}
+    assert rows[sofa].asset_id != bent
+
+
+def test_what_people_chose_stays_and_the_other_gives_way() -> None:
+    scene, sofa, table, _ = corner_sofa()
+    instance = scene.instances[0]
+    scene.annotations.append(
+        sample(
+            Annotation, scene_id=SCENE, instance_id=sofa, batch_id="b", annotator="a", choice=scene.selections[0].asset_id, pose=None,
+            scale=None, box_pose=instance.box_pose, box_size=instance.box_size,
+        )
+    )  # fmt: skip
+    outcome = scene.run()
+    rows = {row.instance_id: row for row in outcome.rows["placements"]}
+    assert (rows[sofa].asset_id, rows[sofa].scale) == (scene.selections[0].asset_id, (1.0, 1.0, 1.0))
+    assert rows[table].scale != (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("overlap", [0.05, 0.3])
+def test_what_has_no_other_shape_is_made_smaller_where_it_is_deep_in_another(overlap: float) -> None:
+    scene = Scene()
+    large = scene.add(block(1.5, 1.5, 0.8), np.eye(4), "cabinet")
+    small = scene.add(block(0.8, 0.8, 0.6), translation([1.15 - overlap, 0.0, 0.0]), "box")
+    outcome = scene.run()
+    rows = {row.instance_id: row for row in outcome.rows["placements"]}
+    boxes = bounds(outcome, scene)
+    assert rows[large].scale == (1.0, 1.0, 1.0)
+    assert (rows[small].scale[0] < 1.0) == (overlap > 0.12)
+    assert rows[small].scale[2] == 1.0, "what it carries stays at its height"
+    assert boxes[small][0, 0] >= boxes[large][1, 0] - 1e-4
+    assert all(row.displacement_m <= 0.3 + 1e-9 for row in rows.values())
+
+
+def test_nothing_goes_farther_than_it_may_while_something_else_helps() -> None:
+    """Two cabinets nearly in one place: neither is sent across the room."""
+    scene = Scene()
+    names = [scene.add(block(0.9, 0.9, 0.8), translation([x, 0.0, 0.0]), "cabinet") for x in (0.0, 0.35)]
+    outcome = scene.run(Default())
+    ways = [np.hypot(*(poses_of(outcome)[n] - poses_of(outcome, "proposed")[n])[:2, 3]) for n in names]
+    assert max(ways) <= 0.3 + 1e-6
+    (summary,) = outcome.rows["optimizations"]
+    assert summary.deep_pairs == 0
