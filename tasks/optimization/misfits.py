@@ -61,7 +61,7 @@ def fit_together(
             ranked[row.instance_id].append(row)
     chosen = {p.instance.instance_id: p for p in proposals}
     first = dict(chosen)
-    said: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     interior, left_out = furnish(tuple(chosen.values()))
     for _ in range(MOST_ROUNDS):
         changed = False
@@ -70,13 +70,13 @@ def fit_together(
             if other is not None:
                 chosen[name], changed = other, True
                 is_other = other.asset_id != first[name].asset_id
-                said[name] = "another asset, whose shape leaves its neighbors their place" if is_other else ""
+                reasons[name] = "another asset, whose shape leaves its neighbors their place" if is_other else ""
                 if (other.scale < (1 - 1e-9) * _selected(other, ranked[name])).any():
-                    said[name] = "; ".join(filter(None, [said[name], SMALLER_NOTE]))
+                    reasons[name] = "; ".join(filter(None, [reasons[name], SMALLER_NOTE]))
         if not changed:
             break
         interior, left_out = furnish(tuple(chosen.values()))
-    notes = tuple(f"{name}: {text}" for name, text in sorted(said.items()))
+    notes = tuple(f"{name}: {text}" for name, text in sorted(reasons.items()))
     return Fitting(tuple(chosen.values()), interior, tuple(left_out), notes)
 
 

@@ -163,8 +163,8 @@ def _rank(
     score = config.score
     threshold = max(min(score.threshold_m, score.threshold_share * target.diagonal), score.threshold_least_m)
     reach = np.array([0.5 * target.diagonal, 0.5 * target.diagonal, 0.0])
-    others = neighborhood.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
-    others, own_cubes = transform_points(others, inverse(frame)), len(neighborhood.seen.get(instance.instance_id, ()))
+    beside = neighborhood.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
+    beside, own_cubes = transform_points(beside, inverse(frame)), len(neighborhood.seen.get(instance.instance_id, ()))
     done: dict[str, tuple[Fit, Distances, float, float, float]] = {}
     rows: list[Selection] = []
     for candidate in candidates:
@@ -176,7 +176,7 @@ def _rank(
             fit, distances = align(target, sample, threshold, config.alignment)
             color = color_similarity(histogram, color_histogram(sample.colors))
             placed, normals, _ = sample.placed(fit)
-            foreign = foreign_share(others, own_cubes, placed, normals)
+            foreign = foreign_share(beside, own_cubes, placed, normals)
             done[asset_id] = (fit, distances, color, _placed_iou(frame, fit, sample, instance), foreign)
         fit, distances, color, iou, foreign = done[asset_id]
         asset = assets[asset_id]

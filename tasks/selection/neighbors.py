@@ -19,7 +19,7 @@ CELL_M = 0.04
 """Space is counted in cubes of this edge."""
 
 DEEP_M = 0.03
-"""Points deeper in an asset than this are in it; others touch it."""
+"""Points deeper in an asset than this are in it; the rest touch it."""
 
 ABOVE_FLOOR_M = 0.06
 """So far above a floor that was seen there is nothing."""
@@ -71,14 +71,14 @@ def cubes(points: Array) -> Array:
     return np.asarray((np.unique(np.floor(points / CELL_M).astype(np.int64), axis=0) + 0.5) * CELL_M)
 
 
-def foreign_share(others: Array, own: int, placed: Array, normals: Array) -> float:
-    """Of the cubes with anything in them, `own` ones and others, shape (n, 3) [m], how many are others and lie in an asset. placed,
+def foreign_share(foreign: Array, own: int, placed: Array, normals: Array) -> float:
+    """Of the cubes with anything in them, `own` ones and foreign ones, shape (n, 3) [m], how many are foreign and in an asset. placed,
     normals: samples of its surface [m] and their outward normals, shape (m, 3)."""
-    if not len(others):
+    if not len(foreign):
         return 0.0
-    stride = -(-len(others) // MOST_CUBES)
-    others = others[::stride]
-    index, _ = nearest_indices(others, placed)
-    depth = ((placed[index] - others) * normals[index]).sum(axis=1)
+    stride = -(-len(foreign) // MOST_CUBES)
+    foreign = foreign[::stride]
+    index, _ = nearest_indices(foreign, placed)
+    depth = ((placed[index] - foreign) * normals[index]).sum(axis=1)
     inside = stride * int((depth > DEEP_M).sum())
     return inside / max(inside + own, 1)

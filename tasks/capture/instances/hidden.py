@@ -98,7 +98,7 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Boole
 def _behind(index: int, row: Instance, sides: Array, seen: _Seen, walls: Array) -> Array:
     """How far furniture reaches beyond its box on its sides -x, +x, -y, +y, to the nearest wall that nothing is seen before [m]."""
     pose, size = grown_box(row.box_pose, row.box_size, sides)
-    best, found = np.zeros(4), MOST_BEHIND_M
+    best, nearest = np.zeros(4), MOST_BEHIND_M
     local = transform_points(seen.points, inverse(pose))
     floor = transform_points(np.column_stack([seen.floor, np.zeros(len(seen.floor))]), inverse(pose))
     for side in range(4):
@@ -112,18 +112,18 @@ def _behind(index: int, row: Instance, sides: Array, seen: _Seen, walls: Array) 
             if length < CELL_M or float(np.array([along[1], -along[0]]) @ outward) < 0.97 * length:
                 continue
             away = float((np.array([x0, y0]) - pose[:2, 3]) @ outward - half[axis])
-            if not SEEN_M < away < found or size[axis] + away > MOST_DEPTH_M:
+            if not SEEN_M < away < nearest or size[axis] + away > MOST_DEPTH_M:
                 continue
             ends = np.sort((np.array([[x0, y0], [x1, y1]]) - pose[:2, 3]) @ pose[:2, 1 - axis])
             if min(ends[1], half[1 - axis]) - max(ends[0], -half[1 - axis]) < 0.6 * size[1 - axis]:
                 continue
             cells = away * float(size[1 - axis]) / CELL_M**2
             high = np.abs(local[:, 2]) < half[2] - min(0.05, 0.2 * float(size[2]))
-            others = _between(local, axis, sign, half, away) & high & (seen.owners != index)
+            strangers = _between(local, axis, sign, half, away) & high & (seen.owners != index)
             if _filled(floor[_between(floor, axis, sign, half, away), :2]) < FLOOR_SHARE * cells and (
-                _filled(local[others, :2]) < FILLED_SHARE * cells
+                _filled(local[strangers, :2]) < FILLED_SHARE * cells
             ):
-                best, found = np.zeros(4), away
+                best, nearest = np.zeros(4), away
                 best[side] = away
     return best
 

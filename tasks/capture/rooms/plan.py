@@ -26,7 +26,7 @@ _BRIDGE_CELLS = 3
 
 
 @dataclasses.dataclass
-class FloorPlan:
+class FloorCells:
     """Cells of the floor plan: `inside` where there is floor or something on it, `floor` where the floor itself is seen, `seen`
     where anything but walls is."""
 
@@ -37,7 +37,7 @@ class FloorPlan:
     left_out_m2: float = 0.0
 
     @staticmethod
-    def of(cloud: Cloud, kinds: NDArray[np.int64], height: float) -> FloorPlan:
+    def of(cloud: Cloud, kinds: NDArray[np.int64], height: float) -> FloorCells:
         """Cells that points fall into, closed over gaps and holes, the largest connected piece of them."""
         from scipy import ndimage
 
@@ -62,12 +62,12 @@ class FloorPlan:
         filled = ndimage.binary_fill_holes(closed) & (raw | ~barrier)
         opened = ndimage.binary_opening(filled, ball, iterations=2)
         if not opened.any():
-            return FloorPlan(origin, np.zeros_like(raw), floor >= 1, raw)
+            return FloorCells(origin, np.zeros_like(raw), floor >= 1, raw)
         joined, _ = ndimage.label(ndimage.binary_dilation(opened, ball, iterations=_BRIDGE_CELLS))
         sizes = np.bincount(joined[opened])
         main = int(np.argmax(sizes))
         inside = opened & (joined == main)
-        return FloorPlan(origin, inside, floor >= 1, raw, float((opened & ~inside).sum()) * CELL_M**2)
+        return FloorCells(origin, inside, floor >= 1, raw, float((opened & ~inside).sum()) * CELL_M**2)
 
     def outline(self) -> Polygon | None:
         """Union of the cells inside, None when there are none. Gaps between rooms are closed, a little wider than whole cells: parts

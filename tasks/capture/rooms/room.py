@@ -13,7 +13,7 @@ from schemas.capture import Room
 from tasks.capture.cloud import Cloud
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label
 from tasks.capture.rooms.partitions import interior_walls
-from tasks.capture.rooms.plan import CELL_M, FloorPlan, closed, enclosed, largest
+from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, enclosed, largest
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -93,7 +93,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     """The room around a scan. `nyu40`: NYU40 class of each point of the cloud, 0 for none, shape (n,)."""
     kinds = _kinds(cloud, nyu40)
     height, height_source = _height(cloud, kinds)
-    plan = FloorPlan.of(cloud, kinds, height)
+    plan = FloorCells.of(cloud, kinds, height)
     notes: list[str] = []
     outline = plan.outline()
     if outline is None:
@@ -237,7 +237,7 @@ def _wall_lines(cloud: Cloud, is_wall: NDArray[np.bool_], axis: int) -> Array:
     return np.sort(np.array(lines))
 
 
-def _snapped(plan: FloorPlan, outline: Polygon, lines: list[Array], cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[Polygon, bool]:
+def _snapped(plan: FloorCells, outline: Polygon, lines: list[Array], cloud: Cloud, kinds: NDArray[np.int64]) -> tuple[Polygon, bool]:
     """The outline made of straight edges; along the walls where walls run along the axes.
 
     The plane is cut at every wall and at every long straight stretch of the outline; the rectangles between that are

@@ -36,6 +36,9 @@ CELLS_M = ((0.005, 0.1), (0.02, np.inf))
 AROUND_M = 1.0
 """Where no room is known, objects stay within this of all the others [m]."""
 
+MOST_RUG_M = 0.3
+"""Rugs and cloths are put this far away at most [m]."""
+
 MOST_TIPS = 20
 """Places at which an object may tip over before it is put where it cannot stand."""
 
@@ -207,6 +210,8 @@ def _put_elsewhere(
         carrier[parent] = True
     shifts = _shifts(interior, room, stand, obj)
     away = stand.place[obj][:2] + shifts - interior.poses[obj][:2, 3]
+    if interior.covering[obj]:  # a rug lies where it was seen, or nowhere: with all that stands on it, it goes nowhere else
+        most_way = min(most_way, MOST_RUG_M)
     shifts = np.ascontiguousarray(shifts[np.hypot(*away.T) <= most_way])
     may_fall = float(stand.low[obj, 2]) <= most_way
     for is_strict in (True, False):  # where it stands nowhere, it may as well lie somewhere
