@@ -1,7 +1,9 @@
 """The status of a lake, from the lake alone: which scenes are done, running, failed, stale or unfinished, and the time left.
 
 What the next run with the same scans would do is decided as a plan decides it, but for the scans and the library: these
-are taken to be what the newest run of each scene saw. Does not import Prefect.
+are taken to be what the newest run of each scene saw. Where the run of a stage is no longer in the lake (it was removed
+before it was committed, or overtaken), what failed after it is said to run, though a plan may know the failure again. Does
+not import Prefect.
 """
 
 from __future__ import annotations
