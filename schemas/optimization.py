@@ -76,7 +76,9 @@ class Support:
     parent_id: str | None = column("Carrying instance for 'on' and 'inside'", pattern=INSTANCE_PATTERN)
     against: str | None = column("Part of the room that it hangs on or stands against", pattern=BODY_PATTERN)
     gap_m: float = column("Height of the proposed asset's bottom above what carries it; negative when it sinks in", unit="m")
-    is_fixed: bool = column("Fastened to the room: it hangs on a wall or ceiling, or is built in; everything else is free to move")
+    is_fixed: bool = column(
+        "Fastened to the room: it hangs on a wall or ceiling, is built in, or is a fitted kitchen's; all else is free to move"
+    )
     is_kept: bool = column("The same object still carries it after the optimization")
 
 
@@ -92,7 +94,7 @@ class Contact:
     penetration_m: float = column(
         "Penetration depth of the convex pieces, the deepest pair of pieces; 0 when only the boxes overlap", unit="m", minimum=0
     )
-    is_allowed: bool = column("The two may interpenetrate: an object that hangs or is built in with the room it is fastened to")
+    is_allowed: bool = column("The two may interpenetrate: what is fixed with the room that it is fastened to, or with what else is fixed")
 
 
 @record("optimization_steps", key=("scene_id", "step"), stage="optimization")
@@ -133,7 +135,7 @@ class Optimization:
     moves: int = column("Moves that were tried", minimum=0)
     chains: int = column("Chains that were run", minimum=0)
     ended: str = column("Why it ended", values=("zero_loss", "no_move_helps", "out_of_moves", "nothing_to_do"))
-    fixed_count: int = column("Instances that are fixed in the certificate: they hang or are built in", minimum=0)
+    fixed_count: int = column("Instances that are fixed in the certificate: they hang, are built in, or are a fitted kitchen's", minimum=0)
     deep_pairs: int = column("Pairs that penetrate deeper than 2 mm after the optimization, allowed ones left out", minimum=0)
     remains: tuple[str, ...] = column(
         "What the optimization could not put right and what placements.remains has, the instance's id in front; one line each"
@@ -155,7 +157,7 @@ class Certificate:
         "Version of the engine; Newton's names the solver that it ran: with MuJoCo's own, the two engines are no independent opinions"
     )
     simulated_seconds: float = column("Simulated time", unit="s", minimum=0)
-    is_fixed: bool = column("It could not move: it hangs on a wall or ceiling, or is built in")
+    is_fixed: bool = column("It could not move: it hangs on a wall or ceiling, is built in, or is a fitted kitchen's")
     problem: str | None = column("Why the engine could not simulate it; then where it goes is not known, and both verdicts are false")
     displacement_m: float | None = column(
         "Distance between the optimized and the settled place of the asset's origin; missing with a problem", unit="m", minimum=0

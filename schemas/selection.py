@@ -17,9 +17,12 @@ class Selection:
     score: float = column("Weighted geometric score, higher is better", minimum=0, maximum=1)
     chamfer_m: float = column("Mean of the two mean nearest distances, asset surface and instance points", unit="m", minimum=0)
     coverage: float = column("Share of the instance's points within the distance threshold of the asset's surface", minimum=0, maximum=1)
-    box_iou: float = column("Intersection over union of the placed asset's box and the instance's box", minimum=0, maximum=1)
+    box_iou: float = column(
+        "Intersection over union of the placed asset's box and the instance's box with its hidden_m", minimum=0, maximum=1
+    )
     foreign_share: float | None = column(
-        "Share of what was seen where the asset is that belongs to other instances or is free floor; missing where nobody looked",
+        "Of the 4 cm cubes in which the instance was seen, and those within the asset that others or the free space above the floor "
+        "were seen in, the share of the latter; missing where nobody looked",
         minimum=0,
         maximum=1,
     )

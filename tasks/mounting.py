@@ -45,7 +45,7 @@ _KINDS: tuple[tuple[Kind, str, str], ...] = (
     ("either", "is sold in both forms: on feet, and with brackets",
      "tv|monitor|kitchen cabinet|cabinet|bathroom cabinet|cabinet door|shelf|bookshelf|rack|coat rack|spice rack|dish rack|speaker|"
      "projector|projector screen|lamp|light|fan|security camera|camera|heater|radiator|sink|urinal|toilet|telephone|fire extinguisher|"
-     "power strip|tv stand|cabinets|wall cabinet|hat|clothes|jacket|bag|plant|microwave|decoration"),
+     "power strip|tv stand|wall cabinet|hat|clothes|jacket|bag|plant|microwave|decoration"),
     ("covering", "is cloth or foam made to be stood upon",
      "rug|mat|carpet|floor mat|bath mat|doormat|yoga mat|tablecloth|table cloth|place mat|placemat"),
     ("stands", "has feet or a floor under it",
@@ -66,7 +66,7 @@ HOLDS_NOTHING: frozenset[str] = frozenset(
 )
 """Objects that others are never in: what is found among their leaves or arms stands beside them."""
 
-FITTED: frozenset[str] = frozenset({"kitchen cabinet", "kitchen counter", "counter", "wall cabinet", "kitchen cabinets"})
+FITTED: frozenset[str] = frozenset({"kitchen cabinet", "kitchen counter", "counter", "wall cabinet"})
 """Parts of fitted kitchens: cabinets and worktops."""
 
 BUILT_IN: tuple[str, ...] = (
@@ -74,7 +74,7 @@ BUILT_IN: tuple[str, ...] = (
     "shower", "radiator", "fireplace", "stairs", "pillar", "column", "rail", "banister",  # parts of the house
     "door", "doorframe", "window", "closet door", "bathroom door", "garage door", "shower door",  # hinges and frames in the wall
 )  # fmt: skip
-"""What is fixed wherever it is. Counters, stoves and refrigerators are not: two people push them."""
+"""What is fixed wherever it is. Stoves and refrigerators are not: two people push them; counters are where they stand against a wall."""
 
 
 _BASES: tuple[tuple[Base, str], ...] = (
@@ -89,7 +89,7 @@ _BASES: tuple[tuple[Base, str], ...] = (
 
 _BOXY = (
     "kitchen cabinet|cabinet|bathroom cabinet|kitchen counter|counter|nightstand|file cabinet|wardrobe|dresser|refrigerator|mini fridge|"
-    "oven|stove|dishwasher|washing machine|clothes dryer|bookshelf|shelf|tv stand|cabinets|wall cabinet|microwave"
+    "oven|stove|dishwasher|washing machine|clothes dryer|bookshelf|tv stand|wall cabinet"
 )
 """What stands with its back to a wall, and of which a scan may have the front alone."""
 

@@ -116,8 +116,10 @@ def _stands(field: Field, axes: Sequence[Array], bottom: float) -> bool:
     import shapely
 
     solid = field < 0
-    step = float(axes[2][1] - axes[2][0])
-    foot = np.argwhere(solid[:, :, axes[2] <= bottom + 1.5 * step].any(axis=2))
+    levels = np.flatnonzero(solid.any(axis=(0, 1)) & (axes[2] >= bottom))
+    if not len(levels):
+        return False
+    foot = np.argwhere(solid[:, :, levels[0] : levels[0] + 2].any(axis=2))
     nodes = np.argwhere(solid)
     if len(foot) < 3:
         return False

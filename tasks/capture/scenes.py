@@ -25,7 +25,7 @@ from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment, align
 from tasks.capture.rooms.openings import wall_openings
-from tasks.capture.rooms.room import estimate_room, inferred_room_type
+from tasks.capture.rooms.room import estimate_room, floor_points, inferred_room_type
 from tasks.capture.scan import Scan
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
@@ -96,7 +96,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
     room = _room(context, reading, cloud, classes, meanings, solids, notes)
     if not format.is_modelled:
-        rows = with_hidden_parts(rows, [solid.points for solid in solids], cloud.points[classes == FLOOR, :2], room)
+        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], room)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,

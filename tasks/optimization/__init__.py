@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -22,9 +22,9 @@ from tasks.optimization.certificates import CertificateConfig, certificate_rows,
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.default import Default
 from tasks.optimization.interior import Interior, furnish
-from tasks.optimization.misfits import fit_together, made_smaller
+from tasks.optimization.misfits import Fitting, fit_together, made_smaller
 from tasks.optimization.paper import Paper
-from tasks.optimization.proposals import propose
+from tasks.optimization.proposals import Proposal, propose
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
 from tasks.optimization.search.trace import Resolution, moved_poses, replayed_poses, step_rows
@@ -71,9 +71,9 @@ def run(
 ) -> Outcome:
     """Placements of a scene, what carries each, what touches before and after, every step between, and certificates.
 
-    Each instance's asset is the winning annotation's, else the selection's first. It is put to rest on what carries
-    it, within reach of where it was scanned; then collisions are resolved; then an independent engine says what stays.
-    Instances for which nothing can be placed, orphaned annotations and what could not be put right are said.
+    Each instance's asset is the winning annotation's, else the selection's first that leaves its neighbors their place. It is
+    put to rest on what carries it, within reach of where it was scanned; then collisions are resolved; then an independent engine
+    says what stays. Instances for which nothing can be placed, orphaned annotations and what could not be put right are said.
     """
     known = {asset.asset_id: asset for asset in assets}
     proposals, notes = propose(instances, selections, annotations, known)
@@ -84,15 +84,8 @@ def run(
     interior = fitting.interior
     notes += fitting.left_out
     resolved = _resolved(interior, config, context)
-    for _ in range(MOST_TRIES if isinstance(config.method, Default) else 0):
-        stuck = _stuck(resolved)
-        smaller = made_smaller(fitting, resolved.interior, stuck, selections, lambda some: furnish(some, *placed)) if stuck else None
-        if smaller is None:
-            break
-        fitting, resolved = smaller, _resolved(smaller.interior, config, context)
-    if isinstance(config.method, Default) and config.method.most_way_m < ANYWHERE_M and _stuck(resolved):
-        anywhere = dataclasses.replace(config, method=dataclasses.replace(config.method, most_way_m=ANYWHERE_M))
-        resolved = _resolved(fitting.interior, anywhere, context)
+    if isinstance(config.method, Default) and _stuck(resolved):
+        fitting, resolved = _freed(fitting, resolved, selections, config, context, lambda some: furnish(some, *placed))
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -126,18 +119,41 @@ class _Resolved(NamedTuple):
     steps: list[OptimizationStep]
 
 
+def _freed(
+    fitting: Fitting, resolved: _Resolved, selections: Sequence[Selection], config: OptimizationConfig, context: Context,
+    furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
+) -> tuple[Fitting, _Resolved]:  # fmt: skip
+    """What is stuck made smaller, and what is stuck even then put anywhere, as far as that helps: of all tries the first of the best."""
+    tries = [(fitting, resolved)]
+    for _ in range(MOST_TRIES):
+        stuck = _stuck(tries[-1][1])
+        smaller = made_smaller(tries[-1][0], tries[-1][1].interior, stuck, selections, furnish) if stuck else None
+        if smaller is None:
+            break
+        tries.append((smaller, _resolved(smaller.interior, config, context)))
+    best = min(tries, key=lambda t: _stuck_depth(t[1]))
+    if _stuck(best[1]):
+        tries = [best, (best[0], _resolved(best[0].interior, config, context, ANYWHERE_M))]
+    return min(tries, key=lambda t: _stuck_depth(t[1]))
+
+
+def _stuck_depth(resolved: _Resolved) -> float:
+    """Sum of the depths at which objects are still in others [m]."""
+    return round(sum(p.depth_m for p in _stuck(resolved)), 6)
+
+
 def _stuck(resolved: _Resolved) -> list[Penetration]:
     """What is still in something else in the end."""
     allowed = allowed_depths(resolved.interior, resolved.before)
     return [p for p in resolved.after if p.depth_m > DEEP_M + allowed.get((p.a, p.b), 0.0)]
 
 
-def _resolved(interior: Interior, config: OptimizationConfig, context: Context) -> _Resolved:
+def _resolved(interior: Interior, config: OptimizationConfig, context: Context, farthest: float | None = None) -> _Resolved:
     match config.method:
         case Paper() as method:
             resolution = paper.resolve(interior, method, config.supports, context.rng)
         case Default() as method:
-            resolution = default.resolve(interior, method, config.supports, context.rng, context.spread)
+            resolution = default.resolve(interior, method, config.supports, context.rng, context.spread, farthest=farthest)
     interior = resolution.interior or interior
     parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
     moves = [(step.name, step.move) for step in resolution.steps if step.outcome in APPLIED]

@@ -24,7 +24,7 @@ from tasks.stage import Context, Outcome, Stage
 __all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "completeness", "is_own_geometry", "run", "score_of"]
 
 PROVIDER = "geometric"
-PROVIDER_VERSION = "1"
+PROVIDER_VERSION = "2"
 
 LEAST_WITHIN = 0.3
 """A box that holds less than this share of its points is none to go by."""

@@ -34,8 +34,14 @@ CELL_M = 0.05
 CARRIED_SHARE = 0.2
 """Of the cells below furniture, in which something else ends right below it, from which on that carries it."""
 
+ENDS_M = 0.03
+"""What ends no farther above the bottom of furniture carries it; what reaches higher stands beside or on it."""
+
+TOP_QUANTILE = 0.9
+"""Of an object's points within the plan of furniture: its top there, a tenth of them being noise."""
+
 FLOOR_SHARE = 0.1
-"""Of the cells between furniture and a wall, in which the floor was seen, from which on nothing of it is there."""
+"""Of the cells below a body, or between furniture and a wall, in which the floor was seen, from which on nothing of it is there."""
 
 FILLED_SHARE = 0.3
 """Of those cells, in which something else was seen, from which on that stands there."""
@@ -63,11 +69,12 @@ def with_hidden_parts(rows: Sequence[Instance], points: Sequence[Array], floor: 
         floor,
     )
     raised = np.array([row.category.split(" ")[-1] in RAISED for row in rows], dtype=np.bool_)
+    passed = raised | np.array([mounting(row.category).kind == "covering" for row in rows], dtype=np.bool_)
     walls = np.array(room.walls, dtype=np.float64).reshape(-1, 4)
     made = list(rows)
     for i in movable:
         kind = mounting(rows[i].category)
-        below = _below(i, rows[i], kind, seen, raised)
+        below = _below(i, rows[i], kind, seen, raised, passed)
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
         if kind.is_boxy:
             sides[:4] = _behind(i, rows[i], sides, seen, walls)
@@ -75,8 +82,9 @@ def with_hidden_parts(rows: Sequence[Instance], points: Sequence[Array], floor: 
     return made
 
 
-def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Booleans) -> float:
-    """How far furniture reaches below its box, to the floor or a platform [m]."""
+def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Booleans, passed: Booleans) -> float:
+    """How far furniture reaches below its box, to the floor or a platform [m]. raised, passed: by object, which of them are platforms,
+    and which carry no furniture although they end below it: platforms and rugs."""
     if kind.base is None:
         return 0.0
     pose, size = matrix(row.box_pose), np.asarray(row.box_size)
@@ -84,11 +92,20 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Boole
     if bottom <= SEEN_M:
         return 0.0
     local = transform_points(seen.points, inverse(pose))
-    under = (np.abs(local[:, :2]) < 0.5 * size[:2]).all(axis=1) & (seen.owners != index) & (seen.points[:, 2] < bottom + 0.05)
+    inside = (np.abs(local[:, :2]) < 0.5 * size[:2]).all(axis=1) & (seen.owners != index)
+    under = inside & (seen.points[:, 2] < bottom + 0.05)
+    ends_below = np.zeros(len(raised), dtype=np.bool_)
+    for other in np.unique(seen.owners[under & (seen.points[:, 2] > bottom - 0.12)]).tolist():
+        top = np.quantile(seen.points[inside & (seen.owners == other), 2], TOP_QUANTILE)
+        ends_below[other] = not passed[other] and top <= bottom + ENDS_M
     cells = max(float(np.prod(np.maximum(size[:2] / CELL_M, 1.0))), 1.0)
-    near = under & (seen.points[:, 2] > bottom - 0.12) & ~raised[seen.owners]
+    near = inside & (seen.points[:, 2] > bottom - 0.12) & ends_below[seen.owners]
     if _filled(local[near, :2]) > CARRIED_SHARE * cells:
         return 0.0
+    if kind.base == "body":
+        on_floor = transform_points(np.column_stack([seen.floor, np.full(len(seen.floor), pose[2, 3])]), inverse(pose))
+        if _filled(on_floor[(np.abs(on_floor[:, :2]) < 0.5 * size[:2]).all(axis=1), :2]) > FLOOR_SHARE * cells:
+            return 0.0
     stage = under & raised[seen.owners]
     base = _top(local[stage, :2], seen.points[stage, 2]) if _filled(local[stage, :2]) > CARRIED_SHARE * cells else 0.0
     lost = bottom - base
@@ -99,6 +116,8 @@ def _behind(index: int, row: Instance, sides: Array, seen: _Seen, walls: Array) 
     """How far furniture reaches beyond its box on its sides -x, +x, -y, +y, to the nearest wall that nothing is seen before [m]."""
     pose, size = grown_box(row.box_pose, row.box_size, sides)
     best, nearest = np.zeros(4), MOST_BEHIND_M
+    if not len(seen.floor):  # nobody knows where it would have been seen
+        return best
     local = transform_points(seen.points, inverse(pose))
     floor = transform_points(np.column_stack([seen.floor, np.zeros(len(seen.floor))]), inverse(pose))
     for side in range(4):

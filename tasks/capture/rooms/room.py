@@ -119,6 +119,11 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more))
 
 
+def floor_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Points of the floor that was seen, labelled or not [m], shape (m, 3). `nyu40`: as for `estimate_room`."""
+    return cloud.points[_kinds(cloud, nyu40) == FLOOR]
+
+
 def inferred_room_type(categories: Iterable[str]) -> str:
     """Kind of room by what stands in it, 'unknown' when nothing tells. Ties go to the first of the list below."""
     present = list(categories)

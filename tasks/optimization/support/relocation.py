@@ -85,7 +85,7 @@ def last_resort(
     settling: how things stand before. Changes `room.shapes` and `stand`.
     """
     moves: list[tuple[int, Move, str]] = []
-    ways: dict[int, Array] = {}
+    elsewhere: list[int] = []
     floored: set[int] = set()
     for _ in range(MOST_ROUNDS):
         relocated = relocate(interior, solids, room, stand, slop, most_tilt, most_way)
@@ -95,15 +95,15 @@ def last_resort(
             moves.append((move.obj, _move(move.shift, np.eye(3)), "relocated"))
             if np.abs(move.rotation - np.eye(3)).max() > 0 or move.settled.any():
                 moves.append((move.obj, _move(move.settled, move.rotation), "tipped"))
-            ways[move.obj] = ways.get(move.obj, 0.0) + move.shift + move.settled
+            elsewhere.append(move.obj)
             if move.on_floor:
                 floored.add(move.obj)
         settling = let_down(interior, room.shapes, stand, most_tilt, nudge)
         moves += moves_of(settling)
     reasons = {}
-    for i, way in ways.items():
-        onto = " onto the floor" if i in floored else ""
-        reasons[i] = f"moved by {np.hypot(way[0], way[1]):.2f} m{onto}: no room for it where it was"
+    for i in dict.fromkeys(elsewhere):
+        onto, way = " onto the floor" if i in floored else "", stand.place[i, :2] - interior.poses[i][:2, 3]
+        reasons[i] = f"moved by {np.hypot(*way):.2f} m{onto}: no room for it where it was"
     return LastResort(moves, reasons, settling)
 
 
@@ -127,7 +127,8 @@ def relocate(
     most_way: float = np.inf,
 ) -> list[Relocation]:  # fmt: skip
     """Put objects of pairs that are deeper than `DEEP_M` in each other at the nearest place where they overlap nothing by more
-    than `slop` [m], deepest pair first, `most_way` [m] away at most from where they were proposed. Changes `room.shapes` and `stand`.
+    than `slop` [m], deepest pair first, `most_way` [m] away at most from where they came to rest in the room, or with what carries
+    them. Changes `room.shapes` and `stand`.
 
     Of a pair the smaller one goes, with all it carries; the other where that is fixed or fits nowhere. Places are looked for
     on what carries it, at the height at which it stands, then on the floor, within the room; where none is, the pair stays.
@@ -209,10 +210,12 @@ def _put_elsewhere(
     if parent >= 0:
         carrier[parent] = True
     shifts = _shifts(interior, room, stand, obj)
-    away = stand.place[obj][:2] + shifts - interior.poses[obj][:2, 3]
+    came_from = room.pivots[obj, :2] + (stand.place[parent, :2] - room.pivots[parent, :2] if parent >= 0 else 0.0)
+    away = stand.place[obj, :2] + shifts - came_from
+    reach = max(most_way, float(np.hypot(*(stand.place[obj, :2] - came_from))))  # it may always be brought back
     if interior.covering[obj]:  # a rug lies where it was seen, or nowhere: with all that stands on it, it goes nowhere else
-        most_way = min(most_way, MOST_RUG_M)
-    shifts = np.ascontiguousarray(shifts[np.hypot(*away.T) <= most_way])
+        reach = min(reach, MOST_RUG_M)
+    shifts = np.ascontiguousarray(shifts[np.hypot(*away.T) <= reach])
     may_fall = float(stand.low[obj, 2]) <= most_way
     for is_strict in (True, False):  # where it stands nowhere, it may as well lie somewhere
         for on_floor in ((False, True) if may_fall else (False,)) if parent >= 0 else (True,):

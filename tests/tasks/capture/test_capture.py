@@ -559,4 +559,8 @@ def test_scan_of_a_furnished_room_against_its_truth(tmp_path: Path) -> None:
             errors.append(np.linalg.norm((world @ center)[:3] - matrix(row.box_pose)[:3, 3]))
     assert len(errors) >= 8
     assert np.median(errors) < 0.04
+    for row in outcome.rows["instances"]:
+        assert (row.hidden_m is None) == row.is_structure
+        if row.hidden_m is not None:
+            assert row.hidden_m[4] == 0, "what was seen down to the floor is not drawn farther"
     assert scene.license == "CC0-1.0"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.capture import Instance, Room
-from tasks.candidates.closing import closed_mesh, solid_field
+from tasks.candidates.closing import SolidField, closed_mesh, solid_field
 from tasks.candidates.completion import Unseen
 from tasks.capture.instances.hidden import with_hidden_parts
 from tasks.geometry.boxes import grown_box
@@ -70,6 +70,47 @@ def test_what_stands_on_furniture_or_hangs_stays_as_it_was_seen(category: str) -
     ((low, high),) = whole((category, points))
     assert low == pytest.approx(points.min(axis=0))
     assert high == pytest.approx(points.max(axis=0))
+
+
+@pytest.mark.parametrize("category", ["bathroom cabinet", "cabinet", "bookshelf", "upper kitchen cabinets"])
+def test_a_cabinet_above_a_floor_that_was_seen_hangs(category: str) -> None:
+    points = grid((0.0, 1.0, 0.6), (0.3, 1.6, 1.2))
+    ((low, _),) = whole((category, points))
+    assert low[2] == pytest.approx(0.6)
+    ((low, _),) = whole((category, points), floor=floor_without((0.0, 1.0), (0.3, 1.6)))
+    assert low[2] == pytest.approx(0.0), "where the floor is hidden below it, the cabinet itself hides it"
+
+
+def test_what_stands_on_a_thin_top_does_not_carry_it() -> None:
+    """A desk's top with a box on it, a seat with a pillow on it, and a chair over a rug: their legs were lost all the same."""
+    top, box = grid((1.0, 1.0, 0.7), (2.2, 1.6, 0.74)), grid((1.1, 1.1, 0.74), (1.9, 1.5, 1.1))
+    assert whole(("desk", top), ("box", box))[0][0][2] == pytest.approx(0.0)
+    seat, pillow = grid((1.0, 1.0, 0.42), (1.45, 1.45, 0.9)), grid((1.05, 1.05, 0.44), (1.4, 1.4, 0.55))
+    assert whole(("chair", seat), ("pillow", pillow))[0][0][2] == pytest.approx(0.0)
+    low_seat, rug = grid((1.0, 1.0, 0.1), (1.5, 1.5, 0.9)), grid((0.5, 0.5, 0.0), (2.5, 2.5, 0.01))
+    assert whole(("armchair", low_seat), ("rug", rug))[0][0][2] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("category", ["microwave", "shelf", "tv", "mug"])
+def test_what_is_put_on_furniture_is_not_drawn_to_the_wall(category: str) -> None:
+    counter, put = grid((0.0, 1.0, 0.0), (0.6, 2.0, 0.9), 0.05), grid((0.25, 1.2, 0.9), (0.6, 1.7, 1.2))
+    _, (low, high) = whole(("kitchen counter", counter), (category, put))
+    assert low == pytest.approx(put.min(axis=0))
+    assert high == pytest.approx(put.max(axis=0))
+
+
+def test_nothing_is_drawn_to_the_wall_where_no_floor_was_seen_at_all() -> None:
+    front = grid((0.5, 1.0, 0.0), (0.55, 1.6, 0.86))
+    ((low, _),) = whole(("cabinet", front), floor=np.zeros((0, 2)))
+    assert low[0] == pytest.approx(0.5)
+
+
+def test_a_plural_is_mounted_as_its_singular() -> None:
+    from tasks.mounting import mounting
+
+    for name in ("kitchen cabinet", "cabinet", "wall cabinet", "chair", "bookshelf", "dish rack", "box"):
+        plural = f"{name}es" if name.endswith("x") else f"{name}s"
+        assert mounting(plural) == mounting(name) == mounting(f"upper {plural}")
 
 
 def test_a_chair_that_lies_on_a_table_stays_on_it() -> None:
@@ -151,12 +192,16 @@ def test_a_crop_that_would_topple_gets_feet() -> None:
 
 @pytest.mark.parametrize("is_held", [False, True])
 def test_a_top_is_whole_below_what_stood_on_it(is_held: bool) -> None:
-    """A desk's top with a hole where a screen hid it, and one whose end nobody saw, but a keyboard on it."""
-    frame = [((-0.6, -0.35, 0.7), (0.6, -0.15, 0.74)), ((-0.6, 0.0, 0.7), (0.6, 0.35, 0.74))]
-    crop = crop_of(*frame, ((-0.6, -0.2, 0.7), (-0.2, 0.1, 0.74)), ((0.0, -0.2, 0.7), (0.6, 0.1, 0.74)))
-    held = ((0.6, -0.1, 0.8, 0.1),) if is_held else ()
-    field = solid_field(crop, Unseen(sides=(0.0, 0.3, 0.0, 0.0, 0.0) if is_held else (0.0,) * 5, is_flat_topped=True, held=held))
-    top = (field.values < 0).any(axis=2)
-    hole = tuple(np.rint((np.array([-0.1, -0.08]) - field.origin[:2]) / field.step).astype(int))
-    assert top[hole]
-    assert (solid_field(crop).values < 0).any(axis=2).sum() < top.sum()
+    """A desk's top with a hole where a screen hid it, and a bay that is open at the back, too wide for one, below a keyboard."""
+    frame = [((-0.6, -0.35, 0.7), (0.6, -0.15, 0.74)), ((-0.6, 0.0, 0.7), (-0.05, 0.35, 0.74)), ((0.45, -0.2, 0.7), (0.6, 0.35, 0.74))]
+    crop = crop_of(*frame, ((-0.6, -0.2, 0.7), (-0.2, 0.1, 0.74)), ((0.0, -0.2, 0.7), (0.6, 0.0, 0.74)))
+    held = ((-0.05, 0.0, 0.45, 0.35),) if is_held else ()
+    field = solid_field(crop, Unseen(is_flat_topped=True, held=held))
+    spots = {"hole": (-0.1, -0.08), "below the keyboard": (0.2, 0.2)}
+
+    def filled(made: SolidField) -> dict[str, bool]:
+        top = (made.values < 0).any(axis=2)
+        return {name: bool(top[tuple(np.rint((np.array(at) - made.origin[:2]) / made.step).astype(int))]) for name, at in spots.items()}
+
+    assert filled(solid_field(crop)) == dict.fromkeys(spots, False)
+    assert filled(field) == {"hole": True, "below the keyboard": is_held}

@@ -14,7 +14,8 @@ from tests.tasks.capture.test_hidden import grid
 @given(height=st.floats(-0.05, 0.3), noise=st.sampled_from([0.0, 0.004]), side=st.floats(0.2, 0.6), seed=st.integers(0, 3))
 def test_a_rug_is_flat_whatever_was_annotated_with_it(height: float, noise: float, side: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    rug = grid((0.0, 0.0, height), (2.0, 1.4, height + 0.01)) + rng.normal(0.0, noise, (1, 3))
+    rug = grid((0.0, 0.0, height), (2.0, 1.4, height + 0.01))
+    rug = rug + rng.normal(0.0, noise, rug.shape)
     sofa = grid((0.2, 0.2, height + 0.1), (0.2 + side, 0.2 + side, height + 0.5), 0.05)
     own = own_part(np.concatenate([rug, sofa]), "rug")
     assert own[: len(rug)].all()

@@ -76,6 +76,26 @@ def test_what_has_no_other_shape_is_made_smaller_where_it_is_deep_in_another(ove
     assert all(row.displacement_m <= 0.3 + 1e-9 for row in rows.values())
 
 
+def test_what_nothing_else_helps_goes_farther_and_is_named() -> None:
+    """Two wardrobes nearly in one place, as people chose them: neither may be made smaller."""
+    scene = Scene()
+    names = [scene.add(block(1.0, 1.0, 0.8), translation([x, 0.0, 0.0]), "cabinet") for x in (-0.1, 0.1)]
+    for name, instance, selection in zip(names, scene.instances, list(scene.selections), strict=True):
+        scene.annotations.append(
+            sample(
+                Annotation, scene_id=SCENE, instance_id=name, batch_id="b", annotator="a", choice=selection.asset_id, pose=None,
+                scale=None, box_pose=instance.box_pose, box_size=instance.box_size,
+            )
+        )  # fmt: skip
+    outcome = scene.run()
+    ways = {n: np.hypot(*(poses_of(outcome)[n] - poses_of(outcome, "proposed")[n])[:2, 3]) for n in names}
+    assert outcome.rows["optimizations"][0].deep_pairs == 0
+    far = [name for name in names if ways[name] > 0.3]
+    assert far
+    for name in far:
+        assert f"moved by {ways[name]:.2f} m" in (remains(outcome)[name] or "")
+
+
 def test_nothing_goes_farther_than_it_may_while_something_else_helps() -> None:
     """Two cabinets nearly in one place: neither is sent across the room."""
     scene = Scene()

@@ -1,6 +1,7 @@
 -- Which provider's candidates, in which slot, are selected, and which are placed in the end?
--- Version 1.
--- placed: wins that stand in the scene in the end; the view annotation_wins has those that people put in their place.
+-- Version 2.
+-- placed: wins that stand in the scene in the end. The others gave way to a candidate that leaves its neighbors their place, or to
+-- what people chose (the view annotation_wins).
 WITH counted AS (
     SELECT
         provider,
@@ -25,6 +26,7 @@ won AS (
         ON placements.scene_id = selections.scene_id
         AND placements.instance_id = selections.instance_id
         AND placements.origin = 'selection'
+        AND placements.asset_id = selections.asset_id
     WHERE selections.rank = 1
 ),
 of_slot AS (
