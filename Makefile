@@ -23,7 +23,7 @@ demo: $(VENV)/.run-ready  ## Raw scans in, replica scenes out, in ./demo.
 test: $(VENV)/.test-ready check  ## Lint, types and the tests that run in minutes.
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not whole and not slow" --hypothesis-profile same
 
-test-whole: $(VENV)/.test-ready  ## Whole runs, servers, stores and benchmarks.
+test-whole: $(VENV)/.test-ready  ## Whole runs, servers, stores, benchmarks and tests of two seconds.
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "whole and not slow" --hypothesis-profile same
 
 test-all: $(VENV)/.test-ready check  ## All of these and the slow ones.

@@ -185,6 +185,7 @@ def test_a_fault_is_found_told_and_kept(name: str, found: tuple[Path, dict[str, 
     assert unpacked(document["files"]) != {"a.json": broken.SOUND}
 
 
+@pytest.mark.whole
 def test_a_campaign_goes_on_where_it_stopped(tmp_path: Path) -> None:
     reading = Reading(tmp_path / "seeds", "tests.fuzzing.broken")
     first = Campaign(tmp_path, {"refuses": 5, "raises": 5}, 0, reading=reading)

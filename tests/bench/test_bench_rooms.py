@@ -104,6 +104,7 @@ def figures(replica: BenchReplica, true: DwellingTruth | None = None) -> dict:
     return judged(1, False, home(), true or truth(), replica, {"capture": 1.0})
 
 
+@pytest.mark.whole
 def test_the_truth_as_its_own_replica_is_right_in_everything() -> None:
     found = figures(perfect())
     for key in (
@@ -270,6 +271,7 @@ def measured(folder: Path, rooms: int) -> dict:
     return run_dwellings_bench(DwellingsBench(rooms, 0, 1, folder), lambda _: None)
 
 
+@pytest.mark.whole
 def test_rooms_that_are_remembered_are_not_measured_again(tmp_path: Path, pool: type[NoPool]) -> None:
     first = measured(tmp_path, 2)
     assert pool.calls == 2
@@ -281,6 +283,7 @@ def test_rooms_that_are_remembered_are_not_measured_again(tmp_path: Path, pool: 
     assert {path.name for path in tmp_path.iterdir()} == {f"room_0_{k:04d}.json" for k in range(3)}
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("error", [WorkerLost("the worker died"), WorkerTimeout("took longer")])
 def test_a_room_whose_worker_died_is_measured_again_and_leaves_nothing(tmp_path: Path, pool: type[NoPool], error: Exception) -> None:
     pool.error = error

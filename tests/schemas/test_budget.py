@@ -52,6 +52,7 @@ def bombs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return paths
 
 
+@pytest.mark.whole
 def test_a_glb_that_asks_for_more_than_the_budget_is_refused(bombs: dict[str, Path]) -> None:
     said = attacks.below_ceiling(LOADED, *bombs.values()).splitlines()
     assert len(said) == len(bombs)
@@ -190,6 +191,7 @@ for name in sys.argv[1:]:
 """
 
 
+@pytest.mark.whole
 def test_what_is_packed_is_unpacked_to_the_budget_and_no_further(tmp_path: Path) -> None:
     for name, data in {
         "json.json.gz": attacks.json_bomb(),
@@ -237,6 +239,7 @@ for name in sys.argv[2:]:
 """
 
 
+@pytest.mark.whole
 def test_odd_models_of_finished_datasets_are_refused_in_one_line_each(tmp_path: Path) -> None:
     for name, text in MODELS.items():
         (tmp_path / name).write_text(text)
@@ -264,6 +267,7 @@ ROBOTS = {
 }
 
 
+@pytest.mark.whole
 def test_odd_robots_are_findings(tmp_path: Path) -> None:
     for name, text in ROBOTS.items():
         (tmp_path / name).write_text(text)

@@ -175,6 +175,7 @@ def test_what_is_open_stays_open() -> None:
     assert (signed_distance(mesh, np.array([[0, 0, 0.3], [0.1, 0.2, 0.4], [-0.1, -0.3, 0.2]])) > 0.02).all()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("category", ["chair", "desk", "sofa", "nightstand", "lamp"])
 def test_the_closed_surface_lies_near_the_scanned_one(category: str) -> None:
     model = generate(category, None, np.random.default_rng(8))
@@ -207,6 +208,7 @@ def test_nothing_to_enclose_is_said() -> None:
 # Pieces
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("category", ["chair", "table", "bookshelf", "bed"])
 def test_pieces_are_convex_few_and_make_up_the_surface(category: str) -> None:
     model = generate(category, None, np.random.default_rng(2))
@@ -413,6 +415,7 @@ def test_a_file_name_tells_a_category(stem: str, category: str) -> None:
     assert category_of(stem) == category
 
 
+@pytest.mark.whole
 def test_real_assets_are_found_again_from_partial_scans(realdata: Callable[[str], Path]) -> None:
     folder = realdata("assets")
     index = index_library(folder)
@@ -536,6 +539,7 @@ def test_a_missing_library_is_told_in_every_row_and_once_in_all() -> None:
     assert sum("no library given" in text for text in outcome.degradations) == 1
 
 
+@pytest.mark.whole
 def test_a_library_fills_its_slots_and_the_same_asset_is_the_same_row(tmp_path: Path) -> None:
     folder = write_library(
         tmp_path / "lib", chair_a=("chair", (0.5, 0.5, 0.9)), chair_b=("chair", (0.45, 0.45, 0.8)), bed_c=("bed", (2.0, 1.6, 0.9))
@@ -567,6 +571,7 @@ def test_one_bad_instance_costs_only_its_own_slots() -> None:
     assert sum("0002 box: slot" in text for text in outcome.degradations) == 2
 
 
+@pytest.mark.whole
 def test_the_same_input_gives_the_same_bytes_in_any_order(outcome: Outcome) -> None:
     other = candidates_of(*a_room()[::-1])
     assert outcome.rows == other.rows

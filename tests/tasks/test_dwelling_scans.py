@@ -128,6 +128,7 @@ def test_a_walk_goes_on_past_a_stop_that_its_looks_did_not_exhaust(monkeypatch: 
     assert {tuple(view[:3, 3]) for view in views} == {tuple(eye) for eye in eyes}
 
 
+@pytest.mark.whole
 def test_scans_of_a_dwelling_are_not_written_over(tmp_path: Path) -> None:
     from schemas.errors import InputError
 

@@ -213,6 +213,7 @@ def trajectories(draw: st.DrawFn) -> list[Any]:
     return rows
 
 
+@pytest.mark.whole
 @quick
 @given(rows=trajectories())
 def test_sql_is_the_plain_python(database: Database, rows: list[Any]) -> None:
@@ -621,6 +622,7 @@ def test_the_published_schema_is_a_schema() -> None:
 # Through a lake.
 
 
+@pytest.mark.whole
 def test_a_batch_goes_into_the_lake_once(lake: Lake, tmp_path: Path) -> None:
     configuration = configure()
     expert = run_policy(lake, "expert", configuration)
@@ -658,6 +660,7 @@ def test_what_was_measured_and_not_committed_is_not_measured_again(lake: Lake, m
     assert len(lake.snapshot().rows(Trajectory)) == 40
 
 
+@pytest.mark.whole
 def test_metrics_are_those_of_the_settings_that_are_given(lake: Lake) -> None:
     usual, strict = configure(), configure(settings=["evaluation.success_m=0.01", "evaluation.stop_probability=0.3"])
 
@@ -697,6 +700,7 @@ def test_newer_code_measures_again_in_place(lake: Lake, monkeypatch: pytest.Monk
     assert run_policy(lake, "random", configure()).new == 0
 
 
+@pytest.mark.whole
 def test_changed_episodes_change_no_old_metric(lake: Lake, scene: Any) -> None:
     run_policy(lake, "expert", configure())
     before = lake.snapshot().rows(Trajectory)

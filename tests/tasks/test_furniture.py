@@ -57,6 +57,7 @@ def test_a_model_is_closed_convex_covered_and_of_its_extents(category: str) -> N
         assert 0.999 * seen <= solid <= 1.7 * seen + 1e-6, "the pieces are far larger than what they cover"
 
 
+@pytest.mark.whole
 @settings(max_examples=60, deadline=None)
 @given(
     category=st.sampled_from([*furniture.CATEGORIES, "widget", "teapot stand"]),

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import REPOSITORY
 
 CALLEE = """
@@ -29,6 +31,7 @@ def run():
 """
 
 
+@pytest.mark.whole
 def test_a_function_that_calls_a_changed_one_of_another_module_is_compiled_anew(tmp_path: Path) -> None:
     room = tmp_path / "tasks"
     room.mkdir()

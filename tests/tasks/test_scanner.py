@@ -161,12 +161,14 @@ def test_frames_agree_with_poses_and_truth(made: Made) -> None:
         assert np.array_equal(depth, np.round(depth, 3).astype(np.float32))
 
 
+@pytest.mark.whole
 def test_the_same_seed_writes_the_same_bytes(made: Made, tmp_path: Path) -> None:
     again = make(tmp_path, dataclasses.replace(QUICK, lost_poses=3))
     assert digest(again.folder) == digest(made.folder)
     assert again.truth == made.truth
 
 
+@pytest.mark.whole
 def test_variants_hold_the_same_scan(made: Made, tmp_path: Path) -> None:
     config = dataclasses.replace(QUICK, lost_poses=3, frames="sens", axis_alignment=False, aggregation="vh_clean", prefix="scannet.")
     other = make(tmp_path, config)

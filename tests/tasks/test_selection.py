@@ -163,6 +163,7 @@ def test_a_turned_scaled_partly_seen_object_is_recovered(make: Callable[[], list
     assert best.coverage > 0.85
 
 
+@pytest.mark.whole
 def test_real_furniture_is_recovered_among_its_kind(realdata: Callable[[str], Path]) -> None:
     folder = realdata("assets")
     names = [
@@ -271,6 +272,7 @@ def test_what_ends_near_the_floor_stands_on_it(bottom: float, expected: float) -
     assert top == pytest.approx(bottom + 0.92, abs=0.02)
 
 
+@pytest.mark.whole
 def test_the_same_rows_in_any_order_and_run_give_the_same_selections() -> None:
     rng = np.random.default_rng(3)
     room = Room()

@@ -60,6 +60,7 @@ def cut(rows: list[tuple[int, float, float, float, float, float]]) -> Room:
     return dataclasses.replace(room_of(polygon=SQUARE), openings=tuple(made))
 
 
+@pytest.mark.whole
 @given(st.lists(openings(), max_size=3))
 @settings(max_examples=30, deadline=None)
 def test_walls_are_solid_all_but_their_openings(rows: list[tuple[int, float, float, float, float, float]]) -> None:

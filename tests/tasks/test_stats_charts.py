@@ -141,6 +141,7 @@ CELLS = st.dictionaries(
 )
 
 
+@pytest.mark.whole
 @given(cells=CELLS)
 @settings(max_examples=20, deadline=None)
 def test_the_heat_map_shows_every_object_once(cells: dict[tuple[str, str], int]) -> None:
@@ -166,6 +167,7 @@ def release(name: str, number: int) -> dict[str, Any]:
     return {"name": name, **{column: 10 * number + place for place, column in enumerate(counts.GROWING)}}
 
 
+@pytest.mark.whole
 def test_growth_shows_the_newest_releases_of_many() -> None:
     def names(count: int) -> list[str]:
         drawn = counts.growth(pa.Table.from_pylist([release(f"v{n:02d}", n) for n in range(count)]))

@@ -219,6 +219,7 @@ def test_pairs_that_collide_are_deeper_than_2_mm_and_not_allowed() -> None:
     assert collisions.colliding_pairs(contacts, "optimized") == [("0000", "0003")]
 
 
+@pytest.mark.whole
 def test_a_real_house_is_pictured_from_above_and_opened(realdata: Callable[[str], Path]) -> None:
     parts = load_glb(realdata("scene_aws_small_house/house.glb").read_bytes())
     shape = RoomOutline.of_parts(parts)
@@ -244,6 +245,7 @@ def pixels(file: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(file)).convert("RGB"), dtype=np.int64)
 
 
+@pytest.mark.whole
 @given(left=st.integers(0, 500), top=st.integers(0, 350), width=st.integers(150, 300), height=st.integers(150, 200))
 @settings(max_examples=30, deadline=None)
 def test_a_tile_is_cut_to_what_its_pictures_show(left: int, top: int, width: int, height: int) -> None:

@@ -682,6 +682,7 @@ READS: Mapping[str, tuple[str, ...]] = {
 }
 
 
+@pytest.mark.whole
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(steps=STEPS)
 def test_lake_agrees_with_a_model_of_it(tmp_path_factory: pytest.TempPathFactory, steps: list[tuple[str, str, int]]) -> None:

@@ -90,6 +90,7 @@ def test_a_data_file_that_is_missing_or_damaged_is_named(name: str, damage: str,
     assert "`metascenes doctor lake` says what is damaged" in said
 
 
+@pytest.mark.whole
 def test_a_missing_data_file_is_misuse_on_the_command_line(tmp_path: Path) -> None:
     lake = lake_at(tmp_path / "lake")
     next((tmp_path / "lake" / "tables" / "instances").glob("*.parquet")).unlink()

@@ -122,6 +122,7 @@ def test_what_rows_hold_reaches_no_terminal_raw(words: tuple[str, ...], odd_lake
         assert "\x1b" in json.dumps(json.loads(done.stdout), ensure_ascii=False).encode().decode("unicode_escape")
 
 
+@pytest.mark.whole
 def test_csv_is_exact_in_a_pipe_and_escaped_on_a_terminal(odd_lake: str) -> None:
     words = ("sql", "SELECT error FROM stage_runs WHERE error IS NOT NULL", "--output", "csv", "--lake", odd_lake)
     piped = shell(*words)

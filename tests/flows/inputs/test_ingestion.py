@@ -138,6 +138,7 @@ def test_a_changed_file_replaces_its_scene_alone(dataset: Path, lake: Lake) -> N
     assert {scene for scene, stage in new if new[scene, stage] != old[scene, stage]} == {done.scenes[1].scene_id}
 
 
+@pytest.mark.whole
 def test_any_number_of_workers_gives_the_same_rows_and_blobs(dataset: Path, release: Path, tmp_path: Path) -> None:
     found = []
     for workers in (1, 2):
@@ -387,6 +388,7 @@ def test_a_folder_that_holds_no_dataset_is_misuse(kind: str, make: Callable[[Pat
     assert not (tmp_path / "lake").exists()
 
 
+@pytest.mark.whole
 def test_the_command_says_what_it_did_and_which_scenes_failed(dataset: Path, tmp_path: Path) -> None:
     placed(lambda one: one.update(rotation=[1, 0, 0]))(dataset)
     options = ["--dataset", "other", "--workers", "1", "--lake", str(tmp_path / "lake")]
@@ -483,6 +485,7 @@ def test_datasets_are_compared_by_what_their_rows_say(mixed: Lake) -> None:
         assert row["asset_licenses"] == sorted({assets[name].license for name in used})
 
 
+@pytest.mark.whole
 def test_the_report_shows_imported_scenes_beside_our_own(mixed: Lake, tmp_path: Path) -> None:
     write_report(mixed, tmp_path / "report.html", look=PictureConfig(width=120, height=84, oversampling=1), workers=1)
     said = (tmp_path / "report.html").read_text()
@@ -490,6 +493,7 @@ def test_the_report_shows_imported_scenes_beside_our_own(mixed: Lake, tmp_path: 
     assert "released/" in said
 
 
+@pytest.mark.whole
 def test_navigation_and_exports_take_imported_scenes(mixed: Lake) -> None:
     """The stages after the optimization, on rows of an import, as they are: nothing in them is of our own making."""
     reader = mixed.snapshot()

@@ -115,6 +115,7 @@ def test_a_folder_that_no_export_wrote_is_not_removed(lake: Lake, tmp_path: Path
     assert set(contents(tmp_path)) == {"urdf/mine.txt"}
 
 
+@pytest.mark.whole
 def test_licenses_that_leave_nothing_fail_the_export(lake: Lake, tmp_path: Path) -> None:
     older(tmp_path, "mjcf", "glb")
     dry = ask(lake, tmp_path, "--license-allow", "unknown", "--dry-run")
@@ -127,6 +128,7 @@ def test_licenses_that_leave_nothing_fail_the_export(lake: Lake, tmp_path: Path)
     assert {Path(name).name for name in contents(tmp_path)} == {"LEFT_OUT.md", "ATTRIBUTION.md", ".exported"}
 
 
+@pytest.mark.whole
 def test_the_flow_fails_as_the_command_does(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exporting, "create_link_artifact", lambda **told: None)
     before = older(tmp_path, "urdf")
@@ -141,6 +143,7 @@ def test_the_flow_fails_as_the_command_does(lake: Lake, tmp_path: Path, monkeypa
     assert "leave nothing" in nothing.message
 
 
+@pytest.mark.whole
 def test_a_scene_that_lacks_objects_fails_although_its_files_pass(lake: Lake, tmp_path: Path) -> None:
     from shutil import copytree
 

@@ -59,6 +59,7 @@ def failing(path: Path) -> list[Finding]:
     raise Local("a defect ", "of ours")
 
 
+@pytest.mark.whole
 def test_what_a_check_finds_or_refuses_comes_back_as_it_is(tmp_path: Path) -> None:
     assert findings_of(sound, tmp_path / "a") == sound(tmp_path / "a")
     with pytest.raises(InputError, match="a: field: is odd; mend it"):
@@ -75,6 +76,7 @@ def test_a_folder_that_says_it_has_terabytes_is_checked(tmp_path: Path) -> None:
     assert findings_of(sound, tmp_path, times=1e6) == sound(tmp_path)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("check", "seconds", "words"),
     [(hungry, 60, "takes more than 512 MB of memory"), (busy, 1, "takes more than 1 s"), (crashing, 60, "dies (SIGSEGV)")],
@@ -165,6 +167,7 @@ def test_models_that_include_one_another_are_no_defect(tmp_path: Path) -> None:
     assert ended.exit_code in (0, 1), ended.output
 
 
+@pytest.mark.whole
 def test_doctor_reads_with_bounds_and_says_when_they_are_reached(tmp_path: Path) -> None:
     path = tmp_path / "scene.xml"
     path.write_text('<mujoco><size memory="3G"/><worldbody><geom size="1"/></worldbody></mujoco>')

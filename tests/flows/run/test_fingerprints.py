@@ -171,6 +171,7 @@ def test_the_place_of_the_code_does_not_count(code: Path, monkeypatch: pytest.Mo
     assert fingerprint() == here
 
 
+@pytest.mark.whole
 def test_what_is_remembered_of_code_counts_for_these_files_only(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METASCENES_CACHE", str(tmp_path / "cache"))
     store = tmp_path / "cache" / fingerprints.CODE_STORE
@@ -210,6 +211,7 @@ def test_comments_docstrings_and_blank_lines_do_not_count(code: Path) -> None:
     assert fingerprint() == before
 
 
+@pytest.mark.whole
 def test_code_counts_wherever_the_stage_imports_it_and_nowhere_else(code: Path) -> None:
     before, navigation = fingerprint(), fingerprint("tasks.navigation")
     for path in (

@@ -75,6 +75,7 @@ def actions(plan: Plan) -> dict[str, tuple[str, str]]:
 UP_TO_DATE, NEW = ("reuse", "unchanged"), ("run", "never done")
 
 
+@pytest.mark.whole
 def test_another_dataset_name_makes_no_other_scene(lake: Lake, scans: Path) -> None:
     captured(lake, planned(lake, scans, "Demo"))
     plan = planned(lake, scans)

@@ -73,6 +73,7 @@ def spread_twice(path: str) -> tuple[int, list[tuple[int, int]], list[str], list
     return os.getpid(), spread(squared, range(6)), spread(die_once, [path, path]), spread(squared, range(4))
 
 
+@pytest.mark.whole
 def test_a_worker_spreads_work_over_its_own_processes_and_survives_the_loss_of_one(pool: WorkerPool, tmp_path: Path) -> None:
     path = str(tmp_path / "died")
     own, first, lost, again = pool.call(spread_twice, path, timeout=2 * LIMIT)
@@ -103,6 +104,7 @@ def test_a_crash_costs_a_neighbor_nothing() -> None:
         assert slow.result(timeout=LIMIT) is None
 
 
+@pytest.mark.whole
 def test_the_pool_goes_on_after_all_workers_died_at_once() -> None:
     """Killed while they compute, between tasks, and again: what was under way is lost, and nothing else."""
     from concurrent.futures import ThreadPoolExecutor

@@ -520,6 +520,7 @@ def test_long_lists_are_cut_and_an_empty_lake_says_so(tmp_path: Path) -> None:
     assert missing.exit_code != 0
 
 
+@pytest.mark.whole
 def test_all_of_ten_thousand_scenes_are_counted() -> None:
     current = expected({}).code
     rows = []

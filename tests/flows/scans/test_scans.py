@@ -78,6 +78,7 @@ def reference_bounds(text: str) -> tuple[datetime.datetime, datetime.datetime]:
     return moment, moment
 
 
+@pytest.mark.whole
 @settings(deadline=None, max_examples=300)
 @given(
     st.dictionaries(IDS, st.datetimes(datetime.datetime(2024, 1, 1), datetime.datetime(2024, 1, 20)), min_size=1, max_size=8),
@@ -204,6 +205,7 @@ def outcome(folder: Path, format: str) -> Any:
     return [(scan.format, scan.scene_id, paths) for scan, paths in files], [str(error) for error in errors]
 
 
+@pytest.mark.whole
 @settings(deadline=None, max_examples=400)
 @given(TREES, st.sampled_from(["auto", "scannet", "posed_rgbd", "glb"]))
 def test_a_listing_finds_what_the_folder_finds(paths: list[str], format: str) -> None:
@@ -292,6 +294,7 @@ def fetched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return seen
 
 
+@pytest.mark.whole
 @pytest.mark.s3
 def test_a_mirror_is_the_store_and_fetches_what_changed(server: S3, cache: Path, tmp_path: Path, fetched: list[str]) -> None:
     local = write_scans(tmp_path / "scans", 3)
@@ -344,6 +347,7 @@ def test_objects_keep_the_time_at_which_they_were_put(server: S3, cache: Path, t
     assert found_scans("s3://store/times", until="2020-01-01") == ([], [])
 
 
+@pytest.mark.whole
 @pytest.mark.s3
 def test_scans_of_all_kinds_and_places(server: S3, cache: Path, tmp_path: Path) -> None:
     root = "store/kinds/set"
@@ -381,6 +385,7 @@ def test_scans_of_all_kinds_and_places(server: S3, cache: Path, tmp_path: Path) 
         found_scans("s3://nosuchbucket/x")
 
 
+@pytest.mark.whole
 @pytest.mark.s3
 def test_an_object_that_changes_meanwhile_fails_its_scan_only(server: S3, cache: Path, tmp_path: Path) -> None:
     upload(server, write_scans(tmp_path / "scans", 2), "store/meanwhile")
@@ -456,6 +461,7 @@ print(*(FileHashes().tree(scan.path, scan_files(scan)) for scan in found))
 """
 
 
+@pytest.mark.whole
 @pytest.mark.s3
 def test_two_processes_at_once_and_one_that_is_killed(server: S3, cache: Path, tmp_path: Path) -> None:
     local = write_scans(tmp_path / "scans", 4)

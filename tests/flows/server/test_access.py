@@ -121,6 +121,7 @@ def test_a_command_shows_the_token_of_a_server_of_this_machine_and_to_nobody_els
     assert os.environ[CLIENT_TOKEN] == "mine"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("named", ["profile", "environment"])
 def test_deploying_shows_the_token_of_a_server_that_the_profile_names(named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A server that says its version, to whoever has the token, and refuses all else."""

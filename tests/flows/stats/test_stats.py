@@ -53,6 +53,7 @@ def report(lake: Lake, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_report(lake, folder / "report.html", pictures=folder / "pictures", look=SMALL, workers=1).path
 
 
+@pytest.mark.whole
 def test_charts_of_a_lake_are_named_after_views_and_the_same_twice(lake: Lake) -> None:
     answers = answers_of(lake.snapshot())
     drawn, again = draw_charts(answers), draw_charts(answers)
@@ -69,6 +70,7 @@ def test_charts_of_a_lake_are_named_after_views_and_the_same_twice(lake: Lake) -
         assert not re.search(rb"tIME|date:|Software", chart.png)
 
 
+@pytest.mark.whole
 def test_a_report_draws_no_raster_that_it_does_not_show(report: Path, lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_sheets, "_as_png", refused)
     monkeypatch.setattr(words, "_png", refused)
@@ -204,6 +206,7 @@ def test_the_report_tells_nothing_of_the_machine(report: Path, lake: Lake) -> No
         assert secret not in html
 
 
+@pytest.mark.whole
 def test_the_same_snapshot_gives_the_same_report_and_pictures(report: Path, lake: Lake, tmp_path: Path) -> None:
     again = write_report(lake, tmp_path, pictures=tmp_path / "pictures", look=SMALL, workers=1).path
     assert again == tmp_path / "report.html"
@@ -231,6 +234,7 @@ def test_an_empty_lake_has_a_report(tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.whole
 def test_more_scenes_than_are_pictured_are_counted(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flows.stats.queries.PICTURED_SCENES", 1)
     page = Page(write_report(lake, tmp_path / "report.html", look=SMALL, workers=1).path.read_text())
@@ -245,6 +249,7 @@ def test_a_snapshot_that_is_not_there_is_refused(lake: Lake, tmp_path: Path) -> 
     assert not (tmp_path / "report.html").exists()
 
 
+@pytest.mark.whole
 def test_a_scene_that_cannot_be_pictured_costs_its_pictures_only(tmp_path: Path) -> None:
     lake = furnished_lake(tmp_path / "lake", scenes=2, objects=2)
     blob = lake.snapshot().arrow("scenes", "demo/room_0")["mesh_blob"][0].as_py()
@@ -301,6 +306,7 @@ def test_the_command_says_what_it_would_write_and_writes_nothing(lake: Lake, tmp
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.whole
 def test_a_report_on_a_release_names_it(tmp_path: Path) -> None:
     lake = Lake.open(tmp_path / "lake")
     for number, name in enumerate(("ours/a", "theirs/a")):
@@ -340,6 +346,7 @@ def test_the_command_gives_stage_times_as_json_in_the_order_of_the_data_path(lak
     assert rows[0]["total_seconds"] == 2.0
 
 
+@pytest.mark.whole
 def test_tables_that_are_cut_say_of_how_many_rows(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flows.stats.queries.ROW_LIMIT", 3)
     monkeypatch.setattr("flows.stats.queries.TIMELINE_RUNS", 5)
@@ -369,6 +376,7 @@ def test_names_of_scenes_are_values_in_what_the_report_asks(lake: Lake) -> None:
         assert connection.sql("SELECT count(*) FROM scenes").fetchall() == [(2,)]
 
 
+@pytest.mark.whole
 def test_a_report_is_written_whole_or_not_at_all(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "report.html"
     out.write_text("an older one")

@@ -98,6 +98,7 @@ def test_the_flow_leaves_pictures_tables_and_a_link(home: dict[str, str], lake: 
     assert "| objects | 3 |" in str(found["statistics-summary"]["data"])
 
 
+@pytest.mark.whole
 def test_the_flow_is_addressed_by_its_module_path(home: dict[str, str]) -> None:
     code = (
         "import sys, flows.stats; light = 'prefect' not in sys.modules\n"

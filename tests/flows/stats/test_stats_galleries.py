@@ -40,6 +40,7 @@ def lake(tmp_path_factory: pytest.TempPathFactory) -> Lake:
     return furnished_lake(tmp_path_factory.mktemp("gallery") / "lake", scenes=2, objects=4)
 
 
+@pytest.mark.whole
 def test_the_gallery_has_one_object_of_each_category_with_all_its_candidates(lake: Lake) -> None:
     reader = lake.snapshot()
     rows = answers_of(reader).rows["instances.gallery"].to_pylist()
@@ -56,6 +57,7 @@ def test_the_gallery_has_one_object_of_each_category_with_all_its_candidates(lak
         }
 
 
+@pytest.mark.whole
 def test_a_candidate_that_cannot_be_read_costs_its_picture_only(lake: Lake) -> None:
     rows = answers_of(lake.snapshot()).rows["instances.gallery"].to_pylist()
     first = [found for found in rows if found["instance_id"] == rows[0]["instance_id"] and found["scene_id"] == rows[0]["scene_id"]]
@@ -96,6 +98,7 @@ def images_of(svg: str) -> list[bytes]:
     return [base64.b64decode(str(node.get("href")).partition(",")[2]) for node in root.iter("{http://www.w3.org/2000/svg}image")]
 
 
+@pytest.mark.whole
 @given(count=st.integers(1, 9), missing=st.integers(0, 3))
 @settings(max_examples=10, deadline=None)
 def test_the_sheet_of_scenes_holds_every_scene_once(count: int, missing: int) -> None:

@@ -109,6 +109,7 @@ def in_primitives(path: Path, count: int) -> Path:
     return path
 
 
+@pytest.mark.whole
 def test_the_primitives_of_a_node_are_one_object_with_its_name_every_time(tmp_path: Path) -> None:
     hall: Part = ("floor", (40.0, 30.0, 0.1), (0, 0, -0.05))
     named: Part = ("chair_1|chair|seat", *CHAIR[1:])
@@ -182,6 +183,7 @@ def test_a_bare_mesh_of_another_kind_is_no_scan(tmp_path: Path, ending: str) -> 
     assert "folders color and depth" in error.remedy
 
 
+@pytest.mark.whole
 def test_a_real_house_with_named_parts_is_taken(realdata: Callable[[str], Path]) -> None:
     rows = captured(realdata("scene_aws_small_house") / "house.glb").rows["instances"]
     assert len(rows) > 50

@@ -127,6 +127,7 @@ def test_every_scannet_variant_tells_the_same_truth(variant: str, room: BoxRoom,
     assert outcome.rows["rooms"][0].room_type == ("bedroom" if VARIANTS[variant].get("scene_type", 1) else "unknown")
 
 
+@pytest.mark.whole
 def test_frame_sources_agree_bit_by_bit(room: BoxRoom, tmp_path: Path) -> None:
     """A container and its export are the same scan: same poses, same masks, same views."""
     outcomes = [captured(write_scannet(tmp_path / kind / "scene0001_00", room, frames=kind)) for kind in ("exported", "2d", "flat")]
@@ -222,6 +223,7 @@ def test_an_occluded_view_scores_lower(room: BoxRoom, tmp_path: Path) -> None:
     assert f"{best:06d}" not in after.rows["instances"][ROOM_INSTANCES].best_frames
 
 
+@pytest.mark.whole
 def test_posed_rgbd_gets_mesh_room_and_instances(room: BoxRoom, tmp_path: Path) -> None:
     outcome = captured(write_posed_rgbd(tmp_path / "kitchen", room))
     (scene,), (shape,) = outcome.rows["scenes"], outcome.rows["rooms"]
@@ -424,6 +426,7 @@ def test_run_lengths_round_trip() -> None:
             assert sum(run_lengths(mask)) == mask.size
 
 
+@pytest.mark.whole
 def test_real_dining_room(realdata: Callable[[str], Path]) -> None:
     """Five Kinect frames of a real room: instances are found, and the floor is level after alignment."""
     outcome = captured(realdata("rgbd_slambook_dining"))
@@ -445,6 +448,7 @@ def test_real_dining_room(realdata: Callable[[str], Path]) -> None:
     assert all(0.8 < height < 2.0 for height in heights)
 
 
+@pytest.mark.whole
 def test_real_modelled_house(realdata: Callable[[str], Path]) -> None:
     """A house of named nodes: instances, boxes and floor as its own description gives them."""
     folder = realdata("scene_aws_small_house")
@@ -528,6 +532,7 @@ def test_camera_of_the_truth_projects_into_masks(room: BoxRoom, tmp_path: Path) 
             assert (inside & in_box).sum() > 0.9 * inside.sum()
 
 
+@pytest.mark.whole
 def test_scan_of_a_furnished_room_against_its_truth(tmp_path: Path) -> None:
     """A noisy virtual scan, without alignment: room and boxes come out where the furniture stood."""
     import shapely

@@ -394,6 +394,7 @@ def test_mesh_without_aggregation_is_segmented_by_geometry(scan: Path) -> None:
     assert sum(not row.is_structure for row in outcome.rows["instances"]) >= 3
 
 
+@pytest.mark.whole
 def test_container_without_mesh_is_fused(room: BoxRoom, tmp_path: Path) -> None:
     folder = tmp_path / "scene0007_00"
     folder.mkdir()

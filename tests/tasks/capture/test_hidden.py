@@ -118,6 +118,7 @@ def test_a_chair_that_lies_on_a_table_stays_on_it() -> None:
     assert whole(("table", table), ("chair", chair))[1][0][2] == pytest.approx(0.76)
 
 
+@pytest.mark.whole
 @given(depth=st.floats(0.02, 0.1), gap=st.floats(0.2, 0.6), yaw=st.sampled_from([0.0, 90.0]))
 def test_a_front_before_a_wall_is_the_front_of_a_body(depth: float, gap: float, yaw: float) -> None:
     low, high = np.array([gap, 1.0, 0.02]), np.array([gap + depth, 1.6, 0.86])

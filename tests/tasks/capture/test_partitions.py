@@ -109,6 +109,7 @@ def with_walls(room: Room, walls: list[tuple[float, ...]], **values: Any) -> Roo
 # capture
 
 
+@pytest.mark.whole
 @given(st.floats(1.2, 4.8), st.floats(0.06, 0.3), st.floats(0.6, 2.4), st.floats(0.75, 1.2), st.booleans())
 @example(3.0, 0.25, 1.375, 1.0, False)  # both sides end at whole cells, 30 cm apart: one plan, and no line between
 @settings(max_examples=25, deadline=None)
@@ -232,6 +233,7 @@ def test_ends_near_another_wall_reach_it_and_no_slab_leaves_the_floor() -> None:
     assert np.allclose([*second.start, *second.end], [3, 2, 5.2, 2])
 
 
+@pytest.mark.whole
 @pytest.mark.realdata
 def test_walls_of_a_modelled_house(realdata: Callable[[str], Path]) -> None:
     """Its own faces say where: 20 cm thick beside the folding doors, 10 cm and 1.87 m tall between the bedrooms."""
@@ -307,6 +309,7 @@ def test_exports_have_interior_walls_as_colliders_and_pass_their_gates(tmp_path:
 # navigation
 
 
+@pytest.mark.whole
 @given(st.floats(0.6, 2.4), st.floats(0.9, 1.3))
 @settings(max_examples=15, deadline=None)
 def test_paths_go_through_the_doorway_and_not_through_the_wall(start: float, width: float) -> None:

@@ -73,6 +73,7 @@ print("\\n".join(sorted(f"{row.format}/{row.path} {row.file_blob}" for row in ou
 """
 
 
+@pytest.mark.whole
 def test_another_process_makes_the_same_bytes(outcome: Outcome) -> None:
     env = {"PYTHONHASHSEED": "7", "PXR_WORK_THREAD_LIMIT": "3", "PATH": "", "PYTHONPATH": str(REPOSITORY), "HOME": "/nonexistent"}
     again = subprocess.run([sys.executable, "-c", _AGAIN], cwd=REPOSITORY, env=env, capture_output=True, text=True, check=True)
@@ -150,6 +151,7 @@ _DATASET = st.from_regex(r"[a-z0-9][a-z0-9_.-]{0,6}", fullmatch=True)
 _SCAN = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,6}", fullmatch=True)
 
 
+@pytest.mark.whole
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(_DATASET, _SCAN), min_size=2, max_size=6, unique=True))
 def test_every_scene_has_its_own_stem(names: list[tuple[str, str]]) -> None:

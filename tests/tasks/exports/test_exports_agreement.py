@@ -234,10 +234,12 @@ def compare(objects: Sequence[Object], root: Path) -> None:
                 assert max(apart.values()) <= TOLERANCE, (first, second, name, apart)
 
 
+@pytest.mark.whole
 def test_an_office_is_the_same_in_every_format(tmp_path: Path) -> None:
     compare(furnished(), tmp_path)
 
 
+@pytest.mark.whole
 def test_textured_objects_are_the_same_in_every_format(realdata: Callable[[str], Path], tmp_path: Path) -> None:
     from tasks.geometry.meshes import canonical, load_glb
 
@@ -280,6 +282,7 @@ def objects(draw: st.DrawFn) -> list[Object]:
     return found
 
 
+@pytest.mark.whole
 @settings(max_examples=12, deadline=None)
 @given(drawn=objects())
 def test_any_scene_is_the_same_in_every_format(drawn: list[Object], tmp_path_factory: pytest.TempPathFactory) -> None:

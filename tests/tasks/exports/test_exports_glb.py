@@ -327,6 +327,7 @@ def test_every_rule_has_a_kind_of_damage() -> None:
 _VALUES = st.sampled_from([None, -1, 0, 1, 10**12, 1.5, float("nan"), "x", [], {}, [0], [1, 2, 3], {"index": 3}, True])
 
 
+@pytest.mark.whole
 @settings(max_examples=300, deadline=None)
 @given(draw=st.data())
 def test_no_damage_makes_the_gate_fall_over(draw: st.DataObject, path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

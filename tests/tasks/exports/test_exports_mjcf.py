@@ -237,6 +237,7 @@ def piles(draw: st.DrawFn) -> list[Object]:
     return found
 
 
+@pytest.mark.whole
 @settings(max_examples=25, deadline=None, phases=(Phase.explicit, Phase.generate))  # smaller piles say nothing more
 @given(objects=piles())
 def test_every_state_is_the_certificates_bit_for_bit(objects: list[Object], tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -432,6 +433,7 @@ def test_every_rule_has_a_kind_of_damage() -> None:
 _VALUES = ("", "x", "-1", "0", "1e30", "0 0 0", "nan", "true", "../x", "1 2 3 4 5 6 7 8")
 
 
+@pytest.mark.whole
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_no_damage_makes_the_gate_fall_over(data: st.DataObject, model: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -54,6 +54,7 @@ UNSTABLE = (
 )
 
 
+@pytest.mark.whole
 def test_what_falls_and_what_rests_is_what_the_certificate_says(tmp_path: Path) -> None:
     objects = [
         *furnished(),

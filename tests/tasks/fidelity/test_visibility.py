@@ -47,6 +47,7 @@ def rays_of(*parts: trimesh.Trimesh) -> ReplicaRays:
     return ReplicaRays(ReplicaSurface({"0001": parts}, union_of([])))
 
 
+@pytest.mark.whole
 @settings(max_examples=15, deadline=None)
 @given(SEEDS)
 def test_rays_say_what_every_triangle_says(seed: int) -> None:

@@ -68,6 +68,7 @@ def test_a_collider_that_is_too_small_misses_near_the_silhouette() -> None:
     assert collider_shares([ball], [trimesh.creation.icosphere(subdivisions=5, radius=0.27)]).miss == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.whole
 @given(st.floats(0.01, 3.0), st.floats(0.01, 3.0), st.floats(0.01, 3.0), st.floats(-50, 50))
 def test_rays_cover_the_box_evenly_and_all_meet_it(x: float, y: float, z: float, at: float) -> None:
     sight = sightlines([box((x, y, z), (at, 0, 0))])
@@ -107,6 +108,7 @@ def test_rounded_furniture_is_no_smaller_than_it_looks(category: str, seed: int)
     keeps(model.parts, model.pieces, most=40)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("category", "extents"), [("ceiling lamp", (0.38, 0.31, 0.16)), ("book stack", (0.22, 0.52, 0.27))])
 def test_closed_scans_do_not_collide_as_coarser_slabs(category: str, extents: tuple[float, float, float]) -> None:
     model = generate(category, extents, np.random.default_rng(1))
@@ -133,6 +135,7 @@ def l_shaped_cabinet() -> list[trimesh.Trimesh]:
     return [trimesh.util.concatenate(first + second)]
 
 
+@pytest.mark.whole
 def test_an_l_shaped_cabinet_keeps_its_corner_and_its_compartments_open() -> None:
     cabinet = l_shaped_cabinet()
     keeps(cabinet)

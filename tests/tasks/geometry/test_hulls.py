@@ -61,6 +61,7 @@ def clouds(seed: int, count: int, size: tuple[float, float, float], kind: str) -
 sizes = st.floats(0.05, 2.0)
 
 
+@pytest.mark.whole
 @given(st.integers(0, 10_000), st.integers(8, 200), st.tuples(sizes, sizes, sizes), st.sampled_from(["cloud", "ball", "disc"]))
 def test_reduced_hulls_keep_the_limits_the_box_and_what_they_stand_on(
     seed: int, count: int, size: tuple[float, float, float], kind: str
@@ -110,6 +111,7 @@ def test_hulls_with_corners_that_hardly_differ_are_closed_and_wound_alike(seed: 
     assert hull.volume == pytest.approx(0.1, abs=1e-5)
 
 
+@pytest.mark.whole
 @given(sides=st.integers(20, 64), scale=st.floats(0.5, 2.0), tilt=st.floats(-3.0, 3.0), height=st.floats(0.01, 1.0))
 def test_reduced_hulls_stay_within_limits_when_they_are_scaled_and_written(sides: int, scale: float, tilt: float, height: float) -> None:
     angles = 2.0 * np.pi * np.arange(sides) / sides

@@ -206,6 +206,7 @@ def polygons(draw: st.DrawFn) -> list[tuple[float, float]]:
     return [(r * np.cos(t), r * np.sin(t)) for t, r in zip(turns, radii, strict=True)]
 
 
+@pytest.mark.whole
 @settings(max_examples=150, deadline=None)
 @given(polygons())
 def test_shells_are_closed_and_leave_the_room_free(polygon: list[tuple[float, float]]) -> None:

@@ -106,6 +106,7 @@ print(hashlib.sha256(nearest.distance.tobytes() + nearest.face.tobytes() + neare
 """
 
 
+@pytest.mark.whole
 def test_threads_do_not_change_a_byte() -> None:
     digests = [
         subprocess.run(

@@ -277,6 +277,7 @@ def test_the_declaration_names_what_run_takes_and_gives() -> None:
     assert tuple(outcome.rows) == STAGE.writes
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("kind", "slack"),
     # Recast rounds by cells: an outline may cut a corner by 1.3 of them.

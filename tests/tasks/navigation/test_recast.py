@@ -308,6 +308,7 @@ def replayed(episode: Episode, floor: shapely.Geometry) -> np.ndarray:
     return np.array(places)
 
 
+@pytest.mark.whole
 @pytest.mark.usefixtures("_habitat_sim")
 @pytest.mark.parametrize("kind", KINDS)
 def test_replayed_episodes_end_at_a_view_point_and_never_leave_the_navmesh(kind: PathFinderConfig) -> None:
@@ -365,6 +366,7 @@ def crowd(seed: int) -> tuple[dict, Context]:
     return furnished(objects, size=(8.0, 6.0))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", KINDS[:2])
 @pytest.mark.parametrize("seed", range(3))
 def test_crowded_rooms_are_crossed_on_the_navmesh_too(kind: PathFinderConfig, seed: int) -> None:

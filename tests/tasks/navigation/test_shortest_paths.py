@@ -161,6 +161,7 @@ def test_steps_stop_short_of_obstacles_and_never_slide(boxes: list[shapely.Polyg
             assert not shapely.buffer(finder.free, -1e-9).covers(ahead)
 
 
+@pytest.mark.whole
 @given(boxes=obstacles, seed=st.integers(0, 999), yaw=st.sampled_from([0.0, math.pi / 4]) | st.floats(-math.pi, math.pi))
 @settings(max_examples=60, deadline=None)
 def test_random_walks_never_leave_the_floor(boxes: list[shapely.Polygon], seed: int, yaw: float) -> None:
@@ -185,6 +186,7 @@ def test_random_walks_never_leave_the_floor(boxes: list[shapely.Polygon], seed: 
             assert floor.covers(shapely.linestrings(moves)).all()
 
 
+@pytest.mark.whole
 @given(boxes=obstacles, seed=st.integers(0, 999), near=st.sampled_from([0.0, 1e-12, 5e-10, 1e-8, 5e-8, 1e-6, 1e-3]))
 @settings(max_examples=100, deadline=None)
 def test_moves_between_points_on_or_near_walls_are_those_of_the_closed_polygon(

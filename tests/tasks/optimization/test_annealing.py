@@ -304,6 +304,7 @@ def test_the_same_generator_gives_the_same_bytes() -> None:
     assert not same(run(room, 3), run(room, 4))
 
 
+@pytest.mark.whole
 def test_chains_in_other_processes_give_the_same_best() -> None:
     room = room_of(2, count=8, reach=0.35)
 

@@ -135,6 +135,7 @@ def table(found: list[Penetration]) -> dict[tuple[str, str], float]:
     return {(c.a, c.b): c.depth_m for c in found}
 
 
+@pytest.mark.whole
 @given(seeds)
 @settings(max_examples=30, deadline=None)
 def test_the_deepest_pair_of_pieces_counts(seed: int) -> None:

@@ -36,6 +36,7 @@ def both(crowd: Crowd, step: float, max_steps: int, seed: int) -> Trace:
     return one
 
 
+@pytest.mark.whole
 def test_furnished_rooms_have_the_same_moves_outcomes_and_losses() -> None:
     met: set[int] = set()
     for seed in range(6):
@@ -183,6 +184,7 @@ def test_lists_say_what_was_chosen(seed: int, n: int) -> None:
     assert np.array_equal(again, chosen)
 
 
+@pytest.mark.whole
 def test_the_plain_loop_is_left_far_behind() -> None:
     """Bounds for a machine that does other work; quiet, the first is above 1,500 and the second about 1."""
     found = compare(39, 0, 600)

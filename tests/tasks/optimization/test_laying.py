@@ -48,6 +48,7 @@ def test_a_board_on_its_edge_stands_exactly_where_a_nudge_cannot_throw_it_over(w
         np.testing.assert_allclose(made.rotation.T @ made.rotation, np.eye(3), atol=1e-9)
 
 
+@pytest.mark.whole
 @given(width=st.floats(0.004, 0.06), height=st.floats(0.1, 0.6))
 def test_what_is_laid_down_is_what_the_certificate_sees_fall(width: float, height: float) -> None:
     reach = NUDGE * np.sqrt(0.5 * height / GRAVITY_M_S2)

@@ -249,6 +249,7 @@ def test_a_room_is_put_to_rest_and_apart(method: Paper | Default) -> None:
         assert boxes[picture][1, 0] == pytest.approx(2.0, abs=2e-3), "hung on its wall"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("seed", range(2))
 def test_the_default_moves_objects_less_than_the_paper(seed: int) -> None:
     scene = crowded_scene()
@@ -320,6 +321,7 @@ def test_what_was_scanned_through_a_wall_is_pulled_in_with_all_it_carries() -> N
     assert {s.instance_id for s in outcome.rows["optimization_steps"] if s.outcome == "pulled_in"} == {"0000", "0002"}
 
 
+@pytest.mark.whole
 @METHODS
 def test_what_is_carried_moves_along(method: Paper | Default) -> None:
     """Replaying the carriers' own moves alone takes what they carry with them, rigidly."""
@@ -334,6 +336,7 @@ def test_what_is_carried_moves_along(method: Paper | Default) -> None:
         assert np.allclose(*relative, atol=1e-9)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("seed", range(2))
 def test_generated_furniture_comes_to_rest_without_collisions(seed: int) -> None:
     """A desk with objects on it, chairs and cabinets, scanned a few centimetres off."""
@@ -366,6 +369,7 @@ def test_generated_furniture_comes_to_rest_without_collisions(seed: int) -> None
 # steps, contacts, bytes
 
 
+@pytest.mark.whole
 @METHODS
 @pytest.mark.parametrize("seed", range(3))
 def test_replaying_the_steps_gives_the_optimized_poses_bit_for_bit(method: Paper | Default, seed: int) -> None:
@@ -389,6 +393,7 @@ def test_replaying_the_steps_gives_the_optimized_poses_bit_for_bit(method: Paper
     assert any(not np.array_equal(fewer[row.instance_id], matrix(row.optimized_pose)) for row in kept[0])
 
 
+@pytest.mark.whole
 @METHODS
 def test_contacts_are_the_penetrations_of_the_meshes_before_and_after(method: Paper | Default) -> None:
     """Pieces made anew from the GLBs, put where the rows say; depths from Minkowski differences."""
@@ -430,6 +435,7 @@ def on_two_processes(function: Callable[[Any], Any], items: Sequence[Any]) -> li
         return list(pool.map(function, items))
 
 
+@pytest.mark.whole
 @METHODS
 def test_the_same_scene_gives_the_same_rows_in_any_order_and_in_any_process(method: Paper | Default) -> None:
     first = crowded_scene().run(method, 1)

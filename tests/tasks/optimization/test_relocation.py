@@ -72,6 +72,7 @@ def test_a_bin_with_a_thin_bottom_comes_down_onto_a_rug_and_not_through_it(raise
     assert not [step for step in outcome.rows["optimization_steps"] if step.outcome == "relocated"]
 
 
+@pytest.mark.whole
 @given(sunk=st.floats(0.0, 0.1), bottom=st.floats(0.03, 0.09), y=st.floats(-0.25, 0.25), gap=st.floats(-0.005, 0.005))
 @settings(max_examples=20, deadline=None)
 def test_what_stands_in_a_sunk_shelf_comes_up_with_it(sunk: float, bottom: float, y: float, gap: float) -> None:

@@ -279,6 +279,7 @@ def pile(seed: int, count: int) -> list[Object]:
     return objects
 
 
+@pytest.mark.whole
 @given(seeds)
 @example(16942)  # a box is put elsewhere as a last resort, and what leaned on it cannot stand any more
 @settings(max_examples=30, deadline=None)

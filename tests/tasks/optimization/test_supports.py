@@ -99,6 +99,7 @@ def room(polygon: Any = SQUARE, interior: Any = (), walls: Any = ()) -> Room:
 # plan views
 
 
+@pytest.mark.whole
 @given(x=st.floats(-0.5, 0.5), y=st.floats(-0.3, 0.3), ceiling=st.floats(-0.1, 2.0))
 @settings(max_examples=40, deadline=None)
 def test_a_plan_view_equals_rays_from_above(x: float, y: float, ceiling: float) -> None:
@@ -125,6 +126,7 @@ def test_the_underside_of_a_table_is_its_feet_and_its_top() -> None:
     assert len(underside(surface_of(block(0.001, 0.001, 0.001)), 0.01)[0]) == 1
 
 
+@pytest.mark.whole
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=20, deadline=None)
 def test_occupied_cells_are_those_that_points_of_the_slice_lie_in(seed: int) -> None:
@@ -346,6 +348,7 @@ boxes = st.tuples(
 )  # fmt: skip
 
 
+@pytest.mark.whole
 @given(st.lists(boxes, min_size=1, max_size=14), st.randoms(use_true_random=False))
 @settings(max_examples=120, deadline=None)
 def test_the_graph_is_a_forest_whatever_is_in_the_room(drawn: Any, shuffle: Any) -> None:
@@ -497,6 +500,7 @@ def test_a_carried_object_may_go_where_its_carrier_is_and_nowhere_else(cell: flo
         assert not inside[steps[3]].any()  # not off the board
 
 
+@pytest.mark.whole
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=25, deadline=None)
 def test_the_map_says_what_counting_cells_says(seed: int) -> None:
@@ -566,6 +570,7 @@ def misses(made: FurnishedRoom, offsets: Sequence[float]) -> list[str]:
     return wrong
 
 
+@pytest.mark.whole
 def test_generated_rooms_have_the_supports_that_they_were_made_with() -> None:
     count, wrong = 0, []
     for seed in range(20):
@@ -614,6 +619,7 @@ def test_compartments_of_generated_shelves_are_inside() -> None:
     assert relations.count("inside") == len(relations)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("count", [40, 80])
 def test_all_of_a_full_room_is_carried_the_same_way_every_time(count: int) -> None:
     made = furnished(1, count)

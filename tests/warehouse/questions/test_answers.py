@@ -142,6 +142,7 @@ def test_csv_is_read_back_as_it_was(rows: list[dict[str, Any]]) -> None:
         assert all(map(alike, values, data[name].to_pylist())), name
 
 
+@pytest.mark.whole
 @settings(max_examples=80, deadline=None)
 @given(rows=ROWS)
 def test_csv_is_what_python_and_duckdb_read(rows: list[dict[str, Any]]) -> None:

@@ -82,6 +82,7 @@ def test_wilson_interval_of_nothing_is_unknown(database: Database) -> None:
     assert default is True
 
 
+@pytest.mark.whole
 @quick
 @given(rows=placed(), n=st.integers(0, 4))
 def test_the_first_n_categories_and_their_boxes(database: Database, rows: list[Any], n: int) -> None:

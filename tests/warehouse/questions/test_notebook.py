@@ -141,6 +141,7 @@ def test_an_empty_lake_has_charts_too(tmp_path: Path) -> None:
     assert len(shown) > 10
 
 
+@pytest.mark.whole
 def test_it_is_a_script_that_stores_no_answers(lake: Lake) -> None:
     environment = os.environ | {"METASCENES_LAKE": lake.address, "PYTHONPATH": str(REPOSITORY)}
     done = subprocess.run([sys.executable, str(FILE)], capture_output=True, text=True, env=environment, check=False, timeout=120)

@@ -256,6 +256,7 @@ def test_the_shell_attaches_the_catalog(home: Path, released: Reader, tmp_path: 
     same(copied(home, tmp_path, {name: [] for name in expected}, attach), expected)
 
 
+@pytest.mark.whole
 def test_every_view_of_the_catalog_answers_as_the_lake(home: Path, released: Reader) -> None:
     """In a process of its own, which has nothing of ours."""
     text = "; ".join(
@@ -319,6 +320,7 @@ SPARK = [text for kind, text in BLOCKS if text.startswith("# spark")]
 PLAIN = [(kind, text) for kind, text in BLOCKS if text not in SPARK]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("kind", "text"), PLAIN, ids=[f"{kind}-{i}" for i, (kind, _) in enumerate(PLAIN)])
 def test_every_step_of_the_page_works(home: Path, tmp_path: Path, kind: str, text: str) -> None:
     """As it stands, beside the lake, which stays as it is."""

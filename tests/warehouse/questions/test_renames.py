@@ -76,6 +76,7 @@ def test_a_view_and_a_column_of_one_answer_by_both_names(lake: Lake) -> None:
     assert "(before: `shape`)" in table_section(TABLES["captions"])
 
 
+@pytest.mark.whole
 def test_files_under_the_old_name_of_a_column_are_read(lake: Lake) -> None:
     assert query(lake.snapshot(), "SELECT DISTINCT form, shape FROM captions").to_pylist() == [{"form": "text", "shape": "text"}]
     for scene in (None, SCENES[0]):

@@ -255,6 +255,7 @@ WORDS = st.sampled_from(
 )  # fmt: skip
 
 
+@pytest.mark.whole
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(words=st.lists(WORDS, min_size=1, max_size=14))
 def test_no_text_writes(reader: Reader, folder: Path, words: list[str]) -> None:
@@ -333,6 +334,7 @@ def test_answers_that_fit_nowhere_are_refused(reader: Reader, sql: str) -> None:
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.whole
 def test_sorts_beyond_memory_go_on_in_files_that_do_not_stay(reader: Reader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with ask(reader, "SELECT range AS n FROM range(6000000) ORDER BY hash(range)", memory_mb=60) as answer:
@@ -372,6 +374,7 @@ def test_a_scene_name_is_never_sql(reader: Reader, folder: Path, name: str) -> N
     assert Lake.open(folder / "lake").snapshot().rows(Caption) == reader.rows(Caption)
 
 
+@pytest.mark.whole
 def test_files_outside_the_snapshot_are_out_of_reach(reader: Reader, folder: Path) -> None:
     for path in (folder / "outside.parquet", folder / "lake" / "lake.json", "/etc/passwd"):
         for sql in (f"SELECT * FROM '{path}'", f"SELECT * FROM read_parquet('{path}')"):

@@ -78,6 +78,7 @@ def counting(rows: list[Any]) -> list[Annotation]:
     return [one for scene in SCENES for one in current([row for row in standing if row.scene_id == scene])]
 
 
+@pytest.mark.whole
 @quick
 @given(rows=reviewed())
 def test_answers_that_count_are_those_that_the_stage_counts(database: Database, rows: list[Any]) -> None:
@@ -106,6 +107,7 @@ def test_annotation_agreement_counts_only_the_answer_that_counts(database: Datab
         )  # fmt: skip
 
 
+@pytest.mark.whole
 @quick
 @given(rows=reviewed())
 def test_agreement_of_two_annotators_and_cohens_kappa(database: Database, rows: list[Any]) -> None:
@@ -156,6 +158,7 @@ def test_kappa_of_a_textbook_table(database: Database) -> None:
     same(database.ask("annotator_agreement")[0], instances=50, agreement=0.7, chance_agreement=0.5, cohens_kappa=0.4)
 
 
+@pytest.mark.whole
 @quick
 @given(rows=answered(), held=scenes(), spent=st.lists(EXACT, min_size=6, max_size=6))
 def test_minutes_of_people_and_of_computers(database: Database, rows: list[Any], held: list[Any], spent: list[float]) -> None:
@@ -214,6 +217,7 @@ def wilson(wrong: int, trials: int) -> tuple[float, float]:
     return max(0.0, low), min(1.0, high)
 
 
+@pytest.mark.whole
 @quick
 @given(rows=reviewed())
 def test_quality_history_tells_every_review_and_every_batch_without_one(database: Database, rows: list[Any]) -> None:

@@ -82,6 +82,7 @@ def choices(draw: st.DrawFn) -> list[Any]:
     return rows
 
 
+@pytest.mark.whole
 @quick
 @given(rows=choices())
 def test_candidates_selections_and_placements(database: Database, rows: list[Any]) -> None:
@@ -142,6 +143,7 @@ def test_candidates_selections_and_placements(database: Database, rows: list[Any
     }
 
 
+@pytest.mark.whole
 @quick
 @given(rows=choices())
 def test_one_row_per_object_and_what_is_known_of_it(database: Database, rows: list[Any]) -> None:

@@ -57,6 +57,7 @@ def trips(draw: st.DrawFn) -> list[Any]:
     return rows
 
 
+@pytest.mark.whole
 @quick
 @given(rows=trips())
 def test_navigability_splits_and_capture(database: Database, rows: list[Any]) -> None:

@@ -130,6 +130,7 @@ def test_collision_loss_before_and_after(database: Database, rows: list[Any]) ->
         )  # fmt: skip
 
 
+@pytest.mark.whole
 @quick
 @given(rows=physics())
 def test_stability_counts_the_free_and_names_those_that_fail(database: Database, rows: list[Any]) -> None:
@@ -186,6 +187,7 @@ def test_stability_counts_the_free_and_names_those_that_fail(database: Database,
     )  # fmt: skip
 
 
+@pytest.mark.whole
 @quick
 @given(rows=physics())
 def test_a_scene_is_plausible_when_nothing_speaks_against_it(database: Database, rows: list[Any]) -> None:
@@ -211,6 +213,7 @@ def test_a_scene_is_plausible_when_nothing_speaks_against_it(database: Database,
     assert answer.keys() == expected
 
 
+@pytest.mark.whole
 @quick
 @given(rows=physics())
 def test_densities_supports_and_what_remains(database: Database, rows: list[Any]) -> None:

@@ -34,6 +34,7 @@ def database() -> Iterator[Database]:
         yield made
 
 
+@pytest.mark.whole
 @quick
 @given(rows=scenes())
 def test_objects_and_categories_per_scene(database: Database, rows: list[Any]) -> None:
@@ -132,6 +133,7 @@ def placed(draw: st.DrawFn) -> list[Any]:
     return rows
 
 
+@pytest.mark.whole
 @quick
 @given(rows=placed())
 def test_solids_are_the_assets_volumes_times_their_scales(database: Database, rows: list[Any]) -> None:

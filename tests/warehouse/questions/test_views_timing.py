@@ -35,6 +35,7 @@ def database() -> Iterator[Database]:
         yield made
 
 
+@pytest.mark.whole
 @quick
 @given(history=runs(), rows=scenes())
 def test_runs_and_times_agree_with_the_history_of_the_lake(database: Database, history: list[StageRun], rows: list[Any]) -> None:

@@ -54,6 +54,7 @@ def age(lake: Lake) -> None:
         os.utime(path, (0, 0))
 
 
+@pytest.mark.whole
 def test_release_is_plain_parquet_of_its_snapshot(lake: Lake) -> None:
     release = make_release(lake, "2026.1", snapshot_id=2, notes="for the paper")
     assert releases(lake) == [release]
@@ -81,6 +82,7 @@ def test_empty_lake_has_nothing_to_release(tmp_path: Path) -> None:
     assert not (tmp_path / "lake").exists()
 
 
+@pytest.mark.whole
 def test_vacuum_keeps_what_releases_and_the_last_snapshot_name(lake: Lake) -> None:
     make_release(lake, "kept", snapshot_id=2)
     before = {i: (digests(lake.snapshot(i)), blob_names(lake.snapshot(i))) for i in (2, 4)}
@@ -143,6 +145,7 @@ def test_commit_that_died_before_a_vacuum_is_still_made_good(lake: Lake, monkeyp
     assert len(lake.snapshot().rows(Caption)) == 6
 
 
+@pytest.mark.whole
 def test_releases_are_a_table_of_what_was_released_until_then(lake: Lake) -> None:
     assert lake.snapshot().rows(Release) == []
     assert query(lake.snapshot(), "SELECT * FROM releases").num_rows == 0
@@ -163,6 +166,7 @@ def test_releases_are_a_table_of_what_was_released_until_then(lake: Lake) -> Non
     assert int(counts["captions"]) == lake.snapshot().arrow("captions").num_rows > 0
 
 
+@pytest.mark.whole
 def test_questions_can_be_asked_of_a_release(lake: Lake) -> None:
     make_release(lake, "v1", snapshot_id=2)
     asked = ["sql", "SELECT max(snapshot_id) AS last FROM snapshots", "--output", "csv", "--lake", lake.address]
@@ -174,6 +178,7 @@ def test_questions_can_be_asked_of_a_release(lake: Lake) -> None:
     assert "give one of them" in str(run(cli, [*asked, "--release", "v1", "--snapshot", "3"]).exception)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("damage", ["", "{", '{"name": "v1"}', '{"name": "v2"'])
 def test_a_damaged_record_of_a_release_is_named(lake: Lake, damage: str) -> None:
     make_release(lake, "v1")

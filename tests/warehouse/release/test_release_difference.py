@@ -144,6 +144,7 @@ def test_times_and_hosts_do_not_count(tmp_path: Path) -> None:
     assert found.scenes.changed.count == 0
 
 
+@pytest.mark.whole
 def test_names_are_cut_and_all_on_request(tmp_path: Path) -> None:
     lake = Lake.open(tmp_path / "lake")
     stage_scene(lake, 0, "x", at=0)
@@ -166,6 +167,7 @@ def test_names_are_cut_and_all_on_request(tmp_path: Path) -> None:
     assert "no row differs" in run(cli, ["release", "diff", "v1", "1", *where]).output
 
 
+@pytest.mark.whole
 def test_a_word_means_a_release_a_number_or_the_newest(tmp_path: Path) -> None:
     lake = Lake.open(tmp_path / "lake")
     for i in range(3):

@@ -118,6 +118,7 @@ def test_the_folder_has_every_table_and_says_so_three_times(lake: Lake, folder: 
     assert not any(Path(lake.address, "tmp").iterdir()), "nothing half made is left"
 
 
+@pytest.mark.whole
 def test_the_same_snapshot_gives_the_same_bytes_except_times(lake: Lake, folder: Path, tmp_path: Path) -> None:
     shutil.copytree(lake.address, tmp_path / "lake")
     shutil.rmtree(tmp_path / "lake" / "releases")
@@ -214,6 +215,7 @@ def shell(sql: str, folder: Path) -> list[dict[str, object]]:
     return list(json.loads(done.stdout)) if done.stdout.strip() else []
 
 
+@pytest.mark.whole
 def test_any_duckdb_shell_attaches_the_release_and_reads_all_of_it(lake: Lake, folder: Path, tmp_path: Path) -> None:
     attach = f"ATTACH '{folder / 'v1.duckdb'}' AS v1 (READ_ONLY);"
     with lake.snapshot().connect() as connection:
@@ -230,6 +232,7 @@ def test_any_duckdb_shell_attaches_the_release_and_reads_all_of_it(lake: Lake, f
     assert shell(f"{attach} USE v1; SELECT category FROM top_categories(1)", tmp_path) == [{"category": "text"}]
 
 
+@pytest.mark.whole
 def test_every_view_of_the_catalog_answers_as_the_lake_does(lake: Lake, folder: Path) -> None:
     with duckdb.connect() as other, lake.snapshot().connect() as own:
         other.execute("SET TimeZone = 'UTC'")
@@ -302,6 +305,7 @@ def test_names_that_cannot_be_or_are_taken_are_refused_before_anything_is_writte
     assert {str(path): path.stat().st_mtime_ns for path in Path(lake.address).rglob("*")} == before
 
 
+@pytest.mark.whole
 def test_a_snapshot_that_goes_while_it_is_released_is_no_release(tmp_path: Path) -> None:
     lake = filled(tmp_path / "lake")
 
@@ -315,6 +319,7 @@ def test_a_snapshot_that_goes_while_it_is_released_is_no_release(tmp_path: Path)
     assert not (tmp_path / "lake" / "releases").exists()
 
 
+@pytest.mark.whole
 def test_a_name_that_is_taken_meanwhile_stays_with_who_was_first(tmp_path: Path) -> None:
     lake = filled(tmp_path / "lake")
     first = []
@@ -375,6 +380,7 @@ def test_a_release_that_dies_at_any_step_is_none_and_is_made_by_the_same_command
     assert partial >= 2, "some died when some files were in their place"
 
 
+@pytest.mark.whole
 def test_the_commands_tell_what_they_do(lake: Lake, tmp_path: Path) -> None:
     shutil.copytree(lake.address, tmp_path / "lake")
     run = CliRunner().invoke

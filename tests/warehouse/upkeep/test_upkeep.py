@@ -66,6 +66,7 @@ def age(lake: Lake) -> None:
         os.utime(path, (0, 0))
 
 
+@pytest.mark.whole
 def test_compaction_puts_files_together_in_order_and_changes_no_row(lake: Lake) -> None:
     before = {row.snapshot_id: digests(lake.snapshot(row.snapshot_id)) for row in lake.snapshot().snapshots}
     files = {table: len(lake.snapshot().files(table)) for table in lake.snapshot().versions}
@@ -208,6 +209,7 @@ def test_vacuum_spares_strangers_and_young_blobs(lake: Lake) -> None:
     assert done.young_blobs >= 1
 
 
+@pytest.mark.whole
 def test_vacuum_removes_what_the_dead_were_writing(lake: Lake) -> None:
     """Whoever vacuums last leaves nothing, also of a vacuum that was killed with half a lease written."""
     folder = Path(lake.address) / "tmp"
@@ -300,6 +302,7 @@ def test_data_file_that_is_damaged_is_named(lake: Lake, damage: str, said: str) 
     lake.snapshot().connect().close()
 
 
+@pytest.mark.whole
 def test_commands_say_what_they_do(lake: Lake) -> None:
     def run(*arguments: str) -> Any:
         return CliRunner().invoke(cli, ["lake", *arguments, "--lake", lake.address])

@@ -319,6 +319,7 @@ def hashes(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.whole
 def test_a_sound_lake_has_no_findings_and_is_not_changed(sound: Path) -> None:
     before = hashes(sound)
     for quick in (True, False):
@@ -365,6 +366,7 @@ def test_every_kind_of_damage_is_its_own() -> None:
     assert DAMAGES.keys() >= QUICK
 
 
+@pytest.mark.whole
 def test_the_command_says_what_is_wrong(lake: Lake) -> None:
     def ask(*arguments: str) -> tuple[int, Inspection | Any]:
         answer = CliRunner().invoke(cli, ["doctor", "lake", "--lake", lake.address, "--json", *arguments])
@@ -387,6 +389,7 @@ def test_compacted_and_empty_lakes_are_sound(lake: Lake, tmp_path: Path) -> None
     assert inspect(Lake.open(tmp_path / "empty")).findings == ()
 
 
+@pytest.mark.whole
 def test_failed_and_withdrawn_runs_are_accounted_for(lake: Lake) -> None:
     failed = stage_run(SCENES[0], "captions", fingerprint("failed"), at=50, outcome="failed", error="x", error_kind="input")
     lake.stage_rows(failed)

@@ -125,6 +125,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
     return Small(write_dataset(tmp_path_factory.mktemp("place"), [other_room()]))
 
 
+@pytest.mark.whole
 @settings(max_examples=120, deadline=None)
 @given(data=st.data())
 def test_no_damage_stops_the_check(small: Small, data: st.DataObject) -> None:
@@ -141,6 +142,7 @@ def test_no_damage_stops_the_check(small: Small, data: st.DataObject) -> None:
             path.write_bytes(files[path])
 
 
+@pytest.mark.whole
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_what_is_cut_short_is_refused_by_name(small: Small, data: st.DataObject) -> None:

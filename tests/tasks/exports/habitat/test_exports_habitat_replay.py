@@ -80,6 +80,7 @@ def test_walking_is_turning_about_y_and_going_to_minus_z(yaw: float, actions: li
             turn = turn * Rotation.from_rotvec([0.0, math.radians(30) * (1 if action == ACTIONS["left"] else -1), 0.0])
 
 
+@pytest.mark.whole
 @given(st.integers(0, 2**32 - 1))
 def test_moves_stay_on_the_floor_when_every_point_of_them_does(seed: int) -> None:
     rng = np.random.default_rng(seed)

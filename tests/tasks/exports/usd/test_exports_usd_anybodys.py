@@ -310,6 +310,7 @@ def edit(stage: Any, what: str, place: str, more: Any) -> None:
         prim.SetMetadata("kind", more)
 
 
+@pytest.mark.whole
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(EDITS)
 def test_no_stage_is_too_odd(edits: list[tuple[str, str, Any]]) -> None:

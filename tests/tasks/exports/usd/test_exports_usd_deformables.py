@@ -71,6 +71,7 @@ def assert_sound(solid: Any, hulls: Any) -> None:
     assert len(np.unique(solid.tetrahedra)) == len(solid.vertices)
 
 
+@pytest.mark.whole
 @settings(max_examples=40, deadline=None)
 @given(st.lists(_POINTS, min_size=1, max_size=3), st.integers(20, 250))
 def test_any_pieces_become_sound_tetrahedra(clouds: list[list[tuple[float, float, float]]], cells: int) -> None:
@@ -102,6 +103,7 @@ def test_a_box_is_filled_exactly() -> None:
     assert mass_properties(hulls).volume == pytest.approx(0.56)
 
 
+@pytest.mark.whole
 @settings(deadline=None)
 @given(st.integers(0, 2**27 - 1))
 def test_cells_that_are_filled_touch_in_faces_only(code: int) -> None:
@@ -271,6 +273,7 @@ def written(folder: Path) -> dict[str, str]:
     return {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
 
 
+@pytest.mark.whole
 def test_another_process_makes_the_same_bytes(tmp_path: Path) -> None:
     env = {"PYTHONHASHSEED": "7", "PXR_WORK_THREAD_LIMIT": "3", "PATH": "", "PYTHONPATH": str(REPOSITORY), "HOME": "/nonexistent"}
     command = [sys.executable, "-c", _AGAIN, str(tmp_path / "there")]
