@@ -109,6 +109,7 @@ def _opens(function: ast.FunctionDef) -> bool:
     return False
 
 
+@pytest.mark.whole
 def test_every_function_that_reads_a_file_is_come_by(short: tuple[dict[str, Record], set[str]]) -> None:
     _, reached = short
     forgotten = []

@@ -123,6 +123,7 @@ def test_the_truth_as_its_own_replica_is_right_in_everything() -> None:
     assert found["openings"] >= 2
 
 
+@pytest.mark.whole
 def test_what_is_fixed_or_left_out_though_it_is_free_counts_as_unstable() -> None:
     replica = perfect()
     free = [k for k, obj in enumerate(home().objects) if obj.name not in home().fitted]
@@ -295,6 +296,7 @@ def test_a_room_whose_worker_died_is_measured_again_and_leaves_nothing(tmp_path:
     assert pool.calls == 2
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("content", [b"", b'{"mark": {"co', b"\xff\xfe", b"[]", b"{}"])
 def test_a_remembered_room_that_cannot_be_read_is_measured_again(tmp_path: Path, pool: type[NoPool], content: bytes) -> None:
     measured(tmp_path, 1)

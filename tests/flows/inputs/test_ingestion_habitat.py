@@ -52,6 +52,7 @@ def lake(exported: Path, tmp_path_factory: pytest.TempPathFactory) -> Lake:
     return lake
 
 
+@pytest.mark.whole
 def test_our_own_export_comes_back(scenes: list[tuple[Rows, dict[str, bytes]]], lake: Lake) -> None:
     reader = lake.snapshot()
     names = {json.loads(row.config)["import"] for row in reader.rows(StageRun)}

@@ -89,6 +89,7 @@ def test_another_dataset_name_makes_no_other_scene(lake: Lake, scans: Path) -> N
     assert again.same == {}
 
 
+@pytest.mark.whole
 def test_what_is_stale_is_computed_under_the_name_that_it_has(lake: Lake, scans: Path) -> None:
     captured(lake, planned(lake, scans, "demo"))
     found, _ = find_scans(scans)

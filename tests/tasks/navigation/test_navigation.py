@@ -95,6 +95,7 @@ def living_room() -> tuple[dict, Context]:
     })  # fmt: skip
 
 
+@pytest.mark.whole
 def test_episodes_hold_in_replay_and_their_paths_are_shortest() -> None:
     tables, context = living_room()
     outcome = run(**tables, context=context, config=CONFIG)

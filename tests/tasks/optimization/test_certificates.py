@@ -506,6 +506,7 @@ def furniture() -> list[Certified]:
     return of(*collection())
 
 
+@pytest.mark.whole
 def test_generated_furniture_stands(furniture: list[Certified]) -> None:
     for category, one in zip(CATEGORIES, furniture, strict=True):
         assert one.problem is None, category
@@ -515,6 +516,7 @@ def test_generated_furniture_stands(furniture: list[Certified]) -> None:
             assert one.is_stable_5cm, (category, one.displacement_m, one.tilt_radians)
 
 
+@pytest.mark.whole
 def test_generated_furniture_is_as_heavy_as_its_materials_allow(furniture: list[Certified]) -> None:
     odd = [category for category, one in zip(CATEGORIES, furniture, strict=True) if not one.is_density_plausible]
     assert len(odd) <= len(CATEGORIES) // 20, odd

@@ -35,6 +35,7 @@ def laid(pieces: list[Hull], rotation: np.ndarray, below: list[ConvexParts] | No
     return made, world_vertices(shapes, stand, 0)
 
 
+@pytest.mark.whole
 @given(width=st.floats(0.002, 0.1), height=st.floats(0.05, 1.5), yaw=st.floats(-3.0, 3.0))
 def test_a_board_on_its_edge_stands_exactly_where_a_nudge_cannot_throw_it_over(width: float, height: float, yaw: float) -> None:
     reach = NUDGE * np.sqrt(0.5 * height / GRAVITY_M_S2)

@@ -217,6 +217,7 @@ def crowded_scene() -> Scene:
 # at rest and apart
 
 
+@pytest.mark.whole
 @METHODS
 def test_a_room_is_put_to_rest_and_apart(method: Paper | Default) -> None:
     scene = room_scene()

@@ -70,6 +70,7 @@ def test_every_question_has_a_chart_with_something_in_it(run: Any) -> None:
         chart.canvas.draw()
 
 
+@pytest.mark.whole
 def test_what_is_said_agrees_with_the_rows(lake: Lake, run: Any) -> None:
     reader, found = lake.snapshot(), run[1]
     scenes = reader.rows(Scene)
@@ -101,6 +102,7 @@ def test_what_is_said_agrees_with_the_rows(lake: Lake, run: Any) -> None:
     assert found["rooms_by_category"].sum() == standing.total()
 
 
+@pytest.mark.whole
 def test_times_wins_and_outcomes_agree_with_the_rows(lake: Lake, run: Any) -> None:
     reader, found = lake.snapshot(), run[1]
     newest: dict[tuple[str, str], StageRun] = {}
