@@ -146,6 +146,7 @@ def replayed(seeds: Path) -> dict[str, str]:
     return found
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("path", COUNTEREXAMPLES, ids=lambda path: path.stem)
 def test_an_input_that_failed_once_is_read_or_refused(path: Path, replayed: dict[str, str]) -> None:
     assert replayed[str(path)].split()[0] in ("read", "refused"), replayed[str(path)]
@@ -168,6 +169,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Rec
     return out, campaign.records
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", sorted(broken.targets()))
 def test_a_fault_is_found_told_and_kept(name: str, found: tuple[Path, dict[str, Record]]) -> None:
     out, records = found

@@ -49,6 +49,7 @@ def shell(*arguments: str, limit: int | None = None) -> subprocess.CompletedProc
     return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, preexec_fn=bound)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("limit", [0, pytest.param(2_000, marks=pytest.mark.whole)])
 @pytest.mark.parametrize("words", [("lake", "compact"), ("lake", "erase", "a/scene1", "--yes"), ("release", "create", "v1")])
 def test_a_write_that_fails_half_way_is_one_line_and_leaves_the_lake_sound(words: tuple[str, ...], limit: int, tmp_path: Path) -> None:

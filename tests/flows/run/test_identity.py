@@ -97,6 +97,7 @@ def test_what_is_stale_is_computed_under_the_name_that_it_has(lake: Lake, scans:
     assert actions(plan) == dict.fromkeys(("demo/hall", "demo/scene0001_00", "demo/scene0001_01"), ("run", "config changed"))
 
 
+@pytest.mark.whole
 def test_a_scene_that_is_planned_again_keeps_its_name_and_content(lake: Lake, scans: Path) -> None:
     captured(lake, planned(lake, scans))
     (scans / "hall").rename(scans / "entrance")

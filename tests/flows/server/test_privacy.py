@@ -90,11 +90,14 @@ def test_a_server_with_its_telemetry_on_is_seen_reaching_out(watched: tuple[dict
     environment, seen = watched
     environment |= {"DO_NOT_TRACK": "0", "PREFECT_SERVER_ANALYTICS_ENABLED": "true"}
     have_been_started(Path(environment["HOME"]) / ".prefect")
-    with subprocess.Popen([sys.executable, "-c", SERVES], env=environment, cwd=REPOSITORY, stdin=subprocess.PIPE) as process:
-        give_up = time.monotonic() + START_SECONDS
-        while not seen() and time.monotonic() < give_up:
-            time.sleep(0.1)
-        process.communicate()
+    for _ in range(3):  # a server whose database is busy when it would call does so ten minutes later
+        with subprocess.Popen([sys.executable, "-c", SERVES], env=environment, cwd=REPOSITORY, stdin=subprocess.PIPE) as process:
+            give_up = time.monotonic() + START_SECONDS
+            while not seen() and time.monotonic() < give_up:
+                time.sleep(0.1)
+            process.communicate()
+        if seen():
+            break
     assert any(line.endswith("prefect.io") for line in seen())
 
 

@@ -222,6 +222,7 @@ print(os.environ["MUJOCO_GL"], hashlib.sha256(b"".join(map(in_bytes, found))).he
 """
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("chosen", "taken"), [(None, "disable"), ("off", "off")])
 def test_every_process_finds_the_same_and_needs_no_window_system(chosen: str | None, taken: str) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"} | ({"MUJOCO_GL": chosen} if chosen else {})

@@ -593,6 +593,7 @@ def test_generated_rooms_have_them_with_everything_off_by_up_to_8_cm() -> None:
     assert len(wrong) <= 0.07 * count, "\n".join(wrong)
 
 
+@pytest.mark.whole
 def test_what_hangs_in_generated_rooms_hangs_on_a_wall_and_is_there_already() -> None:
     hung = 0
     for seed in range(8):
@@ -608,6 +609,7 @@ def test_what_hangs_in_generated_rooms_hangs_on_a_wall_and_is_there_already() ->
     assert hung > 20
 
 
+@pytest.mark.whole
 def test_compartments_of_generated_shelves_are_inside() -> None:
     relations = []
     for seed in range(12):

@@ -88,6 +88,7 @@ def test_answers_that_count_are_those_that_the_stage_counts(database: Database, 
     assert {key: (row["batch_id"], row["choice"], row["answered_at"]) for key, row in answer.items()} == expected
 
 
+@pytest.mark.whole
 @quick
 @given(rows=reviewed())
 def test_annotation_agreement_counts_only_the_answer_that_counts(database: Database, rows: list[Any]) -> None:

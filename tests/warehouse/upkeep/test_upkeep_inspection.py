@@ -350,6 +350,7 @@ QUICK = {
 }  # fmt: skip
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.whole) for name in DAMAGES])
 def test_damage_is_found_by_its_own_finding(lake: Lake, name: str) -> None:
     damage, kind, text, is_error = DAMAGES[name]
@@ -361,6 +362,7 @@ def test_damage_is_found_by_its_own_finding(lake: Lake, name: str) -> None:
     assert all(finding.remedy and "\n" not in str(finding) for finding in found.findings)
 
 
+@pytest.mark.whole
 def test_every_kind_of_damage_is_its_own() -> None:
     assert len({(kind, text) for _, kind, text, _ in DAMAGES.values()}) >= 40
     assert DAMAGES.keys() >= QUICK
@@ -383,6 +385,7 @@ def test_the_command_says_what_is_wrong(lake: Lake) -> None:
     assert ask("--release", "v1")[0] == 1
 
 
+@pytest.mark.whole
 def test_compacted_and_empty_lakes_are_sound(lake: Lake, tmp_path: Path) -> None:
     compact(lake)
     assert inspect(lake).errors == ()
