@@ -429,11 +429,12 @@ def test_free_floor_is_foreign_and_a_wall_or_a_rug_is_not() -> None:
     rng = np.random.default_rng(1)
     solid = [part((1.6, 1.6, 0.7), (0, 0, 0.35), (90, 90, 120))]
     bent = [part((1.6, 0.6, 0.7), (0, 0.5, 0.35), (90, 90, 120))]
-    sheet = rng.uniform([-0.7, -0.75, 0.0], [0.7, 0.1, 0.005], (4000, 3))
+    flat_on_floor = rng.uniform([-0.7, -0.75, 0.0], [0.7, 0.1, 0.005], (4000, 3))
     shares = {}
     for category, structure in (("floor", True), ("wall", True), ("rug", False), ("box", False)):
         room = Room()
         sofa = room.instance(*scan(bent, np.eye(4), (1.0, 1.0, 1.0), rng), 0.0, "sofa")
+        sheet = flat_on_floor + np.array([0.0, 0.0, 0.0 if category == "floor" else 0.1])  # well within the solid
         room.instance(sheet, np.full(sheet.shape, 99, dtype=np.uint8), 0.0, category, structure)
         room.instances[-1] = dataclasses.replace(room.instances[-1], nyu40_label=category if structure else "unlabeled")
         room.instances[0] = dataclasses.replace(sofa, box_size=(1.6, 1.6, 0.7), box_pose=flat(translation([0.0, 0.0, 0.35])))
@@ -442,6 +443,7 @@ def test_free_floor_is_foreign_and_a_wall_or_a_rug_is_not() -> None:
         shares[category] = next(row.foreign_share for row in rows if row.instance_id == sofa.instance_id)
     assert shares["wall"] == shares["rug"] == 0.0
     assert shares["floor"] > 0.1, "above a floor that was seen there is nothing"
+    assert shares["box"] > 0.1, "and the same sheet counts where it is neither"
 
 
 def test_a_tablecloth_has_a_place_of_its_own() -> None:

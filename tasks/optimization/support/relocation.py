@@ -82,7 +82,8 @@ def last_resort(
 ) -> LastResort:
     """Put objects that are still in others elsewhere (`relocate`), and let down again what stood on them.
 
-    settling: how things stand before. Changes `room.shapes` and `stand`.
+    settling: how things stand before. slop, most_way: as for `relocate` [m]. most_tilt: what would tip farther stays [rad]. nudge: what
+    such a push [m/s] would throw over is laid down. Changes `room.shapes` and `stand`.
     """
     moves: list[tuple[int, Move, str]] = []
     elsewhere: list[int] = []
