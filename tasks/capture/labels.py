@@ -13,6 +13,7 @@ from pathlib import Path
 
 from schemas.errors import InputError
 from tasks.capture.files.documents import read_text
+from tasks.capture.spelling import respelled
 
 NYU40 = (
     "unlabeled", "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf", "picture", "counter", "blinds",
@@ -29,11 +30,13 @@ STRUCTURE = frozenset({WALL, FLOOR, CEILING})
 
 @dataclasses.dataclass(frozen=True)
 class Label:
-    """Meaning of a raw label. `is_known` is False when the map does not have it: the NYU40 id is 0 then."""
+    """Meaning of a raw label. `is_known` is False when the map does not have it: the NYU40 id is 0 then. is_respelled: it was taken for
+    one that the map has, with a slip of the hand."""
 
     category: str
     nyu40_id: int
     is_known: bool
+    is_respelled: bool = False
 
     @property
     def nyu40_label(self) -> str:
@@ -54,10 +57,13 @@ class LabelMap:
     sha256: str
 
     def __getitem__(self, raw_label: str) -> Label:
-        """Meaning of a label; letter case, blanks, underscores and dashes do not matter."""
+        """Meaning of a label; letter case, blanks, underscores, dashes and one slip of the hand do not matter."""
         text = normalized(raw_label)
         if text in self.entries:
             return Label(*self.entries[text], is_known=True)
+        right = respelled(text, self.entries)
+        if right is not None:
+            return Label(*self.entries[right], is_known=True, is_respelled=True)
         return Label(text or "unlabeled", 0, is_known=False)
 
     def of_node(self, category: str, model: str) -> Label:

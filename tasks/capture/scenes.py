@@ -144,12 +144,14 @@ def _meaning(group: Group, labels: LabelMap, is_node: bool) -> Label:
 
 
 def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label], scan: str) -> list[str]:
-    """One line per label that the map does not have, with the place where it is met first."""
-    unknown: dict[str, str] = {}
+    """One line per label that the map does not have, or has in another spelling, with the place where it is met first."""
+    lines: dict[str, str] = {}
     for group, label in zip(groups, meanings, strict=True):
-        if not label.is_known:
-            unknown.setdefault(group.raw_label, group.origin or f"{scan}: geometry")
-    return [f"{origin}: {name!r} is not in the label map, nyu40 class 0" for name, origin in unknown.items()]
+        if label.is_known and not label.is_respelled:
+            continue
+        meaning = f"is read as {label.category!r}" if label.is_known else "is not in the label map, nyu40 class 0"
+        lines.setdefault(group.raw_label, f"{group.origin or f'{scan}: geometry'}: {group.raw_label!r} {meaning}")
+    return list(lines.values())
 
 
 def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_authored: bool) -> Alignment:
