@@ -46,6 +46,9 @@ FLOOR_SHARE = 0.1
 FILLED_SHARE = 0.3
 """Of those cells, in which something else was seen, from which on that stands there."""
 
+RAISED_M = 0.1
+"""What never hangs and ends higher above the floor stands on other furniture, which nobody pushes it over to reach the wall."""
+
 RAISED = ("platform", "stage", "step", "steps", "stairs")
 """What furniture stands on as on the floor."""
 
@@ -76,7 +79,8 @@ def with_hidden_parts(rows: Sequence[Instance], points: Sequence[Array], floor: 
         kind = mounting(rows[i].category)
         below = _below(i, rows[i], kind, seen, raised, passed)
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
-        if kind.is_boxy:
+        bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below
+        if kind.is_boxy and not (kind.kind == "stands" and bottom > RAISED_M):
             sides[:4] = _behind(i, rows[i], sides, seen, walls)
         made[i] = dataclasses.replace(rows[i], hidden_m=tuple(float(v) for v in sides))
     return made
