@@ -37,6 +37,12 @@ from tasks.geometry.hulls import complexity, hull_of, is_within
 SUPPORT_M = 5e-4
 """How far colliders may reach below what is seen [m]: float32 positions in a room are good to a micrometre, hulls to a tenth."""
 
+TIPPED_SUPPORT_M = 5e-3
+"""The same for what leans or was laid down [m]: only the bottoms of colliders are made to end where what is seen does."""
+
+TIPPED = 0.02
+"""What leans by more than this is tipped [rad]: a degree."""
+
 SOFT_SUPPORT_M = 1e-2
 """The same for deformable bodies [m]: their mesh is coarser than what is seen, and gives way."""
 
@@ -214,6 +220,13 @@ def _is_weighed(body: Any) -> bool:
     return any(0.0 < (number(attribute) or 0.0) < np.inf for attribute in attributes)
 
 
+def _is_tipped(body: Any, up: int) -> bool:
+    """Whether a body's own axis `up` (1: y, 2: z) leans in the world."""
+    axis = to_world(body)[:3, up]
+    length = float(np.linalg.norm(axis))
+    return length > 0.0 and float(axis[up]) < length * np.cos(TIPPED)
+
+
 def boxes(stage: Any, path: Path) -> Iterator[Finding]:
     """What is seen and what collides are the same object in the same place."""
     from pxr import UsdGeom, UsdPhysics
@@ -231,7 +244,7 @@ def boxes(stage: Any, path: Path) -> Iterator[Finding]:
         seen, solid = cloud_of(body, is_visible), cloud_of(body, is_collider)
         if solid is not None and seen is not None:
             below = float(seen[:, up].min() - solid[:, up].min()) * meters
-            if below > (SOFT_SUPPORT_M if is_deformable(body) else SUPPORT_M):
+            if below > (SOFT_SUPPORT_M if is_deformable(body) else TIPPED_SUPPORT_M if _is_tipped(body, up) else SUPPORT_M):
                 yield Finding("support_plane", where(body), f"a collider reaches {below * 1000:.1f} mm below what is seen")
             yield from _apart(body, seen, solid, meters)
         if is_body(body) and body.HasAPI(UsdPhysics.MassAPI):

@@ -80,6 +80,24 @@ def test_the_box_of_a_primitive_counts(tmp_path: Path) -> None:
     assert errors(tmp_path / "scene.usda") == {"support_plane", "center_of_mass"}
 
 
+@pytest.mark.parametrize(
+    ("degrees", "deep", "expected"), [(0.5, 0.003, True), (12.0, 0.003, False), (12.0, 0.008, True), (180.0, 0.008, True)]
+)
+def test_what_leans_may_be_off_by_more(degrees: float, deep: float, expected: bool, tmp_path: Path) -> None:
+    from pxr import Gf, UsdGeom, UsdPhysics
+
+    stage = new(tmp_path / "scene.usda")
+    obj = body(stage, "/World/Thing", "Cube", (0, 0, 3))
+    UsdGeom.Xformable(obj).AddRotateXOp().Set(degrees)
+    below = UsdGeom.Cube.Define(stage, "/World/Thing/Below")
+    below.CreatePurposeAttr("guide")
+    turn = Gf.Rotation(Gf.Vec3d(1, 0, 0), -degrees)
+    below.AddTranslateOp().Set(turn.TransformDir(Gf.Vec3d(0, 0, -deep)))
+    UsdPhysics.CollisionAPI.Apply(below.GetPrim())
+    stage.Save()
+    assert ("support_plane" in errors(tmp_path / "scene.usda")) == expected
+
+
 def test_heights_are_measured_along_the_upward_axis_in_metres(tmp_path: Path) -> None:
     """A collider reaches 0.3 mm below in centimetres with +Y up: within the tolerance; 3 mm is not."""
     from pxr import Gf, UsdGeom, UsdPhysics
