@@ -10,7 +10,7 @@ BODY_PATTERN = r"[0-9]{4,}|floor|ceiling|(wall|inner)_[0-9]{2,}"
 RELATIONS = ("floor", "on", "inside", "wall", "ceiling", "none")
 """How an object can be carried."""
 
-APPLIED = ("pulled_in", "hung", "rested", "kept", "tipped", "laid_down", "relocated")
+APPLIED = ("pulled_in", "hung", "rested", "kept", "tipped", "laid_down", "relocated", "fallen")
 """Outcomes of steps that moved something: replaying these steps gives the optimized poses."""
 
 
@@ -117,8 +117,8 @@ class OptimizationStep:
     )
     smallest_loss: float = column("Smallest loss so far, this step included, in the unit of the loss", minimum=0)
     outcome: str = column(
-        "What became of the move; 'pulled_in', 'hung', 'rested', 'kept', 'tipped', 'laid_down' (a nudge would have thrown it over) and "
-        "'relocated' moved something",
+        "What became of the move; 'pulled_in', 'hung', 'rested', 'kept', 'tipped', 'laid_down' (a nudge would have thrown it over), "
+        "'relocated' and 'fallen' (it failed its certificate, and was put where it came to rest) moved something",
         values=("start", *APPLIED, "reverted", "left_room", "left_support"),
     )
 

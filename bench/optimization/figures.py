@@ -43,6 +43,7 @@ def figures(verdicts: Sequence[Verdict]) -> dict[str, float | int]:
         "stable_5cm": _share(free - sum(len(v.unstable_5cm) for v in verdicts), free),
         "stable_nudged": _share(free - sum(len(v.unstable_nudged) for v in verdicts), free),
         "laid_down": sum(len(v.laid_down) for v in verdicts),
+        "fallen": sum(len(v.fallen) for v in verdicts),
         "displacement_mean_m": float(moved.mean()) if len(moved) else math.nan,
         "displacement_p95_m": float(np.quantile(moved, 0.95)) if len(moved) else math.nan,
         "floating": sum(len(v.floating) for v in verdicts),

@@ -23,6 +23,7 @@ FIGURES: tuple[tuple[str, str, str], ...] = (
     ("stable_1cm", "free objects stable at 1 cm, 5 degrees", "percent"),
     ("stable_nudged", "the same after each of four nudges", "percent"),
     ("laid_down", "objects laid down because of nudges", "count"),
+    ("fallen", "objects put where they come to rest", "count"),
     ("displacement_mean_m", "horizontal displacement, mean", "mm"),
     ("displacement_p95_m", "horizontal displacement, 95th percentile", "mm"),
     ("floating", "free objects that float", "count"),

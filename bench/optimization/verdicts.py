@@ -48,7 +48,8 @@ class Verdict:
     were not drawn as fixed; None where nobody knows how they were drawn. unstable_1cm, unstable_5cm: free objects that
     moved farther in MuJoCo's certificate, displacement [m] and tilt [rad]. unstable_nudged: those that moved farther than
     1 cm or tilted by more than 5 degrees after a nudge. laid_down: objects that the optimization laid down, as a nudge would
-    throw them over. displaced: horizontal distance from the input of every object [m]. floating: free objects above nothing
+    throw them over; fallen: that it put where they come to rest. displaced: horizontal distance from the input of every
+    object [m]. floating: free objects above nothing
     nearer than 1 cm, and the gap [m]. outside: free objects and how far they reach over the floor's edge [m];
     outside_silently: those of which the optimization does not say so.
     lost_reported, lost_silently: objects that what carried them carries no more; the optimization says that very object, or
@@ -70,6 +71,7 @@ class Verdict:
     unstable_5cm: tuple[tuple[str, float, float], ...]
     unstable_nudged: tuple[tuple[str, float, float], ...]
     laid_down: tuple[str, ...]
+    fallen: tuple[str, ...]
     displaced: tuple[tuple[str, float], ...]
     floating: tuple[tuple[str, float], ...]
     outside: tuple[tuple[str, float], ...]
@@ -265,7 +267,8 @@ class _Laboratory:
             unstable_1cm=moved_1cm,
             unstable_5cm=moved_5cm,
             unstable_nudged=moved_nudged,
-            laid_down=_laid_down(outcome) if outcome is not None else (),
+            laid_down=_moved_so(outcome, "laid_down"),
+            fallen=_moved_so(outcome, "fallen"),
             displaced=tuple((name, float(np.hypot(*(poses[name] - self.proposed[name])[:2, 3]))) for name in self.solids),
             floating=tuple((name, carriers[name][1]) for name in free if carriers[name][1] > TOUCH_M),
             outside=outside,
@@ -360,9 +363,9 @@ class _Laboratory:
         return tuple(wrong)
 
 
-def _laid_down(outcome: Outcome) -> tuple[str, ...]:
-    """Objects that the optimization laid down, by instance."""
-    return tuple(sorted({row.instance_id for row in outcome.rows["optimization_steps"] if row.outcome == "laid_down"}))
+def _moved_so(outcome: Outcome | None, how: str) -> tuple[str, ...]:
+    """Objects that the optimization moved by steps of an outcome, by instance."""
+    return tuple(sorted({row.instance_id for row in outcome.rows["optimization_steps"] if row.outcome == how})) if outcome else ()
 
 
 def _far(value: float | None) -> float:

@@ -21,13 +21,14 @@ from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, certificate_rows, certify
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.default import Default
+from tasks.optimization.falling import let_fall
 from tasks.optimization.interior import Interior, furnish
 from tasks.optimization.misfits import Fitting, fit_together, made_smaller
 from tasks.optimization.paper import Paper
 from tasks.optimization.proposals import Proposal, propose
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
-from tasks.optimization.search.trace import Resolution, moved_poses, replayed_poses, step_rows
+from tasks.optimization.search.trace import Resolution, moved_poses, replayed_poses, step_rows, with_falls
 from tasks.optimization.support.resting import DEEP_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config, NonNegative
@@ -89,8 +90,15 @@ def run(
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
-    certified = certify(bodies, poses, interior.shell, config.certificate)
-    lost, allowed = lost_supports(interior, poses), allowed_depths(interior, before)
+    certified, allowed = certify(bodies, poses, interior.shell, config.certificate), allowed_depths(interior, before)
+    if isinstance(config.method, Default) and config.method.lets_fall:
+        fall = let_fall(interior, poses, certified, bodies, allowed, config.method, config.supports, config.certificate)
+        poses, certified = fall.poses, fall.certified
+        if fall.moves:
+            resolution = with_falls(resolution, fall.moves)
+            after = Colliders(interior.solids, interior.shell).penetrations(poses)
+            steps = step_rows(scene_id, resolution.start, resolution.steps)
+    lost = lost_supports(interior, poses)
     remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)
     contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)
     contacts += contact_rows(scene_id, interior, poses, after, "optimized", allowed)

@@ -66,7 +66,8 @@ class Certified:
     settled_pose: asset to world at the end, 4x4 [m]. displacement_m: of the asset's origin. tilt_radians: angle between the
     upright axes before and after; turning about that axis does not count. problem: why the engine could not simulate it;
     then these and start_penetration_m are None, and it is not stable. nudged_displacement_m, nudged_tilt_radians: the greatest after any
-    of the nudges; None, as is_stable_nudged, where there were none.
+    of the nudges; None, as is_stable_nudged, where there were none. fallen_pose: asset to world at the end [m], 4x4, of the run in
+    which it did not stay, left alone or else nudged where that took it farthest; None where it stays.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Certified:
     density_low_kg_m3: float | None
     density_high_kg_m3: float | None
     is_density_plausible: bool | None
+    fallen_pose: Array | None = None
 
 
 def certify(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], config: CertificateConfig) -> list[Certified]:
@@ -131,7 +133,7 @@ def certificate_rows(scene_id: str, certified: Sequence[Certified]) -> list[Cert
     rows = []
     for certificate in sorted(certified, key=lambda c: (c.name, c.engine)):
         values = dataclasses.asdict(certificate)
-        name, settled = values.pop("name"), values.pop("settled_pose")
+        name, settled, _ = values.pop("name"), values.pop("settled_pose"), values.pop("fallen_pose")
         rows.append(Certificate(scene_id=scene_id, instance_id=name, settled_pose=None if settled is None else flat(settled), **values))
     return rows
 
@@ -159,11 +161,15 @@ def _certified(body: RigidBody, pose: Array, simulation: Simulation, index: int)
     """The certificate of one body."""
     problem, settled = simulation.problems[index], simulation.settled[index]
     displacement, tilt = _moved(body, pose, settled)
-    nudged = (
-        np.array([_moved(body, pose, end[index]) for end in simulation.nudged]).max(axis=0).tolist() if len(simulation.nudged) else None
-    )
+    ways = np.array([_moved(body, pose, end[index]) for end in simulation.nudged]).reshape(-1, 2)
+    nudged = ways.max(axis=0).tolist() if len(ways) else None
     is_known = problem is None
     is_stable_nudged = None if nudged is None else is_known and nudged[0] <= NEAR_M and nudged[1] <= FAR_TILT_RADIANS
+    fallen = None
+    if is_known and not (displacement <= NEAR_M and tilt <= FAR_TILT_RADIANS):
+        fallen = settled
+    elif is_stable_nudged is False and is_known:
+        fallen = simulation.nudged[int((ways / (NEAR_M, FAR_TILT_RADIANS)).max(axis=1).argmax())][index]
     mass = body.mass_kg if np.isfinite(body.mass_kg) and body.mass_kg > 0.0 else 0.0
     volume = mujoco_engine.solid_volume(body.solid)
     density = mass / volume if volume > 0.0 else 0.0
@@ -180,6 +186,7 @@ def _certified(body: RigidBody, pose: Array, simulation: Simulation, index: int)
         mass_kg=mass, solid_volume_m3=volume, density_kg_m3=density, density_low_kg_m3=None if bounds is None else bounds[0],
         density_high_kg_m3=None if bounds is None else bounds[1],
         is_density_plausible=None if bounds is None or density == 0.0 else bounds[0] <= density <= bounds[1],
+        fallen_pose=fallen,
     )  # fmt: skip
 
 

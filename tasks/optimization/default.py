@@ -71,6 +71,7 @@ class Default(Config):
     most_turn_radians: NonNegative = 0.35  # 20 degrees: more, and the object faces elsewhere than the scanned one
     most_tilt_radians: NonNegative = 0.45  # 26 degrees: what would tip farther was not meant to stand so
     nudge_m_s: NonNegative = 0.05  # what such a push would throw over is laid down; certificates nudge by as much; 0: it is left to balance
+    lets_fall: bool = True  # what fails its certificate is put where it comes to rest, if that is near; the first engine has a part in it
     price: NonNegative = 0.05  # metres of depth that a metre of displacement costs: objects move no farther than they must
     temperature_m: Positive = 0.0003  # cold at first, so that easy rooms are solved without detours
     cooling: Annotated[float, Field(gt=0, lt=1)] = 0.8  # per sweep: seven sweeps down to the coldest

@@ -53,6 +53,14 @@ class Resolution:
     settled: float = 0.0
 
 
+def with_falls(resolution: Resolution, falls: Sequence[tuple[str, Move]]) -> Resolution:
+    """A resolution after which objects fell to where they stay, by moves of single ones, in order: no more problem of theirs is left."""
+    smallest = min([step.smallest for step in resolution.steps], default=resolution.start)
+    steps = [SearchStep(name, move, resolution.final, smallest, "fallen") for name, move in falls]
+    problems = {name: text for name, text in resolution.problems.items() if name not in dict(falls)}
+    return dataclasses.replace(resolution, steps=(*resolution.steps, *steps), problems=problems)
+
+
 def step_rows(scene_id: str, start: float, steps: Sequence[SearchStep]) -> list[OptimizationStep]:
     """Step 0 for the proposed state, then a row per step, numbered without a gap where no moves were left out."""
     rows = [

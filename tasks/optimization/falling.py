@@ -1,0 +1,161 @@
+"""Objects that fail their certificate are let fall: they are put where the engine saw them come to rest, if that is near."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.geometry.transforms import rotation_vector
+from tasks.optimization.certificates import CertificateConfig, Certified, certify
+from tasks.optimization.contacts import Colliders
+from tasks.optimization.default import Default
+from tasks.optimization.interior import Interior
+from tasks.optimization.search.trace import Move, moved_poses
+from tasks.optimization.solids import RigidBody
+from tasks.optimization.support.resting import MOST_LAID_M, lost_supports
+from tasks.optimization.support.supports import SupportConfig
+
+Array = NDArray[np.float64]
+
+MOST_ROUNDS = 3
+"""Falls that are followed, one after the other: what lies now may have held something else."""
+
+MOST_PARTINGS = 40
+"""Shifts that may bring a fallen object out of what the engine's soft contacts let it sink into."""
+
+APART_M = 1e-7
+"""How far beyond its depth an overlap is parted [m]: rounding."""
+
+SUNK_M = 0.001
+"""Deeper than this no contact at rest is soft [m]: the engine has lost track."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Fall:
+    """What letting objects fall came to: poses [m], shape (n, 4, 4), the moves that lead there, in order, and new certificates."""
+
+    poses: Array
+    moves: tuple[tuple[str, Move], ...]
+    certified: list[Certified]
+
+
+def let_fall(
+    interior: Interior, poses: Array, certified: list[Certified], bodies: Sequence[RigidBody],
+    allowed: Mapping[tuple[str, str], float], method: Default, supports: SupportConfig, config: CertificateConfig,
+) -> Fall:  # fmt: skip
+    """Objects that carry nothing and do not stay at `poses` [m], shape (n, 4, 4), put where they come to rest, and certified anew.
+
+    What falls farther than `method.most_way_m` aside or `supports.most_drop_m` down from where it was scanned, off its carrier, or
+    over although it is too high to be laid down, keeps its place, and so does what does not stay where it comes to rest. Nobody
+    falls at the cost of what stood before. allowed: depths [m] to which pairs may be in each other, by their names.
+    """
+    start = Fall(poses, (), certified)
+    best, tried = start, start
+    for _ in range(MOST_ROUNDS):
+        falling = _falling(interior, tried, allowed, method, supports)
+        if not falling:
+            break
+        tried = _certified_after(interior, start, [*tried.moves, *falling], bodies, config)
+        if _unstable(tried.certified) - _unstable(start.certified):
+            break  # something that stood leaned on it
+        best = tried
+    restless = {name for name, _ in best.moves} & _unstable(best.certified)
+    if restless:
+        best = _certified_after(interior, start, [move for move in best.moves if move[0] not in restless], bodies, config)
+    return best if _unstable(best.certified) < _unstable(start.certified) else start
+
+
+def _unstable(certified: Sequence[Certified]) -> set[str]:
+    """Names of what moves, left alone or after a nudge, by any engine."""
+    return {row.name for row in certified if not (row.is_stable_1cm and row.is_stable_5cm) or row.is_stable_nudged is False}
+
+
+def _certified_after(
+    interior: Interior, start: Fall, moves: Sequence[tuple[str, Move]], bodies: Sequence[RigidBody], config: CertificateConfig
+) -> Fall:
+    """Poses after moves from the start, as a replay of the trace has them, with certificates."""
+    if not moves:
+        return start
+    parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
+    moved = moved_poses(dict(zip(interior.names, start.poses, strict=True)), parents, moves)
+    poses = np.array([moved[name] for name in interior.names])
+    return Fall(poses, tuple(moves), certify(bodies, poses, interior.shell, config))
+
+
+def _falling(
+    interior: Interior, state: Fall, allowed: Mapping[tuple[str, str], float], method: Default, supports: SupportConfig
+) -> list[tuple[str, Move]]:
+    """Moves of what may fall to where the first engine that saw it fall left it, one each, and of what stood in its way and gave way."""
+    colliders, before = Colliders(interior.solids, interior.shell), state.poses
+    carrying, lost = set(interior.parent.tolist()), lost_supports(interior, before)
+    index = {name: i for i, name in enumerate(interior.names)}
+    settled = {index[row.name]: row.settled_pose for row in reversed(state.certified) if row.settled_pose is not None}
+    ends = {index[row.name]: row.fallen_pose for row in reversed(state.certified) if row.fallen_pose is not None}
+
+    def may(i: int, end: Array) -> bool:
+        is_free = i not in carrying and not interior.fixed[i] and not interior.covering[i]
+        return is_free and _is_near(interior, i, before[i], end, method, supports)
+
+    falling = {i: end for i, end in sorted(ends.items()) if may(i, end)}
+    refused: set[int] = set()
+    while True:
+        poses = before.copy()
+        for i, end in falling.items():
+            poses[i] = end
+        blocked = None
+        for i in sorted(falling):
+            in_way = _part(colliders, poses, i, interior.names, allowed, method.slop_m)
+            if in_way is not None:
+                blocked = i, in_way
+                break
+        if blocked is None:
+            off = (lost_supports(interior, poses) - lost) & {interior.names[i] for i in falling}
+            if not off:
+                break
+            blocked = index[min(off)], -1
+        at, other = blocked
+        if other in settled and other not in falling and other not in refused and may(other, settled[other]):
+            falling[other] = settled[other]
+        else:
+            refused.add(at)
+            del falling[at]
+    moves = []
+    for i in sorted(falling):
+        turn, way = rotation_vector(poses[i][:3, :3] @ before[i][:3, :3].T), (poses[i] - before[i])[:3, 3].tolist()
+        moves.append((interior.names[i], (way[0], way[1], way[2], *turn)))
+    return moves
+
+
+def _is_near(interior: Interior, obj: int, before: Array, after: Array, method: Default, supports: SupportConfig) -> bool:
+    """Whether a person would still say that an object is where it was scanned, `before` and `after` its fall, 4x4 [m]."""
+    way = after[:3, 3] - interior.poses[obj][:3, 3]
+    if float(np.hypot(way[0], way[1])) > method.most_way_m or abs(float(way[2])) > supports.most_drop_m:
+        return False
+    tilt = float(np.arctan2(np.linalg.norm(np.cross(before[:3, 2], after[:3, 2])), before[:3, 2] @ after[:3, 2]))
+    height = float(np.ptp(np.concatenate([hull.vertices[:, 2] for hull in interior.solids[obj].placed(before)])))
+    return height <= MOST_LAID_M or tilt <= method.most_tilt_radians
+
+
+def _part(
+    colliders: Colliders, poses: Array, obj: int, names: Sequence[str], allowed: Mapping[tuple[str, str], float], slop: float
+) -> int | None:  # fmt: skip
+    """Shift an object out of what it sank into, at `poses` [m], shape (n, 4, 4), in place, until nothing overlaps it by more than `slop`.
+
+    None, or where that cannot be the number of what is in its way, as `Penetration` has it.
+    """
+    worst = 0
+    for _ in range(MOST_PARTINGS):
+        mine = [p for p in colliders.penetrations(poses) if obj in (p.index_a, p.index_b)]
+        mine = [p for p in mine if p.depth_m > slop + allowed.get((p.a, p.b), 0.0)]
+        if not mine:
+            return None
+        deepest = max(mine, key=lambda p: p.depth_m)
+        worst = deepest.index_b if deepest.index_a == obj else deepest.index_a
+        if deepest.depth_m > SUNK_M:
+            break
+        sign = 1.0 if deepest.index_a == obj else -1.0
+        poses[obj][:3, 3] += sign * (deepest.depth_m + APART_M) * np.array(deepest.direction)
+    return worst

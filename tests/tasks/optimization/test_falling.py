@@ -1,0 +1,138 @@
+"""Letting fall: what fails its certificate lies where it comes to rest, near, apart from all else, and at nobody's cost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from tasks.geometry.transforms import rotation_of, yaw_pose
+from tasks.optimization.bodies import BodyConfig, bodies_of
+from tasks.optimization.certificates import CertificateConfig, Certified, certify
+from tasks.optimization.contacts import Colliders
+from tasks.optimization.default import Default
+from tasks.optimization.falling import Fall, let_fall
+from tasks.optimization.interior import Interior
+from tasks.optimization.search.trace import moved_poses
+from tasks.optimization.support.supports import SupportConfig
+from tests.tasks.optimization.interiors import Object, block, interior_of
+
+SLAB = ("table", [block((1.2, 1.2, 0.4))], yaw_pose(0.0))
+
+
+def leaning(size: tuple[float, float, float], angle: float, at: tuple[float, float, float], category: str = "box") -> Object:
+    """A block that is turned about its lower edge along y, which stays where it is [rad]."""
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_of([0.0, angle, 0.0])
+    corner = pose[:3, :3] @ np.array([0.5 * size[0] * np.sign(angle), 0.0, 0.0])
+    pose[:3, 3] = np.array(at) - corner
+    return category, [block(size)], pose
+
+
+def fallen(*objects: Object, method: Default | None = None, supports: SupportConfig | None = None) -> tuple[Interior, Fall, Fall]:
+    """An interior, what its certificates say where the objects are, and what letting fall makes of that."""
+    interior = interior_of(objects)
+    bodies, _ = bodies_of(interior, [], BodyConfig())
+    config = CertificateConfig()
+    before = Fall(interior.poses, (), certify(bodies, interior.poses, interior.shell, config))
+    after = let_fall(
+        interior, interior.poses, before.certified, bodies, {}, method or Default(), supports or SupportConfig(), config
+    )  # fmt: skip
+    return interior, before, after
+
+
+def restless(certified: list[Certified]) -> set[str]:
+    return {c.name for c in certified if not (c.is_stable_1cm and c.is_stable_5cm and c.is_stable_nudged)}
+
+
+def overlap(interior: Interior, fall: Fall) -> float:
+    """Deepest overlap [m]."""
+    return max((p.depth_m for p in Colliders(interior.solids, interior.shell).penetrations(fall.poses)), default=0.0)
+
+
+def test_what_leans_on_nothing_lies_where_it_comes_to_rest() -> None:
+    interior, before, after = fallen(leaning((0.1, 0.3, 0.3), 0.6, (0.0, 0.0, 0.0)))
+    assert restless(before.certified) == {"0000"}
+    assert restless(after.certified) == set()
+    (pose,) = after.poses
+    vertices = interior.solids[0].placed(pose)[0].vertices
+    assert np.ptp(vertices[:, 2]) == pytest.approx(0.1, abs=1e-4), "it lies on its broad side"
+    assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-4)
+    assert overlap(interior, after) <= Default().slop_m
+
+
+def test_the_trace_of_a_fall_leads_to_where_it_lies_bit_for_bit() -> None:
+    interior, _, after = fallen(SLAB, leaning((0.06, 0.2, 0.2), 0.5, (0.1, 0.2, 0.4)))
+    assert [name for name, _ in after.moves] == ["0001"] * len(after.moves)
+    assert after.moves
+    parents = {name: c.parent_id for name, c in zip(interior.names, interior.carriers, strict=True)}
+    replayed = moved_poses(dict(zip(interior.names, interior.poses, strict=True)), parents, after.moves)
+    np.testing.assert_array_equal([replayed[name] for name in interior.names], after.poses)
+
+
+def test_what_stands_stays_to_the_bit_and_is_not_asked_again() -> None:
+    _, before, after = fallen(SLAB, ("box", [block((0.2, 0.2, 0.2))], yaw_pose(0.3, [0.1, 0.1, 0.4])))
+    assert after.poses.tobytes() == before.poses.tobytes()
+    assert after.certified is before.certified
+
+
+def test_furniture_is_not_thrown_over() -> None:
+    _, before, after = fallen(leaning((0.2, 0.5, 1.2), 0.6, (0.0, 0.0, 0.0), "bookshelf"))
+    assert restless(before.certified) == {"0000"}
+    assert after.moves == ()
+
+
+def test_what_would_fall_off_its_carrier_or_far_keeps_its_place() -> None:
+    over_the_edge = leaning((0.05, 0.2, 0.25), 0.5, (0.56, 0.0, 0.4))
+    _, before, after = fallen(SLAB, over_the_edge)
+    assert restless(before.certified) == {"0001"}
+    assert after.moves == ()
+    for height, falls in ((0.29, True), (0.31, False)):
+        _, before, after = fallen(("box", [block((0.2, 0.2, 0.2))], yaw_pose(0.0, [0.0, 0.0, height])))
+        assert restless(before.certified) == {"0000"}
+        assert bool(after.moves) == falls
+    _, _, bounded = fallen(leaning((0.1, 0.3, 0.3), 0.6, (0.0, 0.0, 0.0)), method=Default(most_way_m=0.0))
+    assert bounded.moves == ()
+
+
+def test_nobody_falls_at_the_cost_of_what_stood() -> None:
+    interior, before, after = fallen(
+        SLAB, leaning((0.03, 0.3, 0.3), 0.35, (-0.1, 0.0, 0.4)), leaning((0.03, 0.3, 0.3), -0.35, (0.12, 0.0, 0.4))
+    )  # fmt: skip
+    assert restless(after.certified) <= restless(before.certified)
+    assert overlap(interior, after) <= max(Default().slop_m, overlap(interior, before))
+
+
+@pytest.mark.whole
+@given(
+    angles=st.lists(st.floats(-0.8, 0.8), min_size=1, max_size=3), widths=st.lists(st.floats(0.03, 0.2), min_size=3, max_size=3),
+    yaw=st.floats(-3.0, 3.0),
+)  # fmt: skip
+def test_a_fall_never_makes_anything_worse(angles: list[float], widths: list[float], yaw: float) -> None:
+    objects: list[Object] = [SLAB]
+    for i, (angle, width) in enumerate(zip(angles, widths, strict=False)):
+        category, parts, pose = leaning((width, 0.16, 0.2), angle, (0.35 * (i - 1), 0.0, 0.4))
+        objects.append((category, parts, yaw_pose(yaw, [0.0, 0.0, 0.0]) @ pose))
+    interior, before, after = fallen(*objects)
+    start = overlap(interior, before)
+    assume(start < 0.001)
+    assert restless(after.certified) <= restless(before.certified)
+    assert (not after.moves) or restless(after.certified) < restless(before.certified)
+    assert overlap(interior, after) <= max(Default().slop_m, start)
+    for i, pose in enumerate(after.poses):
+        way = pose[:3, 3] - interior.poses[i][:3, 3]
+        assert np.hypot(way[0], way[1]) <= Default().most_way_m
+        assert abs(way[2]) <= SupportConfig().most_drop_m
+        np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("sides", [16, 40])
+def test_what_rolls_on_keeps_its_place(sides: int) -> None:
+    roller = trimesh.creation.cylinder(0.03, 0.3, sections=sides)
+    roller.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    roller.apply_translation([0.0, 0.0, 0.03 * np.cos(np.pi / sides)])
+    interior, before, after = fallen(SLAB, ("bottle", [roller], yaw_pose(0.0, [0.3, 0.0, 0.4])))
+    assert restless(after.certified) <= restless(before.certified)
+    assert overlap(interior, after) <= max(Default().slop_m, overlap(interior, before))
