@@ -15,7 +15,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import check_file
 from tasks.exports.findings import Finding
-from tasks.exports.usd import body_rules, deformable_rules, stage_rules
+from tasks.exports.usd import body_rules, deformable_rules, stage_rules, visual_rules
 from tasks.exports.usd.package import check_package
 from tasks.exports.usd.prims import traverse
 
@@ -158,7 +158,7 @@ def _validators(stage: Any, path: Path) -> Iterator[Finding]:
 
 _IN_VARIANTS: tuple[Callable[[Any, Path], Iterator[Finding]], ...] = (
     _validators, body_rules.nesting, body_rules.one_body, body_rules.poses, body_rules.geometry,
-    body_rules.colliders, body_rules.masses, body_rules.boxes, body_rules.materials, body_rules.depenetration, body_rules.labels,
+    body_rules.colliders, body_rules.masses, visual_rules.boxes, body_rules.materials, body_rules.depenetration, body_rules.labels,
     deformable_rules.deformables,
 )  # fmt: skip
 """What is looked at again in variants: objects, not the file."""
