@@ -35,6 +35,18 @@ if TYPE_CHECKING:
 SAMPLES = 1500
 """Surface points per file for its descriptor."""
 
+UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "hundreds of metres": 100.0, "kilometres": 1000.0}
+"""What files are written in, although GLB is in metres, and how many metres [m] that is."""
+
+ABSURD = 4.0
+"""So many times as large or small as is usual for its category, a model is odd: a toy chair is a third of a chair."""
+
+OTHER_UNITS = 15.0
+"""So many times as large or small it is in other units: boxes differ by ten."""
+
+PLAUSIBLE = 2.0
+"""So near to the usual size a unit has to bring it."""
+
 CACHED_FILES, CACHED_ASSETS = 20_000, 64
 """How many descriptors (6 kB each) and finished assets (megabytes each) a process keeps."""
 
@@ -50,7 +62,8 @@ class LibraryRetrieval(Config):
 
 @dataclasses.dataclass(frozen=True)
 class LibraryEntry:
-    """A file of the library. file: Path relative to the library, forward slashes."""
+    """A file of the library. file: Path relative to the library, forward slashes. scale: metres per unit of the file [m]; the descriptor's
+    extents have it."""
 
     path: Path
     file: str
@@ -59,11 +72,12 @@ class LibraryEntry:
     author: str | None
     source: str
     descriptor: Descriptor
+    scale: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class LibraryIndex:
-    """Every usable file of a library in the order of their names, and one line per file that is not usable."""
+    """Every usable file of a library in the order of their names, and one line per file that is not usable or of absurd size."""
 
     entries: tuple[LibraryEntry, ...]
     problems: tuple[str, ...]
@@ -111,43 +125,52 @@ def index_library(folder: Path) -> LibraryIndex:
             continue
         file = path.relative_to(folder).as_posix()
         facts = listed.get(file, {})
+        category = _text(facts, "category") or category_of(path.stem)
         try:
             file.encode()  # names are kept in rows
             stat = path.stat()
             descriptor = _descriptor(path, stat.st_size, stat.st_mtime_ns)
+            scale, odd = _scale(category, descriptor)
+            descriptor = dataclasses.replace(descriptor, extents=descriptor.extents * scale)
+            _check(descriptor)
         except Exception as error:  # of a file of others, whatever it leads to: it is left out, and the run goes on
             kind = "" if isinstance(error, InputError | ValueError | OSError) else f"{type(error).__name__}: "
             problems.append(f"library: {_plain(file)} left out: {kind}{_reason(error)}")
             continue
+        problems += [f"library: {_plain(file)} {odd}"] if odd else []
         entries.append(
             LibraryEntry(
                 path=path,
                 file=file,
-                category=_text(facts, "category") or category_of(path.stem),
+                category=category,
                 license=_text(facts, "license") or _text(facts, "licence") or license_text,
                 author=_text(facts, "author") or None,
                 source=" ".join(part for part in (_text(facts, "repo"), _text(facts, "source")) if part) or file,
                 descriptor=descriptor,
+                scale=scale,
             )
         )
     return LibraryIndex(tuple(entries), tuple(problems))
 
 
 def library_asset(entry: LibraryEntry) -> MadeAsset:
-    """The asset of an entry: the file's parts with their textures, moved to the canonical origin. Depends on nothing else.
+    """The asset of an entry: the file's parts with their textures, in metres, moved to the canonical origin. Depends on nothing else.
 
     Raises:
         InputError, ValueError: the file changed since it was indexed and cannot be used any more.
     """
     stat = entry.path.stat()
     facts = (entry.file, entry.category, entry.license, entry.author, entry.source)
-    return _asset(entry.path, stat.st_size, stat.st_mtime_ns, facts)
+    return _asset(entry.path, stat.st_size, stat.st_mtime_ns, facts, entry.scale)
 
 
 @lru_cache(maxsize=CACHED_ASSETS)
-def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str]) -> MadeAsset:
+def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str], scale: float) -> MadeAsset:
     file, category, license_text, author, source = facts
     parts = load_glb(read_file(path, file, BUDGET.asset_bytes, magic=GLB_MAGIC), file)
+    if scale != 1.0:
+        for part in parts:
+            part.apply_scale(scale)
     return make_asset(
         parts, provider=LibraryRetrieval.kind, name=path.stem, category=category, source=source, license=license_text, author=author
     )
@@ -155,15 +178,38 @@ def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, 
 
 @lru_cache(maxsize=CACHED_FILES)
 def _descriptor(path: Path, size: int, modified_ns: int) -> Descriptor:
-    """Descriptor of a GLB; size and time of change are there for the cache."""
+    """Descriptor of a GLB as its file has it; size and time of change are there for the cache."""
     surface = surface_of(load_glb(read_file(path, path.name, BUDGET.asset_bytes, magic=GLB_MAGIC), path.name))
     extents = np.ptp(surface.bounds, axis=0)
-    ordered = np.sort(extents)
-    if ordered[1] < MIN_EXTENT_M or ordered[2] > MAX_EXTENT_M:
-        raise ValueError(f"has extents {' x '.join(f'{v:.3g}' for v in extents)} m, which is no object of a room")
     rng = np.random.default_rng(size)  # a constant of the file: the same descriptor in every run
     points, colors, _ = sample_surface(surface, SAMPLES, rng)
     return describe(points, colors, extents, rng)
+
+
+def _check(descriptor: Descriptor) -> None:
+    """Refuse what is too small or too large for a room, in metres."""
+    ordered = np.sort(descriptor.extents)
+    if ordered[1] < MIN_EXTENT_M or ordered[2] > MAX_EXTENT_M:
+        extents = " x ".join(f"{v:.3g}" for v in descriptor.extents)
+        raise ValueError(f"has extents {extents} m, which is no object of a room")
+
+
+def _scale(category: str, descriptor: Descriptor) -> tuple[float, str]:
+    """Metres per unit of a file that holds a model of a category, and what is odd about its size; 1 and '' where nothing is."""
+    from tasks.furniture import is_known, typical_extents
+
+    name = next((name for name in (category, known_name(category) or "") if is_known(name)), None)
+    size = float(np.linalg.norm(descriptor.extents))
+    if name is None or not np.isfinite(size) or size <= 0.0:
+        return 1.0, ""
+    ratio = size / float(np.linalg.norm(typical_extents(name)))
+    if 1.0 / ABSURD <= ratio <= ABSURD:
+        return 1.0, ""
+    times = f"{ratio:.3g} times as large as a {name} usually is"
+    unit = min(UNITS, key=lambda u: abs(np.log(ratio * UNITS[u])))
+    if abs(np.log(ratio)) < np.log(OTHER_UNITS) or abs(np.log(ratio * UNITS[unit])) > np.log(PLAUSIBLE):
+        return 1.0, f"is {times}: used as it is"
+    return UNITS[unit], f"would be {times}: read as {unit}"
 
 
 def category_of(stem: str) -> str:

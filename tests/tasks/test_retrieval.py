@@ -1,4 +1,4 @@
-"""Retrieval from a library where nobody knows what an instance is: by size, shape and color alone."""
+"""Retrieval from a library where nobody knows what an instance is, by size, shape and color alone; and models in odd units."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tasks.candidates.assets import MAX_EXTENT_M
 from tasks.candidates.descriptors import Descriptor, describe
-from tasks.candidates.library import LibraryEntry, index_library
+from tasks.candidates.library import LibraryEntry, index_library, library_asset
 from tasks.candidates.retrieval import MIN_UNNAMED_SCORE, retrieve
 from tasks.furniture import generate
-from tasks.geometry.meshes import load_glb, sample_surface, surface_of
+from tasks.geometry.meshes import dump_glb, load_glb, sample_surface, surface_of
 
 SIDES = (-0.3, -0.5)
 """Least x and z of the normals of what a scan sees: it walks round three sides and looks down."""
@@ -82,3 +83,28 @@ def test_real_models_are_found_without_a_name_and_rarely_taken_for_others(realda
         wrong += bool(retrieve("gizmo", scan, others, 1))
     assert right >= 36
     assert wrong <= len(index.entries) // 4, "two of its sofas are hardly told apart by anybody"
+
+
+@pytest.mark.parametrize(
+    ("factor", "scale", "odd"),
+    [
+        (1.0, 1.0, ""), (3.0, 1.0, ""), (100.0, 0.01, "read as centimetres"), (1000.0, 0.001, "read as millimetres"),
+        (39.37, 0.0254, "read as inches"), (0.01, 100.0, "read as hundreds of metres"), (6.0, 1.0, "used as it is"),
+        (0.15, 1.0, "used as it is"),
+    ],
+)  # fmt: skip
+def test_a_model_in_other_units_is_scaled_where_its_category_says_so(tmp_path: Path, factor: float, scale: float, odd: str) -> None:
+    size = (0.5, 0.5, 0.9)
+    parts = generate("chair", size, np.random.default_rng(0)).parts
+    for part in parts:
+        part.apply_scale(factor)
+    for name in ("chair", "gizmo"):
+        (tmp_path / f"{name}.glb").write_bytes(dump_glb(parts))
+    index = index_library(tmp_path)
+    made = {entry.category: library_asset(entry).asset.extents for entry in index.entries}
+    assert np.allclose(made["chair"], np.array(size) * factor * scale, rtol=1e-3)
+    assert ("gizmo" in made) == (max(size) * factor <= MAX_EXTENT_M), "nobody knows how large a gizmo is"
+    lines = [line for line in index.problems if "chair.glb" in line]
+    assert (odd in lines[0] and "of a chair" not in lines[0] and "chair usually is" in lines[0]) if odd else not lines
+    entry = next(entry for entry in index.entries if entry.category == "chair")
+    assert np.allclose(entry.descriptor.extents, np.array(size) * factor * scale, rtol=1e-3)
