@@ -24,6 +24,7 @@ from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, Labe
 from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment, align
+from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.openings import wall_openings
 from tasks.capture.rooms.room import estimate_room, floor_points, inferred_room_type
 from tasks.capture.scan import Scan
@@ -94,9 +95,9 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config)
     cloud = _cloud(reading, world, groups, context)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
-    room = _room(context, reading, cloud, classes, meanings, solids, notes)
+    room, leaves = _room(context, reading, cloud, classes, meanings, solids, notes, format.is_modelled)
     if not format.is_modelled:
-        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], room)
+        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], room, leaves)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
@@ -245,17 +246,21 @@ def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: C
 
 def _room(
     context: Context, reading: Reading, cloud: Cloud, classes: NDArray[np.int64], meanings: Sequence[Label],
-    solids: Sequence[InstancePoints], notes: list[str],
-) -> Room:  # fmt: skip
+    solids: Sequence[InstancePoints], notes: list[str], is_modelled: bool,
+) -> tuple[Room, dict[int, NDArray[np.float64]]]:  # fmt: skip
+    """The row of the room, and of doors and windows that were seen in part, by number, corners of the whole [m], shape (8, 3)."""
     shape = estimate_room(cloud, classes)
     notes += shape.notes
     if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
         notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
     kind = reading.room_type or inferred_room_type(label.category for label in meanings)
-    fillings = [solid.points for solid, label in zip(solids, meanings, strict=True) if label.nyu40_id in (DOOR, WINDOW)]
-    openings = wall_openings(shape.polygon, shape.interior_walls, shape.height, fillings)
+    fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW)}
+    lines, is_door = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].nyu40_id == DOOR for i in fillings]
+    whole = whole_leaves(*lines, list(fillings.values()), is_door, cloud.points[classes == WALL])
+    leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
+    openings = wall_openings(*lines, list((fillings | leaves).values()))
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
-    return shape.row(context.scene_id, kind, parts, openings)
+    return shape.row(context.scene_id, kind, parts, openings), leaves
 
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,9 +62,11 @@ class _Seen:
     floor: Array
 
 
-def with_hidden_parts(rows: Sequence[Instance], points: Sequence[Array], floor: Array, room: Room) -> list[Instance]:
+def with_hidden_parts(
+    rows: Sequence[Instance], points: Sequence[Array], floor: Array, room: Room, leaves: Mapping[int, Array] | None = None
+) -> list[Instance]:
     """The rows of a scan, `hidden_m` filled in. points: of each [m], shape (n, 3). floor: points of the floor that was seen [m],
-    shape (m, 2)."""
+    shape (m, 2). leaves: corners of doors and windows with what was not seen of them, by number [m], shape (8, 3)."""
     movable = [i for i, row in enumerate(rows) if not row.is_structure]
     seen = _Seen(
         np.concatenate([np.zeros((0, 3)), *(points[i] for i in movable)]),
@@ -82,8 +84,16 @@ def with_hidden_parts(rows: Sequence[Instance], points: Sequence[Array], floor: 
         bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below
         if kind.is_boxy and not (kind.kind == "stands" and bottom > RAISED_M):
             sides[:4] = _behind(i, rows[i], sides, seen, walls)
+        if leaves and i in leaves:
+            sides = _beyond(rows[i], leaves[i])
         made[i] = dataclasses.replace(rows[i], hidden_m=tuple(float(v) for v in sides))
     return made
+
+
+def _beyond(row: Instance, corners: Array) -> Array:
+    """How far corners, shape (k, 3) [m], reach beyond the box of an instance on its sides -x, +x, -y, +y, -z, +z [m]."""
+    local, half = transform_points(corners, inverse(matrix(row.box_pose))), 0.5 * np.asarray(row.box_size)
+    return np.asarray(np.maximum(np.column_stack([-local.min(axis=0) - half, local.max(axis=0) - half]).ravel(), 0.0))
 
 
 def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Booleans, passed: Booleans) -> float:

@@ -36,7 +36,7 @@ _LINTEL_M = 0.03
 
 
 @dataclasses.dataclass(frozen=True)
-class _Line:
+class WallLine:
     """A wall's line [m] that openings are stated on. reach: from the line to the wall's faces; 0 for the inner face itself."""
 
     start: Array
@@ -46,6 +46,27 @@ class _Line:
     reach: float
 
 
+@dataclasses.dataclass(frozen=True, order=True)
+class Interval:
+    """Where what fills an opening lies on a wall's line: how far off, from where to where along it, from front to back behind its face,
+    and between which heights [m]."""
+
+    off: float
+    low: float
+    high: float
+    front: float
+    back: float
+    bottom: float
+    top: float
+
+
+def wall_lines(polygon: Array, interior_walls: Array) -> list[WallLine]:
+    """Lines of the outer walls, then of those inside the room. polygon, interior_walls: as for `wall_openings`."""
+    ends = [(a, b, 0.0) for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True)]
+    ends += [(wall[:2], wall[2:4], 0.5 * float(wall[4])) for wall in interior_walls]
+    return [_line(a, b, reach) for a, b, reach in ends if np.hypot(*(b - a)) > _LEAST_M]
+
+
 def wall_openings(polygon: Array, interior_walls: Array, height: float, fillings: Sequence[Array]) -> tuple[tuple[float, ...], ...]:
     """Openings as rows x0, y0, x1, y1, bottom, top, depth [m] in the world frame, in the order of walls.
 
@@ -53,9 +74,7 @@ def wall_openings(polygon: Array, interior_walls: Array, height: float, fillings
     fillings: Points of every door and window, shape (m, 3) each. Depth is how far a filling reaches behind the inner face of an
     outer wall, and 0 for interior walls, which openings go through. Openings that overlap are one.
     """
-    ends = [(a, b, 0.0) for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True)]
-    ends += [(wall[:2], wall[2:4], 0.5 * float(wall[4])) for wall in interior_walls]
-    lines = [_line(a, b, reach) for a, b, reach in ends if np.hypot(*(b - a)) > _LEAST_M]
+    lines = wall_lines(polygon, interior_walls)
     rectangles: list[list[list[float]]] = [[] for _ in lines]
     for points in fillings:
         fits = [(fit, i) for i, line in enumerate(lines) if (fit := _fit(line, points, height)) is not None]
@@ -70,21 +89,21 @@ def wall_openings(polygon: Array, interior_walls: Array, height: float, fillings
     return tuple(rows)
 
 
-def _line(a: Array, b: Array, reach: float) -> _Line:
+def _line(a: Array, b: Array, reach: float) -> WallLine:
     length = float(np.hypot(*(b - a)))
     along = (b - a) / length
-    return _Line(np.asarray(a), along, np.array([-along[1], along[0]]), length, reach)
+    return WallLine(np.asarray(a), along, np.array([-along[1], along[0]]), length, reach)
 
 
-def _fit(line: _Line, points: Array, height: float) -> tuple[float, list[float]] | None:
-    """How far points lie from a wall's line, and of the opening that they fill the interval along the line, bottom, top and depth [m];
-    None where they fill none."""
+def interval_on(line: WallLine, points: Array, height: float, least: float = 0.05) -> Interval | None:
+    """Where points, shape (m, 3) [m], that fill an opening lie on a wall's line; None where they are of something else, or of less than
+    `least` [m]. height: of the room."""
     plan = points[:, :2] - line.start
     (low, front, bottom), (high, back, top) = np.percentile(
         np.column_stack([plan @ line.along, -(plan @ line.inward), points[:, 2]]), [1, 99], axis=0
     )
     width = high - low
-    if width < _LEAST_M or top - bottom < _LEAST_M or width < _FLATNESS * (back - front):
+    if width < least or top - bottom < least or width < _FLATNESS * (back - front):
         return None
     if line.reach and (front < -line.reach - _BEFORE_M or back > line.reach + _BEFORE_M):
         return None
@@ -92,13 +111,24 @@ def _fit(line: _Line, points: Array, height: float) -> tuple[float, list[float]]
         return None
     if min(high, line.length) - max(low, 0.0) < _IN_WALL_SHARE * width:
         return None
-    low, high = max(low - _FREE_M, 0.0), min(high + _FREE_M, line.length)
+    if bottom > height:  # of the room that it was found to have
+        return None
+    return Interval(abs(0.5 * float(front + back)), *map(float, (low, high, front, back, bottom, top)))
+
+
+def _fit(line: WallLine, points: Array, height: float) -> tuple[float, list[float]] | None:
+    """How far points lie from a wall's line, and of the opening that they fill the interval along the line, bottom, top and depth [m];
+    None where they fill none."""
+    seen = interval_on(line, points, height, _LEAST_M)
+    if seen is None:
+        return None
+    low, high, bottom, top = max(seen.low - _FREE_M, 0.0), min(seen.high + _FREE_M, line.length), seen.bottom, seen.top
     bottom = 0.0 if bottom < _TO_FLOOR_M else bottom - _FREE_M
     top = height if top + _FREE_M > height - _LINTEL_M else top + _FREE_M
     if top - bottom < _LEAST_M:  # over the height that the room was found to have
         return None
-    depth = 0.0 if line.reach else max(back, 0.0) + _FREE_M
-    return abs(0.5 * float(front + back)), [float(value) for value in (low, high, bottom, top, depth)]
+    depth = 0.0 if line.reach else max(seen.back, 0.0) + _FREE_M
+    return seen.off, [float(value) for value in (low, high, bottom, top, depth)]
 
 
 def _merged(rectangles: list[list[float]]) -> list[list[float]]:

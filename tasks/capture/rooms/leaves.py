@@ -1,0 +1,133 @@
+"""Doors and windows of which a scan saw a part: as large as the hole in the wall that they fill.
+
+Where wall is seen, no leaf or pane is. What was seen of one grows along its wall, up and down, until it meets wall, and as far as doors
+and windows usually reach where nothing of the wall was seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.capture.rooms.openings import WallLine, interval_on, wall_lines
+
+Array = NDArray[np.float64]
+
+NEAR_M = 0.15
+"""Points of walls this near to a wall's faces are its own [m]."""
+
+STEP_M = 0.05
+"""By so much a rectangle grows at once [m]."""
+
+RIM_M = 0.12
+"""Width of the rim around a rectangle that is looked at for wall [m]: the spacing of a coarse mesh's vertices."""
+
+CELL_M = 0.1
+"""Cells of a rim [m]."""
+
+WALL_SHARE = 0.34
+"""Of a rim's cells with wall in them, from which on the rectangle ends there."""
+
+DOOR_M, WINDOW_M = (0.88, 2.03), (0.9, 1.1)
+"""Usual widths and heights [m]: as far nothing that was not seen ends them."""
+
+WIDEST_DOOR_M, WIDEST_WINDOW_M = 1.0, 1.4
+"""Wider than this neither gets [m], unless more of it was seen: what lies beyond is wall that was not seen."""
+
+FARTHEST_M = 1.6
+"""Wall is looked for so far beside what was seen [m]."""
+
+NEAR_FLOOR_M = 0.3
+"""Doors begin at the floor, whatever skirting or threshold was called wall below this [m]."""
+
+DOOR_TOP_M, WINDOW_TOP_M = (1.95, 2.2), (1.9, 2.35)
+"""From where to where they end above [m]."""
+
+SILL_M = 1.15
+"""Windows begin no higher [m]; doors begin at the floor."""
+
+LEAST_GAIN_M = 0.08
+"""What grows by less was seen whole [m]."""
+
+
+def whole_leaves(
+    polygon: Array, interior_walls: Array, height: float, leaves: Sequence[Array], is_door: Sequence[bool], wall_points: Array
+) -> list[Array | None]:
+    """Corners of the box of every door and window with what was not seen of it [m], shape (8, 3); None where it was seen whole, or
+    fills no wall.
+
+    polygon: floor's corners, counter-clockwise, shape (n, 2). interior_walls: rows x0, y0, x1, y1, thickness, height, shape (k, 6).
+    height: of the room. leaves: points of each, shape (m, 3). wall_points: points that were seen of walls, shape (w, 3). [m]
+    """
+    lines = wall_lines(polygon, interior_walls)
+    return [_whole(points, door, lines, height, wall_points) for points, door in zip(leaves, is_door, strict=True)]
+
+
+def _whole(points: Array, is_door: bool, lines: Sequence[WallLine], height: float, wall_points: Array) -> Array | None:
+    fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height)) is not None]
+    if not fits:
+        return None
+    fit, which = min(fits)
+    line, seen = lines[which], np.array([fit.low, fit.high, fit.bottom, fit.top])
+    wall = np.column_stack([(wall_points[:, :2] - line.start) @ line.along, wall_points[:, 2]])
+    wall = wall[np.abs((wall_points[:, :2] - line.start) @ line.inward) < line.reach + NEAR_M]
+    grown = _grown(seen, is_door, line.length, height, wall)
+    if np.abs(grown - seen).max() < LEAST_GAIN_M:
+        return None
+    (front, back), (low, high, bottom, top) = (fit.front, fit.back), grown
+    return np.array(
+        [[*(line.start + s * line.along - d * line.inward), z] for s in (low, high) for d in (front, back) for z in (bottom, top)]
+    )
+
+
+def _grown(seen: Array, is_door: bool, length: float, height: float, wall: Array) -> Array:
+    """A rectangle low, high along a wall, bottom, top [m], grown until it meets points of the wall (along, height), shape (w, 2) [m]."""
+    most = np.array([max(seen[0] - FARTHEST_M, 0.0), min(seen[1] + FARTHEST_M, length), 0.0, (DOOR_TOP_M if is_door else WINDOW_TOP_M)[1]])
+    most[3] = min(most[3], height - 0.05)
+    hole, left = seen.copy(), [0, 1, 2, 3]
+    while left:
+        for side in tuple(left):
+            step = STEP_M if side % 2 else -STEP_M
+            if (most[side] - hole[side]) * step <= 0.0 or _is_wall(_rim(hole, side), wall):
+                left.remove(side)
+            else:
+                hole[side] += step
+    return _bounded(seen, hole, is_door, wall)
+
+
+def _bounded(seen: Array, hole: Array, is_door: bool, wall: Array) -> Array:
+    """The hole in the wall where wall was seen at its ends; where none was, no more of it than is usual around what was seen."""
+    usual, widest = (DOOR_M, WIDEST_DOOR_M) if is_door else (WINDOW_M, WIDEST_WINDOW_M)
+    ends = [_is_wall(_rim(hole, side), wall) for side in range(4)]
+    low, high, bottom, top = hole.tolist()
+    width = max(widest if all(ends[:2]) else usual[0], float(seen[1] - seen[0]))
+    if high - low > width:
+        at_low, at_high = ends[0] and not ends[1], ends[1] and not ends[0]
+        middle = float(np.clip(0.5 * (seen[0] + seen[1]), low + 0.5 * width, high - 0.5 * width))
+        low, high = (low, low + width) if at_low else (high - width, high) if at_high else (middle - 0.5 * width, middle + 0.5 * width)
+    if not ends[3]:
+        top = usual[1] if is_door else min(top, WINDOW_TOP_M[0] + 0.15)
+    if not ends[2] or (is_door and bottom < NEAR_FLOOR_M):
+        bottom = 0.0 if is_door else max(bottom, min(SILL_M, top - usual[1]))
+    return np.array([min(low, seen[0]), max(high, seen[1]), min(bottom, seen[2]), max(top, seen[3])])
+
+
+def _rim(rectangle: Array, side: int) -> Array:
+    """The strip along a side of a rectangle (low, high, bottom, top), outside of it [m]."""
+    low, high, bottom, top = rectangle
+    return np.array([
+        [low - RIM_M, low, bottom, top], [high, high + RIM_M, bottom, top],
+        [low, high, bottom - RIM_M, bottom], [low, high, top, top + RIM_M],
+    ][side])  # fmt: skip
+
+
+def _is_wall(rim: Array, wall: Array) -> bool:
+    """Whether wall, points (along, height) of shape (w, 2) [m], is in enough cells of a strip."""
+    low, high, bottom, top = rim
+    inside = wall[(wall[:, 0] >= low) & (wall[:, 0] <= high) & (wall[:, 1] >= bottom) & (wall[:, 1] <= top)]
+    is_upright = high - low < top - bottom
+    along = inside[:, 1] - bottom if is_upright else inside[:, 0] - low
+    cells = max(int(np.ceil(max(high - low, top - bottom) / CELL_M)), 1)
+    return len(np.unique(np.minimum(along / CELL_M, cells - 1).astype(np.int64))) >= WALL_SHARE * cells
