@@ -24,7 +24,7 @@ from tasks.stage import Context, Outcome, Stage
 __all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "completeness", "is_own_geometry", "run", "score_of"]
 
 PROVIDER = "geometric"
-PROVIDER_VERSION = "2"
+PROVIDER_VERSION = "3"
 
 LEAST_WITHIN = 0.3
 """A box that holds less than this share of its points is none to go by."""
@@ -218,7 +218,8 @@ def instance_frame(instance: Instance, context: Context, config: SelectionConfig
     within = (np.abs(local - [0.0, 0.0, 0.5 * extent[2]]) <= 0.5 * extent + config.beside_m).all(axis=1)
     if within.mean() >= LEAST_WITHIN:  # what lies farther off was annotated with it and is another object
         local, colors = local[within], colors[within]
-    return frame, make_target(local, colors, extent, config.alignment, context.rng("instance", instance.instance_id))
+    rng = context.rng("instance", instance.instance_id)
+    return frame, make_target(local, colors, extent, config.alignment, rng, instance.hidden_m)
 
 
 def _placed_iou(frame: np.ndarray, fit: Fit, sample: Sample, instance: Instance) -> float:

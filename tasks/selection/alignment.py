@@ -50,15 +50,33 @@ class AlignmentConfig(Config):
     truncation: float = 0.2  # of the diagonal: farther is wrong, however far
 
 
+HIDDEN_M = 0.05
+"""Farther than this beyond what a scan could see, nobody expects points [m]."""
+
+
 @dataclasses.dataclass(frozen=True)
 class ScannedInstance:
     """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
-    `spacing`: distance between neighboring points [m]."""
+    `spacing`: distance between neighboring points [m]; `seen`: lowest and highest corner of the part of the box that the scan could
+    see, shape (2, 3) [m]."""
 
     points: Array
     colors: NDArray[np.uint8]
     size: Array
     spacing: float
+    seen: Array = dataclasses.field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
+
+    @property
+    def is_cut_off(self) -> bool:
+        """Whether a part beside what was seen is hidden, so that only the box tells how wide it is."""
+        low, high = self.seen[:, :2]
+        return bool((low > HIDDEN_M - 0.5 * self.size[:2]).any() or (high < 0.5 * self.size[:2] - HIDDEN_M).any())
+
+    def weights(self, placed: Array, normals: Array, config: AlignmentConfig) -> Array:
+        """How much samples of a surface, with unit normals, shapes (m, 3), count where no point is near: little where none could be."""
+        low, high = self.seen
+        hidden = (normals[:, 2] < config.hidden_normal) | (placed < low - HIDDEN_M).any(axis=1) | (placed > high + HIDDEN_M).any(axis=1)
+        return np.where(hidden, config.hidden_weight, 1.0)
 
     @property
     def diagonal(self) -> float:
@@ -129,15 +147,22 @@ def sample_asset(asset: Asset, glb: bytes, config: AlignmentConfig, rng: np.rand
 
 
 def make_target(
-    points: Array, colors: NDArray[np.uint8], size: Array, config: AlignmentConfig, rng: np.random.Generator
-) -> ScannedInstance:
-    """An instance from its points in its own frame, shape (n, 3) [m]: thinned evenly, in random order."""
+    points: Array, colors: NDArray[np.uint8], size: Array, config: AlignmentConfig, rng: np.random.Generator,
+    hidden: Sequence[float] | None = None,
+) -> ScannedInstance:  # fmt: skip
+    """An instance from its points in its own frame, shape (n, 3) [m]: thinned evenly, in random order.
+
+    hidden: how much of the box the scan could not see on its sides -x, +x, -y, +y, -z, +z [m].
+    """
     order = rng.permutation(len(points))
     cell = max(float(np.linalg.norm(size)) / 40, 1e-3)
     cells = np.floor(points[order] / cell).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     thinned = points[order[np.sort(first)]][: config.points]
-    return ScannedInstance(thinned, colors, np.maximum(size, 5e-3), spacing(thinned))
+    size, lost = np.maximum(size, 5e-3), np.zeros(6) if hidden is None else np.asarray(hidden, dtype=np.float64)
+    low, high = np.array([-0.5 * size[0], -0.5 * size[1], 0.0]), np.array([0.5 * size[0], 0.5 * size[1], size[2]])
+    seen = np.array([np.where(lost[0::2] > 0, low + lost[0::2], -np.inf), np.where(lost[1::2] > 0, high - lost[1::2], np.inf)])
+    return ScannedInstance(thinned, colors, size, spacing(thinned), seen)
 
 
 def measure(target: ScannedInstance, sample: Sample, fit: Fit, threshold: float, config: AlignmentConfig) -> Distances:
@@ -147,7 +172,7 @@ def measure(target: ScannedInstance, sample: Sample, fit: Fit, threshold: float,
     _, back = nearest_indices(placed, target.points)
     back = np.maximum(back - target.spacing, 0.0)
     limit = config.truncation * target.diagonal
-    weights = np.where(normals[:, 2] < config.hidden_normal, config.hidden_weight, 1.0)
+    weights = target.weights(placed, normals, config)
     return Distances(
         scan=float(np.minimum(scan, limit).mean()),
         asset=_seen_mean(np.minimum(back, limit), weights, config.seen_share),
@@ -230,8 +255,9 @@ def _boxed(target: ScannedInstance, sample: Sample, yaw: float, config: Alignmen
     """The pose for a yaw whose box is the instance's box along the asset's axes, as far as the limits allow."""
     turn = _turn(yaw)[:2, :2]
     quarter = yaw / (np.pi / 2)
-    if abs(quarter - round(quarter)) < 1e-9:
-        size, center = np.abs(turn.T @ target.size[:2]), np.zeros(2)
+    if abs(quarter - round(quarter)) < 1e-9 or target.is_cut_off:
+        square = _turn(round(quarter) * np.pi / 2)[:2, :2]
+        size, center = np.abs(square.T @ target.size[:2]), np.zeros(2)
     else:
         local = target.points[:, :2] @ turn
         low, high = local.min(axis=0), local.max(axis=0)
@@ -249,7 +275,7 @@ def _coarse_costs(target: ScannedInstance, sample: Sample, fits: Sequence[Fit], 
     limit = config.truncation * target.diagonal
     costs = []
     for p in range(len(fits)):
-        weights = np.where(normals[p][:, 2] < config.hidden_normal, config.hidden_weight, 1.0)
+        weights = target.weights(placed[p], normals[p], config)
         seen = _seen_mean(np.minimum(back[p], limit), weights, config.seen_share)
         costs.append(float(np.minimum(np.maximum(out[p] - 0.5 * radii[p], 0.0), limit).mean()) + 0.5 * seen)
     return np.array(costs)

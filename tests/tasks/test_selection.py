@@ -489,3 +489,42 @@ def test_foreign_space_is_a_share_of_what_was_seen() -> None:
     assert foreign_share(np.zeros((0, 3)), 5, placed, normals) == 0.0
     many = np.tile(inside, (2000, 1))
     assert foreign_share(many, 4000, placed, normals) == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_what_is_known_to_reach_beyond_what_was_seen_keeps_its_size_and_place(seed: int, yaw: float) -> None:
+    """A corner of a door, whose wall says how large it is: the whole leaf fills the opening, it is not shrunk to its corner."""
+    rng = np.random.default_rng(seed)
+    room = Room()
+    leaf = [part((0.04, 1.0, 2.0), (0.0, 0.0, 1.0), (150, 110, 70))]
+    corner = rng.uniform([-0.02, -0.5, 0.0], [0.02, -0.26, 0.64], (400, 3))
+    corner[:, 0] = np.where(corner[:, 0] > 0, 0.02, -0.02) + rng.normal(0.0, 0.003, 400)
+    points = transform_points(corner, yaw_pose(yaw))
+    row = room.instance(points, np.full((400, 3), (150, 110, 70), dtype=np.uint8), yaw, "door")
+    beyond = 0.5 - corner[:, 1].max()
+    room.instances[0] = dataclasses.replace(row, hidden_m=(0.0, 0.0, 0.0, beyond, 0.0, 2.0 - float(np.ptp(corner[:, 2]))))
+    room.candidate(room.instances[0], 1, room.asset(leaf, "door"))
+    ((chosen,), _) = room.select()
+    assert np.allclose(chosen.scale[1:], 1.0, atol=0.05)
+    center = transform_points([np.reshape(chosen.pose, (4, 4))[:3, 3]], yaw_pose(-yaw))[0]
+    assert np.abs(center[:2]).max() < 0.11, "no farther than shifts within a tenth of its side"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_legs_that_the_scan_lost_are_held_against_no_chair(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = Room()
+    seat = [part((0.45, 0.45, 0.05), (0, 0, 0.44)), part((0.05, 0.45, 0.4), (-0.2, 0, 0.66))]
+    legs = [part((0.04, 0.04, 0.42), (x, y, 0.21)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    slab = [part((0.45, 0.45, 0.86), (0, 0, 0.43))]
+    points, colors = scan(seat, np.eye(4), (1.0, 1.0, 1.0), rng)
+    row = room.instance(points + [0.0, 0.0, 0.415], colors, 0.0, "chair")
+    low = float(np.reshape(row.box_pose, (4, 4))[2, 3]) - 0.5 * row.box_size[2]
+    room.instances[0] = dataclasses.replace(row, hidden_m=(0.0, 0.0, 0.0, 0.0, low, 0.0))
+    whole, block = room.asset([*seat, *legs], "chair"), room.asset(slab, "block")
+    for slot, asset in enumerate((block, whole), start=1):
+        room.candidate(room.instances[0], slot, asset)
+    rows, _ = room.select()
+    best = min(rows, key=lambda r: r.rank)
+    assert best.asset_id == whole
