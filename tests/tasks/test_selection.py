@@ -519,7 +519,7 @@ def test_legs_that_the_scan_lost_are_held_against_no_chair(seed: int) -> None:
     legs = [part((0.04, 0.04, 0.42), (x, y, 0.21)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
     slab = [part((0.45, 0.45, 0.86), (0, 0, 0.43))]
     points, colors = scan(seat, np.eye(4), (1.0, 1.0, 1.0), rng)
-    row = room.instance(points + [0.0, 0.0, 0.415], colors, 0.0, "chair")
+    row = room.instance(points + np.array([0.0, 0.0, 0.415]), colors, 0.0, "chair")
     low = float(np.reshape(row.box_pose, (4, 4))[2, 3]) - 0.5 * row.box_size[2]
     room.instances[0] = dataclasses.replace(row, hidden_m=(0.0, 0.0, 0.0, 0.0, low, 0.0))
     whole, block = room.asset([*seat, *legs], "chair"), room.asset(slab, "block")
