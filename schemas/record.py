@@ -44,6 +44,7 @@ class Column:
     pattern: str
     length: int | None
     blob: bool
+    earlier: int | None
 
     @property
     def comment(self) -> str:
@@ -127,8 +128,12 @@ def column(
     pattern: str = "",
     length: int | None = None,
     blob: bool = False,
+    earlier: int | None = None,
 ) -> Any:
-    """A field of a record. A field typed ``X | None`` may be missing; all others must be there."""
+    """A field of a record. A field typed ``X | None`` may be missing; all others must be there.
+
+    `earlier` is what rows have that are older than the field.
+    """
     return dataclasses.field(
         metadata={
             "description": description,
@@ -140,6 +145,7 @@ def column(
             "pattern": pattern or (BLOB_PATTERN if blob else ""),
             "length": length,
             "blob": blob,
+            "earlier": earlier,
         }
     )
 

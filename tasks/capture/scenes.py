@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from schemas.capture import Frame, Instance, Mask, Room, Scene
+from schemas.capture import Frame, Instance, Mask, Scene, Shell
 from schemas.errors import InputError
 from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
 from tasks.capture.files.images import encode_jpeg
@@ -25,7 +25,8 @@ from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment, align
 from tasks.capture.rooms.openings import wall_openings
-from tasks.capture.rooms.room import estimate_room, floor_points, inferred_room_type
+from tasks.capture.rooms.room import estimate_room, floor_points
+from tasks.capture.rooms.rows import parted
 from tasks.capture.scan import Scan
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
@@ -57,7 +58,7 @@ class CaptureConfig(Config):
 
 
 def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
-    """Rows of `scenes`, `rooms`, `frames`, `instances` and `masks` of one scan.
+    """Rows of `scenes`, `shells`, `rooms`, `frames`, `instances` and `masks` of one scan.
 
     Raises:
         InputError: a file of the scan cannot be used; names the file and the field.
@@ -94,9 +95,10 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config)
     cloud = _cloud(reading, world, groups, context)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
-    room = _room(context, reading, cloud, classes, meanings, solids, notes)
+    shell = _shell(context, reading, cloud, classes, meanings, solids, notes)
     if not format.is_modelled:
-        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], room)
+        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell)
+    shell, rooms, rows = parted(shell, rows, reading.room_type)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
@@ -118,8 +120,9 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     )
     frames = [_frame_row(frame, context.scene_id, alignment) for frame in reading.frames]
     return Outcome(
-        scenes=[scene], rooms=[room], frames=frames, instances=rows, masks=masks, blobs=blobs, degradations=[*notes, *mesh_notes]
-    )
+        scenes=[scene], shells=[shell], rooms=rooms, frames=frames, instances=rows, masks=masks, blobs=blobs,
+        degradations=[*notes, *mesh_notes],
+    )  # fmt: skip
 
 
 def read_scan(scan: Scan) -> Reading:
@@ -241,19 +244,18 @@ def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: C
     return sampled_cloud(world, face_instance, context.rng("room"))
 
 
-def _room(
+def _shell(
     context: Context, reading: Reading, cloud: Cloud, classes: NDArray[np.int64], meanings: Sequence[Label],
     solids: Sequence[InstancePoints], notes: list[str],
-) -> Room:  # fmt: skip
+) -> Shell:  # fmt: skip
     shape = estimate_room(cloud, classes)
     notes += shape.notes
     if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
         notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
-    kind = reading.room_type or inferred_room_type(label.category for label in meanings)
     fillings = [solid.points for solid, label in zip(solids, meanings, strict=True) if label.nyu40_id in (DOOR, WINDOW)]
     openings = wall_openings(shape.polygon, shape.interior_walls, shape.height, fillings)
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
-    return shape.row(context.scene_id, kind, parts, openings)
+    return shape.row(context.scene_id, parts, openings)
 
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:

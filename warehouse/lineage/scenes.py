@@ -9,7 +9,7 @@ from typing import Any
 from schemas.annotation import Annotation
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
-from schemas.capture import Frame, Instance, Mask, Room, Scene
+from schemas.capture import Frame, Instance, Mask, Scene, Shell
 from schemas.exports import ExportFile
 from schemas.fidelity import SceneFidelity
 from schemas.navigation import Episode, Navmesh, UnreachableTarget
@@ -156,7 +156,7 @@ def _count(values: Iterable[Any]) -> dict[str, int]:
 
 
 def _capture(walk: Walk, scene_id: str) -> dict[str, Any]:
-    room = walk.row(Room, scene_id)
+    room = walk.row(Shell, scene_id)
     instances = walk.rows(Instance, scene_id)
     return {
         "instances": len(instances), "structure": sum(row.is_structure for row in instances), "frames": len(walk.rows(Frame, scene_id)),

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Instance, Room
+from schemas.capture import Instance, Shell
 from tasks.geometry.boxes import grown_box
 from tasks.geometry.transforms import inverse, matrix, transform_points
 from tasks.mounting import Mounting, mounting
@@ -59,7 +59,7 @@ class _Seen:
     floor: Array
 
 
-def with_hidden_parts(rows: Sequence[Instance], points: Sequence[Array], floor: Array, room: Room) -> list[Instance]:
+def with_hidden_parts(rows: Sequence[Instance], points: Sequence[Array], floor: Array, room: Shell) -> list[Instance]:
     """The rows of a scan, `hidden_m` filled in. points: of each [m], shape (n, 3). floor: points of the floor that was seen [m],
     shape (m, 2)."""
     movable = [i for i, row in enumerate(rows) if not row.is_structure]

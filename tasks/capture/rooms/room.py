@@ -1,4 +1,4 @@
-"""The room of a scene: floor polygon, walls and height, estimated from its points."""
+"""The shell of a scene: outline of its rooms, walls and height, estimated from its points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.capture.cloud import Cloud
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label
 from tasks.capture.rooms.partitions import interior_walls
@@ -63,13 +63,14 @@ class RoomShape:
     notes: tuple[str, ...]
 
     def row(
-        self, scene_id: str, room_type: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
+        self, scene_id: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
         openings: tuple[tuple[float, ...], ...] | None = None,
-    ) -> Room:  # fmt: skip
-        """The row of `rooms` for this shape. parts: Colors, shape (n, 3), and label of what tells the colors of floor and walls."""
-        return Room(
+    ) -> Shell:  # fmt: skip
+        """The row of `shells` for this shape, of unknown kind. parts: Colors, shape (n, 3), and label of what tells the colors of floor
+        and walls."""
+        return Shell(
             scene_id=scene_id,
-            room_type=room_type,
+            room_type="unknown",
             floor_polygon=tuple((float(x), float(y)) for x, y in self.polygon),
             floor_area_m2=self.area,
             floor_source=self.floor_source,

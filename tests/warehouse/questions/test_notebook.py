@@ -17,7 +17,7 @@ import pytest
 
 from bench.warehouse.generator import generated_lake
 from schemas.candidates import Candidate
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.navigation import Navmesh
 from schemas.optimization import Certificate, Contact, Placement
 from schemas.runs import StageRun
@@ -96,7 +96,7 @@ def test_what_is_said_agrees_with_the_rows(lake: Lake, run: Any) -> None:
         assert np.isclose(low, min(q1, volumes[volumes >= q1 - reach].min()))
         assert np.isclose(high, max(q3, volumes[volumes <= q3 + reach].max()))
 
-    types = {row.scene_id: row.room_type for row in reader.rows(Room)}
+    types = {row.scene_id: row.room_type for row in reader.rows(Shell)}
     standing = Counter((types[row.scene_id], row.category) for row in objects if row.category in [name for name, _ in counted[:15]])
     assert {(room, name): count for room, name, count in zip(*found["standing"].values(), strict=True)} == standing
     assert found["rooms_by_category"].sum() == standing.total()
@@ -129,7 +129,7 @@ def test_times_wins_and_outcomes_agree_with_the_rows(lake: Lake, run: Any) -> No
     assert found["stable"]["free"][mine] == sum((row.scene_id, row.instance_id) in placed for row in verdicts)
     assert 0 < found["stable"]["within_1cm"][mine] <= found["stable"]["within_5cm"][mine] <= 1
 
-    floors = {row.scene_id: row.floor_area_m2 for row in reader.rows(Room)}
+    floors = {row.scene_id: row.floor_area_m2 for row in reader.rows(Shell)}
     areas = {(row.scene_id, row.agent): row.area_m2 / floors[row.scene_id] for row in reader.rows(Navmesh)}
     shares = {(scene, agent): share for scene, agent, share, _ in zip(*found["reach"].values(), strict=True)}
     assert shares.keys() == areas.keys()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.optimization import Placement
 from tests.samples import sample
 from tests.warehouse.questions.view_answers import (
@@ -39,7 +39,7 @@ def database() -> Iterator[Database]:
 @given(rows=scenes())
 def test_objects_and_categories_per_scene(database: Database, rows: list[Any]) -> None:
     database.fill(*rows)
-    objects, rooms = objects_of(rows), {row.scene_id: row for row in of(rows, Room)}
+    objects, rooms = objects_of(rows), {row.scene_id: row for row in of(rows, Shell)}
     counted, categories = by_key(database.ask("objects_per_scene"), "scene_id"), by_key(database.ask("categories_per_scene"), "scene_id")
     assert counted.keys() == categories.keys() == objects.keys()
     for scene, held in objects.items():

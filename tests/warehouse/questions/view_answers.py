@@ -13,7 +13,7 @@ import pyarrow as pa
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.record import rows_to_arrow, table_of
 from schemas.runs import StageRun
 from schemas.tables import TABLES
@@ -94,7 +94,7 @@ def scenes(draw: st.DrawFn) -> list[Any]:
     for scene in draw(st.lists(st.sampled_from(SCENES), unique=True)):
         rows.append(sample(Scene, scene_id=scene, room_id=scene.rsplit("_", 1)[0], license=draw(st.sampled_from([None, "CC-BY-4.0"]))))
         if draw(st.booleans()):
-            rows.append(sample(Room, scene_id=scene, room_type=draw(st.sampled_from(["office", "kitchen"])), floor_area_m2=draw(EXACT)))
+            rows.append(sample(Shell, scene_id=scene, room_type=draw(st.sampled_from(["office", "kitchen"])), floor_area_m2=draw(EXACT)))
         count = draw(st.integers(0, 12))
         for number in range(count):
             category = draw(st.sampled_from(CATEGORIES))
