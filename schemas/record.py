@@ -101,6 +101,11 @@ class Table:
         return tuple(c.name for c in self.columns if c.blob)
 
     @property
+    def earlier(self) -> dict[str, int]:
+        """What rows have in columns that they are older than, by column; in others they miss it."""
+        return {c.name: c.earlier for c in self.columns if c.earlier is not None}
+
+    @property
     def arrow_schema(self) -> pa.Schema:
         """The Arrow schema; descriptions and units are field metadata."""
         return pa.schema(

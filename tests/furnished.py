@@ -11,7 +11,7 @@ import trimesh
 
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
-from schemas.capture import Instance, Scene, Shell
+from schemas.capture import Instance, Room, Scene, Shell
 from schemas.exports import ExportCheck, ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.fidelity import Fidelity, SceneFidelity
@@ -94,7 +94,8 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
     outputs: dict[str, dict[str, list[Any]]] = {
         "capture": {
             "scenes": [sample(Scene, scene_id=scene_id, room_id=scene_id, mesh_blob=blob, instance_count=objects + 1)],
-            "shells": [room], "frames": [], "instances": [*rows["instances"], floor], "masks": [],
+            "shells": [room], "rooms": [sample(Room, scene_id=scene_id, room_index=0, room_type="office", floor_polygon=room.floor_polygon)],
+            "frames": [], "instances": [*rows["instances"], floor], "masks": [],
         },
         "captions": {"captions": rows["captions"]},
         "candidates": {"candidates": rows["candidates"], "assets": rows["assets"]},

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Scene, Shell
+from schemas.capture import Instance, Room, Scene, Shell
 from schemas.fidelity import SceneFidelity
 from schemas.optimization import Certificate, Optimization, Placement, Support
 from tasks.geometry.rendering import RayScene
@@ -31,6 +31,7 @@ class BenchReplica:
 
     scene: Scene
     room: Shell | None
+    rooms: list[Room]
     instances: dict[str, Instance]
     placements: dict[str, Placement]
     supports: dict[str, Support]
@@ -73,6 +74,7 @@ def replica_of(lake: Lake, scene_id: str) -> BenchReplica:
     return BenchReplica(
         scene=reader.rows(Scene, scene_id)[0],
         room=shells[0] if shells else None,
+        rooms=reader.rows(Room, scene_id),
         instances={row.instance_id: row for row in reader.rows(Instance, scene_id)},
         placements=placements,
         supports={row.instance_id: row for row in reader.rows(Support, scene_id)},

@@ -27,6 +27,7 @@ from tasks.capture.rooms.alignment import Alignment, align
 from tasks.capture.rooms.openings import wall_openings
 from tasks.capture.rooms.room import estimate_room, floor_points
 from tasks.capture.rooms.rows import parted
+from tasks.capture.rooms.separation import Seen
 from tasks.capture.scan import Scan
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
@@ -95,10 +96,10 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config)
     cloud = _cloud(reading, world, groups, context)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
-    shell = _shell(context, reading, cloud, classes, meanings, solids, notes)
+    shell, is_seen = _shell(context, reading, cloud, classes, meanings, solids, notes)
     if not format.is_modelled:
         rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell)
-    shell, rooms, rows = parted(shell, rows, reading.room_type)
+    shell, rooms, rows = parted(shell, rows, reading.room_type, is_seen)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
@@ -247,7 +248,7 @@ def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: C
 def _shell(
     context: Context, reading: Reading, cloud: Cloud, classes: NDArray[np.int64], meanings: Sequence[Label],
     solids: Sequence[InstancePoints], notes: list[str],
-) -> Shell:  # fmt: skip
+) -> tuple[Shell, Seen | None]:  # fmt: skip
     shape = estimate_room(cloud, classes)
     notes += shape.notes
     if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
@@ -255,7 +256,7 @@ def _shell(
     fillings = [solid.points for solid, label in zip(solids, meanings, strict=True) if label.nyu40_id in (DOOR, WINDOW)]
     openings = wall_openings(shape.polygon, shape.interior_walls, shape.height, fillings)
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
-    return shape.row(context.scene_id, parts, openings)
+    return shape.row(context.scene_id, parts, openings), shape.is_seen
 
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:

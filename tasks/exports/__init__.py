@@ -29,9 +29,8 @@ __all__ = ["STAGE", "ExportsConfig", "HabitatConfig", "MjcfConfig", "PieceConfig
 
 def run(
     *, scenes: Sequence[Scene], shells: Sequence[Shell], instances: Sequence[Instance], captions: Sequence[Caption],
-    assets: Sequence[Asset],
-    placements: Sequence[Placement], supports: Sequence[Support], navmeshes: Sequence[Navmesh], episodes: Sequence[Episode],
-    context: Context, config: ExportsConfig,
+    assets: Sequence[Asset], placements: Sequence[Placement], supports: Sequence[Support], navmeshes: Sequence[Navmesh],
+    episodes: Sequence[Episode], context: Context, config: ExportsConfig,
 ) -> Outcome:  # fmt: skip
     """Export one scene in every format of `config.formats`, and check what came out.
 

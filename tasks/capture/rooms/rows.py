@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from schemas.capture import Instance, Room, Shell
 from tasks.capture.rooms.room import inferred_room_type
-from tasks.capture.rooms.separation import corners_of, separated
+from tasks.capture.rooms.separation import Seen, corners_of, separated
 from tasks.geometry.transforms import matrix
 
 SEVERAL = "dwelling"
@@ -20,12 +20,15 @@ NEAR_M = 0.5
 """Doors and windows lie in walls, not in rooms: what is farther from a room than a thick wall with its reveal is outside."""
 
 
-def parted(shell: Shell, instances: Sequence[Instance], stated: str) -> tuple[Shell, list[Room], list[Instance]]:
-    """A scene's rooms, and its shell and instances with what follows from them. stated: kind that the scan states, empty for none.
+def parted(
+    shell: Shell, instances: Sequence[Instance], stated: str, is_seen: Seen | None = None
+) -> tuple[Shell, list[Room], list[Instance]]:
+    """A scene's rooms, and its shell and instances with what follows from them.
 
-    Where there is one room, what is stated is its kind; of several, each is what stands in it.
+    stated: kind that the scan states, empty for none: that of the room where there is one, else that of the whole; each of several
+    rooms is what stands in it. is_seen: where anything but walls was seen, of places shape (m, 2) [m], if that is known.
     """
-    floors = [corners_of(room) for room in separated(np.array(shell.floor_polygon), shell.interior_walls).rooms]
+    floors = [corners_of(room) for room in separated(np.array(shell.floor_polygon), shell.interior_walls, is_seen).rooms]
     placed = [dataclasses.replace(row, room_index=room_of_instance(row, floors)) for row in instances]
     is_one = len(floors) == 1
     rooms = []

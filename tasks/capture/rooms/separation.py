@@ -1,13 +1,14 @@
 """Rooms of a dwelling: what its walls part of its floor plan once doorways are closed.
 
-A doorway is an opening in an interior wall, or a gap: between a wall's end and what it would meet, were it longer. Gaps that
-part nothing are floor again.
+A doorway is an opening in an interior wall, or a gap: between a wall's end and what it would meet, were it longer. A wall that
+furniture hides goes on where neither floor nor furniture is seen in its line, but on both of its sides. Gaps that part nothing are
+floor again.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +29,18 @@ WIDE_GAP_M = 2.0
 
 CORNER_GAP_M = 1.0
 """The same where the wall turns at that end: between a corner and a wall lies the neck of an L as often as a door, and it is wider."""
+
+HIDDEN_M = 5.0
+"""So far a hidden wall is followed; in its line no more than `WIDE_GAP_M` may be open."""
+
+_LEAST_HIDDEN_M = 0.3
+"""Less than this unseen is no hidden wall, but a leg or the shade of one."""
+
+_BESIDE_M = 0.3
+"""Beside a hidden wall something is seen this near to its center line."""
+
+_STEP_M, _SMEAR_M = 0.025, 0.1
+"""Step along a hidden wall, and how far what is seen counts along it: vertices of a coarse mesh are as far apart."""
 
 PARTING_M = 1.6
 """Walls that are lower part no rooms: one looks over them."""
@@ -51,17 +64,22 @@ _CUT_M = 0.001
 """Width of the cut that leads from a room around other rooms to its outside, so that its floor is one ring of corners."""
 
 
+Seen = Callable[[Array], NDArray[np.bool_]]
+
+
 @dataclasses.dataclass(frozen=True)
 class Separation:
-    """rooms: floors without holes, the largest first, disjoint. closed: what was closed, walls and the doorways that part rooms."""
+    """rooms: floors without holes, the largest first, disjoint. doorways: what of the outline was closed beside walls. What is neither
+    room nor wall nor doorway is parts too small for a room."""
 
     rooms: tuple[Polygon, ...]
-    closed: Geometry
+    doorways: Geometry
 
 
-def separated(outline: Array, interior_walls: Sequence[Sequence[float]]) -> Separation:
+def separated(outline: Array, interior_walls: Sequence[Sequence[float]], is_seen: Seen | None = None) -> Separation:
     """The rooms of an outline, corners in the world frame [m], shape (n, 2), with interior walls x0, y0, x1, y1, thickness, height [m].
 
+    is_seen: where anything but walls was seen, of places shape (m, 2) [m]; None where nobody knows, then no wall is taken for hidden.
     There is one room at least: where no part has `LEAST_ROOM_M2`, it is the outline.
     """
     import shapely
@@ -72,7 +90,7 @@ def separated(outline: Array, interior_walls: Sequence[Sequence[float]]) -> Sepa
     walls = [_slab(row) for row in interior_walls if row[5] >= PARTING_M and np.hypot(row[2] - row[0], row[3] - row[1]) > 1e-3]
     if not walls:
         return Separation((_turned(whole),), shapely.Polygon())
-    gaps = _gaps(whole, walls)
+    gaps = _gaps(whole, walls, is_seen)
     around = whole.buffer(0.5, join_style="mitre").difference(whole)
     solid = shapely.union_all([around, *(wall.polygon() for wall in walls), *gaps])
     solid = solid.buffer(_SLIT_M, join_style="mitre").buffer(-_SLIT_M, join_style="mitre")
@@ -82,7 +100,7 @@ def separated(outline: Array, interior_walls: Sequence[Sequence[float]]) -> Sepa
         return Separation((_turned(whole),), shapely.Polygon())
     floors = _with_niches(floors, [part for part in parts if part.area < LEAST_ROOM_M2], whole.intersection(shapely.union_all(gaps)))
     rooms = sorted((_without_holes(floor, floors) for floor in floors), key=_rank)
-    return Separation(tuple(rooms), whole.difference(shapely.union_all(floors)))
+    return Separation(tuple(rooms), whole.intersection(shapely.union_all(gaps)).difference(shapely.union_all(floors)))
 
 
 def corners_of(room: Polygon) -> Array:
@@ -109,7 +127,7 @@ def _rank(room: Polygon) -> tuple[float, float, float]:
     return (-round(float(room.area), 3), float(room.centroid.x), float(room.centroid.y))
 
 
-def _gaps(outline: Polygon, walls: Sequence[Slab]) -> list[Polygon]:
+def _gaps(outline: Polygon, walls: Sequence[Slab], is_seen: Seen | None) -> list[Polygon]:
     """What closes the gaps at the ends of walls, as thick as the wall."""
     gaps = []
     turns = [(_turns(index, wall.start, walls), _turns(index, wall.end, walls)) for index, wall in enumerate(walls)]
@@ -123,9 +141,26 @@ def _gaps(outline: Polygon, walls: Sequence[Slab]) -> list[Polygon]:
                     goes_on = _goes_on(end, way, other, is_corner, turns[k])
                     borders.append((other.polygon(), WIDE_GAP_M if goes_on else limit))
             reach = _reach(end, way, wall.thickness, borders)
+            if reach is None and is_seen is not None:
+                far = _reach(end, way, wall.thickness, [(border, HIDDEN_M) for border, _ in borders])
+                reach = far if far is not None and _is_hidden(end, way, far, is_seen) else None
             if reach is not None:
                 gaps.append(Slab(end - _SLIT_M * way, end + (reach + _SLIT_M) * way, wall.thickness, wall.height).polygon())
     return gaps
+
+
+def _is_hidden(end: Array, way: Array, length: float, is_seen: Seen) -> bool:
+    """Whether a wall goes on over a length beyond its end [m], hidden, with a doorway at most."""
+    from scipy.ndimage import binary_dilation
+
+    side = np.array([-way[1], way[0]])
+    at = np.arange(0.5 * _STEP_M, length, _STEP_M)
+    line = end + at[:, None] * way
+    shifts = np.arange(_STEP_M, _BESIDE_M, 2 * _STEP_M)
+    beside = [np.any([is_seen(line + sign * shift * side) for shift in shifts], axis=0) for sign in (-1.0, 1.0)]
+    smear = np.ones(2 * round(_SMEAR_M / _STEP_M) + 1, dtype=np.bool_)
+    hidden = ~binary_dilation(is_seen(line), smear) & beside[0] & beside[1]
+    return bool(hidden.sum() * _STEP_M >= _LEAST_HIDDEN_M and (~hidden).sum() * _STEP_M <= WIDE_GAP_M)
 
 
 def _turns(index: int, end: Array, walls: Sequence[Slab]) -> bool:

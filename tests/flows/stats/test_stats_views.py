@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from flows.stats import queries
 from flows.stats.queries import ShownScenes, report_queries
-from schemas.capture import Instance, Scene, Shell
+from schemas.capture import Instance, Room, Scene
 from schemas.releases import Release
 from tests.samples import START, fingerprint, sample, stage_run
 from tests.warehouse.questions.view_answers import Database
@@ -42,7 +42,7 @@ OBJECTS = st.lists(
 @quick
 def test_categories_by_room_type(database: Database, objects: list[tuple[str, str, bool]], types: dict[str, str]) -> None:
     rows: list[Any] = [sample(Scene, scene_id=f"demo/{scene}") for scene in "abc"]
-    rows += [sample(Shell, scene_id=f"demo/{scene}", room_type=kind) for scene, kind in types.items()]
+    rows += [sample(Room, scene_id=f"demo/{scene}", room_index=0, room_type=kind) for scene, kind in types.items()]
     counts: Counter[tuple[str, str]] = Counter()
     scenes: dict[tuple[str, str], set[str]] = defaultdict(set)
     for number, (scene, category, is_structure) in enumerate(objects):
