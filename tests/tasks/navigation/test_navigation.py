@@ -203,7 +203,7 @@ def test_rows_that_do_not_fit_together_are_refused() -> None:
         run(**{**tables, "assets": []}, context=context, config=CONFIG)
     with pytest.raises(InputError, match="placement 0001: its instance is not in instances"):
         run(**{**tables, "instances": tables["instances"][1:]}, context=context, config=CONFIG)
-    with pytest.raises(InputError, match="rooms: has no row"):
+    with pytest.raises(InputError, match="shells: has no row"):
         run(**{**tables, "shells": []}, context=context, config=CONFIG)
     with pytest.raises(ValueError, match="turn_degrees: 50"):
         NavigationConfig(turn_degrees=50)
