@@ -94,7 +94,8 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
     outputs: dict[str, dict[str, list[Any]]] = {
         "capture": {
             "scenes": [sample(Scene, scene_id=scene_id, room_id=scene_id, mesh_blob=blob, instance_count=objects + 1)],
-            "shells": [room], "rooms": [sample(Room, scene_id=scene_id, room_index=0, room_type="office", floor_polygon=room.floor_polygon)],
+            "shells": [room],
+            "rooms": [sample(Room, scene_id=scene_id, room_index=0, room_type="office", floor_polygon=room.floor_polygon)],
             "frames": [], "instances": [*rows["instances"], floor], "masks": [],
         },
         "captions": {"captions": rows["captions"]},
