@@ -176,12 +176,12 @@ def shared_floors(truth: DwellingTruth, rooms: Sequence[Room], moved: Array) -> 
     of the truth to the replica's world, 4x4 [m]."""
     import shapely
 
-    found = [shapely.Polygon(room.floor_polygon) for room in rooms]
+    own_floors = [shapely.Polygon(room.floor_polygon) for room in rooms]
     shares = []
     for room in truth.rooms:
         corners = np.column_stack([np.array(room.polygon), np.zeros(len(room.polygon))])
         floor = shapely.Polygon((corners @ moved[:3, :3].T + moved[:3, 3])[:, :2])
-        shares.append(max((float(floor.intersection(own).area / floor.union(own).area) for own in found), default=0.0))
+        shares.append(max((float(floor.intersection(own).area / floor.union(own).area) for own in own_floors), default=0.0))
     return shares
 
 

@@ -370,8 +370,8 @@ def _value(name: str, before: str | None, earlier: int | None = None) -> Any:
     """A column of data files, some of which may have it under an old name, or be `earlier` than it, as Arrow's expression."""
     from pyarrow.compute import coalesce, field, scalar
 
-    others = [*([] if before is None else [field(before)]), *([] if earlier is None else [scalar(earlier)])]
-    return coalesce(field(name), *others) if others else field(name)
+    instead = [*([] if before is None else [field(before)]), *([] if earlier is None else [scalar(earlier)])]
+    return coalesce(field(name), *instead) if instead else field(name)
 
 
 def _row_groups(fragment: Any, wanted: Mapping[str, Sequence[str]]) -> Any:
