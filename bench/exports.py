@@ -172,7 +172,7 @@ def _model(format_: str, root: Path) -> Any:
 
 def _replica(rows: Mapping[str, list[Any]], blobs: Mapping[str, bytes], config: ExportsConfig, caches: Any) -> Replica:
     """The replica that the exports are made of."""
-    tables = ("scenes", "rooms", "instances", "captions", "assets", "placements", "supports")
+    tables = ("scenes", "shells", "instances", "captions", "assets", "placements", "supports")
     return gather(*(rows[table] for table in tables), blobs, config, caches["tasks.geometry.pieces"])[0]  # type: ignore[call-arg, arg-type]
 
 

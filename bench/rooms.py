@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bench.perturbation import SHARES, Disturbance, Kind, PerturbedObject, disturb
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room
+from schemas.capture import Instance, Shell
 from schemas.selection import Selection
 from tasks import captions
 from tasks.capture.rooms.openings import wall_openings
@@ -155,14 +155,14 @@ def disturbed_scene(
     context = Context(scene_id, "captions", 0, blobs)
     described = captions.run(instances=instances, context=context, config=captions.CaptionsConfig())
     rows: dict[str, list[Any]] = {
-        "instances": instances, "selections": selections, "rooms": [room], "captions": described.rows["captions"],
+        "instances": instances, "selections": selections, "shells": [room], "captions": described.rows["captions"],
         "assets": [assets[key] for key in sorted(assets)], "annotations": [],
     }  # fmt: skip
     carried = {obj.name: Carried(obj.relation, obj.parent) for obj in objects}
     return BenchScene(scene_id, rows, blobs, carried, {obj.name: obj.pose for obj in objects}, tuple(done))
 
 
-def _room_row(scene_id: str, furnished: FurnishedRoom) -> Room:
+def _room_row(scene_id: str, furnished: FurnishedRoom) -> Shell:
     from shapely.geometry import Polygon
 
     corners = [(float(x), float(y)) for x, y in furnished.polygon]
@@ -171,7 +171,7 @@ def _room_row(scene_id: str, furnished: FurnishedRoom) -> Room:
         for item in furnished.objects
         if mounting(item.category).kind == "let_in"
     ]
-    return Room(
+    return Shell(
         scene_id=scene_id, room_type=furnished.room_type, floor_polygon=tuple(corners), floor_area_m2=float(Polygon(corners).area),
         floor_source="surface", walls=tuple((*a, *b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)),
         interior_walls=(), openings=wall_openings(np.array(corners), np.zeros((0, 6)), furnished.height, fillings),
@@ -198,7 +198,7 @@ def _instance(
     placed = points @ pose[:3, :3].T + pose[:3, 3]
     return Instance(
         scene_id=scene_id, instance_id=name, source_id=name, raw_label=category, category=category, nyu40_id=0, nyu40_label="unlabeled",
-        is_structure=False, box_pose=flat(pose @ translation([0.0, 0.0, 0.5 * extents[2]])), box_size=extents,
+        is_structure=False, room_index=None, box_pose=flat(pose @ translation([0.0, 0.0, 0.5 * extents[2]])), box_size=extents,
         box_volume_m3=float(np.prod(extents)), point_count=POINTS, points_blob=blobs.add(dump_points(placed, colors), "ply"),
         hidden_m=None,
         mesh_blob=None, view_blob=None, best_frames=(),

@@ -225,6 +225,20 @@ def _(BLUE, ask, chart):
 
 
 @app.cell
+def _(ask, chart):
+    # 11. How large are the rooms of each kind, and how full?
+    parted = ask("SELECT scene_id, room_index, room_type, floor_area_m2, objects FROM room_overview ORDER BY scene_id, room_index")
+    _figure, _axes = chart("How large are the rooms of each kind, and how full?", "floor [m2]", "objects")
+    for _kind in sorted(set(parted["room_type"])):
+        _own = [index for index, kind in enumerate(parted["room_type"]) if kind == _kind]
+        _axes.plot(*([parted[name][index] for index in _own] for name in ("floor_area_m2", "objects")), "o", alpha=0.7, label=_kind)
+    if parted["room_type"]:
+        _axes.legend(frameon=False, fontsize=7)
+    _figure
+    return (parted,)
+
+
+@app.cell
 def _(mo):
     mo.md(
         """

@@ -49,31 +49,34 @@ class Scene:
     license: str | None = column("Licence of the scan, when its folder states one")
 
 
-@record("rooms", key=("scene_id",), stage="capture")
-class Room:
-    """The room of a scene, estimated from its scan: floor polygon, walls, height."""
+@record("shells", key=("scene_id",), stage="capture")
+class Shell:
+    """What encloses a scene, all its rooms together, estimated from its scan: outline, walls, openings, height."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
-    room_type: str = column("Kind of room (bedroom, office, ...), 'unknown' when neither stated nor inferred")
-    floor_polygon: tuple[tuple[float, ...], ...] = column(
-        "Corners of the floor in the world frame, counter-clockwise, open ring of (x, y)", unit="m"
+    room_type: str = column(
+        "Kind of the whole: what the scan states, else the kind of its one room; 'dwelling' for several rooms of which nobody says what "
+        "they are together; 'unknown' when neither stated nor inferred"
     )
-    floor_area_m2: float = column("Area of the floor polygon", unit="m2", minimum=0)
+    floor_polygon: tuple[tuple[float, ...], ...] = column(
+        "Corners of the outline of all rooms with the walls between them, world frame, counter-clockwise, open ring of (x, y)", unit="m"
+    )
+    floor_area_m2: float = column("Area of the outline, walls between rooms included", unit="m2", minimum=0)
     floor_source: str = column(
-        "What the floor polygon was estimated from; layout is stated by a finished dataset", values=("surface", "walls", "extent", "layout")
+        "What the outline was estimated from; layout is stated by a finished dataset", values=("surface", "walls", "extent", "layout")
     )
     walls: tuple[tuple[float, ...], ...] = column(
         "Walls as segments (x0, y0, x1, y1) in the world frame, both faces of interior ones; the room lies to their left", unit="m"
     )
     interior_walls: tuple[tuple[float, ...], ...] = column(
-        "Walls inside the room as center lines with thickness and height (x0, y0, x1, y1, thickness, height)", unit="m"
+        "Walls inside the outline as center lines with thickness and height (x0, y0, x1, y1, thickness, height)", unit="m"
     )
     openings: tuple[tuple[float, ...], ...] | None = column(
         "Doors and windows in the walls: segment (x0, y0, x1, y1) on the inner face of an outer wall or the center line of an "
         "interior one, heights of bottom and top, how far what fills it reaches behind that line; missing where nobody looked",
         unit="m",
     )
-    height_m: float = column("Height of the room from floor to ceiling", unit="m", minimum=0.1)
+    height_m: float = column("Height from floor to ceiling", unit="m", minimum=0.1)
     height_source: str = column(
         "What the height was estimated from; layout is stated by a finished dataset", values=("ceiling", "walls", "extent", "layout")
     )
@@ -83,6 +86,19 @@ class Room:
     wall_color: tuple[int, ...] | None = column(
         "Median color of the walls in the scan, sRGB; missing when unseen", length=3, minimum=0, maximum=255
     )
+
+
+@record("rooms", key=("scene_id", "room_index"), stage="capture")
+class Room:
+    """One room of a scene: what of its floor lies between walls, doorways closed."""
+
+    scene_id: str = column("Scene", pattern=SCENE_PATTERN)
+    room_index: int = column("Number of the room in the scene, the largest first", minimum=0, earlier=0)
+    room_type: str = column("Kind of room (bedroom, office, ...), 'unknown' when neither stated nor inferred")
+    floor_polygon: tuple[tuple[float, ...], ...] = column(
+        "Corners of the room's floor between its walls, world frame, counter-clockwise, open ring of (x, y)", unit="m"
+    )
+    floor_area_m2: float = column("Area of the floor polygon", unit="m2", minimum=0)
 
 
 @record("frames", key=("scene_id", "frame_id"), stage="capture")
@@ -114,6 +130,11 @@ class Instance:
     nyu40_id: int = column("NYU40 class, 0 when the label map has none", minimum=0, maximum=40)
     nyu40_label: str = column("NYU40 class name, 'unlabeled' for 0")
     is_structure: bool = column("Wall, floor or ceiling: part of the room, never replaced by an asset")
+    room_index: int | None = column(
+        "Room in which the center of its box lies, else the nearest within half a metre (doors, windows); missing for structure, for what "
+        "is farther from every room, and where nobody looked",
+        minimum=0,
+    )
     box_pose: tuple[float, ...] = column(
         "Oriented box to world frame, rotation about +Z, origin at the box center, 4x4 row by row", unit="m", length=16
     )

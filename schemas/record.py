@@ -44,6 +44,7 @@ class Column:
     pattern: str
     length: int | None
     blob: bool
+    earlier: int | None
 
     @property
     def comment(self) -> str:
@@ -100,6 +101,11 @@ class Table:
         return tuple(c.name for c in self.columns if c.blob)
 
     @property
+    def earlier(self) -> dict[str, int]:
+        """What rows have in columns that they are older than, by column; in others they miss it."""
+        return {c.name: c.earlier for c in self.columns if c.earlier is not None}
+
+    @property
     def arrow_schema(self) -> pa.Schema:
         """The Arrow schema; descriptions and units are field metadata."""
         return pa.schema(
@@ -127,8 +133,12 @@ def column(
     pattern: str = "",
     length: int | None = None,
     blob: bool = False,
+    earlier: int | None = None,
 ) -> Any:
-    """A field of a record. A field typed ``X | None`` may be missing; all others must be there."""
+    """A field of a record. A field typed ``X | None`` may be missing; all others must be there.
+
+    `earlier` is what rows have that are older than the field.
+    """
     return dataclasses.field(
         metadata={
             "description": description,
@@ -140,6 +150,7 @@ def column(
             "pattern": pattern or (BLOB_PATTERN if blob else ""),
             "length": length,
             "blob": blob,
+            "earlier": earlier,
         }
     )
 

@@ -20,6 +20,7 @@ from schemas.record import Table, table_of
 
 RECORDS: tuple[type, ...] = (
     capture.Scene,
+    capture.Shell,
     capture.Room,
     capture.Frame,
     capture.Instance,

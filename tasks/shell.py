@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from schemas.errors import InputError
 from tasks.settings import LISTED, Config, Whole
 
@@ -29,7 +29,7 @@ class ShellConfig(Config):
     miter_limit: float = 3.0  # sharper corners than about 40 degrees are cut instead of drawn out into spikes
 
 
-def room_shell(room: Room, config: ShellConfig | None = None) -> list[tuple[str, trimesh.Trimesh]]:
+def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str, trimesh.Trimesh]]:
     """Floor and walls of a room as closed slabs in the world frame [m]: `floor`, `wall_00`, ..., `inner_00`, ...
 
     The floor's top is z = 0. Floor and outer walls lie outside the floor polygon. Every outer wall is a convex prism on
@@ -166,7 +166,7 @@ def _panel(
     return [*block(low, high, front, back, bottom, top), *left, *right, *over_and_under]
 
 
-def interior_footprints(room: Room) -> list[NDArray[np.float64]]:
+def interior_footprints(room: Shell) -> list[NDArray[np.float64]]:
     """Corners of every interior wall seen from above [m], shape (4, 2) each, counter-clockwise.
 
     Raises:
@@ -178,13 +178,13 @@ def interior_footprints(room: Room) -> list[NDArray[np.float64]]:
         along = values[2:4] - values[:2] if len(values) == 6 else np.zeros(2)
         length = float(np.linalg.norm(along))
         if length < 1e-3 or values[4] < 1e-3 or values[5] < 1e-3:
-            raise InputError("rooms", f"{room.scene_id} interior_walls {number}", "has no size", "capture the scan again")
+            raise InputError("shells", f"{room.scene_id} interior_walls {number}", "has no size", "capture the scan again")
         side = np.array([-along[1], along[0]]) / length * values[4] / 2
         footprints.append(np.array([values[:2] - side, values[2:4] - side, values[2:4] + side, values[:2] + side]))
     return footprints
 
 
-def floor_ring(room: Room) -> NDArray[np.float64]:
+def floor_ring(room: Shell) -> NDArray[np.float64]:
     """Corners of the room's floor [m], shape (n, 2), counter-clockwise, without repeated and straight corners.
 
     Raises:
@@ -200,7 +200,7 @@ def floor_ring(room: Room) -> NDArray[np.float64]:
             ring = np.asarray(simple.exterior.coords)[:-1]
             area = np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
             return ring if area > 0 else ring[::-1].copy()
-    raise InputError("rooms", f"{room.scene_id} floor_polygon", "has no area or crosses itself", "capture the scan again")
+    raise InputError("shells", f"{room.scene_id} floor_polygon", "has no area or crosses itself", "capture the scan again")
 
 
 def prism(corners: ArrayLike, low: float, high: float) -> trimesh.Trimesh:

@@ -11,7 +11,7 @@ import trimesh
 
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Room, Scene, Shell
 from schemas.exports import ExportCheck, ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.fidelity import Fidelity, SceneFidelity
@@ -79,7 +79,7 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
     """Stage rows of every stage of one scene."""
     rng = np.random.default_rng(number)
     room = sample(
-        Room, scene_id=scene_id, room_type="office", floor_polygon=((0.0, 0.0), (4.0 + number, 0.0), (4.0 + number, 3.2), (0.0, 3.2)),
+        Shell, scene_id=scene_id, room_type="office", floor_polygon=((0.0, 0.0), (4.0 + number, 0.0), (4.0 + number, 3.2), (0.0, 3.2)),
         floor_area_m2=12.8 + 3.2 * number, walls=((0.0, 0.0, 4.0, 0.0),), interior_walls=(), height_m=HEIGHT,
     )  # fmt: skip
     tables = ("instances", "captions", "candidates", "assets", "selections", "placements", "supports", "certificates")
@@ -94,7 +94,9 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
     outputs: dict[str, dict[str, list[Any]]] = {
         "capture": {
             "scenes": [sample(Scene, scene_id=scene_id, room_id=scene_id, mesh_blob=blob, instance_count=objects + 1)],
-            "rooms": [room], "frames": [], "instances": [*rows["instances"], floor], "masks": [],
+            "shells": [room],
+            "rooms": [sample(Room, scene_id=scene_id, room_index=0, room_type="office", floor_polygon=room.floor_polygon)],
+            "frames": [], "instances": [*rows["instances"], floor], "masks": [],
         },
         "captions": {"captions": rows["captions"]},
         "candidates": {"candidates": rows["candidates"], "assets": rows["assets"]},

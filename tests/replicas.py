@@ -12,7 +12,7 @@ import trimesh
 
 from schemas.candidates import Asset
 from schemas.captions import Caption
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.optimization import Placement, Support
 from tasks import navigation
 from tasks.exports import ExportsConfig
@@ -25,7 +25,7 @@ from tasks.stage import Blobs, Context
 ROOM = ((-3.0, -2.0), (3.0, -2.0), (3.0, 1.0), (1.0, 1.0), (1.0, 2.0), (-3.0, 2.0))
 
 
-TABLES = ("scenes", "rooms", "instances", "captions", "assets", "placements", "supports")
+TABLES = ("scenes", "shells", "instances", "captions", "assets", "placements", "supports")
 """What an export is made of."""
 
 
@@ -59,9 +59,9 @@ def cube(size: Sequence[float], pose: np.ndarray, **rest: Any) -> Object:
     return Object("box", [mesh], [mesh], pose, **rest)
 
 
-def room_of(scene_id: str = "demo/room_01", polygon: Sequence[Sequence[float]] = ROOM) -> Room:
+def room_of(scene_id: str = "demo/room_01", polygon: Sequence[Sequence[float]] = ROOM) -> Shell:
     """An L-shaped room."""
-    return Room(
+    return Shell(
         scene_id=scene_id, room_type="office", floor_polygon=tuple(tuple(map(float, p)) for p in polygon), floor_area_m2=22.0,
         floor_source="surface", walls=(), interior_walls=(), openings=None, height_m=2.6, height_source="walls",
         floor_color=None, wall_color=None,
@@ -79,7 +79,7 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
         frame_count=0, instance_count=len(objects), segmentation="file", license="CC0-1.0",
     )  # fmt: skip
     rows: dict[str, list[Any]] = {name: [] for name in ("instances", "captions", "placements", "supports")}
-    rows |= {"scenes": [scene], "rooms": [room_of(scene_id)]}
+    rows |= {"scenes": [scene], "shells": [room_of(scene_id)]}
     assets: dict[str, Asset] = {}
     for index, item in enumerate(objects):
         instance_id = f"{index + 1:04d}"
@@ -97,9 +97,9 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
         rows["instances"].append(
             Instance(
                 scene_id=scene_id, instance_id=instance_id, source_id=instance_id, raw_label=item.category, category=item.category,
-                nyu40_id=5, nyu40_label="chair", is_structure=False, box_size=extents,
+                nyu40_id=5, nyu40_label="chair", is_structure=False, room_index=None, box_size=extents,
                 box_pose=flat(item.pose @ translation([0, 0, extents[2] / 2])), box_volume_m3=float(np.prod(extents)), hidden_m=None,
-                    point_count=10,
+                point_count=10,
                 points_blob=none, mesh_blob=None, view_blob=None, best_frames=(),
             )
         )  # fmt: skip
@@ -141,7 +141,7 @@ def with_navigation(
     """The same rows with a navmesh and episodes."""
     scene_id = rows["scenes"][0].scene_id
     config = dataclasses.replace(navigation.NavigationConfig(), train_episodes=episodes, test_episodes=episodes)
-    needed = {name: rows[name] for name in ("scenes", "rooms", "placements", "instances", "assets")}
+    needed = {name: rows[name] for name in ("scenes", "shells", "placements", "instances", "assets")}
     outcome = navigation.run(**needed, context=Context(scene_id, "navigation", 0, blobs), config=config)
     return rows | {name: outcome.rows[name] for name in ("navmeshes", "episodes")}, {**blobs, **outcome.blobs}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -16,12 +17,15 @@ import pytest
 from click.testing import CliRunner
 
 from bench.flows.small_scenes import SETTINGS
+from bench.samples import fingerprint, stage_run
 from flows.cli import cli
+from schemas.capture import Frame, Instance, Mask, Room, Scene, Shell
+from schemas.record import table_of
 from schemas.tables import TABLES
 from warehouse.lake import Lake
 from warehouse.questions.catalog import described, empty_lake
 from warehouse.questions.macros import macros
-from warehouse.questions.renames import RENAMES
+from warehouse.questions.renames import MOVES, RENAMES, move_out_of
 from warehouse.questions.sql import query
 from warehouse.questions.views import views
 from warehouse.upkeep.inspection import inspect
@@ -83,6 +87,7 @@ def test_every_name_that_a_query_may_hold_is_known_still() -> None:
 def test_an_old_name_goes_with_the_version_after_the_next() -> None:
     """A rename whose old name the version before did not know has served its time."""
     assert [one for one in RENAMES if one.before not in (CATALOG.get(one.of or one.before, []) if one.of else CATALOG)] == []
+    assert [one for one in MOVES if not set(one.columns) <= set(CATALOG[one.before])] == []
 
 
 # --- the lake as it is ---
@@ -237,3 +242,58 @@ def test_it_is_run_on_and_then_up_to_date(lake: Lake, earlier: Path) -> None:
     told("export", "--lake", lake.address, "--out", earlier / "exported")
     told("release", "create", "v2", "--lake", lake.address)
     told("release", "diff", "v1", "v2", "--lake", lake.address)
+
+
+# --- rooms ---
+
+
+def test_its_rooms_are_one_for_each_scene_and_its_shells_are_read_out_of_them(lake: Lake, tmp_path: Path) -> None:
+    """Then a scene is captured anew, as two rooms, and has its shell in the new table; a release and a compaction keep both."""
+    moved = ", ".join(move_out_of("rooms").columns)  # type: ignore[union-attr]
+
+    def check(one: Lake, fresh: set[str]) -> None:
+        reader = one.snapshot()
+        shells = {row.scene_id: row for row in reader.rows(Shell)}
+        assert shells.keys() == SCENES | {COPY, IMPORTED}
+        by_sql = query(reader, f"SELECT scene_id, {moved} FROM shells ORDER BY scene_id")
+        assert by_sql.column("scene_id").to_pylist() == sorted(shells)
+        assert query(reader, f"SELECT DISTINCT scene_id, {moved} FROM rooms ORDER BY scene_id").equals(by_sql)
+        for scene, shell in shells.items():
+            rooms = reader.rows(Room, scene)
+            assert [room.room_index for room in rooms] == list(range(2 if scene in fresh else 1))
+            assert reader.rows(Shell, scene) == [shell]
+            assert shell.height_m > 2.0
+            assert len(shell.walls) >= 4
+            if scene not in fresh:
+                assert (rooms[0].floor_polygon, rooms[0].room_type) == (shell.floor_polygon, shell.room_type)
+        areas = query(reader, "SELECT scene_id, floor_area_m2, rooms FROM objects_per_scene").to_pylist()
+        assert {row["scene_id"]: row["floor_area_m2"] for row in areas} == {scene: row.floor_area_m2 for scene, row in shells.items()}
+        assert sum(row["rooms"] for row in areas) == len(shells) + len(fresh)
+        assert query(reader, "SELECT sum(objects) FROM room_overview").equals(
+            query(reader, "SELECT sum(objects) FROM objects_per_scene").rename_columns(["sum(objects)"])
+        )
+        assert [str(one) for one in inspect(one).errors if one.field in ("room_index", "scene_id, room_index")] == []
+
+    check(lake, set())
+    scene = "scannet/scene0001_00"
+    shell = lake.snapshot().rows(Shell, scene)[0]
+    room = lake.snapshot().rows(Room, scene)[0]
+    reader = lake.snapshot()
+    kept = {record: reader.rows(record, scene) for record in (Scene, Frame, Instance, Mask)}
+    rows = {table_of(record).name: found for record, found in kept.items()}
+    rooms = [room, dataclasses.replace(room, room_index=1)]
+    rows["instances"] = [dataclasses.replace(row, room_index=None if row.is_structure else 1) for row in rows["instances"]]
+    lake.stage_rows(stage_run(scene, "capture", fingerprint("anew"), at=1e9), rows | {"shells": [shell], "rooms": rooms})
+    lake.commit("captured anew")
+    lake = Lake.open(lake.address)
+    check(lake, {scene})
+    told("lake", "compact", "--lake", lake.address)
+    check(lake, {scene})
+    told("release", "create", "v2", "--lake", lake.address)
+    for name, count in (("v1", 6), ("v2", 6)):
+        out = tmp_path / f"{name}.duckdb"
+        told("release", "attach", name, "--out", out, "--lake", lake.address)
+        with duckdb.connect() as connection:
+            connection.execute(f"ATTACH '{out}' AS r (READ_ONLY); USE r")
+            assert connection.execute("SELECT count(*), count(walls), min(height_m) > 2 FROM shells").fetchall() == [(count, count, True)]
+            assert connection.execute("SELECT count(*) FROM rooms WHERE room_index = 0 AND walls IS NOT NULL").fetchall() == [(count,)]

@@ -93,7 +93,7 @@ def test_replicas_stand_where_the_objects_stood(house: dict[str, Path]) -> None:
 def test_walls_between_rooms_are_found_in_the_scan(house: dict[str, Path]) -> None:
     """As the model has them: two beside the folding doors, and one between the bedrooms that is no taller than a person."""
     connection = Lake.open(house["lake"]).snapshot().connect()
-    ((walls,),) = connection.execute("SELECT interior_walls FROM rooms").fetchall()
+    ((walls,),) = connection.execute("SELECT interior_walls FROM shells").fetchall()
     truth = [(-2.6, -5.5, -2.6, -3.7, 0.2, 3.0), (-2.6, 1.3, -2.6, 3.1, 0.2, 3.0), (-8.3, -1.496, -3.89, -1.496, 0.105, 1.865)]
     found = [(*min(w[:2], w[2:4], key=sum), *max(w[:2], w[2:4], key=sum), *w[4:]) for w in walls]
     assert len(found) == len(truth)

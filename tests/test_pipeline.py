@@ -120,7 +120,7 @@ def test_boxes_come_out_where_they_were_put(lake: Path) -> None:
     ):
         assert np.allclose(found[label][0], size, atol=0.03), label
         assert found[label][1] == pytest.approx(volume, rel=0.1)
-    area, height = connection.execute("SELECT floor_area_m2, height_m FROM rooms WHERE scene_id = 'scannet/scene0000_00'").fetchone()
+    area, height = connection.execute("SELECT floor_area_m2, height_m FROM shells WHERE scene_id = 'scannet/scene0000_00'").fetchone()
     assert area == pytest.approx(4.4 * 3.2, rel=0.05)
     assert height == pytest.approx(2.5, abs=0.05)
 

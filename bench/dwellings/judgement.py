@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bench.dwellings.openings import SEEN, silhouettes
 from bench.dwellings.replicas import BenchReplica, FirstHits
+from schemas.capture import Room
 from tasks.furniture import canonical_category
 from tasks.furniture.dwellings import Dwelling
 from tasks.geometry.transforms import matrix
@@ -49,6 +50,9 @@ FIGURES: tuple[tuple[str, str, str], ...] = (
     ("silhouette", "of their silhouette seen, mean", "percent"),
     ("openings_seen", "of them seen to 80 %", "percent"),
     ("categories_right", "categories right of the objects placed", "percent"),
+    ("true_rooms", "rooms of the dwellings", "count"),
+    ("rooms_found", "rooms found", "count"),
+    ("rooms_right", "rooms right: floors share 80 % of what they cover", "percent"),
     ("unseen", "surface that the scan lacks", "percent"),
     ("seconds_per_25", "seconds per 25 objects", "seconds"),
 )
@@ -57,9 +61,12 @@ FIGURES: tuple[tuple[str, str, str], ...] = (
 SHOWN = 0.03
 """An object of which the scan has less of the surface is not in it: no pipeline can place it."""
 
+RIGHT = 0.8
+"""A room whose floor has so much in common with the true one's, of what either covers, is that room."""
+
 SHARES: Mapping[str, str] = {
     "annotated_share": "free", "stable_1cm": "free", "stable_5cm": "free", "stable_nudged": "free", "silhouette": "openings",
-    "openings_seen": "openings", "categories_right": "placed", "unseen": "rooms", "seconds_per_25": "objects",
+    "openings_seen": "openings", "categories_right": "placed", "rooms_right": "true_rooms", "unseen": "rooms", "seconds_per_25": "objects",
     "object_f_5cm": "rooms", "unexplained_share": "rooms",
     "annotated_1cm": "annotated", "annotated_5cm": "annotated", "annotated_nudged": "annotated",
 }  # fmt: skip
@@ -124,6 +131,9 @@ def judged(
         "silhouette": _mean(shares),
         "openings_seen": _mean([share >= SEEN for share in shares]),
         "categories_right": _mean(right),
+        "true_rooms": len(truth.rooms),
+        "rooms_found": len(replica.rooms),
+        "rooms_right": _mean([share >= RIGHT for share in shared_floors(truth, replica.rooms, moved_to)]),
         "unseen": truth.unseen,
         "seconds": total,
         "seconds_per_25": BATCH * total / max(len(truth.objects), 1),
@@ -161,6 +171,20 @@ def offset(obj: DwellingObject, instance: str, replica: BenchReplica, moved: Arr
     return float(np.linalg.norm(own[:3] - true[:3]))
 
 
+def shared_floors(truth: DwellingTruth, rooms: Sequence[Room], moved: Array) -> list[float]:
+    """Of each true room the largest share that its floor and a found one's have in common of what either covers. moved: from the frame
+    of the truth to the replica's world, 4x4 [m]."""
+    import shapely
+
+    own_floors = [shapely.Polygon(room.floor_polygon) for room in rooms]
+    shares = []
+    for room in truth.rooms:
+        corners = np.column_stack([np.array(room.polygon), np.zeros(len(room.polygon))])
+        floor = shapely.Polygon((corners @ moved[:3, :3].T + moved[:3, 3])[:, :2])
+        shares.append(max((float(floor.intersection(own).area / floor.union(own).area) for own in own_floors), default=0.0))
+    return shares
+
+
 def _same(category: str, true: str) -> bool:
     return (canonical_category(category) or category) == (canonical_category(true) or true)
 
@@ -185,6 +209,7 @@ def lost_room(
         "object_f_5cm": 0.0, "unexplained_share": 1.0,
         "moved_15cm": len(home.objects), "moved_30cm": len(home.objects), "off_15cm": len(home.objects), "off_30cm": len(home.objects),
         "openings": openings, "silhouette": 0.0, "openings_seen": 0.0, "categories_right": math.nan,
+        "true_rooms": len(home.plan.rooms), "rooms_found": math.nan, "rooms_right": 0.0,
         "unseen": truth.unseen if truth else math.nan, "seconds": total, "seconds_per_25": math.nan, "stages": dict(seconds or {}),
     }  # fmt: skip
 

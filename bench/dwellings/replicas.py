@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Room, Scene, Shell
 from schemas.fidelity import SceneFidelity
 from schemas.optimization import Certificate, Optimization, Placement, Support
 from tasks.geometry.rendering import RayScene
@@ -30,7 +30,8 @@ class BenchReplica:
     parts: (instance id, or the part of the shell, mesh in the world frame)."""
 
     scene: Scene
-    room: Room | None
+    room: Shell | None
+    rooms: list[Room]
     instances: dict[str, Instance]
     placements: dict[str, Placement]
     supports: dict[str, Support]
@@ -63,16 +64,17 @@ class FirstHits:
 def replica_of(lake: Lake, scene_id: str) -> BenchReplica:
     """What the newest snapshot of a lake has of a scene."""
     reader = lake.snapshot()
-    rooms, optimizations = reader.rows(Room, scene_id), reader.rows(Optimization, scene_id)
+    shells, optimizations = reader.rows(Shell, scene_id), reader.rows(Optimization, scene_id)
     fidelities = reader.rows(SceneFidelity, scene_id)
     placements = {row.instance_id: row for row in reader.rows(Placement, scene_id)}
     assets = {row.asset_id: row for row in reader.rows_by_key(Asset, sorted({row.asset_id for row in placements.values()}))}
-    parts: list[tuple[str, trimesh.Trimesh]] = list(room_shell(rooms[0])) if rooms else []
+    parts: list[tuple[str, trimesh.Trimesh]] = list(room_shell(shells[0])) if shells else []
     for name, row in sorted(placements.items()):
         parts += [(name, part) for part in placed_parts(row, lake.blobs[assets[row.asset_id].mesh_blob])]
     return BenchReplica(
         scene=reader.rows(Scene, scene_id)[0],
-        room=rooms[0] if rooms else None,
+        room=shells[0] if shells else None,
+        rooms=reader.rows(Room, scene_id),
         instances={row.instance_id: row for row in reader.rows(Instance, scene_id)},
         placements=placements,
         supports={row.instance_id: row for row in reader.rows(Support, scene_id)},

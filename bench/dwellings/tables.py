@@ -15,7 +15,8 @@ BY_ROOM: tuple[tuple[str, str, str], ...] = (
     ("objects", "objects", "count"), ("free", "free", "count"), ("stable_1cm", "1 cm", "percent"), ("stable_5cm", "5 cm", "percent"),
     ("stable_nudged", "nudged", "percent"), ("left_out", "left out", "count"), ("anchored", "fixed", "count"),
     ("deep_pairs", "deep", "count"), ("moved_15cm", "> 15 cm", "count"), ("openings_seen", "openings", "percent"),
-    ("categories_right", "categories", "percent"), ("seconds", "seconds", "seconds"),
+    ("categories_right", "categories", "percent"), ("true_rooms", "rooms", "count"), ("rooms_right", "right", "percent"),
+    ("seconds", "seconds", "seconds"),
 )  # fmt: skip
 """Figures of single rooms, and their headers."""
 

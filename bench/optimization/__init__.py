@@ -109,13 +109,13 @@ def scene_of_lake(lake: Lake, scene_id: str) -> BenchScene:
     from schemas.annotation import Annotation
     from schemas.candidates import Asset
     from schemas.captions import Caption
-    from schemas.capture import Instance, Room
+    from schemas.capture import Instance, Shell
     from schemas.record import arrow_to_rows
     from schemas.selection import Selection
     from warehouse.tables.reviews import standing_answers
 
     reader = lake.snapshot()
-    records = {"instances": Instance, "captions": Caption, "rooms": Room, "selections": Selection}
+    records = {"instances": Instance, "captions": Caption, "shells": Shell, "selections": Selection}
     rows: dict[str, list[Any]] = {table: reader.rows(record, scene_id) for table, record in records.items()}
     rows["annotations"] = arrow_to_rows(standing_answers(reader, scene_id), Annotation)
     named = {row.asset_id for row in rows["selections"]} | {row.choice for row in rows["annotations"] if row.choice}

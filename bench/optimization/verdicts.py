@@ -133,7 +133,7 @@ def judge(scene: BenchScene, methods: Sequence[str], seed: int, caches: Caches) 
         name: ConvexParts(name, tuple(hull.transformed(np.eye(4), row.scale) for hull in known[row.asset_id].hulls))
         for name, row in placements.items()
     }  # fmt: skip
-    room = scene.rows["rooms"][0] if scene.rows["rooms"] else None
+    room = scene.rows["shells"][0] if scene.rows["shells"] else None
     polygon = np.array(room.floor_polygon, dtype=np.float64).reshape(-1, 2) if room else np.zeros((0, 2))
     measures = Measures(list(solids.values()), categories, polygon, room.height_m if room else np.inf)
     shell = list(shell_solids(room)) if room else []
@@ -172,7 +172,7 @@ def _carried_as_proposed(
         surface = asset_surface(asset.mesh_blob, context.blobs, f"{asset.name}.glb", context.caches["tasks.geometry.meshes"])
         world = surface.transformed(matrix(row.proposed_pose), np.array(row.scale))
         placed.append(PlacedAsset.of(name, categories[name], world, asset.is_watertight))
-    room = scene.rows["rooms"][0] if scene.rows["rooms"] else None
+    room = scene.rows["shells"][0] if scene.rows["shells"] else None
     return {name: Carried(c.relation, c.parent_id) for name, c in find_carriers(placed, room, config.supports).items()}
 
 

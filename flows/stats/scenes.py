@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError, LakeError
 from schemas.fidelity import SceneFidelity
 from schemas.navigation import Episode, Navmesh
@@ -50,7 +50,7 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
     return remembered(facts, lambda: _pictures(lake, reader, scene_id, look))
 
 
-_MODEL = ("scenes", "rooms", "placements")
+_MODEL = ("scenes", "shells", "placements")
 """Tables that say what stands where."""
 
 _SHOWN = ("contacts", "optimization_steps", "navmeshes", "episodes", "instances", "scene_fidelity")
@@ -153,7 +153,7 @@ class _Model:
     """A scene as meshes in the world frame [m]: its scan, its room and what was placed in it, by name."""
 
     scan: list[trimesh.Trimesh]
-    room: Room | None
+    room: Shell | None
     placements: list[Placement]
     blobs: Mapping[str, bytes]
     objects: Mapping[str, list[trimesh.Trimesh]]
@@ -175,17 +175,17 @@ class _Model:
         if not scenes:
             raise InputError("scenes", scene_id, "is not in the snapshot", "run its capture stage")
         scan = load_glb(lake.blobs[scenes[0].mesh_blob], f"{scene_id} scan")
-        rooms = reader.rows(Room, scene_id)
+        shells = reader.rows(Shell, scene_id)
         placements = reader.rows(Placement, scene_id)
         assets = {asset.asset_id: asset for asset in reader.rows_by_key(Asset, sorted({p.asset_id for p in placements}))}
         blobs = {p.instance_id: lake.blobs[assets[p.asset_id].mesh_blob] for p in placements}
         objects = {p.instance_id: placed_parts(p, blobs[p.instance_id]) for p in placements}
-        shell = {name: [part] for name, part in room_shell(rooms[0])} if rooms else {}
-        outline = RoomOutline.of_room(rooms[0]) if rooms else RoomOutline.of_parts(scan)
-        return _Model(scan, rooms[0] if rooms else None, placements, blobs, objects, shell, outline)
+        shell = {name: [part] for name, part in room_shell(shells[0])} if shells else {}
+        outline = RoomOutline.of_room(shells[0]) if shells else RoomOutline.of_parts(scan)
+        return _Model(scan, shells[0] if shells else None, placements, blobs, objects, shell, outline)
 
 
-def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Sequence[trimesh.Trimesh]], room: Room) -> bytes | None:
+def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Sequence[trimesh.Trimesh]], room: Shell) -> bytes | None:
     """The floor plan of a scene for the agent with the most episodes; None without a navmesh."""
     from tasks.stats.plans import floor_plan
 
@@ -199,7 +199,7 @@ def _plan(lake: Lake, reader: Reader, scene_id: str, objects: Mapping[str, Seque
     return floor_plan(lake.blobs[navmesh.navmesh_blob], own, objects, names, room)
 
 
-def _heat(lake: Lake, reader: Reader, scene_id: str, room: Room | None) -> bytes | None:
+def _heat(lake: Lake, reader: Reader, scene_id: str, room: Shell | None) -> bytes | None:
     """The heat map of a scene; None where its fidelity was not measured."""
     from tasks.fidelity.marked_points import read_marked
     from tasks.stats.heat_maps import heat_map

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from schemas.capture import Frame, Instance, Mask, Room, Scene
+from schemas.capture import Frame, Instance, Mask, Scene, Shell
 from schemas.errors import InputError
 from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
 from tasks.capture.files.images import encode_jpeg
@@ -26,7 +26,9 @@ from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment, align
 from tasks.capture.rooms.leaves import whole_leaves
 from tasks.capture.rooms.openings import wall_openings
-from tasks.capture.rooms.room import estimate_room, floor_points, inferred_room_type
+from tasks.capture.rooms.room import estimate_room, floor_points
+from tasks.capture.rooms.rows import parted
+from tasks.capture.rooms.separation import Seen
 from tasks.capture.scan import Scan
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
@@ -58,7 +60,7 @@ class CaptureConfig(Config):
 
 
 def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
-    """Rows of `scenes`, `rooms`, `frames`, `instances` and `masks` of one scan.
+    """Rows of `scenes`, `shells`, `rooms`, `frames`, `instances` and `masks` of one scan.
 
     Raises:
         InputError: a file of the scan cannot be used; names the file and the field.
@@ -95,9 +97,10 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config)
     cloud = _cloud(reading, world, groups, context)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
-    room, leaves = _room(context, reading, cloud, classes, meanings, solids, notes, format.is_modelled)
+    shell, is_seen, leaves = _shell(context, reading, cloud, classes, meanings, solids, notes, format.is_modelled)
     if not format.is_modelled:
-        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], room, leaves)
+        rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
+    shell, rooms, rows = parted(shell, rows, reading.room_type, is_seen)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
@@ -119,8 +122,9 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     )
     frames = [_frame_row(frame, context.scene_id, alignment) for frame in reading.frames]
     return Outcome(
-        scenes=[scene], rooms=[room], frames=frames, instances=rows, masks=masks, blobs=blobs, degradations=[*notes, *mesh_notes]
-    )
+        scenes=[scene], shells=[shell], rooms=rooms, frames=frames, instances=rows, masks=masks, blobs=blobs,
+        degradations=[*notes, *mesh_notes],
+    )  # fmt: skip
 
 
 def read_scan(scan: Scan) -> Reading:
@@ -244,23 +248,23 @@ def _cloud(reading: Reading, world: Surface, groups: Sequence[Group], context: C
     return sampled_cloud(world, face_instance, context.rng("room"))
 
 
-def _room(
+def _shell(
     context: Context, reading: Reading, cloud: Cloud, classes: NDArray[np.int64], meanings: Sequence[Label],
     solids: Sequence[InstancePoints], notes: list[str], is_modelled: bool,
-) -> tuple[Room, dict[int, NDArray[np.float64]]]:  # fmt: skip
-    """The row of the room, and of doors and windows that were seen in part, by number, corners of the whole [m], shape (8, 3)."""
+) -> tuple[Shell, Seen | None, dict[int, NDArray[np.float64]]]:  # fmt: skip
+    """The row of the shell, where floor and walls were seen, and of doors and windows that were seen in part, by number, corners of
+    the whole [m], shape (8, 3)."""
     shape = estimate_room(cloud, classes)
     notes += shape.notes
     if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
         notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
-    kind = reading.room_type or inferred_room_type(label.category for label in meanings)
     fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW)}
     lines, is_door = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].nyu40_id == DOOR for i in fillings]
     whole = whole_leaves(*lines, list(fillings.values()), is_door, cloud.points[classes == WALL])
     leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
     openings = wall_openings(*lines, list((fillings | leaves).values()))
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
-    return shape.row(context.scene_id, kind, parts, openings), leaves
+    return shape.row(context.scene_id, parts, openings), shape.is_seen, leaves
 
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.candidates import Asset
 from schemas.captions import Caption
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.licenses import of_asset, stated
 from schemas.optimization import Placement, Support
@@ -86,7 +86,7 @@ class Replica:
 
     scene_id: str
     stem: str
-    room: Room
+    room: Shell
     bodies: tuple[Body, ...]
     license: str
 
@@ -113,7 +113,7 @@ def identifier(text: str) -> str:
 
 
 def gather(
-    scenes: Sequence[Scene], rooms: Sequence[Room], instances: Sequence[Instance], captions: Sequence[Caption], assets: Sequence[Asset],
+    scenes: Sequence[Scene], shells: Sequence[Shell], instances: Sequence[Instance], captions: Sequence[Caption], assets: Sequence[Asset],
     placements: Sequence[Placement], supports: Sequence[Support], blobs: Mapping[str, bytes], config: ExportsConfig,
     cache: MutableMapping[str, bytes] | None = None,
 ) -> tuple[Replica, list[str]]:  # fmt: skip
@@ -124,9 +124,9 @@ def gather(
     Raises:
         InputError: the scene has no room.
     """
-    if len(rooms) != 1:
-        raise InputError("rooms", "scene_id", f"{len(rooms)} rooms for one scene", "run capture on the scene again")
-    room = rooms[0]
+    if len(shells) != 1:
+        raise InputError("shells", "scene_id", f"{len(shells)} rows for one scene", "run capture on the scene again")
+    room = shells[0]
     scans = {scene.scene_id: scene.license for scene in scenes}
     by_asset = {asset.asset_id: licensed(asset, scans) for asset in assets}
     by_instance = {instance.instance_id: instance for instance in instances}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.exports.bodies import Body, Replica
 from tasks.geometry.transforms import transform_points
 from tasks.shell import floor_ring, interior_footprints
@@ -34,7 +34,7 @@ SMALLEST_CELL = 0.25
 """A cell of the grid of lamps that lies in the room with less than this share of it gets none."""
 
 
-def lamps(room: Room) -> Array:
+def lamps(room: Shell) -> Array:
     """Positions of lamps in the world frame [m], shape (n, 3), n at least 1, all above the floor polygon and beside inner walls.
 
     Raises:
@@ -83,7 +83,7 @@ def viewpoint(replica: Replica) -> Array:
     return _looking(np.array([*eye, height]), np.array([*middle, 0.25 * height]))
 
 
-def _open_floor(room: Room) -> Any:
+def _open_floor(room: Shell) -> Any:
     """The floor without what walls inside the room stand on; the whole of it where nothing else is left."""
     import shapely
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from schemas.candidates import Asset
-from schemas.capture import Frame, Instance, Room, Scene
+from schemas.capture import Frame, Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.fidelity.cameras import frame_cameras, virtual_cameras
@@ -36,7 +36,7 @@ __all__ = ["STAGE", "FidelityConfig", "run"]
 def run(
     *,
     scenes: Sequence[Scene],
-    rooms: Sequence[Room],
+    shells: Sequence[Shell],
     frames: Sequence[Frame],
     instances: Sequence[Instance],
     placements: Sequence[Placement],
@@ -53,7 +53,7 @@ def run(
         raise InputError(context.scene_id, "scenes", "has no row for this scene", "run the capture stage again")
     objects = {i.instance_id for i in instances if not i.is_structure}
     scan = scanned_surface(scenes[0], instances, context.blobs)
-    room = rooms[0] if rooms else None
+    room = shells[0] if shells else None
     replica = replica_surface(room, [p for p in placements if p.instance_id in objects], assets, context.blobs)
     samples = sample_scan(scan, config, context.rng)
     cameras, source = frame_cameras(frames, config.max_cameras, config.picture_width), "frames"
@@ -77,7 +77,7 @@ def run(
 
 STAGE = Stage(
     name="fidelity",
-    reads=("scenes", "rooms", "frames", "instances", "placements", "assets"),
+    reads=("scenes", "shells", "frames", "instances", "placements", "assets"),
     writes=("fidelity", "scene_fidelity"),
     config=FidelityConfig,
     run=run,

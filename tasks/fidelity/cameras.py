@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Frame, Room
+from schemas.capture import Frame, Shell
 from tasks.geometry.rendering import Camera
 from tasks.geometry.transforms import look_at, matrix
 
@@ -50,7 +50,7 @@ def _camera(frame: Frame, width: int) -> Camera:
     return Camera(matrix(frame.pose or ()), fx * across, fy * down, (cx + 0.5) * across - 0.5, (cy + 0.5) * down - 0.5, width, height)
 
 
-def virtual_cameras(room: Room | None, points: Array, width: int) -> list[Camera]:
+def virtual_cameras(room: Shell | None, points: Array, width: int) -> list[Camera]:
     """Cameras at up to four places in the free space of a scan, each looking four ways, a little down.
 
     points: Of the scan's surface [m], shape (n, 3). The first place is the one farthest from all of them, each further one the
@@ -81,7 +81,7 @@ def virtual_cameras(room: Room | None, points: Array, width: int) -> list[Camera
     return cameras
 
 
-def _grid(room: Room | None, low: Array, high: Array, eye: float) -> Array:
+def _grid(room: Shell | None, low: Array, high: Array, eye: float) -> Array:
     """Places at the height of the eye, over the floor where there is one [m], shape (n, 3); at least one, and no more than fit."""
     import shapely
 

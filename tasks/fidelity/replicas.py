@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from schemas.capture import Room
+from schemas.capture import Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.fidelity.visibility import reach
@@ -81,7 +81,7 @@ class ReplicaRays:
 
 
 def replica_surface(
-    room: Room | None, placements: Sequence[Placement], assets: Sequence[Asset], blobs: Mapping[str, bytes]
+    room: Shell | None, placements: Sequence[Placement], assets: Sequence[Asset], blobs: Mapping[str, bytes]
 ) -> ReplicaSurface:
     """The assets of a scene at their optimized poses, and its room.
 
@@ -101,7 +101,7 @@ def replica_surface(
     return ReplicaSurface(objects, shell)
 
 
-def _inward(room: Room, name: str, slab: Surface) -> Surface:
+def _inward(room: Shell, name: str, slab: Surface) -> Surface:
     """The faces of a slab that look into the room: the floor's top, what has floor before it, and the backs of an outer wall's
     niches, however deep."""
     import shapely
@@ -117,7 +117,7 @@ def _inward(room: Room, name: str, slab: Surface) -> Surface:
     return Surface(slab.vertices, slab.faces[((np.abs(normals[:, 2]) < 0.5) & looks_in) | is_top], slab.colors)
 
 
-def _niche_backs(room: Room, start: Array, end: Array, normals: Array, middles: Array) -> NDArray[np.bool_]:
+def _niche_backs(room: Shell, start: Array, end: Array, normals: Array, middles: Array) -> NDArray[np.bool_]:
     """Which faces of the outer wall from start to end, shape (2,), close an opening of it: those turned as the wall is, before
     which there is the opening, as deep as what fills it or the wall. Normals and middles of faces [m]: shape (n, 3)."""
     along = (end - start) / np.linalg.norm(end - start)

@@ -1,4 +1,4 @@
-"""The room of a finished dataset's scene: as it is stated, else estimated from its stage and its objects."""
+"""The shell of a finished dataset's scene: as it is stated, else estimated from its stage and its objects."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.capture.cloud import sampled_cloud
 from tasks.capture.labels import FLOOR, WALL
-from tasks.capture.rooms.room import RoomShape, estimate_room, inferred_room_type
+from tasks.capture.rooms.room import RoomShape, estimate_room
 from tasks.geometry.meshes import Surface, surface_of, union_of
 from tasks.ingestion.scene import Array, FinishedScene
 from tasks.stage import Context
@@ -20,11 +20,11 @@ _MIN_SIDE_M = 0.1
 """A floor plan thinner than this is none."""
 
 _MIN_HEIGHT_M = 0.1
-"""As rows of `rooms` have it."""
+"""As rows of `shells` have it."""
 
 
-def scene_room(scene: FinishedScene, surfaces: Sequence[Surface], context: Context) -> tuple[Room, list[str]]:
-    """The room, and what had to be assumed. `surfaces`: Objects in the world frame."""
+def scene_shell(scene: FinishedScene, surfaces: Sequence[Surface], context: Context) -> tuple[Shell, list[str]]:
+    """The shell, of unknown kind, and what had to be assumed. `surfaces`: Objects in the world frame."""
     top = max((float(surface.bounds[1, 2]) for surface in surfaces), default=0.0)
     notes: list[str] = []
     if scene.layout is not None:
@@ -44,9 +44,8 @@ def scene_room(scene: FinishedScene, surfaces: Sequence[Surface], context: Conte
             notes.append("no stage and no layout: the floor is the extent of what stands there")
             shape = _extent(low, high)
     shape = dataclasses.replace(shape, height=max(shape.height, _MIN_HEIGHT_M))
-    kind = scene.room_type or inferred_room_type(instance.label.category for instance in scene.objects)
     parts = [(surface_of([part]).colors, label) for part, label in scene.stage if label.nyu40_id in (FLOOR, WALL)]
-    return shape.row(context.scene_id, kind, parts), notes
+    return shape.row(context.scene_id, parts), notes
 
 
 def _stated(polygon: Array, height: float, is_height_stated: bool) -> RoomShape:

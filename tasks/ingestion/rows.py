@@ -16,9 +16,10 @@ from tasks.captions.sentences import shape_word
 from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.instances.rows import modelled_solid
 from tasks.capture.reading import Group
+from tasks.capture.rooms.rows import parted
 from tasks.geometry.meshes import Surface, dump_glb, dump_points, surface_of, union_of
 from tasks.geometry.transforms import flat, translation
-from tasks.ingestion.ground import scene_room
+from tasks.ingestion.ground import scene_shell
 from tasks.ingestion.scene import FinishedObject, FinishedScene, ImportedModel, IngestionConfig, Source
 from tasks.stage import Blobs, Context, Outcome
 
@@ -61,7 +62,8 @@ def _capture(
     instances = [
         _instance(context, instance, surface, blobs, config) for instance, surface in zip(scene.objects, surfaces, strict=True)
     ]  # fmt: skip
-    room, more = scene_room(scene, surfaces, context)
+    shell, more = scene_shell(scene, surfaces, context)
+    shell, rooms, instances = parted(shell, instances, scene.room_type)
     stage = [part for part, _ in scene.stage]
     merged = surface_of(stage) if stage else union_of(surfaces)
     if len(merged.faces) > config.max_faces:
@@ -88,8 +90,9 @@ def _capture(
         license=scene.license,
     )
     return Outcome(
-        scenes=[row], rooms=[room], frames=[], instances=instances, masks=[], blobs=blobs, degradations=list(dict.fromkeys([*notes, *more]))
-    )
+        scenes=[row], shells=[shell], rooms=rooms, frames=[], instances=instances, masks=[], blobs=blobs,
+        degradations=list(dict.fromkeys([*notes, *more])),
+    )  # fmt: skip
 
 
 def _instance(context: Context, instance: FinishedObject, surface: Surface, blobs: Blobs, config: IngestionConfig) -> Instance:
@@ -108,6 +111,7 @@ def _instance(context: Context, instance: FinishedObject, surface: Surface, blob
         nyu40_id=instance.label.nyu40_id,
         nyu40_label=instance.label.nyu40_label,
         is_structure=instance.label.is_structure,
+        room_index=None,
         box_pose=flat(pose),
         box_size=tuple(float(v) for v in size),
         box_volume_m3=float(np.prod(size)),

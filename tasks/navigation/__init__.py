@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh, Split, UnreachableTarget
 from schemas.optimization import Placement
@@ -71,7 +71,7 @@ def run(
     *,
     scenes: Sequence[Scene],
     placements: Sequence[Placement],
-    rooms: Sequence[Room],
+    shells: Sequence[Shell],
     instances: Sequence[Instance],
     assets: Sequence[Asset],
     context: Context,
@@ -87,8 +87,8 @@ def run(
 
     from tasks.shell import interior_footprints
 
-    if not scenes or not rooms:
-        raise InputError(context.scene_id, "rooms" if scenes else "scenes", "has no row for this scene", "run the capture stage again")
+    if not scenes or not shells:
+        raise InputError(context.scene_id, "shells" if scenes else "scenes", "has no row for this scene", "run the capture stage again")
     by_id = {instance.instance_id: instance for instance in instances}
     unknown = sorted(p.instance_id for p in placements if p.instance_id not in by_id)
     if unknown:
@@ -97,8 +97,8 @@ def run(
     furniture = [p for p in placements if not by_id[p.instance_id].is_structure]
     surfaces = placed_surfaces(furniture, assets, context.blobs)
     agent = config.agent
-    walls = [shapely.Polygon(corners) for corners in interior_footprints(rooms[0])]
-    finder = member(PATH_FINDERS, config.path_finder.kind).build(rooms[0], list(surfaces.values()), walls, config)
+    walls = [shapely.Polygon(corners) for corners in interior_footprints(shells[0])]
+    finder = member(PATH_FINDERS, config.path_finder.kind).build(shells[0], list(surfaces.values()), walls, config)
     blobs, degradations = Blobs(), []
     reasons = {i.instance_id: "no asset was placed for it" for i in instances if not i.is_structure and i.instance_id not in surfaces}
     targets: list[NavigationTarget] = []
@@ -173,7 +173,7 @@ def _episode(number: int, route: Route, split: str, path_finder: str, context: C
 
 STAGE = Stage(
     name="navigation",
-    reads=("scenes", "placements", "rooms", "instances", "assets"),
+    reads=("scenes", "placements", "shells", "instances", "assets"),
     writes=("navmeshes", "episodes", "unreachable_targets", "splits"),
     config=NavigationConfig,
     run=run,

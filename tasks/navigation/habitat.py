@@ -29,7 +29,7 @@ from tasks.navigation.voxels import Voxels
 if TYPE_CHECKING:
     import shapely
 
-    from schemas.capture import Room
+    from schemas.capture import Shell
     from tasks.geometry.meshes import Surface
     from tasks.navigation.configuration import NavigationConfig
 
@@ -214,7 +214,7 @@ def _habitat_sim() -> Any:
         raise InputError("habitat_sim", "path_finder", f"habitat needs this package: {error}", remedy) from error
 
 
-def _build(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> HabitatPathFinder:
+def _build(room: Shell, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> HabitatPathFinder:
     return HabitatPathFinder(bake_stage(*scene_triangles(room, surfaces, config.settings), config.settings))
 
 

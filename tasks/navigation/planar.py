@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import shapely
     from scipy.sparse import csr_matrix
 
-    from schemas.capture import Room
+    from schemas.capture import Shell
     from tasks.geometry.meshes import Surface
     from tasks.navigation.configuration import NavigationConfig
     from tasks.navigation.navmesh import NavmeshFile, Settings
@@ -333,7 +333,7 @@ class PlanarField:
         return (best, -1, straight) if seen < 0 else (float(total[seen]), int(nodes[seen]), -1)
 
 
-def _build(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> PlanarPathFinder:
+def _build(room: Shell, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> PlanarPathFinder:
     from tasks.navigation.obstacles import footprint, free_space
 
     agent, settings = config.agent, config.path_finder

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     import shapely
 
-    from schemas.capture import Room
+    from schemas.capture import Shell
     from tasks.geometry.meshes import Surface
     from tasks.navigation.configuration import NavigationConfig
     from tasks.navigation.navmesh import NavmeshFile, Settings
@@ -117,5 +117,5 @@ class PathFinderKind:
 
     name: str
     config: type[Config]
-    build: Callable[[Room, Sequence[Surface], Sequence[shapely.Geometry], NavigationConfig], PathFinder]
+    build: Callable[[Shell, Sequence[Surface], Sequence[shapely.Geometry], NavigationConfig], PathFinder]
     is_exact: bool = False

@@ -28,7 +28,7 @@ from tasks.navigation.voxels import Voxels
 if TYPE_CHECKING:
     import shapely
 
-    from schemas.capture import Room
+    from schemas.capture import Shell
     from tasks.geometry.meshes import Surface
     from tasks.navigation.configuration import NavigationConfig
 
@@ -266,7 +266,7 @@ def _library() -> ctypes.CDLL:
     return library
 
 
-def _build(room: Room, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> RecastPathFinder:
+def _build(room: Shell, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> RecastPathFinder:
     return RecastPathFinder(bake(*scene_triangles(room, surfaces, config.settings), config.settings))
 
 

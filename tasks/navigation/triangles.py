@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.geometry.transforms import Z_UP_TO_Y_UP, transform_points
 from tasks.navigation.navmesh import Settings
 from tasks.shell import floor_ring, room_shell
@@ -22,7 +22,7 @@ _UNDER_M = 1e-3
 """The floor is thinner than one voxel by this [m], so that its top is in the lowest layer."""
 
 
-def scene_triangles(room: Room, furniture: Sequence[Surface], settings: Settings) -> tuple[Array, NDArray[np.int64]]:
+def scene_triangles(room: Shell, furniture: Sequence[Surface], settings: Settings) -> tuple[Array, NDArray[np.int64]]:
     """Floor, outer and interior walls and furniture as one triangle soup.
 
     The floor's top is z = 0, and it is nearly one voxel thick. Layers of voxels are counted from the lowest triangle: so

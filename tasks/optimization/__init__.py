@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from schemas.annotation import Annotation
 from schemas.candidates import Asset
 from schemas.captions import Caption
-from schemas.capture import Instance, Room
+from schemas.capture import Instance, Shell
 from schemas.optimization import APPLIED, OptimizationStep
 from schemas.selection import Selection
 from tasks.geometry.pieces import PieceConfig
@@ -64,7 +64,7 @@ def run(
     instances: Sequence[Instance],
     captions: Sequence[Caption],
     selections: Sequence[Selection],
-    rooms: Sequence[Room],
+    shells: Sequence[Shell],
     assets: Sequence[Asset],
     annotations: Sequence[Annotation],
     context: Context,
@@ -78,7 +78,7 @@ def run(
     """
     known = {asset.asset_id: asset for asset in assets}
     proposals, notes = propose(instances, selections, annotations, known)
-    room = rooms[0] if rooms else None
+    room = shells[0] if shells else None
     placed = (known, context.blobs, room, config.supports, config.pieces, context.caches)
     deepest = config.misfit_m if isinstance(config.method, Default) else np.inf  # the paper's method moves what it was given
     fitting = fit_together(proposals, selections, known, deepest, lambda some: furnish(some, *placed))
@@ -174,7 +174,7 @@ def _resolved(interior: Interior, config: OptimizationConfig, context: Context, 
 
 STAGE = Stage(
     name="optimization",
-    reads=("instances", "captions", "selections", "rooms", "assets"),
+    reads=("instances", "captions", "selections", "shells", "assets"),
     writes=("placements", "supports", "contacts", "optimization_steps", "optimizations", "certificates"),
     config=OptimizationConfig,
     run=run,

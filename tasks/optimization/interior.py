@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from schemas.capture import Room
+from schemas.capture import Shell
 from schemas.errors import InputError
 from tasks.geometry.meshes import asset_surface, load_glb
 from tasks.geometry.pieces import PieceConfig, asset_pieces
@@ -40,7 +40,7 @@ class Interior:
     parent: NDArray[np.int64]
     covering: NDArray[np.bool_]
     fixed: NDArray[np.bool_]
-    room: Room | None
+    room: Shell | None
     ring: Array | None
     shell: tuple[ConvexParts, ...]
 
@@ -59,7 +59,7 @@ class Interior:
 
 
 def furnish(
-    proposals: Sequence[Proposal], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], room: Room | None,
+    proposals: Sequence[Proposal], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], room: Shell | None,
     supports: SupportConfig, pieces: PieceConfig, caches: Caches,
 ) -> tuple[Interior, list[str]]:  # fmt: skip
     """The proposed assets in their room, and what had to be left out of it, a line each."""

@@ -9,7 +9,7 @@ from collections import OrderedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.geometry.colliders import ColliderShares
 from tasks.geometry.mass import MassProperties, mass_properties
 from tasks.geometry.pieces import Hull
@@ -63,7 +63,7 @@ _memo: OrderedDict[bytes, MassProperties] = OrderedDict()
 _MEMO_SIZE = 4096  # 200 bytes each
 
 
-def shell_solids(room: Room, thickness_m: float = ShellConfig.thickness_m) -> tuple[ConvexParts, ...]:
+def shell_solids(room: Shell, thickness_m: float = ShellConfig.thickness_m) -> tuple[ConvexParts, ...]:
     """The room's walls as convex solids in the world frame: `wall_00`, ..., `inner_00`, ... The floor, z = 0, is none of them.
 
     `thickness_m`: of the outer walls, where they have room for it behind them.

@@ -12,7 +12,7 @@ from tasks.fidelity.marked_points import SHELL, MarkedPoints
 from tasks.stats.style import INK, MUTED, PAPER, in_style
 
 if TYPE_CHECKING:
-    from schemas.capture import Room
+    from schemas.capture import Shell
 
 CELL_M = 0.05
 """Edge of a cell: objects are sampled every 3 cm, so that few cells of a level top stay empty."""
@@ -32,7 +32,7 @@ _COLORS = "YlOrRd"
 
 
 @in_style
-def heat_map(marked: MarkedPoints, room: Room | None) -> bytes:
+def heat_map(marked: MarkedPoints, room: Shell | None) -> bytes:
     """PNG of the floor from above, x to the right, y up: in each cell the scanned point farthest from the replica.
 
     Points of floor, walls and ceiling are left out. The same points give the same bytes.

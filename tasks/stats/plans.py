@@ -12,7 +12,7 @@ from schemas.navigation import Episode
 if TYPE_CHECKING:
     import trimesh
 
-    from schemas.capture import Room
+    from schemas.capture import Shell
 
 
 def floor_plan(
@@ -20,7 +20,7 @@ def floor_plan(
     episodes: Sequence[Episode],
     objects: Mapping[str, Sequence[trimesh.Trimesh]],
     names: Mapping[str, str],
-    room: Room,
+    room: Shell,
 ) -> bytes:
     """PNG of a scene from above: navmesh, footprints of what blocks its agent, interior walls, paths.
 

@@ -20,7 +20,7 @@ from tasks.stats.photographs import developed, photograph
 if TYPE_CHECKING:
     import trimesh
 
-    from schemas.capture import Room
+    from schemas.capture import Shell
     from tasks.stats.style import Picture
 
 Array = NDArray[np.float64]
@@ -71,8 +71,8 @@ class RoomOutline:
     height: float
 
     @staticmethod
-    def of_room(room: Room) -> RoomOutline:
-        """The outline of a row of `rooms`."""
+    def of_room(room: Shell) -> RoomOutline:
+        """The outline of a row of `shells`."""
         ring = np.asarray(room.floor_polygon, dtype=np.float64).reshape(-1, 2)
         area = np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
         return RoomOutline(ring if area >= 0 else ring[::-1].copy(), room.height_m)

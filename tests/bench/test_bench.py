@@ -162,7 +162,7 @@ def test_rooms_have_ten_to_eighty_objects_of_every_kind_of_room_and_some_without
     few, many = generated_scene(0, 50, 0), generated_scene(49, 50, 0)
     assert 8 <= len(few.rows["instances"]) <= 20
     assert 70 <= len(many.rows["instances"]) <= 95
-    assert {generated_scene(i, 50, 0).rows["rooms"][0].room_type for i in range(5)} == set(ROOM_TYPES)
+    assert {generated_scene(i, 50, 0).rows["shells"][0].room_type for i in range(5)} == set(ROOM_TYPES)
     assert any(asset.pieces_blob is None for i in (2, 5, 7, 8) for asset in scene(i).rows["assets"])
     assert any(row.scale != (1.0, 1.0, 1.0) for i in (2, 5, 7, 8) for row in scene(i).rows["selections"])
 

@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 import trimesh
 from click.testing import CliRunner
 from rich.console import Console
 
 import bench.dwellings
 from bench.dwellings import DwellingJob, DwellingsBench, goals, measure_room, run_dwellings_bench
-from bench.dwellings.judgement import FIGURES, judged, lost_room, standing_for, summed
+from bench.dwellings.judgement import FIGURES, RIGHT, judged, lost_room, shared_floors, standing_for, summed
 from bench.dwellings.openings import eyes, silhouettes
 from bench.dwellings.replicas import BenchReplica, FirstHits
 from bench.dwellings.tables import print_dwellings
@@ -25,7 +26,7 @@ from bench.samples import sample
 from flows.commands.bench import rooms
 from flows.run.pool import WorkerLost, WorkerTimeout
 from schemas.candidates import Asset
-from schemas.capture import Instance, Scene
+from schemas.capture import Instance, Room, Scene
 from schemas.fidelity import SceneFidelity
 from schemas.optimization import Certificate, Optimization, Placement, Support
 from tasks.furniture.dwellings import Dwelling, dwelling
@@ -97,7 +98,8 @@ def perfect() -> BenchReplica:
     shell = [(name.partition("|")[0], mesh) for name, mesh in home().furnished.structure]
     scene = sample(Scene, alignment=flat(np.eye(4)))
     optimization, fidelity = sample(Optimization, deep_pairs=0), sample(SceneFidelity, object_f_5cm=1.0, unexplained_share=0.0)
-    return BenchReplica(scene, None, instances, placements, supports, certificates, assets, optimization, fidelity, [*parts, *shell])
+    rooms = [sample(Room, room_index=k, floor_polygon=room.polygon) for k, room in enumerate(truth().rooms)]
+    return BenchReplica(scene, None, rooms, instances, placements, supports, certificates, assets, optimization, fidelity, [*parts, *shell])
 
 
 def figures(replica: BenchReplica, true: DwellingTruth | None = None) -> dict:
@@ -116,11 +118,25 @@ def test_the_truth_as_its_own_replica_is_right_in_everything() -> None:
         "categories_right",
         "silhouette",
         "openings_seen",
+        "rooms_right",
     ):
         assert found[key] == 1.0, key
+    assert found["true_rooms"] == found["rooms_found"] == len(home().plan.rooms)
     for key in ("anchored", "left_out", "fitted_left_out", "deep_pairs", "moved_15cm", "off_15cm"):
         assert found[key] == 0, key
     assert found["openings"] >= 2
+
+
+def test_two_rooms_that_are_taken_for_one_are_not_right() -> None:
+    rooms = perfect().rooms
+    assert shared_floors(truth(), rooms, np.eye(4)) == pytest.approx([1.0] * len(rooms))
+    first, second, *rest = rooms
+    both = shapely.union_all([shapely.Polygon(first.floor_polygon), shapely.Polygon(second.floor_polygon)]).convex_hull
+    merged = dataclasses.replace(first, floor_polygon=tuple(both.exterior.coords)[:-1])
+    shares = shared_floors(truth(), [merged, *rest], np.eye(4))
+    assert min(shares[:2]) < RIGHT
+    assert shares[2:] == pytest.approx([1.0] * len(rest))
+    assert shared_floors(truth(), [], np.eye(4)) == [0.0] * len(rooms)
 
 
 @pytest.mark.whole
@@ -191,8 +207,6 @@ def test_a_wall_before_a_window_hides_it_and_a_curtain_of_the_truth_does_not_cou
 
 
 def test_eyes_are_inside_of_the_room() -> None:
-    import shapely
-
     for opening in truth().openings:
         if opening.instance:
             floor = shapely.Polygon(truth().rooms[opening.room].polygon)

@@ -82,7 +82,7 @@ def _objects() -> list[Object]:
 def replica() -> tuple[Replica, dict[str, list[Any]], dict[str, bytes]]:
     """A small replica, its rows and its blobs."""
     rows, blobs = with_navigation(*rows_of(_objects()), episodes=2)
-    tables = ("scenes", "rooms", "instances", "captions", "assets", "placements", "supports")
+    tables = ("scenes", "shells", "instances", "captions", "assets", "placements", "supports")
     made, _ = exports.gather(*[rows[name] for name in tables], blobs, exports.ExportsConfig())
     return made, rows, blobs
 

@@ -90,7 +90,7 @@ class Room:
         center = transform_points([(low + high) / 2], yaw_pose(yaw))[0]
         row = Instance(
             scene_id=SCENE, instance_id=f"{len(self.instances):04d}", source_id="1", raw_label=category, category=category, nyu40_id=0,
-            nyu40_label="unlabeled", is_structure=structure, box_pose=flat(yaw_pose(yaw, center)),
+            nyu40_label="unlabeled", is_structure=structure, room_index=None, box_pose=flat(yaw_pose(yaw, center)),
             box_size=tuple(map(float, high - low)),
             box_volume_m3=float(np.prod(high - low)), hidden_m=None, point_count=len(points),
             points_blob=self.blobs.add(dump_points(points, colors), "ply"), mesh_blob=None, view_blob=None, best_frames=(),

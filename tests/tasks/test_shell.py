@@ -11,7 +11,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.capture.rooms.openings import wall_openings
 from tasks.optimization.solids import shell_solids
 from tasks.shell import ShellConfig, room_shell, wall_of
@@ -51,7 +51,7 @@ def openings(draw: st.DrawFn) -> tuple[int, float, float, float, float, float]:
     return wall, low, high, bottom, draw(st.sampled_from([bottom + 0.5, 2.0, HEIGHT, HEIGHT + 0.5])), depth
 
 
-def cut(rows: list[tuple[int, float, float, float, float, float]]) -> Room:
+def cut(rows: list[tuple[int, float, float, float, float, float]]) -> Shell:
     made = []
     for wall, low, high, bottom, top, depth in rows:
         start, end = np.array(SQUARE[wall]), np.array(SQUARE[(wall + 1) % 4])

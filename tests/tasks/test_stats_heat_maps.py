@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.fidelity.marked_points import OBJECT, SHELL, MarkedPoints
 from tasks.stats.heat_maps import CELL_M, MOST_CELLS, farthest_of_cells, heat_map
 from tests.samples import sample
 
-ROOM = sample(Room, floor_polygon=((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)))
+ROOM = sample(Shell, floor_polygon=((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)))
 
 
 def marked(distance: float, part: int = OBJECT) -> MarkedPoints:

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from schemas.optimization import Contact
 from tasks.geometry.meshes import load_glb
 from tasks.geometry.rendering import Camera, RayScene
@@ -64,7 +64,7 @@ def test_the_long_side_of_a_room_lies_across_the_top_view() -> None:
 @settings(max_examples=25, deadline=None)
 def test_the_cut_opens_the_view_on_the_whole_floor(width: float, depth: float, corner: int, turn: int) -> None:
     ring = np.roll(outline(width, depth).ring, turn, axis=0)
-    room = sample(Room, scene_id="demo/a", floor_polygon=tuple(map(tuple, ring.tolist())), interior_walls=(), height_m=HEIGHT)
+    room = sample(Shell, scene_id="demo/a", floor_polygon=tuple(map(tuple, ring.tolist())), interior_walls=(), height_m=HEIGHT)
     ceiling = trimesh.creation.box(bounds=[[0, 0, HEIGHT], [width, depth, HEIGHT + 0.05]])
     parts = [mesh for _, mesh in room_shell(room)] + [ceiling]
     shape = RoomOutline.of_room(room)
@@ -107,7 +107,7 @@ def test_scan_and_replica_of_the_same_parts_are_the_same_picture_and_differ_when
     mesh = solid(0)
     mesh.apply_translation([2.0, 1.5, 0.0])
     ring = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))
-    room = sample(Room, scene_id="demo/a", floor_polygon=ring, interior_walls=(), height_m=HEIGHT)
+    room = sample(Shell, scene_id="demo/a", floor_polygon=ring, interior_walls=(), height_m=HEIGHT)
     shell = [part for _, part in room_shell(room)]
     same = scenes.picture_scene([*shell, mesh], shell, [[mesh]], RoomOutline.of_room(room), SMALL)
     assert same.corner_scan == same.corner_replica
@@ -160,7 +160,7 @@ def marked(objects: dict[str, list[trimesh.Trimesh]], pairs: list[tuple[str, str
     """A marked picture of a room of 4 x 3 m as RGB, and the camera it was taken with."""
     config = dataclasses.replace(SMALL, width=400, height=280, jpeg_quality=95)
     ring = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))
-    room = sample(Room, scene_id="demo/a", floor_polygon=ring, interior_walls=(), height_m=HEIGHT)
+    room = sample(Shell, scene_id="demo/a", floor_polygon=ring, interior_walls=(), height_m=HEIGHT)
     shell = {name: [part] for name, part in room_shell(room)}
     camera = scenes.corner_camera(RoomOutline.of_room(room), corner, config)
     file = collisions.marked_picture(objects, shell, pairs, RoomOutline.of_room(room), camera, config)

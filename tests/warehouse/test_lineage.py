@@ -488,7 +488,7 @@ def test_an_object_of_others_has_fewer_links(tmp_path: Path, origin: str, displa
     offer = sample(Candidate, **of, slot=1, provider="imported", outcome="filled", asset_id=asset.asset_id)
     scene = sample(Scene, scene_id="others/room_1", scan="room_1", mesh_blob=blob)
     rows = {
-        "capture": {"scenes": [scene], "rooms": [], "frames": [], "instances": [instance], "masks": []},
+        "capture": {"scenes": [scene], "shells": [], "frames": [], "instances": [instance], "masks": []},
         "candidates": {"candidates": [offer], "assets": [asset]},
         "optimization": {"placements": [placement], "supports": [], "contacts": [], "optimization_steps": [], "optimizations": [],
                          "certificates": []},
@@ -586,7 +586,7 @@ def test_a_name_that_two_datasets_have_must_be_told_apart(tmp_path: Path) -> Non
     for dataset in ("one", "two"):
         scene = sample(Scene, scene_id=f"{dataset}/room", scan="room", mesh_blob=blob)
         run = stage_run(f"{dataset}/room", "capture", fingerprint(dataset))
-        lake.stage_rows(run, {"scenes": [scene], "rooms": [], "frames": [], "instances": [], "masks": []})
+        lake.stage_rows(run, {"scenes": [scene], "shells": [], "frames": [], "instances": [], "masks": []})
     lake.commit()
     with pytest.raises(InputError, match="may be of one/room, two/room"):
         explain(lake, "room")

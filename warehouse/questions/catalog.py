@@ -10,7 +10,7 @@ from warehouse.questions.documentation import sql_type, tables_page
 from warehouse.questions.macros import Macro, macros
 from warehouse.questions.quoting import quoted
 from warehouse.questions.reads import reads_sentence
-from warehouse.questions.renames import former_columns, former_views
+from warehouse.questions.renames import former_columns, former_views, move_out_of
 from warehouse.questions.views import View, install, views
 
 if TYPE_CHECKING:
@@ -54,6 +54,10 @@ def empty_lake() -> duckdb.DuckDBPyConnection:
     for name, table in TABLES.items():
         columns = [f"{quoted(column.name)} {sql_type(column.type)}" for column in table.columns]
         columns += [f"{quoted(before)} AS ({quoted(after)})" for before, after in former_columns(name).items()]
+        move = move_out_of(name)
+        if move is not None:
+            moved = {column.name: sql_type(column.type) for column in TABLES[move.after].columns}
+            columns += [f"{quoted(column)} {moved[column]} AS (NULL)" for column in move.columns]
         connection.execute(f"CREATE TABLE {quoted(name)} ({', '.join(columns)})")
     install(connection)
     return connection

@@ -7,7 +7,7 @@ import pyarrow as pa
 from schemas.record import Column, Table
 from schemas.tables import TABLES
 from warehouse.questions.quoting import literal, quoted
-from warehouse.questions.renames import former_columns
+from warehouse.questions.renames import former_columns, move_out_of
 
 _RULES = {
     "replace": "a scene's new rows take the place of its old ones",
@@ -72,6 +72,10 @@ def table_section(table: Table) -> str:
     for column in table.columns:
         described = column.description.replace("|", "\\|") + before.get(column.name, "")
         lines.append(f"| `{column.name}` | {sql_type(column.type)} | {column.unit} | {constraint(column)} | {described} |")
+    move = move_out_of(table.name)
+    if move is not None:
+        moved = ", ".join(f"`{column}`" for column in move.columns)
+        lines += ["", f"Now in [`{move.after}`](#{move.after}), and asked here as well until the next version: {moved}."]
     return "\n".join(lines) + "\n"
 
 

@@ -1,8 +1,9 @@
 """Names that SQL used to have. For one version the old name stands beside the new one, so that nobody's query breaks over night.
 
-Whoever renames a view, a column of a view or a column of a table adds a line to `RENAMES`, and nothing else: SQL on lakes,
-releases and their catalogs then knows both names, files that were written under the old one are read, and `docs/views.md` and
-`docs/tables.md` name it. A line goes with the next version: tests hold it against what the version before knew (tests/earlier).
+Whoever renames a view, a column of a view or a column of a table adds a line to `RENAMES`, and whoever gives columns of a table to a
+new one of one row per scene a line to `MOVES`, and nothing else: SQL on lakes, releases and their catalogs then knows both names,
+files that were written under the old one are read, and `docs/views.md` and `docs/tables.md` name it. A line goes with the next
+version: tests hold it against what the version before knew (tests/earlier).
 """
 
 from __future__ import annotations
@@ -20,8 +21,35 @@ class Rename:
     of: str = ""
 
 
+@dataclasses.dataclass(frozen=True)
+class Move:
+    """Columns that a table of one row per scene, `before`, gave to another one, `after`, and has no more.
+
+    A row of old files that has the first of them is a row of both.
+    """
+
+    before: str
+    after: str
+    columns: tuple[str, ...]
+
+
 RENAMES: tuple[Rename, ...] = ()
 """What the version before called otherwise."""
+
+MOVES: tuple[Move, ...] = (
+    Move("rooms", "shells", ("walls", "interior_walls", "floor_source", "height_m", "height_source", "floor_color", "wall_color")),
+)
+"""What the version before had in another table."""
+
+
+def move_into(table: str) -> Move | None:
+    """The move that gave a table columns, which it may have rows of in files of the other."""
+    return next((move for move in MOVES if move.after == table), None)
+
+
+def move_out_of(table: str) -> Move | None:
+    """The move that took columns from a table."""
+    return next((move for move in MOVES if move.before == table), None)
 
 
 def former_views() -> dict[str, str]:
@@ -36,11 +64,14 @@ def former_columns(relation: str) -> dict[str, str]:
 
 def with_former(relation: str, query: str) -> str:
     """A query for a view or table with the old names of its columns after the others."""
-    former = former_columns(relation)
-    if not former:
-        return query
-    old = ", ".join(f'"{after}" AS "{before}"' for before, after in former.items())
-    return f"SELECT *, {old} FROM ({query})"
+    former, move = former_columns(relation), move_out_of(relation)
+    if former:
+        old = ", ".join(f'"{after}" AS "{before}"' for before, after in former.items())
+        query = f"SELECT *, {old} FROM ({query})"
+    if move is not None:
+        moved = ", ".join(f'"{move.after}"."{column}"' for column in move.columns)
+        query = f'SELECT kept.*, {moved} FROM ({query}) AS kept LEFT JOIN "{move.after}" USING (scene_id)'
+    return query
 
 
 def merged(relation: str, columns: Iterable[str]) -> list[str]:

@@ -23,7 +23,7 @@ from warehouse.lake import Lake
 from warehouse.questions import views
 from warehouse.questions.documentation import comment_statements
 from warehouse.questions.quoting import literal, quoted
-from warehouse.questions.renames import with_former
+from warehouse.questions.renames import move_into, with_former
 from warehouse.tables.released import RECORD, folder_of, parse_release, released
 from warehouse.tables.snapshot import relation
 
@@ -62,13 +62,15 @@ def write_catalog(
         connection.execute(f"SET VARIABLE {quoted(variable_of(name))} = {literal(str(present or address))}")
         folder = f"coalesce(getvariable({literal(variable_of(name))}), {literal(address)})"
         for table in TABLES.values():
-            source = None
+            source, former, move = None, None, move_into(table.name)
             if tables is None or table.name in tables:
                 source = f"SELECT * FROM read_parquet({folder} || {literal(f'/{table.name}.parquet')})"
                 columns = [row[0] for row in connection.execute(f"DESCRIBE {source}").fetchall()]
                 if columns != [column.name for column in table.columns]:
                     source = relation(table, source)
-            connection.execute(f"CREATE VIEW {quoted(table.name)} AS {with_former(table.name, source or relation(table))}")
+            elif move is not None and move.before in (tables or ()):
+                former = f"SELECT * FROM read_parquet({folder} || {literal(f'/{move.before}.parquet')})"
+            connection.execute(f"CREATE VIEW {quoted(table.name)} AS {with_former(table.name, source or relation(table, None, former))}")
             connection.execute(";\n".join(comment_statements(table)))
         views.install(connection)
         connection.execute("USE memory")

@@ -130,10 +130,10 @@ class DeltaTables:
 
         schema = nullable(table.arrow_schema)
         paths = [self._storage.arrow_path(file) for file in files]
-        former = {after: before for before, after in former_columns(table.name).items()}
+        former, earlier = {after: before for before, after in former_columns(table.name).items()}, table.earlier
         for after, before in former.items():
             schema = schema.append(schema.field(after).with_name(before))
-        taken = {name: _value(name, former.get(name)) for name in names} if former else names
+        taken = {name: _value(name, former.get(name), earlier.get(name)) for name in names} if former or earlier else names
         data = ds.dataset(paths, schema=schema, format="parquet", filesystem=self._storage.arrow_filesystem())
         if not wanted:
             return data.to_table(columns=taken)
@@ -366,12 +366,12 @@ def _bounds(folder: str, opened: DeltaTable) -> dict[str, dict[str, tuple[str, s
     return bounds
 
 
-def _value(name: str, before: str | None) -> Any:
-    """A column of data files, some of which may have it under an old name, as Arrow's expression."""
-    import pyarrow.compute as pc
-    import pyarrow.dataset as ds
+def _value(name: str, before: str | None, earlier: int | None = None) -> Any:
+    """A column of data files, some of which may have it under an old name, or be `earlier` than it, as Arrow's expression."""
+    from pyarrow.compute import coalesce, field, scalar
 
-    return ds.field(name) if before is None else pc.coalesce(ds.field(name), ds.field(before))
+    instead = [*([] if before is None else [field(before)]), *([] if earlier is None else [scalar(earlier)])]
+    return coalesce(field(name), *instead) if instead else field(name)
 
 
 def _row_groups(fragment: Any, wanted: Mapping[str, Sequence[str]]) -> Any:

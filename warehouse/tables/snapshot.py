@@ -17,7 +17,7 @@ from schemas.tables import TABLES
 from warehouse.questions import views
 from warehouse.questions.documentation import comment_statements, sql_type
 from warehouse.questions.quoting import listed, parquet_files, quoted
-from warehouse.questions.renames import former_columns, merged, with_former
+from warehouse.questions.renames import former_columns, merged, move_into, with_former
 from warehouse.storage.files import Storage
 from warehouse.storage.refusals import MissingFile
 from warehouse.tables.commit import versions_of
@@ -98,8 +98,7 @@ class Reader:
         if table == "releases":
             return rows_to_arrow(self.releases, Release)
         only = None if scene_id is None else {"scene_id": [scene_id]}
-        rows = self._tables.read(declared, files, only=only)
-        return rows.sort_by([(name, "ascending") for name in declared.key])
+        return self._read(declared, files, only=only)
 
     def rows(self, record_type: type[R], scene_id: str | None = None) -> list[R]:
         """Rows of a record type, sorted by key; of one scene when `scene_id` is given."""
@@ -109,8 +108,8 @@ class Reader:
     def rows_by_key(self, record_type: type[R], keys: Collection[str]) -> list[R]:
         """Rows of a record type whose key (the first column of it) is one of `keys`, sorted by key."""
         declared = table_of(record_type)
-        rows = self._tables.read(declared, self.files(declared.name) if keys else [], only={declared.key[0]: set(keys)})
-        return arrow_to_rows(rows.sort_by([(name, "ascending") for name in declared.key]), record_type)
+        files = self.files(declared.name) if keys else []
+        return arrow_to_rows(self._read(declared, files, only={declared.key[0]: set(keys)}), record_type)
 
     def matching(self, table: str, only: Mapping[str, Collection[Any]], columns: Collection[str] | None = None) -> pa.Table:
         """Rows of a table whose columns of text or truth hold one of the given values each, sorted by key; all columns, or those named.
@@ -119,8 +118,18 @@ class Reader:
         """
         declared = TABLES[table]
         names = None if columns is None else [c.name for c in declared.columns if c.name in columns or c.name in declared.key]
-        rows = self._tables.read(declared, self.files(table), names, only)
-        return rows.sort_by([(name, "ascending") for name in declared.key])
+        return self._read(declared, self.files(table), names, only)
+
+    def _read(
+        self, table: Table, files: Sequence[str], names: Sequence[str] | None = None, only: Mapping[str, Collection[Any]] | None = None
+    ) -> pa.Table:
+        """Rows of a table's files, sorted by key, with those that files of the table have that it took columns from."""
+        rows, move = self._tables.read(table, files, names, only), move_into(table.name)
+        if move is not None:
+            wanted, mark = list(names if names is not None else rows.column_names), move.columns[0]
+            former = self._tables.read(table, self.files(move.before), [*wanted, *({mark} - set(wanted))], only)
+            rows = pa.concat_tables([rows, former.filter(former.column(mark).is_valid()).select(wanted)])
+        return rows.sort_by([(name, "ascending") for name in table.key])
 
     def connect(self, settings: Mapping[str, str | int] | None = None, names: frozenset[str] | None = None) -> duckdb.DuckDBPyConnection:
         """A DuckDB connection with one view per table and per question, comments included.
@@ -180,7 +189,9 @@ class Reader:
     def _view(self, name: str, paths: list[str]) -> str:
         """The statement that makes the view of a table."""
         table = TABLES[name]
-        body = relation(table, read_files(paths))
+        move = move_into(name)
+        former = read_files([self._storage.duckdb_path(file) for file in self.files(move.before)]) if move is not None else None
+        body = relation(table, read_files(paths), former)
         if name == "snapshots" and paths:
             body += f" WHERE snapshot_id <= {self.snapshot_id}"
         elif name == "releases" and self.releases:
@@ -190,16 +201,26 @@ class Reader:
         return f"CREATE VIEW {quoted(name)} AS {with_former(name, body)}"
 
 
-def relation(table: Table, source: str | None = None) -> str:
-    """SQL for rows under the columns and types of a table: of the query `source`, or none. Columns that it lacks are null."""
+def relation(table: Table, source: str | None = None, former: str | None = None) -> str:
+    """SQL for rows under the columns and types of a table: of the query `source`, or none. Columns that it lacks are null, or what rows
+    have that are older than them. `former`: a query for rows of the table that this one took columns from."""
     types = {column.name: sql_type(column.type) for column in table.columns}
     empty = [f"NULL::{kind} AS {quoted(name)}" for name, kind in types.items()]
-    if source is None:
+    move = move_into(table.name)
+    if former is not None and move is not None:
+        known = f"SELECT {', '.join(empty)} WHERE false UNION ALL BY NAME {former}"
+        former = f"SELECT * FROM ({known}) WHERE {quoted(move.columns[0])} IS NOT NULL"
+    if source is None and former is None:
         return f"SELECT {', '.join(empty)} WHERE false"
     empty += [f"NULL::{types[after]} AS {quoted(before)}" for before, after in former_columns(table.name).items()]
     body = f"SELECT {', '.join(empty)} WHERE false"
     # The empty relation gives columns that no file has yet, and the schema's types.
-    return f"SELECT {', '.join(merged(table.name, types))} FROM ({body} UNION ALL BY NAME {source})"
+    sources = " UNION ALL BY NAME ".join(part for part in (body, source, former) if part is not None)
+    names = [
+        f"coalesce({quoted(name)}, {table.earlier[name]}) AS {quoted(name)}" if name in table.earlier else sql
+        for name, sql in zip(types, merged(table.name, types), strict=True)
+    ]
+    return f"SELECT {', '.join(names)} FROM ({sources})"
 
 
 def read_files(paths: Sequence[str]) -> str | None:

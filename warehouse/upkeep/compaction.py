@@ -124,7 +124,7 @@ def _rewritten(lake: Lake, table: Table, files: Sequence[str], schema: pa.Schema
         connection.register("stored", schema.empty_table())
         relation = f"(SELECT * FROM stored UNION ALL BY NAME SELECT * FROM {parquet(lake.storage, files)})"
         columns = ", ".join(quoted(name) for name in schema.names)
-        order = ", ".join(quoted(name) for name in table.key)
+        order = ", ".join(quoted(name) for name in table.key if name in schema.names)  # it may be older than a column
         batches = connection.sql(f"SELECT {columns} FROM {relation} ORDER BY {order}").to_arrow_reader(_BATCH_ROWS)
         return write_files(lake.storage, table.name, batches, schema, check, target)
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Instance, Room
+from schemas.capture import Instance, Shell
 from tasks.geometry.boxes import grown_box
 from tasks.geometry.transforms import inverse, matrix, transform_points
 from tasks.mounting import Mounting, mounting
@@ -63,7 +63,7 @@ class _Seen:
 
 
 def with_hidden_parts(
-    rows: Sequence[Instance], points: Sequence[Array], floor: Array, room: Room, leaves: Mapping[int, Array] | None = None
+    rows: Sequence[Instance], points: Sequence[Array], floor: Array, room: Shell, leaves: Mapping[int, Array] | None = None
 ) -> list[Instance]:
     """The rows of a scan, `hidden_m` filled in. points: of each [m], shape (n, 3). floor: points of the floor that was seen [m],
     shape (m, 2). leaves: corners of doors and windows with what was not seen of them, by number [m], shape (8, 3)."""

@@ -87,6 +87,7 @@ def instance_row(
         nyu40_id=label.nyu40_id,
         nyu40_label=label.nyu40_label,
         is_structure=label.is_structure,
+        room_index=None,
         box_pose=flat(pose),
         box_size=tuple(float(v) for v in size),
         box_volume_m3=float(np.prod(size)),

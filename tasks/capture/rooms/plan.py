@@ -101,11 +101,18 @@ class FloorCells:
 
     def is_floor(self, points: Array) -> NDArray[np.bool_]:
         """Whether the floor was seen at places, shape (n, 2)."""
-        cells = np.floor((points - self.origin) / CELL_M).astype(np.int64)
-        known = ((cells >= 0) & (cells < self.floor.shape)).all(axis=1)
-        seen = np.zeros(len(points), dtype=bool)
-        seen[known] = self.floor[cells[known, 0], cells[known, 1]]
-        return seen
+        return self._at(points, self.floor)
+
+    def is_seen(self, points: Array) -> NDArray[np.bool_]:
+        """Whether anything but walls was seen at places, shape (n, 2)."""
+        return self._at(points, self.seen)
+
+    def _at(self, points: Array, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        place = np.floor((points - self.origin) / CELL_M).astype(np.int64)
+        known = ((place >= 0) & (place < cells.shape)).all(axis=1)
+        there = np.zeros(len(points), dtype=bool)
+        there[known] = cells[place[known, 0], place[known, 1]]
+        return there
 
 
 _SEEN_SHARE = 0.25

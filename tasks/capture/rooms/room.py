@@ -1,4 +1,4 @@
-"""The room of a scene: floor polygon, walls and height, estimated from its points."""
+"""The shell of a scene: outline of its rooms, walls and height, estimated from its points."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.capture.cloud import Cloud
 from tasks.capture.labels import CEILING, FLOOR, WALL, Label
 from tasks.capture.rooms.partitions import interior_walls
 from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, enclosed, largest
+from tasks.capture.rooms.separation import Seen
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -50,7 +51,8 @@ class RoomShape:
 
     polygon: Corners of the floor, counter-clockwise, open ring [m], shape (n, 2). walls: Segments x0, y0, x1, y1 with the
     room to their left [m], shape (m, 4): edges of the polygon, then faces of interior walls. interior_walls: Center lines
-    x0, y0, x1, y1, thickness, height [m], shape (k, 6). height [m].
+    x0, y0, x1, y1, thickness, height [m], shape (k, 6). height [m]. is_seen: where anything but walls was seen, of places shape
+    (m, 2) [m]; None where nobody looked.
     """
 
     polygon: Array
@@ -61,15 +63,17 @@ class RoomShape:
     height: float
     height_source: str
     notes: tuple[str, ...]
+    is_seen: Seen | None = None
 
     def row(
-        self, scene_id: str, room_type: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
+        self, scene_id: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
         openings: tuple[tuple[float, ...], ...] | None = None,
-    ) -> Room:  # fmt: skip
-        """The row of `rooms` for this shape. parts: Colors, shape (n, 3), and label of what tells the colors of floor and walls."""
-        return Room(
+    ) -> Shell:  # fmt: skip
+        """The row of `shells` for this shape, of unknown kind. parts: Colors, shape (n, 3), and label of what tells the colors of floor
+        and walls."""
+        return Shell(
             scene_id=scene_id,
-            room_type=room_type,
+            room_type="unknown",
             floor_polygon=tuple((float(x), float(y)) for x, y in self.polygon),
             floor_area_m2=self.area,
             floor_source=self.floor_source,
@@ -116,7 +120,7 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     slabs, more = interior_walls(cloud, kinds == WALL, shape, height, plan.is_floor)
     walls = np.array([*_edges(polygon), *(face for slab in slabs for face in slab.faces)])
     inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
-    return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more))
+    return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen)
 
 
 def floor_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.geometry.meshes import Surface
 from tasks.mounting import mounting
 from tasks.optimization.support.enclosures import encloses
@@ -133,7 +133,7 @@ class _Rest:
     lift: float = 0.0
 
 
-def find_carriers(placed: Sequence[PlacedAsset], room: Room | None, config: SupportConfig) -> dict[str, Carrier]:
+def find_carriers(placed: Sequence[PlacedAsset], room: Shell | None, config: SupportConfig) -> dict[str, Carrier]:
     """What carries every placed asset, by instance id. No object carries itself, not even through others.
 
     Surfaces within reach of the bottom count, the highest at every point of the base; whose are most carries it: a mug
@@ -222,7 +222,7 @@ def support_map(obj: PlacedAsset, carrier: PlacedAsset, gap: float, cell: float,
 
 
 def _carrier(
-    obj: PlacedAsset, order: Sequence[PlacedAsset], rests: Mapping[str, _Rest], faces: Sequence[WallFace], room: Room | None,
+    obj: PlacedAsset, order: Sequence[PlacedAsset], rests: Mapping[str, _Rest], faces: Sequence[WallFace], room: Shell | None,
     config: SupportConfig,
 ) -> Carrier:  # fmt: skip
     """What carries one object: 'on' for every object that does, the lift its own only."""

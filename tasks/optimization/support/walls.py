@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from schemas.errors import InputError
 from tasks.mounting import mounting
 from tasks.shell import floor_ring, interior_footprints
@@ -49,7 +49,7 @@ class WallContact:
     width: float
 
 
-def wall_faces(room: Room) -> list[WallFace]:
+def wall_faces(room: Shell) -> list[WallFace]:
     """Inner faces of the room's shell, and of scanned walls that are none of the shell's."""
     faces: list[WallFace] = []
     try:
@@ -93,7 +93,7 @@ def stands_against(obj: PlacedAsset, faces: Sequence[WallFace], within: float) -
     return contact.face.name if np.ptp(near @ contact.face.along) >= 0.4 * contact.width else None
 
 
-def wall_snap(obj: PlacedAsset, room: Room, carrier: Carrier, wall_m: float = 0.12) -> tuple[float, float]:
+def wall_snap(obj: PlacedAsset, room: Shell, carrier: Carrier, wall_m: float = 0.12) -> tuple[float, float]:
     """The shortest horizontal move (dx, dy) [m] that brings a hanging object's back onto its wall's inner face.
 
     Out of the wall however deep it sinks in, onto the wall from `wall_m` [m] at most. Zero for what hangs on no part of

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from flows.inputs.ingestion import DatasetImport, import_dataset
 from flows.stats import write_report
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.optimization import Certificate, Placement
@@ -204,7 +204,7 @@ def test_a_scene_may_be_empty_but_for_its_stage(dataset: Path, lake: Lake) -> No
     edit(scene_file(dataset, SECOND), lambda document: document.update(object_instances=[]))
     done = import_dataset(lake, "habitat", dataset, "other")
     assert [(one.objects, one.error) for one in done.scenes] == [(2, None), (0, None)]
-    (room,) = lake.snapshot().rows(Room, done.scenes[1].scene_id)
+    (room,) = lake.snapshot().rows(Shell, done.scenes[1].scene_id)
     assert room.floor_area_m2 > 1
     assert actions(import_dataset(lake, "habitat", dataset, "other")) == ["reuse", "reuse"]
 
@@ -454,7 +454,7 @@ def test_datasets_are_compared_by_what_their_rows_say(mixed: Lake) -> None:
     with reader.connect() as connection:
         found = {row["dataset"]: row for row in connection.sql("SELECT * FROM dataset_comparison").to_arrow_table().to_pylist()}
     scenes = {row.scene_id: row for row in reader.rows(Scene)}
-    floors = {row.scene_id: row.floor_area_m2 for row in reader.rows(Room)}
+    floors = {row.scene_id: row.floor_area_m2 for row in reader.rows(Shell)}
     assets = {row.asset_id: row for row in reader.rows(Asset)}
     by_dataset: dict[str, dict[str, list]] = defaultdict(lambda: defaultdict(list))
     for scene in scenes.values():

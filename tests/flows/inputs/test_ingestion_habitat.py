@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flows.inputs.ingestion import import_dataset
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.navigation import Navmesh
 from schemas.optimization import Placement
 from schemas.runs import StageRun
@@ -98,8 +98,8 @@ def test_the_room_is_found_in_the_stage(scenes: list[tuple[Rows, dict[str, bytes
     import shapely
 
     for rows, _ in scenes:
-        (old,) = rows["rooms"]
-        (new,) = [row for row in lake.snapshot().rows(Room) if f"_{old.scene_id.rpartition('/')[2]}_" in row.scene_id]
+        (old,) = rows["shells"]
+        (new,) = [row for row in lake.snapshot().rows(Shell) if f"_{old.scene_id.rpartition('/')[2]}_" in row.scene_id]
         before, after = shapely.Polygon(floor_ring(old)), shapely.Polygon(floor_ring(new))
         assert before.intersection(after).area / before.union(after).area > 0.95
         assert new.room_type == old.room_type

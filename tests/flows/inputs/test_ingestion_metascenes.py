@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from flows.inputs.ingestion import import_dataset
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.capture.labels import label_map
@@ -76,7 +76,7 @@ def test_every_object_is_where_people_put_it_and_where_the_physics_engine_left_i
 def test_rooms_have_the_floor_that_the_release_states(imported: tuple[Lake, dict[str, list[Truth]]]) -> None:
     lake, truths = imported
     for scan in truths:
-        (room,) = lake.snapshot().rows(Room, f"metascenes/{scan}")
+        (room,) = lake.snapshot().rows(Shell, f"metascenes/{scan}")
         (scene,) = lake.snapshot().rows(Scene, f"metascenes/{scan}")
         assert apart(np.array(room.floor_polygon), np.array(FLOOR)) < 1e-9
         assert room.floor_area_m2 == pytest.approx(24.0)
@@ -131,7 +131,7 @@ def test_a_layout_elsewhere_is_passed_over_for_one_around_the_objects(tmp_path: 
     away.write_text(json.dumps({**document, "vert": [[x + 50, y, z] for x, y, z in document["vert"]]}))
     lake = Lake.open(tmp_path / "lake")
     (one,) = import_dataset(lake, "metascenes", tmp_path / "release", "other").scenes
-    (room,) = lake.snapshot().rows(Room)
+    (room,) = lake.snapshot().rows(Shell)
     points = np.concatenate([truth.annotated for truth in truths[SCANS[0]]])
     assert room.floor_area_m2 == pytest.approx(float(np.prod(np.ptp(points[:, :2], axis=0))))
     assert (room.floor_source, room.height_source) == ("layout", "extent")

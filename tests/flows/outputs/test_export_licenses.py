@@ -62,7 +62,7 @@ def stage(lake: Lake, scene: str, objects: list[Object], formats: tuple[str, ...
     from flows.run.fingerprints import canonical_json
 
     above: list[str] = []
-    told = {"capture": ("scenes", "rooms", "instances"), "captions": ("captions",), "candidates": ("candidates", "assets"),
+    told = {"capture": ("scenes", "shells", "instances"), "captions": ("captions",), "candidates": ("candidates", "assets"),
             "optimization": ("placements", "supports"), "navigation": ("navmeshes", "episodes")}  # fmt: skip
     for at, (name, tables) in enumerate(told.items()):
         print_ = fingerprint(scene, name)

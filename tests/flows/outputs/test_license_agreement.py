@@ -77,7 +77,7 @@ def lay(lake: Lake, scene: str, seed: int) -> tuple[str, ...]:
     ]
     rows |= {"navmeshes": [], "episodes": []}
     above: list[str] = []
-    stages = {"capture": ("scenes", "rooms", "instances"), "captions": ("captions",), "candidates": ("candidates", "assets"),
+    stages = {"capture": ("scenes", "shells", "instances"), "captions": ("captions",), "candidates": ("candidates", "assets"),
               "optimization": ("placements", "supports"), "navigation": ("navmeshes", "episodes")}  # fmt: skip
     for at, (name, tables) in enumerate(stages.items()):
         print_ = fingerprint(scene, name)

@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 from flows.cli import cli
 from flows.stats import STAGES, ShownScenes, answers_of, draw_charts, picture_scene_of, report_queries, stage_table, write_report
 from flows.stats.queries import _ORDERS as ORDERS
-from schemas.capture import Room, Scene
+from schemas.capture import Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.geometry.transforms import matrix
@@ -178,7 +178,7 @@ def test_a_scene_has_a_heat_map_and_its_figure(report: Path) -> None:
 def test_the_picture_before_shows_the_proposed_poses_and_the_one_after_the_optimized(lake: Lake) -> None:
     reader = lake.snapshot()
     placements = reader.rows(Placement, "demo/room_0")
-    room = reader.rows(Room, "demo/room_0")[0]
+    room = reader.rows(Shell, "demo/room_0")[0]
     shell = {name: [part] for name, part in room_shell(room)}
     parts = [solid(int(placement.instance_id)) for placement in placements]
     pictures = picture_scene_of(lake, reader.snapshot_id, "demo/room_0", SMALL)
@@ -311,7 +311,7 @@ def test_a_report_on_a_release_names_it(tmp_path: Path) -> None:
     lake = Lake.open(tmp_path / "lake")
     for number, name in enumerate(("ours/a", "theirs/a")):
         row = sample(Scene, scene_id=name, dataset=name.partition("/")[0], mesh_blob=lake.blobs.put(b"none", "glb"))
-        lake.stage_rows(stage_run(name, "capture", fingerprint(name)), {"scenes": [row], "rooms": [], "instances": []})
+        lake.stage_rows(stage_run(name, "capture", fingerprint(name)), {"scenes": [row], "shells": [], "instances": []})
         lake.commit()
         if not number:
             make_release(lake, "v1")

@@ -42,7 +42,7 @@ OBJECTS = st.lists(
 @quick
 def test_categories_by_room_type(database: Database, objects: list[tuple[str, str, bool]], types: dict[str, str]) -> None:
     rows: list[Any] = [sample(Scene, scene_id=f"demo/{scene}") for scene in "abc"]
-    rows += [sample(Room, scene_id=f"demo/{scene}", room_type=kind) for scene, kind in types.items()]
+    rows += [sample(Room, scene_id=f"demo/{scene}", room_index=0, room_type=kind) for scene, kind in types.items()]
     counts: Counter[tuple[str, str]] = Counter()
     scenes: dict[tuple[str, str], set[str]] = defaultdict(set)
     for number, (scene, category, is_structure) in enumerate(objects):

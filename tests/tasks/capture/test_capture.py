@@ -72,7 +72,7 @@ def captured(path: Path, format: str = "auto", config: CaptureConfig | None = No
 
 def assert_box_room(outcome: Outcome, tolerance: float = 0.01) -> None:
     """The rows say what the truth says, up to the half turns that a box may have."""
-    (scene,), (shape,) = outcome.rows["scenes"], outcome.rows["rooms"]
+    (scene,), (shape,) = outcome.rows["scenes"], outcome.rows["shells"]
     pose = matrix(scene.alignment)
     assert is_rigid(pose)
     # The world frame is the truth's up to a quarter turn and a shift along the floor: compare what does not depend on them.
@@ -124,7 +124,7 @@ def test_every_scannet_variant_tells_the_same_truth(variant: str, room: BoxRoom,
     has_frames = VARIANTS[variant].get("frames") != "none"
     assert len(outcome.rows["frames"]) == (len(room.cameras) if has_frames else 0)
     assert bool(outcome.rows["masks"]) == has_frames
-    assert outcome.rows["rooms"][0].room_type == ("bedroom" if VARIANTS[variant].get("scene_type", 1) else "unknown")
+    assert outcome.rows["shells"][0].room_type == ("bedroom" if VARIANTS[variant].get("scene_type", 1) else "unknown")
 
 
 @pytest.mark.whole
@@ -226,7 +226,7 @@ def test_an_occluded_view_scores_lower(room: BoxRoom, tmp_path: Path) -> None:
 @pytest.mark.whole
 def test_posed_rgbd_gets_mesh_room_and_instances(room: BoxRoom, tmp_path: Path) -> None:
     outcome = captured(write_posed_rgbd(tmp_path / "kitchen", room))
-    (scene,), (shape,) = outcome.rows["scenes"], outcome.rows["rooms"]
+    (scene,), (shape,) = outcome.rows["scenes"], outcome.rows["shells"]
     assert (scene.scene_id, scene.segmentation, scene.alignment_source) == ("rgbd/kitchen", "geometry", "estimated")
     pose = matrix(scene.alignment) @ SCAN_FROM_WORLD
     assert np.arccos(pose[2, 2]) < np.deg2rad(1)
@@ -304,7 +304,7 @@ def test_estimated_alignment_does_not_depend_on_how_the_scan_lay(turn: float, ro
     """A scan turned about the vertical beforehand comes out in the same world frame, up to quarter turns."""
     moved = dataclasses.replace(room, surface=room.surface.transformed(yaw_pose(turn, [3.0, 1.0, 2.0])))
     outcome = captured(write_scannet(tmp_path / "scene0001_00", moved, aligned=False, frames="none"))
-    polygon = np.array(outcome.rows["rooms"][0].floor_polygon)
+    polygon = np.array(outcome.rows["shells"][0].floor_polygon)
     assert np.allclose(sorted(np.ptp(polygon, axis=0)), sorted(ROOM[:2]), atol=0.02)
     floor = outcome.rows["instances"][0]
     assert abs(floor.box_pose[11]) < 0.005
@@ -321,7 +321,7 @@ def test_l_shaped_room_keeps_its_corner(tmp_path: Path) -> None:
         ("wall", plate([2, 4, 0], [0, 0, 2.5], [-2, 0, 0])), ("wall", plate([0, 4, 0], [0, 0, 2.5], [0, -4, 0])),
     ]  # fmt: skip
     outcome = captured(write_scannet(tmp_path / "scene0001_00", _assembled(pieces), frames="none", aligned=False))
-    (shape,) = outcome.rows["rooms"]
+    (shape,) = outcome.rows["shells"]
     assert shape.floor_area_m2 == pytest.approx(12.0, abs=0.15)
     assert len(shape.floor_polygon) == 6
     assert (shape.height_m, shape.height_source) == (pytest.approx(2.5, abs=0.02), "walls")
@@ -462,7 +462,7 @@ def test_real_modelled_house(realdata: Callable[[str], Path]) -> None:
         reach = np.abs(pose[:3, :3]) @ half
         assert (pose[:3, 3] + reach >= high - 0.01).all()
         assert (pose[:3, 3] - reach <= low + 0.01).all()
-    (shape,) = outcome.rows["rooms"]
+    (shape,) = outcome.rows["shells"]
     assert shape.height_m == pytest.approx(3.0, abs=0.05)
     # Its outer walls are 20 cm thick, and its floor runs on below them: the room ends at their inner faces.
     ring = np.array(shape.floor_polygon)
@@ -545,7 +545,7 @@ def test_scan_of_a_furnished_room_against_its_truth(tmp_path: Path) -> None:
     scan_scene(room, tmp_path, "scene0000_00", ScannerConfig(axis_alignment=False, frames="sens"), rng)
     truth = json.loads((tmp_path / "scene0000_00.truth.json").read_text())
     outcome = captured(tmp_path / "scene0000_00")
-    (scene,), (shape,) = outcome.rows["scenes"], outcome.rows["rooms"]
+    (scene,), (shape,) = outcome.rows["scenes"], outcome.rows["shells"]
     world = matrix(scene.alignment) @ inverse(matrix(np.ravel(truth["alignment"])))
     assert np.arccos(min(1.0, world[2, 2])) < np.deg2rad(0.5)
     assert abs((yaw_of(world) + np.pi / 4) % (np.pi / 2) - np.pi / 4) < np.deg2rad(0.7)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.capture import Instance, Room
+from schemas.capture import Instance, Shell
 from tasks.candidates.closing import SolidField, closed_mesh, solid_field
 from tasks.candidates.completion import Unseen
 from tasks.capture.instances.hidden import with_hidden_parts
@@ -18,7 +18,7 @@ from tests.samples import sample
 
 Array = np.ndarray
 
-ROOM = sample(Room, walls=((0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 4.0), (4.0, 4.0, 0.0, 4.0), (0.0, 4.0, 0.0, 0.0)))
+ROOM = sample(Shell, walls=((0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 4.0), (4.0, 4.0, 0.0, 4.0), (0.0, 4.0, 0.0, 0.0)))
 """A room of 4 m by 4 m."""
 
 

@@ -14,7 +14,7 @@ import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from schemas.errors import InputError
 from tasks import navigation
 from tasks.capture.cloud import dense_cloud
@@ -102,7 +102,7 @@ def ordered(shape: RoomShape) -> np.ndarray:
     return np.array(sorted(rows, key=lambda w: w[1])).reshape(-1, 6)
 
 
-def with_walls(room: Room, walls: list[tuple[float, ...]], **values: Any) -> Room:
+def with_walls(room: Shell, walls: list[tuple[float, ...]], **values: Any) -> Shell:
     return dataclasses.replace(room, interior_walls=tuple(walls), **values)
 
 
@@ -140,7 +140,7 @@ def test_two_rooms_through_the_whole_stage(quarter: int, tmp_path: Path) -> None
     room = assembled([*shell(), *wall_with_door(), solid_piece("bed", (0.3, 0.4, 0), (1.3, 2.3, 0.5))])
     turned = room.surface.transformed(yaw_pose(quarter * math.pi / 2, [0, 0, 0]))
     outcome = captured(write_scannet(tmp_path / "scene0001_00", dataclasses.replace(room, surface=turned), frames="none"))
-    (row,) = outcome.rows["rooms"]
+    (row,) = outcome.rows["shells"]
     assert len(row.interior_walls) == 2
     for wall in row.interior_walls:
         assert abs((wall[1] if quarter else wall[0]) - 3.0) < 0.03
@@ -219,7 +219,7 @@ def test_half_height_walls_are_left_out_and_reported() -> None:
 
 
 def test_single_rooms_have_none(tmp_path: Path) -> None:
-    (row,) = captured(write_scannet(tmp_path / "scene0001_00", box_room(), frames="none")).rows["rooms"]
+    (row,) = captured(write_scannet(tmp_path / "scene0001_00", box_room(), frames="none")).rows["shells"]
     assert row.interior_walls == ()
     assert row.floor_color == (40, 60, 80)  # the first of the box room's colors
 
@@ -237,7 +237,7 @@ def test_ends_near_another_wall_reach_it_and_no_slab_leaves_the_floor() -> None:
 @pytest.mark.realdata
 def test_walls_of_a_modelled_house(realdata: Callable[[str], Path]) -> None:
     """Its own faces say where: 20 cm thick beside the folding doors, 10 cm and 1.87 m tall between the bedrooms."""
-    (row,) = captured(realdata("scene_aws_small_house") / "house.glb").rows["rooms"]
+    (row,) = captured(realdata("scene_aws_small_house") / "house.glb").rows["shells"]
     divider, north, south = ([*sorted([wall[:2], wall[2:4]], key=sum), wall[4:]] for wall in row.interior_walls)
     for found, expected in (
         (divider, [(-8.3, -1.496), (-3.89, -1.496), (0.105, 1.865)]),
@@ -287,7 +287,7 @@ def test_exports_have_interior_walls_as_colliders_and_pass_their_gates(tmp_path:
 
     rows, blobs = rows_of(furnished())
     wall = (0.6, -2.0, 0.6, -0.6, 0.12, 2.6)
-    rows["rooms"] = [with_walls(rows["rooms"][0], [wall], floor_color=(120, 90, 60))]
+    rows["shells"] = [with_walls(rows["shells"][0], [wall], floor_color=(120, 90, 60))]
     outcome = export(*with_navigation(rows, blobs))
     assert [f"{row.format} {row.rule}: {row.message}" for row in outcome.rows["export_checks"] if not row.passed] == []
     for row in outcome.rows["export_files"]:
@@ -332,11 +332,11 @@ def test_episodes_of_a_room_with_a_wall_never_cross_it_and_goals_are_on_the_obje
         "0001": ("bed", [solid((0.8, 1.9, 0.5))], (2.35, 1.0, 0.0), 0.0),  # its side at the wall
         "0002": ("chair", [solid((0.5, 0.5, 0.9))], (4.6, 3.2, 0.0), 0.0),
     })  # fmt: skip
-    depth = max(y for _, y in tables["rooms"][0].floor_polygon)
-    tables["rooms"] = [with_walls(tables["rooms"][0], [(2.83, 0.0, 2.83, depth - 1.2, 0.1, 2.5)])]
+    depth = max(y for _, y in tables["shells"][0].floor_polygon)
+    tables["shells"] = [with_walls(tables["shells"][0], [(2.83, 0.0, 2.83, depth - 1.2, 0.1, 2.5)])]
     config = navigation.NavigationConfig(train_episodes=10, test_episodes=10)
     outcome = navigation.run(**tables, context=context, config=config)
-    wall = shapely.Polygon(interior_footprints(tables["rooms"][0])[0])
+    wall = shapely.Polygon(interior_footprints(tables["shells"][0])[0])
     assert len(outcome.rows["episodes"]) == 10
     sides = set()
     for episode in outcome.rows["episodes"]:
@@ -382,7 +382,7 @@ def test_no_move_pushes_an_asset_into_a_wall(seed: int) -> None:
     scene.add(block(0.5, 0.5, 0.5), yaw_pose(0, [0.05, 0.0, 0.0]))
     free = bounds(scene.run(Paper(), seed), scene, "optimized")
     assert any(box[1, 0] > 0.46 for box in free.values()), "without the wall it would be pushed there"
-    scene.rooms = [with_walls(scene.rooms[0], [wall])]
+    scene.shells = [with_walls(scene.shells[0], [wall])]
     for method in (Paper(), Default()):
         kept = scene.run(method, seed)
         for box in bounds(kept, scene, "optimized").values():

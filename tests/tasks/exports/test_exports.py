@@ -115,8 +115,8 @@ def test_a_scene_without_navmesh_has_no_episodes(scene: tuple[dict[str, list[Any
 
 def test_a_scene_without_a_room_is_refused(scene: tuple[dict[str, list[Any]], dict[str, bytes]]) -> None:
     rows, blobs = scene
-    with pytest.raises(InputError, match="rooms: scene_id: 0 rooms"):
-        export(rows | {"rooms": []}, blobs)
+    with pytest.raises(InputError, match="shells: scene_id: 0 rows"):
+        export(rows | {"shells": []}, blobs)
 
 
 def test_an_empty_room_can_be_exported() -> None:

@@ -213,7 +213,7 @@ def compare(objects: Sequence[Object], root: Path) -> None:
     config = exports.ExportsConfig()
     outcome = export(rows | {"navmeshes": [], "episodes": []}, blobs, config)
     exports.write_folder(root, {f"{row.format}/{row.path}": outcome.blobs[row.file_blob] for row in outcome.rows["export_files"]})
-    tables = ("scenes", "rooms", "instances", "captions", "assets", "placements", "supports")
+    tables = ("scenes", "shells", "instances", "captions", "assets", "placements", "supports")
     replica, _ = gather(*[rows[name] for name in tables], blobs, config)
     expected = {}
     for body in replica.bodies:

@@ -54,7 +54,7 @@ def scan_of(
 ) -> tuple[Rows, Blobs]:
     """A replica of objects, and a scan that shows just that, each object moved by a pose of its own, and what no instance has."""
     rows, blobs = rows_of(objects)
-    replica = replica_surface(rows["rooms"][0], rows["placements"], rows["assets"], blobs)
+    replica = replica_surface(rows["shells"][0], rows["placements"], rows["assets"], blobs)
     parts: list[trimesh.Trimesh] = []
     for index, instance in enumerate(rows["instances"]):
         own = [part.copy() for part in replica.objects[instance.instance_id]]
@@ -266,7 +266,7 @@ def test_a_scene_without_objects_or_room_is_measured_as_far_as_it_goes() -> None
     assert figures(scene, "shell_f") == ONES
     assert scene.unexplained_share is None
     rows, blobs = scan_of([cube((EDGE, EDGE, EDGE), translation([0.5, 0.0, 0.0]))])
-    bare = scene_of(measured(rows | {"rooms": [], "frames": []}, blobs))
+    bare = scene_of(measured(rows | {"shells": [], "frames": []}, blobs))
     assert figures(bare, "object_completeness") == ONES
     assert figures(bare, "shell_completeness") == (0.0, 0.0, 0.0)
     assert figures(bare, "shell_f") == (None, None, None)
@@ -304,8 +304,8 @@ def test_walls_hide_nothing_from_cameras_behind_them() -> None:
 
 def test_backs_of_walls_are_not_the_replica_s_surface() -> None:
     rows, blobs = scan_of([])
-    shell = replica_surface(rows["rooms"][0], [], [], blobs).shell
-    room = rows["rooms"][0]
+    shell = replica_surface(rows["shells"][0], [], [], blobs).shell
+    room = rows["shells"][0]
     ring = np.array(room.floor_polygon)
     length = np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1).sum()
     walls = shell.vertices[shell.faces][:, :, 2].max(axis=1) > 1.0
@@ -346,7 +346,7 @@ def test_the_back_of_a_niche_is_seen_however_deep_it_is(depth: float, turned: bo
     """A door in the wall at y = -2: of the shell, beside floor and walls, the panel's front."""
     left, right, top = (1.0, 0.2, 2.0) if turned else (0.2, 1.0, 2.0)
     rows, blobs = rows_of([])
-    room = dataclasses.replace(rows["rooms"][0], openings=((left, -2.0, right, -2.0, 0.0, top, depth),))
+    room = dataclasses.replace(rows["shells"][0], openings=((left, -2.0, right, -2.0, 0.0, top, depth),))
     shell = replica_surface(room, [], [], blobs).shell
     triangles = shell.vertices[shell.faces]
     front = max(depth, ShellConfig().thickness_m - ShellConfig().panel_m)
@@ -362,7 +362,7 @@ def test_the_outside_of_a_wall_is_not_seen_across_a_thin_one() -> None:
     """Two arms of a room, 14 cm apart: each wall between ends 4 cm before the other arm."""
     rows, blobs = rows_of([])
     ring = ((-3.0, -2.0), (3.0, -2.0), (3.0, 2.0), (0.14, 2.0), (0.14, 0.0), (0.0, 0.0), (0.0, 2.0), (-3.0, 2.0))
-    shell = replica_surface(dataclasses.replace(rows["rooms"][0], floor_polygon=ring), [], [], blobs).shell
+    shell = replica_surface(dataclasses.replace(rows["shells"][0], floor_polygon=ring), [], [], blobs).shell
     triangles = shell.vertices[shell.faces]
     between = triangles[
         ((triangles[..., 0] > -0.001) & (triangles[..., 0] < 0.141)).all(axis=1) & (np.ptp(triangles[..., 0], axis=1) < 1e-9)

@@ -9,7 +9,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.capture import Frame, Room
+from schemas.capture import Frame, Shell
 from tasks.fidelity.cameras import frame_cameras, virtual_cameras
 from tasks.fidelity.replicas import ReplicaRays, ReplicaSurface
 from tasks.fidelity.visibility import in_picture, seen_past, visible
@@ -121,7 +121,7 @@ def test_cameras_of_frames_are_evenly_chosen_and_see_what_the_frames_saw() -> No
 def test_virtual_cameras_stand_free_over_the_floor_and_are_always_the_same(seed: int, height: float) -> None:
     rng = np.random.default_rng(seed)
     polygon = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (2.0, 2.0), (2.0, 3.5), (0.0, 3.5))
-    room = sample(Room, floor_polygon=polygon, height_m=height)
+    room = sample(Shell, floor_polygon=polygon, height_m=height)
     points = np.concatenate([[[0, 0, 0], [4.0, 3.5, height]], rng.uniform((0, 0, 0), (4, 3.5, height), (12, 3))])
     cameras = virtual_cameras(room, points, 160)
     assert len(cameras) % 4 == 0
@@ -139,7 +139,7 @@ def test_virtual_cameras_stand_free_over_the_floor_and_are_always_the_same(seed:
 @pytest.mark.parametrize("has_room", [True, False])
 def test_a_stray_point_far_away_costs_no_more_cameras_nor_memory(stray: tuple[float, float, float], has_room: bool) -> None:
     polygon = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0))
-    room = sample(Room, floor_polygon=polygon, height_m=2.5) if has_room else None
+    room = sample(Shell, floor_polygon=polygon, height_m=2.5) if has_room else None
     points = np.array([[0, 0, 0], [4, 3, 2.5], [4, 0, 0], [0, 3, 0], [-3, -3, 0]], dtype=float)
     cameras = virtual_cameras(room, np.concatenate([points, [stray]]), 160)
     assert 4 <= len(cameras) <= 16

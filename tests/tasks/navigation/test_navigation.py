@@ -15,7 +15,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from schemas.record import rows_to_arrow
@@ -57,8 +57,8 @@ def furnished(
         )  # fmt: skip
         instances.append(Instance(
             scene_id=SCENE, instance_id=instance_id, source_id=instance_id, raw_label=category, category=category, nyu40_id=0,
-            nyu40_label="unlabeled", is_structure=False, box_pose=pose, box_size=extents, box_volume_m3=1.0, hidden_m=None, point_count=9,
-            points_blob="0" * 64 + ".ply", mesh_blob=None, view_blob=None, best_frames=(),
+            nyu40_label="unlabeled", is_structure=False, room_index=None, box_pose=pose, box_size=extents, box_volume_m3=1.0,
+            hidden_m=None, point_count=9, points_blob="0" * 64 + ".ply", mesh_blob=None, view_blob=None, best_frames=(),
         ))  # fmt: skip
         placements.append(Placement(
             scene_id=SCENE, instance_id=instance_id, asset_id=asset_id, origin="selection", annotator=None, annotation_match=None,
@@ -73,12 +73,12 @@ def furnished(
         instance_count=len(instances), segmentation="file", license=None,
     )  # fmt: skip
     w, d = size
-    room = Room(
+    room = Shell(
         scene_id=SCENE, room_type="office", floor_polygon=((0.0, 0.0), (w, 0.0), (w, d), (0.0, d)), floor_area_m2=w * d,
         floor_source="surface", walls=(), interior_walls=(), openings=None, height_m=2.6, height_source="ceiling",
         floor_color=None, wall_color=None,
     )  # fmt: skip
-    tables = {"scenes": [scene], "placements": placements, "rooms": [room], "instances": instances, "assets": list(assets.values())}
+    tables = {"scenes": [scene], "placements": placements, "shells": [room], "instances": instances, "assets": list(assets.values())}
     return tables, Context(SCENE, "navigation", 3, blobs)
 
 
@@ -106,7 +106,7 @@ def test_episodes_hold_in_replay_and_their_paths_are_shortest() -> None:
     assert {e.instance_id for e in episodes} == {"0001", "0002", "0003", "0004", "0005", "0006"}
     placed = placed_surfaces(tables["placements"], tables["assets"], context.blobs)
     blocked = [footprint(s, agent.max_climb_m, agent.height_m) for s in placed.values()]
-    finder = PlanarPathFinder(free_space(tables["rooms"][0].floor_polygon, blocked, agent.radius_m, 0.0625))
+    finder = PlanarPathFinder(free_space(tables["shells"][0].floor_polygon, blocked, agent.radius_m, 0.0625))
     grown = shapely.buffer(finder.free, 1e-6)
     for e in episodes:
         assert e.instruction == f"Navigate to the {e.category}"
@@ -203,8 +203,8 @@ def test_rows_that_do_not_fit_together_are_refused() -> None:
         run(**{**tables, "assets": []}, context=context, config=CONFIG)
     with pytest.raises(InputError, match="placement 0001: its instance is not in instances"):
         run(**{**tables, "instances": tables["instances"][1:]}, context=context, config=CONFIG)
-    with pytest.raises(InputError, match="rooms: has no row"):
-        run(**{**tables, "rooms": []}, context=context, config=CONFIG)
+    with pytest.raises(InputError, match="shells: has no row"):
+        run(**{**tables, "shells": []}, context=context, config=CONFIG)
     with pytest.raises(ValueError, match="turn_degrees: 50"):
         NavigationConfig(turn_degrees=50)
     with pytest.raises(ValueError, match=r"^height_m: must be above max_climb_m, 0\.2, is 0\.1$"):
@@ -259,7 +259,7 @@ def test_the_plan_is_a_picture_of_the_room_and_reproducible() -> None:
     episodes = run(**tables, context=context, config=CONFIG).rows["episodes"]
     placed = placed_surfaces(tables["placements"], tables["assets"], context.blobs)
     prints = {i: footprint(s, 0.2, 0.88) for i, s in placed.items()}
-    floor = tables["rooms"][0].floor_polygon
+    floor = tables["shells"][0].floor_polygon
     free = free_space(floor, list(prints.values()), 0.18)
     picture = draw_plan(free, prints, episodes, floor)
     assert picture == draw_plan(free, prints, episodes, floor)

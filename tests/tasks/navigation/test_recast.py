@@ -61,7 +61,7 @@ def polygons_of(data: bytes) -> shapely.Geometry:
 def baked_room(objects: list[Surface], size: tuple[float, float] = (5.0, 4.0), config: NavigationConfig | None = None) -> bytes:
     tables, _ = furnished({}, size)
     settings = (config or NavigationConfig()).settings
-    return recast.bake(*scene_triangles(tables["rooms"][0], objects, settings), settings)
+    return recast.bake(*scene_triangles(tables["shells"][0], objects, settings), settings)
 
 
 # --- as the simulator ---------------------------------------------------------------------------------------------
@@ -229,7 +229,7 @@ def test_only_what_the_agent_would_hit_blocks_the_floor() -> None:
 def test_walls_between_rooms_part_the_floor_and_outer_walls_bound_it() -> None:
     tables, _ = furnished({})
     wall = (2.5, -0.1, 2.5, 4.1, 0.1, 2.6)
-    room = dataclasses.replace(tables["rooms"][0], interior_walls=(wall,))
+    room = dataclasses.replace(tables["shells"][0], interior_walls=(wall,))
     settings = NavigationConfig().settings
     data = recast.bake(*scene_triangles(room, [], settings), settings)
     finder = recast.RecastPathFinder(data)
@@ -384,7 +384,7 @@ def test_crowded_rooms_are_crossed_on_the_navmesh_too(kind: PathFinderConfig, se
 @native
 def test_a_habitat_dataset_of_its_episodes_passes_the_gate(tmp_path: Path) -> None:
     rows, blobs = rows_of(replica())
-    needed = {name: rows[name] for name in ("scenes", "rooms", "placements", "instances", "assets")}
+    needed = {name: rows[name] for name in ("scenes", "shells", "placements", "instances", "assets")}
     config = NavigationConfig(train_episodes=6, test_episodes=6, path_finder=RecastConfig())
     outcome = run(**needed, context=Context(rows["scenes"][0].scene_id, "navigation", 0, blobs), config=config)
     made = rows | {name: outcome.rows[name] for name in ("navmeshes", "episodes")}

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room
+from schemas.capture import Instance, Shell
 from tasks.geometry.meshes import dump_glb
 from tasks.geometry.pieces import Hull, PieceConfig, convex_hull
 from tasks.optimization.interior import Interior, furnish
@@ -56,7 +56,7 @@ def interior_of(objects: Sequence[Object], polygon: Sequence[Sequence[float]] | 
     room = None
     if polygon is not None:
         ring = tuple((float(x), float(y)) for x, y in polygon)
-        room = sample(Room, floor_polygon=ring, walls=(), interior_walls=(), height_m=2.6)
+        room = sample(Shell, floor_polygon=ring, walls=(), interior_walls=(), height_m=2.6)
     interior, said = furnish(proposals, assets, blobs, room, SupportConfig(), PieceConfig(), _caches)
     assert not [line for line in said if "no room is known" not in line]
     return interior

@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from schemas.annotation import Annotation
 from schemas.candidates import Asset
 from schemas.captions import Caption
-from schemas.capture import Instance, Room
+from schemas.capture import Instance, Shell
 from schemas.optimization import APPLIED, Certificate, Contact, Optimization, OptimizationStep, Placement, Support
 from schemas.record import arrow_to_rows, check, rows_to_arrow
 from schemas.selection import Selection
@@ -74,7 +74,7 @@ class Scene:
         self.selections: list[Selection] = []
         self.assets: dict[str, Asset] = {}
         self.annotations: list[Annotation] = []
-        self.rooms = [sample(Room, scene_id=SCENE, floor_polygon=polygon, walls=(), interior_walls=(), height_m=2.5)]
+        self.shells = [sample(Shell, scene_id=SCENE, floor_polygon=polygon, walls=(), interior_walls=(), height_m=2.5)]
 
     def asset(self, parts: Sequence[trimesh.Trimesh], known: Sequence[trimesh.Trimesh] = ()) -> str:
         """An asset's id. known: the convex pieces that it was made of."""
@@ -114,7 +114,7 @@ class Scene:
         """What the stage gives; every row passes its schema, and the tables agree with each other."""
         context = Context(scene_id=SCENE, stage="optimization", seed=seed, blobs=self.blobs, spread=spread)
         outcome = run(
-            instances=self.instances, captions=self.captions, selections=self.selections, rooms=self.rooms,
+            instances=self.instances, captions=self.captions, selections=self.selections, shells=self.shells,
             assets=list(self.assets.values()), annotations=self.annotations, context=context,
             config=OptimizationConfig(method=method or Default()),
         )  # fmt: skip
@@ -402,7 +402,7 @@ def test_contacts_are_the_penetrations_of_the_meshes_before_and_after(method: Pa
     scene.add(TABLE, yaw_pose(0.1, [0.6, 0.3, 0.0]), "table")
     scene.add(block(0.4, 0.3, 0.5), yaw_pose(0.5, [1.9, -1.0, -0.01]), "box")
     outcome = scene.run(method)
-    room = {name: [mesh.vertices] for name, mesh in room_shell(scene.rooms[0]) if name != "floor"}
+    room = {name: [mesh.vertices] for name, mesh in room_shell(scene.shells[0]) if name != "floor"}
     for phase in ("proposed", "optimized"):
         objects = {name: [hull.vertices for hull in hulls] for name, hulls in hulls_of(outcome, scene, phase).items()}
         corners = {name: np.concatenate(clouds) for name, clouds in objects.items()}
@@ -786,7 +786,7 @@ def test_an_empty_scene_is_no_error(method: Paper | Default) -> None:
 @METHODS
 def test_without_a_room_it_is_said_and_done_all_the_same(method: Paper | Default) -> None:
     scene = room_scene()
-    scene.rooms = []
+    scene.shells = []
     outcome, summary = optimized(scene, method)
     assert len(outcome.rows["placements"]) == 7
     assert any("no room is known" in text for text in summary.remains)

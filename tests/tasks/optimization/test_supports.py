@@ -14,7 +14,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.capture import Room
+from schemas.capture import Shell
 from tasks.furniture import generate
 from tasks.furniture.rooms import ROOM_TYPES, FurnishedRoom, furnish
 from tasks.geometry.meshes import Surface, surface_of
@@ -92,8 +92,8 @@ def small(x: float, y: float, z: float, parts: Sequence[trimesh.Trimesh] = SMALL
     return at(0, parts, x, y, z, category)
 
 
-def room(polygon: Any = SQUARE, interior: Any = (), walls: Any = ()) -> Room:
-    return sample(Room, scene_id=SCENE, floor_polygon=polygon, walls=walls, interior_walls=interior, height_m=2.5)
+def room(polygon: Any = SQUARE, interior: Any = (), walls: Any = ()) -> Shell:
+    return sample(Shell, scene_id=SCENE, floor_polygon=polygon, walls=walls, interior_walls=interior, height_m=2.5)
 
 
 # plan views
@@ -545,7 +545,7 @@ def furnished(seed: int, count: int = 40) -> FurnishedRoom:
     return furnish(ROOM_TYPES[seed % len(ROOM_TYPES)], np.random.default_rng(seed), count, clutter=(seed % 3) / 2)
 
 
-def objects_of(made: FurnishedRoom, offsets: Sequence[float]) -> tuple[list[PlacedAsset], Room]:
+def objects_of(made: FurnishedRoom, offsets: Sequence[float]) -> tuple[list[PlacedAsset], Shell]:
     """A generated room's objects, each raised by its offset [m], as assets and as a room's row."""
     objects = [
         PlacedAsset.of(f"{i:04d}", obj.category, surface_of(obj.parts).transformed(translation([0, 0, offset]) @ obj.pose),
@@ -553,7 +553,7 @@ def objects_of(made: FurnishedRoom, offsets: Sequence[float]) -> tuple[list[Plac
         for i, (obj, offset) in enumerate(zip(made.objects, offsets, strict=True))
     ]  # fmt: skip
     polygon = tuple(tuple(map(float, corner)) for corner in made.polygon)
-    return objects, sample(Room, scene_id=SCENE, floor_polygon=polygon, walls=(), interior_walls=(), height_m=made.height)
+    return objects, sample(Shell, scene_id=SCENE, floor_polygon=polygon, walls=(), interior_walls=(), height_m=made.height)
 
 
 def misses(made: FurnishedRoom, offsets: Sequence[float]) -> list[str]:

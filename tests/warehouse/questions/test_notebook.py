@@ -17,7 +17,7 @@ import pytest
 
 from bench.warehouse.generator import generated_lake
 from schemas.candidates import Candidate
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Room, Scene, Shell
 from schemas.navigation import Navmesh
 from schemas.optimization import Certificate, Contact, Placement
 from schemas.runs import StageRun
@@ -62,7 +62,7 @@ def test_every_question_has_a_chart_with_something_in_it(run: Any) -> None:
 
     charts = [shown for shown in run[0] if isinstance(shown, Figure)]
     text = FILE.read_text()
-    assert len(charts) == len(re.findall(r"^    # [0-9]+\. .*\?", text, re.MULTILINE)) == 10
+    assert len(charts) == len(re.findall(r"^    # [0-9]+\. .*\?", text, re.MULTILINE)) == 11
     for chart in charts:
         (axes,) = chart.axes
         assert axes.get_title().endswith("?")
@@ -96,10 +96,19 @@ def test_what_is_said_agrees_with_the_rows(lake: Lake, run: Any) -> None:
         assert np.isclose(low, min(q1, volumes[volumes >= q1 - reach].min()))
         assert np.isclose(high, max(q3, volumes[volumes <= q3 + reach].max()))
 
-    types = {row.scene_id: row.room_type for row in reader.rows(Room)}
-    standing = Counter((types[row.scene_id], row.category) for row in objects if row.category in [name for name, _ in counted[:15]])
+    rooms = {(row.scene_id, row.room_index): row for row in reader.rows(Room)}
+    standing = Counter(
+        (rooms[row.scene_id, row.room_index].room_type, row.category)
+        for row in objects
+        if row.category in [name for name, _ in counted[:15]]
+    )
     assert {(room, name): count for room, name, count in zip(*found["standing"].values(), strict=True)} == standing
     assert found["rooms_by_category"].sum() == standing.total()
+
+    held = Counter((row.scene_id, row.room_index) for row in objects)
+    parted = found["parted"]
+    told = {(scene, index): rest for scene, index, *rest in zip(*parted.values(), strict=True)}
+    assert told == {key: [row.room_type, row.floor_area_m2, held[key]] for key, row in rooms.items()}
 
 
 @pytest.mark.whole
@@ -129,7 +138,7 @@ def test_times_wins_and_outcomes_agree_with_the_rows(lake: Lake, run: Any) -> No
     assert found["stable"]["free"][mine] == sum((row.scene_id, row.instance_id) in placed for row in verdicts)
     assert 0 < found["stable"]["within_1cm"][mine] <= found["stable"]["within_5cm"][mine] <= 1
 
-    floors = {row.scene_id: row.floor_area_m2 for row in reader.rows(Room)}
+    floors = {row.scene_id: row.floor_area_m2 for row in reader.rows(Shell)}
     areas = {(row.scene_id, row.agent): row.area_m2 / floors[row.scene_id] for row in reader.rows(Navmesh)}
     shares = {(scene, agent): share for scene, agent, share, _ in zip(*found["reach"].values(), strict=True)}
     assert shares.keys() == areas.keys()

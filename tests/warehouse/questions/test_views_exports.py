@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.capture import Frame, Room, Scene
+from schemas.capture import Frame, Scene, Shell
 from schemas.exports import ExportCheck, ExportFile
 from schemas.navigation import Episode, Navmesh, UnreachableTarget
 from tests.samples import sample
@@ -62,7 +62,7 @@ def trips(draw: st.DrawFn) -> list[Any]:
 @given(rows=trips())
 def test_navigability_splits_and_capture(database: Database, rows: list[Any]) -> None:
     database.fill(*rows)
-    area = {row.scene_id: row.floor_area_m2 for row in of(rows, Room)}
+    area = {row.scene_id: row.floor_area_m2 for row in of(rows, Shell)}
     answer = by_key(database.ask("navigability"), "scene_id", "agent")
     assert answer.keys() == {(row.scene_id, row.agent) for row in of(rows, Navmesh)}
     for mesh in of(rows, Navmesh):

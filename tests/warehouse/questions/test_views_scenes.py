@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Room, Scene, Shell
 from schemas.optimization import Placement
 from tests.samples import sample
 from tests.warehouse.questions.view_answers import (
@@ -39,15 +39,17 @@ def database() -> Iterator[Database]:
 @given(rows=scenes())
 def test_objects_and_categories_per_scene(database: Database, rows: list[Any]) -> None:
     database.fill(*rows)
-    objects, rooms = objects_of(rows), {row.scene_id: row for row in of(rows, Room)}
+    objects, shells = objects_of(rows), {row.scene_id: row for row in of(rows, Shell)}
+    rooms = Counter(row.scene_id for row in of(rows, Room))
     counted, categories = by_key(database.ask("objects_per_scene"), "scene_id"), by_key(database.ask("categories_per_scene"), "scene_id")
     assert counted.keys() == categories.keys() == objects.keys()
     for scene, held in objects.items():
-        area = rooms[scene].floor_area_m2 if scene in rooms else None
+        area = shells[scene].floor_area_m2 if scene in shells else None
         structures = sum(row.is_structure for row in of(rows, Instance) if row.scene_id == scene)
         density = len(held) / area if area else None
-        room_type = rooms[scene].room_type if scene in rooms else "unknown"
+        room_type = shells[scene].room_type if scene in shells else "unknown"
         same(counted[scene], objects=len(held), structures=structures, floor_area_m2=area, objects_per_m2=density, room_type=room_type)
+        same(counted[scene], rooms=rooms[scene])
         frequency = Counter(row.category for row in held)
         first = min(frequency, key=lambda c: (-frequency[c], c)) if frequency else None
         same(categories[scene], categories=len(frequency), most_frequent_category=first, most_frequent_objects=frequency[first] or None)
@@ -62,8 +64,36 @@ def test_objects_and_categories_per_scene(database: Database, rows: list[Any]) -
     same(
         database.ask("headline")[0],
         scenes=len(objects), objects=len(everywhere), categories=len({row.category for row in everywhere}),
-        floor_area_m2=float(sum(row.floor_area_m2 for row in rooms.values())), rooms=len({row.room_id for row in of(rows, Scene)}),
+        floor_area_m2=float(sum(row.floor_area_m2 for row in shells.values())), rooms=len({row.room_id for row in of(rows, Scene)}),
     )  # fmt: skip
+
+
+@quick
+@given(rows=scenes())
+def test_objects_area_and_kind_by_room(database: Database, rows: list[Any]) -> None:
+    database.fill(*rows)
+    rooms = {(row.scene_id, row.room_index): row for row in of(rows, Room)}
+    alone = {scene for scene, count in Counter(scene for scene, _ in rooms).items() if count == 1}
+    held: dict[tuple[str, int], list[Instance]] = {key: [] for key in rooms}
+    kinds: Counter[tuple[str, str]] = Counter()
+    for row in of(rows, Instance):
+        if not row.is_structure:
+            key = (row.scene_id, 0 if row.scene_id in alone else row.room_index)
+            held.get(key, []).append(row)
+            kinds[rooms[key].room_type if key in rooms else "unknown", row.category] += 1
+    answer = by_key(database.ask("room_overview"), "scene_id", "room_index")
+    assert answer.keys() == rooms.keys()
+    for key, room in rooms.items():
+        count, area = len(held[key]), room.floor_area_m2
+        same(
+            answer[key], room_type=room.room_type, floor_area_m2=area, objects=count, categories=len({row.category for row in held[key]}),
+            objects_per_m2=count / area if area else None, room_id=key[0].rsplit("_", 1)[0],
+        )  # fmt: skip
+    for scene in {scene for scene, _ in rooms}:
+        shares = [row["floor_share"] for key, row in answer.items() if key[0] == scene]
+        assert shares == [None] * len(shares) or math.isclose(sum(shares), 1.0)
+    standing = database.ask("category_by_room_type")
+    assert {(row["room_type"], row["category"]): row["objects"] for row in standing} == kinds
 
 
 @quick

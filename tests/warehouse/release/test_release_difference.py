@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from flows.cli import cli
 from schemas.captions import Caption
-from schemas.capture import Instance, Room, Scene
+from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.record import Table
 from schemas.tables import TABLES
@@ -121,14 +121,14 @@ def test_lists_that_end_elsewhere_differ(tmp_path: Path) -> None:
     for i, walls in enumerate(LISTS):
         rows = {
             "scenes": [sample(Scene, scene_id=scene, mesh_blob=blob)],
-            "rooms": [sample(Room, scene_id=scene, walls=walls, floor_color=None)],
+            "shells": [sample(Shell, scene_id=scene, walls=walls, floor_color=None)],
         }
         lake.stage_rows(stage_run(scene, "capture", fingerprint(i), at=i), rows)
         lake.commit()
     for one in range(1, len(LISTS) + 1):
         for other in range(one, len(LISTS) + 1):
             found = difference(lake, lake.snapshot(one), lake.snapshot(other))
-            rooms = next(table for table in found.tables if table.table == "rooms")
+            rooms = next(table for table in found.tables if table.table == "shells")
             assert (rooms.added, rooms.changed, rooms.removed) == (0, int(one != other), 0), (LISTS[one - 1], LISTS[other - 1])
 
 

@@ -14,10 +14,10 @@ SELECT
     scenes.segmentation,
     scenes.alignment_source,
     degrees(scenes.floor_tilt_radians) AS floor_tilt_degrees,
-    rooms.floor_source,
-    rooms.height_source,
-    rooms.height_m
+    shells.floor_source,
+    shells.height_source,
+    shells.height_m
 FROM scenes
-LEFT JOIN rooms USING (scene_id)
+LEFT JOIN shells USING (scene_id)
 LEFT JOIN posed USING (scene_id)
 ORDER BY scenes.scene_id

@@ -5,7 +5,7 @@
 WITH steps AS (
     SELECT
         scene_id,
-        count(*) FILTER (outcome IN ('pulled_in', 'hung', 'rested', 'kept', 'tipped', 'laid_down', 'relocated')) AS applied_steps
+        count(*) FILTER (outcome IN ('pulled_in', 'hung', 'rested', 'kept', 'tipped', 'laid_down', 'relocated', 'fallen')) AS applied_steps
     FROM optimization_steps
     GROUP BY scene_id
 ),

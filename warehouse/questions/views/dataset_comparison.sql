@@ -29,10 +29,10 @@ scanned AS (
         count(*) AS scenes,
         count(DISTINCT scenes.room_id) AS rooms,
         list_sort(list(DISTINCT stated_license(scenes.license))) AS licenses,
-        quantile_cont(rooms.floor_area_m2, 0.5) AS median_floor_area_m2,
+        quantile_cont(shells.floor_area_m2, 0.5) AS median_floor_area_m2,
         quantile_cont(coalesce(per_scene.objects, 0), 0.5) AS median_objects_per_scene
     FROM scenes
-    LEFT JOIN rooms USING (scene_id)
+    LEFT JOIN shells USING (scene_id)
     LEFT JOIN per_scene USING (scene_id)
     GROUP BY ALL
 ),

@@ -5,7 +5,7 @@
 SELECT
     (SELECT count(*) FROM scenes) AS scenes,
     (SELECT count(DISTINCT room_id) FROM scenes) AS rooms,
-    (SELECT coalesce(sum(floor_area_m2), 0) FROM rooms) AS floor_area_m2,
+    (SELECT coalesce(sum(floor_area_m2), 0) FROM shells) AS floor_area_m2,
     (SELECT count(*) FROM instances WHERE NOT is_structure) AS objects,
     (SELECT count(DISTINCT category) FROM instances WHERE NOT is_structure) AS categories,
     (SELECT count(*) FROM placements) AS placed_objects,

@@ -13,16 +13,16 @@ unreachable AS (
 SELECT
     navmeshes.scene_id,
     navmeshes.agent,
-    rooms.floor_area_m2,
+    shells.floor_area_m2,
     navmeshes.area_m2,
-    navmeshes.area_m2 / nullif(rooms.floor_area_m2, 0) AS navigable_share,
+    navmeshes.area_m2 / nullif(shells.floor_area_m2, 0) AS navigable_share,
     navmeshes.largest_island_m2 / nullif(navmeshes.area_m2, 0) AS largest_island_share,
     navmeshes.island_count,
     coalesce(trips.episodes, 0) AS episodes,
     coalesce(trips.targets, 0) AS targets,
     coalesce(unreachable.unreachable_targets, 0) AS unreachable_targets
 FROM navmeshes
-LEFT JOIN rooms USING (scene_id)
+LEFT JOIN shells USING (scene_id)
 LEFT JOIN trips USING (scene_id, agent)
 LEFT JOIN unreachable USING (scene_id)
 ORDER BY navmeshes.scene_id, navmeshes.agent

@@ -146,8 +146,9 @@ class RowChecks:
 
 
 def _relation(name: str, source: str) -> str:
-    """The rows of a table as its files have them; under its schema where they may have a column under an old name."""
-    return f"({relation(TABLES[name], f'SELECT * FROM {source}')})" if former_columns(name) else source
+    """The rows of a table as its files have them; under its schema where they may have a column under an old name, or be older."""
+    is_older = former_columns(name) or TABLES[name].earlier
+    return f"({relation(TABLES[name], f'SELECT * FROM {source}')})" if is_older else source
 
 
 def checked(checks: Iterator[Fault], name: str) -> Iterator[Fault]:

@@ -105,7 +105,7 @@ def test_objects_stand_where_the_replica_has_them(scene: tuple[Rows, dict[str, b
 
 
 def test_the_stage_is_the_room_in_the_gltf_frame(scene: tuple[Rows, dict[str, bytes]], dataset: Path) -> None:
-    shell = np.concatenate([mesh.vertices for _, mesh in room_shell(scene[0]["rooms"][0])])
+    shell = np.concatenate([mesh.vertices for _, mesh in room_shell(scene[0]["shells"][0])])
     mesh = load(dataset / "stages" / f"{FIRST}.glb")
     turned = np.column_stack([shell[:, 0], shell[:, 2], -shell[:, 1]])
     np.testing.assert_allclose(mesh.bounds, [turned.min(axis=0), turned.max(axis=0)], atol=1e-6)
@@ -118,7 +118,7 @@ def test_what_touches_starts_to_move_without_a_shell_around_it(dataset: Path) ->
 
 
 def test_every_scene_is_lit_by_lamps_below_its_ceiling(scene: tuple[Rows, dict[str, bytes]], dataset: Path) -> None:
-    room = scene[0]["rooms"][0]
+    room = scene[0]["shells"][0]
     name = json.loads(scene_file(dataset).read_text())["default_lighting"]
     places = np.array(
         [lamp["position"] for lamp in json.loads((dataset / "lights" / f"{name}.lighting_config.json").read_text())["lights"].values()]

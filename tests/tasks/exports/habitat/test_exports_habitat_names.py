@@ -45,7 +45,7 @@ def test_no_handle_contains_another(names: list[tuple[str, str]]) -> None:
 
 def test_every_object_has_its_own_handle() -> None:
     rows, blobs = rows_of(furnished())
-    found = [rows[name] for name in ("scenes", "rooms", "instances", "captions", "assets", "placements", "supports")]
+    found = [rows[name] for name in ("scenes", "shells", "instances", "captions", "assets", "placements", "supports")]
     replica, _ = gather(*found, blobs, exports.ExportsConfig())
     assert len(set(object_handles(replica).values())) == len(replica.bodies)
 

@@ -114,7 +114,7 @@ def test_objects_are_drawn_where_the_replica_has_them(scene: tuple[Rows, Any], t
 
 
 def test_the_room_is_the_replicas_room(scene: tuple[Rows, Any], usd: Path) -> None:
-    shell = np.concatenate([mesh.vertices for _, mesh in room_shell(scene[0]["rooms"][0])])
+    shell = np.concatenate([mesh.vertices for _, mesh in room_shell(scene[0]["shells"][0])])
     found = points_below(open_stage(usd), "/World/Room", "default")
     np.testing.assert_allclose([found.min(axis=0), found.max(axis=0)], [shell.min(axis=0), shell.max(axis=0)], atol=1e-6)
 
