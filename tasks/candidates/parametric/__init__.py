@@ -34,8 +34,8 @@ class Parametric(Config):
     points: Whole = 500  # that forms are held against: 4 cm apart on a chair, 8 cm on a corner sofa
     near_m: Positive = 0.05  # a point this near to the surface is covered; less on what is small
     near_share: Positive = 0.05  # of the diagonal, as for near_m
-    covered: Share = 0.75  # of the points: less, and it is another form; a fifth is pillows, cloths and neighbors
-    outside_m: Positive = 0.025  # mean distance of the points, of which those far off count 0.15: noise and bulges of real furniture
+    covered: Share = 0.68  # of the points: less, and it is another form; a fifth is often pillows, cloths and neighbors
+    outside_m: Positive = 0.035  # mean distance of the points, of which those far off count 0.15: points that fill a box are 0.054 off
     bare: Share = 0.42  # of the surface that should be seen: more without points, and the form fills what is empty
     version: str = "1"  # goes up when the same points would get another asset
 
@@ -65,9 +65,8 @@ def fit_of(request: CandidateRequest, provider: Parametric) -> tuple[str, Parame
         raise NothingToOffer(f"no template of a {request.category}")
     points, colors = request.points
     size = np.array(request.extents)
-    points = points + [0.0, 0.0, 0.5 * size[2]]
-    within = (np.abs(points - [0.0, 0.0, 0.5 * size[2]]) <= 0.5 * size + provider.near_m).all(axis=1)
-    points, colors = points[within], colors[within]
+    within = (np.abs(points) <= 0.5 * size + provider.near_m).all(axis=1)
+    points, colors = points[within] + np.array([0.0, 0.0, 0.5 * size[2]]), colors[within]
     if len(points) < provider.min_points:
         raise NothingToOffer(f"{len(points)} points are too few to fit a {kind}")
     near = min(provider.near_m, provider.near_share * float(np.linalg.norm(size)))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.candidates.parametric.drawing import Block
+from tasks.geometry.meshes import surface_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,6 +26,7 @@ NEAR_M = 0.04
 MIN_POINTS = 30
 """Fewer points tell no color: noise of the camera, and what stood before it."""
 
+
 def built(
     blocks: Sequence[Block], points: Array, colors: NDArray[np.uint8], color: Color | None
 ) -> tuple[list[trimesh.Trimesh], list[trimesh.Trimesh]]:
@@ -37,7 +39,8 @@ def built(
 
     from tasks.furniture.solids import box, cushion
 
-    parts, pieces = [], []
+    parts: list[trimesh.Trimesh] = []
+    pieces: list[trimesh.Trimesh] = []
     for part in dict.fromkeys(block.part for block in blocks):
         own = [block for block in blocks if block.part == part]
         shade = np.array([*_part_color(own, points, colors, color), 255], dtype=np.uint8)
@@ -50,7 +53,7 @@ def built(
             mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile(shade, (len(solid.vertices), 1)))
             meshes.append(mesh)
             pieces += [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in solid.pieces]
-        parts.append(trimesh.util.concatenate(meshes) if len(meshes) > 1 else meshes[0])
+        parts.append(surface_of(meshes).to_trimesh())
     return parts, pieces
 
 

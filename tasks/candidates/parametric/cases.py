@@ -189,7 +189,7 @@ def cut_out(rectangle: Rectangle, holes: Sequence[Rectangle]) -> list[Rectangle]
 def shelves(extents: Extents, levels: Sequence[Level]) -> list[Template]:
     """A case with boards at `levels`, the lowest first, and a top: open or with a back, with uprights, closed below or not. None without
     a board between the lowest and the top."""
-    x, y, z = extents
+    _, y, z = extents
     if len(levels) < 2:
         return []
     thick = Parameter.of("board", 0.012, min(0.06, 0.1 * z), 0.022)

@@ -112,12 +112,7 @@ def _point_distance(x, y, z, blocks, count):  # type: ignore[no-untyped-def]
 def _is_covered(x, y, z, blocks, count, own):  # type: ignore[no-untyped-def]
     """Whether a point lies in another block than its own."""
     for b in range(count):
-        if (
-            b != own
-            and blocks[b, 0] < x < blocks[b, 1]
-            and blocks[b, 2] < y < blocks[b, 3]
-            and blocks[b, 4] < z < blocks[b, 5]
-        ):
+        if b != own and blocks[b, 0] < x < blocks[b, 1] and blocks[b, 2] < y < blocks[b, 3] and blocks[b, 4] < z < blocks[b, 5]:
             return True
     return False
 

@@ -131,7 +131,7 @@ def _even(seen: list[float], low: float, high: float) -> list[Level] | None:
         if step < BETWEEN_M:
             return None
         row = [low + step * (k + 1) for k in range(count)]
-        near = [min(seen, key=lambda other, level=level: abs(other - level)) for level in row]
+        near = [seen[int(np.argmin(np.abs(np.array(seen) - level)))] for level in row]
         held = [abs(other - level) <= EVEN_M for other, level in zip(near, row, strict=True)]
         if {other for other, ok in zip(near, held, strict=True) if ok} == set(seen):
             return [Level(other if ok else level, ok) for level, other, ok in zip(row, near, held, strict=True)]
