@@ -20,7 +20,7 @@ from tasks.candidates.library import index_library, library_asset
 from tasks.candidates.parametric import Parametric, fit_of, parametric_asset, turned_back
 from tasks.candidates.parametric.cases import counters, cut_out, tables
 from tasks.candidates.parametric.distances import fit_target, misfits
-from tasks.candidates.parametric.drawing import Block, Template
+from tasks.candidates.parametric.drawing import Block, FurnitureTemplate
 from tasks.candidates.parametric.fitting import ParametricFit, turned
 from tasks.candidates.parametric.forms import KINDS, board_levels, kind_of, turned_rectangle
 from tasks.candidates.parametric.seats import chairs, sofas
@@ -213,7 +213,7 @@ def test_an_asset_is_closed_convex_in_its_box_and_the_same_every_time() -> None:
     make=st.sampled_from([sofas, chairs, tables, counters]), seed=st.integers(0, 2**32 - 1),
 )  # fmt: skip
 def test_blocks_of_any_values_lie_in_the_box_and_do_not_overlap(
-    extents: tuple[float, float, float], make: Callable[[tuple[float, float, float]], list[Template]], seed: int
+    extents: tuple[float, float, float], make: Callable[[tuple[float, float, float]], list[FurnitureTemplate]], seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
     half = 0.5 * np.array(extents) * [1, 1, 0] + [0, 0, extents[2]]
@@ -301,9 +301,8 @@ def test_a_worktop_is_cut_out_where_a_sink_is_let_in() -> None:
     assert plan_of(whole.blocks, whole.turn).area == pytest.approx(1.8, abs=1e-6)
 
 
-rectangles = st.tuples(st.floats(-1, 1), st.floats(0.1, 1), st.floats(-1, 1), st.floats(0.1, 1)).map(
-    lambda v: ((v[0], v[0] + v[1]), (v[2], v[2] + v[3]))
-)
+millimetres = st.integers(-1000, 1000), st.integers(100, 1000)
+rectangles = st.tuples(*millimetres, *millimetres).map(lambda v: ((v[0] / 1000, (v[0] + v[1]) / 1000), (v[2] / 1000, (v[2] + v[3]) / 1000)))
 
 
 @given(rectangles, st.lists(rectangles, max_size=3))
@@ -369,6 +368,15 @@ def test_words_lead_to_templates(word: str, kind: str | None) -> None:
 
 
 # Distances
+
+
+@given(st.integers(1, 60), st.integers(0, 2**32 - 1))
+def test_points_are_thinned_to_as_many_as_asked_for(most: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(200, 3))
+    kept = fit_target(points, np.array([2.0, 2.0, 2.0]), np.zeros(6, dtype=bool), 0.05, most).points
+    assert 1 <= len(kept) <= most
+    assert {tuple(p) for p in kept} <= {tuple(p) for p in points}
 
 
 @settings(max_examples=20, deadline=None)

@@ -16,7 +16,7 @@ from tasks.candidates.assets import MadeAsset, make_asset
 from tasks.candidates.parametric.building import built
 from tasks.candidates.parametric.forms import forms_of, kind_of
 from tasks.candidates.provider import CandidateProvider, NothingToOffer
-from tasks.settings import Config, Count, Positive, Share, Whole
+from tasks.settings import Config, Count, Positive, Share
 
 if TYPE_CHECKING:
     from tasks.candidates.parametric.fitting import ParametricFit
@@ -31,7 +31,7 @@ class Parametric(Config):
 
     kind: ClassVar[str] = "parametric"
     min_points: Count = 150  # fewer fit any form
-    points: Whole = 500  # that forms are held against: 4 cm apart on a chair, 8 cm on a corner sofa
+    points: Count = 500  # that forms are held against: 4 cm apart on a chair, 8 cm on a corner sofa
     near_m: Positive = 0.05  # a point this near to the surface is covered; less on what is small
     near_share: Positive = 0.05  # of the diagonal, as for near_m
     covered: Share = 0.68  # of the points: less, and it is another form; a fifth is often pillows, cloths and neighbors

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from functools import partial
 
-from tasks.candidates.parametric.drawing import Block, Extents, Parameter, Template, Values
+from tasks.candidates.parametric.drawing import Block, Extents, FurnitureTemplate, Parameter, Values
 
 Span = tuple[float, float]
 Rectangle = tuple[Span, Span]
@@ -42,7 +42,7 @@ class Level:
     is_seen: bool
 
 
-def tables(extents: Extents, _: object = None) -> list[Template]:
+def tables(extents: Extents, _: object = None) -> list[FurnitureTemplate]:
     """A top, straight or with a return at either side, on legs, panels or a column, with drawers or a shelf below."""
     x, y, z = extents
     thick = Parameter.of("top", 0.012, min(0.12, 0.3 * z), 0.03)
@@ -53,12 +53,12 @@ def tables(extents: Extents, _: object = None) -> list[Template]:
     shelf = Parameter.of("shelf", 0.0, 0.7 * z, 0.0, 0.35 * z)
     straight = partial(_table, side=0)
     forms = [
-        Template("four-legged", extents, (thick, leg, shelf), partial(straight, base="legs"), (0, 1)),
+        FurnitureTemplate("four-legged", extents, (thick, leg, shelf), partial(straight, base="legs"), (0, 1)),
         *(
-            Template(name, extents, (thick, modesty, drawers), partial(straight, base="panels", chest_side=s))
+            FurnitureTemplate(name, extents, (thick, modesty, drawers), partial(straight, base="panels", chest_side=s))
             for name, s in (("panelled", 1), ("right-handed panelled", -1))
         ),
-        Template("pedestal", extents, (thick, column), partial(straight, base="column"), (0,)),
+        FurnitureTemplate("pedestal", extents, (thick, column), partial(straight, base="column"), (0,)),
     ]
     if min(x, y) < 0.9:
         return forms
@@ -67,8 +67,10 @@ def tables(extents: Extents, _: object = None) -> list[Template]:
     chest = Parameter.of("drawers", 0.0, min(0.7, 0.5 * x), 0.0, 0.42)
     for side, name in ((1, "left"), (-1, "right")):
         bent = partial(_table, side=side)
-        forms.append(Template(f"L {name} four-legged", extents, (deep, wide, thick, leg, chest, modesty), partial(bent, base="legs")))
-        forms.append(Template(f"L {name} panelled", extents, (deep, wide, thick, chest, modesty), partial(bent, base="panels")))
+        forms.append(
+            FurnitureTemplate(f"L {name} four-legged", extents, (deep, wide, thick, leg, chest, modesty), partial(bent, base="legs"))
+        )
+        forms.append(FurnitureTemplate(f"L {name} panelled", extents, (deep, wide, thick, chest, modesty), partial(bent, base="panels")))
     return forms
 
 
@@ -123,7 +125,7 @@ def _table(p: Values, extents: Extents, side: int, base: str, chest_side: int = 
         yield Block("shelf", (low + leg, high - leg), (-y + INSET_M + leg, y - INSET_M - leg), (shelf - 0.02, shelf))
 
 
-def counters(extents: Extents, holes: Sequence[Rectangle] = ()) -> list[Template]:
+def counters(extents: Extents, holes: Sequence[Rectangle] = ()) -> list[FurnitureTemplate]:
     """A worktop, straight or round a corner, alone or on a body down to the floor, cut out where something is let into it.
 
     holes: x and y spans in the template's frame [m].
@@ -138,12 +140,12 @@ def counters(extents: Extents, holes: Sequence[Rectangle] = ()) -> list[Template
             Parameter.of("set_back", 0.0, min(0.12, 0.3 * x), 0.04),
             Parameter.of("plinth", 0.0, 0.2 * z, 0.0, 0.1 * z),
         )
-    forms = [Template("straight", extents, own, partial(_counter, side=0, holes=holes))] if x <= y else []
+    forms = [FurnitureTemplate("straight", extents, own, partial(_counter, side=0, holes=holes))] if x <= y else []
     if min(x, y) >= 0.9:
         deep = Parameter.of("depth", 0.45, x - BEND_M, 0.4 * x, 0.6)
         wide = Parameter.of("return", 0.45, y - BEND_M, 0.3 * y, 0.6)
         for side, name in ((1, "left"), (-1, "right")):
-            forms.append(Template(f"L {name}", extents, (deep, wide, *own), partial(_counter, side=side, holes=holes)))
+            forms.append(FurnitureTemplate(f"L {name}", extents, (deep, wide, *own), partial(_counter, side=side, holes=holes)))
     return forms
 
 
@@ -186,7 +188,7 @@ def cut_out(rectangle: Rectangle, holes: Sequence[Rectangle]) -> list[Rectangle]
     return rest
 
 
-def shelves(extents: Extents, levels: Sequence[Level]) -> list[Template]:
+def shelves(extents: Extents, levels: Sequence[Level]) -> list[FurnitureTemplate]:
     """A case with boards at `levels`, the lowest first, and a top: open or with a back, with uprights, closed below or not. None without
     a board between the lowest and the top."""
     _, y, z = extents
@@ -201,8 +203,8 @@ def shelves(extents: Extents, levels: Sequence[Level]) -> list[Template]:
     for backed in (True, False):
         for uprights in (0, 1, 2) if y > 0.6 else (0,):
             name = f"{boards}{', back' if backed else ''}{f', {uprights} uprights' if uprights else ''}"
-            forms.append(Template(name, extents, parameters, partial(_shelf, backed=backed, uprights=uprights, closed=False)))
-    forms.append(Template(f"{boards}, closed below", extents, parameters, partial(_shelf, backed=True, uprights=0, closed=True)))
+            forms.append(FurnitureTemplate(name, extents, parameters, partial(_shelf, backed=backed, uprights=uprights, closed=False)))
+    forms.append(FurnitureTemplate(f"{boards}, closed below", extents, parameters, partial(_shelf, backed=True, uprights=0, closed=True)))
     return forms
 
 
@@ -235,9 +237,9 @@ def _inner(span: Span) -> Span:
     return span[0] + INSET_M, span[1] - INSET_M
 
 
-def _meet(one: Rectangle, other: Rectangle) -> bool:
+def _meet(first: Rectangle, second: Rectangle) -> bool:
     """Whether rectangles share area."""
-    return all(a[0] < b[1] - 1e-9 and b[0] < a[1] - 1e-9 for a, b in zip(one, other, strict=True))
+    return all(a[0] < b[1] - 1e-9 and b[0] < a[1] - 1e-9 for a, b in zip(first, second, strict=True))
 
 
 def _span(first: float, other: float) -> Span:

@@ -67,8 +67,9 @@ def fit_target(points: Array, size: Array, unseen: NDArray[np.bool_], near: floa
 
 def _thinned(points: Array, cell: float, most: int) -> Array:
     """One point of each cell, of ever larger ones until they are few enough."""
+    from_corner = points - points.min(axis=0)
     while True:
-        _, first = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_index=True)
+        _, first = np.unique(np.floor(from_corner / cell).astype(np.int64), axis=0, return_index=True)
         if len(first) <= most:
             return np.ascontiguousarray(points[np.sort(first)])
         cell *= max(1.05, 0.9 * (len(first) / most) ** 0.5)

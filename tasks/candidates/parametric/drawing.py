@@ -48,7 +48,7 @@ class Parameter:
 
 
 @dataclasses.dataclass(frozen=True)
-class Template:
+class FurnitureTemplate:
     """A form of furniture in a box of certain extents. blocks: what values of the parameters make. turns: quarter turns of its front that
     differ."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.candidates.parametric.distances import FitTarget, misfits
-from tasks.candidates.parametric.drawing import Block, Template
+from tasks.candidates.parametric.drawing import Block, FurnitureTemplate
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class ParametricFit:
     """A form that fits. turn: quarter turns of its front from the box's +x. values: of its parameters [m]. outside: mean distance of the
     points from it, truncated [m]. covered: share of the points on its surface. bare: share of its surface without points."""
 
-    template: Template
+    template: FurnitureTemplate
     turn: int
     values: tuple[float, ...]
     outside: float
@@ -56,7 +56,7 @@ class ParametricFit:
         return self.template.blocks(self.values)
 
 
-def fitted_template(target: FitTarget, forms: Sequence[tuple[Template, int]]) -> ParametricFit | None:
+def fitted_template(target: FitTarget, forms: Sequence[tuple[FurnitureTemplate, int]]) -> ParametricFit | None:
     """The best of some forms, each in a turn; None without any. Of equal ones the first."""
     begun: list[tuple[float, int, tuple[float, ...]]] = []
     for number, (template, turn) in enumerate(forms):
@@ -71,7 +71,7 @@ def fitted_template(target: FitTarget, forms: Sequence[tuple[Template, int]]) ->
     return min(fits, key=lambda fit: round(fit.cost, 9), default=None)
 
 
-def _refined(target: FitTarget, template: Template, turn: int, start: tuple[float, ...]) -> ParametricFit:
+def _refined(target: FitTarget, template: FurnitureTemplate, turn: int, start: tuple[float, ...]) -> ParametricFit:
     """A form from a start, its parameters moved one at a time, all by ever smaller steps."""
     values, cost = start, float(_costs(target, template, turn, [start])[0])
     for step in STEP_M:
@@ -100,12 +100,12 @@ def _refined(target: FitTarget, template: Template, turn: int, start: tuple[floa
     return ParametricFit(template, turn, values, out, covered, bare, cost)
 
 
-def _costs(target: FitTarget, template: Template, turn: int, values: Sequence[tuple[float, ...]]) -> Array:
+def _costs(target: FitTarget, template: FurnitureTemplate, turn: int, values: Sequence[tuple[float, ...]]) -> Array:
     measured = _measured(target, template, turn, values)
     return np.asarray(measured[:, 0] + SURFACE_WEIGHT * measured[:, 1] + WORTH_M * len(template.parameters))
 
 
-def _measured(target: FitTarget, template: Template, turn: int, values: Sequence[tuple[float, ...]]) -> Array:
+def _measured(target: FitTarget, template: FurnitureTemplate, turn: int, values: Sequence[tuple[float, ...]]) -> Array:
     """Misfits of a form with several values of its parameters, shape (len(values), 4)."""
     drawn = [[block.spans for block in template.blocks(v)] for v in values]
     counts = np.array([len(blocks) for blocks in drawn], dtype=np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.candidates.parametric.cases import Level, Rectangle, counters, shelves, tables
-from tasks.candidates.parametric.drawing import Extents, Template
+from tasks.candidates.parametric.drawing import Extents, FurnitureTemplate
 from tasks.candidates.parametric.seats import chairs, sofas
 from tasks.captions.physics import known_name
 from tasks.geometry.boxes import box_footprint, grown_box
@@ -50,7 +50,7 @@ def kind_of(request: CandidateRequest) -> str | None:
     return None
 
 
-def forms_of(kind: str, request: CandidateRequest, points: Array) -> list[tuple[Template, int]]:
+def forms_of(kind: str, request: CandidateRequest, points: Array) -> list[tuple[FurnitureTemplate, int]]:
     """Templates of a kind, each with a turn of its front; points [m], shape (n, 3), z from the bottom of the box."""
     x, y, z = request.extents
     forms = []

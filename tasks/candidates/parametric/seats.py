@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import partial
 
-from tasks.candidates.parametric.drawing import Block, Extents, Parameter, Template, Values
+from tasks.candidates.parametric.drawing import Block, Extents, FurnitureTemplate, Parameter, Values
 
 FOOT_M = 0.05
 """Side of a sofa's foot."""
@@ -14,7 +14,7 @@ BEND_M = 0.25
 """A return reaches at least so far before the seat beside it, else the sofa is straight."""
 
 
-def sofas(extents: Extents, _: object = None) -> list[Template]:
+def sofas(extents: Extents, _: object = None) -> list[FurnitureTemplate]:
     """A straight sofa, an L with its return at either side, and a U."""
     x, y, z = extents
     seat = Parameter.of("seat", 0.25 * z, 0.75 * z, 0.5 * z)
@@ -24,7 +24,7 @@ def sofas(extents: Extents, _: object = None) -> list[Template]:
         Parameter.of("arm_top", 0.4 * z, z, 0.7 * z),
         Parameter.of("foot", 0.0, min(0.2, 0.2 * z), 0.06),
     )
-    forms = [Template("straight", extents, (seat, *common), partial(_sofa, sides=()))]
+    forms = [FurnitureTemplate("straight", extents, (seat, *common), partial(_sofa, sides=()))]
     if min(x, y) < 1.1:
         return forms
     deep = Parameter.of("depth", 0.55, x - BEND_M, 0.4 * x, 0.55 * x)
@@ -34,7 +34,7 @@ def sofas(extents: Extents, _: object = None) -> list[Template]:
             continue
         wide = Parameter.of("return", 0.45, room, 0.3 * y, 0.45 * y)
         reach = Parameter.of("return_back", 0.0, x, 0.0, x)
-        forms.append(Template(name, extents, (deep, wide, reach, seat, *common), partial(_sofa, sides=sides)))
+        forms.append(FurnitureTemplate(name, extents, (deep, wide, reach, seat, *common), partial(_sofa, sides=sides)))
     return forms
 
 
@@ -64,7 +64,7 @@ def _sofa(p: Values, extents: Extents, sides: tuple[int, ...]) -> Iterable[Block
             yield Block("feet", (a, a + FOOT_M), (b, b + FOOT_M), (0.0, foot))
 
 
-def chairs(extents: Extents, _: object = None) -> list[Template]:
+def chairs(extents: Extents, _: object = None) -> list[FurnitureTemplate]:
     """A seat with a back, with arms or without, on four legs, on one column with a foot, or on a closed base."""
     x, y, z = extents
     parameters = (
@@ -78,9 +78,9 @@ def chairs(extents: Extents, _: object = None) -> list[Template]:
     legs = Parameter.of("leg", 0.02, 0.12 * min(x, y), 0.04)
     column = Parameter.of("leg", 0.04, 0.3 * min(x, y), 0.08)
     return [
-        Template("four-legged", extents, (*parameters, legs), partial(_chair, base="legs")),
-        Template("pedestal", extents, (*parameters, column), partial(_chair, base="column")),
-        Template("upholstered", extents, (*parameters, legs), partial(_chair, base="body")),
+        FurnitureTemplate("four-legged", extents, (*parameters, legs), partial(_chair, base="legs")),
+        FurnitureTemplate("pedestal", extents, (*parameters, column), partial(_chair, base="column")),
+        FurnitureTemplate("upholstered", extents, (*parameters, legs), partial(_chair, base="body")),
     ]
 
 
