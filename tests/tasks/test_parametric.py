@@ -230,7 +230,7 @@ def test_blocks_of_any_values_lie_in_the_box_and_do_not_overlap(
 # Desks, shelves, worktops
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     st.floats(1.4, 1.7), st.floats(1.5, 1.9), st.floats(0.55, 0.75), st.floats(0.45, 0.6), st.sampled_from([-1, 1]), st.integers(0, 3),
     st.integers(0, 2**32 - 1),
@@ -332,6 +332,7 @@ def test_legs_that_the_scan_lost_are_there() -> None:
 # Refusals
 
 
+@pytest.mark.whole
 @settings(max_examples=25, deadline=None)
 @given(
     st.sampled_from(sorted(KINDS)), st.tuples(st.floats(0.9, 2.5), st.floats(0.9, 2.5), st.floats(0.7, 2.0)), st.integers(0, 2**32 - 1),
@@ -370,6 +371,7 @@ def test_words_lead_to_templates(word: str, kind: str | None) -> None:
 # Distances
 
 
+@settings(max_examples=20, deadline=None)
 @given(st.integers(1, 60), st.integers(0, 2**32 - 1))
 def test_points_are_thinned_to_as_many_as_asked_for(most: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -408,6 +410,12 @@ def test_surface_that_nothing_could_see_does_not_count() -> None:
     known = misfits(fit_target(points, size, np.array([False, True, *[False] * 4]), 0.05, 500), blocks, np.array([1]))[0]
     assert seen[3] > 0.1
     assert known[3] == 0.0
+
+
+def test_an_instance_of_a_halls_size_costs_no_more() -> None:
+    size = np.array([40.0, 45.0, 30.0])
+    target = fit_target(np.random.default_rng(0).random((2000, 3)) * size - [20.0, 22.5, 0.0], size, np.zeros(6, dtype=bool), 0.05, 500)
+    assert target.field.size < 3_000_000
 
 
 @given(rectangles, st.integers(0, 3))

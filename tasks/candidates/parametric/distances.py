@@ -28,6 +28,9 @@ PITCH_M = 0.07
 CELL_SHARE, CELL_M = 1 / 80, (0.01, 0.04)
 """Cell of the field of distances to points: a share of the box's diagonal, and its bounds [m]."""
 
+LARGE_SHARE = 1 / 200
+"""Cells, and half of the pitch, are no smaller share of the diagonal: a merged instance of a hall's size costs no more than a sofa."""
+
 MARGIN_CELLS = 2
 """Cells of the field beyond the box: surfaces that lie on its sides are looked up within."""
 
@@ -53,7 +56,8 @@ def fit_target(points: Array, size: Array, unseen: NDArray[np.bool_], near: floa
     """A target from an instance's points [m], shape (n, 3), at most `most` of which are kept, spread evenly."""
     from scipy.ndimage import distance_transform_edt
 
-    cell = float(np.clip(CELL_SHARE * np.linalg.norm(size), *CELL_M))
+    diagonal = float(np.linalg.norm(size))
+    cell = max(float(np.clip(CELL_SHARE * diagonal, *CELL_M)), LARGE_SHARE * diagonal)
     thinned = _thinned(points, cell, most)
     origin = np.array([-0.5 * size[0], -0.5 * size[1], 0.0]) - MARGIN_CELLS * cell
     shape = np.ceil(size / cell).astype(int) + 2 * MARGIN_CELLS + 1
@@ -81,10 +85,11 @@ def misfits(target: FitTarget, blocks: Array, counts: NDArray[np.int64]) -> Arra
 
     blocks: shape (h, b, 6), of which the first `counts` (h) are of the model.
     """
+    pitch = max(PITCH_M, 2 * LARGE_SHARE * float(np.linalg.norm(target.size)))
     return np.asarray(
         _compiled()["_misfits"](
             target.points, np.ascontiguousarray(blocks), counts, target.field, target.origin, target.cell, target.slack, target.size,
-            target.unseen, target.near, TRUNCATION_M, LEVEL_WEIGHT, SIDE_WEIGHT, PITCH_M,
+            target.unseen, target.near, TRUNCATION_M, LEVEL_WEIGHT, SIDE_WEIGHT, pitch,
         )
     )  # fmt: skip
 
