@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field
 
 from tasks.candidates.library import LibraryRetrieval
+from tasks.candidates.parametric import Parametric
 from tasks.candidates.procedural import Procedural
 from tasks.candidates.provider import ProviderConfig
 from tasks.candidates.providers import PROVIDERS
@@ -31,10 +32,11 @@ class SlotConfig(Config):
 Slots = Annotated[tuple[SlotConfig, ...], LISTED, Field(min_length=1, max_length=10)]
 
 DEFAULT_SLOTS: tuple[SlotConfig, ...] = (
-    *(SlotConfig(Procedural(variant)) for variant in (1, 2, 3, 4)),
+    *(SlotConfig(Procedural(variant)) for variant in (1, 2, 3)),
+    SlotConfig(Parametric(), fallback=Procedural(4)),
     SlotConfig(ScanCrop("closed")),
     SlotConfig(ScanCrop("pieces")),
     *(SlotConfig(LibraryRetrieval(k), fallback=Procedural(4 + k)) for k in (1, 2, 3, 4)),
 )
-"""Four styles of the generator, two solids of the scan, four assets of the library; where the library
-has none, more styles, flagged as fallback."""
+"""Three styles of the generator, a template fitted to the points, two solids of the scan, four assets of the library; where no template
+fits and where the library has none, more styles, flagged as fallback."""

@@ -534,7 +534,7 @@ def test_a_missing_library_is_told_in_every_row_and_once_in_all() -> None:
     outcome = candidates_of(furniture(1, "table", (0.8, 1.3, 0.75), 0.2))
     for row in outcome.rows["candidates"]:
         assert row.is_fallback == (row.slot >= 7)
-        assert row.provider == ("procedural" if row.slot <= 4 or row.slot >= 7 else row.provider)
+        assert row.provider == ("parametric" if row.slot == 4 else "procedural" if row.slot <= 3 or row.slot >= 7 else row.provider)
         assert (row.reason == "no library given") == (row.slot >= 7)
     assert sum("no library given" in text for text in outcome.degradations) == 1
 

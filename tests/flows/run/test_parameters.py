@@ -18,6 +18,7 @@ from flows.run.configuration import TABLES, configs_with, configure
 from flows.run.parameters import StageTables, checked_tables, stages_schema
 from schemas.errors import InputError
 from tasks.candidates.library import LibraryRetrieval
+from tasks.candidates.parametric import Parametric
 from tasks.candidates.procedural import Procedural
 from tasks.candidates.scan_crop import ScanCrop
 from tasks.candidates.slots import SlotConfig
@@ -35,7 +36,7 @@ ITEMS = st.one_of(st.floats(0.001, 1), st.integers(0, 255), st.sampled_from(["us
 PLAIN = st.one_of(st.none(), st.booleans(), st.integers(-3, 10**6), st.floats(-3, 1e6), st.sampled_from(WORDS), st.lists(ITEMS, max_size=4))
 """Values that fit some field or none."""
 
-PROVIDERS = {"procedural": Procedural, "scan_crop": ScanCrop, "library": LibraryRetrieval}
+PROVIDERS = {"procedural": Procedural, "parametric": Parametric, "scan_crop": ScanCrop, "library": LibraryRetrieval}
 
 
 def kinds_of(config: Any, field: str) -> dict[str, type]:

@@ -156,7 +156,7 @@ def test_slots_are_set_alike_from_everywhere(tmp_path: Path) -> None:
     [
         ([], "candidates.slots: must be a list of at least 1, is []"),
         ([{"provider": "library"}] * 11, "candidates.slots: must be a list of at most 10, is "),
-        ([{"provider": "libary"}], "item 1: provider: must name a kind, is 'libary'; it is one of procedural, scan_crop, library"),
+        ([{"provider": "libary"}], "must name a kind, is 'libary'; it is one of procedural, parametric, scan_crop, library"),
         ([{"provider": {"variant": 2}}], "candidates.slots: item 1: provider: must name a kind, is {'variant': 2}; it is one of "),
         ([{}], "candidates.slots: item 1: provider: is missing"),
         ([{"provider": "library", "fallback": {"kind": "scan_crop"}}], "must name a kind, is {'kind': 'scan_crop'}; it is procedural"),
