@@ -21,6 +21,7 @@ from schemas.record import Table, table_of
 RECORDS: tuple[type, ...] = (
     capture.Scene,
     capture.Room,
+    capture.RoomSurface,
     capture.Frame,
     capture.Instance,
     capture.Mask,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Self
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from schemas.capture import Frame, Instance, Mask, Room, Scene
+from schemas.capture import Frame, Instance, Mask, Room, RoomSurface, Scene
 from schemas.errors import InputError
 from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
 from tasks.capture.files.images import encode_jpeg
@@ -26,6 +27,7 @@ from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment, align
 from tasks.capture.rooms.openings import wall_openings
 from tasks.capture.rooms.room import estimate_room, floor_points, inferred_room_type
+from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
@@ -49,6 +51,7 @@ class CaptureConfig(Config):
     max_points: Count = 20_000  # A sofa at 2 cm has fewer; walls are thinned.
     max_faces: Count = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
+    textures: TextureConfig = dataclasses.field(default_factory=TextureConfig)
 
     @model_validator(mode="after")
     def _with_label_map(self) -> Self:
@@ -57,7 +60,7 @@ class CaptureConfig(Config):
 
 
 def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
-    """Rows of `scenes`, `rooms`, `frames`, `instances` and `masks` of one scan.
+    """Rows of `scenes`, `rooms`, `surfaces`, `frames`, `instances` and `masks` of one scan.
 
     Raises:
         InputError: a file of the scan cannot be used; names the file and the field.
@@ -97,6 +100,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     room = _room(context, reading, cloud, classes, meanings, solids, notes)
     if not format.is_modelled:
         rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], room)
+    surfaces = _surfaces(room, reading, world, groups, meanings, config, blobs)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
@@ -118,8 +122,9 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     )
     frames = [_frame_row(frame, context.scene_id, alignment) for frame in reading.frames]
     return Outcome(
-        scenes=[scene], rooms=[room], frames=frames, instances=rows, masks=masks, blobs=blobs, degradations=[*notes, *mesh_notes]
-    )
+        scenes=[scene], rooms=[room], surfaces=surfaces, frames=frames, instances=rows, masks=masks, blobs=blobs,
+        degradations=[*notes, *mesh_notes],
+    )  # fmt: skip
 
 
 def read_scan(scan: Scan) -> Reading:
@@ -254,6 +259,30 @@ def _room(
     openings = wall_openings(shape.polygon, shape.interior_walls, shape.height, fillings)
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
     return shape.row(context.scene_id, kind, parts, openings)
+
+
+def _surfaces(
+    room: Room, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], config: CaptureConfig, blobs: Blobs
+) -> list[RoomSurface]:
+    """How floor, walls and ceiling look. Faces with a corner of an object may have its colors, whatever they are named."""
+    is_object, kinds = np.zeros(len(world.vertices), dtype=bool), np.full(len(world.faces), LOOSE, dtype=np.int8)
+    for group, label in zip(groups, meanings, strict=True):
+        if label.is_structure:
+            kinds[group.faces] = STRUCTURE
+        else:
+            is_object[group.vertices] = True
+    kinds[is_object[world.faces].any(axis=1)] = OBJECT
+    if reading.is_dense or not reading.parts:
+        return baked_surfaces(room, [world.to_trimesh()], [kinds], config.textures, blobs)
+    faces = np.cumsum([0, *(len(part.faces) for part in reading.parts)])
+    corners = np.cumsum([0, *(len(part.vertices) for part in reading.parts)])
+    parts = []
+    for part, (start, end) in zip(reading.parts, itertools.pairwise(corners), strict=True):
+        moved = part.copy()
+        moved.vertices = world.vertices[start:end]
+        parts.append(moved)
+    own = [kinds[start:end] for start, end in itertools.pairwise(faces)]
+    return baked_surfaces(room, parts, own, config.textures, blobs)
 
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:

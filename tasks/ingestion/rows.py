@@ -88,8 +88,9 @@ def _capture(
         license=scene.license,
     )
     return Outcome(
-        scenes=[row], rooms=[room], frames=[], instances=instances, masks=[], blobs=blobs, degradations=list(dict.fromkeys([*notes, *more]))
-    )
+        scenes=[row], rooms=[room], surfaces=[], frames=[], instances=instances, masks=[], blobs=blobs,
+        degradations=list(dict.fromkeys([*notes, *more])),
+    )  # fmt: skip
 
 
 def _instance(context: Context, instance: FinishedObject, surface: Surface, blobs: Blobs, config: IngestionConfig) -> Instance:
