@@ -141,6 +141,7 @@ def test_mujoco_loads_the_images(replica: Replica, tmp_path: Path) -> None:
     assert sum(file.role == "texture" for file in files) == len(set(images(replica).values()))
 
 
+@pytest.mark.whole
 def test_urdf_and_habitat_have_the_images(replica: Replica, tmp_path: Path) -> None:
     files = urdf_files(replica, exports.ExportsConfig())
     write_folder(tmp_path, {file.path: file.data for file in files})
