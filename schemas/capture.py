@@ -13,6 +13,10 @@ DATASET_LAYOUTS: tuple[DatasetLayout, ...] = get_args(DatasetLayout)
 """Layouts of finished datasets that are read."""
 
 
+SURFACE_PATTERN = r"floor|ceiling|(wall|inner)_[0-9]{2,}"
+"""A part of the room's shell, with all pieces that openings cut it into."""
+
+
 @record("scenes", key=("scene_id",), stage="capture")
 class Scene:
     """A scene: what the lake holds of one scan."""
@@ -90,7 +94,7 @@ class RoomSurface:
     """How a floor, wall or ceiling looks in the scan: an image of it, with what was hidden filled in from around it."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
-    surface: str = column("Part of the room: floor, ceiling, wall_00, inner_00", pattern=r"floor|ceiling|(wall|inner)_[0-9]{2,}")
+    surface: str = column("Part of the room: floor, ceiling, wall_00, inner_00", pattern=SURFACE_PATTERN)
     texture_blob: str = column("Its image, sRGB, JPEG, upright to who looks at it from the room", blob=True)
     origin: tuple[float, ...] = column("Where the image's lower left corner lies in the world frame", unit="m", length=3)
     u_axis: tuple[float, ...] = column("Direction from the left to the right of the image in the world frame, unit", length=3)

@@ -50,7 +50,7 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
     return remembered(facts, lambda: _pictures(lake, reader, scene_id, look))
 
 
-_MODEL = ("scenes", "rooms", "placements")
+_MODEL = ("scenes", "rooms", "surfaces", "placements")
 """Tables that say what stands where."""
 
 _SHOWN = ("contacts", "optimization_steps", "navmeshes", "episodes", "instances", "scene_fidelity")
