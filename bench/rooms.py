@@ -155,7 +155,7 @@ def disturbed_scene(
     context = Context(scene_id, "captions", 0, blobs)
     described = captions.run(instances=instances, context=context, config=captions.CaptionsConfig())
     rows: dict[str, list[Any]] = {
-        "instances": instances, "selections": selections, "shells": [room], "captions": described.rows["captions"],
+        "instances": instances, "selections": selections, "shells": [room], "surfaces": [], "captions": described.rows["captions"],
         "assets": [assets[key] for key in sorted(assets)], "annotations": [],
     }  # fmt: skip
     carried = {obj.name: Carried(obj.relation, obj.parent) for obj in objects}

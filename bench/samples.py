@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from schemas.annotation import Annotation
 from schemas.candidates import Asset
+from schemas.capture import SURFACE_PATTERN
 from schemas.evaluation import Trajectory
 from schemas.optimization import BODY_PATTERN
 from schemas.record import Column, Table, table_of
@@ -75,6 +76,7 @@ _PATTERNS = {
     r"[0-9a-f]{64}": "a" * 64,
     r"[A-Za-z0-9][A-Za-z0-9_.-]*": "batch-1",
     BODY_PATTERN: "wall_00",
+    SURFACE_PATTERN: "wall_00",
 }
 
 

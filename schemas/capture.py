@@ -13,6 +13,10 @@ DATASET_LAYOUTS: tuple[DatasetLayout, ...] = get_args(DatasetLayout)
 """Layouts of finished datasets that are read."""
 
 
+SURFACE_PATTERN = r"floor|ceiling|(wall|inner)_[0-9]{2,}"
+"""A part of the room's shell, with all pieces that openings cut it into."""
+
+
 @record("scenes", key=("scene_id",), stage="capture")
 class Scene:
     """A scene: what the lake holds of one scan."""
@@ -86,6 +90,28 @@ class Shell:
     wall_color: tuple[int, ...] | None = column(
         "Median color of the walls in the scan, sRGB; missing when unseen", length=3, minimum=0, maximum=255
     )
+
+
+@record("surfaces", key=("scene_id", "surface"), stage="capture")
+class RoomSurface:
+    """How a floor, wall or ceiling looks in the scan: an image of it, with what was hidden filled in from around it."""
+
+    scene_id: str = column("Scene", pattern=SCENE_PATTERN)
+    surface: str = column("Part of the room: floor, ceiling, wall_00, inner_00", pattern=SURFACE_PATTERN)
+    texture_blob: str = column("Its image, sRGB, JPEG, upright to who looks at it from the room", blob=True)
+    origin: tuple[float, ...] = column("Where the image's lower left corner lies in the world frame", unit="m", length=3)
+    u_axis: tuple[float, ...] = column("Direction from the left to the right of the image in the world frame, unit", length=3)
+    v_axis: tuple[float, ...] = column("Direction from the bottom to the top of the image in the world frame, unit", length=3)
+    width_m: float = column("How much the image shows from left to right", unit="m", minimum=0)
+    height_m: float = column(
+        "How much the image shows from bottom to top; of interior walls both sides: the left one as it stands, on it the right one, "
+        "upside down, as a cloth hangs over the wall",
+        unit="m",
+        minimum=0,
+    )
+    texel_m: tuple[float, ...] = column("Width and height of a pixel on the surface", unit="m", length=2, minimum=0)
+    seen_share: float = column("Share of the surface, without its doors and windows, that the scan shows", minimum=0, maximum=1)
+    color: tuple[int, ...] = column("Median color of what the scan shows of it, sRGB", length=3, minimum=0, maximum=255)
 
 
 @record("rooms", key=("scene_id", "room_index"), stage="capture")

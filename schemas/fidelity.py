@@ -54,7 +54,7 @@ class Fidelity:
 
 @record("scene_fidelity", key=("scene_id",), stage="fidelity")
 class SceneFidelity:
-    """How near a replica comes to its scan. The shell are floor, walls and ceiling; the replica of a room has no ceiling."""
+    """How near a replica comes to its scan. The shell are floor, walls and ceiling; replicas have a ceiling where it is asked for."""
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     cameras: str = column(

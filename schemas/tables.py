@@ -22,6 +22,7 @@ RECORDS: tuple[type, ...] = (
     capture.Scene,
     capture.Shell,
     capture.Room,
+    capture.RoomSurface,
     capture.Frame,
     capture.Instance,
     capture.Mask,

@@ -1,4 +1,4 @@
-"""A room's shell: floor and walls as closed slabs in the world frame, with the openings of doors and windows."""
+"""A room's shell: floor, walls and, if wanted, ceiling as closed slabs in the world frame, with the openings of doors and windows."""
 
 from __future__ import annotations
 
@@ -20,17 +20,19 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class ShellConfig(Config):
-    """How a room's floor and walls become slabs."""
+    """How a room's floor, walls and ceiling become slabs."""
 
     thickness_m: float = 0.1  # a partition wall; thick enough that nothing at walking pace passes it in one time step
     panel_m: float = 0.02  # what closes a door's or window's niche behind it; fixed, and nothing reaches it at speed
     floor_color: Annotated[tuple[Whole, Whole, Whole], LISTED] = (196, 186, 172)  # light wood, where the scan shows no floor
     wall_color: Annotated[tuple[Whole, Whole, Whole], LISTED] = (228, 226, 220)  # off-white paint, where the scan shows no wall
+    ceiling: bool = False  # it would hide the room from who looks in from above, as viewers do
     miter_limit: float = 3.0  # sharper corners than about 40 degrees are cut instead of drawn out into spikes
 
 
 def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str, trimesh.Trimesh]]:
-    """Floor and walls of a room as closed slabs in the world frame [m]: `floor`, `wall_00`, ..., `inner_00`, ...
+    """Floor and walls of a room as closed slabs in the world frame [m]: `floor`, `wall_00`, ..., `inner_00`, ..., and `ceiling`
+    where it is wanted, a slab on the outer walls, colored as they are.
 
     The floor's top is z = 0. Floor and outer walls lie outside the floor polygon. Every outer wall is a convex prism on
     one edge of the polygon; they meet in miters and stand on the floor slab. Interior walls are boxes that stand on the
@@ -51,6 +53,8 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
     for index, (wall, corners) in enumerate(zip(room.interior_walls, interior_footprints(room), strict=True)):
         pieces = _cut(corners, np.array(wall[:2]), np.array(wall[2:4]), wall[5], room.openings or (), ring, None)
         named += _named(f"inner_{index:02d}", pieces, wall_color)
+    if shell.ceiling:
+        named.append(("ceiling", _prism_of_ring(_outer_ring(ring, shell), room.height_m, room.height_m + shell.thickness_m, wall_color)))
     return named
 
 

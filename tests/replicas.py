@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 from schemas.candidates import Asset
 from schemas.captions import Caption
-from schemas.capture import Instance, Scene, Shell
+from schemas.capture import Instance, RoomSurface, Scene, Shell
 from schemas.optimization import Placement, Support
 from tasks import navigation
+from tasks.capture.rooms.textures import room_charts
 from tasks.exports import ExportsConfig
 from tasks.exports.bodies import Replica, gather
 from tasks.furniture import generate
@@ -79,7 +82,7 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
         frame_count=0, instance_count=len(objects), segmentation="file", license="CC0-1.0",
     )  # fmt: skip
     rows: dict[str, list[Any]] = {name: [] for name in ("instances", "captions", "placements", "supports")}
-    rows |= {"scenes": [scene], "shells": [room_of(scene_id)]}
+    rows |= {"scenes": [scene], "shells": [room_of(scene_id)], "surfaces": []}
     assets: dict[str, Asset] = {}
     for index, item in enumerate(objects):
         instance_id = f"{index + 1:04d}"
@@ -130,9 +133,30 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
 
 def replica_of(rows: dict[str, list[Any]], blobs: Blobs, config: ExportsConfig | None = None) -> Replica:
     """The replica that is exported, with nothing left out."""
-    replica, missed = gather(*[rows[name] for name in TABLES], blobs, config or ExportsConfig())
+    replica, missed = gather(*[rows[name] for name in TABLES], blobs, config or ExportsConfig(), surfaces=rows.get("surfaces", ()))
     assert missed == []
     return replica
+
+
+def painted(rows: dict[str, list[Any]], blobs: Blobs) -> dict[str, list[Any]]:
+    """The same rows with images of floor, walls and ceiling, whose pixels are random, and of the room's inner walls; one wall has none."""
+    rng = np.random.default_rng(0)
+    room = rows["shells"][0]
+    surfaces = []
+    for name, chart in room_charts(room):
+        if name == "wall_03":
+            continue
+        image = Image.fromarray(rng.integers(0, 256, (8, 16, 3), dtype=np.uint8).repeat(8, axis=0).repeat(8, axis=1))
+        out = io.BytesIO()
+        image.save(out, format="JPEG", quality=95, subsampling=0)
+        surfaces.append(
+            RoomSurface(
+                scene_id=room.scene_id, surface=name, texture_blob=blobs.add(out.getvalue(), "jpg"), origin=tuple(chart.origin.tolist()),
+                u_axis=tuple(chart.u_axis.tolist()), v_axis=tuple(chart.v_axis.tolist()), width_m=chart.width, height_m=chart.height,
+                texel_m=(chart.width / 128, chart.height / 64), seen_share=1.0, color=(128, 128, 128),
+            )
+        )  # fmt: skip
+    return rows | {"surfaces": surfaces}
 
 
 def with_navigation(

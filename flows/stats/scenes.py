@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from schemas.capture import Instance, Scene, Shell
+from schemas.capture import Instance, RoomSurface, Scene, Shell
 from schemas.errors import InputError, LakeError
 from schemas.fidelity import SceneFidelity
 from schemas.navigation import Episode, Navmesh
@@ -50,7 +50,7 @@ def picture_scene_of(lake: Lake, snapshot_id: int, scene_id: str, look: PictureC
     return remembered(facts, lambda: _pictures(lake, reader, scene_id, look))
 
 
-_MODEL = ("scenes", "shells", "placements")
+_MODEL = ("scenes", "shells", "surfaces", "placements")
 """Tables that say what stands where."""
 
 _SHOWN = ("contacts", "optimization_steps", "navmeshes", "episodes", "instances", "scene_fidelity")
@@ -170,6 +170,7 @@ class _Model:
         from tasks.replica import placed_parts
         from tasks.shell import room_shell
         from tasks.stats.scenes import RoomOutline
+        from tasks.surfaces import textured
 
         scenes = reader.rows(Scene, scene_id)
         if not scenes:
@@ -180,7 +181,8 @@ class _Model:
         assets = {asset.asset_id: asset for asset in reader.rows_by_key(Asset, sorted({p.asset_id for p in placements}))}
         blobs = {p.instance_id: lake.blobs[assets[p.asset_id].mesh_blob] for p in placements}
         objects = {p.instance_id: placed_parts(p, blobs[p.instance_id]) for p in placements}
-        shell = {name: [part] for name, part in room_shell(shells[0])} if shells else {}
+        bare = room_shell(shells[0]) if shells else []
+        shell = {name: [part] for name, part in textured(bare, reader.rows(RoomSurface, scene_id), lake.blobs)}
         outline = RoomOutline.of_room(shells[0]) if shells else RoomOutline.of_parts(scan)
         return _Model(scan, shells[0] if shells else None, placements, blobs, objects, shell, outline)
 

@@ -10,7 +10,7 @@ from tasks.stage import Stage
 STAGE = Stage(
     name="capture",
     reads=(),
-    writes=("scenes", "shells", "rooms", "frames", "instances", "masks"),
+    writes=("scenes", "shells", "rooms", "surfaces", "frames", "instances", "masks"),
     config=CaptureConfig,
     run=run,
     outside=("scan",),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Self
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from schemas.capture import Frame, Instance, Mask, Scene, Shell
+from schemas.capture import Frame, Instance, Mask, RoomSurface, Scene, Shell
 from schemas.errors import InputError
 from tasks.capture.cloud import Cloud, dense_cloud, sampled_cloud
 from tasks.capture.files.images import encode_jpeg
@@ -29,6 +30,7 @@ from tasks.capture.rooms.openings import wall_openings
 from tasks.capture.rooms.room import estimate_room, floor_points
 from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
+from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
@@ -52,6 +54,7 @@ class CaptureConfig(Config):
     max_points: Count = 20_000  # A sofa at 2 cm has fewer; walls are thinned.
     max_faces: Count = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
+    textures: TextureConfig = dataclasses.field(default_factory=TextureConfig)
 
     @model_validator(mode="after")
     def _with_label_map(self) -> Self:
@@ -60,7 +63,7 @@ class CaptureConfig(Config):
 
 
 def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
-    """Rows of `scenes`, `shells`, `rooms`, `frames`, `instances` and `masks` of one scan.
+    """Rows of `scenes`, `shells`, `rooms`, `surfaces`, `frames`, `instances` and `masks` of one scan.
 
     Raises:
         InputError: a file of the scan cannot be used; names the file and the field.
@@ -101,6 +104,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     if not format.is_modelled:
         rows = with_hidden_parts(rows, [solid.points for solid in solids], floor_points(cloud, classes)[:, :2], shell, leaves)
     shell, rooms, rows = parted(shell, rows, reading.room_type, is_seen)
+    surfaces = _surfaces(shell, reading, world, groups, meanings, config, blobs)
     mesh, mesh_notes = _mesh(reading, world, alignment, config)
     scene = Scene(
         scene_id=context.scene_id,
@@ -122,7 +126,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     )
     frames = [_frame_row(frame, context.scene_id, alignment) for frame in reading.frames]
     return Outcome(
-        scenes=[scene], shells=[shell], rooms=rooms, frames=frames, instances=rows, masks=masks, blobs=blobs,
+        scenes=[scene], shells=[shell], rooms=rooms, surfaces=surfaces, frames=frames, instances=rows, masks=masks, blobs=blobs,
         degradations=[*notes, *mesh_notes],
     )  # fmt: skip
 
@@ -265,6 +269,30 @@ def _shell(
     openings = wall_openings(*lines, list((fillings | leaves).values()))
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
     return shape.row(context.scene_id, parts, openings), shape.is_seen, leaves
+
+
+def _surfaces(
+    room: Shell, reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], config: CaptureConfig, blobs: Blobs
+) -> list[RoomSurface]:
+    """How floor, walls and ceiling look. Faces with a corner of an object may have its colors, whatever they are named."""
+    is_object, kinds = np.zeros(len(world.vertices), dtype=bool), np.full(len(world.faces), LOOSE, dtype=np.int8)
+    for group, label in zip(groups, meanings, strict=True):
+        if label.is_structure:
+            kinds[group.faces] = STRUCTURE
+        else:
+            is_object[group.vertices] = True
+    kinds[is_object[world.faces].any(axis=1)] = OBJECT
+    if reading.is_dense or not reading.parts:
+        return baked_surfaces(room, [world.to_trimesh()], [kinds], config.textures, blobs)
+    faces = np.cumsum([0, *(len(part.faces) for part in reading.parts)])
+    corners = np.cumsum([0, *(len(part.vertices) for part in reading.parts)])
+    parts = []
+    for part, (start, end) in zip(reading.parts, itertools.pairwise(corners), strict=True):
+        moved = part.copy()
+        moved.vertices = world.vertices[start:end]
+        parts.append(moved)
+    own = [kinds[start:end] for start, end in itertools.pairwise(faces)]
+    return baked_surfaces(room, parts, own, config.textures, blobs)
 
 
 def _mesh(reading: Reading, world: Surface, alignment: Alignment, config: CaptureConfig) -> tuple[bytes, list[str]]:

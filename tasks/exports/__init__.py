@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 
 from schemas.candidates import Asset
 from schemas.captions import Caption
-from schemas.capture import Instance, Scene, Shell
+from schemas.capture import Instance, RoomSurface, Scene, Shell
 from schemas.exports import ExportCheck, ExportFile
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement, Support
@@ -30,7 +30,7 @@ __all__ = ["STAGE", "ExportsConfig", "HabitatConfig", "MjcfConfig", "PieceConfig
 def run(
     *, scenes: Sequence[Scene], shells: Sequence[Shell], instances: Sequence[Instance], captions: Sequence[Caption],
     assets: Sequence[Asset], placements: Sequence[Placement], supports: Sequence[Support], navmeshes: Sequence[Navmesh],
-    episodes: Sequence[Episode], context: Context, config: ExportsConfig,
+    episodes: Sequence[Episode], context: Context, config: ExportsConfig, surfaces: Sequence[RoomSurface] = (),
 ) -> Outcome:  # fmt: skip
     """Export one scene in every format of `config.formats`, and check what came out.
 
@@ -38,7 +38,7 @@ def run(
         InputError: the scene has no room.
     """
     known = context.caches["tasks.geometry.pieces"]
-    replica, missed = gather(scenes, shells, instances, captions, assets, placements, supports, context.blobs, config, known)
+    replica, missed = gather(scenes, shells, instances, captions, assets, placements, supports, context.blobs, config, known, surfaces)
     blobs = Blobs()
     files: list[ExportFile] = []
     checks: list[ExportCheck] = []
@@ -65,7 +65,7 @@ def _row(scene_id: str, format_: str, file: File, passed: bool, blobs: Blobs) ->
 
 STAGE = Stage(
     name="exports",
-    reads=("scenes", "shells", "instances", "captions", "assets", "placements", "supports", "navmeshes", "episodes"),
+    reads=("scenes", "shells", "surfaces", "instances", "captions", "assets", "placements", "supports", "navmeshes", "episodes"),
     writes=("export_files", "export_checks"),
     config=ExportsConfig,
     run=run,

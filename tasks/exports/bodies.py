@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.candidates import Asset
 from schemas.captions import Caption
-from schemas.capture import Instance, Scene, Shell
+from schemas.capture import Instance, RoomSurface, Scene, Shell
 from schemas.errors import InputError
 from schemas.licenses import of_asset, stated
 from schemas.optimization import Placement, Support
@@ -22,6 +22,8 @@ from tasks.geometry.mass import MassProperties
 from tasks.geometry.meshes import load_glb
 from tasks.geometry.pieces import Hull, Method, asset_pieces
 from tasks.geometry.transforms import is_rigid, matrix
+from tasks.shell import room_shell
+from tasks.surfaces import textured
 from tasks.words import latin
 
 if TYPE_CHECKING:
@@ -82,13 +84,17 @@ class Body:
 
 @dataclasses.dataclass(frozen=True)
 class Replica:
-    """A scene ready to be written: its room and its bodies, sorted by instance."""
+    """A scene ready to be written: its room and its bodies, sorted by instance.
+
+    shell: The room's parts by name, world frame [m]: `tasks.shell.room_shell`, with the images that the scan gave them.
+    """
 
     scene_id: str
     stem: str
     room: Shell
     bodies: tuple[Body, ...]
     license: str
+    shell: tuple[tuple[str, trimesh.Trimesh], ...]
 
 
 def stem(scene_id: str) -> str:
@@ -115,14 +121,16 @@ def identifier(text: str) -> str:
 def gather(
     scenes: Sequence[Scene], shells: Sequence[Shell], instances: Sequence[Instance], captions: Sequence[Caption], assets: Sequence[Asset],
     placements: Sequence[Placement], supports: Sequence[Support], blobs: Mapping[str, bytes], config: ExportsConfig,
-    cache: MutableMapping[str, bytes] | None = None,
+    cache: MutableMapping[str, bytes] | None = None, surfaces: Sequence[RoomSurface] = (),
 ) -> tuple[Replica, list[str]]:  # fmt: skip
     """The replica of one scene, and what had to be left out of it. `cache` remembers convex pieces between runs.
+
+    What of the room has no row in `surfaces` has one color.
 
     Assets have the license that holds for them: what was cut from the scene's own scan has that of the scan.
 
     Raises:
-        InputError: the scene has no room.
+        InputError: the scene has no room, or its room no floor.
     """
     if len(shells) != 1:
         raise InputError("shells", "scene_id", f"{len(shells)} rows for one scene", "run capture on the scene again")
@@ -149,7 +157,8 @@ def gather(
             missed.append(f"{placement.instance_id}: no caption; mass from a density of {config.default_density_kg_m3:g} kg/m3")
         is_fixed = placement.instance_id in fixed
         bodies.append(_body(placement, shapes[key], by_instance.get(placement.instance_id), caption, is_fixed, config))
-    return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), stated(scans.get(room.scene_id))), missed
+    shell = textured(room_shell(room, config.shell), surfaces, blobs)
+    return Replica(room.scene_id, stem(room.scene_id), room, tuple(bodies), stated(scans.get(room.scene_id)), tuple(shell)), missed
 
 
 def licensed(asset: Asset, scans: Mapping[str, str | None]) -> Asset:

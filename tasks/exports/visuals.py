@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tasks.exports.bodies import Shape, digest
 from tasks.exports.gltf import node_textures
+from tasks.geometry.encoded_images import encoded_file
 from tasks.geometry.meshes import material_of, vertex_colors
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def visuals_of(shape: Shape) -> list[Visual]:
     plain: list[trimesh.Trimesh] = []
     textured: dict[Texture, list[trimesh.Trimesh]] = {}
     for part in shape.parts:
-        texture = _texture_of(part, images.get(part.metadata.get("name", "")))
+        texture = texture_of(part, images.get(part.metadata.get("name", "")))
         if texture is None:
             plain.append(part)
         else:
@@ -126,17 +127,15 @@ def _components(links: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def _texture_of(part: trimesh.Trimesh, encoded: tuple[bytes, str] | None) -> Texture | None:
-    """The image that a part is drawn with, or None: as it lies in the file, else encoded again."""
+def texture_of(part: trimesh.Trimesh, encoded: tuple[bytes, str] | None = None) -> Texture | None:
+    """The image that a part is drawn with, or None: `encoded` as it lies in the part's file, else as it was read, else encoded again."""
     visual = _look(part)
     if visual.kind != "texture" or visual.uv is None or len(visual.uv) != len(part.vertices):
         return None
     image, factor = material_of(part)
     if image is None:
         return None
-    if encoded is None:
-        encoded = _png(image), "png"
-    data, extension = encoded
+    data, extension = encoded or encoded_file(part) or (_png(image), "png")
     return Texture(
         file=f"{digest(hashlib.sha256(data).hexdigest(), 12)}.{extension}",
         data=data,

@@ -8,13 +8,13 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.exports.bodies import Shape
-from tasks.exports.visuals import Texture, Visual, visuals_of
+from tasks.exports.visuals import Texture, Visual, texture_of, visuals_of
 from tasks.geometry.meshes import vertex_colors
 from tasks.geometry.triangles import surface_area
 
@@ -48,6 +48,9 @@ def painted_shape(shape: Shape) -> list[Painted]:
 def painted_part(part: trimesh.Trimesh) -> list[Painted]:
     """A part of the room's shell."""
     vertices, faces = np.asarray(part.vertices, dtype=np.float64), np.asarray(part.faces, dtype=np.int64)
+    texture, look = texture_of(part), cast(Any, part.visual)
+    if texture is not None:
+        return _painted(Visual("part", vertices, faces, None, np.asarray(look.uv, dtype=np.float64), texture, False))
     return _painted(Visual("part", vertices, faces, vertex_colors(part), None, None, False))
 
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from schemas.candidates import Asset
-from schemas.capture import Frame, Instance, Scene, Shell
+from schemas.capture import Frame, Instance, RoomSurface, Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.fidelity.cameras import frame_cameras, virtual_cameras
@@ -28,6 +28,7 @@ from tasks.fidelity.replicas import ReplicaRays, replica_surface
 from tasks.fidelity.rows import object_row, scene_row
 from tasks.fidelity.scans import scanned_surface
 from tasks.geometry.rendering import RayScene
+from tasks.shell import ShellConfig
 from tasks.stage import Blobs, Context, Outcome, Stage
 
 __all__ = ["STAGE", "FidelityConfig", "run"]
@@ -43,6 +44,7 @@ def run(
     assets: Sequence[Asset],
     context: Context,
     config: FidelityConfig,
+    surfaces: Sequence[RoomSurface] = (),
 ) -> Outcome:
     """A row for every object, one for the scene, and the scan's points with their distance to the replica.
 
@@ -54,7 +56,8 @@ def run(
     objects = {i.instance_id for i in instances if not i.is_structure}
     scan = scanned_surface(scenes[0], instances, context.blobs)
     room = shells[0] if shells else None
-    replica = replica_surface(room, [p for p in placements if p.instance_id in objects], assets, context.blobs)
+    placed = [p for p in placements if p.instance_id in objects]
+    replica = replica_surface(room, placed, assets, context.blobs, surfaces, ShellConfig(ceiling=config.ceiling))
     samples = sample_scan(scan, config, context.rng)
     cameras, source = frame_cameras(frames, config.max_cameras, config.picture_width), "frames"
     notes = [f"{name}: it has no faces, its points stand in for them" for name in scan.bare]
@@ -77,7 +80,7 @@ def run(
 
 STAGE = Stage(
     name="fidelity",
-    reads=("scenes", "shells", "frames", "instances", "placements", "assets"),
+    reads=("scenes", "shells", "surfaces", "frames", "instances", "placements", "assets"),
     writes=("fidelity", "scene_fidelity"),
     config=FidelityConfig,
     run=run,

@@ -22,3 +22,4 @@ class FidelityConfig(Config):
     max_pictures: Count = 8  # evenly among the cameras: means over 150,000 pixels
     hidden_m: NonNegative = 0.1  # as far behind scanned surface as the widest threshold; what is deeper was hidden from the cameras
     empty_margin_m: Positive = 0.05  # between scanned surface and what counts as seen empty: noise of depth and of fusion
+    ceiling: bool = False  # as exports.shell.ceiling: replicas are measured as they are handed out

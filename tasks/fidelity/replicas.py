@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from schemas.capture import Shell
+from schemas.capture import RoomSurface, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from tasks.fidelity.visibility import reach
@@ -19,6 +19,7 @@ from tasks.geometry.rendering import Camera, RayScene, Rendering
 from tasks.geometry.triangles import face_crosses, face_normals
 from tasks.replica import placed_parts
 from tasks.shell import ShellConfig, floor_ring, room_shell, wall_of
+from tasks.surfaces import textured
 
 if TYPE_CHECKING:
     import trimesh
@@ -36,12 +37,14 @@ _TURNED = 0.999
 class ReplicaSurface:
     """What stands in a replica, world frame [m].
 
-    objects: Parts of every placed asset, by instance. shell: The faces of floor and walls that look into the room: their backs
-    are nobody's to see, and would pass for surface where a scan looks through a door.
+    objects: Parts of every placed asset, by instance. shell: The faces of floor, walls and ceiling that look into the room: their
+    backs are nobody's to see, and would pass for surface where a scan looks through a door. slabs: The same faces part by part, with
+    their images.
     """
 
     objects: Mapping[str, Sequence[trimesh.Trimesh]]
     shell: Surface
+    slabs: Sequence[trimesh.Trimesh] = ()
 
     @property
     def owners(self) -> list[str]:
@@ -55,8 +58,7 @@ class ReplicaRays:
 
     def __init__(self, replica: ReplicaSurface) -> None:
         self._objects = RayScene([part for parts in replica.objects.values() for part in parts])
-        self._shell = replica.shell
-        self._crosses = face_crosses(self._shell.vertices, self._shell.faces)
+        self._slabs = [(slab, face_crosses(slab.vertices, slab.faces)) for slab in replica.slabs]
 
     def reach(self, camera: Camera, points: Array) -> Array:
         """How far the rays from a camera through points get before they meet something [m], infinite where they do not, (n,)."""
@@ -73,17 +75,16 @@ class ReplicaRays:
 
     def _before(self, camera: Camera) -> RayScene:
         """The faces of the shell whose front the camera sees."""
-        shell = self._shell
-        if not len(shell.faces):
-            return RayScene([])
-        front = np.einsum("nd,nd->n", self._crosses, camera.pose[:3, 3] - shell.vertices[shell.faces[:, 0]]) > 0
-        return RayScene([Surface(shell.vertices, shell.faces[front], shell.colors).to_trimesh()])
+        eye = camera.pose[:3, 3]
+        fronts = [np.einsum("nd,nd->n", crosses, eye - slab.vertices[slab.faces[:, 0]]) > 0 for slab, crosses in self._slabs]
+        return RayScene([_with_faces(slab, front) for (slab, _), front in zip(self._slabs, fronts, strict=True) if front.any()])
 
 
 def replica_surface(
-    room: Shell | None, placements: Sequence[Placement], assets: Sequence[Asset], blobs: Mapping[str, bytes]
-) -> ReplicaSurface:
-    """The assets of a scene at their optimized poses, and its room.
+    room: Shell | None, placements: Sequence[Placement], assets: Sequence[Asset], blobs: Mapping[str, bytes],
+    surfaces: Sequence[RoomSurface] = (), shell: ShellConfig | None = None,
+) -> ReplicaSurface:  # fmt: skip
+    """The assets of a scene at their optimized poses, and its room, with the images of those of its surfaces that have one.
 
     Raises:
         InputError: a placement's asset is not there or cannot be read, or the room's floor has no area.
@@ -96,25 +97,41 @@ def replica_surface(
             problem = f"asset {placement.asset_id[:12]} is not in assets"
             raise InputError(placement.scene_id, f"placement {placement.instance_id}", problem, "run the candidates stage again")
         objects[placement.instance_id] = placed_parts(placement, blobs[asset.mesh_blob])
-    named = room_shell(room) if room is not None else []
-    shell = union_of([_inward(room, name, surface_of([part])) for name, part in named if room is not None])
-    return ReplicaSurface(objects, shell)
+    if room is None:
+        return ReplicaSurface(objects, union_of([]))
+    slabs = [_with_faces(part, _inward(room, name, part)) for name, part in textured(room_shell(room, shell), surfaces, blobs)]
+    slabs = [slab for slab in slabs if len(slab.faces)]
+    return ReplicaSurface(objects, union_of([surface_of([slab]) for slab in slabs]), slabs)
 
 
-def _inward(room: Shell, name: str, slab: Surface) -> Surface:
-    """The faces of a slab that look into the room: the floor's top, what has floor before it, and the backs of an outer wall's
-    niches, however deep."""
+def _with_faces(part: trimesh.Trimesh, chosen: NDArray[np.bool_]) -> trimesh.Trimesh:
+    """A part with some of its faces, shape (n,), and all of its vertices."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(part.vertices, part.faces[chosen], process=False)
+    mesh.visual = part.visual
+    return mesh
+
+
+def _inward(room: Shell, name: str, slab: trimesh.Trimesh) -> NDArray[np.bool_]:
+    """Which faces of a slab look into the room: the floor's top, the ceiling's underside, what has floor before it, and the backs of an
+    outer wall's niches, however deep."""
     import shapely
 
     ring = floor_ring(room)
     floor = shapely.Polygon(ring)
-    normals, middles = face_normals(slab.vertices, slab.faces), slab.vertices[slab.faces].mean(axis=1)
+    vertices, faces = np.asarray(slab.vertices, dtype=np.float64), np.asarray(slab.faces, dtype=np.int64)
+    normals, middles = face_normals(vertices, faces), vertices[faces].mean(axis=1)
+    if name == "ceiling":
+        under: NDArray[np.bool_] = normals[:, 2] < -0.5
+        return under
     looks_in: NDArray[np.bool_] = shapely.contains_xy(floor, *(middles + _INSIDE_M * normals)[:, :2].T)
     kind, _, number = wall_of(name).partition("_")
     if kind == "wall":
         looks_in |= _niche_backs(room, ring[int(number)], ring[(int(number) + 1) % len(ring)], normals, middles)
     is_top = (normals[:, 2] > 0.5) & (middles[:, 2] < _INSIDE_M)
-    return Surface(slab.vertices, slab.faces[((np.abs(normals[:, 2]) < 0.5) & looks_in) | is_top], slab.colors)
+    inward: NDArray[np.bool_] = ((np.abs(normals[:, 2]) < 0.5) & looks_in) | is_top
+    return inward
 
 
 def _niche_backs(room: Shell, start: Array, end: Array, normals: Array, middles: Array) -> NDArray[np.bool_]:

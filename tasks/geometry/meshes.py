@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.containers import weigh_glb
+from tasks.geometry.encoded_images import keep_encoded, put_encoded, textures
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 from tasks.geometry.triangles import face_crosses, spread
 
@@ -181,13 +182,13 @@ def check_looks(scene: trimesh.Scene, file: str) -> None:
     drawn: Counter[str] = Counter(scene.graph.transforms.node_data[node]["geometry"] for node in scene.graph.nodes_geometry)
     pixels = 0
     for name, geometry in scene.geometry.items():
-        _keep_encoded(geometry)
+        keep_encoded(geometry)
         geometry.metadata.clear()  # extras are not read, and would be copied with every placement
         material = getattr(getattr(geometry, "visual", None), "material", None)
         factor = getattr(material, "baseColorFactor", None)
         if factor is not None and (np.ndim(factor) != 1 or len(factor) < 3 or not np.isfinite(np.asarray(factor)).all()):
             raise InputError(file, f"mesh {name}", "has a baseColorFactor that is no color", "give four numbers from 0 to 1")
-        for _, texture, image in _textures(geometry, of_any_kind=True):
+        for _, texture, image in textures(geometry, of_any_kind=True):
             if not hasattr(image, "info"):
                 raise InputError(file, f"mesh {name}", f"has a {texture} that is no texture", "export it again with its images")
             images[id(image)] = image
@@ -216,49 +217,10 @@ def dump_glb(parts: Sequence[trimesh.Trimesh], names: Sequence[str] | None = Non
         turned = part.copy()
         turned.apply_transform(Z_UP_TO_Y_UP)
         turned.metadata.clear()
-        _put_encoded(turned)
+        put_encoded(turned)
         scene.add_geometry(turned, node_name=name, geom_name=name)
     data = scene.export(file_type="glb", include_normals=False)
     return bytes(data)
-
-
-_ENCODED = "encoded file"
-"""Key in a texture's `info`: the image file as it was in the GLB."""
-
-_TEXTURES = ("baseColorTexture", "image", "emissiveTexture", "normalTexture", "occlusionTexture", "metallicRoughnessTexture")
-
-
-class _EncodedImage:
-    """A texture that is written as the file it came from: no second loss of a JPEG, and no ten times larger PNG of it."""
-
-    def __init__(self, data: bytes) -> None:
-        self.format = "JPEG" if data[:2] == b"\xff\xd8" else "PNG"
-        self._data = data
-
-    def save(self, file: Any, format: str = "") -> None:
-        file.write(self._data)
-
-
-def _textures(part: Any, of_any_kind: bool = False) -> list[tuple[Any, str, Any]]:
-    """Material, attribute and image of every texture of a part; what is no image only if asked for."""
-    material = getattr(getattr(part, "visual", None), "material", None)
-    maps = [(material, name, getattr(material, name, None)) for name in _TEXTURES] if material is not None else []
-    return [(m, name, image) for m, name, image in maps if hasattr(image, "info") or (of_any_kind and image is not None)]
-
-
-def _keep_encoded(part: Any) -> None:
-    """Remember the image file of every texture that was not decoded yet; copies carry it along."""
-    for _, _, image in _textures(part):
-        file: Any = getattr(image, "fp", None)
-        if image.format in ("JPEG", "PNG") and hasattr(file, "getvalue"):
-            image.info[_ENCODED] = file.getvalue()
-
-
-def _put_encoded(part: Any) -> None:
-    """Let the textures of a part be written as the files that they came from."""
-    for material, name, image in _textures(part):
-        if _ENCODED in image.info:
-            setattr(material, name, _EncodedImage(image.info[_ENCODED]))
 
 
 def surface_of(parts: Sequence[trimesh.Trimesh]) -> Surface:

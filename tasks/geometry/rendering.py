@@ -145,17 +145,7 @@ class RayScene:
         depth = hits["t_hit"].astype(np.float32)
         seen = np.isfinite(depth)
         part = np.where(seen, hits["geometry_ids"].astype(np.int64), -1)
-        color = np.empty((*depth.shape, 3), dtype=np.uint8)
-        color[:] = background
-        face, bary, painted = hits["primitive_ids"].reshape(-1), hits["primitive_uvs"].reshape(-1, 2), color.reshape(-1, 3)
-        hit = np.flatnonzero(seen)
-        kind = np.uint16 if len(self.parts) < 2**16 else np.uint32  # short numbers are sorted in one pass
-        hit = hit[np.argsort(hits["geometry_ids"].reshape(-1)[hit].astype(kind), kind="stable")]  # pixels part by part
-        ends = np.cumsum(np.bincount(part.reshape(-1)[hit], minlength=1))
-        for index, (start, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
-            if end > start:
-                where = hit[start:end]
-                painted[where] = self._hit_colors(index, face[where].astype(np.int64), bary[where])
+        color = self.colors(hits, background)
         normal = hits["primitive_normals"].astype(np.float32)
         if shade:
             forward = camera.pose[:3, 2].astype(np.float32)
@@ -163,6 +153,23 @@ class RayScene:
             light = 0.55 + 0.3 * facing + 0.15 * np.abs(normal[..., 2])
             color[seen] = np.clip(color[seen] * light[seen][:, None], 0, 255).astype(np.uint8)
         return Rendering(depth, part, color, normal)
+
+    def colors(self, hits: dict[str, NDArray[Any]], background: tuple[int, int, int] = (255, 255, 255)) -> NDArray[np.uint8]:
+        """Color of the surface at hits of `cast`, shape (..., 3); the background where there is none."""
+        seen = np.isfinite(hits["t_hit"])
+        color = np.empty((*seen.shape, 3), dtype=np.uint8)
+        color[:] = background
+        part, face = hits["geometry_ids"].reshape(-1), hits["primitive_ids"].reshape(-1)
+        bary, painted = hits["primitive_uvs"].reshape(-1, 2), color.reshape(-1, 3)
+        hit = np.flatnonzero(seen)
+        kind = np.uint16 if len(self.parts) < 2**16 else np.uint32  # short numbers are sorted in one pass
+        hit = hit[np.argsort(part[hit].astype(kind), kind="stable")]  # pixels part by part
+        ends = np.cumsum(np.bincount(part[hit].astype(np.int64), minlength=1))
+        for index, (start, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
+            if end > start:
+                where = hit[start:end]
+                painted[where] = self._hit_colors(index, face[where].astype(np.int64), bary[where])
+        return color
 
     def _hit_colors(self, index: int, face: NDArray[np.int64], bary: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Color at hits on one part: faces (n,), barycentric coordinates of corners 1 and 2 (n, 2)."""

@@ -90,7 +90,7 @@ def _capture(
         license=scene.license,
     )
     return Outcome(
-        scenes=[row], shells=[shell], rooms=rooms, frames=[], instances=instances, masks=[], blobs=blobs,
+        scenes=[row], shells=[shell], rooms=rooms, surfaces=[], frames=[], instances=instances, masks=[], blobs=blobs,
         degradations=list(dict.fromkeys([*notes, *more])),
     )  # fmt: skip
 

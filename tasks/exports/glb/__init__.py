@@ -25,7 +25,6 @@ from tasks.exports.gltf import aim
 from tasks.exports.mjcf import described
 from tasks.geometry.meshes import dump_glb
 from tasks.geometry.transforms import Z_UP_TO_Y_UP, quaternion_xyzw, to_y_up
-from tasks.shell import room_shell
 
 Document = dict[str, Any]
 
@@ -35,8 +34,7 @@ _COPIED = ("bufferViews", "accessors", "images", "samplers", "textures", "materi
 def glb_files(replica: Replica, config: ExportsConfig) -> list[File]:
     """The one file of a scene."""
     scene = _Scene()
-    shell = room_shell(replica.room, config.shell)
-    room = scene.add_asset(dump_glb([part for _, part in shell], [name for name, _ in shell]), "room.glb")
+    room = scene.add_asset(dump_glb([part for _, part in replica.shell], [name for name, _ in replica.shell]), "room.glb")
     children = [scene.add_node(scene.copy_of(room, node, "room_")) for node in scene.roots(room)]
     top = [scene.add_node({"name": "room", "children": children})]
     assets: dict[str, Document] = {}

@@ -33,7 +33,6 @@ from tasks.exports.lighting import lamps
 from tasks.geometry.meshes import dump_glb
 from tasks.geometry.pieces import Hull
 from tasks.geometry.transforms import Z_UP_TO_Y_UP, quaternion_wxyz, quaternion_xyzw, to_y_up, transform_points, yaw_pose
-from tasks.shell import room_shell
 
 ACTIONS: Mapping[str, int] = {"stop": 0, "forward": 1, "left": 2, "right": 3}
 """habitat-sim's numbers of the actions that episodes are made of."""
@@ -93,7 +92,7 @@ def numbers(values: ArrayLike) -> list[float]:
 
 def _stage_files(handle: str, replica: Replica, config: ExportsConfig) -> list[File]:
     """Floor, walls and lamps."""
-    shell = room_shell(replica.room, config.shell)
+    shell = replica.shell
     settings = {
         "render_asset": f"{handle}.glb", "collision_asset": f"{handle}.glb", **UPRIGHT, "origin": [0, 0, 0], "scale": [1, 1, 1],
         "units_to_meters": 1, "gravity": [0, -config.habitat.gravity_m_s2, 0], "is_collidable": True, "margin": MARGIN_M,

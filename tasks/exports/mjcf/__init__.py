@@ -22,10 +22,10 @@ from tasks.exports.files import Export, File
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.lighting import FIELD_OF_VIEW_DEGREES, lamps, viewpoint
 from tasks.exports.wavefront import Painted, as_png, dump_obj, painted_part, painted_shape
-from tasks.geometry.pieces import Hull
+from tasks.geometry.pieces import Hull, convex_hull
 from tasks.geometry.transforms import quaternion_wxyz
 from tasks.optimization.engines.mujoco_engine import Mujoco, contact_of, friction_of
-from tasks.shell import floor_ring, room_shell
+from tasks.shell import floor_ring
 
 Element = ElementTree.Element
 
@@ -145,13 +145,16 @@ def _room(
     """The floor as a plane, the walls as static bodies. A plane has no edge and no depth to fall through."""
     rubs = numbers(friction_of(0.0, settings))
     ElementTree.SubElement(world, "geom", {"name": "room_floor", "class": "collision", "type": "plane", "size": "0 0 1", "friction": rubs})
-    for name, part in room_shell(replica.room, config.shell):
+    for name, part in replica.shell:
         seen = _visuals(assets, files, f"room_{name}", painted_part(part))
         if name == "floor":
             _add_visuals(world, f"room_{name}", seen)
             continue
         body = ElementTree.SubElement(world, "body", name=f"room_{name}")
-        hull = Hull(np.asarray(part.vertices, dtype=np.float64), np.asarray(part.faces, dtype=np.int64))
+        vertices = np.asarray(part.vertices, dtype=np.float64)
+        # a ceiling with inner corners gets the hull of its slab: what that adds lies outside the room, above it
+        is_ceiling = name == "ceiling"
+        hull = convex_hull(vertices, config.pieces) if is_ceiling else Hull(vertices, np.asarray(part.faces, dtype=np.int64))
         _mesh(assets, f"room_{name}_hull_00", hull)
         _collide(body, f"room_{name}", f"room_{name}", 1, rubs)
         _add_visuals(body, f"room_{name}", seen)

@@ -24,7 +24,6 @@ from tasks.exports.mjcf import described, numbers
 from tasks.exports.urdf.places import POSES
 from tasks.exports.wavefront import Painted, dump_mtl, dump_obj, painted_part, painted_shape
 from tasks.geometry.transforms import quaternion_wxyz
-from tasks.shell import room_shell
 
 Element = ElementTree.Element
 
@@ -72,7 +71,7 @@ def _room(files: dict[str, bytes], replica: Replica, config: ExportsConfig) -> b
     """The URDF of the room: floor and walls as links that are fixed to one without a body."""
     robot = _robot("room")
     ElementTree.SubElement(robot, "link", name="room")
-    for name, part in room_shell(replica.room, config.shell):
+    for name, part in replica.shell:
         # a floor with inner corners gets the hull of its slab: what that adds lies outside the room, below z = 0
         hull = f"meshes/room_{name}_hull_00.obj"
         files[hull] = dump_obj(*_hull_of(np.asarray(part.vertices, dtype=np.float64)))

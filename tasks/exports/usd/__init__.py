@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,17 +28,19 @@ from tasks.exports.usd.layers import (
     add_display_color,
     add_mesh,
     add_physics_material,
+    add_texture_coordinates,
+    add_texture_material,
     bind_physics,
     label,
     make_collider,
     new_stage,
     set_mass,
 )
+from tasks.exports.visuals import texture_of
 from tasks.geometry.meshes import vertex_colors
 from tasks.geometry.pieces import Hull, convex_hull
 from tasks.geometry.transforms import quaternion_wxyz
 from tasks.geometry.triangles import corner_normals
-from tasks.shell import room_shell
 
 CAMERA = "/World/Camera"
 APERTURE = 20.955
@@ -71,21 +73,29 @@ def _write_room(folder: Path, replica: Replica, config: ExportsConfig) -> None:
     stage = new_stage(folder / "room.usda", "Room")
     stage.GetRootLayer().subLayerPaths.append("./room_geometry.usdc")
     Usd.ModelAPI(stage.GetDefaultPrim()).SetKind(Kind.Tokens.group)
-    for name, mesh in room_shell(replica.room, config.shell):
+    for name, mesh in replica.shell:
         path = f"/Room/{name.capitalize()}"
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
         UsdGeom.Xform.Define(geometry, path)
         visual = add_mesh(geometry, f"{path}/Visual", vertices, faces, corner_normals(vertices, faces, 0.1))
-        add_display_color(visual, vertex_colors(mesh))
+        texture = texture_of(mesh)
+        if texture is None:
+            add_display_color(visual, vertex_colors(mesh))
+        else:
+            add_texture_coordinates(visual, cast(Any, mesh.visual).uv)
+            (folder / "textures").mkdir(exist_ok=True)
+            (folder / "textures" / texture.file).write_bytes(texture.data)
         # a floor with inner corners gets the hull of its slab: what that adds lies outside the room, below z = 0
         hull: Hull = convex_hull(vertices, config.pieces)
         add_collider(geometry, f"{path}/Collider", hull)
         part = stage.OverridePrim(path)
         Usd.ModelAPI(part).SetKind(Kind.Tokens.component)
-        kind = "floor" if name == "floor" else "wall"
+        kind = name if name in ("floor", "ceiling") else "wall"
         label(part, {"class": [kind], "category": [kind]})
         UsdGeom.Scope.Define(stage, f"{path}/Looks")
-        UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(f"{path}/Visual")).Bind(add_color_material(stage, f"{path}/Looks/Paint"))
+        paint = f"{path}/Looks/Paint"
+        look = add_color_material(stage, paint) if texture is None else add_texture_material(stage, paint, texture)
+        UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(f"{path}/Visual")).Bind(look)
         collider = stage.OverridePrim(f"{path}/Collider")
         make_collider(collider)
         bind_physics(collider, add_physics_material(stage, f"{path}/PhysicsMaterial", config.room_friction, config.room_restitution))
@@ -196,7 +206,7 @@ def _joined(known: Any, stated: dict[str, Any]) -> dict[str, Any]:
     return values | {"metascenes": dict(values.get("metascenes", {})) | stated}
 
 
-_ROLES = {"scene.usda": "scene", "room": "stage", "textures": "texture"}
+_ROLES = {"scene.usda": "scene", "textures": "texture", "room": "stage"}
 
 
 def _make(scene: ExportedScene) -> Export:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from tasks.exports.bodies import Body, Shape, digest
 from tasks.exports.config import UsdConfig
@@ -21,16 +20,16 @@ from tasks.exports.usd.layers import (
     add_physics_material,
     add_solids,
     add_texture_coordinates,
+    add_texture_material,
     bind_physics,
     extent,
     label,
     limit_depenetration,
     make_collider,
     new_stage,
-    preview_material,
     set_mass,
 )
-from tasks.exports.visuals import Texture, Visual, visuals_of
+from tasks.exports.visuals import Visual, visuals_of
 from tasks.geometry.pieces import Hull
 from tasks.geometry.triangles import corner_normals
 
@@ -77,30 +76,6 @@ def asset_name(body: Body, config: UsdConfig) -> str:
     return f"{body.shape.name}_{digest(made_of)}"
 
 
-def _add_texture_material(stage: Any, path: str, texture: Texture) -> Any:
-    """A preview material that takes its color from an image through texture coordinates `st`."""
-    from pxr import Gf, Sdf, UsdShade
-
-    material, surface = preview_material(stage, path)
-    reader = UsdShade.Shader.Define(stage, f"{path}/Coordinates")
-    reader.CreateIdAttr("UsdPrimvarReader_float2")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-    image = UsdShade.Shader.Define(stage, f"{path}/Image")
-    image.CreateIdAttr("UsdUVTexture")
-    image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./textures/{texture.file}"))
-    image.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
-    image.CreateInput("wrapS", Sdf.ValueTypeNames.Token).Set("repeat")
-    image.CreateInput("wrapT", Sdf.ValueTypeNames.Token).Set("repeat")
-    image.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*texture.factor, 1.0))
-    image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float2))
-    color = image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
-    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(color)
-    if texture.alpha in ("MASK", "BLEND"):
-        surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).ConnectToSource(image.CreateOutput("a", Sdf.ValueTypeNames.Float))
-        surface.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(0.5 if texture.alpha == "MASK" else 0.0)
-    return material
-
-
 def _write_geometry(path: Path, name: str, visuals: Sequence[Visual], hulls: Sequence[Hull], config: UsdConfig) -> None:
     """Positions, triangles, normals, colors and texture coordinates, in USD's binary form."""
     from pxr import UsdGeom
@@ -131,7 +106,7 @@ def _write_looks(path: Path, name: str, visuals: Sequence[Visual]) -> None:
     UsdGeom.Scope.Define(stage, f"/{name}/Looks")
     for visual in visuals:
         place = f"/{name}/Looks/{visual.name}"
-        material = add_color_material(stage, place) if visual.texture is None else _add_texture_material(stage, place, visual.texture)
+        material = add_color_material(stage, place) if visual.texture is None else add_texture_material(stage, place, visual.texture)
         UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(f"/{name}/Visual/{visual.name}")).Bind(material)
     stage.GetRootLayer().Save()
 

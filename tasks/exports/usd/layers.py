@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tasks.exports.bodies import Body
 from tasks.exports.shading import linear_colors
+from tasks.exports.visuals import Texture
 from tasks.geometry.mass import principal_axes
 from tasks.geometry.pieces import Hull
 from tasks.geometry.triangles import face_normals
@@ -190,6 +191,30 @@ def preview_material(stage: Any, path: str) -> tuple[Any, Any]:
     surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
     material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
     return material, surface
+
+
+def add_texture_material(stage: Any, path: str, texture: Texture) -> Any:
+    """A preview material that takes its color from an image through texture coordinates `st`."""
+    from pxr import Gf, Sdf, UsdShade
+
+    material, surface = preview_material(stage, path)
+    reader = UsdShade.Shader.Define(stage, f"{path}/Coordinates")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    image = UsdShade.Shader.Define(stage, f"{path}/Image")
+    image.CreateIdAttr("UsdUVTexture")
+    image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./textures/{texture.file}"))
+    image.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    image.CreateInput("wrapS", Sdf.ValueTypeNames.Token).Set("repeat")
+    image.CreateInput("wrapT", Sdf.ValueTypeNames.Token).Set("repeat")
+    image.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*texture.factor, 1.0))
+    image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float2))
+    color = image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(color)
+    if texture.alpha in ("MASK", "BLEND"):
+        surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).ConnectToSource(image.CreateOutput("a", Sdf.ValueTypeNames.Float))
+        surface.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(0.5 if texture.alpha == "MASK" else 0.0)
+    return material
 
 
 def label(prim: Any, labels: Mapping[str, Sequence[str]]) -> None:
