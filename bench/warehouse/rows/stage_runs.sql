@@ -20,7 +20,8 @@ SELECT
     CASE
         WHEN version = 2 THEN []
         WHEN stage = 'capture' THEN [
-            'scenes=1', 'shells=1', 'rooms=1', 'frames=100', 'instances=' || (structures + objects), 'masks=' || 3 * objects
+            'scenes=1', 'shells=1', 'rooms=1', 'surfaces=6', 'frames=100', 'instances=' || (structures + objects),
+            'masks=' || 3 * objects
         ]
         WHEN stage = 'captions' THEN ['captions=' || objects]
         WHEN stage = 'candidates' THEN ['candidates=' || 10 * objects]
