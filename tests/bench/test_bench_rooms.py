@@ -189,6 +189,10 @@ def test_a_world_that_was_turned_changes_nothing() -> None:
             for name, row in replica.placements.items()
         },
         parts=[(name, part.copy().apply_transform(turn)) for name, part in replica.parts],
+        rooms=[
+            dataclasses.replace(room, floor_polygon=tuple((np.array(room.floor_polygon) @ turn[:2, :2].T + turn[:2, 3]).tolist()))
+            for room in replica.rooms
+        ],
     )
     straight = figures(replica)
     assert straight["off_15cm"] == 1
