@@ -12,7 +12,6 @@ from schemas import (
     fidelity,
     navigation,
     optimization,
-    releases,
     runs,
     selection,
 )
@@ -49,7 +48,7 @@ RECORDS: tuple[type, ...] = (
     evaluation.Trajectory,
     runs.StageRun,
     runs.Snapshot,
-    releases.Release,
+    runs.Release,
 )
 
 TABLES: dict[str, Table] = {table_of(record).name: table_of(record) for record in RECORDS}

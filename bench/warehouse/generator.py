@@ -35,8 +35,7 @@ from schemas.errors import InputError
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.families.policies import POLICIES
 from schemas.record import Table, rows_to_arrow
-from schemas.releases import Release
-from schemas.runs import Snapshot
+from schemas.runs import Release, Snapshot
 from schemas.tables import TABLES
 from warehouse.lake import FORMAT, MARKER, Lake
 from warehouse.questions.documentation import sql_type

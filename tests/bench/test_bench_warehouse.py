@@ -15,6 +15,7 @@ from bench.warehouse.answers import peak_memory_mb, time_answers
 from bench.warehouse.generator import copied_lake, generated_lake
 from flows.commands.bench import command
 from schemas.errors import InputError
+from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.record import arrow_to_rows, check
 from schemas.tables import TABLES
 from tasks.pipeline import SCENE_STAGES
@@ -85,7 +86,7 @@ def test_the_proportions_are_those_that_are_said(lake: Lake) -> None:
         "(SELECT count(*) FROM optimization_steps)",
     )
     assert (scenes, objects, candidates) == (SCENES, 40 * SCENES, 400 * SCENES)
-    assert (frames, files, episodes, steps) == (100 * SCENES, 40 * SCENES, 10 * SCENES, 100 * SCENES)
+    assert (frames, files, episodes, steps) == (100 * SCENES, 8 * len(EXPORT_FORMATS) * SCENES, 10 * SCENES, 100 * SCENES)
 
 
 def test_rows_agree_with_each_other(lake: Lake) -> None:

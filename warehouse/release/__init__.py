@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.errors import InputError
-from schemas.releases import NAME_PATTERN, Release
+from schemas.runs import RELEASE_PATTERN, Release
 from warehouse.lake import Lake
 from warehouse.questions.documentation import tables_page
 from warehouse.release.attribution import attribution_of
@@ -136,7 +136,7 @@ def release_of(lake: Lake, name: str) -> Release:
 
 def _checked(lake: Lake, name: str, snapshot_id: int | None, notes: str) -> Reader:
     """The snapshot to release under a name."""
-    if not re.fullmatch(NAME_PATTERN, name) or len(name) > 100:
+    if not re.fullmatch(RELEASE_PATTERN, name) or len(name) > 100:
         raise InputError(lake.address, "release", f"{name!r} cannot be a name", "use up to 100 letters, digits, and _ . -")
     if name.isdigit() or name == "latest":
         raise InputError(lake.address, "release", f"{name!r} cannot be a name", "it would be taken for a snapshot; give it a letter")

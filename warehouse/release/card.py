@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from schemas.licenses import is_unknown
-from schemas.releases import Release
+from schemas.runs import Release
 from schemas.tables import TABLES
 from warehouse.release.attribution import Attribution, cell
 from warehouse.release.catalog import variable_of

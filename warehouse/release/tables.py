@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from schemas.record import Table, rows_to_arrow
-from schemas.releases import Release
+from schemas.runs import Release
 from schemas.tables import TABLES
 from warehouse.questions.quoting import quoted
 from warehouse.tables.delta import nullable

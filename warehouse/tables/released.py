@@ -9,7 +9,7 @@ from typing import Any
 
 from schemas.errors import InputError, RecordError
 from schemas.record import check
-from schemas.releases import Release
+from schemas.runs import Release
 from warehouse.storage.files import Storage
 
 FOLDER = "releases"

@@ -11,8 +11,7 @@ import pyarrow as pa
 
 from schemas.errors import InputError
 from schemas.record import Table, arrow_to_rows, rows_to_arrow, table_of
-from schemas.releases import Release
-from schemas.runs import Snapshot
+from schemas.runs import Release, Snapshot
 from schemas.tables import TABLES
 from warehouse.questions import views
 from warehouse.questions.documentation import comment_statements, sql_type

@@ -32,7 +32,7 @@ SELECT
         ]
         WHEN stage = 'navigation' THEN ['navmeshes=1', 'episodes=10', 'unreachable_targets=' || unreachable, 'splits=1']
         WHEN stage = 'fidelity' THEN ['fidelity=' || objects, 'scene_fidelity=1']
-        WHEN stage = 'exports' THEN ['export_files=40', 'export_checks=' || len(getvariable('rules'))]
+        WHEN stage = 'exports' THEN ['export_files=' || 8 * len(getvariable('formats')), 'export_checks=' || len(getvariable('rules'))]
         WHEN stage = 'annotation' THEN ['annotations=' || 3 * objects, 'quality_reviews=1']
         WHEN stage = 'evaluation' THEN ['trajectories=10']
         ELSE []

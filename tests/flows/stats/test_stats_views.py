@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from flows.stats import queries
 from flows.stats.queries import ShownScenes, report_queries
 from schemas.capture import Instance, Room, Scene
-from schemas.releases import Release
+from schemas.runs import Release
 from tests.samples import START, fingerprint, sample, stage_run
 from tests.warehouse.questions.view_answers import Database
 

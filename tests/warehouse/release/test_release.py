@@ -14,7 +14,7 @@ from flows.cli import cli
 from schemas.captions import Caption
 from schemas.errors import InputError
 from schemas.record import arrow_to_rows
-from schemas.releases import Release
+from schemas.runs import Release
 from schemas.tables import TABLES
 from tests.samples import fingerprint, sample, stage_run
 from tests.warehouse.lake_load import scene_id, stage_scene

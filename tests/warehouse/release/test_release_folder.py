@@ -23,7 +23,7 @@ from schemas.candidates import Asset
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
 from schemas.optimization import Placement
-from schemas.releases import Release
+from schemas.runs import Release
 from schemas.tables import TABLES
 from tests.conftest import REPOSITORY
 from tests.samples import fingerprint, sample, stage_run

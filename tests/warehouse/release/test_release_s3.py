@@ -9,7 +9,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from schemas.releases import Release
+from schemas.runs import Release
 from tests.warehouse.lake_load import stage_scene
 from tests.warehouse.test_lake_s3 import bucket  # noqa: F401  # a fixture
 from warehouse.lake import Lake

@@ -163,7 +163,7 @@ def test_upkeep_between_commits_changes_nothing_that_is_kept(tmp_path_factory: p
 
 
 def _record(name: str, snapshot_id: int) -> bytes:
-    from schemas.releases import Release
+    from schemas.runs import Release
     from warehouse.tables.released import record_fields
 
     return json.dumps(record_fields(sample(Release, name=name, snapshot_id=snapshot_id))).encode()

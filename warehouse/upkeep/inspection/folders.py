@@ -14,8 +14,7 @@ import pyarrow as pa
 
 from schemas.errors import InputError
 from schemas.record import BLOB_PATTERN
-from schemas.releases import Release
-from schemas.runs import Snapshot
+from schemas.runs import Release, Snapshot
 from schemas.tables import TABLES
 from warehouse.lake import MARKER, Lake
 from warehouse.sharing.claims import FOLDER as CLAIM_FOLDER
