@@ -1,17 +1,20 @@
-"""The moving picture of the README: a replica that is wiped over its scan, both from the same camera.
+"""The pictures of the README: a scan and its replica from the same camera, wiped over one another (WebP) or side by side (JPEG).
 
 python docs/pictures.py demo/lake demo/scene0001_00 docs/replica.webp
+python docs/pictures.py hard-room 0 docs/hard_room.jpg
 """
 
 from __future__ import annotations
 
 import io
 import sys
+import tempfile
 from pathlib import Path
 
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
+from bench.dwellings import DwellingJob, measure_room
 from flows.stats.scenes import picture_scene_of
 from tasks.stats.scenes import PictureConfig
 from warehouse.lake import Lake
@@ -52,14 +55,36 @@ def wiped(scan: Image.Image, replica: Image.Image, place: int) -> Image.Image:
     return image
 
 
+def side_by_side(scan: Image.Image, replica: Image.Image) -> bytes:
+    """A JPEG of both."""
+    image = Image.new("RGB", (scan.width + replica.width + 20, scan.height), PAPER)
+    image.paste(scan, (0, 0))
+    image.paste(replica, (scan.width + 20, 0))
+    file = io.BytesIO()
+    image.save(file, "JPEG", quality=85, optimize=True)
+    return file.getvalue()
+
+
 def main() -> None:
+    """Write the picture of a scene of a lake, or of a room of `metascenes bench rooms`, by number."""
+    address, scene, out = sys.argv[1:]
+    if address != "hard-room":
+        draw(address, scene, out)
+        return
+    with tempfile.TemporaryDirectory() as place:
+        figures = measure_room(DwellingJob(int(scene), 0, place))
+        if figures["error"] is not None:
+            raise SystemExit(f"room {scene}: {figures['stage']}: {figures['error']}")
+        draw(f"{place}/lake", f"scannet/scene{int(scene):04d}_00", out)
+
+
+def draw(address: str, scene_id: str, out: str) -> None:
     """Write the picture of a scene of a lake."""
-    address, scene_id, out = sys.argv[1:]
     lake = Lake.open(address)
     pictures = picture_scene_of(lake, lake.snapshot().snapshot_id, scene_id, LOOK)
     pair = [Image.open(io.BytesIO(data)).convert("RGB") for data in (pictures.corner_scan, pictures.corner_replica)]
     scan, replica = (image.crop((MARGIN_PX, 0, image.width - MARGIN_PX, image.height)) for image in pair)
-    Path(out).write_bytes(moving_picture(scan, replica))
+    Path(out).write_bytes(side_by_side(scan, replica) if out.endswith(".jpg") else moving_picture(scan, replica))
 
 
 if __name__ == "__main__":

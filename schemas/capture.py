@@ -22,7 +22,7 @@ class Scene:
     """A scene: what the lake holds of one scan."""
 
     scene_id: str = column("Scene, <dataset>/<scan>", pattern=SCENE_PATTERN)
-    room_id: str = column("Physical room, the unit of train/test splits", pattern=SCENE_PATTERN)
+    room_id: str = column("Physical room, or dwelling of several, the unit of train/test splits", pattern=SCENE_PATTERN)
     dataset: str = column("Dataset that the scan belongs to")
     scan: str = column("Name of the scan in its dataset")
     scan_format: str = column(

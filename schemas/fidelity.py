@@ -87,16 +87,15 @@ class SceneFidelity:
     object_f_5cm: float | None = column("The same at 5 cm", minimum=0, maximum=1)
     object_f_10cm: float | None = column("The same at 10 cm", minimum=0, maximum=1)
     shell_completeness_2cm: float | None = column(
-        "Share of the scanned surface of floor, walls and ceiling within 2 cm of the replica's floor and walls; missing when none was "
-        "scanned",
+        "Share of the scanned surface of floor, walls and ceiling within 2 cm of those of the replica; missing when none was scanned",
         minimum=0,
         maximum=1,
     )
     shell_completeness_5cm: float | None = column("The same within 5 cm", minimum=0, maximum=1)
     shell_completeness_10cm: float | None = column("The same within 10 cm", minimum=0, maximum=1)
     shell_accuracy_2cm: float | None = column(
-        "Share of the visible surface of the replica's floor and walls within 2 cm of the scanned floor, walls and ceiling; missing "
-        "without a room, or when none is visible or was scanned",
+        "Share of the visible surface of the replica's floor, walls and ceiling, where it has one, within 2 cm of those that were "
+        "scanned; missing without a room, or when none is visible or was scanned",
         minimum=0,
         maximum=1,
     )

@@ -58,5 +58,5 @@ class UnreachableTarget:
 class Split:
     """Train or test, by room, so that rescans never leak; a stable hash of the room's name without its dataset decides, 4:1."""
 
-    room_id: str = column("Physical room", pattern=SCENE_PATTERN)
+    room_id: str = column("Physical room, or dwelling of several", pattern=SCENE_PATTERN)
     split: str = column("Split", values=("train", "test"))

@@ -52,7 +52,7 @@ class Release:
     notes: str = column("What it was released for", volatile=True)
     code_version: str = column("Version of the project that released it", volatile=True)
     scenes: int = column("Scenes", minimum=0)
-    rooms: int = column("Physical rooms that the scenes show", minimum=0)
+    rooms: int = column("Physical rooms, or dwellings of several, that the scenes show: one for each room_id", minimum=0)
     objects: int = column("Instances that are not part of the building", minimum=0)
     categories: int = column("Categories of these instances", minimum=0)
     assets: int = column("Assets", minimum=0)

@@ -57,7 +57,7 @@ class LibraryRetrieval(Config):
 
     kind: ClassVar[str] = "library"
     k: Whole = 1  # place in the order of scores, 1 is best
-    version: str = "1"  # goes up when the same library would answer otherwise
+    version: str = "2"  # goes up when the same library would answer otherwise
 
 
 @dataclasses.dataclass(frozen=True)

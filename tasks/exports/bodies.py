@@ -86,7 +86,8 @@ class Body:
 class Replica:
     """A scene ready to be written: its room and its bodies, sorted by instance.
 
-    shell: The room's parts by name, world frame [m]: `tasks.shell.room_shell`, with the images that the scan gave them.
+    room: The row of `shells`: what encloses the scene's rooms together.
+    shell: The parts of that by name, world frame [m]: `tasks.shell.room_shell`, with the images that the scan gave them.
     """
 
     scene_id: str

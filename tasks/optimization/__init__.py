@@ -73,8 +73,9 @@ def run(
     """Placements of a scene, what carries each, what touches before and after, every step between, and certificates.
 
     Each instance's asset is the winning annotation's, else the selection's first that leaves its neighbors their place. It is
-    put to rest on what carries it, within reach of where it was scanned; then collisions are resolved; then an independent engine
-    says what stays. Instances for which nothing can be placed, orphaned annotations and what could not be put right are said.
+    put to rest on what carries it, within reach of where it was scanned; then collisions are resolved; then another engine
+    says what stays, and small things that do not are put where it saw them come to rest. Instances for which nothing can be
+    placed, orphaned annotations and what could not be put right are said.
     """
     known = {asset.asset_id: asset for asset in assets}
     proposals, notes = propose(instances, selections, annotations, known)
@@ -95,8 +96,9 @@ def run(
         fall = let_fall(interior, poses, certified, bodies, allowed, config.method, config.supports, config.certificate)
         poses, certified = fall.poses, fall.certified
         if fall.moves:
-            resolution = with_falls(resolution, fall.moves)
             after = Colliders(interior.solids, interior.shell).penetrations(poses)
+            left = sum(p.depth_m for p in after if p.depth_m > config.method.slop_m + allowed.get((p.a, p.b), 0.0))
+            resolution = with_falls(resolution, fall.moves, min(resolution.final, left))
             steps = step_rows(scene_id, resolution.start, resolution.steps)
     lost = lost_supports(interior, poses)
     remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)

@@ -1,4 +1,4 @@
-"""Certificates: whether objects stay where they were put, by a physics engine that had no part in putting them there."""
+"""Certificates: whether objects stay where they were put, by a physics engine that had no part in putting them there, unless they fell."""
 
 from __future__ import annotations
 

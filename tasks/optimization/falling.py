@@ -46,11 +46,12 @@ def let_fall(
     interior: Interior, poses: Array, certified: list[Certified], bodies: Sequence[RigidBody],
     allowed: Mapping[tuple[str, str], float], method: Default, supports: SupportConfig, config: CertificateConfig,
 ) -> Fall:  # fmt: skip
-    """Objects that carry nothing and do not stay at `poses` [m], shape (n, 4, 4), put where they come to rest, and certified anew.
+    """Objects that carry nothing and that MuJoCo sees move from `poses` [m], shape (n, 4, 4), put where they come to rest, and certified
+    anew.
 
     What falls farther than `method.most_way_m` aside or `supports.most_drop_m` down from where it was scanned, off its carrier, or
-    over although it is too high to be laid down, keeps its place, and so does what does not stay where it comes to rest. Nobody
-    falls at the cost of what stood before. allowed: depths [m] to which pairs may be in each other, by their names.
+    over although it is too high to be laid down, keeps its place, and so does what does not stay where it comes to rest. Nothing else
+    is moved, and nobody falls at the cost of what stood before. allowed: depths [m] to which pairs may be in each other, by their names.
     """
     start = Fall(poses, (), certified)
     best, tried = start, start
@@ -88,42 +89,26 @@ def _certified_after(
 def _falling(
     interior: Interior, state: Fall, allowed: Mapping[tuple[str, str], float], method: Default, supports: SupportConfig
 ) -> list[tuple[str, Move]]:
-    """Moves of what may fall to where the first engine that saw it fall left it, one each, and of what stood in its way and gave way."""
+    """Moves of what may fall to where MuJoCo saw it end, one each."""
     colliders, before = Colliders(interior.solids, interior.shell), state.poses
     carrying, lost = set(interior.parent.tolist()), lost_supports(interior, before)
-    index = {name: i for i, name in enumerate(interior.names)}
-    settled = {index[row.name]: row.settled_pose for row in reversed(state.certified) if row.settled_pose is not None}
-    ends = {index[row.name]: row.fallen_pose for row in reversed(state.certified) if row.fallen_pose is not None}
-
-    def may(i: int, end: Array) -> bool:
+    ends = {row.name: row.fallen_pose for row in state.certified if row.engine == "mujoco" and row.fallen_pose is not None}
+    falling: list[int] = []
+    poses = before.copy()
+    for i, name in enumerate(interior.names):
         is_free = i not in carrying and not interior.fixed[i] and not interior.covering[i]
-        return is_free and _is_near(interior, i, before[i], end, method, supports)
-
-    falling = {i: end for i, end in sorted(ends.items()) if may(i, end)}
-    refused: set[int] = set()
+        if name in ends and is_free and _is_near(interior, i, before[i], ends[name], method, supports):
+            poses[i] = ends[name]
+            falling.append(i)
     while True:
-        poses = before.copy()
-        for i, end in falling.items():
-            poses[i] = end
-        blocked = None
-        for i in sorted(falling):
-            in_way = _part(colliders, poses, i, interior.names, allowed, method.slop_m)
-            if in_way is not None:
-                blocked = i, in_way
-                break
-        if blocked is None:
-            off = (lost_supports(interior, poses) - lost) & {interior.names[i] for i in falling}
-            if not off:
-                break
-            blocked = index[min(off)], -1
-        at, other = blocked
-        if other in settled and other not in falling and other not in refused and may(other, settled[other]):
-            falling[other] = settled[other]
-        else:
-            refused.add(at)
-            del falling[at]
+        blocked = [i for i in falling if not _part(colliders, poses, i, allowed, method.slop_m)]
+        blocked = blocked or [i for i in falling if interior.names[i] in lost_supports(interior, poses) - lost]
+        if not blocked:
+            break
+        poses[blocked] = before[blocked]
+        falling = [i for i in falling if i not in blocked]
     moves = []
-    for i in sorted(falling):
+    for i in falling:
         turn, way = rotation_vector(poses[i][:3, :3] @ before[i][:3, :3].T), (poses[i] - before[i])[:3, 3].tolist()
         moves.append((interior.names[i], (way[0], way[1], way[2], *turn)))
     return moves
@@ -139,23 +124,16 @@ def _is_near(interior: Interior, obj: int, before: Array, after: Array, method: 
     return height <= MOST_LAID_M or tilt <= method.most_tilt_radians
 
 
-def _part(
-    colliders: Colliders, poses: Array, obj: int, names: Sequence[str], allowed: Mapping[tuple[str, str], float], slop: float
-) -> int | None:  # fmt: skip
-    """Shift an object out of what it sank into, at `poses` [m], shape (n, 4, 4), in place, until nothing overlaps it by more than `slop`.
-
-    None, or where that cannot be the number of what is in its way, as `Penetration` has it.
-    """
-    worst = 0
+def _part(colliders: Colliders, poses: Array, obj: int, allowed: Mapping[tuple[str, str], float], slop: float) -> bool:
+    """Shift an object out of what it sank into, at `poses` [m], shape (n, 4, 4), in place; whether that leaves no overlap above `slop`."""
     for _ in range(MOST_PARTINGS):
         mine = [p for p in colliders.penetrations(poses) if obj in (p.index_a, p.index_b)]
         mine = [p for p in mine if p.depth_m > slop + allowed.get((p.a, p.b), 0.0)]
         if not mine:
-            return None
+            return True
         deepest = max(mine, key=lambda p: p.depth_m)
-        worst = deepest.index_b if deepest.index_a == obj else deepest.index_a
         if deepest.depth_m > SUNK_M:
-            break
+            return False
         sign = 1.0 if deepest.index_a == obj else -1.0
         poses[obj][:3, 3] += sign * (deepest.depth_m + APART_M) * np.array(deepest.direction)
-    return worst
+    return False

@@ -75,7 +75,10 @@ def table_section(table: Table) -> str:
     move = move_out_of(table.name)
     if move is not None:
         moved = ", ".join(f"`{column}`" for column in move.columns)
-        lines += ["", f"Now in [`{move.after}`](#{move.after}), and asked here as well until the next version: {moved}."]
+        lines += [
+            "",
+            f"Now in [`{move.after}`](#{move.after}), and asked here as well, on every row of a scene, until the next version: {moved}.",
+        ]
     return "\n".join(lines) + "\n"
 
 

@@ -94,11 +94,12 @@ def _grown(seen: Array, is_door: bool, length: float, height: float, wall: Array
                 left.remove(side)
             else:
                 hole[side] += step
-    return _bounded(seen, hole, is_door, wall)
+    return _bounded(seen, hole, is_door, wall, float(most[3]))
 
 
-def _bounded(seen: Array, hole: Array, is_door: bool, wall: Array) -> Array:
-    """The hole in the wall where wall was seen at its ends; where none was, no more of it than is usual around what was seen."""
+def _bounded(seen: Array, hole: Array, is_door: bool, wall: Array, highest: float) -> Array:
+    """The hole in the wall where wall was seen at its ends; where none was, no more of it than is usual around what was seen, and none
+    above `highest` [m]."""
     usual, widest = (DOOR_M, WIDEST_DOOR_M) if is_door else (WINDOW_M, WIDEST_WINDOW_M)
     ends = [_is_wall(_rim(hole, side), wall) for side in range(4)]
     low, high, bottom, top = hole.tolist()
@@ -108,7 +109,7 @@ def _bounded(seen: Array, hole: Array, is_door: bool, wall: Array) -> Array:
         middle = float(np.clip(0.5 * (seen[0] + seen[1]), low + 0.5 * width, high - 0.5 * width))
         low, high = (low, low + width) if at_low else (high - width, high) if at_high else (middle - 0.5 * width, middle + 0.5 * width)
     if not ends[3]:
-        top = usual[1] if is_door else min(top, WINDOW_TOP_M[0] + 0.15)
+        top = min(usual[1] if is_door else min(top, WINDOW_TOP_M[0] + 0.15), highest)
     if not ends[2] or (is_door and bottom < NEAR_FLOOR_M):
         bottom = 0.0 if is_door else max(bottom, min(SILL_M, top - usual[1]))
     return np.array([min(low, seen[0]), max(high, seen[1]), min(bottom, seen[2]), max(top, seen[3])])

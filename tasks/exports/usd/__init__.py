@@ -65,7 +65,7 @@ def write_usd(root: Path, replica: Replica, config: ExportsConfig) -> Path:
 
 
 def _write_room(folder: Path, replica: Replica, config: ExportsConfig) -> None:
-    """Floor and walls: static colliders without a rigid body."""
+    """Floor, walls and a ceiling that was asked for: static colliders without a rigid body."""
     from pxr import Kind, Usd, UsdGeom, UsdShade
 
     folder.mkdir()
@@ -129,7 +129,7 @@ def _write_scene(path: Path, replica: Replica, first: dict[str, Body], config: E
 
 
 def _add_lights(stage: Any, replica: Replica) -> None:
-    """A sky, as the room has no ceiling, and a lamp wherever one would hang."""
+    """A sky, which lights a room without a ceiling, and a lamp wherever one would hang."""
     from pxr import Gf, UsdGeom, UsdLux
 
     UsdGeom.Scope.Define(stage, "/World/Lights")

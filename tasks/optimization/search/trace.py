@@ -53,12 +53,17 @@ class Resolution:
     settled: float = 0.0
 
 
-def with_falls(resolution: Resolution, falls: Sequence[tuple[str, Move]]) -> Resolution:
-    """A resolution after which objects fell to where they stay, by moves of single ones, in order: no more problem of theirs is left."""
-    smallest = min([step.smallest for step in resolution.steps], default=resolution.start)
-    steps = [SearchStep(name, move, resolution.final, smallest, "fallen") for name, move in falls]
+def with_falls(resolution: Resolution, falls: Sequence[tuple[str, Move]], final: float) -> Resolution:
+    """A resolution after which objects fell to where they stay, by moves of single ones, in order: no more problem of theirs is left.
+
+    final: the loss after that, in the method's unit.
+    """
+    smallest = min([step.smallest for step in resolution.steps] + [final], default=resolution.start)
+    steps = [SearchStep(name, move, final, smallest, "fallen") for name, move in falls]
+    if final == 0.0 < resolution.final:
+        resolution = dataclasses.replace(resolution, ended="zero_loss", notes=())
     problems = {name: text for name, text in resolution.problems.items() if name not in dict(falls)}
-    return dataclasses.replace(resolution, steps=(*resolution.steps, *steps), problems=problems)
+    return dataclasses.replace(resolution, steps=(*resolution.steps, *steps), problems=problems, final=final)
 
 
 def step_rows(scene_id: str, start: float, steps: Sequence[SearchStep]) -> list[OptimizationStep]:

@@ -33,9 +33,9 @@ def wall_around(low: float, high: float, bottom: float, top: float) -> Array:
     return points[~hole]
 
 
-def whole(seen: Array, is_door: bool, wall: Array) -> list[float] | None:
+def whole(seen: Array, is_door: bool, wall: Array, height: float = HEIGHT) -> list[float] | None:
     """Low and high end along the wall, bottom and top of what a part is completed to [m]."""
-    (made,) = whole_leaves(RING, NO_WALLS, HEIGHT, [seen], [is_door], wall)
+    (made,) = whole_leaves(RING, NO_WALLS, height, [seen], [is_door], wall)
     return None if made is None else [made[:, 0].min(), made[:, 0].max(), made[:, 2].min(), made[:, 2].max()]
 
 
@@ -70,16 +70,16 @@ def test_what_was_seen_whole_stays_as_it_was_seen() -> None:
     assert whole(sheet(2.0, 2.9, 0.0, 2.05, -0.05, 0.05), True, wall_around(2.0, 2.9, -0.01, 2.05)) is None
 
 
-@given(low=st.floats(1.5, 4.0), width=st.floats(0.1, 2.5), is_door=st.booleans())
-def test_where_no_wall_was_seen_it_gets_no_larger_than_usual(low: float, width: float, is_door: bool) -> None:
+@given(low=st.floats(1.5, 4.0), width=st.floats(0.1, 2.5), is_door=st.booleans(), height=st.floats(1.7, 3.0))
+def test_where_no_wall_was_seen_it_gets_no_larger_than_usual(low: float, width: float, is_door: bool, height: float) -> None:
     high = min(low + width, 5.9)
-    made = whole(sheet(low, high, 1.2, 1.6, -0.05, 0.05), is_door, np.zeros((0, 3)))
+    made = whole(sheet(low, high, 1.2, 1.6, -0.05, 0.05), is_door, np.zeros((0, 3)), height)
     assert made is not None
     assert made[1] - made[0] <= max(WIDEST_DOOR_M if is_door else WIDEST_WINDOW_M, high - low) + 1e-9
     assert made[0] <= low + 1e-9
     assert made[1] >= high - 1e-9
     assert 0.0 <= made[2] <= 1.2
-    assert 1.6 <= made[3] <= HEIGHT
+    assert 1.6 <= made[3] <= height
     assert (made[2] == 0.0) == is_door
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from schemas.capture import Room, RoomSurface
+from schemas.capture import RoomSurface, Shell
 from schemas.record import check
 from tasks.captions.colors import lab
 from tasks.capture import CaptureConfig, find_scans, run
@@ -67,12 +67,12 @@ def room_surface(step: float = 0.04) -> Surface:
     )  # fmt: skip
 
 
-def the_room() -> Room:
+def the_room() -> Shell:
     return dataclasses.replace(room_of(polygon=SQUARE), height_m=HEIGHT, interior_walls=(INNER,))
 
 
 def baked(
-    surface: Surface, kinds: np.ndarray | None = None, room: Room | None = None, config: TextureConfig | None = None
+    surface: Surface, kinds: np.ndarray | None = None, room: Shell | None = None, config: TextureConfig | None = None
 ) -> tuple[dict[str, RoomSurface], Blobs]:
     blobs = Blobs()
     own = np.full(len(surface.faces), STRUCTURE, dtype=np.int8) if kinds is None else kinds

@@ -28,6 +28,7 @@ _REFERENCES: tuple[tuple[tuple[str, ...], str, tuple[str, ...]], ...] = (
     (("scene_id", "instance_id"), "instances", ("scene_id", "instance_id")),
     (("scene_id", "parent_id"), "instances", ("scene_id", "instance_id")),
     (("scene_id", "instance_a"), "instances", ("scene_id", "instance_id")),
+    (("scene_id", "room_index"), "rooms", ("scene_id", "room_index")),
     (("scene_id", "frame_id"), "frames", ("scene_id", "frame_id")),
     (("asset_id",), "assets", ("asset_id",)),
     (("scene_id", "agent"), "navmeshes", ("scene_id", "agent")),
