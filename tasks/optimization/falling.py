@@ -89,10 +89,11 @@ def _certified_after(
 def _falling(
     interior: Interior, state: Fall, allowed: Mapping[tuple[str, str], float], method: Default, supports: SupportConfig
 ) -> list[tuple[str, Move]]:
-    """Moves of what may fall to where MuJoCo saw it end, one each."""
+    """Moves of what may fall to where MuJoCo saw it end, set as exported scenes are or else as it comes, one each."""
     colliders, before = Colliders(interior.solids, interior.shell), state.poses
     carrying, lost = set(interior.parent.tolist()), lost_supports(interior, before)
-    ends = {row.name: row.fallen_pose for row in state.certified if row.engine == "mujoco" and row.fallen_pose is not None}
+    seen = [row for row in state.certified if row.engine.startswith("mujoco") and row.fallen_pose is not None]
+    ends = {row.name: row.fallen_pose for row in reversed(seen)}  # by its own settings only where it stays by those of exports
     falling: list[int] = []
     poses = before.copy()
     for i, name in enumerate(interior.names):

@@ -126,7 +126,7 @@ def test_only_what_mujoco_sees_move_falls() -> None:
     stands = [
         dataclasses.replace(row, is_stable_1cm=True, is_stable_5cm=True, is_stable_nudged=True, fallen_pose=None)
         if row.engine == "mujoco"
-        else row
+        else dataclasses.replace(row, engine="newton")
         for row in before.certified
     ]
     bodies, _ = bodies_of(interior, [], BodyConfig())
