@@ -92,8 +92,9 @@ def _falling(
     """Moves of what may fall to where MuJoCo saw it end, set as exported scenes are or else as it comes, one each."""
     colliders, before = Colliders(interior.solids, interior.shell), state.poses
     carrying, lost = set(interior.parent.tolist()), lost_supports(interior, before)
-    seen = [row for row in state.certified if row.engine.startswith("mujoco") and row.fallen_pose is not None]
-    ends = {row.name: row.fallen_pose for row in reversed(seen)}  # by its own settings only where it stays by those of exports
+    ends = {  # by MuJoCo's own settings only where it stays by those of exported scenes
+        row.name: row.fallen_pose for row in reversed(state.certified) if row.engine.startswith("mujoco") and row.fallen_pose is not None
+    }
     falling: list[int] = []
     poses = before.copy()
     for i, name in enumerate(interior.names):
