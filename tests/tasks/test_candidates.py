@@ -420,7 +420,9 @@ def test_real_assets_are_found_again_from_partial_scans(realdata: Callable[[str]
     folder = realdata("assets")
     index = index_library(folder)
     assert len(index.entries) == 39
-    assert index.problems == ()
+    assert [line.split()[1] for line in index.problems] == ["aws_Dumbbell_01.glb", "aws_SeasoningBox_01.glb"]
+    assert all(line.endswith("used as it is") for line in index.problems)
+    assert all(entry.scale == 1.0 for entry in index.entries)
     by_stem = {entry.path.stem: entry for entry in index.entries}
     for stem in ("aws_ChairA_01", "aws_ChairD_01", "aws_SofaB_01", "aws_KitchenTable_01", "aws_AirconditionerB_01", "aws_Trash_01"):
         entry = by_stem[stem]

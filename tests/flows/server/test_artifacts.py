@@ -331,7 +331,7 @@ def test_keys_are_what_prefect_takes_and_one_per_lake(parts: list[str], root: st
 
     from flows.server.artifacts import _asset_key
 
-    lake = root + "/".join(part.replace("@", "a") for part in parts)
+    lake = root + "/".join(part.replace("@", "a").replace("?", "q") for part in parts)  # what may carry credentials is refused
     key = artifact_key("scenes", lake)
     assert TypeAdapter(ArtifactKey).validate_python(key) == key
     assert re.fullmatch(r"run-scenes-[a-z0-9-]*[0-9a-f]{6}", key)
