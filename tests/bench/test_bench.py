@@ -305,6 +305,7 @@ def report() -> dict[str, Any]:
     return found
 
 
+@pytest.mark.timeout(1800)  # the whole benchmark of a room, which paper and default are run on
 def test_the_command_prints_every_figure(report: dict[str, Any]) -> None:
     assert list(report["states"]) == ["drawn", "input", "paper", "default"]
     for state in report["states"].values():
@@ -327,6 +328,7 @@ def test_the_command_prints_every_figure(report: dict[str, Any]) -> None:
     assert all(goal["met"] is not None for goal in report["goals"])
 
 
+@pytest.mark.timeout(1800)
 def test_the_report_renders_as_tables(report: dict[str, Any]) -> None:
     out = io.StringIO()
     print_report(report, Console(file=out, width=140))
