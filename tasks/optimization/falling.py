@@ -66,12 +66,21 @@ def let_fall(
     restless = {name for name, _ in best.moves} & _unstable(best.certified)
     if restless:
         best = _certified_after(interior, start, [move for move in best.moves if move[0] not in restless], bodies, config)
+        if _is_met(interior, best, allowed, method.slop_m):
+            return start  # it fell to where another one went back to
     return best if _unstable(best.certified) < _unstable(start.certified) else start
 
 
 def _unstable(certified: Sequence[Certified]) -> set[str]:
     """Names of what moves, left alone or after a nudge, by any engine."""
     return {row.name for row in certified if not (row.is_stable_1cm and row.is_stable_5cm) or row.is_stable_nudged is False}
+
+
+def _is_met(interior: Interior, fall: Fall, allowed: Mapping[tuple[str, str], float], slop: float) -> bool:
+    """Whether anything overlaps what fell by more than `slop` [m]. allowed: as for `let_fall`."""
+    fell = {name for name, _ in fall.moves}
+    met = Colliders(interior.solids, interior.shell).penetrations(fall.poses)
+    return any(fell & {p.a, p.b} and p.depth_m > slop + allowed.get((p.a, p.b), 0.0) for p in met)
 
 
 def _certified_after(

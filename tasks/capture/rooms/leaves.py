@@ -42,8 +42,11 @@ FARTHEST_M = 1.6
 NEAR_FLOOR_M = 0.3
 """Doors begin at the floor, whatever skirting or threshold was called wall below this [m]."""
 
-DOOR_TOP_M, WINDOW_TOP_M = (1.95, 2.2), (1.9, 2.35)
-"""From where to where they end above [m]."""
+DOOR_TOP_M, WINDOW_TOP_M = 2.2, 2.35
+"""They end no higher [m]."""
+
+USUAL_WINDOW_TOP_M = 2.05
+"""Where windows end whose lintel was not seen [m]."""
 
 SILL_M = 1.15
 """Windows begin no higher [m]; doors begin at the floor."""
@@ -84,7 +87,7 @@ def _whole(points: Array, is_door: bool, lines: Sequence[WallLine], height: floa
 
 def _grown(seen: Array, is_door: bool, length: float, height: float, wall: Array) -> Array:
     """A rectangle low, high along a wall, bottom, top [m], grown until it meets points of the wall (along, height), shape (w, 2) [m]."""
-    most = np.array([max(seen[0] - FARTHEST_M, 0.0), min(seen[1] + FARTHEST_M, length), 0.0, (DOOR_TOP_M if is_door else WINDOW_TOP_M)[1]])
+    most = np.array([max(seen[0] - FARTHEST_M, 0.0), min(seen[1] + FARTHEST_M, length), 0.0, DOOR_TOP_M if is_door else WINDOW_TOP_M])
     most[3] = min(most[3], height - 0.05)
     hole, left = seen.copy(), [0, 1, 2, 3]
     while left:
@@ -109,7 +112,7 @@ def _bounded(seen: Array, hole: Array, is_door: bool, wall: Array, highest: floa
         middle = float(np.clip(0.5 * (seen[0] + seen[1]), low + 0.5 * width, high - 0.5 * width))
         low, high = (low, low + width) if at_low else (high - width, high) if at_high else (middle - 0.5 * width, middle + 0.5 * width)
     if not ends[3]:
-        top = min(usual[1] if is_door else min(top, WINDOW_TOP_M[0] + 0.15), highest)
+        top = min(usual[1] if is_door else min(top, USUAL_WINDOW_TOP_M), highest)
     if not ends[2] or (is_door and bottom < NEAR_FLOOR_M):
         bottom = 0.0 if is_door else max(bottom, min(SILL_M, top - usual[1]))
     return np.array([min(low, seen[0]), max(high, seen[1]), min(bottom, seen[2]), max(top, seen[3])])

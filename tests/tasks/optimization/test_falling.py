@@ -11,6 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tasks.geometry.transforms import rotation_of, yaw_pose
+from tasks.optimization import falling
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, Certified, certify
 from tasks.optimization.contacts import Colliders
@@ -109,6 +110,32 @@ def test_nothing_else_is_moved_for_a_fall() -> None:
         place = interior.names.index("0002")
         assert after.poses[place].tobytes() == before.poses[place].tobytes()
         assert restless(after.certified) == (set() if falls else restless(before.certified))
+
+
+def test_what_fell_meets_nothing_that_went_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two that fell, one beside the other, the first is restless and goes back into the second: then neither falls."""
+    first, second = (leaning((0.03, 0.3, 0.3), 0.35, (x, 0.0, 0.4)) for x in (-0.3, 0.3))
+    interior, before, after = fallen(SLAB, first, second)
+    assert {name for name, _ in after.moves} == {"0001", "0002"}
+    crossing = dict(after.moves)
+    crossing["0002"] = (crossing["0002"][0] - 0.6, *crossing["0002"][1:])  # to where the first one stood
+    rounds = iter([list(crossing.items())])
+    monkeypatch.setattr(falling, "_falling", lambda *_: next(rounds, []))
+    asked: list[list[Certified]] = []
+
+    def certify_so(bodies: object, poses: np.ndarray, shell: object, config: object) -> list[Certified]:
+        """After the fall only the first one moves; once it went back, too."""
+        made = [dataclasses.replace(row, is_stable_1cm=row.name != "0001", is_stable_5cm=row.name != "0001", is_stable_nudged=True)
+                for row in before.certified]  # fmt: skip
+        asked.append(made)
+        return made
+
+    monkeypatch.setattr(falling, "certify", certify_so)
+    bodies, _ = bodies_of(interior, [], BodyConfig())
+    made = let_fall(interior, before.poses, before.certified, bodies, {}, Default(), SupportConfig(), CertificateConfig())
+    assert len(asked) == 2
+    assert made.moves == ()
+    assert made.poses.tobytes() == before.poses.tobytes()
 
 
 def test_two_that_lean_on_one_another_fall_together_or_not_at_all() -> None:
