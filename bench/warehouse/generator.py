@@ -335,11 +335,19 @@ def _runs() -> list[dict[str, Any]]:
     rows = []
     for number, stage in enumerate(SCENE_STAGES):
         reads = [above.name for above in upstream(stage) if above in SCENE_STAGES]
+        made = [TABLES[name] for name in stage.writes if not (_HERE / "rows" / f"{name}.sql").exists()]
+        of_each = {
+            "by_object": [table.name for table in made if "instance_id" in table.key],
+            "by_scene": [table.name for table in made if "instance_id" not in table.key and "scene_id" in table.key],
+        }
         versions = {1, *([0] if stage.name in _RERUN else []), *([2] if stage.name == "exports" else [])}
         rows += [
-            {"stage": stage.name, "reads": reads, "seconds": _SECONDS.get(stage.name, _ANY_SECONDS), "number": number, "version": version}
+            {
+                "stage": stage.name, "reads": reads, "seconds": _SECONDS.get(stage.name, _ANY_SECONDS), "number": number,
+                "version": version, **of_each,
+            }
             for version in sorted(versions)
-        ]
+        ]  # fmt: skip
     return rows
 
 

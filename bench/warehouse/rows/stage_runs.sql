@@ -17,7 +17,9 @@ SELECT
     list_transform(reads, lambda above: above || '=' || run_of(above, scene, 1)) AS upstream,
     ['config=' || digest('config', stage), 'code=' || digest('code ' || version, stage), 'seed=0'] AS reasons,
     '{"type": "generated"}' AS config,
-    CASE
+    CASE WHEN version = 2 THEN [] ELSE list_concat(
+        list_transform(by_object, lambda made: made || '=' || objects), list_transform(by_scene, lambda made: made || '=1')
+    ) END || CASE
         WHEN version = 2 THEN []
         WHEN stage = 'capture' THEN [
             'scenes=1', 'shells=1', 'rooms=1', 'surfaces=6', 'frames=100', 'instances=' || (structures + objects),
@@ -50,13 +52,14 @@ SELECT
     part AS snapshot_id
 FROM (
     SELECT *, 'scene' AS place, scene_id AS place_id, ran.stage AS stage, ran.reads AS reads, ran.seconds AS mean_seconds,
-        ran.number AS number, ran.version AS version
+        ran.number AS number, ran.version AS version, ran.by_object AS by_object, ran.by_scene AS by_scene
     FROM (SELECT *, unnest(getvariable('runs')) AS ran FROM scenes_now)
     WHERE ran.version < 2 OR u(scene, 'failed') < 0.005
     UNION ALL
     SELECT *, 'batch' AS place,
         CASE WHEN ran = 'annotation' THEN batch_of(scene) ELSE concat(ran, '-', lpad(CAST(scene // 100 AS VARCHAR), 5, '0')) END AS place_id,
-        CASE WHEN ran = 'annotation' THEN ran ELSE 'evaluation' END AS stage, [] AS reads, 0.5 AS mean_seconds, 8 AS number, 1 AS version
+        CASE WHEN ran = 'annotation' THEN ran ELSE 'evaluation' END AS stage, [] AS reads, 0.5 AS mean_seconds, 8 AS number, 1 AS version,
+        [] AS by_object, [] AS by_scene
     FROM (
         SELECT *, unnest(CASE scene % 100 WHEN 7 THEN ['annotation'] WHEN 3 THEN getvariable('policies') ELSE [] END) AS ran
         FROM scenes_now
