@@ -14,8 +14,8 @@ Kind = Literal["let_in", "wall", "frame", "ceiling", "either", "covering", "stan
 something below. `frame`: hangs, unless it rests on something. `ceiling`: hangs from the ceiling. `either`: stands where
 something carries it, else hangs. `covering`: lies flat, to be stood upon. `stands`: never hangs. `any`: unknown."""
 
-Base = Literal["legs", "body"]
-"""What furniture stands on: legs, which scans lose, or its whole body, whose lower part is hidden behind other furniture."""
+Base = Literal["legs", "body", "pole"]
+"""What furniture stands on: legs or a pole, which scans lose, or its whole body, whose lower part is hidden behind other furniture."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,6 +66,12 @@ HOLDS_NOTHING: frozenset[str] = frozenset(
 )
 """Objects that others are never in: what is found among their leaves or arms stands beside them."""
 
+LEANS: frozenset[str] = frozenset(
+    {"book", "book stack", "pillow", "cushion", "blanket", "laptop", "tablet", "cell phone", "remote", "umbrella", "ladder", "bicycle",
+     "bag", "backpack", "tray", "plate", "food", "fruit", "toy", "stuffed animal", "shoe", "person", "ball"}
+)  # fmt: skip
+"""What rests in any way: leaned on something, or fallen over."""
+
 FITTED: frozenset[str] = frozenset({"kitchen cabinet", "kitchen counter", "counter", "wall cabinet"})
 """Parts of fitted kitchens: cabinets and worktops."""
 
@@ -80,7 +86,8 @@ BUILT_IN: tuple[str, ...] = (
 _BASES: tuple[tuple[Base, str], ...] = (
     ("legs",
      "chair|office chair|armchair|sofa chair|folding chair|high chair|rocking chair|stool|bar stool|bench|table|dining table|desk|"
-     "coffee table|side table|end table|console table|round table|workbench|piano|crib|bunk bed|tv stand|floor lamp"),
+     "coffee table|side table|end table|console table|round table|workbench|piano|crib|bunk bed|tv stand"),
+    ("pole", "floor lamp"),
     ("body",
      "sofa|futon|bed|ottoman|bean bag|nightstand|file cabinet|wardrobe|dresser|kitchen island|refrigerator|oven|stove|dishwasher|"
      "washing machine|clothes dryer|bathtub|bookshelf|kitchen cabinet|cabinet|bathroom cabinet"),

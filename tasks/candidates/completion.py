@@ -24,6 +24,9 @@ TOP_SHARE = 0.5
 SAFE_SHARE = 0.12
 """Of the smaller side: so far within its feet lies the center of mass of what stands safely."""
 
+FOOT_M = 0.025
+"""Thickness of the foot of a pole."""
+
 LEG_SHARE = 12
 """A leg is this part of the smaller side wide."""
 
@@ -54,12 +57,14 @@ def completed(field: Field, axes: Sequence[Array], low: Array, high: Array, unse
     """The field of a solid, negative inside, with what is unseen of it. axes: of its nodes [m]. low, high: its box with that [m]."""
     drawn = field.copy()
     for side in range(4):
-        if unseen.sides[side] > 0.0:
+        if unseen.sides[side] > 0.0 and unseen.base != "pole":
             _draw_out(drawn, axes, low, high, side)
     if unseen.is_flat_topped:
         _fill_top(drawn, axes, unseen.held)
     plan = np.asarray((drawn < 0).any(axis=2))
-    if unseen.sides[4] > 0.0:
+    if unseen.sides[4] > 0.0 and unseen.base == "pole":
+        _draw_pole(drawn, axes, low, high)
+    elif unseen.sides[4] > 0.0:
         _draw_down(drawn, axes[2], low[2], plan & _corners(plan) if unseen.base == "legs" else plan)
     if unseen.stands and plan.any() and not _stands(drawn, axes, low[2]):
         _draw_down(drawn, axes[2], low[2], plan & _corners(plan))
@@ -77,6 +82,24 @@ def _draw_out(field: Field, axes: Sequence[Array], low: Array, high: Array, side
     value = np.take_along_axis(rows, first[None], axis=0)[0]
     behind = (np.arange(len(at))[:, None, None] < first) & (at >= bound - 1e-9)[:, None, None] & (value < 0)
     rows[behind] = np.broadcast_to(value, rows.shape)[behind]
+
+
+def _draw_pole(field: Field, axes: Sequence[Array], low: Array, high: Array) -> None:
+    """Fill a pole below the middle of what was seen, and a round foot of the width of the box."""
+    nodes = np.argwhere((field < 0).any(axis=2))
+    if not len(nodes):
+        return
+    middle = nodes.mean(axis=0).round().astype(int)
+    plan = np.zeros(field.shape[:2], dtype=np.bool_)
+    seen = nodes[np.argsort(((nodes - middle) ** 2).sum(axis=1), kind="stable")[:4]]
+    plan[seen[:, 0], seen[:, 1]] = True
+    _draw_down(field, axes[2], low[2], plan)
+    x, y = (axis - axis[k] for axis, k in zip(axes[:2], middle, strict=True))
+    wide = 0.5 * float(min(high[:2] - low[:2]))
+    step = float(axes[2][1] - axes[2][0])
+    levels = (axes[2] >= low[2] - 1e-9) & (axes[2] <= low[2] + max(FOOT_M, 2.0 * step))
+    foot = (x[:, None] ** 2 + y**2 <= wide**2)[:, :, None] & levels
+    field[foot] = np.minimum(field[foot], -0.5 * step)
 
 
 def _draw_down(field: Field, heights: Array, bottom: float, plan: Mask) -> None:

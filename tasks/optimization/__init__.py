@@ -22,6 +22,7 @@ from tasks.optimization.certificates import CertificateConfig, certificate_rows,
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.default import Default
 from tasks.optimization.falling import let_fall
+from tasks.optimization.footing import on_their_feet
 from tasks.optimization.interior import Interior, furnish
 from tasks.optimization.misfits import Fitting, fit_together, made_smaller
 from tasks.optimization.paper import Paper
@@ -82,6 +83,11 @@ def run(
     room = shells[0] if shells else None
     placed = (known, context.blobs, room, config.supports, config.pieces, context.caches)
     deepest = config.misfit_m if isinstance(config.method, Default) else np.inf  # the paper's method moves what it was given
+    steadied: dict[str, str] = {}
+    if isinstance(config.method, Default):
+        alone = (known, context.blobs, None, config.supports, config.pieces, context.caches)
+        tilt = config.method.most_tilt_radians
+        proposals, steadied = on_their_feet(proposals, selections, known, lambda some: furnish(some, *alone), tilt)
     fitting = fit_together(proposals, selections, known, deepest, lambda some: furnish(some, *placed))
     interior = fitting.interior
     notes += fitting.left_out
@@ -100,12 +106,13 @@ def run(
             left = sum(p.depth_m for p in after if p.depth_m > config.method.slop_m + allowed.get((p.a, p.b), 0.0))
             resolution = with_falls(resolution, fall.moves, min(resolution.final, left))
             steps = step_rows(scene_id, resolution.start, resolution.steps)
+    changed = [f"{name}: {text}" for name, text in steadied.items()]
     lost = lost_supports(interior, poses)
     remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)
     contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)
     contacts += contact_rows(scene_id, interior, poses, after, "optimized", allowed)
     undone = [*notes, *resolution.notes]
-    notes = [*undone, *fitting.notes, *unknown, *resolution.noted, *set_down(interior, config.supports)]
+    notes = [*undone, *fitting.notes, *changed, *unknown, *resolution.noted, *set_down(interior, config.supports)]
     notes += [f"{name}: {text}" for name, text in remains.items()]
     return Outcome(
         placements=placement_rows(scene_id, interior, poses, certified, word, remains),

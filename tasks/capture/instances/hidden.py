@@ -19,8 +19,14 @@ Booleans = NDArray[np.bool_]
 SEEN_M = 0.03
 """What ends this near to the floor, or to its wall, was seen whole."""
 
-MOST_BELOW_M = {"legs": 0.85, "body": 0.65}
-"""Legs are no longer than a table's; of a body more than this is not hidden without the rest."""
+MOST_BELOW_M = {"legs": 0.85, "body": 0.65, "pole": 1.8}
+"""Legs are no longer than a table's; of a body more than this is not hidden without the rest; a pole is that of a floor lamp."""
+
+MOST_BELOW_STANDING_M = {"legs": 1.05, "body": 1.3, "pole": 1.8}
+"""The same of what never hangs: a chair of which the upper edge of its back was seen, a refrigerator behind a table."""
+
+POLE_WIDTH_M = 0.3
+"""What stands on a pole has a foot of this width, of which the scan saw none."""
 
 MOST_BEHIND_M = 0.75
 """Farther from a wall than this, furniture does not stand against it."""
@@ -82,8 +88,10 @@ def with_hidden_parts(
         below = _below(i, rows[i], kind, seen, raised, passed)
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
         bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below
-        if kind.is_boxy and not (kind.kind == "stands" and bottom > RAISED_M):
+        if kind.is_boxy and (kind.is_fitted or not (kind.kind == "stands" and bottom > RAISED_M)):
             sides[:4] = _behind(i, rows[i], sides, seen, walls)
+        if kind.base == "pole" and below > 0.0:
+            sides[:4] = np.repeat(np.maximum(0.5 * (POLE_WIDTH_M - np.array(rows[i].box_size[:2])), 0.0), 2)
         if leaves and i in leaves:
             sides = _beyond(rows[i], leaves[i])
         made[i] = dataclasses.replace(rows[i], hidden_m=tuple(float(v) for v in sides))
@@ -123,7 +131,8 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Boole
     stage = under & raised[seen.owners]
     base = _top(local[stage, :2], seen.points[stage, 2]) if _filled(local[stage, :2]) > CARRIED_SHARE * cells else 0.0
     lost = bottom - base
-    return lost if SEEN_M < lost <= MOST_BELOW_M[kind.base] else 0.0
+    most = MOST_BELOW_STANDING_M if kind.kind == "stands" else MOST_BELOW_M
+    return lost if SEEN_M < lost <= most[kind.base] else 0.0
 
 
 def _behind(index: int, row: Instance, sides: Array, seen: _Seen, walls: Array) -> Array:

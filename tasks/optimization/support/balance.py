@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tasks.optimization.interior import Interior
 from tasks.optimization.shapes import Shapes, Stand
-from tasks.optimization.support.resting import center_of_mass, shift
+from tasks.optimization.support.resting import bearing, center_of_mass, shift
 from tasks.optimization.support.tipping import CONTACT_M, MOST_POINTS, compiled
 
 Array = NDArray[np.float64]
@@ -55,8 +55,7 @@ def draw_back(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[in
         parent = int(interior.parent[i])
         if parent < 0 or interior.covering[[parent, i]].any() or interior.fixed[i] or carrier.relation not in ("on", "inside"):
             continue
-        among = np.zeros(len(stand.low), dtype=np.bool_)
-        among[parent] = True
+        among = bearing(interior, shapes, stand, i)
         base = base_of(shapes, stand, i)
         total = np.zeros(2)
         for _ in range(4):

@@ -39,6 +39,9 @@ COVERING_M = 0.06
 FALL_M = 0.15
 """An object that would fall farther in the end [m] has lost what carried it, which is said instead of hidden."""
 
+LEAST_BORNE = 0.5
+"""What lies on several others shares half of the width of each with it, or of its own: what stands beside it shares an edge."""
+
 ROUNDING_M = 1e-7
 """Lifts below this are none."""
 
@@ -105,9 +108,7 @@ def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[
         elif parent >= 0:
             dz = carrier.lift - interior.carriers[parent].lift
             shift(shapes, stand, groups[i], (0.0, 0.0, dz))
-            among = np.zeros(len(stand.low), dtype=np.bool_)
-            among[parent] = True
-            gap, _ = compiled()["least_gap"](shapes, stand, i, among, NEAR_M)
+            gap, _ = compiled()["least_gap"](shapes, stand, i, bearing(interior, shapes, stand, i), NEAR_M)
             shift(shapes, stand, groups[i], (0.0, 0.0, -dz))
             dz -= gap if abs(gap) <= NEAR_M else 0.0
         else:
@@ -116,6 +117,29 @@ def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[
             shift(shapes, stand, groups[i], (0.0, 0.0, dz))
             lifts.append((i, dz))
     return lifts
+
+
+def bearing(interior: Interior, shapes: Shapes, stand: Stand, obj: int) -> NDArray[np.bool_]:
+    """Which bodies a carried object lies on, shape (n,): its carrier, and what stands on the floor beside that, as high as that: a
+    worktop lies on all the cabinets below it."""
+    parent = int(interior.parent[obj])
+    among = np.zeros(len(stand.low), dtype=np.bool_)
+    among[parent] = True
+    if interior.carriers[obj].relation != "on" or interior.carriers[parent].relation != "floor" or interior.covering[parent]:
+        return among
+    wide = stand.high[obj, :2] - stand.low[obj, :2]
+    if not (stand.low[obj, :2] < stand.low[parent, :2]).any() and not (stand.high[obj, :2] > stand.high[parent, :2]).any():
+        return among
+    for other, carrier in enumerate(interior.carriers):
+        if other in (obj, parent) or carrier.relation != "floor" or interior.covering[other]:
+            continue
+        shared = np.minimum(stand.high[obj, :2], stand.high[other, :2]) - np.maximum(stand.low[obj, :2], stand.low[other, :2])
+        if (shared < LEAST_BORNE * np.minimum(wide, stand.high[other, :2] - stand.low[other, :2])).any():
+            continue
+        alone = np.zeros(len(stand.low), dtype=np.bool_)
+        alone[other] = True
+        among[other] = abs(float(compiled()["least_gap"](shapes, stand, obj, alone, NEAR_M)[0])) <= NEAR_M
+    return among
 
 
 MOST_LAID_M = 0.6

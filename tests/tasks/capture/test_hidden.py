@@ -206,3 +206,53 @@ def test_a_top_is_whole_below_what_stood_on_it(is_held: bool) -> None:
 
     assert filled(solid_field(crop)) == dict.fromkeys(spots, False)
     assert filled(field) == {"hole": True, "below the keyboard": is_held}
+
+
+@pytest.mark.parametrize(
+    ("category", "low", "high"),
+    [
+        ("refrigerator", (1.0, 0.0, 0.85), (1.6, 0.6, 1.8)),
+        ("chair", (1.0, 1.0, 0.88), (1.45, 1.05, 0.98)),
+        ("floor lamp", (1.0, 1.0, 1.35), (1.1, 1.2, 1.6)),
+    ],
+)
+def test_what_never_hangs_reaches_the_floor_however_little_of_it_was_seen(
+    category: str, low: tuple[float, float, float], high: tuple[float, float, float]
+) -> None:
+    ((made, _),) = whole((category, grid(low, high)), floor=floor_without(low[:2], high[:2]))
+    assert made[2] == pytest.approx(0.0)
+
+
+def test_a_lamp_on_a_pole_has_a_foot_that_it_stands_on() -> None:
+    from tasks.mounting import mounting
+
+    assert mounting("floor lamp").base == "pole"
+    ((low, high),) = whole(("floor lamp", grid((1.0, 1.0, 1.35), (1.1, 1.2, 1.6))))
+    assert high[:2] - low[:2] == pytest.approx([0.3, 0.3])
+    assert 0.5 * (high[:2] + low[:2]) == pytest.approx([1.05, 1.1])
+
+
+def test_a_crop_of_a_shade_is_completed_by_a_pole_and_a_foot() -> None:
+    """It stands, its pole is in its middle, and between shade and foot there is nothing else."""
+    import trimesh
+
+    shade = trimesh.creation.cylinder(0.15, 0.25, transform=trimesh.transformations.translation_matrix([0.0, 0.0, 1.45])).subdivide()
+    crop = Surface(np.asarray(shade.vertices), np.asarray(shade.faces), np.full((len(shade.vertices), 3), 128, dtype=np.uint8))
+    field = solid_field(crop, Unseen((0.0, 0.0, 0.0, 0.0, 1.325), "pole", stands=True))
+    vertices, faces = closed_mesh(field)
+    made = trimesh.Trimesh(vertices, faces, process=False)
+    assert made.is_watertight
+    assert made.bounds[0, 2] == pytest.approx(0.0, abs=2 * field.step)
+    pole = made.section([0, 0, 1], [0, 0, 0.7])
+    assert pole is not None
+    assert np.ptp(pole.bounds, axis=0)[:2].max() < 0.1
+    foot = made.vertices[made.vertices[:, 2] < 0.5 * field.step]
+    assert np.ptp(foot[:, :2], axis=0).min() > 0.2
+    assert np.hypot(*made.center_mass[:2]) < 0.03
+
+
+def test_a_worktop_of_which_the_edge_was_seen_reaches_the_wall() -> None:
+    cabinet, edge = grid((0.0, 1.0, 0.0), (0.6, 2.6, 0.86), 0.05), grid((0.45, 1.0, 0.86), (0.6, 2.6, 0.9))
+    _, (low, high) = whole(("kitchen cabinet", cabinet), ("kitchen counter", edge), floor=floor_without((0.0, 1.0), (0.6, 2.6)))
+    assert low == pytest.approx([0.0, 1.0, 0.86], abs=1e-9)
+    assert high == pytest.approx(edge.max(axis=0))

@@ -1,0 +1,82 @@
+"""Assets that cannot stand by themselves: another candidate of the same object that can, before anything is put to rest.
+
+The crop of a chair of which the scan lost two legs, or of a pot that it saw from one side, falls over wherever it is put. Whoever knows
+what the object is knows that it stood.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
+
+from schemas.selection import Selection
+from tasks.geometry.transforms import matrix
+from tasks.mounting import LEANS, mounting
+from tasks.optimization.interior import Interior
+from tasks.optimization.proposals import Proposal
+from tasks.optimization.shapes import shapes_of, stand_of
+from tasks.optimization.support.resting import center_of_mass
+from tasks.optimization.support.tipping import tip
+
+LEAST_SCORE = 0.7
+"""Of the score of what was selected: what fits so much worse is another object, however well it stands."""
+
+MOST_LEAN_RADIANS = 0.15
+"""An asset that stands only when it leans by more, 9 degrees, was not meant to stand so."""
+
+NOTE = "another asset, which stands by itself"
+
+
+def on_their_feet(
+    proposals: Sequence[Proposal], selections: Sequence[Selection], assets: Collection[str],
+    furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]], most_tilt: float,
+) -> tuple[list[Proposal], dict[str, str]]:  # fmt: skip
+    """The proposals, those that cannot stand as they are replaced by the best candidate that can, and what has to be said of each of
+    these, by instance. What people chose stays as it is, and so does what may lean or hang, and what no candidate can replace.
+
+    most_tilt: how far what stands on nothing but its feet may tip until it rests [rad]; a selected asset may lean by
+    `MOST_LEAN_RADIANS`.
+    """
+    ranked: dict[str, list[Selection]] = defaultdict(list)
+    for row in sorted(selections, key=lambda s: (s.instance_id, s.rank)):
+        if row.asset_id in assets:
+            ranked[row.instance_id].append(row)
+    chosen: list[Proposal] = []
+    notes: dict[str, str] = {}
+    for proposal in proposals:
+        instance = proposal.instance
+        kind = mounting(instance.category)
+        if proposal.origin == "selection" and kind.kind == "stands" and instance.category not in LEANS:
+            interior, _ = furnish((proposal,))
+            if interior.objects and not _stands(interior, most_tilt):
+                better = _better(proposal, ranked[instance.instance_id], furnish, most_tilt)
+                if better is not None:
+                    proposal, notes[instance.instance_id] = better, NOTE
+        chosen.append(proposal)
+    return chosen, notes
+
+
+def _better(
+    proposal: Proposal, rows: Sequence[Selection], furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]], most_tilt: float
+) -> Proposal | None:
+    """The best candidate that stands, None where there is none of a like score."""
+    score = next(row.score for row in rows if row.asset_id == proposal.asset_id)
+    for row in rows:
+        if row.asset_id == proposal.asset_id or row.score < LEAST_SCORE * score:
+            continue
+        other = dataclasses.replace(proposal, asset_id=row.asset_id, pose=matrix(row.pose), scale=np.array(row.scale))
+        interior, _ = furnish((other,))
+        if interior.objects and _stands(interior, most_tilt):
+            return other
+    return None
+
+
+def _stands(interior: Interior, most_tilt: float) -> bool:
+    """Whether the only object of an interior stands on level ground, nearly as it is."""
+    shapes = shapes_of(interior.solids, interior.poses)
+    stand = stand_of(shapes, interior.poses[:, :3, 3] - [0.0, 0.0, interior.objects[0].low[2]])
+    tipped = tip(shapes, stand, 0, center_of_mass(interior, 0), np.zeros(1, dtype=np.bool_), most_tilt)
+    return tipped is not None and float(tipped.rotation[2, 2]) >= np.cos(min(MOST_LEAN_RADIANS, most_tilt))
