@@ -72,6 +72,9 @@ LEANS: frozenset[str] = frozenset(
 )  # fmt: skip
 """What rests in any way: leaned on something, or fallen over."""
 
+PARTS: frozenset[str] = frozenset({"drawer"})
+"""Called by the name of a whole piece of furniture, and as often a part of one."""
+
 FITTED: frozenset[str] = frozenset({"kitchen cabinet", "kitchen counter", "counter", "wall cabinet"})
 """Parts of fitted kitchens: cabinets and worktops."""
 
@@ -109,14 +112,23 @@ _FLAT_TOPPED = (
 
 
 def mounting(category: str) -> Mounting:
-    """How objects of a category are carried; a longer name is taken by its last words, a plural by its singular."""
+    """How objects of a category are carried; a longer name is taken by its last words, a plural by its singular, another word for
+    furniture by the usual one: a couch is a sofa."""
+    return _mounting(category)
+
+
+@cache
+def _mounting(category: str) -> Mounting:
     words = category.lower().replace("_", " ").replace("-", " ").split()
     for start in range(len(words)):
         name = " ".join(words[start:])
         for form in (name, name.removesuffix("s"), name.removesuffix("es")):
             if form in _mountings():
                 return _mountings()[form]
-    return Mounting("any")
+    from tasks.furniture import canonical_category
+
+    usual = _mountings().get(canonical_category(category) or "", Mounting("any"))
+    return usual if usual.base is not None and category not in PARTS else Mounting("any")
 
 
 @cache

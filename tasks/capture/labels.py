@@ -7,13 +7,17 @@ import dataclasses
 import hashlib
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from schemas.errors import InputError
 from tasks.capture.files.documents import read_text
-from tasks.capture.spelling import respelled
+from tasks.capture.spelling import respelled, slips
+from tasks.furniture import is_known, typical_extents
 
 NYU40 = (
     "unlabeled", "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf", "picture", "counter", "blinds",
@@ -26,6 +30,10 @@ NYU40 = (
 WALL, FLOOR, DOOR, WINDOW, CEILING = 1, 2, 8, 9, 22
 STRUCTURE = frozenset({WALL, FLOOR, CEILING})
 """Classes that are part of the room and never replaced by an asset."""
+
+
+LIKE_SIZE = 1.7
+"""Factor within which objects of a category are as large as its usual one, along each of their sides."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,6 +74,18 @@ class LabelMap:
             return Label(*self.entries[right], is_known=True, is_respelled=True)
         return Label(text or "unlabeled", 0, is_known=False)
 
+    def of_size(self, raw_label: str, size: NDArray[np.float64]) -> Label:
+        """Meaning of a label of an object of a size [m], shape (3,): a word that English has, and the map has not, is a slip of the hand
+        where what it is one letter away from is as large as the object. A tale that is as large as a table is one."""
+        label = self[raw_label]
+        if label.is_known:
+            return label
+        for right in slips(normalized(raw_label), self.entries):
+            meaning = self.entries[right]
+            if is_known(meaning[0]) and _is_of_size(size, typical_extents(meaning[0])):
+                return Label(*meaning, is_known=True, is_respelled=True)
+        return label
+
     def of_node(self, category: str, model: str) -> Label:
         """Meaning of a named node of a scene, whose names come from no vocabulary.
 
@@ -79,6 +99,12 @@ class LabelMap:
                 if ending in self.entries:
                     return Label(*self.entries[ending], is_known=True)
         return Label(_words(category) or normalized(category) or "unlabeled", 0, is_known=False)
+
+
+def _is_of_size(size: NDArray[np.float64], usual: Sequence[float]) -> bool:
+    """Whether a box [m], shape (3,), is about as large as another: its height, its longer side in plan and its shorter one."""
+    own, other = (np.array([*sorted(map(float, extents[:2])), float(extents[2])]) for extents in (size, usual))
+    return bool(np.abs(np.log(np.maximum(own, 1e-6) / other)).max() <= np.log(LIKE_SIZE))
 
 
 def normalized(raw_label: str) -> str:

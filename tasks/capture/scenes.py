@@ -89,9 +89,16 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         groups, more = geometry_groups(world)
         notes += more
         meanings = [labels[group.raw_label.partition(":")[2]] for group in groups]
-    notes += _unknown_labels(groups, meanings, scan.path.name)
     blobs = Blobs()
     solids = _solids(reading, world, groups, context, config)
+    if not format.is_modelled:
+        sizes = [np.ptp(solid.points, axis=0) if len(solid.points) else np.zeros(3) for solid in solids]
+        own_words = [label.is_known or reading.groups is None for label in meanings]
+        meanings = [
+            label if is_known else labels.of_size(group.raw_label, size)
+            for group, label, size, is_known in zip(groups, meanings, sizes, own_words, strict=True)
+        ]
+    notes += _unknown_labels(groups, meanings, scan.path.name)
     rows = [
         instance_row(context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points)
         for index, (group, label, solid) in enumerate(zip(groups, meanings, solids, strict=True))

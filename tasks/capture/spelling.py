@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Callable, Container
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -19,16 +19,22 @@ def respelled(text: str, known: Container[str]) -> str | None:
     One letter too many, too few, wrong, or in the place of its neighbor. Words that English has are no slips, however near to a known
     one: a house is no mouse. Of several the most usual word wins.
     """
+    right = slips(text, known, lambda word: word not in _english())
+    return right[0] if right else None
+
+
+def slips(text: str, known: Container[str], may_be: Callable[[str], bool] = lambda word: True) -> list[str]:
+    """The known texts that a text becomes when one of its words that may be a slip is put right, the most usual first."""
     words = text.split()
     right = []
     for at, word in enumerate(words):
-        if len(word) < LEAST_LETTERS or not word.isalpha() or word in _english():
+        if len(word) < LEAST_LETTERS or not word.isalpha() or not may_be(word):
             continue
         for other in _english().edit_distance_1(word):
             whole = " ".join([*words[:at], other, *words[at + 1 :]])
             if whole in known:
                 right.append((-_english().word_usage_frequency(other), whole))
-    return min(right)[1] if right else None
+    return [whole for _, whole in sorted(right)]
 
 
 @cache

@@ -27,6 +27,9 @@ LEAST_SCORE = 0.7
 MOST_LEAN_RADIANS = 0.15
 """An asset that stands only when it leans by more, 9 degrees, was not meant to stand so."""
 
+ON_FLOOR_M = 0.1
+"""Lower than this, furniture that may hang stands on the floor."""
+
 NOTE = "another asset, which stands by itself"
 
 
@@ -49,7 +52,8 @@ def on_their_feet(
     for proposal in proposals:
         instance = proposal.instance
         kind = mounting(instance.category)
-        if proposal.origin == "selection" and kind.kind == "stands" and instance.category not in LEANS:
+        is_standing = kind.kind == "stands" or (kind.base is not None and proposal.pose[2, 3] <= ON_FLOOR_M)
+        if proposal.origin == "selection" and is_standing and instance.category not in LEANS:
             interior, _ = furnish((proposal,))
             if interior.objects and not _stands(interior, most_tilt):
                 better = _better(proposal, ranked[instance.instance_id], furnish, most_tilt)

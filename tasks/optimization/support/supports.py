@@ -23,6 +23,13 @@ Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
 
+WORKTOP_M, WORKTOP_LENGTH_M = 0.2, 0.9
+"""A worktop is no thicker and no shorter [m]: a thicker one is a cabinet with its top, a shorter one a board."""
+
+WORKTOP_LEVELS_M = (0.75, 1.15)
+"""Between these heights people work standing [m]; at the lower ones they sit."""
+
+
 @dataclasses.dataclass(frozen=True)
 class SupportConfig(Config):
     """When an object counts as carried."""
@@ -166,9 +173,10 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Shell | None, config: Sup
                 lift = known.lift + settle(known.parent_id).lift
                 known = dataclasses.replace(known, relation="inside" if inside else "on", lift=lift)
             if faces and against is None and not is_covering(by_id[name], config):
-                within = config.wall_m if mounting(by_id[name].category).is_fitted else config.against_m
-                against = stands_against(by_id[name], faces, within)
-            carriers[name] = dataclasses.replace(known, against=against, is_fixed=is_fixed(known, by_id[name].category, against))
+                fitted = mounting(by_id[name].category).is_fitted or is_worktop(by_id[name], known)
+                against = stands_against(by_id[name], faces, config.wall_m if fitted else config.against_m)
+            fastened = is_fixed(known, by_id[name].category, against) or (is_worktop(by_id[name], known) and against is not None)
+            carriers[name] = dataclasses.replace(known, against=against, is_fixed=fastened)
         return carriers[name]
 
     return {name: settle(name) for name in sorted(by_instance)}
@@ -178,6 +186,13 @@ def is_fixed(carrier: Carrier, category: str, against: str | None = None) -> boo
     """Whether an object is fastened to the room: it hangs on a wall or ceiling, is built in, or is fitted and stands `against` a wall."""
     kind = mounting(category)
     return carrier.relation in ("wall", "ceiling") or kind.is_built_in or (kind.is_fitted and against is not None)
+
+
+def is_worktop(obj: PlacedAsset, carrier: Carrier) -> bool:
+    """Whether an object is a long slab at the height of kitchens, that lies on something: whatever it is called, it is a worktop."""
+    if carrier.relation != "on" or obj.height > WORKTOP_M or not WORKTOP_LEVELS_M[0] <= float(obj.high[2]) <= WORKTOP_LEVELS_M[1]:
+        return False
+    return mounting(obj.category).is_flat_topped and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
 
 
 def descendants(parents: Mapping[str, str | None]) -> dict[str, set[str]]:

@@ -29,6 +29,21 @@ def test_what_is_a_word_or_too_short_or_nothing_known_stays(raw: str) -> None:
     assert (label.category, label.is_known, label.nyu40_id) == (normalized(raw) or "unlabeled", False, 0)
 
 
+@pytest.mark.parametrize(
+    ("raw", "size", "category"),
+    [
+        ("tale", (0.87, 1.3, 0.83), "table"), ("tale", (1.3, 0.87, 0.83), "table"), ("tale", (0.2, 0.2, 0.2), None),
+        ("char", (0.5, 0.5, 0.9), "chair"), ("house", (0.3, 0.2, 0.3), None), ("hcair", (3.0, 3.0, 3.0), "chair"),
+        ("table", (0.1, 0.1, 0.1), "table"), ("tale", (0.0, 0.0, 0.0), None),
+    ],
+)  # fmt: skip
+def test_a_word_that_no_map_has_is_a_slip_where_the_object_is_as_large(raw: str, size: tuple[float, ...], category: str | None) -> None:
+    label = label_map().of_size(raw, np.array(size))
+    assert label.category == (category or raw)
+    assert label.is_known == (category is not None)
+    assert label.is_respelled == (category is not None and raw != category)
+
+
 def test_every_label_of_the_map_means_itself() -> None:
     known = label_map()
     for raw, (category, nyu40) in known.entries.items():

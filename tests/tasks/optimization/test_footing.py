@@ -54,6 +54,11 @@ def test_a_crop_that_cannot_stand_gives_way_to_a_candidate_that_can() -> None:
     assert any(name in text and "stands by itself" in text for text in outcome.degradations)
 
 
+def test_furniture_with_another_name_stands_as_well() -> None:
+    scene, _, better = fallen_chair("tv console")
+    assert scene.run().rows["placements"][0].asset_id == better
+
+
 @pytest.mark.parametrize(("category", "second"), [("pillow", 0.95), ("chair", 0.5), ("picture", 0.95)])
 def test_what_leans_or_hangs_or_has_no_like_candidate_stays(category: str, second: float) -> None:
     scene, _, better = fallen_chair(category, second)

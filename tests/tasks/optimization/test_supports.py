@@ -298,8 +298,9 @@ def test_coverings_are_flat_and_large_or_called_so() -> None:
 
 def test_categories_are_found_by_their_last_words() -> None:
     for name, kind in (("picture", "frame"), ("Pictures", "frame"), ("wooden dining chair", "stands"), ("white_board", "frame"),
-                       ("shelves", "any"), ("couch", "any"), ("window", "let_in"), ("curtains", "wall"), ("ceiling lamp", "ceiling"),
-                       ("desk lamp", "stands"), ("lamp", "either"), ("rug", "covering"), ("zebra", "any")):  # fmt: skip
+                       ("shelves", "any"), ("couch", "stands"), ("window", "let_in"), ("curtains", "wall"), ("ceiling lamp", "ceiling"),
+                       ("desk lamp", "stands"), ("lamp", "either"), ("rug", "covering"), ("zebra", "any"),
+                       ("tv console", "either"), ("drawer", "any"), ("binder", "any")):  # fmt: skip
         assert mounting(name).kind == kind, name
     assert mounting("toilet").is_built_in
     assert not mounting("toilet paper").is_built_in
@@ -316,6 +317,23 @@ def test_what_hangs_and_what_is_built_in_is_fixed(category: str) -> None:
 def test_carriers_say_whether_they_are_fixed() -> None:
     objects = [at(0, block(0.5, 0.4, 0.8), 0, 0, 0, "toilet"), at(1, FRAME, -1.95, 0, 1.2, "picture"), at(2, CHAIR, 1, 1, 0, "chair")]
     assert {name: c.is_fixed for name, c in find_carriers(objects, room(), CONFIG).items()} == {"0000": True, "0001": True, "0002": False}
+
+
+def test_a_slab_along_a_kitchen_wall_is_a_worktop_whatever_it_is_called() -> None:
+    """It is fastened, as its sink is; a table's top in the middle of the room, a thick island and a low bench are not."""
+    for category, size, place, fastened in (
+        ("kitchen island", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.86), True),
+        ("table", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.86), True),
+        ("kitchen island", (0.6, 2.0, 0.05), (0.5, 0.0, 0.86), False),
+        ("bench", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.4), False),
+        ("chair", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.86), False),
+    ):
+        x, y, z = place
+        objects = [at(i, block(0.6, 0.6, z), x, 0.65 * i - 0.65, 0.0, "dishwasher") for i in range(3)]
+        slab = at(3, block(*size), x, y, z + 0.01, category)
+        carrier = find_carriers([*objects, slab], room(), CONFIG)["0003"]
+        assert carrier.relation == "on", category
+        assert carrier.is_fixed == fastened, (category, place)
 
 
 # the graph
