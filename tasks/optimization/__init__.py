@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -44,8 +44,8 @@ Method = Annotated[Paper | Default, ByKind()]
 ANYWHERE_M = 1000.0
 """Farther than any room is wide."""
 
-MOST_TRIES = 2
-"""How often what is stuck in the end is made smaller, and everything resolved again."""
+MOST_TRIES = 3
+"""How often what is stuck in the end is taken for something else or made smaller, and everything resolved again."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +93,7 @@ def run(
     notes += fitting.left_out
     resolved = _resolved(interior, config, context)
     if isinstance(config.method, Default) and _stuck(resolved):
-        fitting, resolved = _freed(fitting, resolved, selections, config, context, lambda some: furnish(some, *placed))
+        fitting, resolved = _freed(fitting, resolved, selections, known, config, context, lambda some: furnish(some, *placed))
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -137,14 +137,14 @@ class _Resolved(NamedTuple):
 
 
 def _freed(
-    fitting: Fitting, resolved: _Resolved, selections: Sequence[Selection], config: OptimizationConfig, context: Context,
-    furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
+    fitting: Fitting, resolved: _Resolved, selections: Sequence[Selection], assets: Collection[str], config: OptimizationConfig,
+    context: Context, furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
 ) -> tuple[Fitting, _Resolved]:  # fmt: skip
     """What is stuck made smaller, and what is stuck even then put anywhere, as far as that helps: of all tries the first of the best."""
     tries = [(fitting, resolved)]
     for _ in range(MOST_TRIES):
         stuck = _stuck(tries[-1][1])
-        smaller = made_smaller(tries[-1][0], tries[-1][1].interior, stuck, selections, furnish) if stuck else None
+        smaller = made_smaller(tries[-1][0], tries[-1][1].interior, stuck, selections, assets, furnish) if stuck else None
         if smaller is None:
             break
         tries.append((smaller, _resolved(smaller.interior, config, context)))

@@ -30,6 +30,8 @@ SMALLER = 0.8
 LITTLE = 0.88
 """Factor on the plan of an asset that is stuck in another in the end."""
 
+OTHER_NOTE = "another asset, whose shape leaves its neighbors their place"
+
 SMALLER_NOTE = "made smaller to leave its neighbors their place"
 
 LEAST_SCALE = 0.5
@@ -70,7 +72,7 @@ def fit_together(
             if other is not None:
                 chosen[name], changed = other, True
                 is_other = other.asset_id != first[name].asset_id
-                reasons[name] = "another asset, whose shape leaves its neighbors their place" if is_other else ""
+                reasons[name] = OTHER_NOTE if is_other else ""
                 if (other.scale < (1 - 1e-9) * _selected(other, ranked[name])).any():
                     reasons[name] = "; ".join(filter(None, [reasons[name], SMALLER_NOTE]))
         if not changed:
@@ -81,21 +83,27 @@ def fit_together(
 
 
 def made_smaller(
-    fitting: Fitting, interior: Interior, stuck: Sequence[Penetration], selections: Sequence[Selection],
+    fitting: Fitting, interior: Interior, stuck: Sequence[Penetration], selections: Sequence[Selection], assets: Collection[str],
     furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
 ) -> Fitting | None:  # fmt: skip
-    """The same with those that are still stuck in others a little smaller in plan, of each pair one; None where nothing can be."""
+    """The same with those that are still stuck in others, of each pair one, taken for a candidate that fills less of what is not its own,
+    or else a little smaller in plan; None where nothing can be."""
     ranked: dict[str, list[Selection]] = defaultdict(list)
-    for row in selections:
-        ranked[row.instance_id].append(row)
+    for row in sorted(selections, key=lambda s: (s.instance_id, s.rank)):
+        if row.asset_id in assets:
+            ranked[row.instance_id].append(row)
     chosen = {p.instance.instance_id: p for p in fitting.proposals}
     notes = dict(note.split(": ", 1) for note in fitting.notes)
     names = _giving_way(interior, stuck, ranked, chosen, 0.0)
-    shrunk = {name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [LITTLE, LITTLE, 1.0]) for name in names}
-    shrunk = {name: p for name, p in shrunk.items() if (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()}
-    if not shrunk:
+    others = {name: other for name in names if (other := _other(chosen[name], ranked[name])) and other.asset_id != chosen[name].asset_id}
+    less = {name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [LITTLE, LITTLE, 1.0]) for name in names}
+    shrunk = {
+        name: p for name, p in less.items() if name not in others and (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()
+    }  # fmt: skip
+    if not shrunk and not others:
         return None
-    chosen |= shrunk
+    chosen |= shrunk | others
+    notes |= dict.fromkeys(others, OTHER_NOTE)
     notes |= {name: "; ".join(sorted({*notes.get(name, SMALLER_NOTE).split("; "), SMALLER_NOTE})) for name in shrunk}
     made, left_out = furnish(tuple(chosen.values()))
     return Fitting(tuple(chosen.values()), made, tuple(left_out), tuple(f"{name}: {text}" for name, text in sorted(notes.items())))

@@ -105,3 +105,32 @@ def test_nothing_goes_farther_than_it_may_while_something_else_helps() -> None:
     assert max(ways) <= 0.3 + 1e-6
     (summary,) = outcome.rows["optimizations"]
     assert summary.deep_pairs == 0
+
+
+def test_what_is_stuck_between_boards_is_taken_for_the_shape_that_leaves_them_their_place() -> None:
+    """Books of two compartments, annotated as one: the pile through the board between them is none of them."""
+    scene = Scene()
+    boards = [part for _ in range(5) for part in block(0.8, 0.3, 0.02)]
+    sides = [part for _ in range(2) for part in block(0.02, 0.3, 1.62)]
+    for number, part in enumerate(boards):
+        part.apply_translation([0.0, 0.0, 0.4 * number])
+    for x, part in zip((-0.41, 0.41), sides, strict=True):
+        part.apply_translation([x, 0.0, 0.0])
+    shelf = scene.add([*boards, *sides], np.eye(4), "bookshelf", known=[*boards, *sides])
+    books = [part for _ in range(14) for part in block(0.5, 0.2, 0.05)]
+    for number, part in enumerate(books):
+        part.apply_translation([0.0, 0.0, 0.05 * number])
+    stack = scene.add(books, translation([0.0, 0.0, 0.425]), "book stack", known=books)
+    (lower,), (upper,) = block(0.5, 0.2, 0.35), block(0.5, 0.2, 0.28)
+    upper.apply_translation([0.0, 0.0, 0.41])
+    first = dataclasses.replace(scene.selections[1], foreign_share=0.1)
+    apart = scene.asset([lower, upper], known=[lower, upper])
+    scene.selections[1:] = [first, dataclasses.replace(first, rank=2, slot=2, asset_id=apart, foreign_share=0.0)]
+    outcome = scene.run()
+    rows = {row.instance_id: row for row in outcome.rows["placements"]}
+    assert rows[stack].asset_id == apart
+    assert rows[stack].displacement_m < 0.02
+    assert abs(rows[stack].lift_m) < 0.02
+    assert rows[shelf].displacement_m < 0.02
+    (summary,) = outcome.rows["optimizations"]
+    assert summary.deep_pairs == 0
