@@ -20,6 +20,7 @@ from tasks.optimization import default, paper
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, certificate_rows, certify
 from tasks.optimization.contacts import Colliders, Penetration
+from tasks.optimization.coverings import cut_at_walls
 from tasks.optimization.default import Default
 from tasks.optimization.falling import let_fall
 from tasks.optimization.footing import on_their_feet
@@ -88,6 +89,8 @@ def run(
         alone = (known, context.blobs, None, config.supports, config.pieces, context.caches)
         tilt = config.method.most_tilt_radians
         proposals, steadied = on_their_feet(proposals, selections, known, lambda some: furnish(some, *alone), tilt)
+        proposals, cut = cut_at_walls(proposals, known, room)
+        steadied |= cut
     fitting = fit_together(proposals, selections, known, deepest, lambda some: furnish(some, *placed))
     interior = fitting.interior
     notes += fitting.left_out

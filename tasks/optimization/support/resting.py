@@ -111,6 +111,8 @@ def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[
             gap, _ = compiled()["least_gap"](shapes, stand, i, bearing(interior, shapes, stand, i), NEAR_M)
             shift(shapes, stand, groups[i], (0.0, 0.0, -dz))
             dz -= gap if abs(gap) <= NEAR_M else 0.0
+        elif carrier.relation == "wall":  # a curtain that reaches the floor
+            dz = max(-float(stand.low[i, 2]), 0.0)
         else:
             continue
         if abs(dz) > ROUNDING_M:

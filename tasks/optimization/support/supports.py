@@ -14,6 +14,7 @@ from schemas.capture import Shell
 from tasks.geometry.meshes import Surface
 from tasks.mounting import mounting
 from tasks.optimization.support.enclosures import encloses
+from tasks.optimization.support.fastening import built_in, is_fixed, is_worktop
 from tasks.optimization.support.heights import face_blocks, plan_view, underside
 from tasks.optimization.support.standing import MOST_CELLS, kept_cells, standing_map
 from tasks.optimization.support.walls import WallFace, stands_against, wall_contact, wall_faces
@@ -21,13 +22,6 @@ from tasks.settings import Config, NonNegative, Positive, Share
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
-
-
-WORKTOP_M, WORKTOP_LENGTH_M = 0.2, 0.9
-"""A worktop is no thicker and no shorter [m]: a thicker one is a cabinet with its top, a shorter one a board."""
-
-WORKTOP_LEVELS_M = (0.75, 1.15)
-"""Between these heights people work standing [m]; at the lower ones they sit."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,20 +173,9 @@ def find_carriers(placed: Sequence[PlacedAsset], room: Shell | None, config: Sup
             carriers[name] = dataclasses.replace(known, against=against, is_fixed=fastened)
         return carriers[name]
 
-    return {name: settle(name) for name in sorted(by_instance)}
-
-
-def is_fixed(carrier: Carrier, category: str, against: str | None = None) -> bool:
-    """Whether an object is fastened to the room: it hangs on a wall or ceiling, is built in, or is fitted and stands `against` a wall."""
-    kind = mounting(category)
-    return carrier.relation in ("wall", "ceiling") or kind.is_built_in or (kind.is_fitted and against is not None)
-
-
-def is_worktop(obj: PlacedAsset, carrier: Carrier) -> bool:
-    """Whether an object is a long slab at the height of kitchens, that lies on something: whatever it is called, it is a worktop."""
-    if carrier.relation != "on" or obj.height > WORKTOP_M or not WORKTOP_LEVELS_M[0] <= float(obj.high[2]) <= WORKTOP_LEVELS_M[1]:
-        return False
-    return mounting(obj.category).is_flat_topped and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
+    for name in sorted(by_instance):
+        settle(name)
+    return built_in(carriers, by_id)
 
 
 def descendants(parents: Mapping[str, str | None]) -> dict[str, set[str]]:

@@ -20,6 +20,7 @@ from tasks.furniture.rooms import ROOM_TYPES, FurnishedRoom, furnish
 from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.transforms import translation, yaw_pose
 from tasks.mounting import BUILT_IN, mounting
+from tasks.optimization.support.fastening import is_fixed, is_worktop
 from tasks.optimization.support.heights import face_blocks, occupancy, plan_view, underside
 from tasks.optimization.support.supports import (
     Carrier,
@@ -29,7 +30,6 @@ from tasks.optimization.support.supports import (
     descendants,
     find_carriers,
     is_covering,
-    is_fixed,
     is_floor_covering,
     support_map,
 )
@@ -336,6 +336,23 @@ def test_a_slab_along_a_kitchen_wall_is_a_worktop_whatever_it_is_called() -> Non
         assert carrier.is_fixed == fastened, (category, place)
 
 
+def is_boxy(obj: PlacedAsset) -> bool:
+    return mounting(obj.category).is_boxy
+
+
+def test_what_a_worktop_lies_on_is_built_in_and_over_a_table_it_hangs_on_its_wall() -> None:
+    worktop = at(1, block(0.6, 2.0, 0.05), -1.69, 0.0, 0.87, "kitchen counter")
+    mug = at(2, block(0.08, 0.08, 0.1), -1.69, 0.3, 0.92, "mug")
+    for category, relation, below in (("dishwasher", "on", True), ("table", "wall", False)):
+        carriers = find_carriers([at(0, block(0.6, 0.9, 0.86), -1.69, 0.0, 0.0, category), worktop, mug], room(), CONFIG)
+        assert carriers["0001"].is_fixed
+        assert carriers["0001"].relation == relation
+        assert carriers["0000"].is_fixed == below
+        assert not carriers["0002"].is_fixed
+        assert carriers["0002"].parent_id == "0001"
+        assert carriers["0002"].lift == pytest.approx(carriers["0001"].lift - carriers["0002"].gap)
+
+
 # the graph
 
 
@@ -385,7 +402,9 @@ def test_the_graph_is_a_forest_whatever_is_in_the_room(drawn: Any, shuffle: Any)
         obj = by_id[name]
         assert (carrier.parent_id is not None) == (carrier.relation in ("on", "inside"))
         assert carrier.against is None or carrier.against in parts - {"floor"}
-        assert carrier.is_fixed == is_fixed(carrier, obj.category)
+        holds = {below for below, other in carriers.items() if other.parent_id == name and other.is_fixed}
+        is_slab = is_worktop(obj, carrier) and carrier.against is not None
+        assert carrier.is_fixed == (is_fixed(carrier, obj.category, carrier.against) or is_slab or bool(holds and is_boxy(obj)))
         if carrier.parent_id is not None:
             parent = by_id[carrier.parent_id]
             assert parent.low[2] <= obj.low[2] + CONFIG.reach_m

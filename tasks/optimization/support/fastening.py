@@ -1,0 +1,51 @@
+"""What is fastened to the room: what hangs, what is built in, worktops along walls, and what is built in below them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from tasks.mounting import mounting
+
+if TYPE_CHECKING:
+    from tasks.optimization.support.supports import Carrier, PlacedAsset
+
+WORKTOP_M, WORKTOP_LENGTH_M = 0.2, 0.9
+"""A worktop is no thicker and no shorter [m]: a thicker one is a cabinet with its top, a shorter one a board."""
+
+WORKTOP_LEVELS_M = (0.75, 1.15)
+"""Between these heights people work standing [m]; at the lower ones they sit."""
+
+
+def is_fixed(carrier: Carrier, category: str, against: str | None = None) -> bool:
+    """Whether an object is fastened to the room: it hangs on a wall or ceiling, is built in, or is fitted and stands `against` a wall."""
+    kind = mounting(category)
+    return carrier.relation in ("wall", "ceiling") or kind.is_built_in or (kind.is_fitted and against is not None)
+
+
+def is_worktop(obj: PlacedAsset, carrier: Carrier) -> bool:
+    """Whether an object is a long slab at the height of kitchens, that lies on something: whatever it is called, it is a worktop."""
+    if carrier.relation != "on" or obj.height > WORKTOP_M or not WORKTOP_LEVELS_M[0] <= float(obj.high[2]) <= WORKTOP_LEVELS_M[1]:
+        return False
+    return mounting(obj.category).is_flat_topped and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
+
+
+def built_in(carriers: Mapping[str, Carrier], by_id: Mapping[str, PlacedAsset]) -> dict[str, Carrier]:
+    """Carriers in which nothing fixed is carried by what is moved: a dishwasher below a worktop is built in; what is fastened over a
+    table hangs on its wall."""
+    made = dict(carriers)
+    for name, known in sorted(carriers.items()):
+        below = made.get(known.parent_id or "")
+        if not known.is_fixed or below is None or below.is_fixed or known.parent_id is None:
+            continue
+        if below.relation == "floor" and mounting(by_id[known.parent_id].category).is_boxy:  # built in below a worktop, or below a sink
+            made[known.parent_id] = dataclasses.replace(below, is_fixed=True)
+        elif known.against is not None and known.relation == "on" and not mounting(by_id[name].category).is_built_in:
+            made[name] = dataclasses.replace(known, relation="wall", parent_id=None, gap=0.0, lift=0.0)
+
+    def lift(name: str) -> float:
+        known = made[name]
+        return known.lift if known.parent_id is None else lift(known.parent_id) - known.gap
+
+    return {name: dataclasses.replace(made[name], lift=lift(name)) for name in sorted(made)}
