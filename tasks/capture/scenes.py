@@ -20,6 +20,7 @@ from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.instances.hidden import with_hidden_parts
 from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
 from tasks.capture.instances.segmentation import geometry_groups
+from tasks.capture.instances.split import rejoined
 from tasks.capture.instances.views import Sight, best_sights, camera_up, run_lengths, view_of
 from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
 from tasks.capture.premises import REMEDY
@@ -98,6 +99,9 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
             label if is_known else labels.of_size(group.raw_label, size)
             for group, label, size, is_known in zip(groups, meanings, sizes, own_words, strict=True)
         ]
+        groups, meanings, joined = rejoined(groups, meanings, solids)
+        solids = _solids(reading, world, groups, context, config) if joined else solids
+        notes += joined
     notes += _unknown_labels(groups, meanings, scan.path.name)
     rows = [
         instance_row(context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points)

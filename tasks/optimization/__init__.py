@@ -42,9 +42,6 @@ Method = Annotated[Paper | Default, ByKind()]
 """How collisions are resolved: a union of frozen configs, matched by type."""
 
 
-ANYWHERE_M = 1000.0
-"""Farther than any room is wide."""
-
 MOST_TRIES = 3
 """How often what is stuck in the end is taken for something else or made smaller, and everything resolved again."""
 
@@ -152,8 +149,9 @@ def _freed(
             break
         tries.append((smaller, _resolved(smaller.interior, config, context)))
     best = min(tries, key=lambda t: _stuck_depth(t[1]))
-    if _stuck(best[1]):
-        tries = [best, (best[0], _resolved(best[0].interior, config, context, ANYWHERE_M))]
+    if stuck := _stuck(best[1]):
+        names = {name for p in stuck for name in (p.a, p.b)}
+        tries = [best, (best[0], _resolved(best[0].interior, config, context, names))]
     return min(tries, key=lambda t: _stuck_depth(t[1]))
 
 
@@ -168,12 +166,12 @@ def _stuck(resolved: _Resolved) -> list[Penetration]:
     return [p for p in resolved.after if p.depth_m > DEEP_M + allowed.get((p.a, p.b), 0.0)]
 
 
-def _resolved(interior: Interior, config: OptimizationConfig, context: Context, farthest: float | None = None) -> _Resolved:
+def _resolved(interior: Interior, config: OptimizationConfig, context: Context, anywhere: Collection[str] = ()) -> _Resolved:
     match config.method:
         case Paper() as method:
             resolution = paper.resolve(interior, method, config.supports, context.rng)
         case Default() as method:
-            resolution = default.resolve(interior, method, config.supports, context.rng, context.spread, farthest=farthest)
+            resolution = default.resolve(interior, method, config.supports, context.rng, context.spread, anywhere=anywhere)
     interior = resolution.interior or interior
     parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
     moves = [(step.name, step.move) for step in resolution.steps if step.outcome in APPLIED]

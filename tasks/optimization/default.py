@@ -92,13 +92,13 @@ class Default(Config):
 
 def resolve(
     interior: Interior, method: Default, supports: SupportConfig, rng: Callable[..., np.random.Generator],
-    spread: Callable[[Any, Sequence[Any]], list[Any]], wedged: Collection[int] = (), farthest: float | None = None,
+    spread: Callable[[Any, Sequence[Any]], list[Any]], wedged: Collection[int] = (), anywhere: Collection[str] = (),
 ) -> Resolution:  # fmt: skip
     """Objects pulled into the room, hung on their walls, put to rest, moved apart, and let down onto what is below them; what is
     still in something else then is put elsewhere.
 
-    `wedged`: objects that fit nowhere on or in what was taken for their carrier, as a first attempt has shown. farthest: how far what
-    is still in something else is put elsewhere [m]; `most_way_m` if None.
+    `wedged`: objects that fit nowhere on or in what was taken for their carrier, as a first attempt has shown. anywhere: those that
+    go farther than `most_way_m` where they are still in something else.
     """
     walls = shell_solids(interior.room, WALL_M) if interior.room is not None else ()
     solids = (*interior.solids, *walls)
@@ -126,12 +126,13 @@ def resolve(
     if stuck:
         untouched = shapes_of(solids, poses)  # letting objects down has turned some of the others
         if beside(proposed, untouched, stand_of(untouched, poses[:, :3, 3]), stuck)[1] != noted:
-            other = resolve(proposed, method, supports, rng, spread, stuck, farthest)
+            other = resolve(proposed, method, supports, rng, spread, stuck, anywhere)
             if other.settled < final:
                 return other
     settled = final
-    most_way = method.most_way_m if farthest is None else farthest
-    last = last_resort(interior, solids, room, stand, settling, method.slop_m, method.most_tilt_radians, method.nudge_m_s, most_way)
+    loose = [i for i, name in enumerate(names) if name in anywhere]
+    most = (method.most_tilt_radians, method.nudge_m_s, method.most_way_m)
+    last = last_resort(interior, solids, room, stand, settling, method.slop_m, *most, loose)
     if last.moves:
         final = _loss(room, stand, DEEP_M if chain.final == 0.0 else method.slop_m)
         smallest = min(final, trace[-1].smallest if trace else chain.start)

@@ -95,15 +95,17 @@ def made_smaller(
     chosen = {p.instance.instance_id: p for p in fitting.proposals}
     notes = dict(note.split(": ", 1) for note in fitting.notes)
     names = _giving_way(interior, stuck, ranked, chosen, 0.0)
-    others = {name: other for name in names if (other := _other(chosen[name], ranked[name])) and other.asset_id != chosen[name].asset_id}
+    alternatives = {
+        name: other for name in names if (other := _other(chosen[name], ranked[name])) and other.asset_id != chosen[name].asset_id
+    }
     less = {name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [LITTLE, LITTLE, 1.0]) for name in names}
     shrunk = {
-        name: p for name, p in less.items() if name not in others and (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()
+        name: p for name, p in less.items() if name not in alternatives and (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()
     }  # fmt: skip
-    if not shrunk and not others:
+    if not shrunk and not alternatives:
         return None
-    chosen |= shrunk | others
-    notes |= dict.fromkeys(others, OTHER_NOTE)
+    chosen |= shrunk | alternatives
+    notes |= dict.fromkeys(alternatives, OTHER_NOTE)
     notes |= {name: "; ".join(sorted({*notes.get(name, SMALLER_NOTE).split("; "), SMALLER_NOTE})) for name in shrunk}
     made, left_out = furnish(tuple(chosen.values()))
     return Fitting(tuple(chosen.values()), made, tuple(left_out), tuple(f"{name}: {text}" for name, text in sorted(notes.items())))

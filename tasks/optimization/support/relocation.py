@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cache
 
 import numpy as np
@@ -79,17 +79,18 @@ def last_resort(
     most_tilt: float,
     nudge: float = 0.0,
     most_way: float = np.inf,
+    anywhere: Collection[int] = (),
 ) -> LastResort:
     """Put objects that are still in others elsewhere (`relocate`), and let down again what stood on them.
 
-    settling: how things stand before. slop, most_way: as for `relocate` [m]. most_tilt: what would tip farther stays [rad]. nudge: what
-    such a push [m/s] would throw over is laid down. Changes `room.shapes` and `stand`.
+    settling: how things stand before. slop, most_way, anywhere: as for `relocate`. most_tilt: what would tip farther stays [rad].
+    nudge: what such a push [m/s] would throw over is laid down. Changes `room.shapes` and `stand`.
     """
     moves: list[tuple[int, Move, str]] = []
     elsewhere: list[int] = []
     floored: set[int] = set()
     for _ in range(MOST_ROUNDS):
-        relocated = relocate(interior, solids, room, stand, slop, most_tilt, most_way)
+        relocated = relocate(interior, solids, room, stand, slop, most_tilt, most_way, anywhere)
         if not relocated:
             break
         for move in relocated:
@@ -125,26 +126,26 @@ def _move(shift: Array, rotation: Array) -> Move:
 
 def relocate(
     interior: Interior, solids: Sequence[ConvexParts], room: Arrangement, stand: Stand, slop: float, most_tilt: float,
-    most_way: float = np.inf,
+    most_way: float = np.inf, anywhere: Collection[int] = (),
 ) -> list[Relocation]:  # fmt: skip
     """Put objects of pairs that are deeper than `DEEP_M` in each other at the nearest place where they overlap nothing by more
     than `slop` [m], deepest pair first, `most_way` [m] away at most from where they came to rest in the room, or with what carries
-    them. Changes `room.shapes` and `stand`.
+    them; those `anywhere` that this does not help, as far as they must. Changes `room.shapes` and `stand`.
 
     Of a pair the smaller one goes, with all it carries; the other where that is fixed or fits nowhere. Places are looked for
     on what carries it, at the height at which it stands, then on the floor, within the room; where none is, the pair stays.
     """
     room = room._replace(counted=_all_pairs(interior, room))
     groups = interior.groups()
-    hopeless: set[int] = set()
     done: list[Relocation] = []
-    while pair := next((p for p in _deep_pairs(solids, room, stand) if _movable(interior, groups, p, hopeless)), None):
-        for i in _movable(interior, groups, pair, hopeless):
-            made = _put_elsewhere(interior, room, stand, i, slop, most_tilt, most_way)
-            if made is not None:
-                done.append(made)
-                break
-            hopeless.add(i)  # what is moved later takes room as often as it makes some
+    for reach, hopeless in ((most_way, set[int]()), *([(np.inf, set(range(len(groups))) - set(anywhere))] if anywhere else [])):
+        while pair := next((p for p in _deep_pairs(solids, room, stand) if _movable(interior, groups, p, hopeless)), None):
+            for i in _movable(interior, groups, pair, hopeless):
+                made = _put_elsewhere(interior, room, stand, i, slop, most_tilt, reach)
+                if made is not None:
+                    done.append(made)
+                    break
+                hopeless.add(i)  # what is moved later takes room as often as it makes some
     return done
 
 

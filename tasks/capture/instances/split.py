@@ -1,0 +1,57 @@
+"""Objects that were annotated in two parts: two refrigerators in each other's place are one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from tasks.capture.instances.boxes import oriented_box
+from tasks.capture.instances.rows import InstancePoints
+from tasks.capture.labels import Label
+from tasks.capture.reading import Group
+from tasks.geometry.boxes import oriented_overlap
+from tasks.mounting import mounting
+
+LEAST_SHARED = 0.25
+"""Of the smaller of two boxes. Bodies that stand beside each other, or one on the other, share a few percent: the noise of their sides."""
+
+
+def rejoined(
+    groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[InstancePoints]
+) -> tuple[tuple[Group, ...], list[Label], list[str]]:
+    """The instances of a scan, parts of one body put together, and a line for each part. Only of what fills its box can be told that it
+    was parted: chairs are pushed below tables, and into each other's boxes."""
+    boxes = {
+        i: oriented_box(solid.points, is_noisy=not solid.is_exact)
+        for i, (label, solid) in enumerate(zip(meanings, solids, strict=True))
+        if not label.is_structure and mounting(label.category).is_boxy and len(solid.points)
+    }
+    whole = {i: i for i in boxes}
+    order = sorted(boxes, key=lambda i: (-len(groups[i].vertices), i))
+    for at, i in enumerate(order):
+        for j in order[:at]:
+            volume = min(float(np.prod(boxes[i][1])), float(np.prod(boxes[j][1])))
+            is_same = meanings[i].category == meanings[j].category and whole[j] == j
+            if is_same and volume > 0.0 and oriented_overlap(*boxes[i], *boxes[j]) >= LEAST_SHARED * volume:
+                whole[i] = j
+                break
+    parts = {i: [j for j in order if whole[j] == i] for i in boxes if whole[i] == i}
+    kept = [i for i in range(len(groups)) if whole.get(i, i) == i]
+    notes = [
+        f"{groups[j].origin or groups[j].source_id}: {groups[j].raw_label!r} {groups[j].source_id} is a part of {groups[i].source_id}, in "
+        "whose place it is"
+        for i in kept
+        for j in parts.get(i, ())
+        if j != i
+    ]
+    return tuple(_joined([groups[j] for j in parts.get(i, [i])]) for i in kept), [meanings[i] for i in kept], notes
+
+
+def _joined(parts: Sequence[Group]) -> Group:
+    """Parts of an instance as one, named as the first."""
+    if len(parts) == 1:
+        return parts[0]
+    vertices, faces = (np.unique(np.concatenate([getattr(part, name) for part in parts])) for name in ("vertices", "faces"))
+    return dataclasses.replace(parts[0], vertices=vertices, faces=faces)

@@ -1,0 +1,69 @@
+"""One body that was annotated in two parts is one instance again; what stands beside or under another stays apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tasks.capture.instances.rows import InstancePoints
+from tasks.capture.instances.split import rejoined
+from tasks.capture.labels import Label, label_map
+from tasks.capture.reading import Group
+
+Array = np.ndarray
+
+
+def box(low: tuple[float, ...], high: tuple[float, ...], step: float = 0.05) -> Array:
+    """Points all through a box [m], shape (n, 3)."""
+    axes = [np.linspace(a, b, max(round((b - a) / step), 1) + 1) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def scan_of(*objects: tuple[str, Array]) -> tuple[tuple[Group, ...], list[Label], list[InstancePoints]]:
+    groups, solids, first = [], [], 0
+    for number, (category, points) in enumerate(objects):
+        vertices = np.arange(first, first + len(points))
+        groups.append(Group(str(number), category, vertices, np.array([10 * number, 10 * number + 1])))
+        solids.append(InstancePoints(points, np.zeros((len(points), 3), dtype=np.uint8), groups[-1].faces, is_exact=False))
+        first += len(points)
+    return tuple(groups), [label_map()[category] for category, _ in objects], solids
+
+
+LOWER, UPPER = box((0.62, 3.36, 0.44), (0.68, 3.92, 1.2)), box((0.61, 3.35, 0.85), (0.69, 3.95, 1.75))
+
+
+@given(order=st.permutations(range(4)))
+def test_two_parts_of_a_refrigerator_are_one_however_they_are_ordered(order: list[int]) -> None:
+    objects = [
+        ("refrigerator", LOWER), ("refrigerator", UPPER), ("chair", box((2.0, 2.0, 0.0), (2.5, 2.5, 0.9))),
+        ("refrigerator", box((0.6, 4.2, 0.0), (1.2, 4.8, 1.7))),
+    ]  # fmt: skip
+    scan = scan_of(*(objects[i] for i in order))
+    groups, meanings, notes = rejoined(*scan)
+    assert len(groups) == len(meanings) == 3
+    assert len(notes) == 1
+    assert sorted(np.concatenate([group.vertices for group in groups]).tolist()) == sorted(
+        np.concatenate([group.vertices for group in scan[0]]).tolist()
+    )
+    whole = max(groups, key=lambda group: len(group.faces))
+    assert len(whole.faces) == 4
+    assert whole.source_id == str(order.index(1)), "named as its larger part"
+    assert [label.category for label in meanings].count("refrigerator") == 2
+
+
+@pytest.mark.parametrize(
+    ("category", "other", "points"),
+    [
+        ("kitchen cabinet", "kitchen cabinet", box((0.0, 0.59, 0.0), (0.6, 1.2, 0.86))),  # beside it, a little in it
+        ("kitchen cabinet", "kitchen cabinet", box((0.0, 0.0, 1.4), (0.35, 0.6, 2.1))),  # above it
+        ("kitchen cabinet", "dishwasher", box((0.0, 0.0, 0.0), (0.6, 0.6, 0.8))),  # of another kind
+        ("chair", "chair", box((0.1, 0.1, 0.0), (0.6, 0.6, 0.86))),  # pushed together
+        ("wall", "wall", box((0.0, 0.0, 0.0), (0.6, 0.6, 0.8))),  # of the room
+    ],
+)
+def test_what_is_no_part_stays_as_it_was_annotated(category: str, other: str, points: Array) -> None:
+    scan = scan_of((category, box((0.0, 0.0, 0.0), (0.6, 0.6, 0.86))), (other, points))
+    groups, meanings, notes = rejoined(*scan)
+    assert (groups, meanings, notes) == (scan[0], scan[1], [])
