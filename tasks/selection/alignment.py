@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from tasks.geometry.meshes import load_glb, sample_surface, surface_of
+from tasks.geometry.meshes import sample_surface, surface_of_glb
 from tasks.geometry.triangles import surface_area
 from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices, spacing
 from tasks.settings import Config, Whole
@@ -138,7 +138,7 @@ def sample_asset(asset: Asset, glb: bytes, config: AlignmentConfig, rng: np.rand
         InputError: the GLB cannot be read.
         ValueError: its surface has no area.
     """
-    surface = surface_of(load_glb(glb, asset.mesh_blob))
+    surface = surface_of_glb(glb, asset.mesh_blob)
     area = surface_area(surface.vertices, surface.faces)
     points, colors, normals = sample_surface(surface, config.samples, rng)
     order = rng.permutation(config.samples)
