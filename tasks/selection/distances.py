@@ -15,6 +15,10 @@ from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
 
+_BLOCK = 8  # samples that lie together, of which none is looked at where their sphere is too far
+_BITS = 4  # of each coordinate, for the order of samples
+_SLACK = 1e-9  # bounds are this much looser than the numbers: rounding rules nothing out
+
 
 def coarse_distances(points: Array, placed: Array) -> tuple[Array, Array]:
     """Nearest distances both ways for several placements of one cloud [m].
@@ -38,6 +42,12 @@ def disc_distances(points: Array, centers: Array, normals: Array, radius: float)
     return np.asarray(kernel(np.ascontiguousarray(points), np.ascontiguousarray(centers), np.ascontiguousarray(normals), float(radius)))
 
 
+def clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
+    """Scales, shape (3,), whose logarithms are the nearest in weighted least squares to those of `ratio` that lie within a window of
+    twice `half`, then from `least` to `most`."""
+    return np.asarray(_compiled()["_clamped"](ratio, weight, half, least, most))
+
+
 def spacing(points: Array) -> float:
     """Median distance of a point to its nearest neighbor [m], 0 for a single point. Shape (k, 3)."""
     if len(points) < 2:
@@ -49,7 +59,27 @@ def spacing(points: Array) -> float:
 
 @cache
 def _compiled() -> Kernels:
-    return compile_kernels(_coarse, _nearest, _discs)
+    return compile_kernels(_blocks, _clamped, _coarse, _nearest, _discs)
+
+
+def _clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
+    logs = np.log(ratio)
+    # all logarithms are brought into a window of this half width; the squared change is convex in the window's middle
+    low, high = logs.min() - half, logs.max() + half
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        slope = 0.0
+        for a in range(len(logs)):
+            slope += weight[a] * (min(max(logs[a], middle - half), middle + half) - logs[a])
+        if slope < 0:
+            low = middle
+        else:
+            high = middle
+    # clipping to the limits moves no two logarithms farther apart
+    scale = np.empty(len(logs))
+    for a in range(len(logs)):
+        scale[a] = np.exp(min(max(min(max(logs[a], middle - half), middle + half), least), most))
+    return scale
 
 
 def _coarse(points: Array, placed: Array) -> tuple[Array, Array]:
@@ -70,18 +100,74 @@ def _coarse(points: Array, placed: Array) -> tuple[Array, Array]:
     return np.sqrt(out), np.sqrt(back)
 
 
+def _blocks(samples: Array) -> tuple[NDArray[np.int64], Array, Array]:
+    """Samples, shape (m, 3), ordered along a curve that fills space, as columns, shape (3, m), with spheres around every `_BLOCK` of
+    them, shape (4, blocks): their middles and radii [m]."""
+    m = samples.shape[0]
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for j in range(m):
+        for a in range(3):
+            low[a], high[a] = min(low[a], samples[j, a]), max(high[a], samples[j, a])
+    side = max(high[0] - low[0], high[1] - low[1], high[2] - low[2], 1e-12) / 2**_BITS * (1 + _SLACK)
+    code, starts = np.empty(m, dtype=np.int64), np.zeros(8**_BITS + 1, dtype=np.int64)
+    for j in range(m):
+        code[j] = 0
+        for a in range(3):
+            cell = int((samples[j, a] - low[a]) / side)
+            for bit in range(_BITS):
+                code[j] |= (cell >> bit & 1) << (3 * bit + a)
+        starts[code[j] + 1] += 1
+    for c in range(8**_BITS):
+        starts[c + 1] += starts[c]
+    order, columns = np.empty(m, dtype=np.int64), np.empty((3, m))
+    for j in range(m):
+        at = starts[code[j]]
+        starts[code[j]] += 1
+        order[at] = j
+        for a in range(3):
+            columns[a, at] = samples[j, a]
+    spheres = np.zeros((4, -(-m // _BLOCK)))
+    for b in range(spheres.shape[1]):
+        first, last = b * _BLOCK, min((b + 1) * _BLOCK, m)
+        for a in range(3):
+            near, far = columns[a, first], columns[a, first]
+            for j in range(first + 1, last):
+                near, far = min(near, columns[a, j]), max(far, columns[a, j])
+            spheres[a, b] = 0.5 * (near + far)
+        for j in range(first, last):
+            x, y, z = columns[0, j] - spheres[0, b], columns[1, j] - spheres[1, b], columns[2, j] - spheres[2, b]
+            spheres[3, b] = max(spheres[3, b], x * x + y * y + z * z)
+        spheres[3, b] = np.sqrt(spheres[3, b]) * (1 + _SLACK) + _SLACK
+    return order, columns, spheres
+
+
 def _nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
     k, m = points.shape[0], samples.shape[0]
     index = np.zeros(k, dtype=np.int64)
     distance = np.empty(k)
+    order, columns, spheres = _blocks(samples)
+    blocks = spheres.shape[1]
+    middle = np.empty(blocks)
     for i in range(k):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        best, at = np.inf, 0
-        for j in range(m):
-            a, b, c = samples[j, 0] - x, samples[j, 1] - y, samples[j, 2] - z
-            d = a * a + b * b + c * c
-            if d < best:
-                best, at = d, j
+        for b in range(blocks):
+            p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
+            middle[b] = p * p + q * q + r * r
+        start = 0
+        for b in range(1, blocks):
+            if middle[b] < middle[start]:
+                start = b
+        best, at, root = np.inf, 0, np.inf
+        for n in range(blocks + 1):  # the nearest block first, then all that may hold a nearer sample
+            b = n - 1 if n else start
+            if middle[b] > (root + spheres[3, b]) ** 2:
+                continue
+            for j in range(b * _BLOCK, min((b + 1) * _BLOCK, m)):
+                p, q, r = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
+                d = p * p + q * q + r * r
+                if d < best or (d == best and order[j] < at):
+                    best, at = d, order[j]
+            root = np.sqrt(best) * (1 + _SLACK)
         index[i], distance[i] = at, np.sqrt(best)
     return index, distance
 
@@ -89,17 +175,33 @@ def _nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
 def _discs(points: Array, centers: Array, normals: Array, radius: float) -> Array:
     k, m = points.shape[0], centers.shape[0]
     distance = np.empty(k)
+    order, columns, spheres = _blocks(centers)
+    blocks = spheres.shape[1]
+    middle = np.empty(blocks)
     for i in range(k):
-        best = np.inf
-        for j in range(m):
-            a, b, c = points[i, 0] - centers[j, 0], points[i, 1] - centers[j, 1], points[i, 2] - centers[j, 2]
-            whole = a * a + b * b + c * c
-            reach = np.sqrt(best) + radius
-            if whole >= reach * reach:  # even the disc's rim is farther than the best so far
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        for b in range(blocks):
+            p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
+            middle[b] = p * p + q * q + r * r
+        start = 0
+        for b in range(1, blocks):
+            if middle[b] < middle[start]:
+                start = b
+        best, reach = np.inf, np.inf
+        for n in range(blocks + 1):
+            b = n - 1 if n else start
+            if middle[b] > (reach + spheres[3, b]) ** 2:
                 continue
-            off = a * normals[j, 0] + b * normals[j, 1] + c * normals[j, 2]
-            along = np.sqrt(max(whole - off * off, 0.0))
-            over = max(along - radius, 0.0)
-            best = min(best, off * off + over * over)
+            for j in range(b * _BLOCK, min((b + 1) * _BLOCK, m)):
+                p, q, r = x - columns[0, j], y - columns[1, j], z - columns[2, j]
+                whole = p * p + q * q + r * r
+                if whole >= reach * reach:  # even the disc's rim is farther than the best so far
+                    continue
+                o = order[j]
+                off = p * normals[o, 0] + q * normals[o, 1] + r * normals[o, 2]
+                along = np.sqrt(max(whole - off * off, 0.0))
+                over = max(along - radius, 0.0)
+                best = min(best, off * off + over * over)
+                reach = (np.sqrt(best) + radius) * (1 + _SLACK)
         distance[i] = np.sqrt(best)
     return distance
