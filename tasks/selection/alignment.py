@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from schemas.candidates import Asset
 from tasks.geometry.meshes import sample_surface, surface_of_glb
 from tasks.geometry.triangles import surface_area
-from tasks.selection.distances import clamped, coarse_distances, disc_distances, nearest_indices, spacing
+from tasks.selection.distances import clamped, coarse_distances, disc_distances, nearest_indices, nearest_turn, spacing
 from tasks.settings import Config, Whole
 
 Array = NDArray[np.float64]
@@ -58,7 +58,8 @@ HIDDEN_M = 0.05
 class ScannedInstance:
     """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
     `spacing`: distance between neighboring points [m]; `seen`: lowest and highest corner of the part of the box that the scan could
-    see, shape (2, 3) [m]. `spans`: what is known already of its size and middle along the axes of an asset, by the asset's yaw."""
+    see, shape (2, 3) [m]. Known once they were asked for: `spans`, its size and middle along the axes of an asset, by the asset's yaw;
+    `parts`, the instance with fewer points, by how many."""
 
     points: Array
     colors: NDArray[np.uint8]
@@ -66,12 +67,20 @@ class ScannedInstance:
     spacing: float
     seen: Array = dataclasses.field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
     spans: dict[float, tuple[Array, Array]] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
+    parts: dict[int, ScannedInstance] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def is_cut_off(self) -> bool:
         """Whether a part beside what was seen is hidden, so that only the box tells how wide it is."""
         low, high = self.seen[:, :2]
         return bool((low > HIDDEN_M - 0.5 * self.size[:2]).any() or (high < 0.5 * self.size[:2] - HIDDEN_M).any())
+
+    def thinned(self, count: int) -> ScannedInstance:
+        """The instance with its first points alone."""
+        if count not in self.parts:
+            points = self.points[:count]
+            self.parts[count] = dataclasses.replace(self, points=points, spacing=spacing(points))
+        return self.parts[count]
 
     def weights(self, placed: Array, normals: Array, config: AlignmentConfig) -> Array:
         """What samples of a surface, with unit normals, shapes (..., m, 3), count where no point is near: little where none could be."""
@@ -203,8 +212,7 @@ def align(target: ScannedInstance, sample: Sample, threshold: float, config: Ali
     order = np.argsort(np.round(costs / target.diagonal, 6), kind="stable")
     near = [i for i in order[: config.starts].tolist() if costs[i] <= config.hopeless * costs[order[0]]]
     starts = sorted({*near, next(i for i in order.tolist() if square[i])})
-    points = target.points[: config.refine_points]
-    rough = dataclasses.replace(target, points=points, spacing=spacing(points))
+    rough = target.thinned(config.refine_points)
     few = dataclasses.replace(sample, points=sample.points[: config.refine_samples], normals=sample.normals[: config.refine_samples])
     tried = [fits[i] for i in starts if square[i]]
     for i in starts:
@@ -225,16 +233,13 @@ def refine(target: ScannedInstance, sample: Sample, fit: Fit, config: AlignmentC
     start, reach = fit, config.refine_shift * target.size[:2]
     points = target.points
     keep = max(int(config.refine_share * len(points)), 3)
+    scaled = sample.points * fit.scale
     for _ in range(config.refine_steps):
-        placed = (sample.points * fit.scale) @ _turn(fit.yaw).T + fit.offset
-        index, distance = nearest_indices(points, placed)
-        used = np.argsort(distance, kind="stable")[:keep]
-        to, source = points[used, :2], placed[index[used], :2]
-        a, b = source - source.mean(axis=0), to - to.mean(axis=0)
-        turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+        across, along, source, to = nearest_turn(points, scaled @ _turn(fit.yaw).T + fit.offset, keep)
+        turn = float(np.arctan2(across, along))
         yaw = float(np.clip(fit.yaw + turn, start.yaw - config.refine_yaw_radians, start.yaw + config.refine_yaw_radians))
         around = _turn(yaw - fit.yaw)[:2, :2]
-        moved = around @ (fit.offset[:2] - source.mean(axis=0)) + to.mean(axis=0)
+        moved = around @ (fit.offset[:2] - source) + to
         moved = np.clip(moved, start.offset[:2] - reach, start.offset[:2] + reach)
         change = abs(yaw - fit.yaw) * target.diagonal + float(np.abs(moved - fit.offset[:2]).max())
         fit = dataclasses.replace(fit, yaw=yaw, offset=np.array([*moved, fit.offset[2]]))

@@ -36,6 +36,14 @@ def nearest_indices(points: Array, samples: Array) -> tuple[NDArray[np.int64], A
     return np.asarray(index), np.asarray(distance)
 
 
+def nearest_turn(points: Array, placed: Array, keep: int) -> tuple[float, float, Array, Array]:
+    """How the `keep` points that are nearest to samples must be met: sums over the pairs of a point and its nearest sample, about their
+    middles in plan, of the sine and of the cosine of the turn between them, times both lengths [m2], and the middles of these samples and
+    points, both shape (2,) [m]. Shapes (k, 3) and (m, 3)."""
+    across, along, source, to = _compiled()["_turned"](np.ascontiguousarray(points), np.ascontiguousarray(placed), keep)
+    return float(across), float(along), source, to
+
+
 def disc_distances(points: Array, centers: Array, normals: Array, radius: float) -> Array:
     """Distance of every point to the nearest of flat discs [m]: shape (k,). Centers and unit normals: shape (m, 3)."""
     kernel = _compiled()["_discs"]
@@ -59,7 +67,7 @@ def spacing(points: Array) -> float:
 
 @cache
 def _compiled() -> Kernels:
-    return compile_kernels(_blocks, _clamped, _coarse, _nearest, _discs)
+    return compile_kernels(_blocks, _clamped, _coarse, _nearest, _part_sum, _sum, _turned, _discs)
 
 
 def _clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
@@ -170,6 +178,60 @@ def _nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
             root = np.sqrt(best) * (1 + _SLACK)
         index[i], distance[i] = at, np.sqrt(best)
     return index, distance
+
+
+def _part_sum(values: Array, start: int, count: int) -> float:
+    """Sum of a few values, eight at a time."""
+    lanes, last = np.zeros(8), start + count - count % 8
+    for i in range(start, last, 8):
+        for lane in range(8):
+            lanes[lane] += values[i + lane]
+    total = ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3])) + ((lanes[4] + lanes[5]) + (lanes[6] + lanes[7]))
+    for i in range(last, start + count):
+        total += values[i]
+    return float(total)
+
+
+def _sum(values: Array) -> float:
+    """Sum of values by halves, in the order of NumPy's: errors stay small. Halves wait on a stack, -1 for two to be added."""
+    starts, counts, sums = np.zeros(128, dtype=np.int64), np.zeros(128, dtype=np.int64), np.zeros(128)
+    counts[0], depth, done = len(values), 1, 0
+    while depth > 0:
+        depth -= 1
+        start, count = starts[depth], counts[depth]
+        if count < 0:
+            done -= 1
+            sums[done - 1] += sums[done]
+        elif count <= 128:
+            sums[done] = _part_sum(values, start, count)
+            done += 1
+        else:
+            half = count // 2 - (count // 2) % 8
+            counts[depth] = -1
+            starts[depth + 1], counts[depth + 1] = start + half, count - half
+            starts[depth + 2], counts[depth + 2] = start, half
+            depth += 3
+    return float(sums[0])
+
+
+def _turned(points: Array, placed: Array, keep: int) -> tuple[float, float, Array, Array]:
+    index, distance = _nearest(points, placed)
+    used = np.argsort(distance, kind="mergesort")[:keep]
+    count = len(used)
+    source, to = np.zeros(2), np.zeros(2)
+    for i in used:
+        for a in range(2):
+            source[a] += placed[index[i], a]
+            to[a] += points[i, a]
+    source, to = source / count, to / count
+    across, along = np.empty(count), np.empty(2 * count)
+    for n in range(count):
+        i, j = used[n], index[used[n]]
+        x, y = placed[j, 0] - source[0], placed[j, 1] - source[1]
+        u, v = points[i, 0] - to[0], points[i, 1] - to[1]
+        across[n] = x * v - y * u
+        along[2 * n], along[2 * n + 1] = x * u, y * v
+    return _sum(across), _sum(along), source, to
 
 
 def _discs(points: Array, centers: Array, normals: Array, radius: float) -> Array:
