@@ -67,7 +67,7 @@ def spacing(points: Array) -> float:
 
 @cache
 def _compiled() -> Kernels:
-    return compile_kernels(_blocks, _clamped, _coarse, _nearest, _part_sum, _sum, _turned, _discs)
+    return compile_kernels(_blocks, _clamped, _coarse, _ahead, _nearest, _part_sum, _sum, _turned, _discs)
 
 
 def _clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
@@ -149,6 +149,17 @@ def _blocks(samples: Array) -> tuple[NDArray[np.int64], Array, Array]:
     return order, columns, spheres
 
 
+def _ahead(spheres: Array, x: float, y: float, z: float, middle: Array) -> int:
+    """The sphere whose middle is nearest to a point; puts the squares of all distances into `middle`."""
+    start = 0
+    for b in range(spheres.shape[1]):
+        p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
+        middle[b] = p * p + q * q + r * r
+        if middle[b] < middle[start]:
+            start = b
+    return start
+
+
 def _nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
     k, m = points.shape[0], samples.shape[0]
     index = np.zeros(k, dtype=np.int64)
@@ -158,13 +169,7 @@ def _nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
     middle = np.empty(blocks)
     for i in range(k):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        for b in range(blocks):
-            p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
-            middle[b] = p * p + q * q + r * r
-        start = 0
-        for b in range(1, blocks):
-            if middle[b] < middle[start]:
-                start = b
+        start = _ahead(spheres, x, y, z, middle)
         best, at, root = np.inf, 0, np.inf
         for n in range(blocks + 1):  # the nearest block first, then all that may hold a nearer sample
             b = n - 1 if n else start
@@ -242,13 +247,7 @@ def _discs(points: Array, centers: Array, normals: Array, radius: float) -> Arra
     middle = np.empty(blocks)
     for i in range(k):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        for b in range(blocks):
-            p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
-            middle[b] = p * p + q * q + r * r
-        start = 0
-        for b in range(1, blocks):
-            if middle[b] < middle[start]:
-                start = b
+        start = _ahead(spheres, x, y, z, middle)
         best, reach = np.inf, np.inf
         for n in range(blocks + 1):
             b = n - 1 if n else start
