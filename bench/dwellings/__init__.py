@@ -53,11 +53,13 @@ class DwellingsBench:
 
 @dataclasses.dataclass(frozen=True)
 class DwellingJob:
-    """Room `index` of a seed, to be scanned and worked on in an empty folder, which is the caller's to remove."""
+    """Room `index` of a seed, to be scanned and worked on in an empty folder, which is the caller's to remove, by as many processes as
+    there are cores for it."""
 
     index: int
     seed: int
     folder: str
+    cores: int = 1
 
 
 def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) -> dict[str, Any]:
@@ -65,8 +67,9 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
     with tempfile.TemporaryDirectory(prefix="rooms-", ignore_cleanup_errors=True) as temporary:
         work = Path(temporary)
         rooms: list[dict[str, Any]] = []
+        cores = max(1, machine()["cores"] // config.processes)
         with WorkerPool(config.processes) as pool, ThreadPoolExecutor(config.processes) as threads:
-            for room in threads.map(partial(_measured, pool, config.seed, config.folder, work), range(config.rooms)):
+            for room in threads.map(partial(_measured, pool, config.seed, config.folder, work, cores), range(config.rooms)):
                 advance(str(room["room"]))
                 rooms.append(room)
     groups = {"with frames": [r for r in rooms if r["has_frames"]], "mesh only": [r for r in rooms if not r["has_frames"]], "all": rooms}
@@ -112,7 +115,7 @@ def make_scan(folder: Path, index: int, seed: int) -> DwellingTruth:
     return scan_dwelling(dwelling((seed, index)), folder, f"scene{index:04d}_00", settings, np.random.default_rng([seed, index, 1]))
 
 
-def _measured(pool: WorkerPool, seed: int, folder: Path | None, work: Path, index: int) -> dict[str, Any]:
+def _measured(pool: WorkerPool, seed: int, folder: Path | None, work: Path, cores: int, index: int) -> dict[str, Any]:
     """A room's figures, remembered or measured; a worker that dies or hangs is a failed room, which is not remembered: it may have
     been the machine's fault. Scan and lake lie below `work` and are gone afterwards, whatever became of the worker."""
     mark = {"code": [code_fingerprint("tasks.pipeline"), code_fingerprint("bench.dwellings")], "seed": seed, "index": index}
@@ -122,7 +125,7 @@ def _measured(pool: WorkerPool, seed: int, folder: Path | None, work: Path, inde
         return known
     with tempfile.TemporaryDirectory(prefix=f"room_{index:04d}_", dir=work, ignore_cleanup_errors=True) as place:
         try:
-            figures = pool.call(measure_room, DwellingJob(index, seed, place), timeout=SECONDS)
+            figures = pool.call(measure_room, DwellingJob(index, seed, place, cores), timeout=SECONDS)
         except (WorkerLost, WorkerTimeout) as error:
             return lost_room(index, has_frames(index), dwelling((seed, index)), "worker", str(error))
     if path is not None:
@@ -149,7 +152,7 @@ def measure_room(job: DwellingJob) -> dict[str, Any]:
     truth = make_scan(place / "scans", job.index, job.seed)
     scanned = time.perf_counter() - clock
     lake = Lake.open(place / "lake")
-    seconds, stage, error = _run(lake, place / "scans")
+    seconds, stage, error = _run(lake, place / "scans", job.cores)
     if error is not None:
         return lost_room(job.index, has_frames(job.index), home, stage, error, truth, seconds) | {"scan_seconds": scanned}
     try:
@@ -161,8 +164,8 @@ def measure_room(job: DwellingJob) -> dict[str, Any]:
     return figures | {"scan_seconds": scanned}
 
 
-def _run(lake: Lake, scans: Path) -> tuple[dict[str, float], str, str | None]:
-    """The stages of `STEPS` on the one scan of a folder: seconds by stage, and the stage that failed, with its error."""
+def _run(lake: Lake, scans: Path, cores: int = 1) -> tuple[dict[str, float], str, str | None]:
+    """The stages of `STEPS` on the one scan of a folder, over some cores: seconds by stage, and the stage that failed, with its error."""
     configuration = configure()
     scan_list, unusable = find_scans(scans)
     plan = make_plan(lake, scan_list, unusable, configuration)
@@ -170,7 +173,7 @@ def _run(lake: Lake, scans: Path) -> tuple[dict[str, float], str, str | None]:
     if plan.unusable or not plan.todo:
         return seconds, "capture", str(plan.unusable[0]) if plan.unusable else "no scan was found"
     for step in (step for step in plan.todo[0].todo if step.stage in STEPS):
-        run = execute(job_of(lake, plan.todo[0], step, configuration))
+        run = execute(dataclasses.replace(job_of(lake, plan.todo[0], step, configuration), processes=cores))
         seconds[step.stage] = run.seconds
         if run.outcome != "done":
             return seconds, step.stage, run.error or run.outcome

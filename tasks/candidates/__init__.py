@@ -7,13 +7,14 @@ a further member of the family `tasks.candidates.providers`.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Instance
 from tasks.candidates.assets import MadeAsset
-from tasks.candidates.library import index_library, library_files
+from tasks.candidates.library import LibraryIndex, index_library, library_files
 from tasks.candidates.provider import NothingToOffer, ProviderConfig
 from tasks.candidates.providers import provider_of
 from tasks.candidates.request import CandidateRequest
@@ -36,21 +37,54 @@ def run(*, instances: list[Instance], captions: list[Caption], library: Path | N
     if index is None and any(provider_of(slot.provider).needs_library for slot in config.slots):
         problems.append("no library given: its slots are filled by the furniture generator and flagged as fallback")
     by_instance = {caption.instance_id: caption for caption in captions}
+    objects = sorted((row for row in instances if not row.is_structure), key=lambda row: row.instance_id)
+    parts = [_Part(objects[k::PARTS], by_instance, objects, index, _context_of(objects[k::PARTS], context), config) for k in range(PARTS)]
+    filled = {name: slots for part in context.spread(_filled, [part for part in parts if part.own]) for name, slots in part.items()}
     candidates: list[Candidate] = []
     assets: dict[str, Asset] = {}
     blobs = Blobs()
-    objects = sorted((row for row in instances if not row.is_structure), key=lambda row: row.instance_id)
     for instance in objects:
-        request = CandidateRequest(instance, by_instance.get(instance.instance_id), context, index, objects)
-        for number, slot in enumerate(config.slots, start=1):
-            candidate, made = _fill(number, slot, request)
+        for candidate, made in filled[instance.instance_id]:
             candidates.append(candidate)
             if made is not None:
                 assets.setdefault(made.asset.asset_id, made.asset)
                 blobs.update(made.files)
             if candidate.outcome == "failed":
-                problems.append(f"{instance.instance_id} {instance.category}: slot {number} failed: {candidate.reason}")
+                problems.append(f"{instance.instance_id} {instance.category}: slot {candidate.slot} failed: {candidate.reason}")
     return Outcome(candidates=candidates, assets=[assets[key] for key in sorted(assets)], blobs=blobs, degradations=problems)
+
+
+PARTS = 8
+"""Parts that a scene's objects are dealt out to, for as many cores as there are: few enough that what all share may go with each."""
+
+Slotted = list[tuple[Candidate, MadeAsset | None]]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Part:
+    """Objects of a scene, `own`, with all that their slots are filled from; may go to another process."""
+
+    own: Sequence[Instance]
+    captions: Mapping[str, Caption]
+    objects: Sequence[Instance]
+    library: LibraryIndex | None
+    context: Context
+    config: CandidatesConfig
+
+
+def _context_of(objects: Sequence[Instance], context: Context) -> Context:
+    """The context with the blobs of some objects alone, and nothing of this process."""
+    names = {name for row in objects for name in (row.points_blob, row.mesh_blob) if name is not None and name in context.blobs}
+    return Context(context.scene_id, context.stage, context.seed, {name: context.blobs[name] for name in sorted(names)})
+
+
+def _filled(part: _Part) -> dict[str, Slotted]:
+    """The slots of a part's own objects, by instance."""
+    filled: dict[str, Slotted] = {}
+    for instance in part.own:
+        request = CandidateRequest(instance, part.captions.get(instance.instance_id), part.context, part.library, part.objects)
+        filled[instance.instance_id] = [_fill(number, slot, request) for number, slot in enumerate(part.config.slots, start=1)]
+    return filled
 
 
 def _fill(number: int, slot: SlotConfig, request: CandidateRequest) -> tuple[Candidate, MadeAsset | None]:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas.candidates import Asset
-from tasks.geometry.meshes import Surface, canonical, dump_glb, surface_of
-from tasks.geometry.triangles import enclosed_volume, welded
+from tasks.geometry.meshes import Surface, canonical, dump_bodies, dump_glb, surface_of
+from tasks.geometry.plain_glb import PlainBody
+from tasks.geometry.triangles import enclosed_volume, is_closed, welded
 
 if TYPE_CHECKING:
     import trimesh
@@ -47,8 +48,6 @@ def make_asset(
     Raises:
         ValueError: coordinates are not finite, extents are degenerate, or fewer than four vertices or faces are there.
     """
-    import trimesh
-
     surface = surface_of(parts)
     _check(surface)
     if len(surface.faces) > MAX_FACES:
@@ -58,19 +57,26 @@ def make_asset(
     surface = dataclasses.replace(surface, vertices=surface.vertices + shift)
     textured = any(getattr(part.visual, "kind", None) == "texture" for part in parts)
     # Vertex colors lose nothing in one mesh, and one mesh is a tenth of the work for all who read it.
-    bodies = canonical(parts) if textured else [surface.to_trimesh()]
     # Names inside the file make its hash, and so the asset, differ wherever the row would: one asset, one row.
-    data = dump_glb(bodies, [f"{name}|{category}|{index:03d}" for index in range(len(bodies))])
+    if textured:
+        data = dump_glb(canonical(parts), [f"{name}|{category}|{index:03d}" for index in range(len(parts))])
+    else:
+        opaque = np.column_stack([surface.colors, np.full(len(surface.colors), 255, dtype=np.uint8)])
+        data = dump_bodies([PlainBody(f"{name}|{category}|000", surface.vertices, surface.faces, opaque)])
     asset_id = hashlib.sha256(data).hexdigest()
     files = {f"{asset_id}.glb": data}
-    is_watertight, volume = _solidity(surface)
-    pieces_blob = None
+    closed, pieces_blob = _closed(surface), None
     if pieces:
-        placed = [trimesh.Trimesh(piece.vertices + shift, piece.faces, process=False) for piece in pieces]
-        pieces_data = dump_glb(placed, [f"piece_{index:03d}" for index in range(len(placed))])
+        placed = [
+            PlainBody(f"piece_{index:03d}", np.asarray(piece.vertices) + shift, np.asarray(piece.faces))
+            for index, piece in enumerate(pieces)
+        ]
+        pieces_data = dump_bodies(placed)
         pieces_blob = f"{hashlib.sha256(pieces_data).hexdigest()}.glb"
         files[pieces_blob] = pieces_data
         volume = sum(abs(enclosed_volume(piece.vertices, piece.faces)) for piece in placed)
+    else:
+        volume = _volume(surface, closed)
     asset = Asset(
         asset_id=asset_id,
         provider=provider,
@@ -83,7 +89,7 @@ def make_asset(
         pieces_blob=pieces_blob,
         extents=tuple(float(v) for v in np.ptp(surface.bounds, axis=0)),
         volume_m3=volume,
-        is_watertight=is_watertight,
+        is_watertight=closed is not None,
         vertex_count=len(surface.vertices),
         face_count=len(surface.faces),
     )
@@ -113,23 +119,26 @@ def decimated(surface: Surface, face_count: int) -> Surface:
     return Surface(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), surface.colors[nearest])
 
 
-def _solidity(surface: Surface) -> tuple[bool, float]:
-    """Whether a surface is closed, as it is indexed or once equal corners are one (textures split them), and its volume
-    [m3]; its hull's volume when it is open or wound inconsistently."""
+def _closed(surface: Surface) -> Surface | None:
+    """A surface that is closed, as it is indexed or once equal corners are one (textures split them); None for an open one."""
+    if is_closed(surface.faces):
+        return surface
+    first, place = welded(surface.vertices, 7)
+    faces = place[surface.faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    return Surface(surface.vertices[first], faces, surface.colors[first]) if is_closed(faces) else None
+
+
+def _volume(surface: Surface, closed: Surface | None) -> float:
+    """Volume of a surface whose closed form is known [m3]; its hull's volume when it is open or wound inconsistently."""
     import trimesh
 
     hull = hull_volume(surface)
-    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    if not mesh.is_watertight:
-        first, place = welded(surface.vertices, 7)
-        faces = place[surface.faces]
-        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-        mesh = trimesh.Trimesh(surface.vertices[first], faces, process=False)
-    if not len(mesh.faces) or not mesh.is_watertight:
-        return False, hull
-    volume = abs(enclosed_volume(mesh.vertices, mesh.faces)) if mesh.is_winding_consistent else 0.0
+    if closed is None or not trimesh.Trimesh(closed.vertices, closed.faces, process=False).is_winding_consistent:
+        return hull
+    volume = abs(enclosed_volume(closed.vertices, closed.faces))
     # Bodies that reach into each other count twice in the sum over faces, never more than the hull holds.
-    return True, min(volume, hull) if volume > 0 else hull
+    return min(volume, hull) if volume > 0 else hull
 
 
 def hull_volume(surface: Surface) -> float:

@@ -61,7 +61,7 @@ COLOR_POINTS = 8_000
 """Points of the scan that colors are taken from: one per 2 cm on a wardrobe."""
 
 _DIRECTIONS: NDArray[np.float32] = np.array(
-    [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    [[0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]]  # first what settles most: what is above a seat sees it
     + [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-0.6, 0.6)],
     dtype=np.float32,
 )  # fmt: skip
@@ -148,21 +148,24 @@ def _smoothed(crop: Surface) -> Array:
 
 
 def _inside(scene: RayScene, nodes: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether rays from nodes, shape (n, 3), tell that they are inside; shape (n,)."""
-    backs, backs_above, fronts = (np.zeros(len(nodes), dtype=np.int64) for _ in range(3))
-    rays = np.empty((len(nodes), 6), dtype=np.float32)
-    rays[:, :3] = nodes
-    for direction in _DIRECTIONS:
-        rays[:, 3:] = direction
-        hits = scene.cast(rays)
-        met = np.isfinite(hits["t_hit"])
-        leaving = hits["primitive_normals"] @ direction > 0
-        backs += met & leaving
-        backs_above += met & leaving & (direction[2] >= 0)
-        fronts += met & ~leaving
+    """Whether rays from nodes, shape (n, 3), tell that they are inside; shape (n,). Nodes that cannot be any more cast no further rays."""
     count, above = len(_DIRECTIONS), int((_DIRECTIONS[:, 2] >= 0).sum())
-    closed_in = (backs >= INSIDE_SHARE * count) | (backs_above >= INSIDE_SHARE_ABOVE * above)
-    return np.asarray(closed_in & (fronts <= FRONT_SHARE * count))
+    left, left_above = count, above
+    open_ones = np.arange(len(nodes))
+    backs, backs_above, fronts = (np.zeros(len(nodes), dtype=np.int64) for _ in range(3))
+    for direction in _DIRECTIONS:
+        side = scene.sides(nodes[open_ones], direction)
+        is_above = int(direction[2] >= 0)
+        left, left_above = left - 1, left_above - is_above
+        backs = backs + (side > 0)
+        backs_above = backs_above + is_above * (side > 0)
+        fronts = fronts + (side < 0)
+        closed_in = (backs + left >= INSIDE_SHARE * count) | (backs_above + left_above >= INSIDE_SHARE_ABOVE * above)
+        may = closed_in & (fronts <= FRONT_SHARE * count)
+        open_ones, backs, backs_above, fronts = open_ones[may], backs[may], backs_above[may], fronts[may]
+    inside = np.zeros(len(nodes), dtype=bool)
+    inside[open_ones] = True
+    return inside
 
 
 def _grounded(field: NDArray[np.float32], heights: Array, bottom: float, step: float) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from tasks.candidates.closing import SolidField, closed_mesh, fitted, manifold_a
 from tasks.candidates.pieces import convex_pieces
 from tasks.candidates.provider import CandidateProvider, NothingToOffer
 from tasks.geometry.boxes import grown_box
-from tasks.geometry.meshes import Surface, load_glb, surface_of
+from tasks.geometry.meshes import Surface, surface_of_glb
 from tasks.geometry.transforms import inverse, translation
 from tasks.geometry.triangles import surface_area
 from tasks.settings import Config
@@ -61,7 +61,7 @@ def crop_of(instance: Instance, context: Context) -> Surface:
         raise ValueError("the scan has no faces of the instance")
     if instance.mesh_blob not in context.blobs:
         raise ValueError("the faces of the instance are not among the blobs")
-    world = surface_of(load_glb(context.blobs[instance.mesh_blob], instance.mesh_blob))
+    world = surface_of_glb(context.blobs[instance.mesh_blob], instance.mesh_blob)
     pose, size = grown_box(instance.box_pose, instance.box_size, instance.hidden_m)
     to_box = translation((0, 0, size[2] / 2)) @ inverse(pose)
     local = world.transformed(to_box)

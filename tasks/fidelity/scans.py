@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas.capture import Instance, Scene
-from tasks.geometry.meshes import Surface, load_glb, read_points, surface_of, union_of
+from tasks.geometry.meshes import Surface, load_glb, read_points, surface_of, surface_of_glb, union_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -41,7 +41,7 @@ def scanned_surface(scene: Scene, instances: Sequence[Instance], blobs: Mapping[
     for instance in sorted(instances, key=lambda i: i.instance_id):
         name = f"{scene.scene_id} {instance.instance_id}"
         if instance.mesh_blob is not None:
-            surfaces[instance.instance_id] = surface_of(load_glb(blobs[instance.mesh_blob], f"{name}.glb"))
+            surfaces[instance.instance_id] = surface_of_glb(blobs[instance.mesh_blob], f"{name}.glb")
         else:
             surfaces[instance.instance_id] = _of_points(blobs[instance.points_blob], f"{name}.ply")
             bare.append(instance.instance_id)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.geometry.pieces import Hull
+from tasks.geometry.triangles import crosses, distinct_rows
 
 Array = NDArray[np.float64]
 Span = tuple[float, float]
@@ -62,7 +63,7 @@ def hull(points: ArrayLike) -> Hull:
     convex = ConvexHull(cloud)
     faces = convex.simplices.astype(np.int64)
     a, b, c = (cloud[faces[:, i]] for i in range(3))
-    inward = np.einsum("nd,nd->n", np.cross(b - a, c - a), convex.equations[:, :3]) < 0
+    inward = np.einsum("nd,nd->n", crosses(b - a, c - a), convex.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     used, dense = np.unique(faces, return_inverse=True)
     return Hull(cloud[used], dense.reshape(-1, 3))
@@ -78,8 +79,8 @@ def loft(rings: ArrayLike) -> Hull:
     fan = np.stack([np.zeros(size - 2, dtype=np.int64), np.arange(1, size - 1), np.arange(2, size)], axis=1)
     faces = np.concatenate([sides.reshape(-1, 3), fan[:, ::-1], fan + (count - 1) * size])
     points = stack.reshape(-1, 3)
-    _, first, dense = np.unique(np.round(points / _MERGE_M).astype(np.int64), axis=0, return_index=True, return_inverse=True)
-    faces = dense.reshape(-1)[faces]
+    first, dense = distinct_rows(np.round(points / _MERGE_M).astype(np.int64))
+    faces = dense[faces]
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return Hull(points[first], faces[whole])
 

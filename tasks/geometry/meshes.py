@@ -17,6 +17,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.containers import weigh_glb
 from tasks.geometry.encoded_images import keep_encoded, put_encoded, textures
+from tasks.geometry.plain_glb import PlainBody, read_plain, write_plain
 from tasks.geometry.transforms import Y_UP_TO_Z_UP, Z_UP_TO_Y_UP
 from tasks.geometry.triangles import face_crosses, spread
 
@@ -76,6 +77,9 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     import trimesh
 
     document = weigh_glb(data, file)
+    plain = read_plain(data, document)
+    if plain is not None:
+        return [body.mesh() for body in plain]
     try:
         with warnings.catch_warnings(), np.errstate(invalid="ignore", over="ignore"):
             warnings.simplefilter("ignore")  # Pillow's own, of images that are refused here
@@ -103,6 +107,14 @@ def load_glb(data: bytes, file: str = "mesh.glb") -> list[trimesh.Trimesh]:
     if not parts:
         raise InputError(file, "meshes", "holds no triangles", "export it with its geometry")
     return parts
+
+
+def surface_of_glb(data: bytes, file: str = "mesh.glb") -> Surface:
+    """All triangles of a GLB as one surface in a +Z-up frame [m]: the parts that `load_glb` gives, merged; raises as that does."""
+    plain = read_plain(data, weigh_glb(data, file))
+    if plain is None:
+        return surface_of(load_glb(data, file))
+    return union_of([Surface(b.vertices, b.faces, _gray(len(b.vertices)) if b.colors is None else b.colors[:, :3]) for b in plain])
 
 
 def _names(scene: trimesh.Scene, document: Mapping[str, Any]) -> dict[Any, str]:
@@ -211,9 +223,13 @@ def dump_glb(parts: Sequence[trimesh.Trimesh], names: Sequence[str] | None = Non
     """A GLB (+Y up) of parts in a +Z-up frame [m], one node each. The same parts give the same bytes."""
     import trimesh
 
+    names = names or [f"part_{index:03d}" for index in range(len(parts))]
+    bodies = [PlainBody.of(part, name) for part, name in zip(parts, names, strict=True)]
+    plain = write_plain([body for body in bodies if body is not None]) if None not in bodies else None
+    if plain is not None:
+        return plain
     scene = trimesh.Scene()
-    for index, part in enumerate(parts):
-        name = names[index] if names else f"part_{index:03d}"
+    for part, name in zip(parts, names, strict=True):
         turned = part.copy()
         turned.apply_transform(Z_UP_TO_Y_UP)
         turned.metadata.clear()
@@ -221,6 +237,11 @@ def dump_glb(parts: Sequence[trimesh.Trimesh], names: Sequence[str] | None = Non
         scene.add_geometry(turned, node_name=name, geom_name=name)
     data = scene.export(file_type="glb", include_normals=False)
     return bytes(data)
+
+
+def dump_bodies(bodies: Sequence[PlainBody]) -> bytes:
+    """The GLB that `dump_glb` makes of bodies as meshes."""
+    return write_plain(bodies) or dump_glb([body.mesh() for body in bodies], [body.name for body in bodies])
 
 
 def surface_of(parts: Sequence[trimesh.Trimesh]) -> Surface:
@@ -251,7 +272,7 @@ def asset_surface(blob: str, blobs: Mapping[str, bytes], file: str, cache: Mutab
         InputError: the file is no GLB, holds no triangles, or holds coordinates that are not finite.
     """
     if blob not in cache:
-        surface = surface_of(load_glb(blobs[blob], file))
+        surface = surface_of_glb(blobs[blob], file)
         counts = np.array([len(surface.vertices), len(surface.faces)], dtype="<i8")
         columns = (counts, surface.vertices.astype("<f8"), surface.faces.astype("<i8"), surface.colors)
         cache[blob] = b"".join(np.ascontiguousarray(column).tobytes() for column in columns)
@@ -271,8 +292,13 @@ def vertex_colors(part: trimesh.Trimesh) -> NDArray[np.uint8]:
             return sample_texture(image, np.asarray(uv), factor)
         return np.tile(np.round(factor * 255).astype(np.uint8), (len(part.vertices), 1))
     if visual.kind is None:
-        return np.full((len(part.vertices), 3), 180, dtype=np.uint8)
+        return _gray(len(part.vertices))
     return np.asarray(visual.vertex_colors, dtype=np.uint8)[:, :3]
+
+
+def _gray(count: int) -> NDArray[np.uint8]:
+    """Colors of vertices that have none, shape (count, 3)."""
+    return np.full((count, 3), 180, dtype=np.uint8)
 
 
 def material_of(part: trimesh.Trimesh) -> tuple[NDArray[np.uint8] | None, NDArray[np.float64]]:

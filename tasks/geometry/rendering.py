@@ -130,6 +130,17 @@ class RayScene:
             hits["primitive_normals"][hit] = normal / np.where(length > 0, length, 1)
         return {name: values.reshape(*shape, *values.shape[1:]) for name, values in hits.items()}
 
+    def sides(self, origins: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.int8]:
+        """Which side of a face rays from points, shape (n, 3), into one direction meet first: 1 its back, -1 its front or its edge, 0
+        nothing; shape (n,)."""
+        met = np.zeros(len(origins), dtype=np.int8)
+        if self._scene is not None and len(origins):
+            directions = np.tile(np.asarray(direction, dtype=np.float32), (len(origins), 1))
+            answer = self._scene.run(np.ascontiguousarray(origins, dtype=np.float32), directions, output=True)
+            leaving = np.einsum("nd,d->n", np.asarray(answer["Ng"], dtype=np.float32), directions[0]) > 0
+            met[:] = np.where(np.asarray(answer["primID"]) >= 0, np.where(leaving, 1, -1), 0)
+        return met
+
     def render(
         self,
         camera: Camera,

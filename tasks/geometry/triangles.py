@@ -23,7 +23,14 @@ MOST_FACES = 64
 def face_crosses(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Cross product of two edges of each face: its normal, twice its area long [m2], shape (m, 3)."""
     a, b, c = np.asarray(vertices)[np.asarray(faces).T]
-    return np.cross(b - a, c - a)
+    return crosses(b - a, c - a)
+
+
+def crosses(first: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
+    """Cross products of vectors, shapes (m, 3), as NumPy's to the bit and in a fraction of its time where they are few."""
+    x, y, z = first.T
+    u, v, w = other.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def face_areas(vertices: ArrayLike, faces: ArrayLike) -> Array:
@@ -39,7 +46,17 @@ def surface_area(vertices: ArrayLike, faces: ArrayLike) -> float:
 def enclosed_volume(vertices: ArrayLike, faces: ArrayLike) -> float:
     """Volume inside a closed surface [m3], negative where faces look inward: sum over tetrahedra to the origin."""
     a, b, c = np.asarray(vertices)[np.asarray(faces).T]
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+    return float(np.einsum("ij,ij->i", a, crosses(b, c)).sum() / 6.0)
+
+
+def is_closed(faces: ArrayLike) -> bool:
+    """Whether every edge has two faces."""
+    corners = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    if not len(edges) or len(edges) % 2:
+        return False
+    keys = np.sort(edges[:, 0] * (edges.max() + 1) + edges[:, 1])
+    return bool((keys[::2] == keys[1::2]).all() and (keys[1:-1:2] != keys[2::2]).all())
 
 
 def spread(vertices: Array, faces: Integers, count: int, rng: np.random.Generator) -> tuple[Integers, Array]:
@@ -98,5 +115,15 @@ def corner_normals(vertices: Array, faces: Integers, crease: float) -> Array:
 
 def welded(vertices: Array, decimals: int = WELD_DECIMALS) -> tuple[Integers, Integers]:
     """The first vertex at each place, shape (k,), and the place of each vertex, shape (n,)."""
-    _, first, place = np.unique(np.round(vertices, decimals), axis=0, return_index=True, return_inverse=True)
-    return first, place.reshape(-1)
+    return distinct_rows(np.round(vertices, decimals))
+
+
+def distinct_rows(rows: NDArray[Any]) -> tuple[Integers, Integers]:
+    """The first of each of the distinct rows in ascending order, shape (k,), and which of them each row is, shape (n,). Rows: shape
+    (n, d), n at least 1."""
+    order = np.lexsort(rows.T[::-1])
+    ascending = rows[order]
+    begins = np.concatenate([[True], (ascending[1:] != ascending[:-1]).any(axis=1)])
+    place = np.empty(len(rows), dtype=np.int64)
+    place[order] = np.cumsum(begins) - 1
+    return order[begins], place

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from tasks.geometry.meshes import load_glb, sample_surface, surface_of
+from tasks.geometry.meshes import sample_surface, surface_of_glb
 from tasks.geometry.triangles import surface_area
-from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices, spacing
+from tasks.selection.distances import clamped, coarse_distances, disc_distances, nearest_indices, nearest_turn, spacing
 from tasks.settings import Config, Whole
 
 Array = NDArray[np.float64]
@@ -58,13 +58,16 @@ HIDDEN_M = 0.05
 class ScannedInstance:
     """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
     `spacing`: distance between neighboring points [m]; `seen`: lowest and highest corner of the part of the box that the scan could
-    see, shape (2, 3) [m]."""
+    see, shape (2, 3) [m]. Known once they were asked for: `spans`, its size and middle along the axes of an asset, by the asset's yaw;
+    `parts`, the instance with fewer points, by how many."""
 
     points: Array
     colors: NDArray[np.uint8]
     size: Array
     spacing: float
     seen: Array = dataclasses.field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
+    spans: dict[float, tuple[Array, Array]] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
+    parts: dict[int, ScannedInstance] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def is_cut_off(self) -> bool:
@@ -72,10 +75,19 @@ class ScannedInstance:
         low, high = self.seen[:, :2]
         return bool((low > HIDDEN_M - 0.5 * self.size[:2]).any() or (high < 0.5 * self.size[:2] - HIDDEN_M).any())
 
+    def thinned(self, count: int) -> ScannedInstance:
+        """The instance with its first points alone."""
+        if count not in self.parts:
+            points = self.points[:count]
+            self.parts[count] = dataclasses.replace(self, points=points, spacing=spacing(points))
+        return self.parts[count]
+
     def weights(self, placed: Array, normals: Array, config: AlignmentConfig) -> Array:
-        """How much samples of a surface, with unit normals, shapes (m, 3), count where no point is near: little where none could be."""
+        """What samples of a surface, with unit normals, shapes (..., m, 3), count where no point is near: little where none could be."""
         low, high = self.seen
-        hidden = (normals[:, 2] < config.hidden_normal) | (placed < low - HIDDEN_M).any(axis=1) | (placed > high + HIDDEN_M).any(axis=1)
+        hidden = normals[..., 2] < config.hidden_normal
+        if np.isfinite(self.seen).any():
+            hidden |= (placed < low - HIDDEN_M).any(axis=-1) | (placed > high + HIDDEN_M).any(axis=-1)
         return np.where(hidden, config.hidden_weight, 1.0)
 
     @property
@@ -97,12 +109,18 @@ class Sample:
 
     def placed(self, fit: Fit) -> tuple[Array, Array, float]:
         """Points, unit normals and disc radius of the samples in the instance's frame [m]."""
-        turn = _turn(fit.yaw)
-        points = (self.points * fit.scale) @ turn.T + fit.offset
-        normals = (self.normals / fit.scale) @ turn.T
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        stretch = float(np.prod(fit.scale)) ** (2 / 3)  # area grows with the square of the mean scale
-        return points, normals, float(np.sqrt(self.area * stretch / (np.pi * len(self.points))))
+        points, normals, radii = self.placed_all([fit])
+        return points[0], normals[0], float(radii[0])
+
+    def placed_all(self, fits: Sequence[Fit]) -> tuple[Array, Array, Array]:
+        """The same for several fits at a time, shapes (p, m, 3), (p, m, 3) and (p,)."""
+        turns = np.stack([_turn(fit.yaw).T for fit in fits])
+        scales = np.stack([fit.scale for fit in fits])
+        points = (self.points * scales[:, None]) @ turns + np.stack([fit.offset for fit in fits])[:, None]
+        normals = (self.normals / scales[:, None]) @ turns
+        normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
+        stretch = [float(np.prod(scale)) ** (2 / 3) for scale in scales]  # area grows with the square of the mean scale
+        return points, normals, np.sqrt(self.area * np.array(stretch) / (np.pi * len(self.points)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,7 +156,7 @@ def sample_asset(asset: Asset, glb: bytes, config: AlignmentConfig, rng: np.rand
         InputError: the GLB cannot be read.
         ValueError: its surface has no area.
     """
-    surface = surface_of(load_glb(glb, asset.mesh_blob))
+    surface = surface_of_glb(glb, asset.mesh_blob)
     area = surface_area(surface.vertices, surface.faces)
     points, colors, normals = sample_surface(surface, config.samples, rng)
     order = rng.permutation(config.samples)
@@ -175,7 +193,7 @@ def measure(target: ScannedInstance, sample: Sample, fit: Fit, threshold: float,
     weights = target.weights(placed, normals, config)
     return Distances(
         scan=float(np.minimum(scan, limit).mean()),
-        asset=_seen_mean(np.minimum(back, limit), weights, config.seen_share),
+        asset=float(_seen_means(np.minimum(back, limit)[None], weights[None], config.seen_share)[0]),
         chamfer=0.5 * float(scan.mean() + back.mean()),
         coverage=float((scan <= threshold).mean()),
     )
@@ -194,8 +212,7 @@ def align(target: ScannedInstance, sample: Sample, threshold: float, config: Ali
     order = np.argsort(np.round(costs / target.diagonal, 6), kind="stable")
     near = [i for i in order[: config.starts].tolist() if costs[i] <= config.hopeless * costs[order[0]]]
     starts = sorted({*near, next(i for i in order.tolist() if square[i])})
-    points = target.points[: config.refine_points]
-    rough = dataclasses.replace(target, points=points, spacing=spacing(points))
+    rough = target.thinned(config.refine_points)
     few = dataclasses.replace(sample, points=sample.points[: config.refine_samples], normals=sample.normals[: config.refine_samples])
     tried = [fits[i] for i in starts if square[i]]
     for i in starts:
@@ -216,16 +233,13 @@ def refine(target: ScannedInstance, sample: Sample, fit: Fit, config: AlignmentC
     start, reach = fit, config.refine_shift * target.size[:2]
     points = target.points
     keep = max(int(config.refine_share * len(points)), 3)
+    scaled = sample.points * fit.scale
     for _ in range(config.refine_steps):
-        placed = (sample.points * fit.scale) @ _turn(fit.yaw).T + fit.offset
-        index, distance = nearest_indices(points, placed)
-        used = np.argsort(distance, kind="stable")[:keep]
-        to, source = points[used, :2], placed[index[used], :2]
-        a, b = source - source.mean(axis=0), to - to.mean(axis=0)
-        turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+        across, along, source, to = nearest_turn(points, scaled @ _turn(fit.yaw).T + fit.offset, keep)
+        turn = float(np.arctan2(across, along))
         yaw = float(np.clip(fit.yaw + turn, start.yaw - config.refine_yaw_radians, start.yaw + config.refine_yaw_radians))
         around = _turn(yaw - fit.yaw)[:2, :2]
-        moved = around @ (fit.offset[:2] - source.mean(axis=0)) + to.mean(axis=0)
+        moved = around @ (fit.offset[:2] - source) + to
         moved = np.clip(moved, start.offset[:2] - reach, start.offset[:2] + reach)
         change = abs(yaw - fit.yaw) * target.diagonal + float(np.abs(moved - fit.offset[:2]).max())
         fit = dataclasses.replace(fit, yaw=yaw, offset=np.array([*moved, fit.offset[2]]))
@@ -237,56 +251,51 @@ def refine(target: ScannedInstance, sample: Sample, fit: Fit, config: AlignmentC
 def clamp_scale(ratio: Sequence[float] | Array, weight: Sequence[float] | Array, config: AlignmentConfig) -> Array:
     """Scales nearest to the asked ones, shape (3,), in weighted least squares of their logarithms, that keep the limits
     on each axis and on the largest over the smallest."""
-    logs = [math.log(r) for r in ratio]
-    weights = [float(w) for w in weight]
-    half = 0.5 * math.log(config.anisotropy)
-    # all logarithms are brought into a window of this half width; the squared change is convex in the window's middle
-    low, high = min(logs) - half, max(logs) + half
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        slope = sum(w * (min(max(v, middle - half), middle + half) - v) for v, w in zip(logs, weights, strict=True))
-        low, high = (middle, high) if slope < 0 else (low, middle)
-    # clipping to the limits moves no two logarithms farther apart
-    least, most = math.log(config.smallest_scale), math.log(config.largest_scale)
-    return np.array([math.exp(min(max(min(max(v, middle - half), middle + half), least), most)) for v in logs])
+    limits = 0.5 * math.log(config.anisotropy), math.log(config.smallest_scale), math.log(config.largest_scale)
+    return clamped(np.asarray(ratio, dtype=np.float64), np.asarray(weight, dtype=np.float64), *limits)
 
 
 def _boxed(target: ScannedInstance, sample: Sample, yaw: float, config: AlignmentConfig) -> Fit:
     """The pose for a yaw whose box is the instance's box along the asset's axes, as far as the limits allow."""
-    turn = _turn(yaw)[:2, :2]
-    quarter = yaw / (np.pi / 2)
-    if abs(quarter - round(quarter)) < 1e-9 or target.is_cut_off:
-        square = _turn(round(quarter) * np.pi / 2)[:2, :2]
-        size, center = np.abs(square.T @ target.size[:2]), np.zeros(2)
-    else:
-        local = target.points[:, :2] @ turn
-        low, high = local.min(axis=0), local.max(axis=0)
-        size, center = high - low, turn @ (0.5 * (low + high))
+    if yaw not in target.spans:
+        target.spans[yaw] = _span(target, yaw)
+    size, center = target.spans[yaw]
     wanted = np.maximum(np.array([*size, target.size[2]]), 5e-3)
     scale = clamp_scale(wanted / sample.extents, wanted / (wanted + config.thin_m), config)
     return Fit(yaw, np.array([*center, 0.0]), scale)
 
 
+def _span(target: ScannedInstance, yaw: float) -> tuple[Array, Array]:
+    """How long and wide an instance is along the axes of an asset of a yaw, and its middle, both shape (2,) [m]."""
+    turn = _turn(yaw)[:2, :2]
+    quarter = yaw / (np.pi / 2)
+    if abs(quarter - round(quarter)) < 1e-9 or target.is_cut_off:
+        square = _turn(round(quarter) * np.pi / 2)[:2, :2]
+        return np.abs(square.T @ target.size[:2]), np.zeros(2)
+    local = target.points[:, :2] @ turn
+    low, high = local.min(axis=0), local.max(axis=0)
+    return high - low, turn @ (0.5 * (low + high))
+
+
 def _coarse_costs(target: ScannedInstance, sample: Sample, fits: Sequence[Fit], config: AlignmentConfig) -> Array:
     """Cost of every pose by a part of the points and samples [m], shape (p,)."""
     part = dataclasses.replace(sample, points=sample.points[: config.coarse], normals=sample.normals[: config.coarse])
-    placed, normals, radii = zip(*(part.placed(fit) for fit in fits), strict=True)
-    out, back = coarse_distances(target.points[: config.coarse], np.stack(placed))
+    placed, normals, radii = part.placed_all(fits)
+    out, back = coarse_distances(target.points[: config.coarse], placed)
     limit = config.truncation * target.diagonal
-    costs = []
-    for p in range(len(fits)):
-        weights = target.weights(placed[p], normals[p], config)
-        seen = _seen_mean(np.minimum(back[p], limit), weights, config.seen_share)
-        costs.append(float(np.minimum(np.maximum(out[p] - 0.5 * radii[p], 0.0), limit).mean()) + 0.5 * seen)
-    return np.array(costs)
+    weights = target.weights(placed, normals, config)
+    near = np.minimum(np.maximum(out - 0.5 * radii[:, None], 0.0), limit).mean(axis=1)
+    return near + 0.5 * _seen_means(np.minimum(back, limit), weights, config.seen_share)
 
 
-def _seen_mean(distances: Array, weights: Array, share: float) -> float:
-    """Weighted mean of the smallest distances that hold `share` of the weight."""
-    order = np.argsort(distances, kind="stable")
-    reached = np.cumsum(weights[order])
-    kept = order[: int(np.searchsorted(reached, share * reached[-1])) + 1]
-    return float((distances[kept] * weights[kept]).sum() / weights[kept].sum())
+def _seen_means(distances: Array, weights: Array, share: float) -> Array:
+    """Weighted means of the smallest distances that hold `share` of the weight, of each row: shapes (p, m) to (p,)."""
+    order = np.argsort(distances, axis=1, kind="stable")
+    nearest, first = np.take_along_axis(distances, order, axis=1), np.take_along_axis(weights, order, axis=1)
+    reached = np.cumsum(first, axis=1)
+    counts = (reached < share * reached[:, -1:]).sum(axis=1) + 1
+    sums = [(float((d[:n] * w[:n]).sum()), float(w[:n].sum())) for d, w, n in zip(nearest, first, counts.tolist(), strict=True)]
+    return np.array([distance / weight for distance, weight in sums])
 
 
 def _turn(yaw: float) -> Array:

@@ -15,6 +15,10 @@ from tasks.kernels import Kernels, compile_kernels
 
 Array = NDArray[np.float64]
 
+_BLOCK = 8  # samples that lie together, of which none is looked at where their sphere is too far
+_BITS = 4  # of each coordinate, for the order of samples
+_SLACK = 1e-9  # bounds are this much looser than the numbers: rounding rules nothing out
+
 
 def coarse_distances(points: Array, placed: Array) -> tuple[Array, Array]:
     """Nearest distances both ways for several placements of one cloud [m].
@@ -32,10 +36,24 @@ def nearest_indices(points: Array, samples: Array) -> tuple[NDArray[np.int64], A
     return np.asarray(index), np.asarray(distance)
 
 
+def nearest_turn(points: Array, placed: Array, keep: int) -> tuple[float, float, Array, Array]:
+    """How the `keep` points that are nearest to samples must be met: sums over the pairs of a point and its nearest sample, about their
+    middles in plan, of the sine and of the cosine of the turn between them, times both lengths [m2], and the middles of these samples and
+    points, both shape (2,) [m]. Shapes (k, 3) and (m, 3)."""
+    across, along, source, to = _compiled()["_turned"](np.ascontiguousarray(points), np.ascontiguousarray(placed), keep)
+    return float(across), float(along), source, to
+
+
 def disc_distances(points: Array, centers: Array, normals: Array, radius: float) -> Array:
     """Distance of every point to the nearest of flat discs [m]: shape (k,). Centers and unit normals: shape (m, 3)."""
     kernel = _compiled()["_discs"]
     return np.asarray(kernel(np.ascontiguousarray(points), np.ascontiguousarray(centers), np.ascontiguousarray(normals), float(radius)))
+
+
+def clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
+    """Scales, shape (3,), whose logarithms are the nearest in weighted least squares to those of `ratio` that lie within a window of
+    twice `half`, then from `least` to `most`."""
+    return np.asarray(_compiled()["_clamped"](ratio, weight, half, least, most))
 
 
 def spacing(points: Array) -> float:
@@ -49,7 +67,27 @@ def spacing(points: Array) -> float:
 
 @cache
 def _compiled() -> Kernels:
-    return compile_kernels(_coarse, _nearest, _discs)
+    return compile_kernels(_blocks, _clamped, _coarse, _ahead, _nearest, _part_sum, _sum, _turned, _discs)
+
+
+def _clamped(ratio: Array, weight: Array, half: float, least: float, most: float) -> Array:
+    logs = np.log(ratio)
+    # all logarithms are brought into a window of this half width; the squared change is convex in the window's middle
+    low, high = logs.min() - half, logs.max() + half
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        slope = 0.0
+        for a in range(len(logs)):
+            slope += weight[a] * (min(max(logs[a], middle - half), middle + half) - logs[a])
+        if slope < 0:
+            low = middle
+        else:
+            high = middle
+    # clipping to the limits moves no two logarithms farther apart
+    scale = np.empty(len(logs))
+    for a in range(len(logs)):
+        scale[a] = np.exp(min(max(min(max(logs[a], middle - half), middle + half), least), most))
+    return scale
 
 
 def _coarse(points: Array, placed: Array) -> tuple[Array, Array]:
@@ -70,36 +108,161 @@ def _coarse(points: Array, placed: Array) -> tuple[Array, Array]:
     return np.sqrt(out), np.sqrt(back)
 
 
+def _blocks(samples: Array) -> tuple[NDArray[np.int64], Array, Array]:
+    """Samples, shape (m, 3), ordered along a curve that fills space, as columns, shape (3, m), with spheres around every `_BLOCK` of
+    them, shape (4, blocks): their middles and radii [m]."""
+    m = samples.shape[0]
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for j in range(m):
+        for a in range(3):
+            low[a], high[a] = min(low[a], samples[j, a]), max(high[a], samples[j, a])
+    side = max(high[0] - low[0], high[1] - low[1], high[2] - low[2], 1e-12) / 2**_BITS * (1 + _SLACK)
+    code, starts = np.empty(m, dtype=np.int64), np.zeros(8**_BITS + 1, dtype=np.int64)
+    for j in range(m):
+        code[j] = 0
+        for a in range(3):
+            cell = int((samples[j, a] - low[a]) / side)
+            for bit in range(_BITS):
+                code[j] |= (cell >> bit & 1) << (3 * bit + a)
+        starts[code[j] + 1] += 1
+    for c in range(8**_BITS):
+        starts[c + 1] += starts[c]
+    order, columns = np.empty(m, dtype=np.int64), np.empty((3, m))
+    for j in range(m):
+        at = starts[code[j]]
+        starts[code[j]] += 1
+        order[at] = j
+        for a in range(3):
+            columns[a, at] = samples[j, a]
+    spheres = np.zeros((4, -(-m // _BLOCK)))
+    for b in range(spheres.shape[1]):
+        first, last = b * _BLOCK, min((b + 1) * _BLOCK, m)
+        for a in range(3):
+            near, far = columns[a, first], columns[a, first]
+            for j in range(first + 1, last):
+                near, far = min(near, columns[a, j]), max(far, columns[a, j])
+            spheres[a, b] = 0.5 * (near + far)
+        for j in range(first, last):
+            x, y, z = columns[0, j] - spheres[0, b], columns[1, j] - spheres[1, b], columns[2, j] - spheres[2, b]
+            spheres[3, b] = max(spheres[3, b], x * x + y * y + z * z)
+        spheres[3, b] = np.sqrt(spheres[3, b]) * (1 + _SLACK) + _SLACK
+    return order, columns, spheres
+
+
+def _ahead(spheres: Array, x: float, y: float, z: float, middle: Array) -> int:
+    """The sphere whose middle is nearest to a point; puts the squares of all distances into `middle`."""
+    start = 0
+    for b in range(spheres.shape[1]):
+        p, q, r = spheres[0, b] - x, spheres[1, b] - y, spheres[2, b] - z
+        middle[b] = p * p + q * q + r * r
+        if middle[b] < middle[start]:
+            start = b
+    return start
+
+
 def _nearest(points: Array, samples: Array) -> tuple[NDArray[np.int64], Array]:
     k, m = points.shape[0], samples.shape[0]
     index = np.zeros(k, dtype=np.int64)
     distance = np.empty(k)
+    order, columns, spheres = _blocks(samples)
+    blocks = spheres.shape[1]
+    middle = np.empty(blocks)
     for i in range(k):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        best, at = np.inf, 0
-        for j in range(m):
-            a, b, c = samples[j, 0] - x, samples[j, 1] - y, samples[j, 2] - z
-            d = a * a + b * b + c * c
-            if d < best:
-                best, at = d, j
+        start = _ahead(spheres, x, y, z, middle)
+        best, at, root = np.inf, 0, np.inf
+        for n in range(blocks + 1):  # the nearest block first, then all that may hold a nearer sample
+            b = n - 1 if n else start
+            if middle[b] > (root + spheres[3, b]) ** 2:
+                continue
+            for j in range(b * _BLOCK, min((b + 1) * _BLOCK, m)):
+                p, q, r = columns[0, j] - x, columns[1, j] - y, columns[2, j] - z
+                d = p * p + q * q + r * r
+                if d < best or (d == best and order[j] < at):
+                    best, at = d, order[j]
+            root = np.sqrt(best) * (1 + _SLACK)
         index[i], distance[i] = at, np.sqrt(best)
     return index, distance
+
+
+def _part_sum(values: Array, start: int, count: int) -> float:
+    """Sum of a few values, eight at a time."""
+    lanes, last = np.zeros(8), start + count - count % 8
+    for i in range(start, last, 8):
+        for lane in range(8):
+            lanes[lane] += values[i + lane]
+    total = ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3])) + ((lanes[4] + lanes[5]) + (lanes[6] + lanes[7]))
+    for i in range(last, start + count):
+        total += values[i]
+    return float(total)
+
+
+def _sum(values: Array) -> float:
+    """Sum of values by halves, in the order of NumPy's: errors stay small. Halves wait on a stack, -1 for two to be added."""
+    starts, counts, sums = np.zeros(128, dtype=np.int64), np.zeros(128, dtype=np.int64), np.zeros(128)
+    counts[0], depth, done = len(values), 1, 0
+    while depth > 0:
+        depth -= 1
+        start, count = starts[depth], counts[depth]
+        if count < 0:
+            done -= 1
+            sums[done - 1] += sums[done]
+        elif count <= 128:
+            sums[done] = _part_sum(values, start, count)
+            done += 1
+        else:
+            half = count // 2 - (count // 2) % 8
+            counts[depth] = -1
+            starts[depth + 1], counts[depth + 1] = start + half, count - half
+            starts[depth + 2], counts[depth + 2] = start, half
+            depth += 3
+    return float(sums[0])
+
+
+def _turned(points: Array, placed: Array, keep: int) -> tuple[float, float, Array, Array]:
+    index, distance = _nearest(points, placed)
+    used = np.argsort(distance, kind="mergesort")[:keep]
+    count = len(used)
+    source, to = np.zeros(2), np.zeros(2)
+    for i in used:
+        for a in range(2):
+            source[a] += placed[index[i], a]
+            to[a] += points[i, a]
+    source, to = source / count, to / count
+    across, along = np.empty(count), np.empty(2 * count)
+    for n in range(count):
+        i, j = used[n], index[used[n]]
+        x, y = placed[j, 0] - source[0], placed[j, 1] - source[1]
+        u, v = points[i, 0] - to[0], points[i, 1] - to[1]
+        across[n] = x * v - y * u
+        along[2 * n], along[2 * n + 1] = x * u, y * v
+    return _sum(across), _sum(along), source, to
 
 
 def _discs(points: Array, centers: Array, normals: Array, radius: float) -> Array:
     k, m = points.shape[0], centers.shape[0]
     distance = np.empty(k)
+    order, columns, spheres = _blocks(centers)
+    blocks = spheres.shape[1]
+    middle = np.empty(blocks)
     for i in range(k):
-        best = np.inf
-        for j in range(m):
-            a, b, c = points[i, 0] - centers[j, 0], points[i, 1] - centers[j, 1], points[i, 2] - centers[j, 2]
-            whole = a * a + b * b + c * c
-            reach = np.sqrt(best) + radius
-            if whole >= reach * reach:  # even the disc's rim is farther than the best so far
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        start = _ahead(spheres, x, y, z, middle)
+        best, reach = np.inf, np.inf
+        for n in range(blocks + 1):
+            b = n - 1 if n else start
+            if middle[b] > (reach + spheres[3, b]) ** 2:
                 continue
-            off = a * normals[j, 0] + b * normals[j, 1] + c * normals[j, 2]
-            along = np.sqrt(max(whole - off * off, 0.0))
-            over = max(along - radius, 0.0)
-            best = min(best, off * off + over * over)
+            for j in range(b * _BLOCK, min((b + 1) * _BLOCK, m)):
+                p, q, r = x - columns[0, j], y - columns[1, j], z - columns[2, j]
+                whole = p * p + q * q + r * r
+                if whole >= reach * reach:  # even the disc's rim is farther than the best so far
+                    continue
+                o = order[j]
+                off = p * normals[o, 0] + q * normals[o, 1] + r * normals[o, 2]
+                along = np.sqrt(max(whole - off * off, 0.0))
+                over = max(along - radius, 0.0)
+                best = min(best, off * off + over * over)
+                reach = (np.sqrt(best) + radius) * (1 + _SLACK)
         distance[i] = np.sqrt(best)
     return distance

@@ -23,7 +23,7 @@ from tasks.geometry.transforms import flat, matrix, transform_points, translatio
 from tasks.selection import STAGE, ScoreConfig, SelectionConfig, run, score_of
 from tasks.selection.alignment import AlignmentConfig, Distances, Fit, clamp_scale, make_target, measure, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
-from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices
+from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices, nearest_turn
 from tasks.selection.neighbors import cubes, foreign_share
 from tasks.stage import Blobs, Context
 
@@ -325,6 +325,33 @@ def test_scales_keep_their_limits_and_change_only_where_they_must(ratio: tuple[f
     assert scale.max() / scale.min() <= config.anisotropy + 1e-6
     allowed = min(ratio) >= config.smallest_scale and max(ratio) <= config.largest_scale and max(ratio) / min(ratio) <= config.anisotropy
     assert not allowed or np.allclose(scale, ratio, rtol=1e-6)
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 60), m=st.integers(1, 300), decimals=st.integers(0, 9), flat=st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_samples_that_are_not_looked_at_are_not_the_nearest(seed: int, k: int, m: int, decimals: int, flat: bool) -> None:
+    rng = np.random.default_rng(seed)
+    points, samples = rng.normal(size=(k, 3)), np.round(rng.normal(size=(m, 3)), decimals)  # with ties, and many at one place
+    samples *= [1.0, 1.0, 0.0 if flat else 1.0]
+    away = samples[None] - points[:, None]
+    square = away[..., 0] * away[..., 0] + away[..., 1] * away[..., 1] + away[..., 2] * away[..., 2]
+    index, distance = nearest_indices(points, samples)
+    assert np.array_equal(index, square.argmin(axis=1)), "of equal ones the first"
+    assert np.array_equal(distance, np.sqrt(square.min(axis=1)))
+    normals = rng.normal(size=(m, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    radius = float(rng.uniform(0.0, 0.5))
+    off = (away * normals).sum(axis=2)
+    over = np.maximum(np.sqrt(np.maximum(square - off * off, 0.0)) - radius, 0.0)
+    assert np.allclose(disc_distances(points, samples, normals, radius), np.sqrt(off * off + over * over).min(axis=1), atol=1e-9)
+    keep = int(rng.integers(1, k + 1))
+    used = np.argsort(distance, kind="stable")[:keep]
+    to, source = points[used, :2], samples[index[used], :2]
+    a, b = source - source.mean(axis=0), to - to.mean(axis=0)
+    across, along, middle, goal = nearest_turn(points, samples, keep)
+    assert (across, along) == pytest.approx(((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()), abs=1e-9)
+    assert np.allclose(middle, source.mean(axis=0), atol=1e-12)
+    assert np.allclose(goal, to.mean(axis=0), atol=1e-12)
 
 
 def test_compiled_distances_equal_an_independent_implementation() -> None:

@@ -211,13 +211,11 @@ def _put_elsewhere(
     cloths[interior.groups()[obj]] = False
     if parent >= 0:
         carrier[parent] = True
-    shifts = _shifts(interior, room, stand, obj)
     came_from = room.pivots[obj, :2] + (stand.place[parent, :2] - room.pivots[parent, :2] if parent >= 0 else 0.0)
-    away = stand.place[obj, :2] + shifts - came_from
     reach = max(most_way, float(np.hypot(*(stand.place[obj, :2] - came_from))))  # it may always be brought back
     if interior.covering[obj]:  # a rug lies where it was seen, or nowhere: with all that stands on it, it goes nowhere else
         reach = min(reach, MOST_RUG_M)
-    shifts = np.ascontiguousarray(shifts[np.hypot(*away.T) <= reach])
+    shifts = _shifts(interior, room, stand, obj, came_from, reach)
     may_fall = float(stand.low[obj, 2]) <= most_way
     for is_strict in (True, False):  # where it stands nowhere, it may as well lie somewhere
         for on_floor in ((False, True) if may_fall else (False,)) if parent >= 0 else (True,):
@@ -228,8 +226,9 @@ def _put_elsewhere(
     return None
 
 
-def _shifts(interior: Interior, room: Arrangement, stand: Stand, obj: int) -> Array:
-    """Shifts (dx, dy) [m] of an object at which it lies within the room with all it carries, nearest first, shape (n, 2)."""
+def _shifts(interior: Interior, room: Arrangement, stand: Stand, obj: int, came_from: Array, most_way: float) -> Array:
+    """Shifts (dx, dy) [m] of an object at which it lies within the room with all it carries and no farther than `most_way` from where it
+    came from, nearest first, shape (n, 2)."""
     import shapely
 
     plan = np.concatenate([_vertices(room.shapes, stand, body)[:, :2] for body in interior.groups()[obj]])
@@ -249,7 +248,8 @@ def _shifts(interior: Interior, room: Arrangement, stand: Stand, obj: int) -> Ar
         x, y = (np.arange(np.ceil(lowest[k] / cell), np.floor(highest[k] / cell) + 1) * cell for k in range(2))
         grids.append(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2))
     shifts = np.concatenate(grids)
-    shifts = shifts[shapely.covers(region, shapely.points(shifts + center))]
+    shifts = shifts[np.hypot(*(stand.place[obj, :2] + shifts - came_from).T) <= most_way]
+    shifts = shifts[shapely.intersects_xy(region, shifts + center)]
     return np.ascontiguousarray(shifts[np.lexsort((shifts[:, 1], shifts[:, 0], np.round(np.hypot(*shifts.T), 9)))])
 
 

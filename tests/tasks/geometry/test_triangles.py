@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 from tasks.geometry.triangles import (
     MOST_FACES,
     corner_normals,
+    crosses,
+    distinct_rows,
     enclosed_volume,
     face_areas,
     face_normals,
     face_planes,
+    is_closed,
     spread,
     surface_area,
     vertex_normals,
@@ -93,3 +96,27 @@ def test_welding_names_the_first_vertex_at_a_place() -> None:
     assert place[0] == place[2]
     assert len(first) == 3
     assert 2 not in first
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 40), decimals=st.integers(0, 1))
+def test_products_and_distinct_rows_are_numpys(seed: int, count: int, decimals: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, other = rng.normal(size=(2, count, 3))
+    assert np.array_equal(crosses(first, other), np.cross(first, other))
+    for rows in (np.round(first, decimals), np.round(other).astype(np.int64)):
+        kept, place = distinct_rows(rows)
+        _, expected, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        assert np.array_equal(kept, expected)
+        assert np.array_equal(place, inverse.reshape(-1))
+
+
+@settings(max_examples=80, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), lost=st.integers(0, 2), twice=st.integers(0, 2))
+def test_a_surface_is_closed_where_trimesh_calls_it_watertight(seed: int, lost: int, twice: int) -> None:
+    rng = np.random.default_rng(seed)
+    mesh = solid(seed % 5)
+    faces = np.array(mesh.faces)[lost:]
+    faces = rng.permutation(np.concatenate([faces, faces[:twice], faces[:twice]]))
+    assert is_closed(faces) == trimesh.Trimesh(mesh.vertices, faces, process=False).is_watertight
+    assert not is_closed(np.zeros((0, 3)))

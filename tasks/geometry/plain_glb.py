@@ -1,0 +1,174 @@
+"""GLBs of triangles with one color per vertex, or none: what nearly every mesh of a lake is, written and read without a scene graph.
+
+The bytes are those that trimesh writes; what is not as plain as that is the general reader's and writer's
+(`tasks.geometry.meshes`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import trimesh
+
+Integers = NDArray[np.int64]
+
+_GENERATOR = "https://github.com/mikedh/trimesh"
+_WORLD = "world"  # the root of trimesh's scenes, which no node may be called
+_TRIANGLES = 4
+_FACES = {"componentType": 5125, "type": "SCALAR"}
+_POINTS = {"componentType": 5126, "type": "VEC3", "byteOffset": 0}
+_COLORS = {"componentType": 5121, "normalized": True, "type": "VEC4", "byteOffset": 0}
+_TREE = {"scene", "scenes", "asset", "accessors", "meshes", "nodes", "buffers", "bufferViews"}
+
+
+@dataclasses.dataclass(frozen=True)
+class PlainBody:
+    """A node of a GLB. vertices: +Z up [m], shape (n, 3). faces: shape (m, 3). colors: RGBA, shape (n, 4) uint8, or None."""
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: Integers
+    colors: NDArray[np.uint8] | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has faces, and a color for every vertex or none at all."""
+        fits = self.colors is None or self.colors.shape == (len(self.vertices), 4)
+        return bool(len(self.vertices) and len(self.faces) and fits and self.name and self.name != _WORLD)
+
+    @staticmethod
+    def of(mesh: trimesh.Trimesh, name: str) -> PlainBody | None:
+        """A mesh as a body; None where it has a texture, colors of faces or attributes of its own."""
+        visual: Any = mesh.visual
+        if getattr(visual, "kind", "") not in (None, "vertex") or mesh.vertex_attributes or mesh.units is not None:
+            return None
+        colors = np.asarray(visual.vertex_colors, dtype=np.uint8) if visual.kind == "vertex" else None
+        return PlainBody(name, np.asarray(mesh.vertices), np.asarray(mesh.faces), colors)
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The body as a mesh that knows its name."""
+        import trimesh
+
+        mesh = trimesh.Trimesh(self.vertices, self.faces, process=False)
+        if self.colors is not None:
+            mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=self.colors)
+        mesh.metadata["name"] = self.name
+        return mesh
+
+
+def write_plain(bodies: Sequence[PlainBody]) -> bytes | None:
+    """A GLB (+Y up) of bodies in a +Z-up frame [m]; None where they are not plain: without faces, or two of one name."""
+    if not bodies or not all(body.is_whole for body in bodies) or len({body.name for body in bodies}) < len(bodies):
+        return None
+    views: dict[bytes, int] = {}
+    accessors: list[dict[str, Any]] = []
+    known: dict[tuple[int, str], int] = {}
+
+    def accessor(kind: Mapping[str, Any], data: NDArray[Any]) -> int:
+        view = views.setdefault(data.tobytes(), len(views))
+        key = (view, str(kind["type"]))
+        if key not in known:
+            known[key] = len(accessors)
+            rows = data.reshape(-1, 1) if kind is _FACES else data
+            accessors.append(
+                {**kind, "bufferView": view, "count": len(rows), "max": rows.max(axis=0).tolist(), "min": rows.min(axis=0).tolist()}
+            )
+        return known[key]
+
+    meshes = []
+    for body in bodies:
+        indices = accessor(_FACES, np.ascontiguousarray(body.faces, dtype=np.uint32))
+        x, y, z = np.asarray(body.vertices, dtype=np.float64).T
+        attributes = {"POSITION": accessor(_POINTS, (np.column_stack([x, z, -y]) + 0.0).astype(np.float32))}  # no negative zeros
+        if body.colors is not None:
+            attributes["COLOR_0"] = accessor(_COLORS, np.ascontiguousarray(body.colors, dtype=np.uint8))
+        meshes.append({"name": body.name, "extras": {}, "primitives": [{"attributes": attributes, "indices": indices, "mode": _TRIANGLES}]})
+    starts = np.cumsum([0, *(len(view) for view in views)]).tolist()
+    tree = {
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(bodies)))}],
+        "asset": {"version": "2.0", "generator": _GENERATOR},
+        "accessors": accessors,
+        "meshes": meshes,
+        "nodes": [{"name": body.name, "mesh": index} for index, body in enumerate(bodies)],
+        "buffers": [{"byteLength": starts[-1]}],
+        "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": len(view)} for a, view in zip(starts[:-1], views, strict=True)],
+    }
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    text += b" " * (4 - (len(text) + 20) % 4)
+    head = struct.pack("<4sIIII", b"glTF", 2, len(text) + starts[-1] + 28, len(text), 0x4E4F534A)
+    return b"".join([head, text, struct.pack("<II", starts[-1], 0x004E4942), *views])
+
+
+def read_plain(data: bytes, document: Mapping[str, Any]) -> list[PlainBody] | None:
+    """The bodies of a GLB that `write_plain` could have written, in the order of their names; None for any other.
+
+    document: the JSON of the same GLB.
+    """
+    try:
+        return _bodies(data, document)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, struct.error):
+        return None
+
+
+def _bodies(data: bytes, document: Mapping[str, Any]) -> list[PlainBody] | None:
+    """As `read_plain`; raises whatever a document of another form leads to."""
+    magic, version, length, size, kind = struct.unpack_from("<4sIIII", data)
+    bytes_long, second = struct.unpack_from("<II", data, 20 + size)
+    binary = data[28 + size : 28 + size + bytes_long]
+    is_container = (magic, version, length, kind, second) == (b"glTF", 2, len(data), 0x4E4F534A, 0x004E4942)
+    nodes, meshes = document["nodes"], document["meshes"]
+    is_flat = document["scenes"] == [{"nodes": list(range(len(nodes)))}] and document["scene"] == 0 and len(meshes) == len(nodes)
+    if not is_container or set(document) != _TREE or document["asset"]["generator"] != _GENERATOR or not is_flat or not nodes:
+        return None
+    if document["buffers"] != [{"byteLength": len(binary)}] or len(binary) != bytes_long:
+        return None
+    bodies = []
+    for index, (node, mesh) in enumerate(zip(nodes, meshes, strict=True)):
+        (primitive,), name = mesh["primitives"], node["name"]
+        attributes = primitive["attributes"]
+        is_plain = node == {"name": name, "mesh": index} and mesh == {"name": name, "extras": {}, "primitives": [primitive]}
+        if not is_plain or not isinstance(name, str) or set(primitive) != {"attributes", "indices", "mode"}:
+            return None
+        if primitive["mode"] != _TRIANGLES or not {"POSITION"} <= set(attributes) <= {"POSITION", "COLOR_0"}:
+            return None
+        faces = _array(document, binary, primitive["indices"], _FACES, "<u4", 1).reshape(-1, 3).astype(np.int64)
+        x, y, z = _array(document, binary, attributes["POSITION"], _POINTS, "<f4", 3).astype(np.float64).T
+        colors = _array(document, binary, attributes["COLOR_0"], _COLORS, "|u1", 4).copy() if "COLOR_0" in attributes else None
+        body = PlainBody(name, np.column_stack([x, -z, y]) + 0.0, faces, colors)
+        if not body.is_whole or faces.max() >= len(x) or not np.isfinite(body.vertices).all():
+            return None
+        bodies.append(body)
+    bodies.sort(key=lambda body: body.name)
+    return bodies if len({body.name for body in bodies}) == len(bodies) else None
+
+
+def _array(document: Mapping[str, Any], binary: bytes, index: int, kind: Mapping[str, Any], dtype: str, width: int) -> NDArray[Any]:
+    """The rows of an accessor of a kind, shape (count, width).
+
+    Raises:
+        ValueError: it is of another kind, or does not lie within its view.
+    """
+    if type(index) is not int or index < 0:
+        raise ValueError("no index of an accessor")
+    accessor = document["accessors"][index]
+    number, count = accessor["bufferView"], accessor["count"]
+    if type(number) is not int or number < 0 or type(count) is not int or count < 1:
+        raise ValueError("no accessor of ours")
+    view = document["bufferViews"][number]
+    start, long = view["byteOffset"], view["byteLength"]
+    bytes_wide = np.dtype(dtype).itemsize * width
+    is_ours = {key: value for key, value in accessor.items() if key not in ("bufferView", "count", "max", "min")} == kind
+    if not is_ours or view != {"buffer": 0, "byteOffset": start, "byteLength": long} or type(start) is not int or type(long) is not int:
+        raise ValueError("no accessor of ours")
+    if long != count * bytes_wide or start < 0 or start + long > len(binary):
+        raise ValueError("its numbers do not lie within its view")
+    return np.frombuffer(binary, dtype=dtype, count=count * width, offset=start).reshape(count, width)
