@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.cloud import Cloud
+from tasks.capture.rooms.low_walls import low_walls
 from tasks.capture.rooms.slabs import MAX_THICKNESS_M, NARROW_M, Slab, joined
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ def interior_walls(
         tried.append(oblique)
         slabs += _slabs(site, free, oblique, _OBLIQUE_LENGTH_M)
     slabs = joined(slabs, floor)
+    slabs += joined(low_walls(cloud, is_wall, floor, slabs, is_floor), floor, beside=slabs)
     return sorted(slabs, key=lambda slab: slab.row), _notes(cloud, left, slabs, floor)
 
 

@@ -210,8 +210,8 @@ def test_nothing_else_becomes_a_wall(name: str) -> None:
     assert len(shape.walls) == len(shape.polygon)
 
 
-def test_half_height_walls_are_left_out_and_reported() -> None:
-    shape = estimated([*shell(), solid_piece("wall", (1.5, 1.9, 0), (4.5, 2.0, 1.0))])
+def test_what_is_too_thick_for_a_low_wall_is_left_out_and_reported() -> None:
+    shape = estimated([*shell(), solid_piece("wall", (1.5, 1.5, 0), (4.5, 2.0, 1.0))])
     assert len(shape.interior_walls) == 0
     assert any("left out of interior_walls" in note for note in shape.notes)
     (taller,) = estimated([*shell(), solid_piece("wall", (1.5, 1.9, 0), (4.5, 2.0, 1.6))]).interior_walls
