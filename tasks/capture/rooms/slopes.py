@@ -22,8 +22,8 @@ STEEPNESS = (0.27, 3.8)
 KNEE_M, TOP_M = 0.2, 0.25
 """A slope begins so high at least, and so far below the ceiling."""
 
-DEEPEST_M = 3.5
-"""So far into a room it reaches at most."""
+REACH_M = (0.3, 3.5)
+"""So far into a room it reaches at least and at most: less is a molding."""
 
 FLAT_M = 0.06
 """Points of a slope lie this near to its plane: noise and drift."""
@@ -75,7 +75,7 @@ def _slope(line: WallLine, cloud: Cloud, leans: Mask, height: float, ends: Array
     inward = normals[:, :2] @ line.inward
     plan = cloud.points[leans, :2] - line.start
     s, off, z = plan @ line.along, plan @ line.inward, cloud.points[leans, 2]
-    own = (inward > 0.2) & (np.abs(normals[:, :2] @ line.along) < 0.3) & (off > 0.05) & (off < DEEPEST_M) & (s > 0.0) & (s < line.length)
+    own = (inward > 0.2) & (np.abs(normals[:, :2] @ line.along) < 0.3) & (off > 0.05) & (off < REACH_M[1]) & (s > 0.0) & (s < line.length)
     s, off, z, steep, area = s[own], off[own], z[own], inward[own] / -normals[own, 2], cloud.areas[leans][own]
     plane = _plane(off, z, np.arctan(steep), area)
     if plane is None:
@@ -83,7 +83,7 @@ def _slope(line: WallLine, cloud: Cloud, leans: Mask, height: float, ends: Array
     slant, knee = plane
     near = np.abs(z - knee - slant * off) / np.hypot(1.0, slant) < FLAT_M
     reach = (height - knee) / slant
-    if area[near].sum() < LEAST_M2 or not KNEE_M <= knee <= height - TOP_M or reach > DEEPEST_M:
+    if area[near].sum() < LEAST_M2 or not KNEE_M <= knee <= height - TOP_M or not REACH_M[0] <= reach <= REACH_M[1]:
         return None
     low, high = _reaching(*(float(v) for v in np.percentile(s[near], [1, 99])), line, ends)
     if high - low < LEAST_LENGTH_M or _filled(s[near], off[near], (low, high), reach) < FILLED_SHARE:
