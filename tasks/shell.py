@@ -36,9 +36,10 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
 
     The floor's top is z = 0. Floor and outer walls lie outside the floor polygon. Every outer wall is a convex prism on
     one edge of the polygon; they meet in miters and stand on the floor slab. Interior walls are boxes that stand on the
-    floor inside the room; what is over their openings stays open. A wall with doors or windows is cut into convex pieces,
-    `wall_00`, `wall_00_1`, ..., the wedges behind its slanted parts among them: openings of outer walls are niches as deep as what fills them, closed by a thin panel, those of
-    interior walls go through. Colors are the scan's, where it shows any.
+    floor inside the room, half-height ones as low as they are; what is over their openings stays open. A wall with doors or windows
+    is cut into convex pieces, `wall_00`, `wall_00_1`, ..., of which the last are the wedges that slanted walls leave below the ceiling:
+    openings of outer walls are niches as deep as what fills them, closed by a thin panel, those of interior walls go through. Colors
+    are the scan's, where it shows any.
 
     Raises:
         InputError: the floor polygon has no area or crosses itself, or an interior wall has no size.
@@ -49,9 +50,9 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
     named = [("floor", _prism_of_ring(_outer_ring(ring, shell), -shell.thickness_m, 0.0, floor_color))]
     for index, (corners, start, end) in enumerate(zip(_wall_footprints(ring, shell), ring, np.roll(ring, -1, axis=0), strict=True)):
         pieces = _cut(corners, start, end, room.height_m, room.openings or (), ring, shell)
-        wall = _named(f"wall_{index:02d}", pieces, wall_color)
+        prisms = _named(f"wall_{index:02d}", pieces, wall_color)
         wedges = [_colored(mesh, wall_color) for mesh in _wedges(start, end, room)]
-        named += [*wall, *((f"wall_{index:02d}_{len(wall) + i}", mesh) for i, mesh in enumerate(wedges))]
+        named += [*prisms, *((f"wall_{index:02d}_{len(prisms) + i}", mesh) for i, mesh in enumerate(wedges))]
     for index, (wall, corners) in enumerate(zip(room.interior_walls, interior_footprints(room), strict=True)):
         pieces = _cut(corners, np.array(wall[:2]), np.array(wall[2:4]), wall[5], room.openings or (), ring, None)
         named += _named(f"inner_{index:02d}", pieces, wall_color)
@@ -122,7 +123,9 @@ def _wedges(start: NDArray[np.float64], end: NDArray[np.float64], room: Shell) -
         if np.abs(ends @ inward).max() > _ON_LINE_M or min(high - low, room.height_m - knee, reach) < _LEAST_M:
             continue
         corners = [
-            [*(start + s * along + d * inward), z] for s in (low, high) for d, z in ((0.0, knee), (reach, room.height_m), (0.0, room.height_m))
+            [*(start + s * along + d * inward), z]
+            for s in (low, high)
+            for d, z in ((0.0, knee), (reach, room.height_m), (0.0, room.height_m))
         ]
         faces = [[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]]
         wedges.append(trimesh.Trimesh(corners, faces, process=False))

@@ -97,7 +97,10 @@ def _slab(top: Array, cloud: Cloud, upright: Mask, floor: Polygon, is_floor: Cal
     plan = cloud.points[upright, :2] @ np.column_stack([across, along])
     z, facing = cloud.points[upright, 2], cloud.normals[upright, :2] @ across
     beside = (plan[:, 0] > low - _FACE_M) & (plan[:, 0] < high + _FACE_M) & (plan[:, 1] > start - _CELL_M) & (plan[:, 1] < end + _CELL_M)
-    if _share(plan[beside & (z > height + 0.15), 1], z[beside & (z > height + 0.15)], start, end, height + 0.15, height + 0.75) > _MORE_ABOVE:
+    if (
+        _share(plan[beside & (z > height + 0.15), 1], z[beside & (z > height + 0.15)], start, end, height + 0.15, height + 0.75)
+        > _MORE_ABOVE
+    ):
         return None
     edges, is_side = [low, high], [False, False]
     members = []

@@ -85,7 +85,8 @@ def _slope(line: WallLine, cloud: Cloud, leans: Mask, height: float, ends: Array
     reach = (height - knee) / slant
     if area[near].sum() < LEAST_M2 or not KNEE_M <= knee <= height - TOP_M or not REACH_M[0] <= reach <= REACH_M[1]:
         return None
-    low, high = _reaching(*(float(v) for v in np.percentile(s[near], [1, 99])), line, ends)
+    first, last = np.percentile(s[near], [1, 99])
+    low, high = _reaching(float(first), float(last), line, ends)
     if high - low < LEAST_LENGTH_M or _filled(s[near], off[near], (low, high), reach) < FILLED_SHARE:
         return None
     return Slope(line.start + low * line.along, line.start + high * line.along, float(knee), float(reach))
