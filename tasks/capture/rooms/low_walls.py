@@ -64,8 +64,8 @@ def low_walls(cloud: Cloud, is_wall: Mask, floor: Polygon, slabs: Sequence[Slab]
     for slab in slabs:
         level[level] &= ~shapely.contains_xy(slab.polygon(0.05), points[level, :2])
     upright = is_wall & (np.abs(normals[:, 2]) < _LEVEL)
-    found = [_slab(top, cloud, upright, floor, is_floor) for top in _parts(points[level])]
-    return sorted((slab for slab in found if slab is not None), key=lambda slab: slab.row)
+    slabs_below = [_slab(top, cloud, upright, floor, is_floor) for top in _parts(points[level])]
+    return sorted((slab for slab in slabs_below if slab is not None), key=lambda slab: slab.row)
 
 
 def _parts(points: Array) -> list[Array]:
