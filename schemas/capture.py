@@ -80,6 +80,11 @@ class Shell:
         "interior one, heights of bottom and top, how far what fills it reaches behind that line; missing where nobody looked",
         unit="m",
     )
+    slopes: tuple[tuple[float, ...], ...] | None = column(
+        "Slanted walls below a roof: segment (x0, y0, x1, y1) on the inner face of an outer wall, height at which they begin there, how "
+        "far into the room they reach at the ceiling; missing where nobody looked",
+        unit="m",
+    )
     height_m: float = column("Height from floor to ceiling", unit="m", minimum=0.1)
     height_source: str = column(
         "What the height was estimated from; layout is stated by a finished dataset", values=("ceiling", "walls", "extent", "layout")

@@ -36,9 +36,10 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
 
     The floor's top is z = 0. Floor and outer walls lie outside the floor polygon. Every outer wall is a convex prism on
     one edge of the polygon; they meet in miters and stand on the floor slab. Interior walls are boxes that stand on the
-    floor inside the room; what is over their openings stays open. A wall with doors or windows is cut into convex pieces,
-    `wall_00`, `wall_00_1`, ...: openings of outer walls are niches as deep as what fills them, closed by a thin panel, those of
-    interior walls go through. Colors are the scan's, where it shows any.
+    floor inside the room, half-height ones as low as they are; what is over their openings stays open. A wall with doors or windows
+    is cut into convex pieces, `wall_00`, `wall_00_1`, ..., of which the last are the wedges that slanted walls leave below the ceiling:
+    openings of outer walls are niches as deep as what fills them, closed by a thin panel, those of interior walls go through. Colors
+    are the scan's, where it shows any.
 
     Raises:
         InputError: the floor polygon has no area or crosses itself, or an interior wall has no size.
@@ -49,7 +50,9 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
     named = [("floor", _prism_of_ring(_outer_ring(ring, shell), -shell.thickness_m, 0.0, floor_color))]
     for index, (corners, start, end) in enumerate(zip(_wall_footprints(ring, shell), ring, np.roll(ring, -1, axis=0), strict=True)):
         pieces = _cut(corners, start, end, room.height_m, room.openings or (), ring, shell)
-        named += _named(f"wall_{index:02d}", pieces, wall_color)
+        prisms = _named(f"wall_{index:02d}", pieces, wall_color)
+        wedges = [_colored(mesh, wall_color) for mesh in _wedges(start, end, room)]
+        named += [*prisms, *((f"wall_{index:02d}_{len(prisms) + i}", mesh) for i, mesh in enumerate(wedges))]
     for index, (wall, corners) in enumerate(zip(room.interior_walls, interior_footprints(room), strict=True)):
         pieces = _cut(corners, np.array(wall[:2]), np.array(wall[2:4]), wall[5], room.openings or (), ring, None)
         named += _named(f"inner_{index:02d}", pieces, wall_color)
@@ -103,6 +106,30 @@ def _cut(
     if shell is not None:
         pieces += [panel for span in spans for panel in _panel(start, along, span, height, room, shell)]
     return pieces
+
+
+def _wedges(start: NDArray[np.float64], end: NDArray[np.float64], room: Shell) -> list[trimesh.Trimesh]:
+    """What lies between an outer wall, from start to end on its inner face [m], the ceiling, and the slanted walls before it: closed
+    convex solids."""
+    import trimesh
+
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / length
+    inward, wedges = np.array([-along[1], along[0]]), []
+    for slope in room.slopes or ():
+        ends, (knee, reach) = np.asarray(slope[:4], dtype=np.float64).reshape(2, 2) - start, slope[4:6]
+        low, high = sorted(float(point @ along) for point in ends)
+        low, high = max(low, 0.0), min(high, length)
+        if np.abs(ends @ inward).max() > _ON_LINE_M or min(high - low, room.height_m - knee, reach) < _LEAST_M:
+            continue
+        corners = [
+            [*(start + s * along + d * inward), z]
+            for s in (low, high)
+            for d, z in ((0.0, knee), (reach, room.height_m), (0.0, room.height_m))
+        ]
+        faces = [[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]]
+        wedges.append(trimesh.Trimesh(corners, faces, process=False))
+    return wedges
 
 
 _ON_LINE_M = 0.002
@@ -230,6 +257,13 @@ def _prism_of_ring(ring: NDArray[np.float64], low: float, high: float, color: tu
     else:
         mesh = trimesh.creation.extrude_polygon(Polygon(ring), high - low)
         mesh.apply_translation([0, 0, low])
+    return _colored(mesh, color)
+
+
+def _colored(mesh: trimesh.Trimesh, color: tuple[int, ...]) -> trimesh.Trimesh:
+    """A mesh in one color."""
+    import trimesh
+
     colors = np.tile(np.array([*color, 255], dtype=np.uint8), (len(mesh.vertices), 1))
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=colors)
     return mesh

@@ -35,6 +35,7 @@ from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig
 from tasks.capture.scan import Scan
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
+from tasks.mounting import mounting
 from tasks.settings import Config, Count
 from tasks.stage import Blobs, Context, Outcome
 
@@ -273,13 +274,18 @@ def _shell(
     notes += shape.notes
     if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
         notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
-    fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW)}
-    lines, is_door = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].nyu40_id == DOOR for i in fillings]
+    fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW) or _is_let_in(label)}
+    lines, is_door = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].category != "window" for i in fillings]
     whole = whole_leaves(*lines, list(fillings.values()), is_door, cloud.points[classes == WALL])
     leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
     openings = wall_openings(*lines, list((fillings | leaves).values()))
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
     return shape.row(context.scene_id, parts, openings), shape.is_seen, leaves
+
+
+def _is_let_in(label: Label) -> bool:
+    """Whether something is a door or window by its name alone: few of those that people give to doors are in a label map."""
+    return mounting(label.category).kind == "let_in"
 
 
 def _surfaces(

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_OVERHEAD = -0.97
+"""Vertical part of normals: what looks down more is a lintel; slopes of roofs look down less."""
+
 _INSIDE_M = 0.01
 """A face of a wall looks into the room when the floor is this far before its middle [m]."""
 
@@ -130,7 +133,8 @@ def _inward(room: Shell, name: str, slab: trimesh.Trimesh) -> NDArray[np.bool_]:
     if kind == "wall":
         looks_in |= _niche_backs(room, ring[int(number)], ring[(int(number) + 1) % len(ring)], normals, middles)
     is_top = (normals[:, 2] > 0.5) & (middles[:, 2] < _INSIDE_M)
-    inward: NDArray[np.bool_] = ((np.abs(normals[:, 2]) < 0.5) & looks_in) | is_top
+    is_side = (normals[:, 2] > _OVERHEAD) & (normals[:, 2] < 0.5)
+    inward: NDArray[np.bool_] = (is_side & looks_in) | is_top
     return inward
 
 

@@ -45,11 +45,20 @@ NEAR_FLOOR_M = 0.3
 DOOR_TOP_M, WINDOW_TOP_M = 2.2, 2.35
 """They end no higher [m]."""
 
-USUAL_WINDOW_TOP_M = 2.05
+USUAL_WINDOW_TOP_M = 2.1
 """Where windows end whose lintel was not seen [m]."""
 
 SILL_M = 1.15
 """Windows begin no higher [m]; doors begin at the floor."""
+
+LOW_SILL_M = 0.1
+"""Windows that go down end so high above the floor [m]."""
+
+LEAF_TOP_M, LEAF_M, LEAF_DEPTH_M = 1.7, 0.3, 0.15
+"""The leaf of a door that is in no wall's line ends higher, is wider and taller than this where it was seen, and no thicker [m]."""
+
+BAR = (0.02, 0.4)
+"""Least width [m] and flatness of a bar between panes, all that was seen of a window."""
 
 LEAST_GAIN_M = 0.08
 """What grows by less was seen whole [m]."""
@@ -65,11 +74,21 @@ def whole_leaves(
     height: of the room. leaves: points of each, shape (m, 3). wall_points: points that were seen of walls, shape (w, 3). [m]
     """
     lines = wall_lines(polygon, interior_walls)
-    return [_whole(points, door, lines, height, wall_points) for points, door in zip(leaves, is_door, strict=True)]
+    made = []
+    for index, (points, door) in enumerate(zip(leaves, is_door, strict=True)):
+        # where another leaf or pane was seen, none of this one is
+        taken = np.concatenate([wall_points, *(other for k, other in enumerate(leaves) if k != index)])
+        made.append(_whole(points, door, lines, height, taken))
+    return made
 
 
 def _whole(points: Array, is_door: bool, lines: Sequence[WallLine], height: float, wall_points: Array) -> Array | None:
     fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height)) is not None]
+    if not fits and is_door:
+        lines = _own_line(points)
+        fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height)) is not None]
+    elif not fits:
+        fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height, *BAR)) is not None]
     if not fits:
         return None
     fit, which = min(fits)
@@ -85,26 +104,43 @@ def _whole(points: Array, is_door: bool, lines: Sequence[WallLine], height: floa
     )
 
 
+def _own_line(points: Array) -> list[WallLine]:
+    """The line that a leaf stands on which is in no wall: in a doorway between two, or open; none for what is no leaf of a door."""
+    low, high = np.percentile(points, [1, 99], axis=0)
+    middle = np.median(points[:, :2], axis=0)
+    values, vectors = np.linalg.eigh(np.cov((points[:, :2] - middle).T))
+    along = vectors[:, int(np.argmax(values))]
+    inward = np.array([-along[1], along[0]])
+    deep, wide = (float(np.ptp(np.percentile((points[:, :2] - middle) @ way, [1, 99]))) for way in (inward, along))
+    if high[2] < LEAF_TOP_M or high[2] - low[2] < LEAF_M or wide < LEAF_M or deep > LEAF_DEPTH_M:
+        return []
+    # long enough for what was not seen of it
+    return [WallLine(middle - 2.0 * along, along, inward, 4.0, 0.0)]
+
+
 def _grown(seen: Array, is_door: bool, length: float, height: float, wall: Array) -> Array:
     """A rectangle low, high along a wall, bottom, top [m], grown until it meets points of the wall (along, height), shape (w, 2) [m]."""
     most = np.array([max(seen[0] - FARTHEST_M, 0.0), min(seen[1] + FARTHEST_M, length), 0.0, DOOR_TOP_M if is_door else WINDOW_TOP_M])
     most[3] = min(most[3], height - 0.05)
-    hole, left = seen.copy(), [0, 1, 2, 3]
+    hole, left, ends = seen.copy(), [0, 1, 2, 3], [False] * 4
     while left:
         for side in tuple(left):
             step = STEP_M if side % 2 else -STEP_M
-            if (most[side] - hole[side]) * step <= 0.0 or _is_wall(_rim(hole, side), wall):
+            rim = _rim(hole, side)
+            ends[side] = _is_wall(rim, wall)
+            if ends[side] or (most[side] - hole[side]) * step <= 0.0:
                 left.remove(side)
             else:
                 hole[side] += step
-    return _bounded(seen, hole, is_door, wall, float(most[3]))
+    for side in (side for side in range(4) if ends[side]):
+        hole[side] = _met(hole, side, wall)
+    return _bounded(seen, hole, ends, is_door, wall, float(most[3]))
 
 
-def _bounded(seen: Array, hole: Array, is_door: bool, wall: Array, highest: float) -> Array:
-    """The hole in the wall where wall was seen at its ends; where none was, no more of it than is usual around what was seen, and none
-    above `highest` [m]."""
+def _bounded(seen: Array, hole: Array, ends: Sequence[bool], is_door: bool, wall: Array, highest: float) -> Array:
+    """The hole in the wall where it ends at wall that was seen (ends: low, high, bottom, top); where none was, no more of it than is
+    usual around what was seen, and none above `highest` [m]."""
     usual, widest = (DOOR_M, WIDEST_DOOR_M) if is_door else (WINDOW_M, WIDEST_WINDOW_M)
-    ends = [_is_wall(_rim(hole, side), wall) for side in range(4)]
     low, high, bottom, top = hole.tolist()
     width = max(widest if all(ends[:2]) else usual[0], float(seen[1] - seen[0]))
     if high - low > width:
@@ -113,9 +149,25 @@ def _bounded(seen: Array, hole: Array, is_door: bool, wall: Array, highest: floa
         low, high = (low, low + width) if at_low else (high - width, high) if at_high else (middle - 0.5 * width, middle + 0.5 * width)
     if not ends[3]:
         top = min(usual[1] if is_door else min(top, USUAL_WINDOW_TOP_M), highest)
-    if not ends[2] or (is_door and bottom < NEAR_FLOOR_M):
-        bottom = 0.0 if is_door else max(bottom, min(SILL_M, top - usual[1]))
+    if is_door and (not ends[2] or bottom < NEAR_FLOOR_M):
+        bottom = 0.0
+    elif not ends[2]:
+        sill = max(bottom, min(SILL_M, top - usual[1]))
+        bottom = LOW_SILL_M if bottom < LOW_SILL_M and _goes_down(hole, ends, sill, wall) else sill
     return np.array([min(low, seen[0]), max(high, seen[1]), min(bottom, seen[2]), max(top, seen[3])])
+
+
+def _goes_down(hole: Array, ends: Sequence[bool], sill: float, wall: Array) -> bool:
+    """Whether the wall beside a hole in it is seen below the usual height of a sill [m], so that the hole is one down there, too."""
+    below = np.array([hole[0], hole[1], LOW_SILL_M, sill])
+    return any(ends[side] and _is_wall(_rim(below, side), wall) for side in (0, 1))
+
+
+def _met(hole: Array, side: int, wall: Array) -> float:
+    """Where the wall begins, beyond a side of a hole that has grown up to it [m]."""
+    low, high, bottom, top = _rim(hole, side)
+    inside = wall[(wall[:, 0] >= low) & (wall[:, 0] <= high) & (wall[:, 1] >= bottom) & (wall[:, 1] <= top)]
+    return float(np.percentile(inside[:, side // 2], 10 if side % 2 else 90))
 
 
 def _rim(rectangle: Array, side: int) -> Array:

@@ -95,15 +95,15 @@ def _line(a: Array, b: Array, reach: float) -> WallLine:
     return WallLine(np.asarray(a), along, np.array([-along[1], along[0]]), length, reach)
 
 
-def interval_on(line: WallLine, points: Array, height: float, least: float = 0.05) -> Interval | None:
-    """Where points, shape (m, 3) [m], that fill an opening lie on a wall's line; None where they are of something else, or of less than
-    `least` [m]. height: of the room."""
+def interval_on(line: WallLine, points: Array, height: float, least: float = 0.05, flatness: float = _FLATNESS) -> Interval | None:
+    """Where points, shape (m, 3) [m], that fill an opening lie on a wall's line; None where they are of something else, of less than
+    `least` [m], or less than `flatness` times as wide as deep. height: of the room."""
     plan = points[:, :2] - line.start
     (low, front, bottom), (high, back, top) = np.percentile(
         np.column_stack([plan @ line.along, -(plan @ line.inward), points[:, 2]]), [1, 99], axis=0
     )
     width = high - low
-    if width < least or top - bottom < least or width < _FLATNESS * (back - front):
+    if width < least or top - bottom < least or width < flatness * (back - front):
         return None
     if line.reach and (front < -line.reach - _BEFORE_M or back > line.reach + _BEFORE_M):
         return None

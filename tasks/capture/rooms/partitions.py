@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.cloud import Cloud
+from tasks.capture.rooms.directions import oblique_direction
+from tasks.capture.rooms.low_walls import low_walls
 from tasks.capture.rooms.slabs import MAX_THICKNESS_M, NARROW_M, Slab, joined
 
 if TYPE_CHECKING:
@@ -32,6 +34,15 @@ _LOW_M, _BAND_M, _BANDS, _ALL_BANDS = 0.2, 0.2, 9, 16
 
 _TALL_BANDS = 5
 """Bands that make a wall: with the lowest 0.2 m it is then 1.2 m tall, too tall to be the side of a counter."""
+
+_STUB_M = 0.25
+"""In line with another, a wall may be as short: beside a doorway."""
+
+_FAINT_BANDS = 3
+"""Bands that make a wall in line with another."""
+
+_IN_LINE_M = 2.0
+"""So far from a wall's end it may go on: beyond a passage."""
 
 _SILL_BANDS, _OVER_FURNITURE = 3, 4
 """Wall seen in all bands to 0.8 m and above a lintel has a window in it; wall seen from 1 m on stands behind furniture."""
@@ -57,8 +68,8 @@ _FLAT_M = 0.05
 _FLOOR_BEHIND = 0.3
 """Share of the strip behind a face, 0.15 to 0.8 m, that is seen floor when the face is a wall between two floors."""
 
-_OBLIQUE_M2, _OBLIQUE_LENGTH_M = 1.0, 0.6
-"""A direction other than the room's own needs this much wall, and longer walls: it could be noise otherwise."""
+_OBLIQUE_LENGTH_M = 0.6
+"""Walls in a direction other than the room's own are longer: they could be noise otherwise."""
 
 _STRIP_M = 0.08
 """Floor is looked for this far to both sides of a wall's center line at least: farther than vertices are apart."""
@@ -94,12 +105,13 @@ def interior_walls(
     tried: list[float] = []
     while len(tried) < _MOST_OBLIQUE:
         free = left & ~_explained(cloud, left, slabs)
-        oblique = _oblique_direction(cloud, free, tried)
+        oblique = oblique_direction(cloud, free, tried)
         if oblique is None:
             break
         tried.append(oblique)
         slabs += _slabs(site, free, oblique, _OBLIQUE_LENGTH_M)
     slabs = joined(slabs, floor)
+    slabs += joined(low_walls(cloud, is_wall, floor, slabs, is_floor), floor, beside=slabs)
     return sorted(slabs, key=lambda slab: slab.row), _notes(cloud, left, slabs, floor)
 
 
@@ -128,37 +140,6 @@ _Stretch = tuple[float, float, int, int, list[_Face]]
 """Low and high position [m], cells from and to (exclusive), and the faces."""
 
 _Gaps = Callable[[float, float], Mask]
-
-
-def _oblique_direction(cloud: Cloud, free: Mask, tried: list[float]) -> float | None:
-    """The angle of normals [rad], off the axes and off those tried, that most of the points in `free` have; None if few do."""
-    if cloud.areas[free].sum() < _OBLIQUE_M2:
-        return None
-    normals, areas = cloud.normals[free, :2], cloud.areas[free]
-    angles = np.arctan2(normals[:, 1], normals[:, 0]) % np.pi
-    weights = np.bincount((angles / np.deg2rad(5)).astype(np.int64) % 36, weights=areas, minlength=36)
-    near = weights + np.roll(weights, 1) + np.roll(weights, -1)
-    for known in (0.0, np.pi / 2, *tried):  # nothing is left there but noise
-        near[(np.arange(-1, 2) + round(known / np.deg2rad(5) - 0.5)) % 36] = 0
-        near[round(known / np.deg2rad(5)) % 36] = 0
-    if near.max() < _OBLIQUE_M2:
-        return None
-    middle = np.deg2rad(5 * (int(np.argmax(near)) + 0.5))
-    close = np.abs((angles - middle + np.pi / 2) % np.pi - np.pi / 2) < np.deg2rad(10)
-    return _sharpest(cloud.points[free][close, :2], areas[close], middle)
-
-
-def _sharpest(points: Array, areas: Array, middle: float) -> float:
-    """The angle within 8 degrees of `middle` [rad] along which points lie in the thinnest planes."""
-    angles = middle + np.deg2rad(np.arange(-8, 8.1, 0.25))
-    center = points.mean(axis=0)
-
-    def sharpness(angle: float) -> float:
-        offset = (points - center) @ [np.cos(angle), np.sin(angle)]
-        histogram = np.bincount(((offset - offset.min()) / 0.02).astype(np.int64), weights=areas)
-        return float((histogram**2).sum())
-
-    return float(angles[int(np.argmax([sharpness(float(angle)) for angle in angles]))])
 
 
 def _behind_edges(cloud: Cloud, mask: Mask, floor: Polygon) -> Mask:
@@ -229,7 +210,32 @@ def _slabs(site: _Site, free: Mask, angle: float, shortest: float) -> list[Slab]
             if slab is not None and slab.length > shortest - 0.5 * _CELL_M and _stands(site, slab, owners, across):
                 slabs.append(slab)
                 taken.append((low, high, start, stop))
+    for low, high, start, stop, owners in _continued(_without(faces, taken), taken, _STUB_M):
+        own = np.unique(np.concatenate([face.members for face in owners]))
+        own = own[(cell[own] >= start) & (cell[own] < stop)]
+        slab = _measured(site, members[own], u[own], v[own], (low, high), False, across, along)
+        if slab is not None and _has_room(site, slab, across):
+            slabs.append(slab)
     return slabs
+
+
+def _continued(faces: list[_Face], taken: list[tuple[float, float, int, int]], shortest: float) -> list[_Stretch]:
+    """Stretches in line with walls that were found: there a wall goes on, however little was seen of it, and of the floor behind it."""
+    made: list[_Stretch] = []
+    for low, high in sorted({entry[:2] for entry in taken}):
+        own = [face for face in faces if abs(face.position - (low if face.sign < 0 else high)) < _FLAT_M]
+        if not own:
+            continue
+        seen = np.any([face.seen for face in own], axis=0)
+        runs = _stretches(seen, np.zeros(len(seen), dtype=bool), shortest, _FAINT_BANDS)
+        spans = [entry[2:] for entry in taken if abs(entry[0] - low) < _FLAT_M and abs(entry[1] - high) < _FLAT_M]
+        for start, stop in runs:
+            near = min(max(start - b, a - stop) for a, b in spans) * _CELL_M
+            if near <= _IN_LINE_M and not any(
+                low - 0.06 < b and high + 0.06 > a and start < d and stop > c for a, b, c, d in [*taken, *(e[:4] for e in made)]
+            ):
+                made.append((low, high, start, stop, own))
+    return made
 
 
 def _without(faces: list[_Face], taken: list[tuple[float, float, int, int]]) -> list[_Face]:
@@ -286,15 +292,16 @@ def _singles(faces: list[_Face], shortest: float, is_empty: _Gaps) -> list[_Stre
     return [entry for _, entry in sorted(singles, key=lambda item: item[0])]
 
 
-def _stretches(seen: Mask, empty: Mask, shortest: float) -> list[tuple[int, int]]:
+def _stretches(seen: Mask, empty: Mask, shortest: float, bands: int = _TALL_BANDS) -> list[tuple[int, int]]:
     """Cells from, to (exclusive) in which there is wall without an opening.
 
     Args:
         seen: Bands with wall by cell, shape (cells, _ALL_BANDS).
         empty: Cells with neither floor nor door in them: wall above and nothing below is wall that furniture hides.
         shortest: Of wall that is seen over its height [m].
+        bands: That make up that height.
     """
-    tall = seen[:, :_BANDS].sum(axis=1) >= _TALL_BANDS
+    tall = (seen[:, :_BANDS].sum(axis=1) >= bands) & seen[:, _OVER_FURNITURE:].any(axis=1)
     above = seen[:, _BANDS:].any(axis=1)
     behind = (seen[:, _OVER_FURNITURE:_BANDS].sum(axis=1) >= 2) | (above & empty) | (above & seen[:, :_SILL_BANDS].all(axis=1))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (tall | behind).astype(np.int8), [0]])))
@@ -346,18 +353,29 @@ def _stands(site: _Site, slab: Slab, owners: list[_Face], across: Array) -> bool
     """Whether there is room on both sides of a slab, and floor seen behind it if only one side of it was."""
     import shapely
 
+    if not _has_room(site, slab, across):
+        return False
+    if len(owners) == 2:
+        return True
+    steps = np.linspace(0.1, 0.9, 9)[:, None]
+    line = slab.start + steps * (slab.end - slab.start)
+    face = line + owners[0].sign * across * slab.thickness / 2
+    reach = np.arange(0.15, 0.81, 0.05)
+    behind = (face[:, None] - owners[0].sign * across * reach[:, None]).reshape(-1, 2)
+    return bool((site.is_floor(behind) & shapely.contains_xy(site.floor, behind)).mean() > _FLOOR_BEHIND)
+
+
+def _has_room(site: _Site, slab: Slab, across: Array) -> bool:
+    """Whether there is room on both sides of a slab."""
+    import shapely
+
     steps = np.linspace(0.1, 0.9, 9)[:, None]
     line = slab.start + steps * (slab.end - slab.start)
     for sign in (-1.0, 1.0):
         beside = line + sign * across * (slab.thickness / 2 + 0.15)
         if shapely.contains_xy(site.floor, beside).mean() < 0.5:
             return False
-    if len(owners) == 2:
-        return True
-    face = line + owners[0].sign * across * slab.thickness / 2
-    reach = np.arange(0.15, 0.81, 0.05)
-    behind = (face[:, None] - owners[0].sign * across * reach[:, None]).reshape(-1, 2)
-    return bool((site.is_floor(behind) & shapely.contains_xy(site.floor, behind)).mean() > _FLOOR_BEHIND)
+    return True
 
 
 def _notes(cloud: Cloud, left: Mask, slabs: list[Slab], floor: Polygon) -> list[str]:

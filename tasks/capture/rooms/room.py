@@ -15,6 +15,7 @@ from tasks.capture.labels import CEILING, FLOOR, WALL, Label
 from tasks.capture.rooms.partitions import interior_walls
 from tasks.capture.rooms.plan import CELL_M, FloorCells, closed, enclosed, largest
 from tasks.capture.rooms.separation import Seen
+from tasks.capture.rooms.slopes import Slope, slanted_walls
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -52,7 +53,7 @@ class RoomShape:
     polygon: Corners of the floor, counter-clockwise, open ring [m], shape (n, 2). walls: Segments x0, y0, x1, y1 with the
     room to their left [m], shape (m, 4): edges of the polygon, then faces of interior walls. interior_walls: Center lines
     x0, y0, x1, y1, thickness, height [m], shape (k, 6). height [m]. is_seen: where anything but walls was seen, of places shape
-    (m, 2) [m]; None where nobody looked.
+    (m, 2) [m]; None where nobody looked. slopes: slanted walls.
     """
 
     polygon: Array
@@ -64,6 +65,7 @@ class RoomShape:
     height_source: str
     notes: tuple[str, ...]
     is_seen: Seen | None = None
+    slopes: tuple[Slope, ...] = ()
 
     def row(
         self, scene_id: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
@@ -80,6 +82,7 @@ class RoomShape:
             walls=tuple(tuple(float(v) for v in wall) for wall in self.walls),
             interior_walls=tuple(tuple(float(v) for v in wall) for wall in self.interior_walls),
             openings=openings,
+            slopes=tuple(slope.row for slope in self.slopes),
             height_m=self.height,
             height_source=self.height_source,
             floor_color=_median_color(parts, FLOOR),
@@ -120,7 +123,8 @@ def estimate_room(cloud: Cloud, nyu40: NDArray[np.int64]) -> RoomShape:
     slabs, more = interior_walls(cloud, kinds == WALL, shape, height, plan.is_floor)
     walls = np.array([*_edges(polygon), *(face for slab in slabs for face in slab.faces)])
     inner = np.array([slab.row for slab in slabs]).reshape(-1, 6)
-    return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen)
+    slopes = slanted_walls(cloud, np.isin(kinds, (WALL, CEILING)), polygon, inner, height)
+    return RoomShape(polygon, float(shape.area), source, walls, inner, height, height_source, (*notes, *more), plan.is_seen, tuple(slopes))
 
 
 def floor_points(cloud: Cloud, nyu40: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,11 +58,11 @@ class Slab:
         return shapely.Polygon([a - side, b - side, b + side, a + side])
 
 
-def joined(slabs: list[Slab], floor: Polygon) -> list[Slab]:
-    """Slabs clipped to the floor, with ends that nearly reach another wall drawn out to it."""
+def joined(slabs: list[Slab], floor: Polygon, beside: Sequence[Slab] = ()) -> list[Slab]:
+    """Slabs clipped to the floor, with ends that nearly reach another wall drawn out to it. beside: walls that stay as they are."""
     import shapely
 
-    drawn = []
+    drawn, standing = [], [*slabs, *beside]
     for index, slab in enumerate(slabs):
         along = (slab.end - slab.start) / slab.length
         lines = [part for part in shapely.get_parts(shapely.LineString([slab.start, slab.end]).intersection(floor)) if part.length > 0]
@@ -69,12 +70,12 @@ def joined(slabs: list[Slab], floor: Polygon) -> list[Slab]:
             continue
         ends = shapely.get_coordinates(max(lines, key=lambda part: part.length))
         ends = ends[np.argsort(ends @ along)][[0, -1]]
-        borders = [floor.exterior, *(shapely.LineString([o.start, o.end]) for k, o in enumerate(slabs) if k != index)]
+        borders = [floor.exterior, *(shapely.LineString([o.start, o.end]) for k, o in enumerate(standing) if k != index)]
         for side, sign in ((0, -1.0), (1, 1.0)):
             # from a little inside, for ends that touch already; as far as nobody passes, from the other wall's face on
             reach = NARROW_M + MAX_THICKNESS_M / 2
             ray = shapely.LineString([ends[side] - sign * 0.05 * along, ends[side] + sign * reach * along])
-            for other, slack in zip(borders, [0.0, *(o.thickness / 2 for k, o in enumerate(slabs) if k != index)], strict=True):
+            for other, slack in zip(borders, [0.0, *(o.thickness / 2 for k, o in enumerate(standing) if k != index)], strict=True):
                 hits = shapely.get_coordinates(ray.intersection(other))
                 away = (hits - ends[side]) @ along * sign
                 if (away < NARROW_M + slack).any() and len(hits):

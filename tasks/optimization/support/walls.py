@@ -23,6 +23,10 @@ BEHIND_M = 0.3
 """An object that lies wholly farther behind a wall's inner face than this belongs to another room."""
 
 
+_SAME_M = 1e-3
+"""Ends of one face, stated twice, are no farther apart."""
+
+
 @dataclasses.dataclass(frozen=True)
 class WallFace:
     """A face of a wall that looks into the room, in the world frame [m].
@@ -63,7 +67,16 @@ def wall_faces(room: Shell) -> list[WallFace]:
     scanned = [
         _face(None, np.array(w[:2]), np.array(w[2:4]), room.height_m) for w in room.walls if np.hypot(w[2] - w[0], w[3] - w[1]) > 1e-6
     ]
-    return faces + scanned
+    # what is a part of the shell ends where that ends, half-height walls below the ceiling
+    return faces + [face for face in scanned if not any(_is_same(face, other) for other in faces)]
+
+
+def _is_same(face: WallFace, other: WallFace) -> bool:
+    """Whether two faces are one."""
+    return bool(
+        np.allclose(face.start, other.start, rtol=0.0, atol=_SAME_M)
+        and np.allclose(face.start + face.length * face.along, other.start + other.length * other.along, rtol=0.0, atol=_SAME_M)
+    )
 
 
 def wall_contact(obj: PlacedAsset, faces: Sequence[WallFace], within: float) -> WallContact | None:

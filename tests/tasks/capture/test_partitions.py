@@ -210,8 +210,21 @@ def test_nothing_else_becomes_a_wall(name: str) -> None:
     assert len(shape.walls) == len(shape.polygon)
 
 
-def test_half_height_walls_are_left_out_and_reported() -> None:
-    shape = estimated([*shell(), solid_piece("wall", (1.5, 1.9, 0), (4.5, 2.0, 1.0))])
+@pytest.mark.parametrize("door", [(1.8, 2.7), (2.4, 3.3), (2.75, 3.6)])
+def test_a_wall_goes_on_beyond_a_doorway_though_its_far_side_and_the_floor_there_are_hidden(door: tuple[float, float]) -> None:
+    near, _, lintel = wall_with_door(door=door)
+    side = ("wall", plate([2.94, door[1], 0], [0, 0, HEIGHT], [0, DEPTH - door[1], 0]))
+    counter = solid_piece("counter", (3.06, door[1], 0.05), (3.9, DEPTH, 0.9))
+    walls = ordered(estimated([*shell(), near, side, lintel, counter], without=(3.02, door[1] - 0.02, -0.1, 3.95, DEPTH + 0.1, 0.03)))
+    assert len(walls) == 2
+    assert np.abs(walls[:, [0, 2]] - 3.0).max() < 0.03
+    assert np.abs(walls[:, 4] - 0.12).max() < 0.03
+    assert np.abs(walls[:, [1, 3]] - [[0, door[0]], [door[1], DEPTH]]).max() < 0.06
+    assert walls[:, 5] == pytest.approx(HEIGHT, abs=0.03)
+
+
+def test_what_is_too_thick_for_a_low_wall_is_left_out_and_reported() -> None:
+    shape = estimated([*shell(), solid_piece("wall", (1.5, 1.5, 0), (4.5, 2.0, 1.0))])
     assert len(shape.interior_walls) == 0
     assert any("left out of interior_walls" in note for note in shape.notes)
     (taller,) = estimated([*shell(), solid_piece("wall", (1.5, 1.9, 0), (4.5, 2.0, 1.6))]).interior_walls
