@@ -92,7 +92,7 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
     with tempfile.TemporaryDirectory(prefix="rooms-", ignore_cleanup_errors=True) as temporary:
         work = Path(temporary)
         rooms: list[dict[str, Any]] = []
-        others: list[dict[str, Any]] = []
+        foreign: list[dict[str, Any]] = []
         with WorkerPool(config.processes) as pool, ThreadPoolExecutor(config.processes) as threads:
             for room in threads.map(partial(_measured, pool, config.seed, config.folder, work), range(config.rooms)):
                 advance(str(room["room"]))
@@ -100,7 +100,7 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
             if config.realdata is not None:
                 for figures in threads.map(partial(_measured_by_others, pool, config.realdata, config.folder, work), held):
                     advance(str(figures["room"]))
-                    others.append(figures)
+                    foreign.append(figures)
     groups = {"with frames": [r for r in rooms if r["has_frames"]], "mesh only": [r for r in rooms if not r["has_frames"]], "all": rooms}
     sums = {name: summed(chosen) for name, chosen in groups.items() if chosen}
     return {
@@ -110,12 +110,12 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
         "figures": [key for key, _, _ in FIGURES],
         "rooms": rooms,
         "groups": sums,
-        "others": others,
+        "others": foreign,
         "not_measured": absent,
-        "errors": [{"room": r["room"], "stage": r["stage"], "error": r["error"]} for r in (*rooms, *others) if r["error"]],
+        "errors": [{"room": r["room"], "stage": r["stage"], "error": r["error"]} for r in (*rooms, *foreign) if r["error"]],
         "goals": [
             *(goals(sums["all"]) if rooms else []),
-            *([goal("failed scans by others", sum(r["error"] is not None for r in others), "==", 0)] if others else []),
+            *([goal("failed scans by others", sum(r["error"] is not None for r in foreign), "==", 0)] if foreign else []),
         ],
     }
 

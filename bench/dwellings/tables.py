@@ -25,16 +25,16 @@ BY_ROOM: tuple[tuple[str, str, str], ...] = (
 def print_dwellings(report: Mapping[str, Any], console: Console) -> None:
     """Print the figures of all rooms and of scans by others, of each room, what failed, and goals."""
     console.print(headline(report["machine"], report["seed"], report["processes"]))
-    groups, others = report["groups"], report["others"]
-    table = table_of("hard rooms", ("", False), *((name, True) for name in (*groups, *(scan["title"] for scan in others))))
-    add_row(table, "rooms", *(str(group["rooms"]) for group in groups.values()), *("" for _ in others))
-    failed = [int(scan["error"] is not None) for scan in others]
+    groups, foreign = report["groups"], report["others"]
+    table = table_of("hard rooms", ("", False), *((name, True) for name in (*groups, *(scan["title"] for scan in foreign))))
+    add_row(table, "rooms", *(str(group["rooms"]) for group in groups.values()), *("" for _ in foreign))
+    failed = [int(scan["error"] is not None) for scan in foreign]
     add_row(table, "of these failed", *(str(group["failed"]) for group in groups.values()), *map(str, failed))
     for key, words, unit in FIGURES:
-        known = ("" if math.isnan(scan[key]) else as_text(scan[key], unit) for scan in others)
+        known = ("" if math.isnan(scan[key]) else as_text(scan[key], unit) for scan in foreign)
         add_row(table, words, *(as_text(group[key], unit) for group in groups.values()), *known)
     console.print(table)
-    if others:
+    if foreign:
         console.print(
             "Of scans by others nobody says what is free: what the replica does not fix, and what it left out, is. Blank: no truth."
         )
