@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.dwellings.by_others import ScanByOthers, held_by, judged_by_others, nothing_known, scan_of
 from bench.dwellings.judgement import FIGURES, judged, lost_room, summed
 from bench.dwellings.replicas import replica_of
 from bench.goals import goal
@@ -27,6 +28,7 @@ from flows.run.plan import make_plan
 from flows.run.pool import WorkerLost, WorkerPool, WorkerTimeout
 from flows.run.scene import job_of
 from flows.worker import execute
+from schemas.capture import Scene
 from schemas.files import write_whole
 from tasks.capture.formats import find_scans
 from tasks.furniture.dwellings import dwelling
@@ -40,15 +42,25 @@ STEPS = ("capture", "captions", "candidates", "selection", "optimization", "fide
 SECONDS = 1800.0
 """A room that takes longer has failed."""
 
+OTHERS_SECONDS = 7200.0
+"""A scan by others that takes longer has: a house is four times as large as a dwelling."""
+
 
 @dataclasses.dataclass(frozen=True)
 class DwellingsBench:
-    """What is measured. folder: where finished rooms are remembered, so that the same command goes on; nowhere if None."""
+    """What is measured. folder: where finished rooms are remembered, so that the same command goes on; nowhere if None. realdata: folder
+    of scans by others, which are measured, too; None for none."""
 
     rooms: int = 30
     seed: int = 0
     processes: int = 1
     folder: Path | None = None
+    realdata: Path | None = None
+
+    @property
+    def steps(self) -> int:
+        """How often the benchmark advances."""
+        return self.rooms + len(held_by(self.realdata)[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,16 +74,38 @@ class DwellingJob:
     cores: int = 1
 
 
+@dataclasses.dataclass(frozen=True)
+class OthersJob:
+    """A scan by others, to be worked on in an empty folder, which is the caller's to remove, by as many processes as there are cores
+    for it."""
+
+    scan: ScanByOthers
+    realdata: str
+    folder: str
+    cores: int = 1
+
+
 def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) -> dict[str, Any]:
-    """The report: figures of every room, of those with frames, of those without, and of all. `advance` is told each room done."""
+    """The report: figures of every room, of those with frames, of those without, of all, and of scans by others. `advance` is told each
+    room done.
+
+    Raises:
+        InputError: a folder of real data is named, and holds none of the scans.
+    """
+    held, absent = held_by(config.realdata)
     with tempfile.TemporaryDirectory(prefix="rooms-", ignore_cleanup_errors=True) as temporary:
         work = Path(temporary)
         rooms: list[dict[str, Any]] = []
         cores = max(1, machine()["cores"] // config.processes)
+        foreign: list[dict[str, Any]] = []
         with WorkerPool(config.processes) as pool, ThreadPoolExecutor(config.processes) as threads:
             for room in threads.map(partial(_measured, pool, config.seed, config.folder, work, cores), range(config.rooms)):
                 advance(str(room["room"]))
                 rooms.append(room)
+            if config.realdata is not None:
+                for figures in threads.map(partial(_measured_by_others, pool, config.realdata, config.folder, work, cores), held):
+                    advance(str(figures["room"]))
+                    foreign.append(figures)
     groups = {"with frames": [r for r in rooms if r["has_frames"]], "mesh only": [r for r in rooms if not r["has_frames"]], "all": rooms}
     sums = {name: summed(chosen) for name, chosen in groups.items() if chosen}
     return {
@@ -81,8 +115,13 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
         "figures": [key for key, _, _ in FIGURES],
         "rooms": rooms,
         "groups": sums,
-        "errors": [{"room": r["room"], "stage": r["stage"], "error": r["error"]} for r in rooms if r["error"]],
-        "goals": goals(sums["all"]),
+        "others": foreign,
+        "not_measured": absent,
+        "errors": [{"room": r["room"], "stage": r["stage"], "error": r["error"]} for r in (*rooms, *foreign) if r["error"]],
+        "goals": [
+            *(goals(sums["all"]) if rooms else []),
+            *([goal("failed scans by others", sum(r["error"] is not None for r in foreign), "==", 0)] if foreign else []),
+        ],
     }
 
 
@@ -116,20 +155,51 @@ def make_scan(folder: Path, index: int, seed: int) -> DwellingTruth:
 
 
 def _measured(pool: WorkerPool, seed: int, folder: Path | None, work: Path, cores: int, index: int) -> dict[str, Any]:
-    """A room's figures, remembered or measured; a worker that dies or hangs is a failed room, which is not remembered: it may have
-    been the machine's fault. Scan and lake lie below `work` and are gone afterwards, whatever became of the worker."""
-    mark = {"code": [code_fingerprint("tasks.pipeline"), code_fingerprint("bench.dwellings")], "seed": seed, "index": index}
+    """A room's figures, remembered or measured."""
+    mark = {"code": _code(), "seed": seed, "index": index}
+
+    def measure(place: str) -> dict[str, Any]:
+        return pool.call(measure_room, DwellingJob(index, seed, place, cores), timeout=SECONDS)
+
+    def lost(error: str) -> dict[str, Any]:
+        return lost_room(index, has_frames(index), dwelling((seed, index)), "worker", error)
+
     path = folder / f"room_{seed}_{index:04d}.json" if folder is not None else None
+    return _known_or_measured(path, mark, work, measure, lost)
+
+
+def _measured_by_others(
+    pool: WorkerPool, realdata: Path, folder: Path | None, work: Path, cores: int, scan: ScanByOthers
+) -> dict[str, Any]:
+    """Figures of a scan by others, remembered or measured, like a room's."""
+    mark = {"code": _code(), "files": scan.digest(realdata)}
+
+    def measure(place: str) -> dict[str, Any]:
+        return pool.call(measure_by_others, OthersJob(scan, str(realdata), place, cores), timeout=OTHERS_SECONDS)
+
+    path = folder / f"{scan.name}.json" if folder is not None else None
+    return _known_or_measured(path, mark, work, measure, lambda error: nothing_known(scan, "worker", error))
+
+
+def _code() -> list[str]:
+    return [code_fingerprint("tasks.pipeline"), code_fingerprint("bench.dwellings")]
+
+
+def _known_or_measured(
+    path: Path | None, mark: Mapping[str, Any], work: Path, measure: Callable[[str], dict[str, Any]], lost: Callable[[str], dict[str, Any]]
+) -> dict[str, Any]:
+    """What a file remembers under a mark, else what is measured in an empty folder; a worker that dies or hangs has lost it, which is
+    not remembered: it may have been the machine's fault. What it left below `work` goes, whatever became of the worker."""
     known = _remembered(path, mark) if path is not None else None
     if known is not None:
         return known
-    with tempfile.TemporaryDirectory(prefix=f"room_{index:04d}_", dir=work, ignore_cleanup_errors=True) as place:
+    with tempfile.TemporaryDirectory(prefix="room_", dir=work, ignore_cleanup_errors=True) as place:
         try:
-            figures = pool.call(measure_room, DwellingJob(index, seed, place, cores), timeout=SECONDS)
+            figures = measure(place)
         except (WorkerLost, WorkerTimeout) as error:
-            return lost_room(index, has_frames(index), dwelling((seed, index)), "worker", str(error))
+            return lost(str(error))
     if path is not None:
-        write_whole(path, json.dumps({"mark": mark, "figures": figures}).encode())
+        write_whole(path, json.dumps({"mark": dict(mark), "figures": figures}).encode())
     return figures
 
 
@@ -152,21 +222,39 @@ def measure_room(job: DwellingJob) -> dict[str, Any]:
     truth = make_scan(place / "scans", job.index, job.seed)
     scanned = time.perf_counter() - clock
     lake = Lake.open(place / "lake")
-    seconds, stage, error = _run(lake, place / "scans", job.cores)
+    seconds, stage, error = _run(lake, place / "scans", cores=job.cores)
     if error is not None:
         return lost_room(job.index, has_frames(job.index), home, stage, error, truth, seconds) | {"scan_seconds": scanned}
     try:
         figures = judged(job.index, has_frames(job.index), home, truth, replica_of(lake, "scannet/" + truth.scan), seconds)
     except Exception as problem:
-        where = traceback.extract_tb(problem.__traceback__)[-1]
-        text = f"{type(problem).__name__}: {problem} ({Path(where.filename).name}:{where.lineno})"
-        figures = lost_room(job.index, has_frames(job.index), home, "judgement", text, truth, seconds)
+        figures = lost_room(job.index, has_frames(job.index), home, "judgement", _where(problem), truth, seconds)
     return figures | {"scan_seconds": scanned}
 
 
-def _run(lake: Lake, scans: Path, cores: int = 1) -> tuple[dict[str, float], str, str | None]:
+def measure_by_others(job: OthersJob) -> dict[str, Any]:
+    """Figures of a scan by others: run the stages of `STEPS`, with its library if it has one, and judge what came out. Runs in a worker."""
+    place, realdata, scan = Path(job.folder), Path(job.realdata), job.scan
+    scans, truth = scan_of(scan, realdata, place / "scans")
+    lake = Lake.open(place / "lake")
+    seconds, stage, error = _run(lake, scans, realdata / scan.library if scan.library is not None else None, job.cores)
+    if error is not None:
+        return nothing_known(scan, stage, error, seconds)
+    try:
+        return judged_by_others(scan, truth, replica_of(lake, lake.snapshot().rows(Scene)[0].scene_id), seconds)
+    except Exception as problem:
+        return nothing_known(scan, "judgement", _where(problem), seconds)
+
+
+def _where(problem: Exception) -> str:
+    """An error in one line, with the line of code that it comes from."""
+    where = traceback.extract_tb(problem.__traceback__)[-1]
+    return f"{type(problem).__name__}: {problem} ({Path(where.filename).name}:{where.lineno})"
+
+
+def _run(lake: Lake, scans: Path, library: Path | None = None, cores: int = 1) -> tuple[dict[str, float], str, str | None]:
     """The stages of `STEPS` on the one scan of a folder, over some cores: seconds by stage, and the stage that failed, with its error."""
-    configuration = configure()
+    configuration = configure(library=library)
     scan_list, unusable = find_scans(scans)
     plan = make_plan(lake, scan_list, unusable, configuration)
     seconds: dict[str, float] = {}

@@ -15,6 +15,7 @@ from schemas.capture import Room
 from tasks.furniture import canonical_category
 from tasks.furniture.dwellings import Dwelling
 from tasks.geometry.transforms import matrix
+from tasks.scanner import TrueObject
 from tasks.scanner.truth import DwellingObject, DwellingTruth
 
 Array = NDArray[np.float64]
@@ -96,8 +97,8 @@ def judged(
     drawn = FirstHits([(name.partition("|")[0], mesh) for name, mesh in home.furnished.named_parts()])
     shares = silhouettes(truth, drawn, FirstHits(replica.parts), stands_for, moved_to)
     in_annotation = [verdict for obj, verdict in zip(free, verdicts, strict=True) if obj.name in best]
-    right = [_same(replica.instances[placed[obj.name]].category, obj.category) for obj in truth.objects if obj.name in placed]
-    total = _pipeline_seconds(seconds)
+    right = [is_same(replica.instances[placed[obj.name]].category, obj.category) for obj in truth.objects if obj.name in placed]
+    total = pipeline_seconds(seconds)
     fidelity = replica.fidelity
     return {
         "room": f"room_{index:04d}",
@@ -108,14 +109,14 @@ def judged(
         "objects": len(truth.objects),
         "free": len(free),
         "placed": len(placed),
-        "annotated_share": _mean([obj.name in best for obj in free]),
-        "stable_1cm": _mean([v[0] for v in verdicts]),
-        "stable_5cm": _mean([v[1] for v in verdicts]),
-        "stable_nudged": _mean([v[2] for v in verdicts]),
+        "annotated_share": mean([obj.name in best for obj in free]),
+        "stable_1cm": mean([v[0] for v in verdicts]),
+        "stable_5cm": mean([v[1] for v in verdicts]),
+        "stable_nudged": mean([v[2] for v in verdicts]),
         "annotated": len(in_annotation),
-        "annotated_1cm": _mean([v[0] for v in in_annotation]),
-        "annotated_5cm": _mean([v[1] for v in in_annotation]),
-        "annotated_nudged": _mean([v[2] for v in in_annotation]),
+        "annotated_1cm": mean([v[0] for v in in_annotation]),
+        "annotated_5cm": mean([v[1] for v in in_annotation]),
+        "annotated_nudged": mean([v[2] for v in in_annotation]),
         "unseen_objects": sum(obj.observed < SHOWN for obj in free),
         "anchored": sum(name in placed and replica.supports[placed[name]].is_fixed for name in (obj.name for obj in free)),
         "left_out": sum(obj.name not in placed for obj in free),
@@ -128,12 +129,12 @@ def judged(
         "off_15cm": sum(far > FAR_M[0] for far in off),
         "off_30cm": sum(far > FAR_M[1] for far in off),
         "openings": len(shares),
-        "silhouette": _mean(shares),
-        "openings_seen": _mean([share >= SEEN for share in shares]),
-        "categories_right": _mean(right),
+        "silhouette": mean(shares),
+        "openings_seen": mean([share >= SEEN for share in shares]),
+        "categories_right": mean(right),
         "true_rooms": len(truth.rooms),
         "rooms_found": len(replica.rooms),
-        "rooms_right": _mean([share >= RIGHT for share in shared_floors(truth, replica.rooms, moved_to)]),
+        "rooms_right": mean([share >= RIGHT for share in shared_floors(truth, replica.rooms, moved_to)]),
         "unseen": truth.unseen,
         "seconds": total,
         "seconds_per_25": BATCH * total / max(len(truth.objects), 1),
@@ -162,7 +163,7 @@ def _verdict(instance: str | None, replica: BenchReplica) -> tuple[bool, bool, b
     return bool(row.is_stable_1cm), bool(row.is_stable_5cm), bool(row.is_stable_nudged)
 
 
-def offset(obj: DwellingObject, instance: str, replica: BenchReplica, moved: Array) -> float:
+def offset(obj: DwellingObject | TrueObject, instance: str, replica: BenchReplica, moved: Array) -> float:
     """Distance of the middle of a placed asset's box from that of the true object [m]."""
     row = replica.placements[instance]
     asset = replica.assets[row.asset_id]
@@ -185,7 +186,8 @@ def shared_floors(truth: DwellingTruth, rooms: Sequence[Room], moved: Array) -> 
     return shares
 
 
-def _same(category: str, true: str) -> bool:
+def is_same(category: str, true: str) -> bool:
+    """Whether two categories are one, by the generator's names."""
     return (canonical_category(category) or category) == (canonical_category(true) or true)
 
 
@@ -198,7 +200,7 @@ def lost_room(
     of the other rooms."""
     free = sum(obj.name not in home.fitted for obj in home.objects)
     openings = sum(o.instance is not None for o in home.openings)
-    total = _pipeline_seconds(seconds or {})
+    total = pipeline_seconds(seconds or {})
     held = len([obj for obj in truth.objects if obj.is_free and obj.name in standing_for(truth)]) if truth else free
     unseen = len([obj for obj in truth.objects if obj.is_free and obj.observed < SHOWN]) if truth else 0
     return {
@@ -229,10 +231,11 @@ def summed(rooms: Sequence[Mapping[str, Any]]) -> dict[str, float | int]:
     return totals
 
 
-def _pipeline_seconds(seconds: Mapping[str, float]) -> float:
+def pipeline_seconds(seconds: Mapping[str, float]) -> float:
     """Seconds of all stages but the one that measures."""
     return sum(taken for stage, taken in seconds.items() if stage != "fidelity")
 
 
-def _mean(values: Sequence[float | bool]) -> float:
+def mean(values: Sequence[float | bool]) -> float:
+    """Mean, NaN of none."""
     return float(np.mean(values)) if len(values) else math.nan

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -22,23 +23,32 @@ BY_ROOM: tuple[tuple[str, str, str], ...] = (
 
 
 def print_dwellings(report: Mapping[str, Any], console: Console) -> None:
-    """Print the figures of all rooms, of each, what failed, and goals."""
+    """Print the figures of all rooms and of scans by others, of each room, what failed, and goals."""
     console.print(headline(report["machine"], report["seed"], report["processes"]))
-    groups = report["groups"]
-    table = table_of("hard rooms", ("", False), *((name, True) for name in groups))
-    add_row(table, "rooms", *(str(group["rooms"]) for group in groups.values()))
-    add_row(table, "of these failed", *(str(group["failed"]) for group in groups.values()))
+    groups, foreign = report["groups"], report["others"]
+    table = table_of("hard rooms", ("", False), *((name, True) for name in (*groups, *(scan["title"] for scan in foreign))))
+    add_row(table, "rooms", *(str(group["rooms"]) for group in groups.values()), *("" for _ in foreign))
+    failed = [int(scan["error"] is not None) for scan in foreign]
+    add_row(table, "of these failed", *(str(group["failed"]) for group in groups.values()), *map(str, failed))
     for key, words, unit in FIGURES:
-        add_row(table, words, *(as_text(group[key], unit) for group in groups.values()))
+        known = ("" if math.isnan(scan[key]) else as_text(scan[key], unit) for scan in foreign)
+        add_row(table, words, *(as_text(group[key], unit) for group in groups.values()), *known)
     console.print(table)
+    if foreign:
+        console.print(
+            "Of scans by others nobody says what is free: what the replica does not fix, and what it left out, is. Blank: no truth."
+        )
+    for line in report["not_measured"]:
+        console.print(f"not measured: {line}", markup=False, soft_wrap=True)
     rooms = table_of("by room", ("", False), ("frames", False), *((words, True) for _, words, _ in BY_ROOM))
     for room in report["rooms"]:
         name = f"{room['room']}: {room['stage']} failed" if room["error"] else room["room"]
         add_row(rooms, name, "yes" if room["has_frames"] else "no", *(as_text(room[key], unit) for key, _, unit in BY_ROOM))
-    console.print(rooms)
+    if report["rooms"]:
+        console.print(rooms)
     if report["errors"]:
-        failed = table_of("what failed", ("room", False), ("stage", False), ("", False))
+        errors = table_of("what failed", ("room", False), ("stage", False), ("", False))
         for row in report["errors"]:
-            add_row(failed, row["room"], row["stage"], row["error"])
-        console.print(failed)
+            add_row(errors, row["room"], row["stage"], row["error"])
+        console.print(errors)
     console.print(goals_table(report["goals"]))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.realdata import HOUSE, HOUSE_VOXEL_M, MODELS
 from bench.replicas import as_replica
 from bench.rooms import generated_scene
 from flows.outputs.export import write_exports
@@ -33,9 +34,6 @@ from warehouse.lake import Lake
 
 FILES = {"mjcf": "scene.xml", "urdf": "poses.json", "usd": "scene.usda"}
 """Formats that engines read, and the file of a scene to begin with."""
-
-HOUSE = Path("scene_aws_small_house", "house.glb")
-"""The house below the folder of real data, whose models are in `assets`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,8 +157,8 @@ def _house(choice: SceneChoice, realdata: Path, options: tuple[str, ...]) -> Pat
         raise InputError(str(realdata), "--realdata", f"holds no {HOUSE}", "name the folder that does, or leave the option out")
     if not (folder / "scans" / "house.truth.json").exists():
         shutil.rmtree(folder / "scans", ignore_errors=True)
-        _metascenes("scan", house, "--out", folder / "scans", "--voxel", 0.03)
-    library = ("--dataset", "house", "--library", realdata / "assets")
+        _metascenes("scan", house, "--out", folder / "scans", "--voxel", HOUSE_VOXEL_M)
+    library = ("--dataset", "house", "--library", realdata / MODELS)
     _metascenes("run", "--scans", folder / "scans", *library, "--lake", folder / "lake", *options)
     return folder / "lake"
 
