@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -80,7 +80,7 @@ def judged(
     """Figures of a room."""
     source = {row.source_id: name for name, row in replica.instances.items()}
     best = standing_for(truth)
-    names = {name: source[str(object_id)] for name, (object_id, _) in best.items() if str(object_id) in source}
+    names = {name: source[str(object_id)] for name, (object_id, _) in standing_for(truth, source).items()}
     placed = {name: instance for name, instance in names.items() if instance in replica.placements}
     free = [obj for obj in truth.objects if obj.is_free]
     verdicts = [_verdict(placed.get(obj.name), replica) for obj in free]
@@ -142,11 +142,12 @@ def judged(
     }
 
 
-def standing_for(truth: DwellingTruth) -> dict[str, tuple[int, float]]:
-    """The instance that stands for each true object: of those that hold more of it than of anything else, the one with the most."""
+def standing_for(truth: DwellingTruth, captured: Container[str] | None = None) -> dict[str, tuple[int, float]]:
+    """The instance that stands for each true object: of those that hold more of it than of anything else, the one with the most; only
+    those `captured`, by their ids in the scan, which may be named as another part of the object."""
     best: dict[str, tuple[int, float]] = {}
     for instance in truth.instances:
-        if not instance.objects:
+        if not instance.objects or (captured is not None and str(instance.object_id) not in captured):
             continue
         name, share = instance.objects[0]
         weight = share * instance.segment_count

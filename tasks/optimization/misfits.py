@@ -94,7 +94,7 @@ def made_smaller(
             ranked[row.instance_id].append(row)
     chosen = {p.instance.instance_id: p for p in fitting.proposals}
     notes = dict(note.split(": ", 1) for note in fitting.notes)
-    names = _giving_way(interior, stuck, ranked, chosen, 0.0)
+    names = _giving_way(interior, stuck, ranked, chosen, 0.0, counts_walls=True)
     alternatives = {
         name: other for name in names if (other := _other(chosen[name], ranked[name])) and other.asset_id != chosen[name].asset_id
     }
@@ -118,9 +118,9 @@ def _selected(proposal: Proposal, rows: Sequence[Selection]) -> np.ndarray:
 
 def _giving_way(
     interior: Interior, pairs: Sequence[Penetration], ranked: Mapping[str, Sequence[Selection]], chosen: Mapping[str, Proposal],
-    depth: float,
+    depth: float, counts_walls: bool = False,
 ) -> list[str]:  # fmt: skip
-    """The objects that give way to others, one of each pair that is deeper than `depth` [m]."""
+    """The objects that give way to others, one of each pair that is deeper than `depth` [m]; where it counts, to walls as well."""
     index = {name: i for i, name in enumerate(interior.names)}
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     carried = {(name, c.parent_id) for name, c in zip(interior.names, interior.carriers, strict=True) if c.relation == "on"}
@@ -131,6 +131,8 @@ def _giving_way(
 
     names: set[str] = set()
     for pair in pairs:
+        if pair.b not in index and pair.depth_m > depth and counts_walls and pair.a not in fixed and chosen[pair.a].origin == "selection":
+            names.add(pair.a)
         if pair.depth_m <= depth or pair.b not in index or (pair.a in fixed and pair.b in fixed):
             continue
         if (pair.a, pair.b) in carried or (pair.b, pair.a) in carried:  # it is lifted out of its carrier

@@ -134,3 +134,19 @@ def test_what_is_stuck_between_boards_is_taken_for_the_shape_that_leaves_them_th
     assert rows[shelf].displacement_m < 0.02
     (summary,) = outcome.rows["optimizations"]
     assert summary.deep_pairs == 0
+
+
+def test_what_is_stuck_between_walls_is_made_smaller_instead_of_sent_away() -> None:
+    """A refrigerator that is 6 cm too wide for its niche."""
+    scene = Scene()
+    scene.shells = [
+        dataclasses.replace(scene.shells[0], interior_walls=((-0.35, 1.0, -0.35, 2.0, 0.1, 2.5), (0.35, 1.0, 0.35, 2.0, 0.1, 2.5)))
+    ]  # fmt: skip
+    name = scene.add(block(0.66, 0.6, 1.7), translation([0.0, 1.65, 0.0]), "refrigerator")
+    outcome = scene.run()
+    (row,) = outcome.rows["placements"]
+    (summary,) = outcome.rows["optimizations"]
+    assert summary.deep_pairs == 0
+    assert row.displacement_m < 0.05
+    assert 0.85 < row.scale[0] < 0.95
+    assert any(name in text and "made smaller" in text for text in outcome.degradations)
