@@ -25,6 +25,9 @@ MOST_BELOW_M = {"legs": 0.85, "body": 0.65, "pole": 1.8}
 MOST_BELOW_STANDING_M = {"legs": 1.05, "body": 1.3, "pole": 1.8}
 """The same of what never hangs: a chair of which the upper edge of its back was seen, a refrigerator behind a table."""
 
+LET_IN = ("oven", "stove", "dishwasher", "washing machine", "clothes dryer", "mini fridge")
+"""What stands on the floor, or is let into worktops and tall cabinets: not so far above it."""
+
 POLE_WIDTH_M = 0.3
 """What stands on a pole has a foot of this width, of which the scan saw none."""
 
@@ -146,7 +149,8 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Boole
     stage = under & raised[seen.owners]
     base = _top(local[stage, :2], seen.points[stage, 2]) if _filled(local[stage, :2]) > CARRIED_SHARE * cells else 0.0
     lost = bottom - base
-    most = MOST_BELOW_STANDING_M if kind.kind == "stands" else MOST_BELOW_M
+    is_let_in = row.category.endswith(LET_IN)
+    most = MOST_BELOW_STANDING_M if kind.kind == "stands" and not is_let_in else MOST_BELOW_M
     return lost if SEEN_M < lost <= most[kind.base] else 0.0
 
 

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.instances.rows import InstancePoints
@@ -18,23 +19,33 @@ LEAST_SHARED = 0.25
 """Of the smaller of two boxes. Bodies that stand beside each other, or one on the other, share a few percent: the noise of their sides."""
 
 
+LEVEL_M = 0.04
+"""Tops of parts of one table are no farther apart [m]: one of them may hold what stands on it, a nest of tables is of several heights."""
+
+Array = NDArray[np.float64]
+
+
 def rejoined(
     groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[InstancePoints]
 ) -> tuple[tuple[Group, ...], list[Label], list[str]]:
     """The instances of a scan, parts of one body put together, and a line for each part. Only of what fills its box can be told that it
-    was parted: chairs are pushed below tables, and into each other's boxes."""
+    was parted, and of tables: chairs are pushed below tables, and into each other's boxes."""
     boxes = {
         i: oriented_box(solid.points, is_noisy=not solid.is_exact)
         for i, (label, solid) in enumerate(zip(meanings, solids, strict=True))
-        if not label.is_structure and mounting(label.category).is_boxy and len(solid.points)
+        if not label.is_structure and (mounting(label.category).is_boxy or mounting(label.category).is_flat_topped) and len(solid.points)
     }
     whole = {i: i for i in boxes}
     order = sorted(boxes, key=lambda i: (-len(groups[i].vertices), i))
     for at, i in enumerate(order):
         for j in order[:at]:
             volume = min(float(np.prod(boxes[i][1])), float(np.prod(boxes[j][1])))
-            is_same = meanings[i].category == meanings[j].category and whole[j] == j
-            if is_same and volume > 0.0 and oriented_overlap(*boxes[i], *boxes[j]) >= LEAST_SHARED * volume:
+            if (
+                whole[j] == j
+                and _is_alike(meanings[i].category, meanings[j].category, boxes[i], boxes[j])
+                and volume > 0.0
+                and oriented_overlap(*boxes[i], *boxes[j]) >= LEAST_SHARED * volume
+            ):
                 whole[i] = j
                 break
     parts = {i: [j for j in order if whole[j] == i] for i in boxes if whole[i] == i}
@@ -47,6 +58,14 @@ def rejoined(
         if j != i
     ]
     return tuple(_joined([groups[j] for j in parts.get(i, [i])]) for i in kept), [meanings[i] for i in kept], notes
+
+
+def _is_alike(category: str, other: str, box: tuple[Array, Array], other_box: tuple[Array, Array]) -> bool:
+    """Whether two objects may be parts of one: bodies of a category, and tables, whatever kind of a table, with their tops at one height."""
+    if mounting(category).is_boxy:
+        return category == other
+    tops = [float(pose[2, 3] + 0.5 * size[2]) for pose, size in (box, other_box)]
+    return category.split(" ")[-1] == other.split(" ")[-1] and abs(tops[0] - tops[1]) <= LEVEL_M
 
 
 def _joined(parts: Sequence[Group]) -> Group:

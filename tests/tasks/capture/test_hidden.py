@@ -64,7 +64,7 @@ def test_furniture_on_a_platform_reaches_down_to_that() -> None:
     assert low[2] == pytest.approx(0.18, abs=0.01)
 
 
-@pytest.mark.parametrize("category", ["mug", "pillow", "keyboard", "picture", "ceiling lamp", "kitchen counter", "box"])
+@pytest.mark.parametrize("category", ["mug", "pillow", "keyboard", "picture", "ceiling lamp", "kitchen counter", "box", "stove", "oven"])
 def test_what_stands_on_furniture_or_hangs_stays_as_it_was_seen(category: str) -> None:
     points = grid((1.0, 1.0, 0.7), (1.4, 1.4, 0.9))
     ((low, high),) = whole((category, points))
