@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.capture.instances.boxes import oriented_box
+from tasks.capture.instances.merged import own_part
 from tasks.capture.instances.rows import InstancePoints
 from tasks.capture.labels import Label
 from tasks.capture.reading import Group
@@ -31,21 +32,17 @@ def rejoined(
     """The instances of a scan, parts of one body put together, and a line for each part. Only of what fills its box can be told that it
     was parted, and of tables: chairs are pushed below tables, and into each other's boxes."""
     boxes = {
-        i: oriented_box(solid.points, is_noisy=not solid.is_exact)
+        i: oriented_box(solid.points[own_part(solid.points, label.category)], is_noisy=not solid.is_exact)
         for i, (label, solid) in enumerate(zip(meanings, solids, strict=True))
-        if not label.is_structure and (mounting(label.category).is_boxy or mounting(label.category).is_flat_topped) and len(solid.points)
+        if not label.is_structure and _fills_its_box(label.category) and len(solid.points)
     }
     whole = {i: i for i in boxes}
     order = sorted(boxes, key=lambda i: (-len(groups[i].vertices), i))
     for at, i in enumerate(order):
         for j in order[:at]:
             volume = min(float(np.prod(boxes[i][1])), float(np.prod(boxes[j][1])))
-            if (
-                whole[j] == j
-                and _is_alike(meanings[i].category, meanings[j].category, boxes[i], boxes[j])
-                and volume > 0.0
-                and oriented_overlap(*boxes[i], *boxes[j]) >= LEAST_SHARED * volume
-            ):
+            is_alike = whole[j] == j and _is_alike(meanings[i].category, meanings[j].category, boxes[i], boxes[j])
+            if is_alike and volume > 0.0 and oriented_overlap(*boxes[i], *boxes[j]) >= LEAST_SHARED * volume:
                 whole[i] = j
                 break
     parts = {i: [j for j in order if whole[j] == i] for i in boxes if whole[i] == i}
@@ -60,8 +57,12 @@ def rejoined(
     return tuple(_joined([groups[j] for j in parts.get(i, [i])]) for i in kept), [meanings[i] for i in kept], notes
 
 
+def _fills_its_box(category: str) -> bool:
+    return mounting(category).is_boxy or mounting(category).is_flat_topped
+
+
 def _is_alike(category: str, other: str, box: tuple[Array, Array], other_box: tuple[Array, Array]) -> bool:
-    """Whether two objects may be parts of one: bodies of a category, and tables, whatever kind of a table, with their tops at one height."""
+    """Whether two objects may be parts of one: bodies of a category, and tables of any kind with their tops at one height."""
     if mounting(category).is_boxy:
         return category == other
     tops = [float(pose[2, 3] + 0.5 * size[2]) for pose, size in (box, other_box)]

@@ -53,6 +53,15 @@ def test_two_parts_of_a_refrigerator_are_one_however_they_are_ordered(order: lis
     assert [label.category for label in meanings].count("refrigerator") == 2
 
 
+def test_two_parts_of_a_table_are_one_and_a_nest_of_tables_is_several() -> None:
+    top, apron = box((1.0, 1.0, 0.755), (2.3, 1.8, 0.805), 0.02), box((1.1, 1.0, 0.535), (2.2, 1.75, 0.805))
+    groups, _, notes = rejoined(*scan_of(("table", apron), ("dining table", top), ("mug", box((1.2, 1.2, 0.8), (1.3, 1.3, 0.9)))))
+    assert len(groups) == 2
+    assert len(notes) == 1
+    nest = [("side table", box((1.0, 1.0, 0.0), (1.5, 1.5, 0.6))), ("side table", box((1.05, 1.05, 0.0), (1.45, 1.45, 0.45)))]
+    assert len(rejoined(*scan_of(*nest))[0]) == 2
+
+
 @pytest.mark.parametrize(
     ("category", "other", "points"),
     [
