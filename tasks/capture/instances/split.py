@@ -58,9 +58,7 @@ def rejoined(
 
 
 def _fills_its_box(category: str) -> bool:
-    """Of cabinets and worktops of a kitchen one is annotated as several, and several as one: they are fixed, in each other or not."""
-    kind = mounting(category)
-    return (kind.is_boxy or kind.is_flat_topped) and not kind.is_fitted
+    return mounting(category).is_boxy or mounting(category).is_flat_topped
 
 
 def _is_alike(category: str, other: str, box: tuple[Array, Array], other_box: tuple[Array, Array]) -> bool:

@@ -20,6 +20,10 @@ BASE_SHARE = 0.5
 """Of the distance between the center of mass and the rim of an object's own base: a bottle's is 3 cm."""
 
 
+MOST_BACK_M = 0.3
+"""Farther than this no object is drawn [m]: what carries it in the middle of its carrier is no edge, but a bump of a scanned top."""
+
+
 def balance(points: Array, center: Array) -> tuple[float, Array]:
     """How far a center of mass, shape (2,), lies inside the convex hull of contacts in plan, shape (n, 2) [m], negative
     outside, and the unit direction into it, shape (2,)."""
@@ -68,6 +72,10 @@ def draw_back(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[in
             if margin >= wanted - 1e-6:
                 break
             way = (wanted - margin + 0.001) * inward
+            if np.hypot(*(total + way)) > MOST_BACK_M:
+                shift(shapes, stand, groups[i], (-float(total[0]), -float(total[1]), 0.0))
+                total[:] = 0.0
+                break
             shift(shapes, stand, groups[i], (float(way[0]), float(way[1]), 0.0))
             total += way
         if total.any():

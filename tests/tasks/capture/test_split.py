@@ -68,7 +68,6 @@ def test_two_parts_of_a_table_are_one_and_a_nest_of_tables_is_several() -> None:
         ("cabinet", "cabinet", box((0.0, 0.59, 0.0), (0.6, 1.2, 0.86))),  # beside it, a little in it
         ("cabinet", "cabinet", box((0.0, 0.0, 1.4), (0.35, 0.6, 2.1))),  # above it
         ("cabinet", "dishwasher", box((0.0, 0.0, 0.0), (0.6, 0.6, 0.8))),  # of another kind
-        ("kitchen cabinet", "kitchen cabinet", box((0.0, 0.0, 0.0), (3.4, 0.6, 0.86))),  # of a run that is annotated as one
         ("chair", "chair", box((0.1, 0.1, 0.0), (0.6, 0.6, 0.86))),  # pushed together
         ("wall", "wall", box((0.0, 0.0, 0.0), (0.6, 0.6, 0.8))),  # of the room
     ],

@@ -195,6 +195,17 @@ def test_what_stands_at_an_edge_is_drawn_back_from_it(past: float, yaw: float) -
     assert stand.low[1, 2] == pytest.approx(TOP, abs=1e-7)
 
 
+def test_nothing_is_drawn_across_its_carrier_to_a_bump() -> None:
+    """A platform with one corner 2 cm higher: an armchair in its middle touches nothing else, and stays in its middle."""
+    platform = ("platform", [block((2.0, 1.4, 0.2)), block((0.2, 0.2, 0.02), (0.85, 0.55, 0.2))], translation([0.0, 0.0, 0.0]))
+    interior = interior_of([platform, box((1.9, 1.2, 0.7), 0.0, 0.0, 0.22, category="armchair")])
+    shapes, stand = bodies_of(interior)
+    before = stand.place.copy()
+    put_to_rest(interior, shapes, stand)
+    assert draw_back(interior, shapes, stand) == []
+    assert np.array_equal(stand.place[:, :2], before[:, :2])
+
+
 def test_what_is_not_drawn_back_would_fall_and_is_said_to() -> None:
     interior = interior_of([table(), box((0.2, 0.14, 0.1), 0.61, 0.1, TOP)])
     shapes, stand = bodies_of(interior)
