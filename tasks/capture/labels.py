@@ -32,8 +32,11 @@ STRUCTURE = frozenset({WALL, FLOOR, CEILING})
 """Classes that are part of the room and never replaced by an asset."""
 
 
-LIKE_SIZE = 1.7
+LIKE_SIZE = 1.6
 """Factor within which objects of a category are as large as its usual one, along each of their sides."""
+
+LEAST_SIZE_M = 0.7
+"""Of furniture [m]: among what is smaller, much has a size that many other objects have."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +85,8 @@ class LabelMap:
             return label
         for right in slips(normalized(raw_label), self.entries):
             meaning = self.entries[right]
-            if is_known(meaning[0]) and _is_of_size(size, typical_extents(meaning[0])):
+            usual = typical_extents(meaning[0])
+            if is_known(meaning[0]) and max(usual) >= LEAST_SIZE_M and _is_of_size(size, usual):
                 return Label(*meaning, is_known=True, is_respelled=True)
         return label
 

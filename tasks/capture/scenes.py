@@ -166,12 +166,12 @@ def _meaning(group: Group, labels: LabelMap, is_node: bool) -> Label:
 
 def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label], scan: str) -> list[str]:
     """One line per label that the map does not have, or has in another spelling, with the place where it is met first."""
-    lines: dict[str, str] = {}
+    lines: dict[tuple[str, str], str] = {}
     for group, label in zip(groups, meanings, strict=True):
         if label.is_known and not label.is_respelled:
             continue
         meaning = f"is read as {label.category!r}" if label.is_known else "is not in the label map, nyu40 class 0"
-        lines.setdefault(group.raw_label, f"{group.origin or f'{scan}: geometry'}: {group.raw_label!r} {meaning}")
+        lines.setdefault((group.raw_label, label.category), f"{group.origin or f'{scan}: geometry'}: {group.raw_label!r} {meaning}")
     return list(lines.values())
 
 
@@ -197,6 +197,11 @@ def _solids(reading: Reading, world: Surface, groups: Sequence[Group], context: 
         for index, group in enumerate(groups)
     ]
 
+
+FURNITURE_WITH_DOORS = frozenset(
+    {"cabinet", "wardrobe", "closet", "cupboard", "fridge", "refrigerator", "oven", "folding", "shower", "microwave"}
+)  # fmt: skip
+"""What a door is of, by the first word of its name, that need not be in a wall, nor as high as one of a house."""
 
 _PROBES = 400
 """Points of an instance that are tested for visibility: their share is then known to 2 or 3 percent."""
@@ -275,8 +280,9 @@ def _shell(
     if not any(label.nyu40_id == CEILING for label in meanings) and shape.height_source != "ceiling":
         notes.append(f"no ceiling seen: height taken from the {shape.height_source}")
     fillings = {i: solids[i].points for i, label in enumerate(meanings) if label.nyu40_id in (DOOR, WINDOW) or _is_let_in(label)}
-    lines, is_door = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].category != "window" for i in fillings]
-    whole = whole_leaves(*lines, list(fillings.values()), is_door, cloud.points[classes == WALL])
+    lines, names = (shape.polygon, shape.interior_walls, shape.height), [meanings[i].category.split() for i in fillings]
+    is_door, of_house = [not name[-1].startswith("window") for name in names], [name[0] not in FURNITURE_WITH_DOORS for name in names]
+    whole = whole_leaves(*lines, list(fillings.values()), is_door, cloud.points[classes == WALL], of_house)
     leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
     openings = wall_openings(*lines, list((fillings | leaves).values()))
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
@@ -285,7 +291,7 @@ def _shell(
 
 def _is_let_in(label: Label) -> bool:
     """Whether something is a door or window by its name alone: few of those that people give to doors are in a label map."""
-    return mounting(label.category).kind == "let_in"
+    return mounting(label.category).kind == "let_in" and label.category.split()[0] not in FURNITURE_WITH_DOORS
 
 
 def _surfaces(

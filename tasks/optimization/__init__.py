@@ -23,6 +23,7 @@ from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.coverings import cut_at_walls
 from tasks.optimization.default import Default
 from tasks.optimization.falling import let_fall
+from tasks.optimization.footing import NOTE as FOOTING_NOTE
 from tasks.optimization.footing import on_their_feet
 from tasks.optimization.interior import Interior, furnish
 from tasks.optimization.misfits import Fitting, fit_together, made_smaller
@@ -81,19 +82,24 @@ def run(
     room = shells[0] if shells else None
     placed = (known, context.blobs, room, config.supports, config.pieces, context.caches)
     deepest = config.misfit_m if isinstance(config.method, Default) else np.inf  # the paper's method moves what it was given
-    steadied: dict[str, str] = {}
+    notable: dict[str, tuple[str, str]] = {}
+    usable = list(selections)
     if isinstance(config.method, Default):
         alone = (known, context.blobs, None, config.supports, config.pieces, context.caches)
         tilt = config.method.most_tilt_radians
-        proposals, steadied = on_their_feet(proposals, selections, known, lambda some: furnish(some, *alone), tilt)
+        proposals, fallen = on_their_feet(proposals, selections, known, lambda some: furnish(some, *alone), tilt)
+        usable = [row for row in selections if row.asset_id not in fallen.get(row.instance_id, ())]
         proposals, cut = cut_at_walls(proposals, known, room)
-        steadied |= cut
-    fitting = fit_together(proposals, selections, known, deepest, lambda some: furnish(some, *placed))
+        reasons = dict.fromkeys(fallen, FOOTING_NOTE) | cut
+        notable = {
+            p.instance.instance_id: (p.asset_id, reasons[p.instance.instance_id]) for p in proposals if p.instance.instance_id in reasons
+        }
+    fitting = fit_together(proposals, usable, known, deepest, lambda some: furnish(some, *placed))
     interior = fitting.interior
     notes += fitting.left_out
     resolved = _resolved(interior, config, context)
     if isinstance(config.method, Default) and _stuck(resolved):
-        fitting, resolved = _freed(fitting, resolved, selections, known, config, context, lambda some: furnish(some, *placed))
+        fitting, resolved = _freed(fitting, resolved, usable, known, config, context, lambda some: furnish(some, *placed))
     resolution, interior, poses, before, after, steps = resolved
     scene_id, word = context.scene_id, config.method.kind
     bodies, unknown = bodies_of(interior, captions, config.bodies)
@@ -106,7 +112,8 @@ def run(
             left = sum(p.depth_m for p in after if p.depth_m > config.method.slop_m + allowed.get((p.a, p.b), 0.0))
             resolution = with_falls(resolution, fall.moves, min(resolution.final, left))
             steps = step_rows(scene_id, resolution.start, resolution.steps)
-    changed = [f"{name}: {text}" for name, text in steadied.items()]
+    final = {p.instance.instance_id: p.asset_id for p in interior.proposals}
+    changed = [f"{name}: {text}" for name, (asset_id, text) in notable.items() if final.get(name) == asset_id]
     lost = lost_supports(interior, poses)
     remains = remains_of(interior, poses, after, resolution, lost, allowed, certified)
     contacts = contact_rows(scene_id, interior, interior.poses, before, "proposed", allowed)

@@ -15,6 +15,7 @@ from schemas.errors import InputError
 from tasks.geometry.transforms import inverse, transform_points, translation
 from tasks.mounting import mounting
 from tasks.optimization.proposals import Proposal
+from tasks.optimization.solids import shell_solids
 from tasks.shell import floor_ring
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ FREE_M = 0.002
 
 LEAST_M2 = 1e-4
 """Of a rug in walls: less is rounding."""
+
+SILL_M = 0.05
+"""What of a wall starts higher is over a doorway [m]."""
 
 LEAST_LEFT = 0.5
 """Of a side of a rug: one of which more would be cut lies in another place than it seems to, and stays as it is."""
@@ -88,13 +92,14 @@ def _cut(proposal: Proposal, extents: Array, free: Geometry) -> Proposal | None:
 
 
 def _free(room: Shell) -> Geometry:
-    """The floor of a room without its inner walls, a geometry in plan [m].
+    """The floor of a room without what stands on it of its inner walls, a geometry in plan [m]: their doorways are free.
 
     Raises:
-        InputError: the floor polygon has no area.
+        InputError: the floor polygon has no area, or an interior wall no size.
     """
     import shapely
 
     floor = shapely.Polygon(floor_ring(room))
-    walls = [shapely.LineString([(x0, y0), (x1, y1)]).buffer(0.5 * w[0], cap_style="flat") for x0, y0, x1, y1, *w in room.interior_walls]
+    hulls = [hull.vertices for solid in shell_solids(room) if solid.name.startswith("inner") for hull in solid.hulls]
+    walls = [shapely.MultiPoint(corners[:, :2]).convex_hull for corners in hulls if corners[:, 2].min() <= SILL_M]
     return floor.difference(shapely.union_all(walls)) if walls else floor

@@ -28,7 +28,7 @@ MOST_LEAN_RADIANS = 0.15
 """An asset that stands only when it leans by more, 9 degrees, was not meant to stand so."""
 
 ON_FLOOR_M = 0.1
-"""Lower than this, furniture that may hang stands on the floor."""
+"""What is proposed lower than this stands on the floor [m]."""
 
 NOTE = "another asset, which stands by itself"
 
@@ -36,9 +36,10 @@ NOTE = "another asset, which stands by itself"
 def on_their_feet(
     proposals: Sequence[Proposal], selections: Sequence[Selection], assets: Collection[str],
     furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]], most_tilt: float,
-) -> tuple[list[Proposal], dict[str, str]]:  # fmt: skip
-    """The proposals, those that cannot stand as they are replaced by the best candidate that can, and what has to be said of each of
-    these, by instance. What people chose stays as it is, and so does what may lean or hang, and what no candidate can replace.
+) -> tuple[list[Proposal], dict[str, frozenset[str]]]:  # fmt: skip
+    """The proposals, those on the floor that cannot stand as they are replaced by the best candidate that can, and the assets that cannot
+    stand, by instance. What people chose stays as it is, and so does what may lean or hang, what stands on other furniture, in whatever
+    way, and what no candidate can replace.
 
     most_tilt: how far what stands on nothing but its feet may tip until it rests [rad]; a selected asset may lean by
     `MOST_LEAN_RADIANS`.
@@ -48,25 +49,26 @@ def on_their_feet(
         if row.asset_id in assets:
             ranked[row.instance_id].append(row)
     chosen: list[Proposal] = []
-    notes: dict[str, str] = {}
+    fallen: dict[str, frozenset[str]] = {}
     for proposal in proposals:
         instance = proposal.instance
         kind = mounting(instance.category)
-        is_standing = kind.kind == "stands" or (kind.base is not None and proposal.pose[2, 3] <= ON_FLOOR_M)
+        is_standing = (kind.kind == "stands" or kind.base is not None) and proposal.pose[2, 3] <= ON_FLOOR_M
         if proposal.origin == "selection" and is_standing and instance.category not in LEANS:
             interior, _ = furnish((proposal,))
             if interior.objects and not _stands(interior, most_tilt):
-                better = _better(proposal, ranked[instance.instance_id], furnish, most_tilt)
+                better, worse = _better(proposal, ranked[instance.instance_id], furnish, most_tilt)
                 if better is not None:
-                    proposal, notes[instance.instance_id] = better, NOTE
+                    proposal, fallen[instance.instance_id] = better, worse
         chosen.append(proposal)
-    return chosen, notes
+    return chosen, fallen
 
 
 def _better(
     proposal: Proposal, rows: Sequence[Selection], furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]], most_tilt: float
-) -> Proposal | None:
-    """The best candidate that stands, None where there is none of a like score."""
+) -> tuple[Proposal | None, frozenset[str]]:
+    """The best candidate that stands, None where there is none of a like score, and the assets of better ones, which do not."""
+    worse = {proposal.asset_id}
     score = next(row.score for row in rows if row.asset_id == proposal.asset_id)
     for row in rows:
         if row.asset_id == proposal.asset_id or row.score < LEAST_SCORE * score:
@@ -74,8 +76,9 @@ def _better(
         other = dataclasses.replace(proposal, asset_id=row.asset_id, pose=matrix(row.pose), scale=np.array(row.scale))
         interior, _ = furnish((other,))
         if interior.objects and _stands(interior, most_tilt):
-            return other
-    return None
+            return other, frozenset(worse)
+        worse.add(row.asset_id)
+    return None, frozenset(worse)
 
 
 def _stands(interior: Interior, most_tilt: float) -> bool:

@@ -129,15 +129,24 @@ def _giving_way(
     def volume(name: str) -> float:
         return float(np.prod(interior.objects[index[name]].high - interior.objects[index[name]].low))
 
+    rugs = {
+        name for name, is_rug in zip(interior.names, interior.covering, strict=True) if is_rug
+    }  # they end at walls, and give way to none
     names: set[str] = set()
     for pair in pairs:
-        if pair.b not in index and pair.depth_m > depth and counts_walls and pair.a not in fixed and chosen[pair.a].origin == "selection":
+        if (
+            pair.b not in index
+            and pair.depth_m > depth
+            and counts_walls
+            and pair.a not in fixed | rugs
+            and chosen[pair.a].origin == "selection"
+        ):
             names.add(pair.a)
         if pair.depth_m <= depth or pair.b not in index or (pair.a in fixed and pair.b in fixed):
             continue
         if (pair.a, pair.b) in carried or (pair.b, pair.a) in carried:  # it is lifted out of its carrier
             continue
-        sides = [name for name in (pair.a, pair.b) if chosen[name].origin == "selection"]
+        sides = [name for name in (pair.a, pair.b) if chosen[name].origin == "selection" and name not in rugs]
         if sides and not names & {pair.a, pair.b}:
             names.add(
                 max(sides, key=lambda name: (round(_foreign(chosen[name], ranked[name]), 3), name not in carriers, -volume(name), name))

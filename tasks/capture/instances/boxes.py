@@ -23,16 +23,16 @@ _AXIS_SLACK = 1.05
 makes the smallest box of a round or partly seen object lean by any angle."""
 
 
-def oriented_box(points: Array, is_noisy: bool = True) -> tuple[Array, Array]:
+def oriented_box(points: Array, is_noisy: bool = True, yaw: float | None = None) -> tuple[Array, Array]:
     """Pose (4x4, rotation about +Z, origin at the center [m]) and extents along its own axes [m], shape (3,).
 
     points: World frame [m], shape (n, 3), n >= 1. is_noisy: Leave out stray points and trim noise; not for exact geometry.
-    The x axis is the one within 45 degrees of the world's.
+    The x axis is the one within 45 degrees of the world's, or turned by `yaw` [rad].
     """
     kept = without_stray_points(points) if is_noisy else points
     trim = _TRIM_SHARE if is_noisy and len(kept) > 300 else 0.0
     bottom, top = _range(kept[:, 2], trim)
-    yaw = _yaw_of_least_area(kept[:, :2])
+    yaw = _yaw_of_least_area(kept[:, :2]) if yaw is None else yaw
     axes = yaw_pose(yaw)[:2, :2]
     plan = kept[:, :2] @ axes
     (x0, x1), (y0, y1) = _range(plan[:, 0], trim), _range(plan[:, 1], trim)

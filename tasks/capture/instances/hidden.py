@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Instance, Shell
+from tasks.capture.instances.boxes import oriented_box
 from tasks.geometry.boxes import grown_box
-from tasks.geometry.transforms import flat, inverse, matrix, transform_points, yaw_of, yaw_pose
+from tasks.geometry.transforms import flat, inverse, matrix, transform_points, yaw_of
 from tasks.mounting import Mounting, mounting
 
 Array = NDArray[np.float64]
@@ -105,15 +106,11 @@ def with_hidden_parts(
 def _along_wall(row: Instance, points: Array, corners: Array) -> Instance:
     """The row of a door or window with the box of its points, shape (n, 3), turned as its wall runs: of a part of it nobody can tell.
     corners: of the whole, the first and the fifth apart along the wall, shape (8, 3) [m]."""
-    pose, along = matrix(row.box_pose), corners[4] - corners[0]
-    yaw = yaw_of(pose)
+    along, yaw = corners[4] - corners[0], yaw_of(matrix(row.box_pose))
     turn = (float(np.arctan2(along[1], along[0])) - yaw + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
-    turned = yaw_pose(yaw + turn, pose[:3, 3])
-    local = transform_points(points, inverse(turned))
-    low, high = local.min(axis=0), local.max(axis=0)
-    center = transform_points(0.5 * (low + high)[None], turned)[0]
-    size = tuple(float(v) for v in high - low)
-    return dataclasses.replace(row, box_pose=flat(yaw_pose(yaw + turn, center)), box_size=size, box_volume_m3=size[0] * size[1] * size[2])
+    pose, extents = oriented_box(points, yaw=yaw + turn)
+    size = tuple(float(v) for v in extents)
+    return dataclasses.replace(row, box_pose=flat(pose), box_size=size, box_volume_m3=size[0] * size[1] * size[2])
 
 
 def _beyond(row: Instance, corners: Array) -> Array:

@@ -20,6 +20,9 @@ LEAST_SHARED = 0.25
 """Of the smaller of two boxes. Bodies that stand beside each other, or one on the other, share a few percent: the noise of their sides."""
 
 
+NEAR_M, LEAST_NEAR = 0.05, 0.35
+"""Of the points of one of them, so many are this near to points of the other [m]: what stands in its bend is in its box alone."""
+
 LEVEL_M = 0.04
 """Tops of parts of one table are no farther apart [m]: one of them may hold what stands on it, a nest of tables is of several heights."""
 
@@ -42,7 +45,9 @@ def rejoined(
         for j in order[:at]:
             volume = min(float(np.prod(boxes[i][1])), float(np.prod(boxes[j][1])))
             is_alike = whole[j] == j and _is_alike(meanings[i].category, meanings[j].category, boxes[i], boxes[j])
-            if is_alike and volume > 0.0 and oriented_overlap(*boxes[i], *boxes[j]) >= LEAST_SHARED * volume:
+            if not is_alike or volume <= 0.0 or oriented_overlap(*boxes[i], *boxes[j]) < LEAST_SHARED * volume:
+                continue
+            if max(_near_share(solids[a].points, solids[b].points) for a, b in ((i, j), (j, i))) >= LEAST_NEAR:
                 whole[i] = j
                 break
     parts = {i: [j for j in order if whole[j] == i] for i in boxes if whole[i] == i}
@@ -55,6 +60,14 @@ def rejoined(
         if j != i
     ]
     return tuple(_joined([groups[j] for j in parts.get(i, [i])]) for i in kept), [meanings[i] for i in kept], notes
+
+
+def _near_share(points: Array, others: Array) -> float:
+    """Share of points, shape (n, 3), with one of some others, shape (m, 3), near by [m]."""
+    from scipy.spatial import cKDTree
+
+    distances, _ = cKDTree(others).query(points, distance_upper_bound=NEAR_M)
+    return float(np.isfinite(distances).mean())
 
 
 def _fills_its_box(category: str) -> bool:

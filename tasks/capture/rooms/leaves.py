@@ -60,34 +60,40 @@ LEAF_TOP_M, LEAF_M, LEAF_DEPTH_M = 1.7, 0.3, 0.15
 BAR = (0.02, 0.4)
 """Least width [m] and flatness of a bar between panes, all that was seen of a window."""
 
+LEAST_POINTS = 10
+"""Fewer have no direction."""
+
 LEAST_GAIN_M = 0.08
 """What grows by less was seen whole [m]."""
 
 
 def whole_leaves(
-    polygon: Array, interior_walls: Array, height: float, leaves: Sequence[Array], is_door: Sequence[bool], wall_points: Array
-) -> list[Array | None]:
+    polygon: Array, interior_walls: Array, height: float, leaves: Sequence[Array], is_door: Sequence[bool], wall_points: Array,
+    of_house: Sequence[bool] | None = None,
+) -> list[Array | None]:  # fmt: skip
     """Corners of the box of every door and window with what was not seen of it [m], shape (8, 3); None where it was seen whole, or
     fills no wall.
 
     polygon: floor's corners, counter-clockwise, shape (n, 2). interior_walls: rows x0, y0, x1, y1, thickness, height, shape (k, 6).
     height: of the room. leaves: points of each, shape (m, 3). wall_points: points that were seen of walls, shape (w, 3). [m]
+    of_house: which doors may stand open, or between two walls, where they are in none; all, if None.
     """
     lines = wall_lines(polygon, interior_walls)
     made = []
     for index, (points, door) in enumerate(zip(leaves, is_door, strict=True)):
         # where another leaf or pane was seen, none of this one is
         taken = np.concatenate([wall_points, *(other for k, other in enumerate(leaves) if k != index)])
-        made.append(_whole(points, door, lines, height, taken))
+        is_alone = door and (of_house is None or of_house[index])
+        made.append(_whole(points, door, is_alone, lines, height, taken))
     return made
 
 
-def _whole(points: Array, is_door: bool, lines: Sequence[WallLine], height: float, wall_points: Array) -> Array | None:
+def _whole(points: Array, is_door: bool, is_alone: bool, lines: Sequence[WallLine], height: float, wall_points: Array) -> Array | None:
     fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height)) is not None]
-    if not fits and is_door:
+    if not fits and is_alone:
         lines = _own_line(points)
         fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height)) is not None]
-    elif not fits:
+    elif not fits and not is_door:
         fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height, *BAR)) is not None]
     if not fits:
         return None
@@ -106,6 +112,8 @@ def _whole(points: Array, is_door: bool, lines: Sequence[WallLine], height: floa
 
 def _own_line(points: Array) -> list[WallLine]:
     """The line that a leaf stands on which is in no wall: in a doorway between two, or open; none for what is no leaf of a door."""
+    if len(points) < LEAST_POINTS:
+        return []
     low, high = np.percentile(points, [1, 99], axis=0)
     middle = np.median(points[:, :2], axis=0)
     values, vectors = np.linalg.eigh(np.cov((points[:, :2] - middle).T))

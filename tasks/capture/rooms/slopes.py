@@ -38,6 +38,10 @@ _LEANING = (-0.97, -0.2)
 """Vertical part of a normal that leans into the room."""
 
 
+OUTSIDE_M = 0.15
+"""As far as a slope may reach beyond the floor [m]: its thickness, and the error of a wall's place."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Slope:
     """A slanted wall over a stretch of an outer wall's inner face, shape (2,) each: its height there, and how far into the room it
@@ -65,8 +69,18 @@ def slanted_walls(cloud: Cloud, is_structure: Mask, polygon: Array, interior_wal
     if cloud.areas[leans].sum() < LEAST_M2:
         return []
     ends = np.concatenate([polygon, interior_walls[:, :2], interior_walls[:, 2:4]])
-    slopes = [_slope(line, cloud, leans, height, ends) for line in wall_lines(polygon, np.zeros((0, 6)))]
-    return [slope for slope in slopes if slope is not None]
+    lines = wall_lines(polygon, np.zeros((0, 6)))
+    slopes = [(line, _slope(line, cloud, leans, height, ends)) for line in lines]
+    return [slope for line, slope in slopes if slope is not None and _is_inside(slope, line.inward, polygon)]
+
+
+def _is_inside(slope: Slope, inward: Array, polygon: Array) -> bool:
+    """Whether what lies below a slope is floor: one that reaches through the wall across the room was measured wrong."""
+    import shapely
+
+    way = slope.reach * inward
+    plan = shapely.Polygon([slope.start, slope.end, slope.end + way, slope.start + way])
+    return bool(shapely.Polygon(polygon).buffer(OUTSIDE_M).covers(plan))
 
 
 def _slope(line: WallLine, cloud: Cloud, leans: Mask, height: float, ends: Array) -> Slope | None:

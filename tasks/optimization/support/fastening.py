@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 WORKTOP_M, WORKTOP_LENGTH_M = 0.2, 0.9
 """A worktop is no thicker and no shorter [m]: a thicker one is a cabinet with its top, a shorter one a board."""
 
+WORKTOPS = ("kitchen island", "counter", "worktop", "countertop", "bar", "table")
+"""What worktops are called, by those who take them for what is like them."""
+
 WORKTOP_LEVELS_M = (0.75, 1.15)
 """Between these heights people work standing [m]; at the lower ones they sit."""
 
@@ -28,7 +31,7 @@ def is_worktop(obj: PlacedAsset, carrier: Carrier) -> bool:
     """Whether an object is a long slab at the height of kitchens, that lies on something: whatever it is called, it is a worktop."""
     if carrier.relation != "on" or obj.height > WORKTOP_M or not WORKTOP_LEVELS_M[0] <= float(obj.high[2]) <= WORKTOP_LEVELS_M[1]:
         return False
-    return mounting(obj.category).is_flat_topped and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
+    return obj.category.endswith(WORKTOPS) and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
 
 
 def built_in(carriers: Mapping[str, Carrier], by_id: Mapping[str, PlacedAsset]) -> dict[str, Carrier]:
@@ -39,7 +42,9 @@ def built_in(carriers: Mapping[str, Carrier], by_id: Mapping[str, PlacedAsset]) 
         below = made.get(known.parent_id or "")
         if not known.is_fixed or below is None or below.is_fixed or known.parent_id is None:
             continue
-        if below.relation == "floor" and mounting(by_id[known.parent_id].category).is_boxy:  # built in below a worktop, or below a sink
+        carrying = mounting(by_id[known.parent_id].category)
+        is_at_wall = below.against is not None or known.against is not None
+        if below.relation == "floor" and carrying.is_boxy and is_at_wall:  # built in below a worktop, or below a sink
             made[known.parent_id] = dataclasses.replace(below, is_fixed=True)
         elif known.against is not None and known.relation == "on" and not mounting(by_id[name].category).is_built_in:
             made[name] = dataclasses.replace(known, relation="wall", parent_id=None, gap=0.0, lift=0.0)

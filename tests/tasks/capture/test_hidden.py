@@ -256,3 +256,13 @@ def test_a_worktop_of_which_the_edge_was_seen_reaches_the_wall() -> None:
     _, (low, high) = whole(("kitchen cabinet", cabinet), ("kitchen counter", edge), floor=floor_without((0.0, 1.0), (0.6, 2.6)))
     assert low == pytest.approx([0.0, 1.0, 0.86], abs=1e-9)
     assert high == pytest.approx(edge.max(axis=0))
+
+
+def test_the_box_of_a_leaf_that_was_turned_to_its_wall_leaves_stray_points_out() -> None:
+    rng = np.random.default_rng(0)
+    leaf = np.column_stack([rng.uniform(1.0, 1.8, 4000), rng.normal(0.0, 0.01, 4000), rng.uniform(0.0, 2.0, 4000)])
+    points = np.concatenate([leaf, [[0.0, 0.9, 1.0], [2.9, -0.5, 1.0], [1.4, 0.8, 1.9]]])
+    row = instance("door", leaf)
+    corners = np.array([[x, y, z] for x in (0.95, 1.85) for y in (-0.05, 0.05) for z in (0.0, 2.03)])
+    (made,) = with_hidden_parts([row], [points], np.zeros((0, 2)), ROOM, {0: corners})
+    assert made.box_size == pytest.approx((0.8, 0.05, 2.0), abs=0.04)

@@ -76,3 +76,12 @@ def test_what_is_no_part_stays_as_it_was_annotated(category: str, other: str, po
     scan = scan_of((category, box((0.0, 0.0, 0.0), (0.6, 0.6, 0.86))), (other, points))
     groups, meanings, notes = rejoined(*scan)
     assert (groups, meanings, notes) == (scan[0], scan[1], [])
+
+
+def test_what_stands_in_the_bend_of_another_is_in_its_box_alone() -> None:
+    bent = np.concatenate([box((0.0, 0.0, 0.0), (2.0, 0.6, 0.75)), box((0.0, 0.6, 0.0), (0.6, 2.0, 0.75))])
+    inside = box((0.8, 0.8, 0.0), (1.95, 1.6, 0.75))
+    for category, other in (("desk", "desk"), ("table", "side table"), ("kitchen counter", "kitchen counter"), ("cabinet", "cabinet")):
+        groups, _, notes = rejoined(*scan_of((category, bent), (other, inside)))
+        assert len(groups) == 2, category
+        assert notes == []

@@ -75,3 +75,15 @@ def test_a_rug_below_a_wall_leaves_no_pair_in_each_other() -> None:
     assert bounds(outcome, scene)[name][1, 1] <= -0.05 + 1e-9
     moved = poses_of(outcome)[name][:2, 3] - poses_of(outcome, "proposed")[name][:2, 3]
     assert np.hypot(*moved) < 1e-9
+
+
+def test_a_rug_through_an_open_doorway_stays_whole() -> None:
+    wall = ((-2.0, 0.0, 2.0, 0.0, 0.1, 2.5),)
+    assets = {"a" * 64: sample(Asset, asset_id="a" * 64, extents=(0.8, 2.4, 0.01))}
+    rug = rug_at(0.0, 0.2, 0.0)
+    walled = dataclasses.replace(ROOM, interior_walls=wall, openings=())
+    assert cut_at_walls([rug], assets, walled)[1] == {"0000": CUT_NOTE}
+    parted = dataclasses.replace(ROOM, interior_walls=((-2.0, 0.0, -0.5, 0.0, 0.1, 2.5), (0.5, 0.0, 2.0, 0.0, 0.1, 2.5)), openings=())
+    assert cut_at_walls([rug], assets, parted) == ([rug], {})
+    opened = dataclasses.replace(ROOM, interior_walls=wall, openings=((-0.5, 0.0, 0.5, 0.0, 0.0, 2.0, 0.05),))
+    assert cut_at_walls([rug], assets, opened) == ([rug], {})

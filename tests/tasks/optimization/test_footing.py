@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.annotation import Annotation
-from tasks.geometry.transforms import translation
+from tasks.geometry.transforms import flat, translation
 from tasks.optimization import Paper
 from tasks.optimization.support.balance import draw_back
 from tasks.optimization.support.resting import put_to_rest
@@ -124,3 +124,24 @@ def test_what_stands_on_a_table_is_not_put_on_the_chair_beside_it() -> None:
     assert interior.parent[index] == interior.names.index("0000")
     put_to_rest(interior, shapes, stand)
     assert stand.low[index, 2] == pytest.approx(0.74, abs=1e-6)
+
+
+def test_what_stands_on_furniture_in_its_own_way_keeps_its_asset() -> None:
+    """A chair upside down on a table: on level ground it would fall over."""
+    scene, name, better = fallen_chair()
+    scene.selections = [dataclasses.replace(row, pose=flat(translation([0.0, 0.0, 0.75]))) for row in scene.selections]
+    scene.add(block(1.2, 0.8, 0.75), translation([0.0, 0.0, 0.0]), "table")
+    rows = {row.instance_id: row for row in scene.run().rows["placements"]}
+    assert rows[name].asset_id != better
+
+
+def test_what_cannot_stand_is_not_taken_again_for_its_neighbors_sake() -> None:
+    scene, name, better = fallen_chair()
+    first, second = scene.selections
+    scene.selections = [dataclasses.replace(first, foreign_share=0.0), dataclasses.replace(second, foreign_share=0.3)]
+    scene.add(block(0.7, 0.9, 0.38), translation([-0.25, 0.0, 0.0]), "box")
+    outcome = scene.run()
+    rows = {row.instance_id: row for row in outcome.rows["placements"]}
+    assert rows[name].asset_id == better
+    notes = [text for text in outcome.degradations if text.startswith(f"{name}: another asset")]
+    assert notes == [f"{name}: another asset, which stands by itself"]

@@ -718,3 +718,11 @@ def test_what_is_fitted_is_fastened_where_it_stands_against_a_wall() -> None:
         carriers = find_carriers([cabinet, worktop, mug], room(), CONFIG)
         assert [carriers[name].is_fixed for name in ("0000", "0001", "0002")] == [is_fitted, is_fitted, False]
         assert (carriers["0001"].relation, carriers["0002"].parent_id) == ("on", "0001")
+
+
+def test_a_thin_thing_on_a_dresser_fixes_neither() -> None:
+    for category in ("tv stand", "bench", "desk"):
+        objects = [at(0, block(0.45, 1.3, 0.8), -1.77, 0.0, 0.0, "dresser"), at(1, block(0.4, 1.2, 0.15), -1.77, 0.0, 0.8, category)]
+        carriers = find_carriers(objects, room(), CONFIG)
+        assert not carriers["0000"].is_fixed, category
+        assert not carriers["0001"].is_fixed, category
