@@ -62,11 +62,11 @@ def rejoined(
     return tuple(_joined([groups[j] for j in parts.get(i, [i])]) for i in kept), [meanings[i] for i in kept], notes
 
 
-def _near_share(points: Array, others: Array) -> float:
-    """Share of points, shape (n, 3), with one of some others, shape (m, 3), near by [m]."""
+def _near_share(points: Array, another: Array) -> float:
+    """Share of points, shape (n, 3), with one of another such, shape (m, 3), near by [m]."""
     from scipy.spatial import cKDTree
 
-    distances, _ = cKDTree(others).query(points, distance_upper_bound=NEAR_M)
+    distances, _ = cKDTree(another).query(points, distance_upper_bound=NEAR_M)
     return float(np.isfinite(distances).mean())
 
 
