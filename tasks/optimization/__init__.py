@@ -26,7 +26,7 @@ from tasks.optimization.falling import let_fall
 from tasks.optimization.footing import NOTE as FOOTING_NOTE
 from tasks.optimization.footing import on_their_feet
 from tasks.optimization.interior import Interior, furnish
-from tasks.optimization.misfits import Fitting, fit_together, made_smaller
+from tasks.optimization.misfits import Fitting, fit_together, yielding
 from tasks.optimization.paper import Paper
 from tasks.optimization.proposals import Proposal, propose
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
@@ -147,11 +147,12 @@ def _freed(
     fitting: Fitting, resolved: _Resolved, selections: Sequence[Selection], assets: Collection[str], config: OptimizationConfig,
     context: Context, furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
 ) -> tuple[Fitting, _Resolved]:  # fmt: skip
-    """What is stuck made smaller, and what is stuck even then put anywhere, as far as that helps: of all tries the first of the best."""
+    """What is stuck taken for something else or made smaller, and what is stuck even then put anywhere, as far as that helps: of all tries
+    the first of the best."""
     tries = [(fitting, resolved)]
     for _ in range(MOST_TRIES):
         stuck = _stuck(tries[-1][1])
-        smaller = made_smaller(tries[-1][0], tries[-1][1].interior, stuck, selections, assets, furnish) if stuck else None
+        smaller = yielding(tries[-1][0], tries[-1][1].interior, stuck, selections, assets, furnish) if stuck else None
         if smaller is None:
             break
         tries.append((smaller, _resolved(smaller.interior, config, context)))

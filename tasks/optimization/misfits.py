@@ -82,7 +82,7 @@ def fit_together(
     return Fitting(tuple(chosen.values()), interior, tuple(left_out), notes)
 
 
-def made_smaller(
+def yielding(
     fitting: Fitting, interior: Interior, stuck: Sequence[Penetration], selections: Sequence[Selection], assets: Collection[str],
     furnish: Callable[[Sequence[Proposal]], tuple[Interior, list[str]]],
 ) -> Fitting | None:  # fmt: skip

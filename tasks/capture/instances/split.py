@@ -19,7 +19,6 @@ from tasks.mounting import mounting
 LEAST_SHARED = 0.25
 """Of the smaller of two boxes. Bodies that stand beside each other, or one on the other, share a few percent: the noise of their sides."""
 
-
 NEAR_M, LEAST_NEAR = 0.05, 0.35
 """Of the points of one of them, so many are this near to points of the other [m]: what stands in its bend is in its box alone."""
 
