@@ -111,14 +111,10 @@ _FLAT_TOPPED = (
 """What others are put on."""
 
 
+@cache
 def mounting(category: str) -> Mounting:
     """How objects of a category are carried; a longer name is taken by its last words, a plural by its singular, another word for
     furniture by the usual one: a couch is a sofa."""
-    return _mounting(category)
-
-
-@cache
-def _mounting(category: str) -> Mounting:
     words = category.lower().replace("_", " ").replace("-", " ").split()
     for start in range(len(words)):
         name = " ".join(words[start:])

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 WORKTOP_M, WORKTOP_LENGTH_M = 0.2, 0.9
 """A worktop is no thicker and no shorter [m]: a thicker one is a cabinet with its top, a shorter one a board."""
 
-WORKTOPS = ("kitchen island", "counter", "worktop", "countertop", "bar", "table")
+WORKTOPS = frozenset({"kitchen island", "kitchen counter", "counter", "kitchen worktop", "worktop", "countertop", "bar", "table"})
 """What worktops are called, by those who take them for what is like them."""
 
 WORKTOP_LEVELS_M = (0.75, 1.15)
@@ -28,10 +28,10 @@ def is_fixed(carrier: Carrier, category: str, against: str | None = None) -> boo
 
 
 def is_worktop(obj: PlacedAsset, carrier: Carrier) -> bool:
-    """Whether an object is a long slab at the height of kitchens, that lies on something: whatever it is called, it is a worktop."""
+    """Whether an object is a long slab at the height of kitchens that lies on something, by a name that worktops go by."""
     if carrier.relation != "on" or obj.height > WORKTOP_M or not WORKTOP_LEVELS_M[0] <= float(obj.high[2]) <= WORKTOP_LEVELS_M[1]:
         return False
-    return obj.category.endswith(WORKTOPS) and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
+    return obj.category in WORKTOPS and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
 
 
 def built_in(carriers: Mapping[str, Carrier], by_id: Mapping[str, PlacedAsset]) -> dict[str, Carrier]:
