@@ -31,6 +31,7 @@ from schemas.fidelity import SceneFidelity
 from schemas.optimization import Certificate, Optimization, Placement, Support
 from tasks.geometry.transforms import flat, translation
 from tasks.scanner import ScanTruth, TrueObject
+from tests.bench.pools import NoPool
 
 BY_NAME = {scan.name: scan for scan in BY_OTHERS}
 
@@ -166,35 +167,15 @@ def test_what_is_absent_is_named(tmp_path: Path) -> None:
             held_by(empty)
 
 
-class NoPool:
-    """Answers in place of workers."""
-
-    calls = 0
-    error: Exception | None = None
-
-    def __init__(self, workers: int) -> None:
-        pass
-
-    def __enter__(self) -> NoPool:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def call(self, function: object, job: OthersJob, timeout: float) -> dict:
-        type(self).calls += 1
-        assert function is measure_by_others
-        assert list(Path(job.folder).iterdir()) == []
-        if self.error is not None:
-            raise self.error
-        return nothing_known(job.scan, "capture", "a test")
-
-
 @pytest.fixture
 def pool(monkeypatch: pytest.MonkeyPatch) -> type[NoPool]:
-    made = type("Pool", (NoPool,), {})
-    monkeypatch.setattr(bench.dwellings, "WorkerPool", made)
-    return made
+    class Pool(NoPool):
+        def answer(self, function: object, job: OthersJob) -> dict:
+            assert function is measure_by_others
+            return nothing_known(job.scan, "capture", "a test")
+
+    monkeypatch.setattr(bench.dwellings, "WorkerPool", Pool)
+    return Pool
 
 
 def test_they_are_measured_once_until_their_files_change(tmp_path: Path, pool: type[NoPool]) -> None:

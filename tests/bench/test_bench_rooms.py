@@ -32,6 +32,7 @@ from schemas.optimization import Certificate, Optimization, Placement, Support
 from tasks.furniture.dwellings import Dwelling, dwelling
 from tasks.geometry.transforms import flat
 from tasks.scanner.truth import DwellingObject, DwellingTruth, TrueInstance, TruePassage, TrueRoom
+from tests.bench.pools import NoPool
 
 
 @cache
@@ -257,34 +258,15 @@ def test_a_failed_room_counts_all_its_objects_and_is_named() -> None:
         assert words in text.getvalue()
 
 
-class NoPool:
-    """Answers in place of workers, as its class is set: an outcome, or an error, of every room."""
-
-    calls = 0
-    error: Exception | None = None
-
-    def __init__(self, workers: int) -> None:
-        pass
-
-    def __enter__(self) -> NoPool:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def call(self, function: object, job: DwellingJob, timeout: float) -> dict:
-        type(self).calls += 1
-        (Path(job.folder) / "scans").mkdir()
-        if self.error is not None:
-            raise self.error
-        return lost_room(job.index, job.index % 2 == 0, home(), "capture", "a test")
-
-
 @pytest.fixture
 def pool(monkeypatch: pytest.MonkeyPatch) -> type[NoPool]:
-    made = type("Pool", (NoPool,), {})
-    monkeypatch.setattr(bench.dwellings, "WorkerPool", made)
-    return made
+    class Pool(NoPool):
+        def answer(self, function: object, job: DwellingJob) -> dict:
+            (Path(job.folder) / "scans").mkdir()
+            return lost_room(job.index, job.index % 2 == 0, home(), "capture", "a test")
+
+    monkeypatch.setattr(bench.dwellings, "WorkerPool", Pool)
+    return Pool
 
 
 def measured(folder: Path, rooms: int) -> dict:
