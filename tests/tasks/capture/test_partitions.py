@@ -35,7 +35,7 @@ from tests.tasks.capture.test_capture import captured
 from tests.tasks.exports.test_exports import export
 from tests.tasks.navigation.test_navigation import furnished as objects_in_a_room
 from tests.tasks.navigation.test_navigation import solid
-from tests.tasks.optimization.test_optimization import Scene, block, bounds
+from tests.tasks.optimization.scenes import Scene, block, bounds
 
 WIDTH, DEPTH, HEIGHT = 6.0, 4.0, 2.5
 CLASSES = {"floor": FLOOR, "wall": WALL, "ceiling": CEILING, "wardrobe": 3, "bed": 4, "door": 8, "counter": 12}

@@ -15,7 +15,7 @@ from tasks.geometry.transforms import yaw_pose
 from tasks.optimization.coverings import CUT_NOTE, FREE_M, LEAST_LEFT, cut_at_walls
 from tasks.optimization.proposals import Proposal
 from tests.samples import sample
-from tests.tasks.optimization.test_optimization import Scene, block, bounds, poses_of, remains
+from tests.tasks.optimization.scenes import Scene, block, bounds, poses_of, remains
 
 ROOM = sample(
     Shell, floor_polygon=((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)), walls=(), height_m=2.5,

@@ -18,7 +18,7 @@ from tasks.optimization.support.resting import put_to_rest
 from tests.samples import sample
 from tests.tasks.optimization.interiors import Object, bodies_of, interior_of
 from tests.tasks.optimization.interiors import block as solid
-from tests.tasks.optimization.test_optimization import SCENE, Scene, block, remains
+from tests.tasks.optimization.scenes import SCENE, Scene, block, remains
 
 
 def chair_of(*feet: tuple[float, float]) -> list[trimesh.Trimesh]:

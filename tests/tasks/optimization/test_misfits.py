@@ -11,7 +11,7 @@ from schemas.annotation import Annotation
 from tasks.geometry.transforms import translation
 from tasks.optimization import Default, Paper
 from tests.samples import sample
-from tests.tasks.optimization.test_optimization import SCENE, Scene, block, bounds, poses_of, remains
+from tests.tasks.optimization.scenes import SCENE, Scene, block, bounds, poses_of, remains
 
 
 def corner_sofa() -> tuple[Scene, str, str, str]:

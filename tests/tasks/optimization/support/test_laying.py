@@ -18,7 +18,7 @@ from tasks.optimization.support.laying import GRAVITY_M_S2, lay_down
 from tasks.optimization.support.resting import let_down
 from tasks.optimization.support.tipping import Tip
 from tests.tasks.optimization.interiors import block, bodies_of, hull, interior_of, world_vertices
-from tests.tasks.optimization.test_tipping import prism, set_down
+from tests.tasks.optimization.support.test_tipping import prism, set_down
 
 NUDGE = 0.05
 

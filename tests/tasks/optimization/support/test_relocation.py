@@ -20,8 +20,8 @@ from tasks.optimization.support.resting import DEEP_M, Settling, let_down, lost_
 from tasks.optimization.support.supports import SupportConfig
 from tasks.stage import Outcome
 from tests.tasks.optimization.interiors import Object, block, bodies_of, interior_of, poses_after
-from tests.tasks.optimization.test_optimization import SHELF, Scene, bounds, poses_of, remains
-from tests.tasks.optimization.test_resting import SQUARE, TOP, box, shelf, table
+from tests.tasks.optimization.scenes import SHELF, Scene, bounds, poses_of, remains
+from tests.tasks.optimization.support.test_resting import SQUARE, TOP, box, shelf, table
 
 Array = np.ndarray
 SLOP, MOST = 0.0002, 0.45
