@@ -7,7 +7,7 @@ import dataclasses
 import hashlib
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.capture.files.documents import read_text
-from tasks.capture.spelling import respelled, slips
+from tasks.capture.spelling import SHORT_LETTERS, is_english, respelled, slips
 from tasks.furniture import is_known, typical_extents
 
 NYU40 = (
@@ -34,6 +34,12 @@ STRUCTURE = frozenset({WALL, FLOOR, CEILING})
 
 LIKE_SIZE = 1.6
 """Factor within which objects of a category are as large as its usual one, along each of their sides."""
+
+NOT_UNLIKE_SIZE = 2.5
+"""The same where the label is no word, and near to a single one of the map's: what was seen in part, or is bent, is one as well."""
+
+THIN_M = 0.06
+"""Sides that are thinner are of one size [m]: the noise of a scan is as thick as a rug."""
 
 LEAST_SIZE_M = 0.7
 """Of furniture [m]: among what is smaller, much has a size that many other objects have."""
@@ -77,16 +83,20 @@ class LabelMap:
             return Label(*self.entries[right], is_known=True, is_respelled=True)
         return Label(text or "unlabeled", 0, is_known=False)
 
-    def of_size(self, raw_label: str, size: NDArray[np.float64]) -> Label:
-        """Meaning of a label of an object of a size [m], shape (3,): a word that English has, and the map has not, is a slip of the hand
-        where what it is one letter away from is as large as the object. A tale that is as large as a table is one."""
+    def of_size(self, raw_label: str, size_as: Callable[[str], NDArray[np.float64]]) -> Label:
+        """Meaning of a label of an object, of which `size_as` says how large it is if it is of a category [m], shape (3,): a short word,
+        or one that English has and the map has not, is a slip of the hand where what it is one letter away from is as large as the
+        object. A tale that is as large as a table is one, and so is a rg that is as large as a rug."""
         label = self[raw_label]
         if label.is_known:
             return label
-        for right in slips(normalized(raw_label), self.entries):
+        text = normalized(raw_label)
+        near = slips(text, self.entries, least_letters=SHORT_LETTERS)
+        slack = NOT_UNLIKE_SIZE if len(near) == 1 and not is_english(text) else LIKE_SIZE
+        for right in near:
             meaning = self.entries[right]
             usual = typical_extents(meaning[0])
-            if is_known(meaning[0]) and max(usual) >= LEAST_SIZE_M and _is_of_size(size, usual):
+            if is_known(meaning[0]) and max(usual) >= LEAST_SIZE_M and is_of_size(size_as(meaning[0]), usual, slack):
                 return Label(*meaning, is_known=True, is_respelled=True)
         return label
 
@@ -105,10 +115,12 @@ class LabelMap:
         return Label(_words(category) or normalized(category) or "unlabeled", 0, is_known=False)
 
 
-def _is_of_size(size: NDArray[np.float64], usual: Sequence[float]) -> bool:
-    """Whether a box [m], shape (3,), is about as large as another: its height, its longer side in plan and its shorter one."""
-    own, other = (np.array([*sorted(map(float, extents[:2])), float(extents[2])]) for extents in (size, usual))
-    return bool(np.abs(np.log(np.maximum(own, 1e-6) / other)).max() <= np.log(LIKE_SIZE))
+def is_of_size(size: NDArray[np.float64], usual: Sequence[float], slack: float = LIKE_SIZE) -> bool:
+    """Whether a box [m], shape (3,), is about as large as another, within a factor: its height, its longer side in plan and its shorter."""
+    if not np.all(np.asarray(size[:2]) > 0.0):
+        return False
+    own, other = (np.maximum([*sorted(map(float, extents[:2])), float(extents[2])], THIN_M) for extents in (size, usual))
+    return bool(np.abs(np.log(own / other)).max() <= np.log(slack))
 
 
 def normalized(raw_label: str) -> str:

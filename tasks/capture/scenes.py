@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -18,6 +19,7 @@ from tasks.capture.files.images import encode_jpeg
 from tasks.capture.formats import format_of, left_out, room_of
 from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.instances.hidden import with_hidden_parts
+from tasks.capture.instances.merged import own_size
 from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
 from tasks.capture.instances.segmentation import geometry_groups
 from tasks.capture.instances.split import rejoined
@@ -94,11 +96,10 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     blobs = Blobs()
     solids = _solids(reading, world, groups, context, config)
     if not format.is_modelled:
-        sizes = [np.ptp(solid.points, axis=0) if len(solid.points) else np.zeros(3) for solid in solids]
         own_words = [label.is_known or reading.groups is None for label in meanings]
         meanings = [
-            label if is_known else labels.of_size(group.raw_label, size)
-            for group, label, size, is_known in zip(groups, meanings, sizes, own_words, strict=True)
+            label if is_known else labels.of_size(group.raw_label, partial(own_size, solid.points))
+            for group, label, solid, is_known in zip(groups, meanings, solids, own_words, strict=True)
         ]
         groups, meanings, joined = rejoined(groups, meanings, solids)
         solids = _solids(reading, world, groups, context, config) if joined else solids

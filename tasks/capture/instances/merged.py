@@ -26,6 +26,12 @@ ABOVE_SHARE = 0.3
 """Of the cells, in which more is above that height, from which on it is no top: a desk has shelves on it."""
 
 
+def own_size(points: Array, category: str) -> Array:
+    """Extents along the world's axes [m], shape (3,), of what is an object's own if it is of a category. points: shape (n, 3) [m]."""
+    own = points[own_part(points, category)] if len(points) else points
+    return np.ptp(own, axis=0) if len(own) else np.zeros(3)
+
+
 def own_part(points: Array, category: str) -> Booleans:
     """Which points of an annotated object are its own, shape (n, 3) to (n,): of rugs what is flat, of tables nothing above the top."""
     kind = mounting(category)

@@ -1,4 +1,4 @@
-"""Objects that were annotated in two parts: two refrigerators in each other's place are one."""
+"""Objects that were annotated in two parts: two refrigerators in each other's place are one, and a plant on a plant."""
 
 from __future__ import annotations
 
@@ -11,42 +11,74 @@ from numpy.typing import NDArray
 from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.instances.merged import own_part
 from tasks.capture.instances.rows import InstancePoints
-from tasks.capture.labels import Label
+from tasks.capture.labels import Label, is_of_size
 from tasks.capture.reading import Group
+from tasks.furniture import canonical_category, is_known, typical_extents
 from tasks.geometry.boxes import oriented_overlap
 from tasks.mounting import mounting
 
 LEAST_SHARED = 0.25
 """Of the smaller of two boxes. Bodies that stand beside each other, or one on the other, share a few percent: the noise of their sides."""
 
-NEAR_M, LEAST_NEAR = 0.05, 0.35
-"""Of the points of one of them, so many are this near to points of the other [m]: what stands in its bend is in its box alone."""
+NEAR_M, LEAST_NEAR = 0.05, 0.04
+"""Of the points of one of them, so many are this near to points of the other [m]: what was parted touches where it was parted."""
+
+LEAST_MINGLED = 0.35
+"""The same of cabinets and tables: what stands in the bend of one is in its box, and touches it."""
+
+MODULES = ("cabinet", "counter", "cupboard", "worktop", "countertop")
+"""Last words of what stands side by side, one on the other and around corners, each of its own."""
+
+SINGLE = (
+    "bed",
+    "sofa",
+    "armchair",
+    "plant",
+    "table lamp",
+    "floor lamp",
+    "desk lamp",
+    "tv",
+    "monitor",
+    "microwave",
+    "curtain",
+    "picture",
+    "mirror",
+    "backpack",
+)
+"""What is as little in a like object's place, beside what fills its box: nobody piles or nests it."""
+
+UPRIGHT = ("plant", "table lamp", "floor lamp", "desk lamp")
+"""What never stands on its like: where one does, it is the upper part of it."""
+
+STACKED_M = 0.1
+"""The lower end of the upper part is this near to the upper end of the lower one, or in it [m]."""
+
+LARGE_M = 1.4
+"""Of categories whose longest side is usually larger [m], two parts that touch are told by the size of the whole."""
 
 LEVEL_M = 0.04
 """Tops of parts of one table are no farther apart [m]: one of them may hold what stands on it, a nest of tables is of several heights."""
 
 Array = NDArray[np.float64]
+Box = tuple[Array, Array]
 
 
 def rejoined(
     groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[InstancePoints]
 ) -> tuple[tuple[Group, ...], list[Label], list[str]]:
-    """The instances of a scan, parts of one body put together, and a line for each part. Only of what fills its box can be told that it
-    was parted, and of tables: chairs are pushed below tables, and into each other's boxes."""
+    """The instances of a scan, parts of one body put together, and a line for each part. Of what is piled, nested or pushed into each
+    other (chairs, books, pillows) nobody can tell that it was parted."""
     boxes = {
         i: oriented_box(solid.points[own_part(solid.points, label.category)], is_noisy=not solid.is_exact)
         for i, (label, solid) in enumerate(zip(meanings, solids, strict=True))
-        if not label.is_structure and _fills_its_box(label.category) and len(solid.points)
+        if not label.is_structure and _is_whole_by_itself(label.category) and len(solid.points)
     }
     whole = {i: i for i in boxes}
     order = sorted(boxes, key=lambda i: (-len(groups[i].vertices), i))
     for at, i in enumerate(order):
         for j in order[:at]:
-            volume = min(float(np.prod(boxes[i][1])), float(np.prod(boxes[j][1])))
             is_alike = whole[j] == j and _is_alike(meanings[i].category, meanings[j].category, boxes[i], boxes[j])
-            if not is_alike or volume <= 0.0 or oriented_overlap(*boxes[i], *boxes[j]) < LEAST_SHARED * volume:
-                continue
-            if max(_near_share(solids[a].points, solids[b].points) for a, b in ((i, j), (j, i))) >= LEAST_NEAR:
+            if is_alike and _are_parts(meanings[j].category, solids[i].points, solids[j].points, boxes[i], boxes[j]):
                 whole[i] = j
                 break
     parts = {i: [j for j in order if whole[j] == i] for i in boxes if whole[i] == i}
@@ -69,14 +101,53 @@ def _near_share(points: Array, another: Array) -> float:
     return float(np.isfinite(distances).mean())
 
 
-def _fills_its_box(category: str) -> bool:
-    return mounting(category).is_boxy or mounting(category).is_flat_topped
+def _are_parts(category: str, points: Array, others: Array, box: Box, other_box: Box) -> bool:
+    """Whether two alike objects of a category, points of shapes (n, 3) and (m, 3) [m], are parts of one: in each other's place, one the
+    upper end of the other, or together as large as one usually is where one of them is not."""
+    volume = min(float(np.prod(box[1])), float(np.prod(other_box[1])))
+    near = max(_near_share(points, others), _near_share(others, points))
+    if volume <= 0.0 or near == 0.0:
+        return False
+    is_mingled = (mounting(category).is_flat_topped and not mounting(category).is_boxy) or category.split(" ")[-1] in MODULES
+    if near >= (LEAST_MINGLED if is_mingled else LEAST_NEAR) and oriented_overlap(*box, *other_box) >= LEAST_SHARED * volume:
+        return True
+    if is_mingled:
+        return False
+    return _is_upper_end(category, points, others) or _is_large_whole(category, points, others, box, other_box)
 
 
-def _is_alike(category: str, other: str, box: tuple[Array, Array], other_box: tuple[Array, Array]) -> bool:
-    """Whether two objects may be parts of one: bodies of a category, and tables of any kind with their tops at one height."""
-    if mounting(category).is_boxy:
-        return category == other
+def _is_upper_end(category: str, points: Array, others: Array) -> bool:
+    """Whether one of two sets of points, shapes (n, 3) and (m, 3) [m], stands on the other and is therefore its upper end."""
+    lower, upper = sorted((points, others), key=lambda cloud: float(cloud[:, 2].min()))
+    if not _is_named(category, UPRIGHT) or upper[:, 2].min() < lower[:, 2].min() + STACKED_M:
+        return False
+    middle = np.median(upper[:, :2], axis=0)
+    is_above = bool((np.abs(middle - np.median(lower[:, :2], axis=0)) <= 0.5 * np.ptp(lower[:, :2], axis=0) + NEAR_M).all())
+    return is_above and float(upper[:, 2].min() - lower[:, 2].max()) <= STACKED_M and float(upper[:, 2].max()) > float(lower[:, 2].max())
+
+
+def _is_large_whole(category: str, points: Array, others: Array, box: Box, other_box: Box) -> bool:
+    """Whether two objects that touch are together as large as one of their category, and not each of them."""
+    usual = typical_extents(category)
+    if not is_known(category) or max(usual) < LARGE_M or (is_of_size(box[1], usual) and is_of_size(other_box[1], usual)):
+        return False
+    return is_of_size(oriented_box(np.concatenate([points, others]), is_noisy=True)[1], usual)
+
+
+def _is_whole_by_itself(category: str) -> bool:
+    return mounting(category).is_boxy or mounting(category).is_flat_topped or _is_named(category, SINGLE)
+
+
+def _is_named(category: str, names: Sequence[str]) -> bool:
+    usual = canonical_category(category) or category
+    return any(f" {text}".endswith(f" {name}") for name in names for text in (category, usual))
+
+
+def _is_alike(category: str, other: str, box: Box, other_box: Box) -> bool:
+    """Whether two objects may be parts of one: of one category, by whichever of its words, and tables of any kind with their tops at one
+    height."""
+    if not mounting(category).is_flat_topped or mounting(category).is_boxy:
+        return (canonical_category(category) or category) == (canonical_category(other) or other)
     tops = [float(pose[2, 3] + 0.5 * size[2]) for pose, size in (box, other_box)]
     return category.split(" ")[-1] == other.split(" ")[-1] and abs(tops[0] - tops[1]) <= LEVEL_M
 

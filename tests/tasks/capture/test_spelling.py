@@ -14,7 +14,9 @@ from tasks.scanner.defects import misspelled
     ("raw", "category"),
     [
         ("hcair", "chair"), ("Cchair", "chair"), ("plte", "plate"), ("icrowave", "microwave"), ("kitchen_cabnet", "kitchen cabinet"),
-        ("ofice chair", "office chair"), ("bookhself", "bookshelf"), ("wlal", "wall"), ("tolet", "toilet"),
+        ("ofice chair", "office chair"),
+        ("office chari", "office chair"), ("coffee tale", "coffee table"),
+        ("bookhself", "bookshelf"), ("wlal", "wall"), ("tolet", "toilet"),
     ],
 )  # fmt: skip
 def test_a_slip_is_read_as_what_was_meant(raw: str, category: str) -> None:
@@ -35,10 +37,13 @@ def test_what_is_a_word_or_too_short_or_nothing_known_stays(raw: str) -> None:
         ("tale", (0.87, 1.3, 0.83), "table"), ("tale", (1.3, 0.87, 0.83), "table"), ("tale", (0.2, 0.2, 0.2), None),
         ("char", (0.5, 0.5, 0.9), "chair"), ("house", (0.3, 0.2, 0.3), None), ("hcair", (3.0, 3.0, 3.0), "chair"),
         ("table", (0.1, 0.1, 0.1), "table"), ("tale", (0.0, 0.0, 0.0), None),
+        ("rg", (2.6, 3.3, 0.01), "rug"), ("rg", (2.6, 3.3, 0.5), None), ("rg", (0.3, 0.4, 0.01), None),  # a rug is flat
+        ("sfa", (1.86, 2.22, 0.74), "sofa"), ("sfa", (0.2, 0.2, 0.2), None), ("lmp", (0.2, 0.2, 0.4), None),  # lamps are of any size
+        ("a", (1.6, 2.3, 0.01), None),
     ],
 )  # fmt: skip
 def test_a_word_that_no_map_has_is_a_slip_where_the_object_is_as_large(raw: str, size: tuple[float, ...], category: str | None) -> None:
-    label = label_map().of_size(raw, np.array(size))
+    label = label_map().of_size(raw, lambda _: np.array(size))
     assert label.category == (category or raw)
     assert label.is_known == (category is not None)
     assert label.is_respelled == (category is not None and raw != category)

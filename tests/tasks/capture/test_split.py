@@ -78,6 +78,47 @@ def test_what_is_no_part_stays_as_it_was_annotated(category: str, other: str, po
     assert (groups, meanings, notes) == (scan[0], scan[1], [])
 
 
+@pytest.mark.parametrize(
+    ("category", "part", "other"),
+    [
+        ("plant", box((0.0, 0.0, 0.0), (0.3, 0.26, 0.39)), box((0.05, 0.0, 0.42), (0.2, 0.3, 0.95))),  # its leaves on its pot
+        ("bedside lamp", box((0.0, 0.0, 0.5), (0.2, 0.2, 0.7)), box((-0.05, -0.05, 0.73), (0.25, 0.25, 0.95))),
+        ("bed", box((0.0, 0.0, 0.0), (1.42, 0.57, 0.73)), box((0.0, 0.6, 0.0), (1.42, 2.1, 0.59))),  # its head and its foot
+        ("armchair", box((0.0, 0.0, 0.0), (0.8, 0.8, 0.45)), box((0.0, 0.5, 0.3), (0.8, 0.8, 0.9))),
+        ("bookshelf", box((0.0, 0.0, 0.0), (0.9, 0.3, 1.2)), box((0.0, 0.0, 0.8), (0.9, 0.3, 1.9))),
+        ("nightstand", box((0.0, 0.0, 0.0), (0.44, 0.36, 0.28)), box((0.0, 0.3, 0.0), (0.44, 0.41, 0.49), 0.02)),
+    ],
+)  # fmt: skip
+def test_the_parts_of_what_nobody_piles_are_one(category: str, part: Array, other: Array) -> None:
+    groups, _, notes = rejoined(*scan_of((category, part), (category, other), ("wall", box((3.0, 0.0, 0.0), (3.05, 3.0, 2.5)))))
+    assert len(groups) == 2
+    assert len(notes) == 1
+
+
+def test_parts_by_two_words_for_one_thing_are_one() -> None:
+    pot, leaves = box((0.0, 0.0, 0.0), (0.3, 0.26, 0.39)), box((0.05, 0.0, 0.36), (0.2, 0.3, 0.9))
+    groups, meanings, _ = rejoined(*scan_of(("flowers", pot), ("plant", leaves)))
+    assert [label.category for label in meanings] == ["flowers"]
+    assert len(groups) == 1
+
+
+@pytest.mark.parametrize(
+    ("category", "part", "other"),
+    [
+        ("bed", box((0.0, 0.0, 0.0), (0.95, 2.0, 0.6)), box((0.98, 0.0, 0.0), (1.93, 2.0, 0.6))),  # twin beds
+        ("sofa", box((0.0, 0.0, 0.0), (0.9, 2.0, 0.8)), box((0.92, 1.2, 0.0), (2.9, 2.0, 0.8))),  # around a corner
+        ("plant", box((0.0, 0.0, 0.0), (0.3, 0.3, 0.8)), box((0.31, 0.0, 0.0), (0.7, 0.3, 0.9))),  # side by side
+        ("plant", box((0.0, 0.0, 0.0), (0.3, 0.3, 0.5)), box((0.0, 0.0, 1.2), (0.3, 0.3, 1.6))),  # on a shelf above it
+        ("pillow", box((0.0, 0.0, 0.0), (0.5, 0.2, 0.4)), box((0.1, 0.1, 0.0), (0.5, 0.3, 0.4))),  # leaned on it
+        ("chair", box((0.0, 0.0, 0.0), (0.5, 0.5, 0.9)), box((0.0, 0.0, 0.1), (0.5, 0.5, 1.0))),  # stacked
+        ("monitor", box((0.0, 0.0, 0.8), (0.6, 0.05, 1.2)), box((0.62, 0.0, 0.8), (1.2, 0.05, 1.2))),
+        ("bookshelf", box((0.0, 0.0, 0.0), (0.8, 0.3, 1.8)), box((0.82, 0.0, 0.0), (1.62, 0.3, 1.8))),
+    ],
+)  # fmt: skip
+def test_two_of_a_kind_stay_two(category: str, part: Array, other: Array) -> None:
+    assert len(rejoined(*scan_of((category, part), (category, other)))[0]) == 2
+
+
 def test_what_stands_in_the_bend_of_another_is_in_its_box_alone() -> None:
     bent = np.concatenate([box((0.0, 0.0, 0.0), (2.0, 0.6, 0.75)), box((0.0, 0.6, 0.0), (0.6, 2.0, 0.75))])
     inside = box((0.8, 0.8, 0.0), (1.95, 1.6, 0.75))
