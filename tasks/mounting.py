@@ -54,7 +54,7 @@ _KINDS: tuple[tuple[Kind, str, str], ...] = (
      "workbench|kitchen counter|kitchen island|counter|bar|nightstand|file cabinet|wardrobe|dresser|chest|trash can|recycling bin|"
      "bucket|suitcase|backpack|computer tower|printer|copier|laptop|keyboard|mouse|floor lamp|table lamp|desk lamp|refrigerator|"
      "mini fridge|oven|stove|dishwasher|washing machine|clothes dryer|vacuum cleaner|bathtub|piano|person|bicycle|ladder|"
-     "treadmill|pillow|cushion|blanket|storage bin|box|container|storage container|crate|basket|laundry basket|laundry hamper|"
+     "treadmill|platform|pillow|cushion|blanket|storage bin|box|container|storage container|crate|basket|laundry basket|laundry hamper|"
      "book|book stack|mug|cup|glass|wine glass|bottle|can|jar|bowl|plate|tray|pot|pan|kettle|toaster|toaster oven|coffee maker|"
      "blender|vase|candle|sculpture|toy|stuffed animal|ball|shoe|tissue box|remote|remote control|desk organizer|umbrella|dumbbell|"
      "fruit|food|iron|cell phone|tablet|headphones|flower pot"),
@@ -106,7 +106,7 @@ _BOXY = (
 
 _FLAT_TOPPED = (
     "table|dining table|desk|coffee table|side table|end table|console table|round table|workbench|kitchen counter|counter|nightstand|"
-    "kitchen island|tv stand|bench|dresser|file cabinet|ottoman"
+    "kitchen island|tv stand|bench|dresser|file cabinet|ottoman|platform"
 )
 """What others are put on."""
 

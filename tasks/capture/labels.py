@@ -76,11 +76,14 @@ class LabelMap:
     def __getitem__(self, raw_label: str) -> Label:
         """Meaning of a label; letter case, blanks, underscores, dashes and one slip of the hand do not matter."""
         text = normalized(raw_label)
-        if text in self.entries:
-            return Label(*self.entries[text], is_known=True)
-        right = respelled(text, self.entries)
-        if right is not None:
-            return Label(*self.entries[right], is_known=True, is_respelled=True)
+        joined = text.replace(" ", "")  # a book case
+        for form in (text, joined):
+            if form in self.entries:
+                return Label(*self.entries[form], is_known=True)
+        for form in (text, joined):
+            right = respelled(form, self.entries)
+            if right is not None:
+                return Label(*self.entries[right], is_known=True, is_respelled=True)
         return Label(text or "unlabeled", 0, is_known=False)
 
     def of_size(self, raw_label: str, size_as: Callable[[str], NDArray[np.float64]]) -> Label:

@@ -141,7 +141,8 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Boole
         return 0.0
     if kind.base == "body":
         on_floor = transform_points(np.column_stack([seen.floor, np.full(len(seen.floor), pose[2, 3])]), inverse(pose))
-        if _filled(on_floor[(np.abs(on_floor[:, :2]) < 0.5 * size[:2]).all(axis=1), :2]) > FLOOR_SHARE * cells:
+        on_floor = on_floor[(np.abs(on_floor[:, :2]) < 0.5 * size[:2]).all(axis=1)]
+        if len(_cells(on_floor[:, :2]) & _cells(local[seen.owners == index, :2])) > FLOOR_SHARE * cells:  # not in its bend
             return 0.0
     stage = under & raised[seen.owners]
     base = _top(local[stage, :2], seen.points[stage, 2]) if _filled(local[stage, :2]) > CARRIED_SHARE * cells else 0.0
@@ -192,9 +193,14 @@ def _between(local: Array, axis: int, sign: float, half: Array, away: float) -> 
     return np.asarray((out > 0.02) & (out < away - 0.02) & (np.abs(local[:, 1 - axis]) < half[1 - axis]))
 
 
+def _cells(plan: Array) -> set[tuple[int, int]]:
+    """Cells that points are in, shape (n, 2) [m]."""
+    return set(map(tuple, np.unique(np.floor(plan / CELL_M).astype(np.int64), axis=0).tolist()))
+
+
 def _filled(plan: Array) -> int:
     """How many cells points are in, shape (n, 2) [m]."""
-    return len(np.unique(np.floor(plan / CELL_M).astype(np.int64), axis=0))
+    return len(_cells(plan))
 
 
 def _top(plan: Array, heights: Array) -> float:

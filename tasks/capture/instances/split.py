@@ -111,7 +111,7 @@ def _are_parts(category: str, points: Array, others: Array, box: Box, other_box:
     is_mingled = (mounting(category).is_flat_topped and not mounting(category).is_boxy) or category.split(" ")[-1] in MODULES
     if near >= (LEAST_MINGLED if is_mingled else LEAST_NEAR) and oriented_overlap(*box, *other_box) >= LEAST_SHARED * volume:
         return True
-    if is_mingled:
+    if category.split(" ")[-1] in MODULES:
         return False
     return _is_upper_end(category, points, others) or _is_large_whole(category, points, others, box, other_box)
 

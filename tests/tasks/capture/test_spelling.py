@@ -15,7 +15,7 @@ from tasks.scanner.defects import misspelled
     [
         ("hcair", "chair"), ("Cchair", "chair"), ("plte", "plate"), ("icrowave", "microwave"), ("kitchen_cabnet", "kitchen cabinet"),
         ("ofice chair", "office chair"),
-        ("office chari", "office chair"), ("coffee tale", "coffee table"),
+        ("office chari", "office chair"), ("coffee tale", "coffee table"), ("book cse", "bookshelf"),
         ("bookhself", "bookshelf"), ("wlal", "wall"), ("tolet", "toilet"),
     ],
 )  # fmt: skip
