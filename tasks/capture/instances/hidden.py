@@ -168,9 +168,11 @@ def _behind(index: int, row: Instance, sides: Array, seen: _Seen, walls: Array) 
         for x0, y0, x1, y1 in walls.tolist():
             along = np.array([x1 - x0, y1 - y0])
             length = float(np.hypot(*along))
-            if length < CELL_M or float(np.array([along[1], -along[0]]) @ outward) < 0.97 * length:
+            normal = np.array([along[1], -along[0]])
+            if length < CELL_M or float(normal @ outward) < 0.97 * length:
                 continue
-            away = float((np.array([x0, y0]) - pose[:2, 3]) @ outward - half[axis])
+            # To the wall's line right behind it: along a long wall, of which a box is a few degrees askew, its ends are farther or nearer.
+            away = float((np.array([x0, y0]) - pose[:2, 3]) @ normal / (normal @ outward) - half[axis])
             if not SEEN_M < away < nearest or size[axis] + away > MOST_DEPTH_M:
                 continue
             ends = np.sort((np.array([[x0, y0], [x1, y1]]) - pose[:2, 3]) @ pose[:2, 1 - axis])

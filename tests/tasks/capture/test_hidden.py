@@ -266,3 +266,27 @@ def test_the_box_of_a_leaf_that_was_turned_to_its_wall_leaves_stray_points_out()
     corners = np.array([[x, y, z] for x in (0.95, 1.85) for y in (-0.05, 0.05) for z in (0.0, 2.03)])
     (made,) = with_hidden_parts([row], [points], np.zeros((0, 2)), ROOM, {0: corners})
     assert made.box_size == pytest.approx((0.8, 0.05, 2.0), abs=0.04)
+
+
+@given(degrees=st.floats(-8.0, 8.0), along=st.floats(0.4, 3.6), depth=st.floats(0.03, 0.1), gap=st.floats(0.1, 0.5))
+def test_a_front_that_is_askew_reaches_its_wall_and_not_beyond_it(degrees: float, along: float, depth: float, gap: float) -> None:
+    """Wherever along a long wall it hangs: how far the wall's ends are does not matter."""
+    pose, size = yaw_pose(np.radians(degrees), (gap + 0.5 * depth, along, 1.8)), (depth, 0.5, 0.6)
+    row = sample(
+        Instance, instance_id="0000", category="wall cabinet", is_structure=False, box_pose=flat(pose), box_size=size, hidden_m=None
+    )
+    points = pose[:3, 3] + (grid((0.0, 0.0, 0.0), size) - 0.5 * np.array(size)) @ pose[:3, :3].T
+    (made,) = with_hidden_parts([row], [points], floor_without((-0.1, -0.1), (1.0, 4.1)), ROOM)
+    assert made.hidden_m is not None
+    assert made.hidden_m[1:4] == (0.0, 0.0, 0.0)
+    assert (gap + 0.5 * depth) / np.cos(np.radians(degrees)) - 0.5 * depth == pytest.approx(made.hidden_m[0])
+
+
+def test_the_floor_in_the_bend_of_a_sofa_is_not_below_it() -> None:
+    bent = np.concatenate([grid((0.5, 0.5, 0.12), (2.7, 1.4, 0.7), 0.04), grid((0.5, 1.4, 0.12), (1.4, 2.3, 0.7), 0.04)])
+    floor = floor_without((0.5, 0.5), (2.7, 2.3))
+    in_bend = grid((1.5, 1.5, 0.0), (2.7, 2.3, 0.0))[:, :2]
+    ((low, _),) = whole(("sofa", bent), floor=np.concatenate([floor, in_bend]))
+    assert low[2] == pytest.approx(0.0)
+    ((low, _),) = whole(("sofa", bent), floor=np.concatenate([floor, grid((0.5, 0.5, 0.0), (1.4, 2.3, 0.0))[:, :2]]))
+    assert low[2] == pytest.approx(0.12), "a sofa on feet, with the floor seen below it"
