@@ -11,6 +11,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -49,13 +50,15 @@ OTHERS_SECONDS = 7200.0
 @dataclasses.dataclass(frozen=True)
 class DwellingsBench:
     """What is measured. folder: where finished rooms are remembered, so that the same command goes on; nowhere if None. realdata: folder
-    of scans by others, which are measured, too; None for none."""
+    of scans by others, which are measured, too; None for none. warms_up: a room that is not
+    in the table goes first, so that the seconds of the others are without compiling."""
 
     rooms: int = 30
     seed: int = 0
     processes: int = 1
     folder: Path | None = None
     realdata: Path | None = None
+    warms_up: bool = True
 
     @property
     def steps(self) -> int:
@@ -98,7 +101,12 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
         rooms: list[dict[str, Any]] = []
         cores = max(1, machine()["cores"] // config.processes)
         foreign: list[dict[str, Any]] = []
+        warming: float | None = None
         with WorkerPool(config.processes) as pool, ThreadPoolExecutor(config.processes) as threads:
+            if config.warms_up and any(
+                _remembered(_room_file(config.folder, config.seed, i), _mark(config.seed, i)) is None for i in range(config.rooms)
+            ):
+                warming = _warmed_up(pool, config, work, cores)
             for room in threads.map(partial(_measured, pool, config.seed, config.folder, work, cores), range(config.rooms)):
                 advance(str(room["room"]))
                 rooms.append(room)
@@ -112,6 +120,7 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
         "machine": machine(),
         "seed": config.seed,
         "processes": config.processes,
+        "warm_up_seconds": warming,
         "figures": [key for key, _, _ in FIGURES],
         "rooms": rooms,
         "groups": sums,
@@ -156,7 +165,6 @@ def make_scan(folder: Path, index: int, seed: int) -> DwellingTruth:
 
 def _measured(pool: WorkerPool, seed: int, folder: Path | None, work: Path, cores: int, index: int) -> dict[str, Any]:
     """A room's figures, remembered or measured."""
-    mark = {"code": _code(), "seed": seed, "index": index}
 
     def measure(place: str) -> dict[str, Any]:
         return pool.call(measure_room, DwellingJob(index, seed, place, cores), timeout=SECONDS)
@@ -164,8 +172,25 @@ def _measured(pool: WorkerPool, seed: int, folder: Path | None, work: Path, core
     def lost(error: str) -> dict[str, Any]:
         return lost_room(index, has_frames(index), dwelling((seed, index)), "worker", error)
 
-    path = folder / f"room_{seed}_{index:04d}.json" if folder is not None else None
-    return _known_or_measured(path, mark, work, measure, lost)
+    return _known_or_measured(_room_file(folder, seed, index), _mark(seed, index), work, measure, lost)
+
+
+def _warmed_up(pool: WorkerPool, config: DwellingsBench, work: Path, cores: int) -> float:
+    """Seconds that the room after the last takes [s], of which nothing is kept but what its stages compiled."""
+    clock = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="room_", dir=work, ignore_cleanup_errors=True) as place, suppress(WorkerLost, WorkerTimeout):
+        pool.call(measure_room, DwellingJob(config.rooms, config.seed, place, cores), timeout=SECONDS)
+    return time.perf_counter() - clock
+
+
+def _room_file(folder: Path | None, seed: int, index: int) -> Path | None:
+    """Where a room's figures are remembered, if anywhere."""
+    return folder / f"room_{seed}_{index:04d}.json" if folder is not None else None
+
+
+def _mark(seed: int, index: int) -> dict[str, Any]:
+    """What a room's figures hang on."""
+    return {"code": _code(), "seed": seed, "index": index}
 
 
 def _measured_by_others(
@@ -190,7 +215,7 @@ def _known_or_measured(
 ) -> dict[str, Any]:
     """What a file remembers under a mark, else what is measured in an empty folder; a worker that dies or hangs has lost it, which is
     not remembered: it may have been the machine's fault. What it left below `work` goes, whatever became of the worker."""
-    known = _remembered(path, mark) if path is not None else None
+    known = _remembered(path, mark)
     if known is not None:
         return known
     with tempfile.TemporaryDirectory(prefix="room_", dir=work, ignore_cleanup_errors=True) as place:
@@ -203,8 +228,10 @@ def _known_or_measured(
     return figures
 
 
-def _remembered(path: Path, mark: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The figures in a file, if it has them under this mark; None where it is absent, cannot be read, or is of other code."""
+def _remembered(path: Path | None, mark: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The figures in a file, if it has them under this mark; None where there is none, it cannot be read, or is of other code."""
+    if path is None:
+        return None
     try:
         known = json.loads(path.read_bytes())
     except (OSError, ValueError):

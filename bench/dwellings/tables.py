@@ -25,6 +25,8 @@ BY_ROOM: tuple[tuple[str, str, str], ...] = (
 def print_dwellings(report: Mapping[str, Any], console: Console) -> None:
     """Print the figures of all rooms and of scans by others, of each room, what failed, and goals."""
     console.print(headline(report["machine"], report["seed"], report["processes"]))
+    if report["warm_up_seconds"] is not None:
+        console.print(f"one more room went first, so that nothing is compiled below: {report['warm_up_seconds']:.0f} s")
     groups, foreign = report["groups"], report["others"]
     table = table_of("hard rooms", ("", False), *((name, True) for name in (*groups, *(scan["title"] for scan in foreign))))
     add_row(table, "rooms", *(str(group["rooms"]) for group in groups.values()), *("" for _ in foreign))

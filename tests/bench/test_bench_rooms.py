@@ -245,6 +245,7 @@ def test_a_failed_room_counts_all_its_objects_and_is_named() -> None:
         assert math.isnan(summed([lost, lost])[key]), key
     report = {
         "machine": {"processor": "p", "cores": 1, "system": "s", "python": "3", "versions": {}}, "seed": 0, "processes": 1,
+        "warm_up_seconds": 41.6,
         "rooms": [lost, good], "groups": {"all": both}, "others": [], "not_measured": [],
         "errors": [{"room": "room_0003", "stage": "selection", "error": "ValueError: no"}],
         "goals": goals(both),
@@ -254,6 +255,7 @@ def test_a_failed_room_counts_all_its_objects_and_is_named() -> None:
     assert "selection failed" in text.getvalue()
     assert "ValueError: no" in text.getvalue()
     assert "MISSED" in text.getvalue()
+    assert "compiled below: 42 s" in text.getvalue()
     for _, words, _ in FIGURES:
         assert words in text.getvalue()
 
@@ -270,7 +272,7 @@ def pool(monkeypatch: pytest.MonkeyPatch) -> type[NoPool]:
 
 
 def measured(folder: Path, rooms: int) -> dict:
-    return run_dwellings_bench(DwellingsBench(rooms, 0, 1, folder), lambda _: None)
+    return run_dwellings_bench(DwellingsBench(rooms, 0, 1, folder, warms_up=False), lambda _: None)
 
 
 @pytest.mark.whole
@@ -283,6 +285,17 @@ def test_rooms_that_are_remembered_are_not_measured_again(tmp_path: Path, pool: 
     assert math.isnan(again["groups"]["all"]["categories_right"])
     assert len(again["errors"]) == 3
     assert {path.name for path in tmp_path.iterdir()} == {f"room_0_{k:04d}.json" for k in range(3)}
+
+
+@pytest.mark.whole
+def test_the_room_after_the_last_goes_first_and_leaves_nothing(tmp_path: Path, pool: type[NoPool]) -> None:
+    report = run_dwellings_bench(DwellingsBench(2, 0, 1, tmp_path), lambda _: None)
+    assert pool.calls == 3
+    assert report["warm_up_seconds"] > 0.0
+    assert [row["room"] for row in report["rooms"]] == ["room_0000", "room_0001"]
+    assert {path.name for path in tmp_path.iterdir()} == {"room_0_0000.json", "room_0_0001.json"}
+    assert run_dwellings_bench(DwellingsBench(2, 0, 1, tmp_path), lambda _: None)["warm_up_seconds"] is None
+    assert pool.calls == 3
 
 
 @pytest.mark.whole
