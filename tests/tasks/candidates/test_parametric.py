@@ -30,7 +30,7 @@ from tasks.geometry.meshes import dump_points, load_glb, sample_surface, surface
 from tasks.geometry.transforms import flat, transform_points, yaw_pose
 from tasks.stage import Blobs, Context
 from tests.samples import sample
-from tests.tasks.test_candidates import candidates_of, crop_of_parts, scanned
+from tests.tasks.candidates.crops import candidates_of, crop_of_parts, scanned
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float, float, float]

@@ -1,0 +1,101 @@
+"""Crops of a scan as closed solids: what is open stays open, what was not seen is closed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tasks.candidates import closing
+from tasks.candidates.closing import solid_field
+from tasks.candidates.scan_crop import closed_crop, pieces_of_crop
+from tasks.furniture import generate
+from tasks.geometry.meshes import Surface, sample_surface
+from tasks.geometry.rendering import RayScene
+from tests.tasks.candidates.crops import (
+    cabinet_parts,
+    crop_of_parts,
+    signed_distance,
+)
+
+
+@pytest.mark.parametrize("extents", [(0.45, 0.8, 0.9), (0.6, 1.2, 2.0), (0.3, 0.4, 0.3), (2.0, 1.5, 0.5)])
+def test_a_cabinet_seen_from_the_front_becomes_a_solid_box(extents: tuple[float, float, float]) -> None:
+    crop = crop_of_parts(cabinet_parts(extents))
+    mesh = closed_crop(crop, solid_field(crop))
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert np.allclose(mesh.bounds, crop.bounds, atol=0.004)
+    assert mesh.bounds[0][2] <= 0.004
+    assert 0.85 < mesh.volume / np.prod(np.ptp(crop.bounds, axis=0)) < 1.01
+
+
+@pytest.mark.parametrize("category", ["sofa", "bookshelf", "chair"])
+def test_nodes_that_cast_no_further_rays_could_not_have_been_inside(category: str) -> None:
+    model = generate(category, None, np.random.default_rng(3))
+    crop = crop_of_parts(model.parts)
+    scene = RayScene([crop.to_trimesh()])
+    low, high = crop.bounds
+    nodes = np.random.default_rng(0).uniform(low - 0.1, high + 0.1, (1500, 3)).astype(np.float32)
+    backs, above, fronts = np.zeros((3, len(nodes)))
+    for direction in closing._DIRECTIONS:
+        hits = scene.cast(np.concatenate([nodes, np.tile(direction, (len(nodes), 1))], axis=1))
+        met, leaving = np.isfinite(hits["t_hit"]), hits["primitive_normals"] @ direction > 0
+        backs += met & leaving
+        above += met & leaving & (direction[2] >= 0)
+        fronts += met & ~leaving
+    upward = (closing._DIRECTIONS[:, 2] >= 0).sum()
+    closed_in = (backs >= closing.INSIDE_SHARE * 14) | (above >= closing.INSIDE_SHARE_ABOVE * upward)
+    expected = closed_in & (fronts <= closing.FRONT_SHARE * 14)
+    assert np.array_equal(closing._inside(scene, nodes), expected)
+    assert 0.02 < expected.mean() < 0.9
+
+
+def test_the_bottom_is_flat_where_the_object_stands() -> None:
+    crop = crop_of_parts(cabinet_parts((0.5, 0.8, 0.9)))
+    mesh = closed_crop(crop, solid_field(crop))
+    down = mesh.face_normals[:, 2] < -0.99
+    low = mesh.triangles_center[:, 2] < mesh.bounds[0][2] + 0.005
+    assert mesh.area_faces[down & low].sum() > 0.7 * 0.5 * 0.8
+
+
+def test_what_is_open_stays_open() -> None:
+    shelf = generate("bookshelf", (0.3, 0.9, 1.6), np.random.default_rng(4))
+    table = generate("table", (0.8, 1.4, 0.75), np.random.default_rng(4))
+    for model, box in ((shelf, 0.3 * 0.9 * 1.6), (table, 0.8 * 1.4 * 0.75)):
+        crop = crop_of_parts(model.parts, hidden=())
+        mesh = closed_crop(crop, solid_field(crop))
+        true = sum(part.volume for part in model.parts)
+        assert mesh.is_watertight
+        assert true * 0.7 < mesh.volume < 0.5 * box
+    # Under the top, between the legs, is air.
+    assert (signed_distance(mesh, np.array([[0, 0, 0.3], [0.1, 0.2, 0.4], [-0.1, -0.3, 0.2]])) > 0.02).all()
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("category", ["chair", "desk", "sofa", "nightstand", "lamp"])
+def test_the_closed_surface_lies_near_the_scanned_one(category: str) -> None:
+    model = generate(category, None, np.random.default_rng(8))
+    crop = crop_of_parts(model.parts)
+    field = solid_field(crop)
+    mesh = closed_crop(crop, field)
+    points, _, _ = sample_surface(crop, 1500, np.random.default_rng(0))
+    distance = np.abs(signed_distance(mesh, points))
+    assert mesh.is_watertight
+    assert np.median(distance) < 0.6 * field.step
+    assert np.percentile(distance, 80) < 1.5 * field.step  # clefts between cushions and the inside of a shade are filled
+
+
+def test_colors_of_the_solid_are_those_of_the_scan() -> None:
+    parts = cabinet_parts((0.5, 0.8, 0.9))
+    crop = crop_of_parts(parts)
+    for mesh in (closed_crop(crop, solid_field(crop)), pieces_of_crop(crop, solid_field(crop))[0]):
+        assert (np.asarray(mesh.visual.vertex_colors)[:, :3] == [150, 100, 60]).all()
+
+
+def test_nothing_to_enclose_is_said() -> None:
+    vertices = np.array([[0, 0, 0], [1e-4, 0, 0], [0, 1e-4, 0], [0, 0, 1e-4]])
+    speck = Surface(vertices, np.array([[0, 1, 2], [0, 1, 3]]), np.zeros((4, 3), np.uint8))
+    with pytest.raises(ValueError, match="encloses nothing"):
+        closed_crop(speck, solid_field(speck))
+    with pytest.raises(ValueError, match="encloses nothing"):
+        pieces_of_crop(speck, solid_field(speck))

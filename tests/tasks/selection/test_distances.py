@@ -1,0 +1,100 @@
+"""Distances, colors and the score: equal to independent implementations, within their bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tasks.geometry.meshes import sample_surface, surface_of
+from tasks.selection import ScoreConfig, score_of
+from tasks.selection.alignment import Distances
+from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices, nearest_turn
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 60), m=st.integers(1, 300), decimals=st.integers(0, 9), flat=st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_samples_that_are_not_looked_at_are_not_the_nearest(seed: int, k: int, m: int, decimals: int, flat: bool) -> None:
+    rng = np.random.default_rng(seed)
+    points, samples = rng.normal(size=(k, 3)), np.round(rng.normal(size=(m, 3)), decimals)  # with ties, and many at one place
+    samples *= [1.0, 1.0, 0.0 if flat else 1.0]
+    away = samples[None] - points[:, None]
+    square = away[..., 0] * away[..., 0] + away[..., 1] * away[..., 1] + away[..., 2] * away[..., 2]
+    index, distance = nearest_indices(points, samples)
+    assert np.array_equal(index, square.argmin(axis=1)), "of equal ones the first"
+    assert np.array_equal(distance, np.sqrt(square.min(axis=1)))
+    normals = rng.normal(size=(m, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    radius = float(rng.uniform(0.0, 0.5))
+    off = (away * normals).sum(axis=2)
+    over = np.maximum(np.sqrt(np.maximum(square - off * off, 0.0)) - radius, 0.0)
+    assert np.allclose(disc_distances(points, samples, normals, radius), np.sqrt(off * off + over * over).min(axis=1), atol=1e-9)
+    keep = int(rng.integers(1, k + 1))
+    used = np.argsort(distance, kind="stable")[:keep]
+    to, source = points[used, :2], samples[index[used], :2]
+    a, b = source - source.mean(axis=0), to - to.mean(axis=0)
+    across, along, middle, goal = nearest_turn(points, samples, keep)
+    assert (across, along) == pytest.approx(((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()), abs=1e-9)
+    assert np.allclose(middle, source.mean(axis=0), atol=1e-12)
+    assert np.allclose(goal, to.mean(axis=0), atol=1e-12)
+
+
+def test_compiled_distances_equal_an_independent_implementation() -> None:
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(6)
+    points, samples = rng.random((70, 3)), rng.random((90, 3))
+    index, distance = nearest_indices(points, samples)
+    expected, at = cKDTree(samples).query(points)
+    assert np.allclose(distance, expected, atol=1e-12)
+    assert (index == at).all()
+    out, back = coarse_distances(points, np.stack([samples, samples + 1.0]))
+    assert np.allclose(out[0], expected)
+    assert np.allclose(back[1], cKDTree(points).query(samples + 1.0)[0])
+
+
+def test_disc_distance_is_the_distance_to_the_surface() -> None:
+    """Discs spread over a plane and a box stand for them: far fewer samples than nearest points would need."""
+    rng = np.random.default_rng(7)
+    mesh = trimesh.creation.box((1.0, 1.0, 1.0)).subdivide()
+    mesh.visual.vertex_colors = [200, 200, 200, 255]
+    surface = surface_of([mesh])
+    centers, _, normals = sample_surface(surface, 800, rng)
+    points = sample_surface(surface, 300, rng)[0] + rng.normal(0, 0.02, (300, 3))
+    found = disc_distances(points, centers, normals, float(np.sqrt(6.0 / (np.pi * 800))))
+    exact = trimesh.proximity.closest_point_naive(mesh, points)[1]
+    nearest = nearest_indices(points, centers)[1]
+    assert np.abs(found - exact).mean() < 0.015
+    assert (found <= nearest + 1e-12).all()
+    assert np.abs(found - exact).mean() < 0.5 * np.abs(nearest - exact).mean()
+
+
+@given(
+    st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=1, max_size=30),
+    st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=1, max_size=30),
+)
+@settings(max_examples=40, deadline=None)
+def test_color_similarity_is_a_similarity(first: list[tuple[int, int, int]], second: list[tuple[int, int, int]]) -> None:
+    a, b = (color_histogram(np.array(colors, dtype=np.uint8)) for colors in (first, second))
+    assert a.sum() == pytest.approx(1.0)
+    assert color_similarity(a, a) == pytest.approx(1.0, abs=1e-6)
+    assert color_similarity(a, b) == pytest.approx(color_similarity(b, a), abs=1e-9)
+    assert 0.0 <= color_similarity(a, b) <= 1.0
+
+
+def test_the_score_is_a_weighted_sum_that_grows_with_every_term() -> None:
+    config = ScoreConfig()
+    weights = [config.coverage, config.scan_closeness, config.asset_closeness, config.box_iou, config.color, config.completeness]
+    assert sum(weights) == pytest.approx(1.0)
+    best = score_of(Distances(0.0, 0.0, 0.0, 1.0), 1.0, 1.0, 1.0, False, 1.0, config)
+    assert best == pytest.approx(1.0)
+    worse = [
+        score_of(Distances(0.1, 0, 0.1, 1), 1, 1, 1, False, 1, config), score_of(Distances(0, 0.1, 0.1, 1), 1, 1, 1, False, 1, config),
+        score_of(Distances(0, 0, 0, 0.5), 1, 1, 1, False, 1, config), score_of(Distances(0, 0, 0, 1), 0.5, 1, 1, False, 1, config),
+        score_of(Distances(0, 0, 0, 1), 1, 0.5, 1, False, 1, config), score_of(Distances(0, 0, 0, 1), 1, 1, 0.4, False, 1, config),
+        score_of(Distances(0, 0, 0, 1), 1, 1, 1, True, 1, config),
+    ]  # fmt: skip
+    assert all(0 <= value < best for value in worse)
