@@ -188,7 +188,8 @@ def test_a_sql_view(copied: Copy) -> None:
 
 TOUCHED = (
     "test_architecture.py", "test_families.py", "contributing/test_golden.py", "test_fuzzing.py", "schemas",
-    "tasks/candidates/test_candidates.py", "tasks/exports/test_exports.py", "tasks/exports/test_exports_agreement.py", "tasks/capture/test_capture_errors.py",
+    "tasks/candidates/test_candidates.py", "tasks/exports/test_exports.py", "tasks/exports/test_exports_agreement.py",
+    "tasks/capture/test_capture_errors.py",
     "warehouse/test_lake.py", "warehouse/questions", "flows/run/test_configuration.py", "flows/run/test_settings.py",
     "flows/run/test_status.py", "flows/documentation", "bench/test_bench_warehouse.py",
 )  # fmt: skip

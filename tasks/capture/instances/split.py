@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,13 @@ Array = NDArray[np.float64]
 Box = tuple[Array, Array]
 
 
+class _Part(NamedTuple):
+    """What may be a part of an object: its points [m], shape (n, 3), and its box."""
+
+    points: Array
+    box: Box
+
+
 def rejoined(
     groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[InstancePoints]
 ) -> tuple[tuple[Group, ...], list[Label], list[str]]:
@@ -78,7 +86,7 @@ def rejoined(
     for at, i in enumerate(order):
         for j in order[:at]:
             is_alike = whole[j] == j and _is_alike(meanings[i].category, meanings[j].category, boxes[i], boxes[j])
-            if is_alike and _are_parts(meanings[j].category, solids[i].points, solids[j].points, boxes[i], boxes[j]):
+            if is_alike and _are_parts(meanings[j].category, *(_Part(solids[k].points, boxes[k]) for k in (i, j))):
                 whole[i] = j
                 break
     parts = {i: [j for j in order if whole[j] == i] for i in boxes if whole[i] == i}
@@ -101,24 +109,23 @@ def _near_share(points: Array, another: Array) -> float:
     return float(np.isfinite(distances).mean())
 
 
-def _are_parts(category: str, points: Array, others: Array, box: Box, other_box: Box) -> bool:
-    """Whether two alike objects of a category, points of shapes (n, 3) and (m, 3) [m], are parts of one: in each other's place, one the
-    upper end of the other, or together as large as one usually is where one of them is not."""
-    volume = min(float(np.prod(box[1])), float(np.prod(other_box[1])))
-    near = max(_near_share(points, others), _near_share(others, points))
+def _are_parts(category: str, part: _Part, other: _Part) -> bool:
+    """Whether two alike objects of a category are parts of one: in each other's place, one the upper end of the other, or together as
+    large as one usually is where one of them is not."""
+    volume = min(float(np.prod(part.box[1])), float(np.prod(other.box[1])))
+    near = max(_near_share(part.points, other.points), _near_share(other.points, part.points))
     if volume <= 0.0 or near == 0.0:
         return False
-    is_mingled = (mounting(category).is_flat_topped and not mounting(category).is_boxy) or category.split(" ")[-1] in MODULES
-    if near >= (LEAST_MINGLED if is_mingled else LEAST_NEAR) and oriented_overlap(*box, *other_box) >= LEAST_SHARED * volume:
+    is_module = category.split(" ")[-1] in MODULES
+    is_mingled = is_module or (mounting(category).is_flat_topped and not mounting(category).is_boxy)
+    if near >= (LEAST_MINGLED if is_mingled else LEAST_NEAR) and oriented_overlap(*part.box, *other.box) >= LEAST_SHARED * volume:
         return True
-    if category.split(" ")[-1] in MODULES:
-        return False
-    return _is_upper_end(category, points, others) or _is_large_whole(category, points, others, box, other_box)
+    return not is_module and (_is_upper_end(category, part, other) or _is_large_whole(category, part, other))
 
 
-def _is_upper_end(category: str, points: Array, others: Array) -> bool:
-    """Whether one of two sets of points, shapes (n, 3) and (m, 3) [m], stands on the other and is therefore its upper end."""
-    lower, upper = sorted((points, others), key=lambda cloud: float(cloud[:, 2].min()))
+def _is_upper_end(category: str, part: _Part, other: _Part) -> bool:
+    """Whether one of two parts stands on the other and is therefore its upper end."""
+    lower, upper = sorted((part.points, other.points), key=lambda cloud: float(cloud[:, 2].min()))
     if not _is_named(category, UPRIGHT) or upper[:, 2].min() < lower[:, 2].min() + STACKED_M:
         return False
     middle = np.median(upper[:, :2], axis=0)
@@ -126,12 +133,12 @@ def _is_upper_end(category: str, points: Array, others: Array) -> bool:
     return is_above and float(upper[:, 2].min() - lower[:, 2].max()) <= STACKED_M and float(upper[:, 2].max()) > float(lower[:, 2].max())
 
 
-def _is_large_whole(category: str, points: Array, others: Array, box: Box, other_box: Box) -> bool:
-    """Whether two objects that touch are together as large as one of their category, and not each of them."""
+def _is_large_whole(category: str, part: _Part, other: _Part) -> bool:
+    """Whether two parts that touch are together as large as one object of their category, and not each of them."""
     usual = typical_extents(category)
-    if not is_known(category) or max(usual) < LARGE_M or (is_of_size(box[1], usual) and is_of_size(other_box[1], usual)):
+    if not is_known(category) or max(usual) < LARGE_M or (is_of_size(part.box[1], usual) and is_of_size(other.box[1], usual)):
         return False
-    return is_of_size(oriented_box(np.concatenate([points, others]), is_noisy=True)[1], usual)
+    return is_of_size(oriented_box(np.concatenate([part.points, other.points]), is_noisy=True)[1], usual)
 
 
 def _is_whole_by_itself(category: str) -> bool:
