@@ -24,8 +24,8 @@ LEAST_SHARED = 0.25
 NEAR_M, LEAST_NEAR = 0.05, 0.04
 """Of the points of one of them, so many are this near to points of the other [m]: what was parted touches where it was parted."""
 
-LEAST_MINGLED = 0.35
-"""The same of cabinets and tables: what stands in the bend of one is in its box, and touches it."""
+LEAST_NEAR_OF_TABLES, LEAST_NEAR_OF_MODULES = 0.15, 0.35
+"""The same of tables and of cabinets: what stands in the bend of one is in its box, and may touch it along two sides."""
 
 MODULES = ("cabinet", "counter", "cupboard", "worktop", "countertop")
 """Last words of what stands side by side, one on the other and around corners, each of its own."""
@@ -117,8 +117,9 @@ def _are_parts(category: str, part: _Part, other: _Part) -> bool:
     if volume <= 0.0 or near == 0.0:
         return False
     is_module = category.split(" ")[-1] in MODULES
-    is_mingled = is_module or (mounting(category).is_flat_topped and not mounting(category).is_boxy)
-    if near >= (LEAST_MINGLED if is_mingled else LEAST_NEAR) and oriented_overlap(*part.box, *other.box) >= LEAST_SHARED * volume:
+    is_table = mounting(category).is_flat_topped and not mounting(category).is_boxy
+    least = LEAST_NEAR_OF_MODULES if is_module else LEAST_NEAR_OF_TABLES if is_table else LEAST_NEAR
+    if near >= least and oriented_overlap(*part.box, *other.box) >= LEAST_SHARED * volume:
         return True
     return not is_module and (_is_upper_end(category, part, other) or _is_large_whole(category, part, other))
 

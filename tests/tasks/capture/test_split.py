@@ -53,6 +53,17 @@ def test_two_parts_of_a_refrigerator_are_one_however_they_are_ordered(order: lis
     assert [label.category for label in meanings].count("refrigerator") == 2
 
 
+def test_a_table_whose_top_is_in_two_parts_is_one() -> None:
+    left = np.concatenate([box((0.0, 0.0, 0.77), (0.7, 0.8, 0.8)), box((0.0, 0.0, 0.5), (1.1, 0.04, 0.8))])
+    groups, _, notes = rejoined(*scan_of(("folding table", left), ("kitchen table", box((0.5, 0.0, 0.77), (1.3, 0.8, 0.8)))))
+    assert (len(groups), len(notes)) == (1, 1)
+
+
+def test_what_fits_into_the_bend_of_a_desk_stays_apart_though_it_touches_it() -> None:
+    bent = np.concatenate([box((0.0, 0.0, 0.0), (2.0, 0.6, 0.75)), box((0.0, 0.6, 0.0), (0.6, 2.0, 0.75))])
+    assert len(rejoined(*scan_of(("desk", bent), ("desk", box((0.63, 0.63, 0.0), (1.9, 1.5, 0.75)))))[0]) == 2
+
+
 def test_two_parts_of_a_table_are_one_and_a_nest_of_tables_is_several() -> None:
     top, apron = box((1.0, 1.0, 0.755), (2.3, 1.8, 0.805), 0.02), box((1.1, 1.0, 0.535), (2.2, 1.75, 0.805))
     groups, _, notes = rejoined(*scan_of(("table", apron), ("dining table", top), ("mug", box((1.2, 1.2, 0.8), (1.3, 1.3, 0.9)))))
