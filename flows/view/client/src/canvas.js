@@ -7,6 +7,8 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 const CLICK_PX = 5;
 const ELEVATION = 0.82; // radians above the floor from which a room is seen at first
+const REST_MS = 250;
+const SLOW_MS = 50;
 const INSET = { width: 256, height: 192, margin: 12 };
 
 export class Canvas {
@@ -32,9 +34,24 @@ export class Canvas {
     this.controls.maxPolarAngle = Math.PI * 0.95;
     this.controls.minDistance = 0.2;
     this.controls.addEventListener("change", () => this.draw());
+    let rest = 0;
+    this.controls.addEventListener("start", () => {
+      clearTimeout(rest);
+      this.isMoving = true;
+    });
+    this.controls.addEventListener("end", () => {
+      rest = setTimeout(() => {
+        this.isMoving = false;
+        this.draw();
+      }, REST_MS);
+    });
     this.cut = 0.5; // share of the width that shows the scan
     this.agent = null; // camera of the inset
-    this.facing = []; // { object, point, normal }: seen only from the side that the normal points to
+    this.facing = []; // { objects, point, normal }: seen only from the side that the normal points to
+    this.quick = () => {}; // told before a drawing whether another follows at once, and whether drawings take long here
+    this.isSlow = false;
+    this.isMoving = false;
+    this.isPlaying = false;
     this.frames = 0;
     this.isDirty = false;
     new ResizeObserver(() => this.#resize()).observe(place);
@@ -137,7 +154,18 @@ export class Canvas {
     this.draw();
   }
 
+  /** Find out whether drawings take long here, as they do without a graphics processor. */
+  measure() {
+    const pixel = new Uint8Array(4);
+    const context = this.renderer.getContext();
+    const begun = performance.now();
+    this.#render();
+    context.readPixels(0, 0, 1, 1, context.RGBA, context.UNSIGNED_BYTE, pixel); // waits until all is drawn
+    this.isSlow = performance.now() - begun > SLOW_MS;
+  }
+
   #render() {
+    this.quick(this.isMoving || this.isPlaying, this.isSlow);
     const { renderer, camera } = this;
     const { x: width, y: height } = renderer.getSize(new Vector2());
     const edge = Math.round(width * this.cut);
@@ -162,8 +190,9 @@ export class Canvas {
 
   /** Hide what stands with its back to a camera: walls that one looks over, with what hangs on them. */
   #face(camera) {
-    for (const { object, point, normal, stays } of this.facing) {
-      object.visible = (stays?.() ?? false) || camera.position.clone().sub(point).dot(normal) > 0;
+    for (const { objects, point, normal, stays } of this.facing) {
+      const isSeen = (stays?.() ?? false) || camera.position.clone().sub(point).dot(normal) > 0;
+      for (const object of objects()) object.visible = isSeen;
     }
   }
 

@@ -1,7 +1,7 @@
 // What is drawn over a scene: the selected object's box, what overlaps or does not stay, what carries what, colliders, the navmesh.
 
 import {
-  BoxGeometry, BufferGeometry, Color, DoubleSide, EdgesGeometry, Group, Line, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial,
+  BoxGeometry, BufferGeometry, Color, CylinderGeometry, DoubleSide, EdgesGeometry, Group, Line, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial,
   MeshLambertMaterial, SphereGeometry, Vector3,
 } from "three";
 import { meshes, model, pose } from "./models.js";
@@ -39,7 +39,7 @@ export function problems(document_, replica, time) {
   for (const pair of overlaps(document_, time)) {
     const boxes = [pair.a, pair.b].filter((id) => replica.rows.has(id)).map((id) => replica.box(id));
     const [from, to] = [boxes[0], boxes[1] ?? boxes[0]].map((box) => box.getCenter(new Vector3()));
-    group.add(dot(from.clone().lerp(to, 0.5), 0.05, WRONG), line([from, to], WRONG));
+    group.add(dot(from.clone().lerp(to, 0.5), 0.05, WRONG), bar(from, to, WRONG));
     for (const box of boxes) group.add(frame(box, WRONG));
   }
   return group;
@@ -58,7 +58,7 @@ export function supports(document_, replica) {
     else if (row.support.relation === "ceiling") end = new Vector3(middle.x, middle.y, document_.room?.height ?? box.max.z);
     else if (row.support.relation === "wall") end = onWall(middle, document_.room) ?? middle;
     const color = RELATIONS[row.support.relation];
-    group.add(line([middle, end], color), dot(middle, 0.025, color), dot(end, 0.04, color));
+    group.add(bar(middle, end, color), dot(middle, 0.025, color), dot(end, 0.04, color));
   }
   return group;
 }
@@ -117,6 +117,15 @@ export function line(points, color) {
 export function dot(place, radius, color) {
   const mesh = new Mesh(new SphereGeometry(radius, 12, 8), new MeshBasicMaterial({ color, depthTest: false, transparent: true }));
   mesh.position.copy(place);
+  return mesh;
+}
+
+/** A thin bar between two points, seen through everything. */
+function bar(from, to, color) {
+  const length = from.distanceTo(to);
+  const mesh = new Mesh(new CylinderGeometry(0.009, 0.009, length, 6), new MeshBasicMaterial({ color, depthTest: false, transparent: true }));
+  mesh.position.copy(from).lerp(to, 0.5);
+  mesh.quaternion.setFromUnitVectors(new Vector3(0, 1, 0), to.clone().sub(from).normalize());
   return mesh;
 }
 

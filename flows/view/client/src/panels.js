@@ -125,6 +125,7 @@ function lineage(document_, row) {
   const details = make("details", { class: "lineage" }, make("summary", { textContent: "What it was made from, link by link" }), text);
   let asked = false;
   details.addEventListener("toggle", async () => {
+    if (details.open) details.scrollIntoView({ block: "start" });
     if (asked || !details.open) return;
     asked = true;
     try {

@@ -106,7 +106,7 @@ export class Replica {
       for (const mesh of meshes(holder)) {
         if (!mesh.material.emissive) continue;
         mesh.material.emissive = new Color(each === id ? color : 0x000000);
-        mesh.material.emissiveIntensity = each === id ? 0.28 : 0;
+        mesh.material.emissiveIntensity = each === id ? 0.2 : 0;
       }
     }
   }

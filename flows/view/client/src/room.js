@@ -1,7 +1,11 @@
 // The scan as mesh or points, and the shell of the replica: one looks into the room over the walls before the camera.
 
-import { BufferGeometry, Group, Mesh, Points, PointsMaterial, Vector3 } from "three";
+import { BufferAttribute, BufferGeometry, Group, Mesh, Points, PointsMaterial, Vector3 } from "three";
 import { meshes, model, unlit } from "./models.js";
+
+const MANY_FACES = 60_000;
+const CELL_M = 0.06;
+const POINT_M = 0.03;
 
 /** The scan of a scene. */
 export class Scan {
@@ -19,6 +23,17 @@ export class Scan {
     root.updateMatrixWorld(true);
     scan.mesh.add(root);
     return scan;
+  }
+
+  /** Draw a coarse form of a large scan, for as long as pictures follow one another; `isSlow`: where whole ones take too long. */
+  quick(wanted, isSlow) {
+    for (const mesh of this.points ? [] : meshes(this.mesh)) {
+      const { fine = mesh.geometry } = mesh.userData;
+      const faces = (fine.index ?? fine.attributes.position).count / 3;
+      const isCoarse = wanted && isSlow && faces > MANY_FACES && !mesh.material.map;
+      if (isCoarse && !mesh.userData.coarse) Object.assign(mesh.userData, { fine, coarse: clustered(fine, CELL_M) });
+      mesh.geometry = isCoarse ? mesh.userData.coarse : fine;
+    }
   }
 
   /** Vertices of the scan. */
@@ -42,7 +57,7 @@ export class Scan {
       for (const name of ["position", "normal", "color"]) {
         if (mesh.geometry.attributes[name]) geometry.setAttribute(name, mesh.geometry.attributes[name]);
       }
-      const material = new PointsMaterial({ size: 0.018, vertexColors: "color" in geometry.attributes });
+      const material = new PointsMaterial({ size: POINT_M, vertexColors: "color" in geometry.attributes });
       if (!material.vertexColors) material.color.set(0x8a94a2);
       material.onBeforeCompile = (shader) => {
         const away = "vec3 toEye = -mvPosition.xyz; if (dot(normalMatrix * normal, toEye) < 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);";
@@ -55,6 +70,42 @@ export class Scan {
     }
     this.group.add(this.points);
   }
+}
+
+/** A mesh with one vertex for each cell of a grid: faces within a cell are gone. */
+function clustered(geometry, edge) {
+  const { position, color } = geometry.attributes;
+  const cells = new Map();
+  const kept = [];
+  const owner = new Uint32Array(position.count);
+  for (let vertex = 0; vertex < position.count; vertex += 1) {
+    const [x, y, z] = [position.getX(vertex), position.getY(vertex), position.getZ(vertex)].map((at) => Math.round(at / edge) + 4096);
+    const key = (x * 8192 + y) * 8192 + z;
+    let cell = cells.get(key);
+    if (cell === undefined) {
+      cell = kept.push(vertex) - 1;
+      cells.set(key, cell);
+    }
+    owner[vertex] = cell;
+  }
+  const faces = [];
+  const corner = geometry.index ? (at) => owner[geometry.index.getX(at)] : (at) => owner[at];
+  for (let at = 0; at < (geometry.index ?? position).count; at += 3) {
+    const [a, b, c] = [corner(at), corner(at + 1), corner(at + 2)];
+    if (a !== b && b !== c && c !== a) faces.push(a, b, c);
+  }
+  const taken = (attribute) => {
+    const made = new attribute.array.constructor(kept.length * attribute.itemSize);
+    kept.forEach((vertex, index) => {
+      for (let i = 0; i < attribute.itemSize; i += 1) made[index * attribute.itemSize + i] = attribute.array[vertex * attribute.itemSize + i];
+    });
+    return new BufferAttribute(made, attribute.itemSize, attribute.normalized);
+  };
+  const coarse = new BufferGeometry();
+  coarse.setAttribute("position", taken(position));
+  if (color) coarse.setAttribute("color", taken(color));
+  coarse.setIndex(faces);
+  return coarse;
 }
 
 /** The shell of a replica by part; walls say where their inner side is, so that one looks over those before the camera. */
@@ -71,7 +122,7 @@ export async function shellOf(document_) {
     shell.add(part);
     const number = /^wall_(\d+)/.exec(part.name);
     const side = number && sideOf(document_.room.polygon, Number(number[1]));
-    if (side) facing.push({ object: part, wall: number[0], ...side });
+    if (side) facing.push({ objects: () => [part], wall: number[0], ...side });
   }
   return { shell, facing };
 }

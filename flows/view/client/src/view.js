@@ -32,7 +32,7 @@ class View {
     this.canvas = new Canvas(this.nodes.view);
     this.canvas.onPointer((x, y) => this.select(this.idAt(x, y)), (x, y) => this.hover(x, y));
     this.canvas.paper(getComputedStyle(document.documentElement).getPropertyValue("--view").trim() || "#eef1f5");
-    this.settle = new Player(2, SETTLE_SECONDS, (moment) => this.#at(moment), () => this.#playing());
+    this.settle = new Player(2, SETTLE_SECONDS, (moment) => this.#at(moment), () => this.#at(this.settle.now));
     this.selected = null;
     this.loading = 0;
     keys(this);
@@ -96,6 +96,7 @@ class View {
     this.nodes.panes.object.replaceChildren(...sceneFacts(told, (id) => this.select(id, true)));
     history.replaceState(null, "", `#${told.id}`);
     this.nodes.time.value = this.settle.now = 1;
+    this.#playing();
   }
 
   async #load(turn, told) {
@@ -121,7 +122,8 @@ class View {
     if (turn !== this.loading) return;
     this.scan.asPoints(this.on.points ?? false);
     if (!told.objects.length) this.look("corner");
-    this.canvas.draw();
+    this.canvas.quick = (wanted, isSlow) => this.scan?.quick(wanted, isSlow);
+    this.canvas.measure();
     this.seconds.all = (performance.now() - begun) / 1000;
     this.#say(failed.length ? `Cannot be drawn: ${failed.join("; ")}` : "", failed.length > 0);
     if (this.frames.isOpen && !this.nodes.panes.frames.hidden) this.frames.open();
@@ -134,7 +136,8 @@ class View {
     const rows = this.document.objects.filter((row) => row.support?.relation === "wall" && sides.has(row.support.against));
     return rows.filter((row) => this.replica.shown.has(row.id)).map((row) => {
       const { point, normal } = sides.get(row.support.against);
-      return { object: this.replica.shown.get(row.id), point, normal, stays: () => this.selected === row.id };
+      const objects = () => [this.replica.shown.get(row.id), this.colliders?.holders.get(row.id)].filter(Boolean);
+      return { objects, point, normal, stays: () => this.selected === row.id };
     });
   }
 
@@ -179,6 +182,7 @@ class View {
 
   #playing() {
     const runs = this.settle.isRunning;
+    this.canvas.isPlaying = runs || (this.walking?.isRunning ?? false);
     this.nodes.play.textContent = runs ? "⏸" : "▶";
     this.nodes.play.setAttribute("aria-label", runs ? "Pause" : "Play how it settles");
     for (const stop of this.nodes.stops) stop.setAttribute("aria-pressed", String(Number(stop.dataset.time) === Number(this.nodes.time.value)));
@@ -207,7 +211,8 @@ class View {
     if (this.on.navmesh && !this.made.navmesh) this.made.navmesh = Promise.all(told.navmeshes.slice(0, 1).map(navmesh));
     const [colliders, floors] = await Promise.all([this.on.colliders && this.made.colliders, this.on.navmesh && this.made.navmesh]);
     if (told !== this.document) return;
-    colliders && colliders.at(time);
+    this.colliders = colliders || null;
+    this.colliders?.at(time);
     this.objects.visible = !colliders;
     this.layers.clear();
     if (colliders) this.layers.add(colliders.group);
@@ -327,6 +332,10 @@ class View {
     this.walk = new Walk(episode, this.document.navmeshes.find((row) => row.agent === episode.agent));
     this.walking = new Player(this.walk.end, Math.max(1, this.walk.end * ACTION_SECONDS), (moment) => {
       this.walk.at(moment);
+      this.#playing();
+      this.canvas.draw();
+    }, () => {
+      this.#playing();
       this.canvas.draw();
     });
     this.walk.at(0);
