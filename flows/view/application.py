@@ -85,12 +85,13 @@ def explanation(scenes: Scenes, scene_id: str, instance_id: str) -> str:
     Raises:
         InputError: there is no such object.
     """
-    from flows.outputs.explain import explain, settings_of
+    from flows.outputs.explain import explain_objects, settings_of
     from tasks.lineage.outline import outline
 
     if instance_id not in {row["id"] for row in scenes.shown(scene_id).document["objects"]}:
         raise InputError(scenes.lake.address, f"{scene_id}/{instance_id}", "there is no such object")
-    return outline(explain(scenes.lake, f"{scene_id}/{instance_id}", scenes.reader.snapshot_id), settings_of)
+    lineage = explain_objects(scenes.lake, scene_id, [instance_id], scenes.reader.snapshot_id)[instance_id]
+    return outline(lineage, settings_of)
 
 
 def named(request: Request, name: str, read: Callable[[str], bytes]) -> Response:

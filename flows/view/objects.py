@@ -187,9 +187,14 @@ def _offered(
             "blob": asset and asset.mesh_blob,
             "pose": choice and choice.pose,
             "scale": choice and choice.scale,
-            "placed": placement is not None and row.asset_id == placement.asset_id,
+            "placed": False,
         })  # fmt: skip
-    return sorted(offers, key=lambda offer: (offer["rank"] or 99, offer["slot"]))
+    offers.sort(key=lambda offer: (offer["rank"] or 99, offer["slot"]))
+    for offer in offers:  # two slots may hold the same asset
+        if placement is not None and offer["asset"] == placement.asset_id:
+            offer["placed"] = True
+            break
+    return offers
 
 
 def _lengths(values: Sequence[float]) -> str:

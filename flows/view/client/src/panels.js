@@ -131,7 +131,7 @@ function lineage(document_, row) {
     try {
       text.textContent = (await source.json(`${pathOf(document_.id)}/objects/${row.id}`)).text;
     } catch (error) {
-      text.textContent = source.embedded ? `This file has no more; ask the lake: metascenes explain ${document_.id}/${row.id}` : error.message;
+      text.textContent = error.message;
     }
   });
   return details;
