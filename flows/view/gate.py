@@ -30,7 +30,9 @@ HEADERS = (
 )
 
 _READING = {"GET", "HEAD"}
-_WELCOME = '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={}"><link rel="icon" href="data:,"><title>Scene lake</title>'
+_WELCOME = """<!doctype html>
+<meta charset="utf-8"><meta http-equiv="refresh" content="0;url={}"><link rel="icon" href="data:,"><title>Scene lake</title>
+"""
 _PLACE = re.compile(r"[A-Za-z0-9_./-]{1,200}")
 """What an address may name besides its token: a scene, or an object of one."""
 
@@ -102,7 +104,9 @@ def _is_own_request(scope: Mapping[str, Any], headers: Mapping[bytes, str]) -> b
     must name its origin; that it is ours the doorkeeper has seen.
     """
     if headers.get(b"sec-fetch-site", "none") not in ("same-origin", "none"):
-        return headers.get(b"sec-fetch-mode") == "navigate" and scope.get("method") == "GET" and headers.get(b"sec-fetch-dest") == "document"
+        return (
+            headers.get(b"sec-fetch-mode") == "navigate" and scope.get("method") == "GET" and headers.get(b"sec-fetch-dest") == "document"
+        )
     return (scope["type"] == "http" and scope["method"] in _READING) or b"origin" in headers
 
 

@@ -49,13 +49,13 @@ def objects_of(rows: ObjectRows, colliders: Mapping[str, str]) -> list[dict[str,
         if instance.is_structure:
             continue
         key = instance.instance_id
-        placement, support = placements.get(key), supports.get(key)
+        placement = placements.get(key)
         asset = assets.get(placement.asset_id) if placement else None
         groups = {
             "In the scan": _seen(instance),
             "Described as": _described(captions.get(key)),
             "What stands for it": _placed(placement, asset, selections.get(key, []), candidates.get(key, []), rows.scans),
-            "How it stands": _standing(placement, support, certificates.get(key, [])),
+            "How it stands": _standing(placement, supports.get(key), certificates.get(key, [])),
             "How near it comes": _fidelity(fidelity.get(key)),
         }
         listed.append({
@@ -67,7 +67,7 @@ def objects_of(rows: ObjectRows, colliders: Mapping[str, str]) -> list[dict[str,
             "frames": instance.best_frames,
             "placed": _placed_values(placement, asset),
             "collider": colliders.get(key),
-            "support": support and {"relation": support.relation, "parent": support.parent_id, "against": support.against, "fixed": support.is_fixed},
+            "support": _support(supports.get(key)),
             "unstable": [row.engine for row in certificates.get(key, []) if not row.is_stable_1cm],
             "remains": placement.remains if placement else None,
             "facts": [{"title": title, "rows": facts} for title, facts in groups.items() if facts],
@@ -88,7 +88,7 @@ def _seen(row: Instance) -> Facts:
     facts = [["label", row.raw_label], ["NYU40", f"{row.nyu40_label} ({row.nyu40_id})"], ["box", _lengths(row.box_size)]]
     facts += [["volume of the box", f"{number(row.box_volume_m3)} m³"], ["points", number(row.point_count)]]
     if row.hidden_m is not None and any(row.hidden_m):
-        sides = zip(("−x", "+x", "−y", "+y", "below", "above"), row.hidden_m, strict=True)
+        sides = zip(("-x", "+x", "-y", "+y", "below", "above"), row.hidden_m, strict=True)
         facts.append(["reaches unseen", ", ".join(f"{scaled(length, 100, 0)} cm {side}" for side, length in sides if length)])
     return facts
 
@@ -113,7 +113,7 @@ def _placed(
     who = {"annotation": f"annotator {row.annotator or UNRECORDED}", "imported": "the imported dataset"}.get(row.origin, "selection")
     facts = [["asset", asset.name], ["made by", asset.provider], ["from", asset.source]]
     facts += [["license", of_asset(asset.license, asset.source, scans) or UNRECORDED], ["author", asset.author or UNRECORDED]]
-    facts += [["chosen by", who], ["scale", " × ".join(number(value, 2) for value in row.scale)], ["faces", number(asset.face_count)]]
+    facts += [["chosen by", who], ["scale", " x ".join(number(value, 2) for value in row.scale)], ["faces", number(asset.face_count)]]
     chosen = next((s for s in selections if s.asset_id == row.asset_id), None)
     if chosen is not None:
         facts.append(["score", f"{number(chosen.score)}, rank {chosen.rank} of {len(selections)}"])
@@ -159,6 +159,10 @@ def _fidelity(row: Fidelity | None) -> Facts:
     return facts
 
 
+def _support(row: Support | None) -> dict[str, Any] | None:
+    return row and {"relation": row.relation, "parent": row.parent_id, "against": row.against, "fixed": row.is_fixed}
+
+
 def _placed_values(row: Placement | None, asset: Asset | None) -> dict[str, Any] | None:
     if row is None or asset is None:
         return None
@@ -198,7 +202,7 @@ def _offered(
 
 
 def _lengths(values: Sequence[float]) -> str:
-    return " × ".join(number(value, 2) for value in values) + " m"
+    return " x ".join(number(value, 2) for value in values) + " m"
 
 
 def _by_instance(rows: Iterable[R]) -> dict[str, R]:

@@ -7,7 +7,6 @@ import hashlib
 import json
 import threading
 from collections import Counter, OrderedDict
-
 from typing import Any
 
 from flows.view.frames import AWAY, are_at_hand
@@ -231,7 +230,12 @@ def _facts(scene: Scene, shells: list[Shell], optimizations: list[Optimization],
     for optimized in optimizations:
         facts.append(["objects", f"{optimized.object_count} placed, {optimized.fixed_count} fastened"])
         facts.append(["overlaps", f"{optimized.deep_pairs} pairs deeper than 2 mm"])
-        facts.append(["optimization", f"{optimized.method}, {optimized.moves:,} moves, loss {optimized.loss_start:.3f} to {optimized.loss_final:.3f}"])
+        facts.append(
+            [
+                "optimization",
+                f"{optimized.method}, {optimized.moves:,} moves, loss {optimized.loss_start:.3f} to {optimized.loss_final:.3f}",
+            ]
+        )
     for row in fidelity:
         if row.object_f_5cm is not None:
             facts.append(["fidelity", f"F-score of objects {row.object_f_5cm:.3f} at 5 cm"])
@@ -252,5 +256,3 @@ def _episode(row: Episode) -> Document:
 
 def _compact(value: Any) -> bytes:
     return json.dumps(value, separators=(",", ":"), allow_nan=False).encode()
-
-

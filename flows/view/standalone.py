@@ -15,6 +15,7 @@ from flows.view.bundle import client_file
 from flows.view.frames import AWAY
 from flows.view.scene import Document, Scenes
 from schemas.files import write_whole
+from warehouse.lake import Lake
 
 
 def write_page(scenes: Scenes, scene_id: str, out: Path) -> int:
@@ -27,6 +28,11 @@ def write_page(scenes: Scenes, scene_id: str, out: Path) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, page)
     return len(page)
+
+
+def write_page_of(lake: Lake, snapshot_id: int, scene_id: str, out: Path) -> int:
+    """Write the page of a scene in a snapshot; its size in bytes. Runs in a worker process."""
+    return write_page(Scenes(lake, snapshot_id), scene_id, out)
 
 
 def _page(scenes: Scenes, scene_id: str) -> Iterator[str]:
