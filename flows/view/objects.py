@@ -160,7 +160,9 @@ def _fidelity(row: Fidelity | None) -> Facts:
 
 
 def _support(row: Support | None) -> dict[str, Any] | None:
-    return row and {"relation": row.relation, "parent": row.parent_id, "against": row.against, "fixed": row.is_fixed}
+    if row is None:
+        return None
+    return {"relation": row.relation, "parent": row.parent_id, "against": row.against, "fixed": row.is_fixed}
 
 
 def _placed_values(row: Placement | None, asset: Asset | None) -> dict[str, Any] | None:

@@ -45,18 +45,23 @@ def colliders_of(files: Sequence[ExportFile], blobs: Mapping[str, bytes]) -> dic
 
     Empty where the scene has no such export.
     """
-    ours = [file for file in files if file.format == "habitat"]
-    by_path = {file.path: file.file_blob for file in ours}
+    by_path = {file.path: file.file_blob for file in files if file.format == "habitat"}
     colliders: dict[str, str] = {}
-    for file in ours:
-        if file.role != "scene" or file.file_blob not in blobs:
-            continue
-        for placed in json.loads(blobs[file.file_blob]).get("object_instances", ()):
+    for file in files:
+        scene = _document(file.file_blob, blobs) if file.format == "habitat" and file.role == "scene" else {}
+        for placed in scene.get("object_instances", ()):
             instance, template = placed.get("user_defined", {}).get("instance_id"), str(placed.get("template_name"))
             config = by_path.get(f"objects/{template.rpartition('/')[2]}.object_config.json", "")
-            if instance is None or config not in blobs:
-                continue
-            blob = by_path.get(f"objects/{json.loads(blobs[config]).get('collision_asset')}", "")
-            if blob in blobs:
+            blob = by_path.get(f"objects/{_document(config, blobs).get('collision_asset')}", "")
+            if instance is not None and blob in blobs:
                 colliders[str(instance)] = blob
     return colliders
+
+
+def _document(name: str, blobs: Mapping[str, bytes]) -> dict[str, Any]:
+    """The JSON object in a blob; an empty one where there is none."""
+    try:
+        value = json.loads(blobs[name]) if name in blobs else {}
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}
