@@ -22,7 +22,7 @@ from bench.goals import goal
 from bench.machine import machine
 from bench.samples import fingerprint, sample, stage_run
 from bench.tables import add_row, goals_table, headline, table_of
-from schemas.candidates import Asset
+from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
@@ -76,7 +76,7 @@ def made_lake(folder: Path, config: ViewerBench) -> Lake:
     rng, lake = np.random.default_rng(config.seed), Lake.open(folder)
     side = int(np.ceil(config.objects**0.5)) * 1.6 + 0.8
     ring, scene_id = ((0.0, 0.0), (side, 0.0), (side, side), (0.0, side)), "bench/room"
-    instances, assets, placements = [], {}, []
+    instances, candidates, assets, placements = [], [], {}, []
     for index in range(config.objects):
         category = CATEGORIES[index % len(CATEGORIES)]
         blob = lake.blobs.put(dump_glb(list(generate(category, None, np.random.default_rng([config.seed, index])).parts)), "glb")
@@ -89,6 +89,9 @@ def made_lake(folder: Path, config: ViewerBench) -> Lake:
                 points_blob=lake.blobs.put(b"points", "ply"), hidden_m=None,
             )
         )  # fmt: skip
+        candidates.append(
+            sample(Candidate, **of, slot=1, outcome="filled", asset_id=asset)
+        )  # what no candidate names is no asset of a lake
         assets[asset] = sample(Asset, asset_id=asset, mesh_blob=blob, pieces_blob=None, category=category)
         poses = {"proposed_pose": pose, "optimized_pose": pose, "settled_pose": pose}
         placements.append(sample(Placement, **of, **poses, asset_id=asset, scale=(1.0, 1.0, 1.0), remains=None))
@@ -104,7 +107,7 @@ def made_lake(folder: Path, config: ViewerBench) -> Lake:
     rest = ("supports", "contacts", "optimization_steps", "optimizations", "certificates")
     written: dict[str, Mapping[str, list[Any]]] = {
         "capture": capture,
-        "candidates": {"candidates": [], "assets": list(assets.values())},
+        "candidates": {"candidates": candidates, "assets": list(assets.values())},
         "optimization": {"placements": placements, **{table: [] for table in rest}},
     }
     for stage, rows in written.items():

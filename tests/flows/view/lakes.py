@@ -25,7 +25,7 @@ from tests.furnished import floor_navmesh, solid
 from tests.samples import fingerprint, sample, stage_run
 from warehouse.lake import Lake
 
-EVIL = "</script><img src=x onerror=\"window.hacked=1\"><b>&amp;'`${window.hacked=1}"
+EVIL = '</script><img src=x onerror="window.hacked=1"><b>&amp;\'`${window.hacked=1}'
 """A label as somebody writes it who wants the page to run it."""
 
 OBJECTS = 4
@@ -132,9 +132,7 @@ def _stage_object(lake: Lake, rows: dict[type, list[Any]], scene_id: str, index:
         )
     )  # fmt: skip
     x = 4 + 14 * index
-    rows[Mask].append(
-        sample(Mask, **of, frame_id="000000", pixel_box=(x, 8, x + 10, 28), pixel_count=100, run_lengths=tuple([5, 5] * 20))
-    )
+    rows[Mask].append(sample(Mask, **of, frame_id="000000", pixel_box=(x, 8, x + 10, 28), pixel_count=100, run_lengths=tuple([5, 5] * 20)))
     rows[Caption].append(sample(Caption, **of, sentence=f"A {category}.", mass_kg=1.5 + index))
     for slot, blob in enumerate(blobs, 1):
         asset = blob.split(".")[0]
@@ -197,4 +195,7 @@ def _exported(lake: Lake, scene_id: str) -> list[Any]:
         for path, (role, data, kind) in files.items()
     ]
     collision = "objects/pieces.collider.glb"
-    return [*rows, sample(ExportFile, scene_id=scene_id, format="habitat", path=collision, role="collision", file_blob=collider, passed=True)]
+    return [
+        *rows,
+        sample(ExportFile, scene_id=scene_id, format="habitat", path=collision, role="collision", file_blob=collider, passed=True),
+    ]

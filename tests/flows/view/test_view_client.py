@@ -58,7 +58,9 @@ def test_no_module_of_the_client_reads_text_as_html_or_runs_it() -> None:
     assert len(modules) > 10
     for module in modules:
         text = module.read_text()
-        assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b|new Function|setTimeout\(\s*[\"'`]", text), module
+        assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b|new Function|setTimeout\(\s*[\"'`]", text), (
+            module
+        )
         assert "http" not in text, module
         assert text.count("\n") < 400
 

@@ -58,7 +58,7 @@ export function layout(page, on) {
     make("button", { type: "button", class: "toggle", textContent: "Whole room", title: "R", onclick: () => on.camera("corner") }),
     make("button", { type: "button", class: "toggle", textContent: "?", title: "Keys", "aria-label": "Keys", onclick: () => nodes.help.showModal() }));
   const bottom = make("div", { class: "bar bottom" },
-    make("label", { class: "cut" }, make("span", { textContent: "scan" }), cut, make("span", { textContent: "replica" })),
+    make("label", { class: "cut" }, make("span", { textContent: "replica" }), cut, make("span", { textContent: "scan" })),
     make("div", { class: "settle" }, play, make("div", { class: "track" }, time, make("div", { class: "stops" }, ...stops))));
   page.replaceChildren(
     make("aside", { class: "left" }, make("header", {}, make("h1", { textContent: "Scene lake" }), nodes.where), nodes.scenes, nodes.objects),

@@ -111,6 +111,8 @@ class View {
       this.canvas.draw();
     });
     const objects = this.replica.load(() => turn === this.loading && this.#say(`${(done += 1)} of ${count} objects`));
+    const scanning = Scan.of(told, this.scanGroup);
+    scanning.catch(() => {}); // told of below
     this.look("corner");
     const [failed] = await Promise.all([objects, room]);
     if (turn !== this.loading) return;
@@ -118,7 +120,7 @@ class View {
     this.look("corner");
     await this.#refresh();
     this.seconds = { replica: (performance.now() - begun) / 1000 };
-    this.scan = await Scan.of(told, this.scanGroup);
+    this.scan = await scanning;
     if (turn !== this.loading) return;
     this.scan.asPoints(this.on.points ?? false);
     if (!told.objects.length) this.look("corner");
