@@ -85,8 +85,8 @@ def made_lake(folder: Path, config: ViewerBench) -> Lake:
         of = {"scene_id": scene_id, "instance_id": f"{index:04d}"}
         instances.append(
             sample(
-                Instance, **of, category=category, is_structure=False, box_pose=pose, box_size=(0.6, 0.6, 0.6), mesh_blob=None, view_blob=None,
-                points_blob=lake.blobs.put(b"points", "ply"), hidden_m=None,
+                Instance, **of, category=category, is_structure=False, box_pose=pose, box_size=(0.6, 0.6, 0.6), mesh_blob=None,
+                view_blob=None,                points_blob=lake.blobs.put(b"points", "ply"), hidden_m=None,
             )
         )  # fmt: skip
         candidates.append(
@@ -141,7 +141,7 @@ def _browser() -> Iterator[Browser]:
     Raises:
         InputError: there is none on this machine, or nothing to drive it by.
     """
-    path = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    path = next((place for name in BROWSERS if (place := shutil.which(name))), None)
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
@@ -218,8 +218,9 @@ def print_viewer_report(report: Mapping[str, Any], console: Console) -> None:
     config = report["config"]
     console.print(headline(report["machine"], config["seed"], 1), soft_wrap=True)
     what = config["lake"] or f"{config['points']:,} points and {config['objects']} objects"
-    table = table_of(f"pages of {what}, each with an empty cache, drawn by the processor", ("page", True), ("until seen whole [s]", True),
-                     ("over the wire [MB]", True), ("click to facts [ms]", True), ("drawings a second in a turn", True), ("heap [MB]", True))  # fmt: skip
+    columns = ("page", "until seen whole [s]", "over the wire [MB]", "click to facts [ms]", "drawings a second in a turn", "heap [MB]")
+    title = f"pages of {what}, each with an empty cache, drawn by the processor"
+    table = table_of(title, *((column, True) for column in columns))
     for number, row in enumerate(report["pages"], 1):
         rate = row["turning_drawings"] / row["turning_s"]
         cells = [f"{row['seconds']:.2f}", f"{row['mb']:.1f}", f"{row['click_ms']:.0f}", f"{rate:.1f}", f"{row['heap_mb']:.0f}"]

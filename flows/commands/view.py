@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 from pathlib import Path
@@ -61,10 +62,15 @@ def command(
         click.echo(words if as_json else f"{out} ({size / 1e6:.1f} MB)")
         return
 
+    def prepare() -> None:
+        with contextlib.suppress(Exception):  # the page will say it
+            scenes.shown(first)
+
     def announce(place: str) -> None:
+        # ready before the browser is; waited for at the end, since native code must not run on while the process ends
+        threading.Thread(target=prepare).start()
         place += "" if scene is None else f"&at={first}"
         words = json.dumps({"address": place, "scene_id": first, "snapshot_id": scenes.reader.snapshot_id})
-        click.echo(words if as_json else f"{place}\nthe token lets in whoever has it; Ctrl-C ends", nl=True)
+        click.echo(words if as_json else f"{place}\nthe token lets in whoever has it; Ctrl-C ends")
 
-    threading.Thread(target=scenes.shown, args=(first,), daemon=True).start()  # ready before the browser is
     serve(application([scene_routes(scenes)]), host, port, announce, browser and not as_json)

@@ -75,8 +75,8 @@ class Gate:
 
     def _person(self, token: str) -> str | None:
         """Whose token it is. All are compared, each in the same time."""
-        found = [name for known, name in self._people.items() if secrets.compare_digest(known.encode(), token.encode())]
-        return found[0] if found else None
+        people = [name for known, name in self._people.items() if secrets.compare_digest(known.encode(), token.encode())]
+        return people[0] if people else None
 
     def _kept(self, header: str) -> str:
         try:

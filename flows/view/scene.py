@@ -166,9 +166,8 @@ class Scenes:
 
     def _scan_licenses(self, assets: list[Asset], scene: Scene) -> dict[str, str | None]:
         """Licenses of the scans that assets were cut from: of this scene, and of others where an asset came from there."""
-        others = {asset.source for asset in assets} - {""}
-        known = {row.scene_id: row.license for row in self.reader.rows_by_key(Scene, sorted(others | {scene.scene_id}))}
-        return {scene.scene_id: scene.license, **known}
+        sources = {asset.source for asset in assets} | {scene.scene_id}
+        return {row.scene_id: row.license for row in self.reader.rows_by_key(Scene, sorted(sources))}
 
     def _frames(self, scene: Scene) -> Document:
         """Frames that show an instance best, with how many are marked in each, and why they cannot be shown where they cannot."""

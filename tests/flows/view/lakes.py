@@ -56,8 +56,8 @@ def _stage(lake: Lake, scan: Path, scene_id: str, number: int) -> None:
     Image.fromarray(np.full((FRAME_PX[1], FRAME_PX[0], 3), (40, 90, 160), dtype=np.uint8)).save(scan / "color" / "0.jpg")
     ring = ((0.0, 0.0), (5.0, 0.0), (5.0, 3.0), (0.0, 3.0))
     room = sample(
-        Shell, scene_id=scene_id, room_type="office", floor_polygon=ring, floor_area_m2=15.0, height_m=2.5, interior_walls=(), openings=None,
-        walls=tuple((*a, *b) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)), slopes=None,
+        Shell, scene_id=scene_id, room_type="office", floor_polygon=ring, floor_area_m2=15.0, height_m=2.5, interior_walls=(),
+        openings=None,        walls=tuple((*a, *b) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)), slopes=None,
         floor_color=(150, 120, 90), wall_color=(210, 205, 195),
     )  # fmt: skip
     kinds = (Instance, Caption, Candidate, Asset, Selection, Placement, Support, Certificate, Mask)
@@ -102,8 +102,10 @@ def _stage(lake: Lake, scan: Path, scene_id: str, number: int) -> None:
             ],
             "episodes": [
                 sample(
-                    Episode, scene_id=scene_id, episode_id="0000", agent="stretch", instance_id="0001", instruction=label or "Find the table",
-                    start_position=(1.5, 2.0, 0.0), start_yaw_radians=0.0, goal_position=final, actions=ACTIONS, final_position=final,
+                    Episode, scene_id=scene_id, episode_id="0000", agent="stretch", instance_id="0001",
+                    instruction=label or "Find the table",
+                    start_position=(1.5, 2.0, 0.0), start_yaw_radians=0.0, goal_position=final,
+                    actions=ACTIONS, final_position=final,
                     path=((1.5, 2.0), final[:2]), geodesic_m=0.72,
                 )
             ],
@@ -194,8 +196,5 @@ def _exported(lake: Lake, scene_id: str) -> list[Any]:
         sample(ExportFile, scene_id=scene_id, format="habitat", path=path, role=role, file_blob=lake.blobs.put(data, kind), passed=True)
         for path, (role, data, kind) in files.items()
     ]
-    collision = "objects/pieces.collider.glb"
-    return [
-        *rows,
-        sample(ExportFile, scene_id=scene_id, format="habitat", path=collision, role="collision", file_blob=collider, passed=True),
-    ]
+    of = {"scene_id": scene_id, "format": "habitat", "role": "collision", "passed": True}
+    return [*rows, sample(ExportFile, **of, path="objects/pieces.collider.glb", file_blob=collider)]

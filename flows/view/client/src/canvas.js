@@ -91,6 +91,7 @@ export class Canvas {
     this.controls.target.copy(middle);
     this.camera.position.copy(middle).addScaledVector(direction, distance);
     this.controls.update();
+    this.camera.updateMatrixWorld(); // what is asked before the next drawing is of this place
     this.draw();
   }
 
