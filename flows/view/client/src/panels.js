@@ -119,6 +119,21 @@ function candidates(row, tried, attempt) {
   return make("section", {}, make("h3", { textContent: `Candidates (${tiles.length})` }), tiles.length ? make("div", { class: "tiles" }, ...tiles) : none, back);
 }
 
+/** Episodes to be played: to an object where there are any, else all of the scene. */
+export function walkList(document_, row, start) {
+  const all = document_.episodes;
+  const own = row ? all.filter((episode) => episode.target === row.id) : [];
+  const name = row ? `${row.category} ${row.id}` : "";
+  let about = all.length ? "" : "The lake has no episodes of this scene.";
+  if (row && all.length) about = own.length ? `Episodes to ${name}` : `None leads to ${name}; all of the scene:`;
+  const items = (own.length ? own : all).map((episode) => {
+    const length = `${episode.geodesic.toFixed(1)} m, ${episode.actions.length} actions, ${episode.split}`;
+    const texts = [make("span", { textContent: episode.instruction }), make("small", { textContent: `${episode.id}: ${length}` })];
+    return make("li", {}, make("button", { type: "button", "data-episode": episode.id, onclick: () => start(episode) }, ...texts));
+  });
+  return [make("p", { class: "muted", textContent: about }), make("ul", { class: "walks" }, ...items)];
+}
+
 /** What `metascenes explain` says of an object, asked for when it is unfolded. */
 function lineage(document_, row) {
   const text = make("pre", { textContent: "…" });

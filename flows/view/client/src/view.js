@@ -9,7 +9,7 @@ import { keys } from "./keys.js";
 import { layout } from "./layout.js";
 import { Colliders, navmesh, problems, SELECTED, selection, supports } from "./marks.js";
 import { forget } from "./models.js";
-import { objectFacts, objectTree, sceneFacts, sceneList } from "./panels.js";
+import { objectFacts, objectTree, sceneFacts, sceneList, walkList } from "./panels.js";
 import { Player } from "./player.js";
 import { Replica } from "./replica.js";
 import { Scan, shellOf } from "./room.js";
@@ -314,18 +314,7 @@ class View {
 
   /** Fill the list of episodes: of the selected object where there are any, else of all. */
   #walks(row) {
-    const all = this.document.episodes;
-    const own = row ? all.filter((episode) => episode.target === row.id) : [];
-    const listed = own.length ? own : all;
-    const none = make("p", { class: "muted", textContent: all.length ? "" : "The lake has no episodes of this scene." });
-    const about = row && all.length ? make("p", { class: "muted", textContent: own.length ? `Episodes to ${row.category} ${row.id}` : `None leads to ${row.category} ${row.id}; all of the scene:` }) : none;
-    const items = listed.map((episode) => {
-      const button = make("button", { type: "button", "data-episode": episode.id, onclick: () => this.startWalk(episode) });
-      const length = `${episode.geodesic.toFixed(1)} m, ${episode.actions.length} actions, ${episode.split}`;
-      button.append(make("span", { textContent: episode.instruction }), make("small", { textContent: `${episode.id}: ${length}` }));
-      return make("li", {}, button);
-    });
-    this.nodes.panes.walks.replaceChildren(about, make("ul", { class: "walks" }, ...items));
+    this.nodes.panes.walks.replaceChildren(...walkList(this.document, row, (episode) => this.startWalk(episode)));
   }
 
   /** Play an episode. */
