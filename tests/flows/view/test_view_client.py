@@ -9,6 +9,7 @@ import html.parser
 import json
 import re
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 
@@ -163,3 +164,18 @@ def test_the_same_snapshot_gives_the_same_file(lake: Lake, stand_in: Path, tmp_p
     for file in files:
         standalone.write_page_of(lake, lake.snapshot().snapshot_id, SCENES[0], file)
     assert files[0].read_bytes() == files[1].read_bytes()
+
+
+@pytest.mark.whole
+def test_a_report_links_a_page_for_every_scene_that_it_pictures(lake: Lake, stand_in: Path, tmp_path: Path) -> None:
+    from flows.stats import write_report
+    from tasks.stats.scenes import PictureConfig
+
+    look = PictureConfig(width=200, height=140, oversampling=1)
+    without = write_report(lake, tmp_path / "plain.html", look=look, workers=1).path.read_text()
+    assert "Look at it in 3D" not in without
+    text = write_report(lake, tmp_path / "report.html", pages=tmp_path / "some pages", look=look, workers=1).path.read_text()
+    links = re.findall(r'<a href="([^"#]+)">Look at it in 3D', text)
+    assert links == ["some%20pages/demo_room_0.html", "some%20pages/demo_room_1.html"]
+    for scene_id, link in zip(SCENES, links, strict=True):
+        assert f'id="api/scenes/{scene_id}"' in (tmp_path / unquote(link)).read_text()
