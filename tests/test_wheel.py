@@ -12,11 +12,14 @@ from pathlib import Path
 import pytest
 
 from flows.cli import COMMANDS
+from flows.view.bundle import is_built
 from tests.conftest import REPOSITORY
 from tests.test_architecture import PRODUCT
 from warehouse.lake import Lake
 
 pytestmark = pytest.mark.whole
+
+CLIENT = REPOSITORY / "flows" / "view" / "client"
 
 
 def without_checkout(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -55,17 +58,24 @@ def installed(wheel: Path) -> Path:
 
 
 def test_it_holds_the_product_and_nothing_else(wheel: Path) -> None:
-    """Every file of the product's rooms: code, SQL, labels, JSON schemas, the report's template. Neither benchmarks nor tests."""
+    """Every file of the product's rooms: code, SQL, labels, JSON schemas, the report's template, the viewer's client as it was built.
+
+    Neither benchmarks nor tests, nor what the client is built from.
+    """
     ours = {
         path.relative_to(REPOSITORY).as_posix()
         for room in PRODUCT
         for path in (REPOSITORY / room).rglob("*")
-        if path.is_file() and not any(part == "__pycache__" or part.startswith(".") for part in path.relative_to(REPOSITORY).parts)
+        if path.is_file()
+        and not any(part == "__pycache__" or part.startswith(".") for part in path.relative_to(REPOSITORY).parts)
+        and not path.is_relative_to(CLIENT)
     }
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
         assert archive.read("flows/prefect.yaml") == (REPOSITORY / "prefect.yaml").read_bytes()
     assert held == ours | {"flows/prefect.yaml"}
+    if is_built():
+        assert {f"flows/view/built/{name}" for name in ("view.html", "view.js", "view.css", "three.LICENSE")} <= held
     for name in ("tasks/capture/labels.csv", "tasks/annotation/batch.schema.json", "schemas/lineage.schema.json"):
         assert name in held
     assert {Path(name).suffix for name in held} >= {".py", ".sql", ".csv", ".json", ".jinja", ".yaml", ".typed"}

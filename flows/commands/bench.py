@@ -299,6 +299,20 @@ def scale(objects: str, scenes: str, seed: int, as_json: bool) -> None:
     _measure("measured", len(config.objects) + len(config.scenes), partial(run_scale_bench, config), print_scale, as_json)
 
 
+@command.command("view")
+@click.option("--lake", "address", metavar="ADDRESS", help="Open the first scene of this lake instead of a generated one.")
+@click.option("--pages", type=click.IntRange(1, 1000), default=5, show_default=True, help="How often it is opened, with an empty cache.")
+@json_option
+def view(address: str | None, pages: int, as_json: bool) -> None:
+    """Measure the viewer in headless chromium, without a GPU: 200,000 points and 40 objects, until they are seen whole.
+
+    Example: metascenes bench view
+    """
+    from bench.viewer import ViewerBench, print_viewer_report, run_viewer_bench
+
+    _measure("pages", pages, partial(run_viewer_bench, ViewerBench(address, pages=pages)), print_viewer_report, as_json)
+
+
 @command.command("chaos")
 @click.option("--kills", type=click.IntRange(1), default=1000, show_default=True, help="Stop after so many kills.")
 @click.option("--minutes", type=click.FloatRange(min=0), default=120.0, show_default=True, help="Begin no batch after so many minutes.")

@@ -32,6 +32,7 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     from flows.run.configuration import configure
     from flows.run.plan import make_plan
     from flows.stats import stage_table, write_report
+    from flows.view.bundle import is_built
     from tasks.capture.formats import find_scans
     from warehouse.lake import Lake
 
@@ -49,7 +50,8 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
     has_exports = lake.snapshot().arrow("export_files").num_rows > 0  # else the run says what failed
     written = write_exports(lake, out) if has_exports else WrittenExports(0, (), ())
     places = places_in(out)
-    write_report(lake, places["report"])
+    is_viewed = is_built() and lake.snapshot().arrow("scenes").num_rows > 0  # else there is nothing to show, or nothing to show it with
+    write_report(lake, places["report"], pages=out / "view" if is_viewed else None)
     if as_json:
         print(json.dumps({"failures": report.failures, "seconds": time.perf_counter() - clock, **{k: str(v) for k, v in places.items()}}))
     else:
@@ -61,6 +63,9 @@ def command(out: Path, scenes: int, seed: int, workers: int, as_json: bool) -> N
         print()
         for name, place in places.items():
             print(f"{name:<16} {place}")
+        if is_viewed:
+            print(f"{'scenes in 3D':<16} {out / 'view'}")
+            print(f"{'look at it':<16} metascenes view --lake {out / 'lake'}")
         print(f'{"ask the lake":<16} metascenes sql --lake {out / "lake"} "SELECT * FROM objects_per_scene"')
     tell(report)
     for line in (*written.problems, *unmeasured):

@@ -14,6 +14,9 @@ from flows.commands.options import chosen_snapshot, existing_lake, json_option, 
 @click.command("stats", short_help="Draw the statistics and write the report.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default="report.html", show_default=True, help="Report to write.")
 @click.option("--pictures", type=click.Path(path_type=Path, file_okay=False), help="Also write every picture there, as SVG and PNG.")
+@click.option(
+    "--pages", type=click.Path(path_type=Path, file_okay=False), help="Also write every pictured scene there as a page in 3D, and link it."
+)
 @click.option("--stages", is_flag=True, help="Only print the table of stage times.")
 @click.option("--artifacts", is_flag=True, help="Run as a Prefect flow that leaves pictures and tables as artifacts in its UI.")
 @click.option("--dry-run", is_flag=True, help="Say what would be written; write nothing.")
@@ -23,6 +26,7 @@ from flows.commands.options import chosen_snapshot, existing_lake, json_option, 
 def command(
     out: Path,
     pictures: Path | None,
+    pages: Path | None,
     stages: bool,
     artifacts: bool,
     dry_run: bool,
@@ -63,7 +67,7 @@ def command(
                 print(f"artifacts are at {api.removesuffix('/api')}/artifacts", file=sys.stderr)
         path, files = report_path(out), sorted(pictures.iterdir()) if pictures else []
     else:
-        written = write_report(lake, out, snapshot_id, pictures=pictures)
+        written = write_report(lake, out, snapshot_id, pictures=pictures, pages=pages)
         path, files = written.path, list(written.files)
     if as_json:
         print(json.dumps({"snapshot_id": reader.snapshot_id, "report": str(path), "pictures": [str(file) for file in files]}))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,33 @@ def explain(lake: Lake, asked: str, snapshot_id: int | None = None) -> Lineage:
         raise InputError(lake.address, "explain", "the lake has no snapshot yet", "run something first")
     target = find_target(reader, lake.address, asked)
     walk = Walk(reader, lake.blobs, places)
-    root = _walk(walk, lake, target, _local_file(asked))
+    return _finished(walk, _walk(walk, lake, target, _local_file(asked)))
+
+
+def explain_objects(lake: Lake, scene_id: str, instance_ids: Iterable[str], snapshot_id: int | None = None) -> dict[str, Lineage]:
+    """What `explain` says of several objects of a scene, by instance; rows are read once.
+
+    Raises:
+        InputError: the snapshot has no such instance, or there is no such snapshot.
+    """
+    reader = lake.snapshot(snapshot_id)
+    known: dict[tuple[str, str], Any] = {}
+
+    def read(kind: str, path: str, data: bytes) -> Any:
+        if (kind, path) not in known:
+            known[kind, path] = places(kind, path, data)
+        return known[kind, path]
+
+    walk, explained = None, {}
+    for instance_id in instance_ids:
+        walk = Walk(reader, lake.blobs, read, walk)
+        target = Target("instance", scene_id=scene_id, instance_id=instance_id)
+        explained[instance_id] = _finished(walk, _walk(walk, lake, target, None))
+    return explained
+
+
+def _finished(walk: Walk, root: str) -> Lineage:
+    """The lineage of a walk, with what does not hold of annotations and configs."""
     _check_annotations(walk)
     lineage = walk.lineage(root)
     for run in lineage.runs.values():

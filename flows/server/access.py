@@ -50,8 +50,9 @@ def _origin(address: str) -> str:
 class Doorkeeper:
     """An ASGI application that hands on only requests to a server's own names, from its own origins or from no page at all."""
 
-    def __init__(self, app: App, origins: Iterable[str]) -> None:
-        self._app = app
+    def __init__(self, app: App, origins: Iterable[str], remedy: str = "PREFECT_UI_URL in its environment gives it another") -> None:
+        """`remedy` says what to do to who asks under another name."""
+        self._app, self._remedy = app, remedy
         self._origins = frozenset(origins)
         self._hosts = frozenset(origin.partition("://")[2] for origin in self._origins)
 
@@ -75,7 +76,7 @@ class Doorkeeper:
                 values[name.lower()].append(value.decode("latin-1").strip().lower())
         hosts = [host.removesuffix(":80").removesuffix(":443") for host in values[b"host"]]
         if len(hosts) != 1 or not {*hosts, *values[b"host"]} & self._hosts:
-            return "this server does not go by that name; PREFECT_UI_URL in its environment gives it another"
+            return f"this server does not go by that name; {self._remedy}"
         if any(_origin(origin) not in self._origins for origin in values[b"origin"]):
             return "pages of other servers may not ask this one"
         return ""

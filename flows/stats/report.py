@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import os
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import pyarrow as pa
 
@@ -52,6 +54,7 @@ def write_report(
     *,
     pictures: Path | None = None,
     rasters: bool = False,
+    pages: Path | None = None,
     look: PictureConfig | None = None,
     workers: int | None = None,
     advance: Callable[[str], None] | None = None,
@@ -60,8 +63,9 @@ def write_report(
     """Write the report on a snapshot, the newest by default.
 
     `out` is the HTML file; in a folder, it is `report.html`. `pictures` is a folder that gets every chart and both galleries as
-    SVG and PNG; `rasters` asks for them without a folder: the report itself needs no PNG of a chart. `look` says how scenes are
-    pictured, `workers` how many processes do it (one per core by default); `advance` is told each scene and object that was
+    SVG and PNG; `rasters` asks for them without a folder: the report itself needs no PNG of a chart. `pages` is a folder that
+    gets every pictured scene as a page in 3D (`metascenes view`), to which the report links. `look` says how scenes are pictured,
+    `workers` how many processes do it (one per core by default); `advance` is told each scene and object that was
     pictured, `expect` how many there will be. The same snapshot and releases give the same bytes.
 
     Raises:
@@ -76,6 +80,8 @@ def write_report(
     rasters = rasters or pictures is not None
     charts = draw_charts(answers, rasters)
     scenes, tiles, strips = _pictured(lake, reader.snapshot_id, answers, look, workers, advance, expect)
+    path = report_path(out)
+    linked = _pages(lake, reader.snapshot_id, list(scenes), pages, workers) if pages is not None else {}
     content = ReportContent(
         answers=answers.rows,
         totals=answers.totals,
@@ -90,8 +96,8 @@ def write_report(
         snapshot_time=f"{reader.snapshot.created_at:%Y-%m-%d %H:%M} UTC" if reader.snapshot else "",
         releases=[release.name for release in reader.releases if release.snapshot_id == reader.snapshot_id],
         code_version=_code_version(),
+        pages={scene: quote(Path(os.path.relpath(page, path.parent)).as_posix()) for scene, page in linked.items()},
     )
-    path = report_path(out)
     write_whole(path, render_report(content).encode())
     drawn = [*charts, *_sheets(answers, tiles, strips)] if rasters else []
     files = []
@@ -184,6 +190,21 @@ def _pictured(
     forget_old()
     tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
     return {scene: made[scene] for scene in shown.pictured}, tiles, [made[name] for name in strips if not isinstance(made[name], str)]
+
+
+def _pages(lake: Lake, snapshot_id: int, scenes: Sequence[str], folder: Path, workers: int | None) -> dict[str, Path]:
+    """Pages of scenes in 3D, by scene; without those that cannot be made."""
+    from flows.progress import Progress
+    from flows.view.bundle import client_file
+    from flows.view.standalone import write_page_of
+    from tasks.exports.bodies import stem
+
+    client_file("view.html")  # before workers are started: it may not have been built
+    files = {scene: folder / f"{stem(scene)}.html" for scene in scenes}
+    jobs: dict[Any, Job] = {scene: (write_page_of, (lake, snapshot_id, scene, file)) for scene, file in files.items()}
+    with Progress("pages", len(jobs), lines=True) as progress:
+        made = carried_out(jobs, workers, progress.advance)
+    return {scene: file for scene, file in files.items() if isinstance(made[scene], int)}
 
 
 def _sheets(answers: Answers, tiles: Sequence[SceneTile], strips: Sequence[CandidateStrip]) -> list[Picture]:

@@ -32,7 +32,7 @@ class ReportContent:
     answers: Rows by name of the query. totals: How many rows a view has of which only the first are there.
     scenes: Pictures by scene; a reason in their place where there are none. picture_size: Width and height of these pictures [px].
     tiles, strips: The galleries. stages: Stages in the order of the data path.
-    releases: Names that the snapshot is released under.
+    releases: Names that the snapshot is released under. pages: Relative address of a scene's page in 3D, by scene.
     """
 
     answers: Mapping[str, pa.Table]
@@ -48,6 +48,7 @@ class ReportContent:
     snapshot_time: str
     releases: Sequence[str]
     code_version: str
+    pages: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 def render_report(content: ReportContent) -> str:
@@ -74,6 +75,7 @@ def render_report(content: ReportContent) -> str:
         snapshot_time=content.snapshot_time,
         releases=content.releases,
         code_version=content.code_version,
+        pages=content.pages,
         picture_width=content.picture_size[0],
         picture_height=content.picture_size[1],
     )

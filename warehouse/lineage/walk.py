@@ -25,10 +25,12 @@ _OWN_PARTS = ("config", "code", "seed")
 
 
 class Walk:
-    """A graph in the making. `blobs` are the lake's; `read_places` reads exported scenes."""
+    """A graph in the making. `blobs` are the lake's; `read_places` reads exported scenes; `earlier` is a walk through the same
+    snapshot, whose rows need not be read again."""
 
-    def __init__(self, reader: Reader, blobs: Mapping[str, bytes], read_places: ReadPlaces) -> None:
+    def __init__(self, reader: Reader, blobs: Mapping[str, bytes], read_places: ReadPlaces, earlier: Walk | None = None) -> None:
         self.reader, self.blobs, self.read_places = reader, blobs, read_places
+        self._read: dict[tuple[str, str], list[Any]] = earlier._read if earlier is not None else {}
         self._nodes: dict[str, Node] = {}
         self._edges: dict[Edge, None] = {}
         self._runs: dict[str, RunFacts] = {}
@@ -48,7 +50,10 @@ class Walk:
         table = table_of(record_type)
         rows = self._rows.get((table.name, scene_id))
         if rows is None:
-            rows = self._rows[table.name, scene_id] = list(self.reader.rows(record_type, scene_id))
+            rows = self._read.get((table.name, scene_id))
+            if rows is None:
+                rows = self._read[table.name, scene_id] = list(self.reader.rows(record_type, scene_id))
+            self._rows[table.name, scene_id] = rows
             if table.grain == "scene":
                 self._check_count(table.name, table.stage, scene_id, len(rows))
         return rows

@@ -1,0 +1,76 @@
+"""`metascenes view`: scenes in the browser."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from pathlib import Path
+
+import click
+
+from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
+
+
+@click.command("view", short_help="Show scenes in the browser: scan, replica, and all that is known of each object.")
+@click.argument("scene", metavar="[SCENE]", required=False)
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
+    help="Write one scene as a file that opens without a server, instead of serving the lake.",
+)  # fmt: skip
+@click.option("--browser/--no-browser", default=True, help="Open the page in a browser, where there is a screen.")
+@click.option(
+    "--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",
+    help="Address to listen at; others than loopback let other machines ask, without encryption.",
+)  # fmt: skip
+@click.option("--port", type=click.IntRange(0, 65535), default=0, show_default="a free one", help="Port to listen at.")
+@snapshot_options
+@lake_option
+@json_option
+def command(
+    scene: str | None,
+    out: Path | None,
+    browser: bool,
+    host: str,
+    port: int,
+    snapshot_id: int | None,
+    release: str | None,
+    address: str,
+    as_json: bool,
+) -> None:
+    """Show the scenes of a lake in the browser, SCENE first: the scan beside its replica, what is known of each object, its
+    candidates in place, what touches, how it settles, where an agent goes.
+
+    Prints an address with a token, which lets in whoever has it, and serves until it is interrupted.
+
+    Example: metascenes view demo/scene0000_00 --lake demo/lake
+    """
+    from flows.view.application import application, scene_routes
+    from flows.view.bundle import client_file
+    from flows.view.scene import Scenes
+    from flows.view.serving import serve
+
+    client_file("view.html")  # before anything is read: it may not have been built
+    lake = existing_lake(address)
+    scenes = Scenes(lake, chosen_snapshot(lake, snapshot_id, release), release=release)
+    first = scenes.known(scene) if scene else scenes.first()
+    if out is not None:
+        from flows.view.standalone import write_page
+
+        size = write_page(scenes, first, out)
+        words = json.dumps({"file": str(out), "scene_id": first, "snapshot_id": scenes.reader.snapshot_id, "bytes": size})
+        click.echo(words if as_json else f"{out} ({size / 1e6:.1f} MB)")
+        return
+
+    def prepare() -> None:
+        with contextlib.suppress(Exception):  # the page will say it
+            scenes.shown(first)
+
+    def announce(place: str) -> None:
+        # ready before the browser is; waited for at the end, since native code must not run on while the process ends
+        threading.Thread(target=prepare).start()
+        place += "" if scene is None else f"&at={first}"
+        words = json.dumps({"address": place, "scene_id": first, "snapshot_id": scenes.reader.snapshot_id})
+        click.echo(words if as_json else f"{place}\nthe token lets in whoever has it; Ctrl-C ends")
+
+    serve(application([scene_routes(scenes)]), host, port, announce, browser and not as_json)

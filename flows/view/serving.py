@@ -1,0 +1,70 @@
+"""Serving a page to people on this machine: the socket, the address with its token, and the end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import sys
+import webbrowser
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from flows.server.access import new_token
+from flows.view.gate import guarded
+from schemas.errors import InputError
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+
+LOOPBACK = "127.0.0.1"
+_EVERYWHERE = {"0.0.0.0", "::"}
+
+
+def serve(app: FastAPI, host: str, port: int, announce: Callable[[str], None], browser: bool = False) -> None:
+    """Serve an application to whoever has its token, until interrupted. `announce` is called with the address once it answers.
+
+    Port 0 is a free one. `browser`: also open the page, where somebody sits at this machine.
+
+    Raises:
+        InputError: the host or port cannot be had.
+    """
+    import uvicorn
+
+    with bound(host, port) as listening:
+        number, token = listening.getsockname()[1], new_token()
+        name = socket.gethostname().lower() if host in _EVERYWHERE else f"[{host}]" if ":" in host else host
+        address = f"http://{name}:{number}/?token={token}"
+        listening.listen(64)  # from here on who opens the address is answered, if a moment later
+        announce(address)
+        if browser and _has_screen():
+            webbrowser.open(address)
+        guard = guarded(app, number, {token: "viewer"}, [name])
+        # below warnings uvicorn writes down what clients send, tokens included
+        server = uvicorn.Server(uvicorn.Config(guard, log_level="warning", access_log=False, timeout_graceful_shutdown=2))
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listening])
+
+
+@contextlib.contextmanager
+def bound(host: str, port: int) -> Iterator[socket.socket]:
+    """A socket at a host and port of this machine.
+
+    Raises:
+        InputError: it is taken, or not this machine's.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as made:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            made.bind((host, port))
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InputError(f"{host}:{port}", "--port", f"cannot be had ({reason})", "leave --port away for a free one") from error
+        yield made
+
+
+def _has_screen() -> bool:
+    """Whether a person sits at this machine: else a browser of text would take over the terminal."""
+    graphical = sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return graphical and sys.stdout.isatty()
