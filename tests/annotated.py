@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 
 from schemas.candidates import Asset, Candidate
-from schemas.capture import Instance, Shell
+from schemas.capture import Instance, Scene, Shell
 from schemas.selection import Selection
 from tasks.geometry.meshes import dump_glb, dump_points
 from tasks.geometry.transforms import flat, translation
@@ -67,8 +67,11 @@ def annotatable(folder: Path, objects: int = 4, scenes: Sequence[str] = SCENES) 
                 selections.append(sample(Selection, **of, **named, rank=(2, 1, 3)[slot - 1], score=score, pose=pose, scale=(1.0, 1.0, 1.0)))
         wall = sample(Instance, scene_id=scene, instance_id="9999", is_structure=True, points_blob=instances[0].points_blob)
         shell = sample(Shell, scene_id=scene, floor_polygon=SQUARE, walls=(), interior_walls=(), height_m=2.5)
+        whole = sample(
+            Scene, scene_id=scene, scan=scene.partition("/")[2], room_id=scene, alignment=flat(np.eye(4)), mesh_blob=assets[0].mesh_blob
+        )
         runs = {
-            "capture": {"instances": [*instances, wall], "shells": [shell]},
+            "capture": {"scenes": [whole], "instances": [*instances, wall], "shells": [shell]},
             "candidates": {"candidates": candidates, "assets": assets},
             "selection": {"selections": selections},
         }

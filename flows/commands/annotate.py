@@ -65,11 +65,19 @@ def create(
 
 @command.command("import")
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--format", "batch_format", type=click.Choice(["answers", "scan2cad"]), default="answers", show_default=True,
+    help="Answers after batch.schema.json, or Scan2CAD's full_annotations.json.",
+)  # fmt: skip
+@click.option("--batch", "batch_id", default="scan2cad", show_default=True, metavar="NAME", help="Name of the batch, for scan2cad.")
 @click.option("--dry-run", is_flag=True, help="Check the batch against the lake; write nothing.")
 @settings_options
 @lake_option
 @json_option
-def import_batch(file: Path, dry_run: bool, config_file: Path | None, settings: tuple[str, ...], address: str, as_json: bool) -> None:
+def import_batch(
+    file: Path, batch_format: str, batch_id: str, dry_run: bool, config_file: Path | None, settings: tuple[str, ...], address: str,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Import a batch of annotations; all of the file or nothing.
 
     What the lake has already is left alone, later answers correct earlier ones, and history is kept. Answers reach scenes once the
@@ -77,12 +85,17 @@ def import_batch(file: Path, dry_run: bool, config_file: Path | None, settings: 
 
     Example: metascenes annotate import batch.json --lake ./lake
     """
-    from flows.inputs.annotation import import_annotations
+    from flows.inputs.annotation import import_alignments, import_annotations
     from flows.run.configuration import configure
 
-    lake = existing_lake(address)
-    result = import_annotations(lake, file, dry_run, configure(config_file, settings))
+    lake, configuration = existing_lake(address), configure(config_file, settings)
+    if batch_format == "scan2cad":
+        result = import_alignments(lake, file, batch_id, dry_run=dry_run, configuration=configuration)
+    else:
+        result = import_annotations(lake, file, dry_run, configuration)
     batch_id = result["batch_id"]
+    for line in () if as_json else result.get("left_out", ()):
+        click.echo(f"note: left out {line}", err=True)
     if result["already"]:
         line = f"batch {batch_id} is in the lake already, with the same answers; nothing to do"
     else:

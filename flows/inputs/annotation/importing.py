@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +12,24 @@ from flows.inputs.annotation.acts import STAGE, changing, commit_acts, now, rows
 from flows.run.configuration import Configuration, configure
 from flows.run.fingerprints import ModuleCaches
 from schemas.annotation import Annotation, AnnotationFigures, Assignment, QualityReview, Submission, WorkBatch
+from schemas.budget import BUDGET
 from schemas.candidates import Asset, Candidate
-from schemas.capture import Instance, Shell
+from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.selection import Selection
 from tasks.annotation import AnnotationBatch, BatchActs, ReviewBatch, check_reviews, read_batch, read_reviews
 from tasks.annotation.batch import read_answers
 from tasks.annotation.quality import pass_interval
 from tasks.annotation.revisions import latest, revised
+from tasks.annotation.scan2cad import read_scan2cad
+from tasks.batches import parse_json, read_limited
 from tasks.stage import Context
 from warehouse.lake import Lake
 from warehouse.tables.gate import BatchState, handed_in_hashes, person
 from warehouse.tables.snapshot import Reader
+
+SCAN2CAD_RELEASED = datetime(2019, 6, 16, tzinfo=UTC)
+"""When Scan2CAD was published: its file does not say when its answers were given."""
 
 
 def import_annotations(lake: Lake, file: Path, dry_run: bool = False, configuration: Configuration | None = None) -> dict[str, Any]:
@@ -43,6 +50,29 @@ def save_answers(lake: Lake, document: Any, name: str = "answers", configuration
         InputError: as `import_annotations`.
     """
     return _taken_in(lake, read_answers(document, name), name, False, configuration or configure())
+
+
+def import_alignments(
+    lake: Lake, file: Path, batch_id: str, annotator: str = "scan2cad", answered_at: datetime = SCAN2CAD_RELEASED, dry_run: bool = False,
+    configuration: Configuration | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Alignments of Scan2CAD (`full_annotations.json`) as a batch made elsewhere. `left_out` of what is returned names, a line each, the
+    scans that the lake has not and the models that are no candidate of the object where they are aligned.
+
+    Raises:
+        InputError: the file is not Scan2CAD's, none of it can be taken, or as `import_annotations`.
+    """
+    document = parse_json(read_limited(file, file.name, BUDGET.annotation_bytes), file.name)
+    reader = lake.snapshot()
+    aligned = read_scan2cad(
+        document, file.name, batch_id, annotator, answered_at, reader.rows(Scene), reader.rows(Instance), reader.rows(Candidate),
+        reader.rows(Asset),
+    )  # fmt: skip
+    if not aligned.document["annotations"]:
+        why = aligned.left_out[0] if aligned.left_out else "it has no models"
+        raise InputError(file.name, "aligned_models", f"none can be taken: {why}", "import the scans with a library of its models first")
+    batch = read_answers(aligned.document, file.name)
+    return _taken_in(lake, batch, file.name, dry_run, configuration or configure()) | {"left_out": list(aligned.left_out)}
 
 
 def import_reviews(lake: Lake, file: Path, dry_run: bool = False, configuration: Configuration | None = None) -> dict[str, Any]:

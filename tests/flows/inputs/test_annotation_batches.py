@@ -392,3 +392,24 @@ def test_the_commands_lead_through_a_batch(lake: Lake, tmp_path: Path) -> None:
     assert "b1  accepted, round 1  ada 4 of 4, bob 4 of 4" in told("list")
     (row,) = json.loads(told("list", "b1", "--json"))["batches"]
     assert (row["state"], row["counts"], row["judged"]) == ("accepted", True, 8)
+
+
+def test_alignments_of_scan2cad_are_a_batch_of_others(lake: Lake, tmp_path: Path) -> None:
+    """The cube of half a metre, aligned to the first object: +Y up in its own frame, its middle at the origin."""
+    upright = {"translation": [-2.0, -2.0, 0.25], "rotation": [0.5**0.5, 0.5**0.5, 0.0, 0.0], "scale": [1, 1, 1]}
+    model = {"catid_cad": "box", "id_cad": "cube 0.5", "trs": upright, "center": [0, 0, 0], "bbox": [0.25, 0.25, 0.25]}
+    identity = {"translation": [0, 0, 0], "rotation": [1, 0, 0, 0], "scale": [1, 1, 1]}
+    models = [model, model | {"id_cad": "no such"}]
+    file = tmp_path / "full_annotations.json"
+    file.write_text(json.dumps([{"id_scan": "room_a", "trs": identity, "aligned_models": models}]))
+    words = ["annotate", "import", str(file), "--format", "scan2cad", "--batch", "s2c", "--lake", lake.address]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    assert "batch s2c: 1 answers of 1 annotators on 1 scenes imported (1 new)" in done.output
+    assert "left out [0].aligned_models[1]: box/no such: no candidate of demo/room_a 0001 is that model" in done.stderr
+    (row,) = lake.snapshot().rows(Annotation)
+    assert (row.instance_id, row.annotator, row.tool) == ("0001", "scan2cad", "Scan2CAD")
+    assert np.allclose(np.array(row.pose).reshape(4, 4)[:3, 3], [-2.0, -2.0, 0.0])
+    assert np.allclose(row.scale, 1.0)
+    assert "nothing to do" in CliRunner().invoke(cli, words).output
+    assert state(lake, "s2c") == "submitted"
