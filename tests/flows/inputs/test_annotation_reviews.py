@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.cli import cli
+from flows.run.fingerprints import annotations_digest
 from flows.run.plan import annotation_digests
 from flows.worker import Job, RowsGone, history_rows
 from schemas import record as record_module
@@ -253,3 +254,11 @@ def test_answers_older_than_the_column_seconds_read_as_not_measured(tmp_path: Pa
     assert lake.snapshot().rows(Annotation) == [new, old]
     asked = lake.snapshot().connect().execute("SELECT batch_id, seconds FROM annotations ORDER BY batch_id").fetchall()
     assert asked == [("new", 30.0), ("old", None)]
+
+
+def test_answers_of_before_keep_the_hash_that_their_layouts_were_made_from() -> None:
+    row = {column.name: getattr(sample(Annotation), column.name) for column in TABLES["annotations"].columns}
+    older = {name: value for name, value in row.items() if name not in ("revision", "is_withdrawn", "is_simulated", "tool")}
+    assert annotations_digest([row]) == annotations_digest([older])
+    for changed in ({"revision": 2}, {"is_simulated": True}, {"tool": "page"}, {"choice": ASSET}):
+        assert annotations_digest([row | changed]) != annotations_digest([older])
