@@ -99,7 +99,7 @@ def _made_up(column: Column) -> Any:
     if pa.types.is_string(column.type):
         return "text"
     if pa.types.is_boolean(column.type):
-        return True
+        return True if column.earlier is None else column.earlier
     if pa.types.is_timestamp(column.type):
         return START
     number = max(1.0, column.minimum or 1.0) if column.maximum is None else min(max(1.0, column.minimum or 1.0), column.maximum)

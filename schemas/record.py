@@ -44,7 +44,7 @@ class Column:
     pattern: str
     length: int | None
     blob: bool
-    earlier: int | None
+    earlier: int | bool | None
 
     @property
     def comment(self) -> str:
@@ -101,7 +101,7 @@ class Table:
         return tuple(c.name for c in self.columns if c.blob)
 
     @property
-    def earlier(self) -> dict[str, int]:
+    def earlier(self) -> dict[str, int | bool]:
         """What rows have in columns that they are older than, by column; in others they miss it."""
         return {c.name: c.earlier for c in self.columns if c.earlier is not None}
 
@@ -133,7 +133,7 @@ def column(
     pattern: str = "",
     length: int | None = None,
     blob: bool = False,
-    earlier: int | None = None,
+    earlier: int | bool | None = None,
 ) -> Any:
     """A field of a record. A field typed ``X | None`` may be missing; all others must be there.
 

@@ -46,7 +46,8 @@ def parse_json(raw: bytes, name: str, first_line: int = 1) -> Any:
     except TooMuch as error:
         raise InputError(name, "", str(error), "split the batch into files") from error
     except ValueError as error:
-        raise InputError(name, "", str(error), "correct the file") from error
+        problem = "holds a number of thousands of digits" if "limit" in str(error) and "digits" in str(error) else str(error)
+        raise InputError(name, "", problem, "correct the file") from error
 
 
 def _no_constant(text: str) -> NoReturn:
@@ -131,7 +132,10 @@ def _problem(error: Any) -> str:
             return f"is not allowed: {shown}"
 
 
-_TYPES = {"object": "an object", "array": "a list", "string": "text", "number": "a number", "integer": "a whole number", "null": "null"}
+_TYPES = {
+    "object": "an object", "array": "a list", "string": "text", "number": "a number", "integer": "a whole number",
+    "boolean": "true or false", "null": "null",
+}  # fmt: skip
 
 
 def _remedy(error: Any) -> str:

@@ -92,15 +92,15 @@ class Outcome:
         self.degradations = tuple(degradations)
 
 
-OutsideInput = Literal["scan", "library", "annotation_batch", "review_batch", "trajectory_batch"]
+OutsideInput = Literal["scan", "library", "annotation_batch", "review_batch", "batch_acts", "trajectory_batch"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Stage:
     """A stage's declaration. `run` takes a keyword per table in `reads`, per name in `outside`, `context` and `config`.
 
-    `history` names tables that are read as they stand in the lake, whoever wrote them (annotations: those of no batch that a
-    review returned), instead of from an upstream stage of the same scene.
+    `history` names tables that are read as they stand in the lake, whoever wrote them (annotations: those that were
+    accepted), instead of from an upstream stage of the same scene.
     """
 
     name: str

@@ -222,6 +222,11 @@ def test_an_annotation_redoes_its_scene_from_optimization_on(home: dict[str, str
     file.write_text(json.dumps({"batch_id": "batch1", "annotations": [answer]}))
     done = metascenes(home, "annotate", "import", file, "--lake", copy)
     assert done.returncode == 0, done.stderr
+    assert "next: " in done.stdout
+    assert stale(copy, scans, home) == {}, "nobody has reviewed it"
+    review = {"review_id": "r1", "reviewer": "r", "reviewed_at": "2026-01-03T00:00:00Z", "sampled": 1, "wrong": 0, "verdict": "accepted"}
+    (tmp_path / "review.json").write_text(json.dumps({"batch_id": "batch1", "reviews": [review]}))
+    assert metascenes(home, "annotate", "review", tmp_path / "review.json", "--lake", copy).returncode == 0
     todo = stale(copy, scans, home)
     assert set(todo) == {(scene, name) for name in STAGE_NAMES[STAGE_NAMES.index("optimization") :]}
     assert "annotations" in todo[(scene, "optimization")]
@@ -252,7 +257,8 @@ def test_no_answer_of_a_returned_batch_reaches_a_scene(home: dict[str, str], lak
     def annotate(batch: str, day: int, choice: str) -> None:
         answer = {"scene_id": scene, "instance_id": instance, "annotator": "ada", "answered_at": f"2026-01-{day:02d}T03:04:05Z"}
         file.write_text(json.dumps({"batch_id": batch, "annotations": [answer | {"choice": choice}]}))
-        assert metascenes(home, "annotate", "import", file, "--lake", copy).returncode == 0
+        trusted = ("--set", "annotation.unreviewed_imports_count=true")
+        assert metascenes(home, "annotate", "import", file, "--lake", copy, *trusted).returncode == 0
 
     def review(batch: str, name: str, day: int, verdict: str) -> None:
         said = {"review_id": name, "reviewer": "rita", "reviewed_at": f"2026-02-{day:02d}T03:04:05Z", "sampled": 1, "wrong": 1}

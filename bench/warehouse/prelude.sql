@@ -82,6 +82,17 @@ CREATE MACRO answer_of(object, annotator) AS CASE
     WHEN u(object * 4 + annotator, 'answer') < 0.93 THEN 2 + below(object * 4 + annotator, 'other', 3)
 END;
 
+-- Three answers for each object of an annotated scene, in the order in which they are drawn to be reviewed.
+CREATE MACRO wrong_of(scene) AS CASE WHEN u(scene, 'returned') < 0.2 THEN 3 + below(scene, 'wrong', 5) ELSE 0 END;
+CREATE VIEW asked_now AS
+SELECT
+    *,
+    batch_of(scene) AS batch_id,
+    'annotator-' || annotator_number AS annotator,
+    row_number() OVER (PARTITION BY scene ORDER BY hash(object * 4 + annotator_number, 'drawn', getvariable('seed'))) AS drawn,
+    least(3 * objects, 50) AS sampled
+FROM (SELECT *, unnest(range(1, 4)) AS annotator_number FROM objects_now WHERE is_annotated(scene));
+
 -- Ten ways per scene, each to one of its objects.
 CREATE VIEW episodes_now AS
 SELECT *, 1.15 * euclidean AS geodesic, CAST(ceil(1.15 * euclidean / 0.25) AS BIGINT) AS forwards

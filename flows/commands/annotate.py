@@ -1,70 +1,243 @@
-"""`metascenes annotate`: what people chose, and what reviewers say of it, into the lake."""
+"""`metascenes annotate`: what people are asked, what they choose, and what reviewers say of it."""
 
 from __future__ import annotations
 
+import getpass
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
-from flows.commands.options import existing_lake, json_option, lake_option
+from flows.commands.options import existing_lake, json_option, lake_option, seed_option, settings_options
 
 
-@click.group("annotate", short_help="Import what annotators chose, and what reviewers say of it.")
+@click.group("annotate", short_help="Ask people, take in what they chose, and have it reviewed.")
 def command() -> None:
-    """Import what annotators chose, and what reviewers say of it.
+    """Ask people, take in what they chose, and have it reviewed.
 
-    Example: metascenes annotate import batch.json --lake ./lake
+    A batch is created here or was made elsewhere; its answers reach scenes once a reviewed sample of them was accepted.
+
+    Example: metascenes annotate create --batch batch-1 --annotator ada --annotator bob --out work --lake ./lake
     """
+
+
+@command.command("create")
+@click.option("--batch", "batch_id", required=True, metavar="NAME", help="Name of the batch, new to the lake.")
+@click.option("--annotator", "annotators", multiple=True, metavar="NAME", help="Who is asked; may be repeated.")
+@click.option("--overlap", type=click.IntRange(min=1), default=1, show_default=True, help="Annotators that each object is given to.")
+@click.option(
+    "--pick", type=click.Choice(["all", "new", "doubtful"]), default="all", show_default=True,
+    help="All objects with candidates, those nobody answered for, or the most doubtful ones first.",
+)  # fmt: skip
+@click.option("--count", type=click.IntRange(min=1), help="Objects at most.")
+@click.option("--scene", "scenes", multiple=True, metavar="SCENE", help="Only objects of this scene; may be repeated.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to make, with all that it takes to answer.")
+@click.option("--again", is_flag=True, help="Write the folder of a batch anew that is in the lake already.")
+@click.option("--dry-run", is_flag=True, help="Say what would be asked; write nothing.")
+@settings_options
+@seed_option
+@lake_option
+@json_option
+def create(
+    batch_id: str, annotators: tuple[str, ...], overlap: int, pick: str, count: int | None, scenes: tuple[str, ...], out: Path, again: bool,
+    dry_run: bool, config_file: Path | None, settings: tuple[str, ...], seed: int | None, address: str, as_json: bool,
+) -> None:  # fmt: skip
+    """Pick objects, assign them to annotators, and write a folder that any tool can work on.
+
+    The same seed gives the same assignment; loads differ by one object at most. The folder has work.json (after work.schema.json),
+    GLBs and thumbnails of the candidates, what the scan has of each object, and a file for the answers of each annotator.
+
+    Example: metascenes annotate create --batch batch-1 --annotator ada --annotator bob --overlap 2 --pick doubtful --out work --lake ./lake
+    """
+    from flows.inputs.annotation import BatchPlan, create_batch
+    from flows.run.configuration import configure
+
+    plan = BatchPlan(batch_id, annotators, overlap, pick, scenes, count)
+    configuration = configure(config_file, settings, seed=seed)
+    result = create_batch(existing_lake(address), plan, out, again=again, dry_run=dry_run, configuration=configuration)
+    loads = ", ".join(f"{name} {load}" for name, load in result["assignments"].items())
+    verb = "would be asked" if dry_run else f"are in {out}"
+    _print(result, as_json, f"batch {batch_id}: {result['objects']} objects of {result['scenes']} scenes {verb}; {loads}")
+    if not dry_run and not as_json:
+        print(f"next: annotators fill in {out}/answers/*.json, then: metascenes annotate import {out}/answers.json")
 
 
 @command.command("import")
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--format", "batch_format", type=click.Choice(["answers", "scan2cad"]), default="answers", show_default=True,
+    help="Answers after batch.schema.json, or Scan2CAD's full_annotations.json.",
+)  # fmt: skip
+@click.option("--batch", "batch_id", default="scan2cad", show_default=True, metavar="NAME", help="Name of the batch, for scan2cad.")
 @click.option("--dry-run", is_flag=True, help="Check the batch against the lake; write nothing.")
+@settings_options
 @lake_option
 @json_option
-def import_batch(file: Path, dry_run: bool, address: str, as_json: bool) -> None:
-    """Import a batch of annotations; all of it or nothing. The next run redoes what depends on it.
+def import_batch(
+    file: Path, batch_format: str, batch_id: str, dry_run: bool, config_file: Path | None, settings: tuple[str, ...], address: str,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Import a batch of annotations; all of the file or nothing.
+
+    What the lake has already is left alone, later answers correct earlier ones, and history is kept. Answers reach scenes once the
+    batch was accepted; of a batch that was made elsewhere at once, with --set annotation.unreviewed_imports_count=true.
 
     Example: metascenes annotate import batch.json --lake ./lake
     """
-    from flows.inputs.annotation import import_annotations
+    from flows.inputs.annotation import import_alignments, import_annotations
+    from flows.run.configuration import configure
 
-    result = import_annotations(existing_lake(address), file, dry_run)
-    if as_json:
-        print(json.dumps(result))
-        return
+    lake, configuration = existing_lake(address), configure(config_file, settings)
+    if batch_format == "scan2cad":
+        result = import_alignments(lake, file, batch_id, dry_run=dry_run, configuration=configuration)
+    else:
+        result = import_annotations(lake, file, dry_run, configuration)
+    batch_id = result["batch_id"]
+    for line in () if as_json else result.get("left_out", ()):
+        click.echo(f"note: left out {line}", err=True)
     if result["already"]:
-        print(f"batch {result['batch_id']} is in the lake already, with the same answers; nothing to do")
-        return
-    verb = "would be imported" if dry_run else "imported"
-    whose = f"{result['annotations']} answers of {result['annotators']} annotators on {result['scenes']} scenes"
-    print(f"batch {result['batch_id']}: {whose} {verb}")
+        line = f"batch {batch_id} is in the lake already, with the same answers; nothing to do"
+    else:
+        verb = "would be imported" if dry_run else "imported"
+        whose = f"{result['annotations']} answers of {result['annotators']} annotators on {result['scenes']} scenes"
+        parts = [f"{result[name]} {name}" for name in ("new", "corrected", "withdrawn") if result[name]]
+        line = f"batch {batch_id}: {whose} {verb}" + (f" ({', '.join(parts)})" if parts else "")
+    _print(result, as_json, line)
+    if not dry_run and not as_json:
+        _print_next(lake, batch_id)
+
+
+@command.command("submit")
+@click.argument("batch_id", metavar="BATCH")
+@click.option("--by", default=getpass.getuser, show_default="user of this machine", metavar="NAME", help="Who hands it in.")
+@click.option("--partial", is_flag=True, help="Hand in what there is, though some assigned answers are missing.")
+@lake_option
+@json_option
+def submit_batch(batch_id: str, by: str, partial: bool, address: str, as_json: bool) -> None:
+    """Hand in a batch that was created: its answers stay as they are until it is returned.
+
+    Example: metascenes annotate submit batch-1 --by ada --lake ./lake
+    """
+    from flows.inputs.annotation import submit
+
+    lake = existing_lake(address)
+    result = submit(lake, batch_id, by, partial)
+    _print(result, as_json, f"batch {batch_id}: {result['answers']} answers handed in, round {result['round']}")
+    if not as_json:
+        _print_next(lake, batch_id)
+
+
+@command.command("sample")
+@click.argument("batch_id", metavar="BATCH")
+@click.option("--reviewer", metavar="NAME", help="Write a form for this reviewer, with the answers that are not their own.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File for the form; sample.json by default.")
+@lake_option
+@json_option
+def sample(batch_id: str, reviewer: str | None, out: Path | None, address: str, as_json: bool) -> None:
+    """Draw the answers that are reviewed: a seeded tenth, and at least fifty, if there are as many.
+
+    A sample that was drawn already is shown again. With --reviewer, a form is written to be filled in: passes is true or false, and
+    what fails has a remark.
+
+    Example: metascenes annotate sample batch-1 --reviewer rita --out rita.json --lake ./lake
+    """
+    from flows.inputs.annotation import batch_list, draw_sample, open_reviews
+
+    lake = existing_lake(address)
+    (before,) = batch_list(lake, batch_id)
+    result = before if before["state"] == "in_review" else draw_sample(lake, batch_id)
+    _print(result, as_json, f"batch {batch_id}: {result.get('why', str(result['sampled']) + ' answers are being reviewed')}")
+    if reviewer is not None:
+        rows = open_reviews(lake, batch_id, reviewer)
+        names = ("scene_id", "instance_id", "annotator")
+        blank = {"passes": None, "remark": None, "reviewed_at": ""}
+        verdicts = [{name: row[name] for name in names} | blank for row in rows]
+        form = {"batch_id": batch_id, "reviewer": reviewer, "verdicts": verdicts}
+        file = out or Path("sample.json")
+        file.write_text(json.dumps(form, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        if not as_json:
+            print(f"{file}: {len(rows)} answers to judge; then: metascenes annotate review {file}")
 
 
 @command.command("review")
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--dry-run", is_flag=True, help="Check the reviews against the lake; write nothing.")
+@click.option("--dry-run", is_flag=True, help="Check reviews made elsewhere against the lake; write nothing.")
 @lake_option
 @json_option
 def import_review(file: Path, dry_run: bool, address: str, as_json: bool) -> None:
-    """Import reviews of an annotation batch that is in the lake; all of the file or nothing.
+    """Take in verdicts on sampled answers, or a review of a batch that was made elsewhere; all of the file or nothing.
 
-    The view quality_history shows them. Where the last review of a batch returned it, none of its answers counts any more:
-    the next run makes its scenes again without them. They are given again in a new batch.
+    When all of the sample is judged, the batch is accepted if more than 98 % passed, else all of it goes back with the remarks
+    (`annotation.pass_share`). Where a batch was returned, none of its answers counts any more: the next run makes its scenes again
+    without them. The views annotation_batch_states and quality_history show it.
 
     Example: metascenes annotate review review.json --lake ./lake
     """
-    from flows.inputs.annotation import import_reviews
+    from flows.inputs.annotation import conclude, import_reviews, save_verdicts
+    from schemas.errors import InputError
+    from tasks.annotation.verdicts import load_review_file
 
-    result = import_reviews(existing_lake(address), file, dry_run)
-    if as_json:
-        print(json.dumps(result))
+    lake = existing_lake(address)
+    document = load_review_file(file)
+    if isinstance(document, dict) and "verdicts" in document:
+        if dry_run:
+            raise InputError(file.name, "verdicts", "cannot be tried: --dry-run is for reviews made elsewhere", "leave it out")
+        result = save_verdicts(lake, document, file.name)
+        if result["judged"] == result["sampled"]:
+            result |= conclude(lake, result["batch_id"])
+            line = (
+                f"{result['passed']} of {result['sampled']} reviewed answers pass; of all {result['answers']} between "
+                f"{result['pass_low']:.1%} and {result['pass_high']:.1%} do: {result['verdict']}"
+            )
+        else:
+            line = f"{result['judged']} of {result['sampled']} answers judged, {result['failed']} of them do not pass"
+        _print(result, as_json, f"batch {result['batch_id']}: {line}")
+        if not as_json:
+            _print_next(lake, result["batch_id"])
         return
+    result = import_reviews(lake, file, dry_run)
     if result["already"] == result["reviews"]:
-        print(f"the reviews of batch {result['batch_id']} are in the lake already; nothing to do")
+        line = f"the reviews of batch {result['batch_id']} are in the lake already; nothing to do"
+    else:
+        verb = "would be imported" if dry_run else "imported"
+        verdict = f"{result['wrong']} of {result['sampled']} sampled answers wrong, {result['returned']} returned"
+        known = f", {result['already']} known already" if result["already"] else ""
+        count = f"{result['reviews']} review{'' if result['reviews'] == 1 else 's'}"
+        line = f"batch {result['batch_id']}: {count}{known} {verb}: {verdict}"
+    _print(result, as_json, line)
+
+
+@command.command("list")
+@click.argument("batch_id", metavar="[BATCH]", required=False)
+@lake_option
+@json_option
+def list_batches(batch_id: str | None, address: str, as_json: bool) -> None:
+    """How batches stand: state, answers by annotator, what is reviewed, and what comes next.
+
+    Example: metascenes annotate list --lake ./lake
+    """
+    from flows.inputs.annotation import batch_list
+
+    rows = batch_list(existing_lake(address), batch_id)
+    if as_json:
+        print(json.dumps({"batches": rows}))
         return
-    verb = "would be imported" if dry_run else "imported"
-    verdict = f"{result['wrong']} of {result['sampled']} sampled answers wrong, {result['returned']} returned"
-    known = f", {result['already']} known already" if result["already"] else ""
-    print(f"batch {result['batch_id']}: {result['reviews']} review{'' if result['reviews'] == 1 else 's'}{known} {verb}: {verdict}")
+    for row in rows:
+        people = ", ".join(
+            f"{name} {count['answered']}" + (f" of {count['assigned']}" if count["assigned"] else "")
+            for name, count in row["by_annotator"].items()
+        )
+        print(f"{row['batch_id']}  {row['state'].replace('_', ' ')}, round {row['round']}  {people}")
+        print(f"  next: {row['next']}")
+
+
+def _print(result: dict[str, Any], as_json: bool, line: str) -> None:
+    print(json.dumps(result) if as_json else line)
+
+
+def _print_next(lake: Any, batch_id: str) -> None:
+    from flows.inputs.annotation import batch_list
+
+    for row in batch_list(lake, batch_id):
+        print(f"{row['state'].replace('_', ' ')}; next: {row['next']}")

@@ -59,11 +59,19 @@ workers_option = click.option(
 )
 """`--workers N`: worker processes."""
 
-configuration_options = grouped(
-    click.option("--seed", type=int, help="Run seed, 0 by default; the same input and seed give the same result."),
-    click.option("--library", type=click.Path(path_type=Path), help="Folder of GLB assets to retrieve candidates from."),
+settings_options = grouped(
     click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="One value of a stage's config; may be repeated."),
     click.option("--config", "config_file", type=click.Path(path_type=Path, dir_okay=False), help="TOML file with a table per stage."),
+)
+"""`--config` and `--set`, as `config_file` and `settings`."""
+
+seed_option = click.option("--seed", type=int, help="Run seed, 0 by default; the same input and seed give the same result.")
+"""`--seed N`."""
+
+configuration_options = grouped(
+    seed_option,
+    click.option("--library", type=click.Path(path_type=Path), help="Folder of GLB assets to retrieve candidates from."),
+    settings_options,
 )
 """`--config`, `--set`, `--library`, `--seed`: what the stages are told."""
 

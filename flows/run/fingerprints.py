@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from schemas.files import open_file, sane_bytes, write_whole
+from schemas.tables import TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("schemas", "tasks")
@@ -64,8 +65,12 @@ def canonical_json(config: Any) -> str:
 
 
 def annotations_digest(rows: Iterable[Mapping[str, object]]) -> str:
-    """Hash of a scene's annotations, given as rows by column; '' where there are none."""
-    texts = ["|".join(f"{name}={row[name]!r}" for name in sorted(row)) for row in rows]
+    """Hash of a scene's annotations, given as rows by column; '' where there are none.
+
+    Columns that say what rows of before say are left out, so that these have the hash that they had.
+    """
+    later = {**TABLES["annotations"].earlier, "tool": None}
+    texts = ["|".join(f"{name}={row[name]!r}" for name in sorted(row) if name not in later or row[name] != later[name]) for row in rows]
     return digest(*sorted(hashlib.sha256(text.encode()).hexdigest() for text in texts)) if texts else ""
 
 

@@ -1,4 +1,4 @@
-"""Annotation: what people chose, and what reviewers say of it, imported from files that they filled in. All of a file or nothing of it."""
+"""Annotation: what people were asked and what they chose, and what reviewers say of it. All of a file or nothing of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from schemas.annotation import Annotation, QualityReview
+from schemas.annotation import (
+    Annotation,
+    AnnotationFigures,
+    AnswerVerdict,
+    Assignment,
+    QualityReview,
+    SampledAnswer,
+    Submission,
+    WorkBatch,
+)
 from schemas.candidates import Candidate
 from schemas.capture import Instance
 from schemas.errors import InputError
@@ -16,12 +25,12 @@ from tasks.annotation.agreement import borda, current, winning
 from tasks.annotation.batch import SCHEMA_FILE, AnnotationBatch, AnnotatorAnswer, read_batch
 from tasks.annotation.review import REVIEW_SCHEMA_FILE, Review, ReviewBatch, check_reviews, read_reviews
 from tasks.geometry.transforms import matrix
-from tasks.settings import Config
+from tasks.settings import Config, Count, Share
 from tasks.stage import Context, Outcome, Stage
 
 __all__ = [
-    "REVIEW_SCHEMA_FILE", "SCHEMA_FILE", "STAGE", "AnnotationBatch", "AnnotationConfig", "AnnotatorAnswer", "ReviewBatch", "borda",
-    "check_reviews", "current", "read_batch", "read_reviews", "run", "winning",
+    "REVIEW_SCHEMA_FILE", "SCHEMA_FILE", "STAGE", "AnnotationBatch", "AnnotationConfig", "AnnotatorAnswer", "BatchActs", "ReviewBatch",
+    "borda", "check_reviews", "current", "read_batch", "read_reviews", "run", "winning",
 ]  # fmt: skip
 
 
@@ -32,18 +41,37 @@ class AnnotationConfig(Config):
     reach_m: float = 5.0  # an asset put farther than a room's width from its instance is a wrong unit or a wrong scene
     smallest_scale: float = 0.02  # assets are in metres: one in centimetres by mistake needs 0.01, and is a wrong asset
     largest_scale: float = 50.0  # an asset in millimetres by mistake needs 1000
+    sample_share: Share = 0.1  # of a batch's answers are reviewed, as in the paper
+    least_sample: Count = 50  # answers are reviewed at least: of fewer, one that fails is more than the 2 % that may
+    pass_share: Share = 0.98  # of the reviewed answers, of which more must pass, as in the paper
+    unreviewed_imports_count: bool = False  # what nobody has reviewed reaches no scene; true trusts batches made elsewhere until a review
+
+
+@dataclasses.dataclass(frozen=True)
+class BatchActs:
+    """What was done to a batch, as rows: of the table that each field is named after."""
+
+    annotation_batches: tuple[WorkBatch, ...] = ()
+    assignments: tuple[Assignment, ...] = ()
+    annotations: tuple[Annotation, ...] = ()
+    annotation_figures: tuple[AnnotationFigures, ...] = ()
+    submissions: tuple[Submission, ...] = ()
+    review_samples: tuple[SampledAnswer, ...] = ()
+    answer_verdicts: tuple[AnswerVerdict, ...] = ()
+    quality_reviews: tuple[QualityReview, ...] = ()
 
 
 def run(
     *,
     annotation_batch: AnnotationBatch | None,
     review_batch: ReviewBatch | None,
+    batch_acts: BatchActs | None = None,
     instances: Sequence[Instance],
     candidates: Sequence[Candidate],
     context: Context,
     config: AnnotationConfig,
 ) -> Outcome:
-    """Annotations of a batch, or reviews of one: one of the two is given.
+    """Annotations of a batch, or reviews of one, or what else was done to one: one of the three is given.
 
     `instances` and `candidates` are those of all scenes that the batch names.
 
@@ -66,21 +94,31 @@ def run(
             instance = _instance(answer, known, scenes)
             rows.append(_annotation(annotation_batch.batch_id, answer, instance, slots[answer.scene_id, answer.instance_id], config))
     reviews = [_quality_review(review_batch, review) for review in review_batch.reviews] if review_batch is not None else []
+    acts = batch_acts or BatchActs()
     return Outcome(
-        annotations=sorted(rows, key=lambda r: (r.scene_id, r.instance_id, r.annotator)),
-        quality_reviews=sorted(reviews, key=lambda r: r.review_id),
+        annotation_batches=acts.annotation_batches,
+        assignments=acts.assignments,
+        annotations=sorted([*rows, *acts.annotations], key=lambda r: (r.scene_id, r.instance_id, r.annotator)),
+        annotation_figures=acts.annotation_figures,
+        submissions=acts.submissions,
+        review_samples=acts.review_samples,
+        answer_verdicts=acts.answer_verdicts,
+        quality_reviews=sorted([*reviews, *acts.quality_reviews], key=lambda r: r.review_id),
     )
 
 
 STAGE = Stage(
     name="annotation",
     reads=("instances", "candidates"),
-    writes=("annotations", "quality_reviews"),
+    writes=(
+        "annotation_batches", "assignments", "annotations", "annotation_figures", "submissions", "review_samples", "answer_verdicts",
+        "quality_reviews",
+    ),
     config=AnnotationConfig,
     run=run,
     grain="annotation_batch",
-    outside=("annotation_batch", "review_batch"),
-)
+    outside=("annotation_batch", "review_batch", "batch_acts"),
+)  # fmt: skip
 
 
 def _instance(answer: AnnotatorAnswer, known: Mapping[tuple[str, str], Instance], scenes: set[str]) -> Instance:
@@ -142,6 +180,10 @@ def _annotation(
         box_size=instance.box_size,
         source_file=answer.source_file,
         seconds=answer.seconds,
+        revision=1,
+        is_withdrawn=answer.is_withdrawn,
+        tool=answer.tool,
+        is_simulated=answer.is_simulated,
     )
 
 
@@ -157,6 +199,12 @@ def _quality_review(batch: ReviewBatch, review: Review) -> QualityReview:
         verdict=review.verdict,
         note=review.note,
         source_file=batch.source_file,
+        round=1,
+        answers=None,
+        handed_in_hashes=None,
+        pass_low=None,
+        pass_high=None,
+        is_simulated=False,
     )
 
 

@@ -38,7 +38,7 @@ class AnnotatorAnswer:
 
     `choice` and `ranking` hold asset ids and slot numbers. `pose`: asset to world frame [m], 4x4 row by row; `scale`:
     along the asset's own axes; both None where the answer has no transform. `seconds`: time spent on the answer [s];
-    None where nobody measured it.
+    None where nobody measured it. `is_withdrawn`: it takes the annotator's earlier answer back, and says nothing else.
     """
 
     scene_id: str
@@ -52,6 +52,9 @@ class AnnotatorAnswer:
     source_file: str
     where: str
     seconds: float | None = None
+    is_withdrawn: bool = False
+    tool: str | None = None
+    is_simulated: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +95,8 @@ def read_batch(path: Path) -> AnnotationBatch:
                 name, "batch_id", f"is {document['batch_id']!r}, the batch is {batch_id!r}", "give all files of a batch one batch_id"
             )
         batch_id = document["batch_id"]
-        answers += [_answer(item, name, f"annotations[{i}]") for i, item in enumerate(document.get("annotations", ()))]
+        tool = document.get("tool")
+        answers += [_answer(item, name, f"annotations[{i}]", tool) for i, item in enumerate(document.get("annotations", ()))]
         for index, relative in enumerate(document.get("files", ())):
             target = _inside(file.parent, relative, name, f"files[{index}]")
             if target in seen or target in queue:
@@ -122,13 +126,32 @@ def _inside(folder: Path, relative: str, name: str, where: str) -> Path:
     return target
 
 
-def _answer(item: Any, name: str, where: str) -> AnnotatorAnswer:
+def read_answers(document: Any, name: str) -> AnnotationBatch:
+    """The batch in a JSON value, as a page or another program hands it over; `name` is what errors call it. It names no files.
+
+    Raises:
+        InputError: as `read_batch`.
+    """
+    SCHEMA.check(document, name)
+    if document.get("files"):
+        raise InputError(name, "files", "are not read from here", "give the answers themselves")
+    tool = document.get("tool")
+    answers = [_answer(item, name, f"annotations[{i}]", tool) for i, item in enumerate(document.get("annotations", ()))]
+    _refuse_none(answers, name)
+    _refuse_repeats(answers)
+    return AnnotationBatch(document["batch_id"], tuple(answers))
+
+
+def _answer(item: Any, name: str, where: str, tool: str | None = None) -> AnnotatorAnswer:
     """One answer, after what a schema cannot say: times with a zone, rotations, and a choice that tops its ranking."""
     transform = item.get("transform")
     pose, scale = _placed(transform, name, f"{where}.transform") if transform is not None else (None, None)
-    choice, ranking = _whole(item["choice"]), tuple(_whole(v) for v in item.get("ranking", ()))
+    is_withdrawn = bool(item.get("withdrawn", False))
+    choice, ranking = _whole(item.get("choice")), tuple(_whole(v) for v in item.get("ranking", ()))
     if len(set(ranking)) != len(ranking):
         raise InputError(name, f"{where}.ranking", "names a candidate twice", "rank every candidate once")
+    if is_withdrawn and (choice is not None or ranking or transform is not None):
+        raise InputError(name, f"{where}.withdrawn", "is true, and there is an answer", "leave choice, ranking and transform out")
     if choice is None and transform is not None:
         raise InputError(name, f"{where}.transform", "is given although nothing was chosen", "give a choice, or null for the transform")
     return AnnotatorAnswer(
@@ -143,6 +166,9 @@ def _answer(item: Any, name: str, where: str) -> AnnotatorAnswer:
         source_file=name,
         where=where,
         seconds=None if item.get("seconds") is None else float(item["seconds"]),
+        is_withdrawn=is_withdrawn,
+        tool=item.get("tool") or tool,
+        is_simulated=bool(item.get("simulated", False)),
     )
 
 

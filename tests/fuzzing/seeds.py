@@ -362,7 +362,8 @@ def annotation_batch() -> list[Case]:
     answers = [
         usual | {"instance_id": "0001", "choice": 2, "ranking": [2, 1, "a" * 64], "transform": transform, "seconds": 12.5},
         usual | {"instance_id": "0002", "choice": None},
-        usual | {"instance_id": "0003", "choice": "a" * 64, "transform": turned},
+        usual | {"instance_id": "0003", "choice": "a" * 64, "transform": turned, "tool": "page", "simulated": True},
+        usual | {"instance_id": "0004", "withdrawn": True},
     ]
     more = [usual | {"instance_id": "0001", "annotator": "bob", "choice": 1}]
     whole = {"batch_id": "batch-1", "annotations": answers}
@@ -380,6 +381,13 @@ def review_batch() -> list[Case]:
     usual = {"reviewer": "rita", "reviewed_at": "2026-03-02T10:30:00+01:00", "sampled": 2, "wrong": 1, "verdict": "returned"}
     reviews = [usual | {"review_id": "r1"}, usual | {"review_id": "r2", "wrong": 0, "verdict": "accepted", "note": " better "}]
     return [{"reviews.json": json.dumps({"batch_id": "batch-1", "reviews": reviews}).encode()}]
+
+
+def verdict_batch() -> list[Case]:
+    """Verdicts of a reviewer, one with a remark."""
+    usual = {"scene_id": "demo/room_a", "annotator": "ada", "reviewed_at": "2026-03-02T10:30:00+01:00"}
+    verdicts = [usual | {"instance_id": "0001", "passes": True}, usual | {"instance_id": "0002", "passes": False, "remark": "too low"}]
+    return [{"verdicts.json": json.dumps({"batch_id": "batch-1", "reviewer": "rita", "verdicts": verdicts}).encode()}]
 
 
 def trajectory_batch() -> list[Case]:

@@ -38,8 +38,9 @@ def _outside_inputs() -> list[Target]:
     """What stages declare to come from outside of the lake, but for scans, which have formats."""
     from tasks.pipeline import STAGES
 
-    names = sorted({name for stage in STAGES for name in stage.outside if name != "scan"})
-    return [Target(name.removesuffix("_batch"), PARSER, getattr(seeds, name), globals()[f"_read_{name}"]) for name in names]
+    names = {name for stage in STAGES for name in stage.outside if name not in ("scan", "batch_acts")}  # acts are rows of ours
+    names |= {"verdict_batch"}  # what acts are made from
+    return [Target(name.removesuffix("_batch"), PARSER, getattr(seeds, name), globals()[f"_read_{name}"]) for name in sorted(names)]
 
 
 def _scan_formats() -> list[Target]:
@@ -101,15 +102,24 @@ def _read_library(folder: Path) -> None:
 
 
 def _read_annotation_batch(folder: Path) -> None:
-    from tasks.annotation.batch import read_batch
+    from tasks.annotation.batch import read_answers, read_batch
+    from tasks.batches import parse_json
 
     read_batch(folder / "batch.json")
+    if len(list(folder.rglob("*.json"))) == 1:  # as a page hands it over
+        read_answers(parse_json(read_file(folder / "batch.json", "batch.json", 2**20), "batch.json"), "batch.json")
 
 
 def _read_review_batch(folder: Path) -> None:
     from tasks.annotation.review import read_reviews
 
     read_reviews(folder / "reviews.json")
+
+
+def _read_verdict_batch(folder: Path) -> None:
+    from tasks.annotation.verdicts import load_review_file, read_verdicts
+
+    read_verdicts(load_review_file(folder / "verdicts.json"), "verdicts.json")
 
 
 def _read_trajectory_batch(folder: Path) -> None:

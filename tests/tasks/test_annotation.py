@@ -294,7 +294,7 @@ def test_whatever_a_field_holds_the_batch_is_taken_or_refused_with_one_line(fiel
         assert len(batch.annotations) == 1
     else:
         assert "\n" not in str(refused)
-        assert refused.field.startswith("annotations[0]") or refused.problem == "holds the number Infinity, which JSON does not have"
+        assert refused.field.startswith("annotations[0]") or refused.problem.endswith("Infinity, which JSON does not have")
 
 
 def test_the_published_schema_is_a_schema() -> None:

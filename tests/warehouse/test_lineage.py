@@ -69,7 +69,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
         for day, who, choice in ((1, "ann", asset), (2, "bob", asset), (3, "cy", None))
     ]  # fmt: skip
     (base / "batch.json").write_text(json.dumps({"batch_id": "batch1", "annotations": answers}))
-    imported = metascenes(environment, "annotate", "import", base / "batch.json", "--lake", base / "lake")
+    trusted = ("--set", "annotation.unreviewed_imports_count=true")
+    imported = metascenes(environment, "annotate", "import", base / "batch.json", "--lake", base / "lake", *trusted)
     assert imported.returncode == 0, imported.stderr
     second = metascenes(environment, *command)
     assert second.returncode == 0, second.stderr

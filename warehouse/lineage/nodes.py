@@ -193,8 +193,9 @@ def add_annotation(walk: Walk, row: Annotation, depth: int, role: str) -> str:
 
 
 def answer_key(row: Annotation) -> str:
-    """Key of an answer."""
-    return f"{row.batch_id}/{row.scene_id}/{row.instance_id}/{row.annotator}"
+    """Key of an answer; of a correction with its revision."""
+    corrected = f"#{row.revision}" if row.revision > 1 else ""
+    return f"{row.batch_id}/{row.scene_id}/{row.instance_id}/{row.annotator}{corrected}"
 
 
 def _slot_settings(config: Any, slot: int, is_fallback: bool) -> Any:

@@ -195,10 +195,10 @@ def _annotated(walk: Walk, placement: Placement, node: str, depth: int) -> None:
     answers = walk.rows(Annotation, scene_id)
     same = [row for row in answers if row.annotator == placement.annotator and row.choice == placement.asset_id]
     # Instances are numbered anew when a scan is captured again: then who chose what is all that the placement says.
-    # An answer of a returned batch won only where the layout is older than the review.
+    # An answer that does not count now won only where the layout is older than the review.
     winner = max(
         same,
-        key=lambda row: (row.batch_id not in walk.returned, row.instance_id == instance_id, row.answered_at, row.batch_id),
+        key=lambda row: (row.batch_id in walk.counting, row.instance_id == instance_id, row.answered_at, row.batch_id, row.revision),
         default=None,
     )
     if winner is None:

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 from schemas.lineage import Edge, Lineage, Node, Place, Problem, RunFacts
 from schemas.record import table_of
 from schemas.runs import StageRun
+from warehouse.tables.gate import BatchState, batch_states
 from warehouse.tables.history import StageState, states
-from warehouse.tables.reviews import returned_batches
 from warehouse.tables.snapshot import Reader
 
 R = TypeVar("R")
@@ -42,8 +42,17 @@ class Walk:
 
     @cached_property
     def returned(self) -> frozenset[str]:
-        """Annotation batches whose last review returned them."""
-        return returned_batches(self.reader)
+        """Annotation batches that are back with their annotators."""
+        return frozenset(name for name, state in self._batches.items() if state.state == "returned")
+
+    @cached_property
+    def counting(self) -> frozenset[str]:
+        """Annotation batches whose answers reach scenes."""
+        return frozenset(name for name, state in self._batches.items() if state.counts)
+
+    @cached_property
+    def _batches(self) -> dict[str, BatchState]:
+        return batch_states(self.reader)
 
     def rows(self, record_type: type[R], scene_id: str) -> list[R]:
         """Rows of a scene, sorted by key. That they are as many as their stage's run wrote is checked when they are first read."""

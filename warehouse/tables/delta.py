@@ -366,7 +366,7 @@ def _bounds(folder: str, opened: DeltaTable) -> dict[str, dict[str, tuple[str, s
     return bounds
 
 
-def _value(name: str, before: str | None, earlier: int | None = None) -> Any:
+def _value(name: str, before: str | None, earlier: int | bool | None = None) -> Any:
     """A column of data files, some of which may have it under an old name, or be `earlier` than it, as Arrow's expression."""
     from pyarrow.compute import coalesce, field, scalar
 

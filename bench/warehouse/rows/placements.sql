@@ -1,4 +1,4 @@
--- The first annotator's choice where there is one, else the best candidate.
+-- The first annotator's choice where there is one and its batch was accepted, else the best candidate.
 SELECT
     scene_id,
     instance_id,
@@ -26,7 +26,7 @@ FROM (
     FROM (
         SELECT
             *,
-            is_annotated(scene) AND answer_of(object, 1) IS NOT NULL AS is_chosen,
+            is_annotated(scene) AND wrong_of(scene) = 0 AND answer_of(object, 1) IS NOT NULL AS is_chosen,
             CASE WHEN is_chosen THEN answer_of(object, 1) ELSE 1 END AS placed_rank,
             CASE WHEN u(object, 'moved') < 0.3 THEN round(0.1 * u(object, 'move'), 3) ELSE 0.0 END AS shift_x
         FROM objects_now

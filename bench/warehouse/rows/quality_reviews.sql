@@ -1,13 +1,20 @@
 -- Every batch was reviewed once; one in five was returned.
 SELECT
-    batch_of(scene) AS batch_id,
-    'review-1' AS review_id,
-    'reviewer-' || (1 + below(scene, 'reviewer', 3)) AS reviewer,
-    at_second(scene * 100 + 90) AS reviewed_at,
-    20 AS sampled,
-    CASE WHEN u(scene, 'returned') < 0.2 THEN 3 + below(scene, 'wrong', 5) ELSE below(scene, 'wrong', 2) END AS wrong,
-    CASE WHEN u(scene, 'returned') < 0.2 THEN 'returned' ELSE 'accepted' END AS verdict,
+    batch_id,
+    'round-1' AS review_id,
+    'reviewer-' || (1 + below(any_value(scene), 'reviewer', 3)) AS reviewer,
+    at_second(any_value(scene) * 100 + 90) AS reviewed_at,
+    any_value(sampled) AS sampled,
+    wrong_of(any_value(scene)) AS wrong,
+    CASE WHEN wrong_of(any_value(scene)) > 0 THEN 'returned' ELSE 'accepted' END AS verdict,
     NULL AS note,
-    'review-1.json' AS source_file
-FROM scenes_now
-WHERE is_annotated(scene)
+    'verdicts' AS source_file,
+    1 AS round,
+    count(*) AS answers,
+    [sha256(string_agg(concat_ws('|', scene_id, instance_id, annotator, 1), chr(10) ORDER BY instance_id, annotator))]
+        AS handed_in_hashes,
+    1.0 - (wrong_of(any_value(scene)) + 2.0) / any_value(sampled) AS pass_low,
+    1.0 - wrong_of(any_value(scene)) / any_value(sampled) AS pass_high,
+    false AS is_simulated
+FROM asked_now
+GROUP BY batch_id

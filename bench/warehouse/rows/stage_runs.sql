@@ -35,7 +35,10 @@ SELECT
         WHEN stage = 'navigation' THEN ['navmeshes=1', 'episodes=10', 'unreachable_targets=' || unreachable, 'splits=1']
         WHEN stage = 'fidelity' THEN ['fidelity=' || objects, 'scene_fidelity=1']
         WHEN stage = 'exports' THEN ['export_files=' || 8 * len(getvariable('formats')), 'export_checks=' || len(getvariable('rules'))]
-        WHEN stage = 'annotation' THEN ['annotations=' || 3 * objects, 'quality_reviews=1']
+        WHEN stage = 'annotation' THEN [
+            'annotation_batches=1', 'assignments=' || 3 * objects, 'annotations=' || 3 * objects, 'submissions=' || 3 * objects,
+            'review_samples=' || least(3 * objects, 50), 'answer_verdicts=' || least(3 * objects, 50), 'quality_reviews=1'
+        ]
         WHEN stage = 'evaluation' THEN ['trajectories=10']
         ELSE []
     END AS row_counts,

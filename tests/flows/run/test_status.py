@@ -29,7 +29,7 @@ from flows.run.configuration import Configuration, configure
 from flows.run.fingerprints import FileHashes, code_fingerprint
 from flows.run.plan import Plan, ScenePlan, Step, annotation_digests, make_plan
 from flows.run.status import Expected, Status, expected, recorded_states, status_of
-from schemas.annotation import Annotation
+from schemas.annotation import Annotation, QualityReview
 from schemas.record import rows_to_arrow
 from schemas.runs import StageRun
 from tasks.capture.formats import find_scans
@@ -87,7 +87,9 @@ def carry_out(lake: Lake, scene: ScenePlan, at: float, until: int = 99, outcome:
 
 def annotate(lake: Lake, scene: str, batch: str, at: float) -> None:
     answer = sample(Annotation, batch_id=batch, scene_id=scene, instance_id="0001", annotator="anna", reason=batch)
-    lake.stage_rows(stage_run(batch, "annotation", fingerprint(batch), at=at), {"annotations": [answer]})
+    accepted = sample(QualityReview, batch_id=batch, verdict="accepted")
+    rows = {"annotations": [answer], "quality_reviews": [accepted]}
+    lake.stage_rows(stage_run(batch, "annotation", fingerprint(batch), at=at), rows)
     lake.commit(scenes=[batch])
 
 

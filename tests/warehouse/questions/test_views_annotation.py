@@ -72,9 +72,9 @@ def reviewed(draw: st.DrawFn) -> list[Any]:
 
 
 def counting(rows: list[Any]) -> list[Annotation]:
-    """The answers that count, as the annotation stage says, scene by scene; those of a batch whose last review returned it do not."""
+    """The answers that count, as the annotation stage says, scene by scene: those of a batch whose last review accepted it."""
     last = {row.batch_id: row.verdict for row in sorted(of(rows, QualityReview), key=lambda row: (row.reviewed_at, row.review_id))}
-    standing = [row for row in of(rows, Annotation) if last.get(row.batch_id) != "returned"]
+    standing = [row for row in of(rows, Annotation) if last.get(row.batch_id) == "accepted"]
     return [one for scene in SCENES for one in current([row for row in standing if row.scene_id == scene])]
 
 
@@ -155,7 +155,7 @@ def test_kappa_of_a_textbook_table(database: Database) -> None:
             sample(Annotation, **place, batch_id="b", annotator=name, choice=ASSETS[slot - 1])
             for name, slot in (("ada", first), ("bob", second))
         ]
-    database.fill(*rows)
+    database.fill(*rows, sample(QualityReview, batch_id="b", verdict="accepted"))
     same(database.ask("annotator_agreement")[0], instances=50, agreement=0.7, chance_agreement=0.5, cohens_kappa=0.4)
 
 
@@ -233,7 +233,8 @@ def test_quality_history_tells_every_review_and_every_batch_without_one(database
         low, high = wilson(row.wrong, row.sampled)
         found = answer[row.batch_id, row.review_id]
         same(
-            found, answers=held.get(row.batch_id), round=rounds.index(row) + 1, is_last=row is rounds[-1], sampled=row.sampled,
+            found, answers=held.get(row.batch_id), handed_in_round=row.round, pass_low=row.pass_low, round=rounds.index(row) + 1,
+            is_last=row is rounds[-1], sampled=row.sampled,
             wrong=row.wrong, verdict=row.verdict, note=row.note, wrong_share=row.wrong / row.sampled,
             sampled_share=row.sampled / held[row.batch_id] if row.batch_id in held else None,
         )  # fmt: skip

@@ -1,0 +1,107 @@
+"""One change of an annotation batch at a time: the batch held, its state read, rows staged and committed."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import Any, TypeVar
+
+from flows.run.configuration import Configuration
+from flows.run.fingerprints import canonical_json, code_fingerprint, digest
+from flows.worker import Job, execute
+from schemas.annotation import Annotation
+from schemas.errors import InputError, LakeError
+from schemas.record import rows_to_arrow
+from tasks import annotation
+from tasks.annotation import BatchActs
+from warehouse.lake import Lake
+from warehouse.tables.gate import BatchState, batch_states
+from warehouse.tables.snapshot import Reader
+
+STAGE = annotation.STAGE
+
+WAIT_SECONDS = 60.0
+"""How long another change of the same batch is waited for: saving takes about a second."""
+
+R = TypeVar("R")
+
+
+@contextlib.contextmanager
+def changing(lake: Lake, batch_id: str) -> Iterator[Reader]:
+    """Hold a batch while it is changed, and read the lake as it is then; what a change that was killed had staged is in it.
+
+    Raises:
+        LakeError: another process has been changing the batch for a minute.
+    """
+    with lake.claims() as claims:
+        end = time.monotonic() + WAIT_SECONDS
+        while not claims.claim(batch_id):
+            if time.monotonic() > end:
+                raise LakeError(f"annotation batch {batch_id}: another process has been changing it for a minute; try again")
+            time.sleep(0.05)
+        if batch_id in lake.abandoned():
+            lake.commit(f"annotation batch {batch_id}", scenes=[batch_id])
+        yield lake.snapshot()
+
+
+def state_in(reader: Reader, batch_id: str) -> BatchState:
+    """What a batch is at in a snapshot."""
+    return batch_states(reader, [batch_id])[batch_id]
+
+
+def known_state(reader: Reader, batch_id: str) -> BatchState:
+    """What a batch is at that the lake must know.
+
+    Raises:
+        InputError: it does not.
+    """
+    state = state_in(reader, batch_id)
+    if state.batch is None and not rows_of(reader, Annotation, batch_id):
+        raise InputError(batch_id, "batch_id", "is not in the lake", "`metascenes annotate list` names its batches")
+    return state
+
+
+def rows_of(reader: Reader, record: type[R], batch_id: str) -> list[R]:
+    """The lake's rows of a batch, sorted by key."""
+    return list(reader.rows_by_key(record, [batch_id]))
+
+
+def commit_acts(lake: Lake, name: str, batch_id: str, acts: BatchActs, note: str, configuration: Configuration) -> None:
+    """Run the stage on what was done to a batch, and commit it.
+
+    Raises:
+        InputError: a row breaks its schema. Nothing was committed then.
+    """
+    config = configuration.stages[STAGE.name]
+    content = digest(canonical_json(acts))
+    inputs: dict[str, Any] = {"annotation_batch": None, "review_batch": None, "batch_acts": acts, "instances": (), "candidates": ()}
+    run = execute(
+        Job(
+            lake=lake.address,
+            scene_id=batch_id,
+            stage=STAGE.name,
+            config=config,
+            config_json=canonical_json(config),
+            seed=configuration.seed,
+            fingerprint=digest("annotation", content, code_fingerprint("tasks.annotation")),
+            reasons=(f"batch_acts={content}",),
+            upstream=(),
+            attempt=1,
+            outside=tuple(inputs.items()),
+        )
+    )
+    if run.error:
+        raise InputError(name, "annotations", run.error)
+    lake.commit(note=note, scenes=[batch_id])
+
+
+def same_rows(present: list[Any], rows: list[Any]) -> bool:
+    """Whether the lake holds exactly these rows."""
+    return bool(present) and rows_to_arrow(present, type(present[0])).equals(rows_to_arrow(rows, type(rows[0])))
+
+
+def now() -> datetime:
+    """The present time in UTC."""
+    return datetime.now(UTC)
