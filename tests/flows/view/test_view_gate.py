@@ -126,7 +126,7 @@ def test_what_would_change_something_must_name_its_origin(guest: TestClient) -> 
         assert guest.request(method, "/api/scenes", headers={"origin": ORIGIN}).status_code == 405, "and here nothing does"
 
 
-@pytest.mark.parametrize("cookie", [None, "guess", TOKEN])
+@pytest.mark.parametrize("cookie", [None, "guess", TOKEN], ids=["none", "guess", "token"])
 def test_sockets_want_the_token_and_the_origin(stranger: TestClient, cookie: str | None) -> None:
     """As the annotation page will open them."""
     people: list[Any] = []
