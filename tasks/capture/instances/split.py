@@ -92,8 +92,8 @@ def rejoined(
     parts = {i: [j for j in order if whole[j] == i] for i in boxes if whole[i] == i}
     kept = [i for i in range(len(groups)) if whole.get(i, i) == i]
     notes = [
-        f"{groups[j].origin or groups[j].source_id}: {groups[j].raw_label!r} {groups[j].source_id} is a part of {groups[i].source_id}, in "
-        "whose place it is"
+        f"{groups[j].origin or groups[j].source_id}: {groups[j].raw_label!r} {groups[j].source_id} is a part of {groups[i].source_id}, by "
+        "where it is"
         for i in kept
         for j in parts.get(i, ())
         if j != i
