@@ -77,6 +77,7 @@ ELSEWHERE = {
     "flows/view/scene.py glb": "as above",
     "flows/view/shapes.py habitat": "the export that has convex pieces as files by object",
     "schemas/capture.py habitat": "a layout of finished datasets",
+    "tasks/annotation/work.py glb": "the file of a candidate, in the folder that annotators get",
     "tasks/candidates/__init__.py library": "the outside input of the stage",
     "tasks/exports/urdf/rules.py glb": "the ending of a file that a URDF file names",
     "tasks/ingestion/habitat_scenes.py habitat": "a layout of finished datasets",
