@@ -81,14 +81,20 @@ class Scenes:
             raise InputError(self.lake.address, "scenes", "the lake has no scene", "see `metascenes status`")
         return str(rows[0])
 
-    def known(self, scene_id: str) -> str:
-        """A scene's own id.
+    def place(self, address: str) -> tuple[str, str | None]:
+        """The scene and the object that an address (`dataset/scan`, `dataset/scan/0007`) names; None for a scene alone.
 
         Raises:
-            InputError: it is not in the snapshot.
+            InputError: either is not in the snapshot.
         """
+        parts = address.split("/")
+        scene_id, instance_id = "/".join(parts[:2]), "/".join(parts[2:])
         self.scan_path(scene_id)
-        return scene_id
+        if len(parts) < 3:
+            return scene_id, None
+        if not any(row.instance_id == instance_id and not row.is_structure for row in self.reader.rows(Instance, scene_id)):
+            raise InputError(self.lake.address, address, "there is no such object", f"see `metascenes explain {scene_id}`")
+        return scene_id, instance_id
 
     def shown(self, scene_id: str) -> Shown:
         """A scene as it is shown.
