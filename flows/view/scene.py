@@ -46,7 +46,7 @@ class Scenes:
             raise InputError(lake.address, "view", "the lake has no snapshot yet", "run something first")
         self.release = release
         self._kept, self._most, self._lock = OrderedDict[str, Shown](), kept, threading.Lock()
-        self._made: dict[str, bytes] = {}
+        self._maker: dict[str, str] = {}  # for what was made once: which scene has it
         self._blobs: set[str] = set()
 
     def listed(self) -> Document:
@@ -107,19 +107,19 @@ class Scenes:
                 self._kept[scene_id] = shown = self._show(scene_id)
                 if len(self._kept) > self._most:
                     self._kept.popitem(last=False)
-                self._made = {name: data for each in self._kept.values() for name, data in each.made.items()}
+                self._maker |= dict.fromkeys(shown.made, scene_id)
                 self._blobs |= shown.blobs
             self._kept.move_to_end(scene_id)
             return self._kept[scene_id]
 
     def blob(self, name: str) -> bytes:
-        """Bytes that a scene that was shown names: a blob of the snapshot, or what was made for the page.
+        """Bytes that a scene that was shown names: a blob of the snapshot, or what was made for the page, made again if need be.
 
         Raises:
             KeyError: no such scene names it, or it is not there.
         """
-        if name in self._made:
-            return self._made[name]
+        if name in self._maker:
+            return self.shown(self._maker[name]).made[name]
         if name not in self._blobs:
             raise KeyError(name)
         return self.lake.blobs[name]
