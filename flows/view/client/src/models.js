@@ -14,7 +14,11 @@ const LINEAR = Uint16Array.from({ length: 256 }, (_, value) => Math.round(new Co
 
 /** A GLB by the name of its blob, +Y up turned to +Z up. Loaded once; every call gives a copy with materials of its own. */
 export async function model(name) {
-  if (!loaded.has(name)) loaded.set(name, read(name));
+  if (!loaded.has(name)) {
+    const reading = read(name);
+    loaded.set(name, reading);
+    reading.catch(() => loaded.get(name) === reading && loaded.delete(name)); // asked for again the next time
+  }
   const copy = (await loaded.get(name)).clone(true);
   for (const mesh of meshes(copy)) mesh.material = matte(mesh.material);
   const turned = new Group();
