@@ -374,3 +374,24 @@ def test_a_layer_that_could_not_be_fetched_is_tried_again(opened: Callable[..., 
     page.get_by_role("button", name="Navmesh").click()
     page.get_by_role("button", name="Navmesh").click()
     wait(page, "view.layers.children.length", 1)
+
+
+def test_what_a_scene_took_is_given_back_with_it(opened: Callable[..., Page]) -> None:
+    """Geometries and images of the graphics processor: as many on every visit, marks and layers included."""
+    page = opened()
+    for layer in ("Supports", "Colliders", "Navmesh"):
+        page.get_by_role("button", name=layer).click()
+    held = []
+    for scene in SCENES[::-1] * 3:
+        page.locator(f"[data-scene='{scene}']").click()
+        wait(page, "document.documentElement.dataset.ready", scene)
+        wait(page, "view.layers.children.length", 2)
+        for _ in range(3):
+            page.keyboard.press("n")
+            page.keyboard.press("2")
+            page.keyboard.press("x")
+        page.keyboard.press("Escape")
+        wait(page, "view.state.tried", {})
+        wait(page, "view.canvas.isDirty", False)
+        held.append(page.evaluate("({ ...view.canvas.renderer.info.memory })"))
+    assert held[2:4] == held[4:], held

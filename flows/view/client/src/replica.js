@@ -1,7 +1,7 @@
 // The objects of a replica: each an asset, scaled and posed; another candidate can be tried in its place.
 
 import { Box3, Color, Group, Matrix4 } from "three";
-import { between, boxOf, meshes, model, pose } from "./models.js";
+import { between, boxOf, meshes, model, pose, release } from "./models.js";
 
 /** Where an object stands at a time: 0 proposed, 1 optimized, 2 settled. */
 export function poseAt(poses, time) {
@@ -48,6 +48,7 @@ export class Replica {
     sized.scale.set(...scale);
     sized.add(content);
     const holder = this.shown.get(id) ?? new Group();
+    release(holder);
     holder.clear();
     holder.matrixAutoUpdate = false;
     holder.userData.instance = id;
@@ -91,6 +92,7 @@ export class Replica {
   #hide(id) {
     this.#ask(id);
     this.shown.get(id)?.removeFromParent();
+    release(this.shown.get(id));
     this.shown.delete(id);
   }
 

@@ -8,7 +8,7 @@ import { Frames } from "./frames.js";
 import { keys } from "./keys.js";
 import { layout } from "./layout.js";
 import { Colliders, navmesh, problems, SELECTED, selection, supports } from "./marks.js";
-import { forget } from "./models.js";
+import { forget, release } from "./models.js";
 import { objectFacts, objectTree, sceneFacts, sceneList, walkList } from "./panels.js";
 import { Player } from "./player.js";
 import { Replica } from "./replica.js";
@@ -82,7 +82,8 @@ class View {
     forget();
     this.canvas.facing = [];
     const { scan, replica, marks } = this.canvas;
-    for (const group of [this.scanGroup, this.shell, this.objects, this.layers, this.over]) group?.removeFromParent();
+    for (const group of [this.scanGroup, this.shell, this.objects, this.layers, this.over]) release(group?.removeFromParent());
+    for (const made of Object.values(this.made ?? {})) made.then((parts) => [parts].flat().forEach((part) => release(part.group ?? part)), () => {});
     [this.scanGroup, this.objects, this.layers, this.over] = [new Group(), new Group(), new Group(), new Group()];
     scan.add(this.scanGroup);
     replica.add(this.objects, this.layers);
@@ -233,6 +234,7 @@ class View {
     if (colliders) this.layers.add(colliders.group);
     for (const floor of floors || []) this.layers.add(floor);
     if (this.walk) this.layers.add(this.walk.body);
+    release(this.over);
     this.over.clear();
     if (this.on.problems) this.over.add(problems(told, this.replica, time));
     if (this.on.supports) this.over.add(supports(told, this.replica));
@@ -359,6 +361,7 @@ class View {
   /** Take the agent away. */
   stopWalk() {
     this.walking?.pause();
+    release(this.walk?.body);
     this.walk = this.walking = null;
     this.canvas.agent = null;
     this.nodes.inset.hidden = true;
