@@ -13,7 +13,7 @@ from flows.commands.options import chosen_snapshot, existing_lake, json_option, 
 
 
 @click.command("view", short_help="Show scenes in the browser: scan, replica, and all that is known of each object.")
-@click.argument("scene", metavar="[SCENE]", required=False)
+@click.argument("place", metavar="[SCENE[/OBJECT]]", required=False)
 @click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
     help="Write one scene as a file that opens without a server, instead of serving the lake.",
@@ -28,7 +28,7 @@ from flows.commands.options import chosen_snapshot, existing_lake, json_option, 
 @lake_option
 @json_option
 def command(
-    scene: str | None,
+    place: str | None,
     out: Path | None,
     browser: bool,
     host: str,
@@ -38,8 +38,8 @@ def command(
     address: str,
     as_json: bool,
 ) -> None:
-    """Show the scenes of a lake in the browser, SCENE first: the scan beside its replica, what is known of each object, its
-    candidates in place, what touches, how it settles, where an agent goes.
+    """Show the scenes of a lake in the browser, SCENE first, with OBJECT of it selected: the scan beside its replica, what is known
+    of each object, its candidates in place, what touches, how it settles, where an agent goes.
 
     Prints an address with a token, which lets in whoever has it, and serves until it is interrupted.
 
@@ -53,8 +53,10 @@ def command(
     client_file("view.html")  # before anything is read: it may not have been built
     lake = existing_lake(address)
     scenes = Scenes(lake, chosen_snapshot(lake, snapshot_id, release), release=release)
-    first = scenes.known(scene) if scene else scenes.first()
+    first, instance = scenes.place(place) if place else (scenes.first(), None)
     if out is not None:
+        if instance is not None:
+            raise click.UsageError(f"--out writes a whole scene: leave /{instance} away")
         from flows.view.standalone import write_page
 
         size = write_page(scenes, first, out)
@@ -66,11 +68,10 @@ def command(
         with contextlib.suppress(Exception):  # the page will say it
             scenes.shown(first)
 
-    def announce(place: str) -> None:
+    def announce(page: str) -> None:
         # ready before the browser is; waited for at the end, since native code must not run on while the process ends
         threading.Thread(target=prepare).start()
-        place += "" if scene is None else f"&at={first}"
-        words = json.dumps({"address": place, "scene_id": first, "snapshot_id": scenes.reader.snapshot_id})
-        click.echo(words if as_json else f"{place}\nthe token lets in whoever has it; Ctrl-C ends")
+        words = json.dumps({"address": page, "scene_id": first, "snapshot_id": scenes.reader.snapshot_id})
+        click.echo(words if as_json else f"{page}\nthe token lets in whoever has it; Ctrl-C ends")
 
-    serve(application([scene_routes(scenes)]), host, port, announce, browser and not as_json)
+    serve(application([scene_routes(scenes)]), host, port, announce, browser and not as_json, place or "")

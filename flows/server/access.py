@@ -34,13 +34,13 @@ App = Callable[[MutableMapping[str, Any], Receive, Send], Awaitable[None]]
 
 def own_origins(port: int, environment: Mapping[str, str]) -> list[str]:
     """The origins (`http://host:port`) of a server's own pages: the loopback's, and those that its environment names."""
-    origins = {_origin(f"http://{name}:{port}") for name in LOOPBACK}
+    origins = {origin_of(f"http://{name}:{port}") for name in LOOPBACK}
     for variable in NAMING:
-        origins |= {_origin(address) for address in environment.get(variable, "").split(",") if "://" in address}
+        origins |= {origin_of(address) for address in environment.get(variable, "").split(",") if "://" in address}
     return sorted(origins)
 
 
-def _origin(address: str) -> str:
+def origin_of(address: str) -> str:
     """Scheme and host of an address as browsers send them: in small letters, without the scheme's own port."""
     scheme, _, rest = address.strip().lower().partition("://")
     host = rest.partition("/")[0].rpartition("@")[2]
@@ -77,7 +77,7 @@ class Doorkeeper:
         hosts = [host.removesuffix(":80").removesuffix(":443") for host in values[b"host"]]
         if len(hosts) != 1 or not {*hosts, *values[b"host"]} & self._hosts:
             return f"this server does not go by that name; {self._remedy}"
-        if any(_origin(origin) not in self._origins for origin in values[b"origin"]):
+        if any(origin_of(origin) not in self._origins for origin in values[b"origin"]):
             return "pages of other servers may not ask this one"
         return ""
 

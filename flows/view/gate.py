@@ -9,11 +9,10 @@ from __future__ import annotations
 import re
 import secrets
 from collections.abc import Iterable, Mapping, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
 
-from flows.server.access import App, Doorkeeper, Receive, Send, own_origins
+from flows.server.access import App, Doorkeeper, Receive, Send, origin_of, own_origins
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob:; "
@@ -43,7 +42,7 @@ def guarded(app: App, port: int, people: Mapping[str, str], names: Iterable[str]
     `people`: who has which token, name by token; the name is in the scope as `person` for what stands behind. `home`: the page
     that an address with a token leads to.
     """
-    origins = [*own_origins(port, {}), *(f"http://{name}:{port}".lower() for name in names)]
+    origins = [*own_origins(port, {}), *(origin_of(f"http://{name}:{port}") for name in names)]
     return Doorkeeper(Gate(app, port, people, home), origins, remedy="open the address that the command printed")
 
 
@@ -79,11 +78,9 @@ class Gate:
         return people[0] if people else None
 
     def _kept(self, header: str) -> str:
-        try:
-            cookie = SimpleCookie(header).get(self.cookie)
-        except CookieError:
-            return ""
-        return cookie.value if cookie is not None else ""
+        """Our cookie. Those of other servers of this machine come along, and `SimpleCookie` gives up all for one that it dislikes."""
+        pairs = (pair.strip().partition("=") for pair in header.split(";"))
+        return next((value for name, _, value in pairs if name == self.cookie), "")
 
     async def _let_in(self, send: Send, token: str, at: str) -> None:
         """Keep the token as a cookie and go on without it in the address, to a place of the page.

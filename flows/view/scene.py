@@ -46,7 +46,7 @@ class Scenes:
             raise InputError(lake.address, "view", "the lake has no snapshot yet", "run something first")
         self.release = release
         self._kept, self._most, self._lock = OrderedDict[str, Shown](), kept, threading.Lock()
-        self._made: dict[str, bytes] = {}
+        self._maker: dict[str, str] = {}  # for what was made once: which scene has it
         self._blobs: set[str] = set()
 
     def listed(self) -> Document:
@@ -81,14 +81,20 @@ class Scenes:
             raise InputError(self.lake.address, "scenes", "the lake has no scene", "see `metascenes status`")
         return str(rows[0])
 
-    def known(self, scene_id: str) -> str:
-        """A scene's own id.
+    def place(self, address: str) -> tuple[str, str | None]:
+        """The scene and the object that an address (`dataset/scan`, `dataset/scan/0007`) names; None for a scene alone.
 
         Raises:
-            InputError: it is not in the snapshot.
+            InputError: either is not in the snapshot.
         """
+        parts = address.split("/")
+        scene_id, instance_id = "/".join(parts[:2]), "/".join(parts[2:])
         self.scan_path(scene_id)
-        return scene_id
+        if len(parts) < 3:
+            return scene_id, None
+        if not any(row.instance_id == instance_id and not row.is_structure for row in self.reader.rows(Instance, scene_id)):
+            raise InputError(self.lake.address, address, "there is no such object", f"see `metascenes explain {scene_id}`")
+        return scene_id, instance_id
 
     def shown(self, scene_id: str) -> Shown:
         """A scene as it is shown.
@@ -101,19 +107,19 @@ class Scenes:
                 self._kept[scene_id] = shown = self._show(scene_id)
                 if len(self._kept) > self._most:
                     self._kept.popitem(last=False)
-                self._made = {name: data for each in self._kept.values() for name, data in each.made.items()}
+                self._maker |= dict.fromkeys(shown.made, scene_id)
                 self._blobs |= shown.blobs
             self._kept.move_to_end(scene_id)
             return self._kept[scene_id]
 
     def blob(self, name: str) -> bytes:
-        """Bytes that a scene that was shown names: a blob of the snapshot, or what was made for the page.
+        """Bytes that a scene that was shown names: a blob of the snapshot, or what was made for the page, made again if need be.
 
         Raises:
             KeyError: no such scene names it, or it is not there.
         """
-        if name in self._made:
-            return self._made[name]
+        if name in self._maker:
+            return self.shown(self._maker[name]).made[name]
         if name not in self._blobs:
             raise KeyError(name)
         return self.lake.blobs[name]

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import os
 import socket
 import sys
+import tempfile
 import webbrowser
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from flows.server.access import new_token
 from flows.view.gate import guarded
@@ -19,26 +23,30 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 _EVERYWHERE = {"0.0.0.0", "::"}
+_REDIRECT = """<!doctype html>
+<meta charset="utf-8"><meta name="referrer" content="no-referrer"><meta http-equiv="refresh" content="0;url={}"><title>Scene lake</title>
+"""
 
 
-def serve(app: FastAPI, host: str, port: int, announce: Callable[[str], None], browser: bool = False) -> None:
+def serve(app: FastAPI, host: str, port: int, announce: Callable[[str], None], browser: bool = False, at: str = "") -> None:
     """Serve an application to whoever has its token, until interrupted. `announce` is called with the address once it answers.
 
-    Port 0 is a free one. `browser`: also open the page, where somebody sits at this machine.
+    Port 0 is a free one. `browser`: also open the page, where somebody sits at this machine. `at`: the scene, or the object of
+    one, that the address leads to.
 
     Raises:
         InputError: the host or port cannot be had.
     """
     import uvicorn
 
-    with bound(host, port) as listening:
+    with bound(host, port) as listening, contextlib.ExitStack() as until_the_end:
         number, token = listening.getsockname()[1], new_token()
         name = socket.gethostname().lower() if host in _EVERYWHERE else f"[{host}]" if ":" in host else host
-        address = f"http://{name}:{number}/?token={token}"
+        address = f"http://{name}:{number}/?token={token}" + (f"&at={quote(at)}" if at else "")
         listening.listen(64)  # from here on who opens the address is answered, if a moment later
         announce(address)
         if browser and _has_screen():
-            webbrowser.open(address)
+            webbrowser.open(until_the_end.enter_context(_leading_to(address)))
         guard = guarded(app, number, {token: "viewer"}, [name])
         # below warnings uvicorn writes down what clients send, tokens included
         server = uvicorn.Server(uvicorn.Config(guard, log_level="warning", access_log=False, timeout_graceful_shutdown=2))
@@ -62,6 +70,22 @@ def bound(host: str, port: int) -> Iterator[socket.socket]:
             reason = getattr(error, "strerror", None) or str(error)
             raise InputError(f"{host}:{port}", "--port", f"cannot be had ({reason})", "leave --port away for a free one") from error
         yield made
+
+
+@contextlib.contextmanager
+def _leading_to(address: str) -> Iterator[str]:
+    """The address of a file that only its owner reads and that leads on to an address with a token.
+
+    A browser is a process, and everybody on a machine reads the arguments of its processes.
+    """
+    handle, name = tempfile.mkstemp(prefix="metascenes-", suffix=".html")  # of mode 0600
+    file = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as page:
+            page.write(_REDIRECT.format(html.escape(address)))
+        yield file.as_uri()
+    finally:
+        file.unlink(missing_ok=True)
 
 
 def _has_screen() -> bool:

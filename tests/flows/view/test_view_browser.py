@@ -340,3 +340,58 @@ def test_a_scene_that_is_not_there_is_named(lake: Lake, tmp_path: Path) -> None:
     ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (ran.returncode, ran.stdout) == (2, "")
     assert "demo/none: there is no such scene" in ran.stderr
+
+
+def test_an_answer_that_comes_late_does_not_win(opened: Callable[..., Page]) -> None:
+    """What was asked for last is shown, whichever arrives first: of two candidates, and of a candidate and what was placed."""
+    page = opened()
+    tried = page.evaluate(
+        """async () => {
+            const offer = (slot) => view.document.objects[0].candidates.find((each) => each.slot === slot);
+            const { fetch } = window;
+            let release;
+            const gate = new Promise((resolve) => { release = resolve; });
+            window.fetch = async (...asked) => (await gate, fetch(...asked));
+            view.select("0000");
+            const slow = view.attempt(offer(2)); // not loaded yet
+            await view.attempt(null); // what is loaded already
+            release();
+            await slow;
+            window.fetch = fetch;
+            return view.state.tried;
+        }"""
+    )
+    assert tried == {}
+    assert place_of(page, "0000") == pytest.approx(place(0)[:3, 3].tolist())
+
+
+def test_a_layer_that_could_not_be_fetched_is_tried_again(opened: Callable[..., Page]) -> None:
+    page = opened()
+    page.evaluate("""() => { window.whole = fetch; window.fetch = async () => new Response("", { status: 404 }); }""")
+    page.get_by_role("button", name="Navmesh").click()
+    wait(page, "document.querySelector('.status').classList.contains('wrong')", True)
+    page.evaluate("() => { window.fetch = window.whole; }")
+    page.get_by_role("button", name="Navmesh").click()
+    page.get_by_role("button", name="Navmesh").click()
+    wait(page, "view.layers.children.length", 1)
+
+
+def test_what_a_scene_took_is_given_back_with_it(opened: Callable[..., Page]) -> None:
+    """Geometries and images of the graphics processor: as many on every visit, marks and layers included."""
+    page = opened()
+    for layer in ("Supports", "Colliders", "Navmesh"):
+        page.get_by_role("button", name=layer).click()
+    held = []
+    for scene in SCENES[::-1] * 3:
+        page.locator(f"[data-scene='{scene}']").click()
+        wait(page, "document.documentElement.dataset.ready", scene)
+        wait(page, "view.layers.children.length", 2)
+        for _ in range(3):
+            page.keyboard.press("n")
+            page.keyboard.press("2")
+            page.keyboard.press("x")
+        page.keyboard.press("Escape")
+        wait(page, "view.state.tried", {})
+        wait(page, "view.canvas.isDirty", False)
+        held.append(page.evaluate("({ ...view.canvas.renderer.info.memory })"))
+    assert held[2:4] == held[4:], held

@@ -75,6 +75,38 @@ def test_no_other_text_is_a_token(stranger: TestClient, text: str) -> None:
     assert _status(stranger, scope, [(b"cookie", f"metascenes_{PORT}={text}".encode("latin-1"))]) == 401
 
 
+@pytest.mark.parametrize("beside", ['theme={"dark":1}', "a b=c", "=", "x", f"y=metascenes_{PORT}", f"metascenes_{PORT}0=guess", "ü=\xff"])
+def test_cookies_of_others_do_not_hide_ours(stranger: TestClient, beside: str) -> None:
+    scope = {"type": "http", "method": "GET", "path": "/", "query_string": b""}
+    own = f"metascenes_{PORT}={TOKEN}"
+    for header in (f"{beside}; {own}", f"{own}; {beside}", f"{beside};{own};{beside}"):
+        assert _status(stranger, scope, [(b"cookie", header.encode("latin-1"))]) == 200
+
+
+@given(st.text(st.characters(codec="latin-1"), max_size=30).filter(lambda text: f"metascenes_{PORT}=" not in text))
+def test_whatever_comes_along_our_cookie_is_seen_alone(stranger: TestClient, text: str) -> None:
+    scope = {"type": "http", "method": "GET", "path": "/", "query_string": b""}
+    for header, status in ((f"{text}; metascenes_{PORT}={TOKEN}", 200), (f"{text}; other={TOKEN}", 401)):
+        assert _status(stranger, scope, [(b"cookie", header.encode("latin-1"))]) == status
+
+
+@pytest.mark.parametrize("port", [80, 443, PORT])
+@pytest.mark.parametrize("name", ["Scenes.Example", "10.0.0.7", "[fd00::7]"])
+def test_a_server_answers_under_its_own_name_at_any_port(name: str, port: int) -> None:
+    """Browsers leave the port of the scheme away, in the name as in the origin."""
+
+    async def behind(scope: Any, receive: Any, send: Any) -> None:
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    app = guarded(behind, port, TOKENS, [name])
+    host = name.lower() if port == 80 else f"{name.lower()}:{port}"
+    for asked, origin, status in ((host, f"http://{host}", 200), (host, "http://evil.example", 403), (f"evil.example:{port}", None, 403)):
+        sent = [(b"host", asked.encode()), (b"cookie", f"metascenes_{port}={TOKEN}".encode())]
+        sent += [(b"origin", origin.encode())] if origin else []
+        scope = {"type": "http", "method": "GET", "path": "/", "query_string": b"", "headers": sent}
+        assert _sent(app, scope)[0]["status"] == status
+
+
 def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_has(stranger: TestClient) -> None:
     answer = stranger.get("/", params={"token": TOKEN, "at": SCENES[1]})
     assert answer.headers["set-cookie"] == f"metascenes_{PORT}={TOKEN}; Path=/; HttpOnly; SameSite=Strict"

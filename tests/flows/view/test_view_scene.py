@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from flows.outputs.explain import explain, explain_objects, settings_of
+from flows.view import scene
 from flows.view.application import explanation
 from flows.view.frames import picture
 from flows.view.scene import Scenes
@@ -99,6 +100,16 @@ def test_only_what_a_shown_scene_names_is_given_out(lake: Lake) -> None:
     for name in (hidden, points, "../lake.json", "lake.json", ""):
         with pytest.raises(KeyError):
             scenes.blob(name)
+
+
+def test_what_was_made_for_a_scene_is_made_again_after_others(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page stays open longer than what was made for it is kept."""
+    monkeypatch.setattr(scene, "shell_glb", lambda shells, *_: shells[0].scene_id.encode())  # else both rooms have the same
+    scenes = Scenes(lake, kept=1)
+    made = [dict(scenes.shown(scene_id).made) for scene_id in SCENES]
+    assert all(made)
+    for name, data in [*made[0].items(), *made[1].items(), *made[0].items()]:
+        assert scenes.blob(name) == data
 
 
 def test_a_snapshot_stays_as_it_was(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ function colorOf(id) {
 /** The panel of a scene's frames; `choose` is told of an object that is clicked. */
 export class Frames {
   constructor(place, document_, choose) {
-    Object.assign(this, { place, document: document_, choose, selected: null });
+    Object.assign(this, { place, document: document_, choose, selected: null, turn: 0 });
     const { excuse, rows } = document_.frames;
     this.picture = make("canvas", { class: "frame" });
     this.note = make("p", { class: "muted", textContent: excuse });
@@ -45,25 +45,32 @@ export class Frames {
   /** Draw the frame that is chosen. */
   async open(id = this.list.value) {
     if (!this.isOpen || !id) return;
+    const turn = (this.turn += 1); // a frame that comes late must not be drawn over one that was asked for after it
     const path = `${pathOf(this.document.id)}/frames/${id}`;
     try {
       const [masks, blob] = await Promise.all([source.json(path), source.picture(`${path}/picture`)]);
+      const picture = await createImageBitmap(blob);
+      const layers = await Promise.all(masks.masks.map((mask) => createImageBitmap(painted(mask, this.#colorOf(mask)))));
+      if (turn !== this.turn) return;
       this.masks = masks;
-      await this.#draw(masks, await createImageBitmap(blob));
+      this.#draw(masks, picture, layers);
       this.note.textContent = "Objects are marked where they were seen best; click one.";
     } catch (error) {
-      this.note.textContent = error.message;
+      if (turn === this.turn) this.note.textContent = error.message;
     }
   }
 
-  async #draw(masks, image) {
+  #colorOf(mask) {
+    const [red, green, blue, alpha] = colorOf(mask.id);
+    return [red, green, blue, mask.id === this.selected ? 190 : alpha];
+  }
+
+  #draw(masks, image, layers) {
     Object.assign(this.picture, { width: masks.width, height: masks.height });
     const paint = this.picture.getContext("2d");
     paint.drawImage(image, 0, 0, masks.width, masks.height);
-    for (const mask of masks.masks) {
-      const [red, green, blue, alpha] = colorOf(mask.id);
-      const layer = await createImageBitmap(painted(mask, [red, green, blue, mask.id === this.selected ? 190 : alpha]));
-      paint.drawImage(layer, mask.box[0], mask.box[1]);
+    for (const [index, mask] of masks.masks.entries()) {
+      paint.drawImage(layers[index], mask.box[0], mask.box[1]);
       if (mask.id !== this.selected) continue;
       paint.strokeStyle = "#ffffff";
       paint.lineWidth = 2;

@@ -14,7 +14,14 @@ const SHAKY = 0xe8890c;
 export const DEEP_M = 0.002; // what overlaps by less is not counted as a deep pair
 const RELATIONS = { floor: 0x6e7781, on: 0x1a7f37, inside: 0x8250df, wall: 0x0a7ea4, ceiling: 0x0a7ea4, none: WRONG };
 
-const over = (color, more = {}) => new LineBasicMaterial({ color, depthTest: false, transparent: true, ...more });
+const paints = new Map();
+
+/** A material that is seen through everything. One for each color, kept: marks are made anew with every drawing of a settling. */
+function over(color, Kind = LineBasicMaterial) {
+  const key = `${Kind === LineBasicMaterial ? "line" : "face"} ${color}`;
+  if (!paints.has(key)) paints.set(key, Object.assign(new Kind({ color, depthTest: false, transparent: true }), { userData: { isKept: true } }));
+  return paints.get(key);
+}
 
 /** The turned box of an object in the scan. */
 export function selection(row) {
@@ -115,7 +122,7 @@ export function line(points, color) {
 
 /** A dot, seen through everything. */
 export function dot(place, radius, color) {
-  const mesh = new Mesh(new SphereGeometry(radius, 12, 8), new MeshBasicMaterial({ color, depthTest: false, transparent: true }));
+  const mesh = new Mesh(new SphereGeometry(radius, 12, 8), over(color, MeshBasicMaterial));
   mesh.position.copy(place);
   return mesh;
 }
@@ -123,7 +130,7 @@ export function dot(place, radius, color) {
 /** A thin bar between two points, seen through everything. */
 function bar(from, to, color) {
   const length = from.distanceTo(to);
-  const mesh = new Mesh(new CylinderGeometry(0.009, 0.009, length, 6), new MeshBasicMaterial({ color, depthTest: false, transparent: true }));
+  const mesh = new Mesh(new CylinderGeometry(0.009, 0.009, length, 6), over(color, MeshBasicMaterial));
   mesh.position.copy(from).lerp(to, 0.5);
   mesh.quaternion.setFromUnitVectors(new Vector3(0, 1, 0), to.clone().sub(from).normalize());
   return mesh;

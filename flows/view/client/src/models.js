@@ -8,13 +8,18 @@ import { source } from "./source.js";
 
 const loader = new GLTFLoader();
 const loaded = new Map();
+const shared = new WeakSet(); // geometries that every copy of a model draws
 
 /** Linear values, 16 bits, of sRGB bytes. */
 const LINEAR = Uint16Array.from({ length: 256 }, (_, value) => Math.round(new Color().setRGB(value / 255, 0, 0, "srgb").r * 65535));
 
 /** A GLB by the name of its blob, +Y up turned to +Z up. Loaded once; every call gives a copy with materials of its own. */
 export async function model(name) {
-  if (!loaded.has(name)) loaded.set(name, read(name));
+  if (!loaded.has(name)) {
+    const reading = read(name);
+    loaded.set(name, reading);
+    reading.catch(() => loaded.get(name) === reading && loaded.delete(name)); // asked for again the next time
+  }
   const copy = (await loaded.get(name)).clone(true);
   for (const mesh of meshes(copy)) mesh.material = matte(mesh.material);
   const turned = new Group();
@@ -26,6 +31,7 @@ export async function model(name) {
 async function read(name) {
   const { scene } = await loader.parseAsync(await source.bytes(name), "");
   for (const { geometry } of meshes(scene)) {
+    shared.add(geometry);
     const colors = geometry.attributes.color;
     if (colors?.array instanceof Uint8Array) geometry.setAttribute("color", linear(colors));
   }
@@ -51,9 +57,25 @@ function matte(material) {
   return made;
 }
 
-/** Forget what was loaded: another scene has other models. */
+/** Forget what was loaded: another scene has other models. What the graphics processor holds of it is given back. */
 export function forget() {
+  for (const reading of loaded.values()) {
+    reading.then((scene) => {
+      for (const { geometry, material } of meshes(scene)) {
+        geometry.dispose();
+        for (const value of Object.values(material)) if (value?.isTexture) value.dispose();
+      }
+    }, () => {});
+  }
   loaded.clear();
+}
+
+/** Give back what the graphics processor holds of an object, but for what other copies of its model draw. */
+export function release(root) {
+  root?.traverse(({ geometry, material, userData }) => {
+    for (const each of [geometry, userData.fine, userData.coarse]) if (each && !shared.has(each)) each.dispose();
+    if (material && !material.userData.isKept) material.dispose();
+  });
 }
 
 /** Meshes below an object. */

@@ -1,7 +1,7 @@
 // The objects of a replica: each an asset, scaled and posed; another candidate can be tried in its place.
 
 import { Box3, Color, Group, Matrix4 } from "three";
-import { between, boxOf, meshes, model, pose } from "./models.js";
+import { between, boxOf, meshes, model, pose, release } from "./models.js";
 
 /** Where an object stands at a time: 0 proposed, 1 optimized, 2 settled. */
 export function poseAt(poses, time) {
@@ -18,6 +18,7 @@ export class Replica {
     this.shown = new Map(); // id -> group at its pose
     this.tried = new Map(); // id -> slot of the candidate that is tried
     this.time = 1;
+    this.asked = new Map(); // id -> how often something was asked to be shown: an answer that comes late must not win
   }
 
   /** Load all assets; `advance` is told after each. What cannot be drawn is left out and named. */
@@ -38,18 +39,29 @@ export class Replica {
     return failed;
   }
 
+  /** Show a model in an object's place; whether it is shown: not where something else has been asked for since. */
   async #show(id, blob, scale) {
+    const turn = this.#ask(id);
     const content = await model(blob);
+    if (turn !== this.asked.get(id)) return false;
     const sized = new Group();
     sized.scale.set(...scale);
     sized.add(content);
     const holder = this.shown.get(id) ?? new Group();
+    release(holder);
     holder.clear();
     holder.matrixAutoUpdate = false;
     holder.userData.instance = id;
     holder.add(sized);
     this.shown.set(id, holder);
     this.group.add(holder);
+    return true;
+  }
+
+  #ask(id) {
+    const turn = (this.asked.get(id) ?? 0) + 1;
+    this.asked.set(id, turn);
+    return turn;
   }
 
   /** Put all objects where they stand at a time; those that show another candidate stay. */
@@ -61,23 +73,26 @@ export class Replica {
     }
   }
 
-  /** Show a candidate in an object's place, as selection aligned it; null shows again what was placed. */
+  /** Show a candidate in an object's place, as selection aligned it; null shows again what was placed. Whether it is shown now. */
   async try(id, offer) {
     const row = this.rows.get(id);
     if (offer === null) {
+      if (!row.placed) this.#hide(id);
+      else if (!(await this.#show(id, row.placed.blob, row.placed.scale))) return false;
       this.tried.delete(id);
-      if (row.placed) await this.#show(id, row.placed.blob, row.placed.scale);
-      else this.#hide(id);
     } else {
-      await this.#show(id, offer.blob, offer.scale);
+      if (!(await this.#show(id, offer.blob, offer.scale))) return false;
       this.tried.set(id, offer.slot);
       this.shown.get(id).matrix.copy(pose(offer.pose));
     }
     this.at(this.time);
+    return true;
   }
 
   #hide(id) {
+    this.#ask(id);
     this.shown.get(id)?.removeFromParent();
+    release(this.shown.get(id));
     this.shown.delete(id);
   }
 

@@ -1,6 +1,6 @@
 // The scan as mesh or points, and the shell of the replica: one looks into the room over the walls before the camera.
 
-import { BufferAttribute, BufferGeometry, Group, Mesh, Points, PointsMaterial, Vector3 } from "three";
+import { Box3, BufferAttribute, BufferGeometry, Group, Mesh, Points, PointsMaterial, Vector3 } from "three";
 import { meshes, model, unlit } from "./models.js";
 
 const MANY_FACES = 60_000;
@@ -139,4 +139,12 @@ function sideOf(ring, index) {
   const [[x0, y0], [x1, y1]] = [ring[index], ring[(index + 1) % ring.length]];
   const length = Math.hypot(x1 - x0, y1 - y0);
   return length ? { point: new Vector3(x0, y0, 0), normal: new Vector3(-(y1 - y0) / length, (x1 - x0) / length, 0) } : null;
+}
+
+/** The box of a room. */
+export function roomBox(room) {
+  const box = new Box3();
+  for (const [x, y] of room.polygon) box.expandByPoint(new Vector3(x, y, 0));
+  box.max.z = Math.min(room.height, 2.2);
+  return box;
 }

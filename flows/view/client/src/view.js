@@ -1,6 +1,6 @@
 // The viewer: one scene at a time, from the lake or from the page itself.
 
-import { Box3, Group, Vector3 } from "three";
+import { Group, Vector3 } from "three";
 import { Canvas } from "./canvas.js";
 import { make } from "./dom.js";
 import { Walk } from "./episodes.js";
@@ -8,11 +8,11 @@ import { Frames } from "./frames.js";
 import { keys } from "./keys.js";
 import { layout } from "./layout.js";
 import { Colliders, navmesh, problems, SELECTED, selection, supports } from "./marks.js";
-import { forget } from "./models.js";
+import { forget, release } from "./models.js";
 import { objectFacts, objectTree, sceneFacts, sceneList, walkList } from "./panels.js";
 import { Player } from "./player.js";
 import { Replica } from "./replica.js";
-import { Scan, shellOf } from "./room.js";
+import { roomBox, Scan, shellOf } from "./room.js";
 import { pathOf, source } from "./source.js";
 
 const SETTLE_SECONDS = 4;
@@ -34,7 +34,7 @@ class View {
     this.canvas.paper(getComputedStyle(document.documentElement).getPropertyValue("--view").trim() || "#eef1f5");
     this.settle = new Player(2, SETTLE_SECONDS, (moment) => this.#at(moment), () => this.#at(this.settle.now));
     this.selected = null;
-    this.loading = 0;
+    this.loading = this.refreshing = 0;
     keys(this);
     addEventListener("hashchange", () => this.#follow());
     this.cut(0.45);
@@ -82,7 +82,8 @@ class View {
     forget();
     this.canvas.facing = [];
     const { scan, replica, marks } = this.canvas;
-    for (const group of [this.scanGroup, this.shell, this.objects, this.layers, this.over]) group?.removeFromParent();
+    for (const group of [this.scanGroup, this.shell, this.objects, this.layers, this.over]) release(group?.removeFromParent());
+    for (const made of Object.values(this.made ?? {})) made.then((parts) => [parts].flat().forEach((part) => release(part.group ?? part)), () => {});
     [this.scanGroup, this.objects, this.layers, this.over] = [new Group(), new Group(), new Group(), new Group()];
     scan.add(this.scanGroup);
     replica.add(this.objects, this.layers);
@@ -120,8 +121,9 @@ class View {
     this.look("corner");
     await this.#refresh();
     this.seconds = { replica: (performance.now() - begun) / 1000 };
-    this.scan = await scanning;
+    const scan = await scanning;
     if (turn !== this.loading) return;
+    this.scan = scan;
     this.scan.asPoints(this.on.points ?? false);
     if (!told.objects.length) this.look("corner");
     this.canvas.quick = (wanted, isSlow) => this.scan?.quick(wanted, isSlow);
@@ -201,7 +203,17 @@ class View {
   layer(name, on) {
     this.on[name] = on;
     if (name === "points") this.scan?.asPoints(on);
-    return this.#refresh();
+    return this.#refresh().catch((error) => this.#say(error.message, true));
+  }
+
+  /** What a layer shows, made once; what could not be made is tried again the next time. */
+  #make(name, begin) {
+    const made = this.made;
+    made[name] ??= begin().catch((error) => {
+      delete made[name];
+      throw error;
+    });
+    return made[name];
   }
 
   /** Draw marks and layers anew. */
@@ -209,10 +221,12 @@ class View {
     const told = this.document;
     if (!told) return;
     const time = this.settle.now;
-    if (this.on.colliders && !this.made.colliders) this.made.colliders = new Colliders(told).load();
-    if (this.on.navmesh && !this.made.navmesh) this.made.navmesh = Promise.all(told.navmeshes.slice(0, 1).map(navmesh));
-    const [colliders, floors] = await Promise.all([this.on.colliders && this.made.colliders, this.on.navmesh && this.made.navmesh]);
-    if (told !== this.document) return;
+    const turn = (this.refreshing += 1);
+    const [colliders, floors] = await Promise.all([
+      this.on.colliders && this.#make("colliders", () => new Colliders(told).load()),
+      this.on.navmesh && this.#make("navmesh", () => Promise.all(told.navmeshes.slice(0, 1).map(navmesh))),
+    ]);
+    if (told !== this.document || turn !== this.refreshing) return;
     this.colliders = colliders || null;
     this.colliders?.at(time);
     this.objects.visible = !colliders;
@@ -220,6 +234,7 @@ class View {
     if (colliders) this.layers.add(colliders.group);
     for (const floor of floors || []) this.layers.add(floor);
     if (this.walk) this.layers.add(this.walk.body);
+    release(this.over);
     this.over.clear();
     if (this.on.problems) this.over.add(problems(told, this.replica, time));
     if (this.on.supports) this.over.add(supports(told, this.replica));
@@ -279,15 +294,16 @@ class View {
   async attempt(offer) {
     const id = this.selected;
     if (!id || (offer && !(offer.blob && offer.pose))) return;
-    await this.replica.try(id, offer);
+    const replica = this.replica;
+    if (!(await replica.try(id, offer)) || replica !== this.replica) return;
     this.replica.tint(this.selected, SELECTED);
     const pane = this.nodes.panes.object;
-    for (const tile of pane.querySelectorAll("[data-slot]")) {
+    for (const tile of id === this.selected ? pane.querySelectorAll("[data-slot]") : []) {
       const shown = offer ? String(offer.slot) : tile.classList.contains("placed") ? tile.dataset.slot : "";
       tile.setAttribute("aria-pressed", String(tile.dataset.slot === shown));
     }
     const back = pane.querySelector(".tiles + .link");
-    if (back) back.hidden = offer === null;
+    if (back && id === this.selected) back.hidden = offer === null;
     await this.#refresh();
   }
 
@@ -345,6 +361,7 @@ class View {
   /** Take the agent away. */
   stopWalk() {
     this.walking?.pause();
+    release(this.walk?.body);
     this.walk = this.walking = null;
     this.canvas.agent = null;
     this.nodes.inset.hidden = true;
@@ -370,14 +387,6 @@ class View {
   positionOf(id) {
     return new Vector3().setFromMatrixPosition(this.replica.shown.get(id).matrix).toArray();
   }
-}
-
-/** The box of a room. */
-function roomBox(room) {
-  const box = new Box3();
-  for (const [x, y] of room.polygon) box.expandByPoint(new Vector3(x, y, 0));
-  box.max.z = Math.min(room.height, 2.2);
-  return box;
 }
 
 const page = document.getElementById("page");
