@@ -166,18 +166,21 @@ def _acts(state: BatchState, present: Sequence[Annotation], new: Sequence[Annota
     if not new and not has_changed and (state.batch is not None or not counts):
         return acts
     moment = now()
-    batch = WorkBatch(
-        batch_id=state.batch_id,
-        origin="elsewhere",
-        created_at=state.batch.created_at if state.batch is not None else moment,
-        pick=None,
-        overlap=None,
-        seed=configuration.seed,
-        sample_share=config.sample_share,
-        least_sample=config.least_sample,
-        pass_share=config.pass_share,
-        counts_unreviewed=counts,
-    )
+    if state.batch is not None:  # what its review demands stays as it was when the batch came in
+        batch = dataclasses.replace(state.batch, counts_unreviewed=counts)
+    else:
+        batch = WorkBatch(
+            batch_id=state.batch_id,
+            origin="elsewhere",
+            created_at=moment,
+            pick=None,
+            overlap=None,
+            seed=configuration.seed,
+            sample_share=config.sample_share,
+            least_sample=config.least_sample,
+            pass_share=config.pass_share,
+            counts_unreviewed=counts,
+        )
     if not new and state.handed_in:
         return dataclasses.replace(acts, annotation_batches=(batch,))
     number = state.round + 1 if present and new else 1

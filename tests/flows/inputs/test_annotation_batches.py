@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from pathlib import Path
@@ -28,7 +29,7 @@ from flows.inputs.annotation import (
 )
 from flows.run.configuration import configure
 from flows.run.plan import annotation_digests
-from schemas.annotation import Annotation, AnnotationFigures, AnswerVerdict, Assignment, QualityReview, SampledAnswer
+from schemas.annotation import Annotation, AnnotationFigures, AnswerVerdict, Assignment, QualityReview, SampledAnswer, WorkBatch
 from schemas.capture import Instance
 from schemas.errors import InputError, LakeError
 from schemas.record import arrow_to_rows
@@ -312,6 +313,25 @@ def test_a_batch_of_others_counts_once_it_is_accepted_or_trusted(lake: Lake, tmp
     save_verdicts(lake, judged(open_reviews(lake, "b0", "rita"), right, "b0"))
     assert conclude(lake, "b0")["counts"] is True
     assert [row["instance_id"] for row in standing_answers(lake.snapshot()).to_pylist()] == ["0001", "0002"]
+
+
+@pytest.mark.parametrize("more", [False, True])
+def test_what_a_review_demands_of_a_batch_stays_as_it_came_in(lake: Lake, more: bool) -> None:
+    """The file again, with another trust and laxer demands, in the middle of a review or with further answers: only the trust changes."""
+    asked = {"batch_id": "b0", "annotations": [answer(SCENES[0], name, "ada", 1) for name in ("0001", "0002", "0003")]}
+    save_answers(lake, asked)
+    (before,) = lake.snapshot().rows(WorkBatch)
+    if more:
+        asked["annotations"].append(answer(SCENES[0], "0004", "ada", 1))
+    else:
+        draw_sample(lake, "b0")
+    lax = ["pass_share=0.1", "sample_share=0.0", "least_sample=1", "unreviewed_imports_count=true"]
+    assert save_answers(lake, asked, configuration=configure(seed=7, settings=[f"annotation.{name}" for name in lax]))["counts"]
+    assert lake.snapshot().rows(WorkBatch) == [dataclasses.replace(before, counts_unreviewed=True)]
+    if not more:
+        right = {(SCENES[0], name, "ada"): name == "0001" for name in ("0001", "0002", "0003")}
+        save_verdicts(lake, judged(open_reviews(lake, "b0", "rita"), right, "b0"))
+        assert conclude(lake, "b0")["verdict"] == "returned"
 
 
 def test_a_review_from_elsewhere_does_not_pass_for_a_sample(lake: Lake, tmp_path: Path) -> None:
