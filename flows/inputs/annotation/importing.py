@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,7 +26,7 @@ from tasks.annotation.scan2cad import read_scan2cad
 from tasks.batches import parse_json, read_limited
 from tasks.stage import Context
 from warehouse.lake import Lake
-from warehouse.tables.gate import BatchState, handed_in_hashes, person
+from warehouse.tables.gate import BatchState, demands, handed_in_hashes, passes, person
 from warehouse.tables.snapshot import Reader
 
 SCAN2CAD_RELEASED = datetime(2019, 6, 16, tzinfo=UTC)
@@ -282,9 +283,20 @@ def _review_row(
         problem = f"{state.batch_id} is accepted by the verdicts on its sample alone"
         raise InputError(file, f"{where}.verdict", problem, "judge the sampled answers: `metascenes annotate sample`")
     state.after("accept" if row.verdict == "accepted" else "return", file, f"{where}.verdict")
+    if re.fullmatch(r"round-[0-9]+", row.review_id):
+        raise InputError(file, f"{where}.review_id", f"{row.review_id} is what reviews made here are called", "give it another id")
+    if row.reviewed_at > now():
+        raise InputError(file, f"{where}.reviewed_at", "is in the future", "give the time when the review was finished")
     annotators = {person(annotator) for _, _, annotator in answers}
-    if row.verdict == "accepted" and annotators == {person(row.reviewer)}:
-        raise InputError(file, f"{where}.reviewer", f"{row.reviewer} gave all answers of the batch", "let somebody else review it")
+    own = [name.strip() for name in row.reviewer.split(",") if person(name) in annotators]
+    if person(row.reviewer) in annotators:  # names may hold commas
+        own = [row.reviewer]
+    if row.verdict == "accepted" and own:
+        raise InputError(file, f"{where}.reviewer", f"{own[0]} is an annotator of the batch", "let somebody else review it")
+    share, passed = demands(state.batch)[2], row.sampled - row.wrong
+    if row.verdict == "accepted" and not passes(passed, row.sampled, share):
+        problem = f"{passed} of {row.sampled} sampled answers pass, and more than {share:.0%} must"
+        raise InputError(file, f"{where}.verdict", problem, "return the batch, with the verdict 'returned'")
     if state.round > 1 and row.reviewed_at < max(answer.answered_at for answer in answers.values()):
         problem = "is before the last of the answers was given"
         raise InputError(file, f"{where}.reviewed_at", problem, "review the corrected answers")
