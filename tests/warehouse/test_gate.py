@@ -86,7 +86,8 @@ def batches(draw: st.DrawFn) -> list[Any]:
                     sample(
                         QualityReview, batch_id=batch, review_id=f"r{number}{review}", round=number,
                         reviewed_at=START + timedelta(hours=draw(st.integers(0, 2))), handed_in_hashes=hashes, sampled=count,
-                        wrong=draw(st.sampled_from([0, 0, 1])), verdict=draw(st.sampled_from(["accepted", "accepted", "accepted", "returned"])),
+                        wrong=draw(st.sampled_from([0, 0, 1])),
+                        verdict=draw(st.sampled_from(["accepted", "accepted", "accepted", "returned"])),
                     )
                 )  # fmt: skip
         for key in draw(st.lists(st.sampled_from(KEYS), unique=True)):

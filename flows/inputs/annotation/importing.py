@@ -227,11 +227,11 @@ def _figures(lake: Lake, reader: Reader, new: Sequence[Annotation], present: Seq
     rows: list[AnnotationFigures] = []
     before = latest(present).values()
     for scene in sorted({row.scene_id for row in new}):
-        answers = [row for row in new if row.scene_id == scene and row.choice is not None]
+        answers = [row for row in new if row.scene_id == scene]  # those that choose nothing, too: what they chose before stands no more
         shells, selections = reader.rows(Shell, scene), reader.rows(Selection, scene)
         chosen = {row.choice for row in (*answers, *before) if row.choice is not None and row.scene_id == scene}
         assets = reader.rows_by_key(Asset, {row.asset_id for row in selections} | chosen)
-        if not answers or not assets:
+        if not assets or all(row.choice is None for row in answers):
             continue
         rest = [row for row in before if row.scene_id == scene]
         rows += figures(answers, reader.rows(Instance, scene), selections, shells, assets, lake.blobs, ModuleCaches(), rest)

@@ -98,7 +98,9 @@ class Gate(RuleBasedStateMachine):
         if batch == ELSEWHERE and model.answers():
             model.hand_in()
 
-    @rule(batch=st.sampled_from([CREATED, ELSEWHERE]), key=st.sampled_from(KEYS), choice=st.sampled_from([1, 2, None]), trusts=st.booleans())
+    @rule(
+        batch=st.sampled_from([CREATED, ELSEWHERE]), key=st.sampled_from(KEYS), choice=st.sampled_from([1, 2, None]), trusts=st.booleans()
+    )
     def correct(self, batch: str, key: Key, choice: int | None, trusts: bool) -> None:
         self._answers(batch, {key: choice}, trusts=trusts)
 
