@@ -40,8 +40,8 @@ def doubts(
 ) -> list[Task]:
     """All objects that have candidates, the most doubtful first; those of equal doubt by scene and instance.
 
-    Doubt is the mean of what the best score lacks and of the reasons that hold, each 0 to 1, as 1 - (1 - a)(1 - b)...: any of them alone
-    makes an object doubtful, and none makes up for another. `answers`: the last revision of each annotator, of whatever batch.
+    Doubt joins what the best score lacks and the reasons that hold, each 0 to 1, as 1 - (1 - a)(1 - b)...: any of them alone makes an
+    object doubtful, and none makes up for another. `answers`: the last revision of each annotator, of whatever batch.
     """
     best: dict[tuple[str, str], Selection] = {}
     for selection in sorted(selections, key=lambda row: row.rank, reverse=True):
