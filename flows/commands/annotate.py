@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option, seed_option, settings_options
+from schemas.annotation import PICKS
 
 
 @click.group("annotate", short_help="Ask people, take in what they chose, and have it reviewed.")
@@ -27,7 +28,7 @@ def command() -> None:
 @click.option("--annotator", "annotators", multiple=True, metavar="NAME", help="Who is asked; may be repeated.")
 @click.option("--overlap", type=click.IntRange(min=1), default=1, show_default=True, help="Annotators that each object is given to.")
 @click.option(
-    "--pick", type=click.Choice(["all", "new", "doubtful"]), default="all", show_default=True,
+    "--pick", type=click.Choice(PICKS), default="all", show_default=True,
     help="All objects with candidates, those nobody answered for, or the most doubtful ones first.",
 )  # fmt: skip
 @click.option("--count", type=click.IntRange(min=1), help="Objects at most.")
