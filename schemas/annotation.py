@@ -19,6 +19,10 @@ STATES = ("open", "submitted", "in_review", "accepted", "returned")
 ACTS = ("answer", "submit", "sample", "judge", "accept", "return")
 """What can be done to a batch: save, correct or withdraw answers; hand them in; draw the sample; judge an answer of it; conclude."""
 
+PICKS = ("all", "new", "doubtful")
+"""Which objects a batch asks about: every one with candidates; those that nobody answered for yet; all, those first whose present choice
+is most doubtful."""
+
 ORIGINS = ("created", "elsewhere")
 """Where a batch comes from: `metascenes annotate create`, or a file that was written by others."""
 
@@ -62,7 +66,7 @@ class WorkBatch:
     batch_id: str = column("Annotation batch", pattern=BATCH_PATTERN)
     origin: str = column("Where it comes from: assigned by this lake, or a file that others wrote", values=ORIGINS)
     created_at: datetime = column("When it entered the lake", volatile=True)
-    pick: str | None = column("How its instances were picked; missing for batches made elsewhere", values=("all", "new", "doubtful"))
+    pick: str | None = column("How its instances were picked; missing for batches made elsewhere", values=PICKS)
     overlap: int | None = column("How many annotators each instance was assigned to; missing for batches made elsewhere", minimum=1)
     seed: int = column("Seed of the assignment and of the samples")
     sample_share: float = column("Share of the answers that are reviewed", minimum=0, maximum=1)

@@ -128,3 +128,11 @@ def judged(rows: Sequence[dict[str, Any]], right: dict[tuple[str, str, str], boo
             | ({} if passes else {"remark": "too large"})
         )
     return {"batch_id": batch, "reviewer": reviewer, "simulated": True, "verdicts": given}
+
+
+def chance_of_return(wrong: int, sampled: int, answers: int, pass_share: float) -> float:
+    """How likely a batch with so many wrong answers is returned: that too few of a sample pass."""
+    from scipy.stats import hypergeom
+
+    most = next((failed for failed in range(sampled + 1) if sampled - failed - pass_share * sampled <= 1e-9), sampled + 1)
+    return float(hypergeom.sf(most - 1, answers, wrong, sampled))

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option, seed_option, settings_options
+from schemas.annotation import PICKS
 
 
 @click.group("annotate", short_help="Ask people, take in what they chose, and have it reviewed.")
@@ -27,7 +28,7 @@ def command() -> None:
 @click.option("--annotator", "annotators", multiple=True, metavar="NAME", help="Who is asked; may be repeated.")
 @click.option("--overlap", type=click.IntRange(min=1), default=1, show_default=True, help="Annotators that each object is given to.")
 @click.option(
-    "--pick", type=click.Choice(["all", "new", "doubtful"]), default="all", show_default=True,
+    "--pick", type=click.Choice(PICKS), default="all", show_default=True,
     help="All objects with candidates, those nobody answered for, or the most doubtful ones first.",
 )  # fmt: skip
 @click.option("--count", type=click.IntRange(min=1), help="Objects at most.")
@@ -131,7 +132,7 @@ def submit_batch(batch_id: str, by: str, partial: bool, address: str, as_json: b
 @command.command("sample")
 @click.argument("batch_id", metavar="BATCH")
 @click.option("--reviewer", metavar="NAME", help="Write a form for this reviewer, with the answers that are not their own.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File for the form; sample.json by default.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="New file for the form; sample.json by default.")
 @lake_option
 @json_option
 def sample(batch_id: str, reviewer: str | None, out: Path | None, address: str, as_json: bool) -> None:
@@ -143,18 +144,20 @@ def sample(batch_id: str, reviewer: str | None, out: Path | None, address: str, 
     Example: metascenes annotate sample batch-1 --reviewer rita --out rita.json --lake ./lake
     """
     from flows.inputs.annotation import batch_list, draw_sample, open_reviews
+    from schemas.errors import InputError
 
-    lake = existing_lake(address)
+    lake, file = existing_lake(address), out or Path("sample.json")
+    if reviewer is not None and file.exists():
+        remedy = f"hand it in with `metascenes annotate review {file}`, or name a file that is not"
+        raise InputError(str(file), "--out", "is there already, with verdicts maybe", remedy)
     (before,) = batch_list(lake, batch_id)
     result = before if before["state"] == "in_review" else draw_sample(lake, batch_id)
     _print(result, as_json, f"batch {batch_id}: {result.get('why', str(result['sampled']) + ' answers are being reviewed')}")
     if reviewer is not None:
         rows = open_reviews(lake, batch_id, reviewer)
         names = ("scene_id", "instance_id", "annotator")
-        blank = {"passes": None, "remark": None, "reviewed_at": ""}
-        verdicts = [{name: row[name] for name in names} | blank for row in rows]
+        verdicts = [{name: row[name] for name in names} | _own_verdict(row["verdict"], reviewer) for row in rows]
         form = {"batch_id": batch_id, "reviewer": reviewer, "verdicts": verdicts}
-        file = out or Path("sample.json")
         file.write_text(json.dumps(form, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         if not as_json:
             print(f"{file}: {len(rows)} answers to judge; then: metascenes annotate review {file}")
@@ -230,6 +233,13 @@ def list_batches(batch_id: str | None, address: str, as_json: bool) -> None:
         )
         print(f"{row['batch_id']}  {row['state'].replace('_', ' ')}, round {row['round']}  {people}")
         print(f"  next: {row['next']}")
+
+
+def _own_verdict(saved: dict[str, Any] | None, reviewer: str) -> dict[str, Any]:
+    """What a form says of an answer: what this reviewer saved of it, else blanks; nobody signs what another reviewer judged."""
+    if saved is None or saved["reviewer"].strip().lower() != reviewer.strip().lower():
+        return {"passes": None, "remark": None, "reviewed_at": ""}
+    return {name: saved[name] for name in ("passes", "remark", "reviewed_at")}
 
 
 def _print(result: dict[str, Any], as_json: bool, line: str) -> None:

@@ -14,9 +14,6 @@ from schemas.errors import InputError
 from schemas.optimization import Certificate
 from schemas.selection import Selection
 
-PICKS = ("all", "new", "doubtful")
-"""Every object with candidates; those that nobody answered for yet; all, those first whose present choice is most doubtful."""
-
 LOW_SCORE = 0.5
 """A selection that scores less covers its instance badly or stands where it was not seen."""
 
@@ -40,8 +37,8 @@ def doubts(
 ) -> list[Task]:
     """All objects that have candidates, the most doubtful first; those of equal doubt by scene and instance.
 
-    Doubt is the mean of what the best score lacks and of the reasons that hold, each 0 to 1, as 1 - (1 - a)(1 - b)...: any of them alone
-    makes an object doubtful, and none makes up for another. `answers`: the last revision of each annotator, of whatever batch.
+    Doubt joins what the best score lacks and the reasons that hold, each 0 to 1, as 1 - (1 - a)(1 - b)...: any of them alone makes an
+    object doubtful, and none makes up for another. `answers`: the last revision of each annotator, of whatever batch.
     """
     best: dict[tuple[str, str], Selection] = {}
     for selection in sorted(selections, key=lambda row: row.rank, reverse=True):
@@ -72,7 +69,8 @@ def doubts(
 
 
 def picked(tasks: Sequence[Task], pick: str, answered: Collection[tuple[str, str]], count: int | None) -> list[Task]:
-    """The tasks of a batch: those of a `pick`, of `PICKS`, at most `count`, sorted by scene and instance, the doubtful ones by doubt.
+    """The tasks of a batch: those of a `pick` (`schemas.annotation.PICKS`), at most `count`, sorted by scene and instance, the doubtful
+    ones by doubt.
 
     `answered`: scene and instance of what somebody answered for.
 

@@ -40,14 +40,6 @@ def pass_interval(passed: int, sampled: int, answers: int, confidence: float = C
     return float(possible[0] / answers), float(possible[-1] / answers)
 
 
-def chance_of_return(wrong: int, sampled: int, answers: int, pass_share: float) -> float:
-    """How likely a batch with so many wrong answers is returned: that too few of a sample pass."""
-    from scipy.stats import hypergeom
-
-    most = next((failed for failed in range(sampled + 1) if sampled - failed - pass_share * sampled <= 1e-9), sampled + 1)
-    return float(hypergeom.sf(most - 1, answers, wrong, sampled))
-
-
 def in_words(sampled: int, answers: int, share: float, least: int, pass_share: float) -> str:
     """How large a sample is, and why, for people."""
     asked = math.ceil(share * answers - 1e-9)

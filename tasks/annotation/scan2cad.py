@@ -71,7 +71,7 @@ def read_scan2cad(
     for scene in sorted(scenes, key=lambda row: row.scene_id):
         by_scan.setdefault(scene.scan, []).append(scene)
     left_out: list[str] = []
-    answers: dict[tuple[str, str], tuple[float, dict[str, Any]]] = {}
+    answers: dict[tuple[str, str], tuple[float, str, dict[str, Any]]] = {}
     for index, scan in enumerate(document):
         where = f"[{index}]"
         if scan["id_scan"] not in by_scan:
@@ -83,13 +83,15 @@ def read_scan2cad(
             frame = matrix(scene.alignment) @ to_scan
             for place, model in _models(scan, where):
                 answer = _answer(model, name, place, frame, objects, candidates, known)
+                called = f"{place}: {model['catid_cad']}/{model['id_cad']}"
                 if isinstance(answer, str):
-                    left_out.append(f"{place}: {model['catid_cad']}/{model['id_cad']}: {answer}")
+                    left_out.append(f"{called}: {answer}")
                     continue
                 share, row = answer
                 key = (scene.scene_id, row["instance_id"])
                 if key in answers:
-                    left_out.append(f"{place}: {model['catid_cad']}/{model['id_cad']}: another model is aligned to {' '.join(key)}, too")
+                    worse = answers[key][1] if share > answers[key][0] else called
+                    left_out.append(f"{worse}: another model is aligned to {' '.join(key)}, too, and covers it no worse")
                 if key not in answers or share > answers[key][0]:
                     stated = {
                         "scene_id": scene.scene_id,
@@ -97,8 +99,8 @@ def read_scan2cad(
                         "answered_at": answered_at.isoformat(),
                         "tool": "Scan2CAD",
                     }
-                    answers[key] = (share, stated | row)
-    return Aligned({"batch_id": batch_id, "annotations": [answers[key][1] for key in sorted(answers)]}, tuple(left_out))
+                    answers[key] = (share, called, stated | row)
+    return Aligned({"batch_id": batch_id, "annotations": [answers[key][2] for key in sorted(answers)]}, tuple(left_out))
 
 
 def _models(scan: Mapping[str, Any], where: str) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -26,11 +26,12 @@ from schemas.optimization import Certificate
 from schemas.selection import Selection
 from tasks.annotation.batch import read_answers
 from tasks.annotation.picking import Task, assigned, doubts, picked
-from tasks.annotation.quality import chance_of_return, drawn, in_words, pass_interval
+from tasks.annotation.quality import drawn, in_words, pass_interval
 from tasks.annotation.revisions import key_of, latest, revised
 from tasks.annotation.verdicts import VERDICTS_SCHEMA_FILE, load_review_file, read_verdicts
 from tasks.annotation.work import WORK_SCHEMA_FILE, work_document
 from tasks.geometry.transforms import flat, yaw_pose
+from tests.annotated import chance_of_return
 from tests.samples import START, sample
 
 PLACE = {"scene_id": "demo/a"}

@@ -89,11 +89,24 @@ def test_what_cannot_be_taken_is_named() -> None:
     assert aligned.left_out == (
         "[0].aligned_models[1]: 03001627/beef: no candidate of scannet/scene0470_00 0003 is that model",
         "[0].aligned_models[2]: 03001627/c0ffee: no instance lies where it is aligned",
-        "[0].aligned_models[3]: 03001627/c0ffee: another model is aligned to scannet/scene0470_00 0003, too",
+        "[0].aligned_models[3]: 03001627/c0ffee: another model is aligned to scannet/scene0470_00 0003, too, and covers it no worse",
         "[1]: scan scene9999_00 is not in the lake",
     )
     (kept,) = aligned.document["annotations"]
     assert kept["transform"]["position"][0] == pytest.approx(target[0]), "the one that covers it best"
+
+
+@pytest.mark.parametrize("is_better_first", [True, False])
+def test_of_two_models_for_one_object_the_worse_is_left_out_and_named(is_better_first: bool) -> None:
+    pose = yaw_pose(0.0, [0, 0, 1]) @ Y_UP_TO_Z_UP
+    target = pose @ np.array([*(CENTER - [0, HALF[1], 0]), 1.0])
+    rows = lake_rows(yaw_pose(0.0, target[:3]), 2 * HALF[[0, 2, 1]], np.eye(4))
+    models = [model(pose, (1.0, 1.0, 1.0)), model(translation([0.02, 0, 0]) @ pose, (1.0, 1.0, 1.0))]
+    aligned = read_scan2cad(scan(*(models if is_better_first else models[::-1])), "s.json", "b", "s2c", START, *rows)
+    (line,) = aligned.left_out
+    assert line.startswith(f"[0].aligned_models[{int(is_better_first)}]: ")
+    (kept,) = aligned.document["annotations"]
+    assert kept["transform"]["position"][0] == pytest.approx(target[0])
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from schemas.capture import Instance
 from schemas.record import arrow_to_rows
 from schemas.selection import Selection
 from tasks.annotation.picking import Task, assigned
-from tasks.annotation.quality import chance_of_return, drawn
+from tasks.annotation.quality import drawn
 from tasks.optimization.proposals import propose
+from tests.annotated import chance_of_return
 from tests.samples import START, sample, stage_run
 from warehouse.lake import Lake
 from warehouse.tables.gate import batch_states, handed_in_hashes, passes, sample_size

@@ -86,7 +86,8 @@ def batches(draw: st.DrawFn) -> list[Any]:
                     sample(
                         QualityReview, batch_id=batch, review_id=f"r{number}{review}", round=number,
                         reviewed_at=START + timedelta(hours=draw(st.integers(0, 2))), handed_in_hashes=hashes, sampled=count,
-                        wrong=draw(st.integers(0, 1)), verdict=draw(st.sampled_from(["accepted", "accepted", "accepted", "returned"])),
+                        wrong=draw(st.sampled_from([0, 0, 1])),
+                        verdict=draw(st.sampled_from(["accepted", "accepted", "accepted", "returned"])),
                     )
                 )  # fmt: skip
         for key in draw(st.lists(st.sampled_from(KEYS), unique=True)):
@@ -142,6 +143,25 @@ def reviewed(judged: int = 50, failed: int = 0, answers: int = 60) -> list[Any]:
     return [*rows, review]
 
 
+def from_elsewhere(wrong: int = 1, sampled: int = 60, **values: Any) -> list[Any]:
+    """A batch that was made elsewhere, imported, and accepted by a review that was made there, too."""
+    keys = [("demo/a", f"{number:04d}", "ada") for number in range(60)]
+    usual = {"origin": "elsewhere", "counts_unreviewed": False, "sample_share": 0.1, "least_sample": 50, "pass_share": 0.98}
+    rows: list[Any] = [sample(WorkBatch, batch_id="b", **usual | values)]
+    rows += [about(Submission, "b", key, round=1, revision=1, answers=60) for key in keys]
+    hashes = handed_in_hashes(dict.fromkeys(keys, 1))
+    return [*rows, sample(QualityReview, batch_id="b", verdict="accepted", sampled=sampled, wrong=wrong, handed_in_hashes=hashes)]
+
+
+def stands(database: Database, rows: list[Any]) -> tuple[str, bool]:
+    """State of the batch and whether it counts, in Python and in SQL alike."""
+    database.fill(*rows)
+    (row,) = database.ask("annotation_batch_states")
+    state = states(rows)["b"]
+    assert (row["state"], row["counts"]) == (state.state, state.counts)
+    return state.state, state.counts
+
+
 def changed(rows: list[Any], record: type, **values: Any) -> list[Any]:
     """The rows, the first one of a record changed."""
     first = of(rows, record)[0]
@@ -190,6 +210,40 @@ def test_what_is_erased_takes_nothing_else_along() -> None:
     left = [row for row in other if getattr(row, "scene_id", "") != "demo/b"]
     assert (len(of(left, SampledAnswer)), states(left)["b"].state) == (49, "accepted")
     assert states(changed(left, AnswerVerdict, passes=False))["b"].state != "accepted"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sampled", "share", "accepted"),
+    [(1, 60, 0.98, True), (2, 60, 0.98, False), (1, 1, 0.98, False), (0, 1, 0.98, True), (1, 50, 0.98, False), (29, 60, 0.5, True)],
+)
+def test_a_review_from_elsewhere_must_pass_as_well(database: Database, wrong: int, sampled: int, share: float, accepted: bool) -> None:
+    expected = ("accepted", True) if accepted else ("submitted", False)
+    assert stands(database, from_elsewhere(wrong, sampled, pass_share=share)) == expected
+
+
+def test_where_nothing_was_erased_a_sample_with_gaps_accepts_nothing(database: Database) -> None:
+    """One row is left of a sample of fifty, and one verdict: only where as many answers are gone are the others believed to be erased."""
+    sound = reviewed()
+    drawn, verdict = of(sound, SampledAnswer)[0], of(sound, AnswerVerdict)[0]
+    gaps = [row for row in sound if not isinstance(row, SampledAnswer | AnswerVerdict)] + [drawn, verdict]
+    assert stands(database, sound) == ("accepted", True)
+    assert stands(database, gaps) == ("in_review", False)
+    one_less = [row for row in gaps if row is not of(gaps, Submission)[-1]]
+    hashes = handed_in_hashes({key_of(row): row.revision for row in of(one_less, Submission)})
+    assert stands(database, changed(one_less, QualityReview, handed_in_hashes=hashes)) == ("in_review", False)
+
+
+def test_what_was_returned_counts_unreviewed_no_more(database: Database) -> None:
+    *trusted, accepted = from_elsewhere(counts_unreviewed=True)
+    assert stands(database, trusted) == ("submitted", True)
+    returned = sample(QualityReview, batch_id="b", review_id="r0", verdict="returned", reviewed_at=START - timedelta(days=1))
+    keys = [key_of(row) for row in of(trusted, Submission)]
+    second = [about(Submission, "b", key, round=2, revision=1 + (key == keys[0]), answers=60) for key in keys]
+    assert stands(database, [*trusted, returned]) == ("returned", False)
+    assert stands(database, [*trusted, returned, *second]) == ("submitted", False)
+    hashes = handed_in_hashes({key_of(row): row.revision for row in second})
+    anew = dataclasses.replace(accepted, round=2, handed_in_hashes=hashes)
+    assert stands(database, [*trusted, returned, *second, anew]) == ("accepted", True)
 
 
 def test_transitions_are_of_known_states_and_acts_and_lead_everywhere() -> None:

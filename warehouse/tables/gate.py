@@ -1,7 +1,7 @@
 """The gate between annotators and scenes: what a batch is at, and which of its answers count, from its rows alone.
 
-Whoever writes rows past it gains nothing: a batch that was created here is accepted only if the rows of its sample and of the verdicts
-on it bear that out, and only the revisions that were handed in then count.
+A review alone lets nothing through: a batch that was created here is accepted only if the rows of its sample and of the verdicts on it
+bear that out, and only the revisions that were handed in then count. Whoever may write all of these rows can write that somebody reviewed.
 """
 
 from __future__ import annotations
@@ -121,8 +121,9 @@ def state_of(batch_id: str, rows: BatchRows) -> BatchState:
     state = BatchState(batch_id, rows.batch, before, number, False, handed_in, sample, verdicts, last)
     if last is not None and number > 0 and (last.verdict == "returned" or _is_borne_out(rows, last, state)):
         state = dataclasses.replace(state, state=last.verdict)
-    unreviewed = rows.batch is not None and not created and rows.batch.counts_unreviewed and state.state in ("submitted", "in_review")
-    return dataclasses.replace(state, counts=state.state == "accepted" or unreviewed)
+    trusted = rows.batch is not None and not created and rows.batch.counts_unreviewed
+    trusted = trusted and not any(row.verdict == "returned" for row in rows.reviews)
+    return dataclasses.replace(state, counts=state.state == "accepted" or (trusted and state.state in ("submitted", "in_review")))
 
 
 def demands(batch: WorkBatch | None) -> tuple[float, int, float]:
@@ -173,9 +174,9 @@ def _gathered(parts: dict[str, list[Any]]) -> BatchRows:
 
 def _is_borne_out(rows: BatchRows, review: QualityReview, state: BatchState) -> bool:
     """Whether a review that accepts a batch is about what was handed in, and a sample of that is large enough, was judged to the end and
-    passed. Of what was made elsewhere, the review may have been made there, too: then there is no sample.
+    passed. Of what was made elsewhere, the review may have been made there, too: then there is no sample, and its own count must pass.
 
-    Of what was erased since, the review's own count is all that is left.
+    Of what was erased since, the review's own count is all that is left: as much of the sample, at most, as of what was handed in.
     """
     elsewhere = state.origin == "elsewhere"
     if review.handed_in_hashes is None:
@@ -183,9 +184,9 @@ def _is_borne_out(rows: BatchRows, review: QualityReview, state: BatchState) -> 
             return False
     elif not set(handed_in_hashes(state.handed_in)) <= set(review.handed_in_hashes):
         return False
-    if elsewhere and not state.sample:
-        return True
     share, least, pass_share = demands(rows.batch)
+    if elsewhere and not state.sample:
+        return passes(review.sampled - review.wrong, review.sampled, pass_share)
     answers = max((row.answers for row in rows.submissions if row.round == state.round), default=0)
     sampled = max((row.sampled for row in state.sample), default=0)
     if sampled < max(1, sample_size(answers, share, least)) or len(state.verdicts) < len(state.sample):
@@ -194,4 +195,6 @@ def _is_borne_out(rows: BatchRows, review: QualityReview, state: BatchState) -> 
         return False
     if len(state.sample) == sampled:
         return passes(state.passed, sampled, pass_share)
+    if not 0 < sampled - len(state.sample) <= answers - len(state.handed_in):
+        return False
     return review.sampled == sampled and state.failed <= review.wrong and passes(sampled - review.wrong, sampled, pass_share)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,7 +26,7 @@ from tasks.annotation.scan2cad import read_scan2cad
 from tasks.batches import parse_json, read_limited
 from tasks.stage import Context
 from warehouse.lake import Lake
-from warehouse.tables.gate import BatchState, handed_in_hashes, person
+from warehouse.tables.gate import BatchState, demands, handed_in_hashes, passes, person
 from warehouse.tables.snapshot import Reader
 
 SCAN2CAD_RELEASED = datetime(2019, 6, 16, tzinfo=UTC)
@@ -166,18 +167,21 @@ def _acts(state: BatchState, present: Sequence[Annotation], new: Sequence[Annota
     if not new and not has_changed and (state.batch is not None or not counts):
         return acts
     moment = now()
-    batch = WorkBatch(
-        batch_id=state.batch_id,
-        origin="elsewhere",
-        created_at=state.batch.created_at if state.batch is not None else moment,
-        pick=None,
-        overlap=None,
-        seed=configuration.seed,
-        sample_share=config.sample_share,
-        least_sample=config.least_sample,
-        pass_share=config.pass_share,
-        counts_unreviewed=counts,
-    )
+    if state.batch is not None:  # what its review demands stays as it was when the batch came in
+        batch = dataclasses.replace(state.batch, counts_unreviewed=counts)
+    else:
+        batch = WorkBatch(
+            batch_id=state.batch_id,
+            origin="elsewhere",
+            created_at=moment,
+            pick=None,
+            overlap=None,
+            seed=configuration.seed,
+            sample_share=config.sample_share,
+            least_sample=config.least_sample,
+            pass_share=config.pass_share,
+            counts_unreviewed=counts,
+        )
     if not new and state.handed_in:
         return dataclasses.replace(acts, annotation_batches=(batch,))
     number = state.round + 1 if present and new else 1
@@ -223,11 +227,11 @@ def _figures(lake: Lake, reader: Reader, new: Sequence[Annotation], present: Seq
     rows: list[AnnotationFigures] = []
     before = latest(present).values()
     for scene in sorted({row.scene_id for row in new}):
-        answers = [row for row in new if row.scene_id == scene and row.choice is not None]
+        answers = [row for row in new if row.scene_id == scene]  # those that choose nothing, too: what they chose before stands no more
         shells, selections = reader.rows(Shell, scene), reader.rows(Selection, scene)
         chosen = {row.choice for row in (*answers, *before) if row.choice is not None and row.scene_id == scene}
         assets = reader.rows_by_key(Asset, {row.asset_id for row in selections} | chosen)
-        if not answers or not assets:
+        if not assets or all(row.choice is None for row in answers):
             continue
         rest = [row for row in before if row.scene_id == scene]
         rows += figures(answers, reader.rows(Instance, scene), selections, shells, assets, lake.blobs, ModuleCaches(), rest)
@@ -279,9 +283,20 @@ def _review_row(
         problem = f"{state.batch_id} is accepted by the verdicts on its sample alone"
         raise InputError(file, f"{where}.verdict", problem, "judge the sampled answers: `metascenes annotate sample`")
     state.after("accept" if row.verdict == "accepted" else "return", file, f"{where}.verdict")
+    if re.fullmatch(r"round-[0-9]+", row.review_id):
+        raise InputError(file, f"{where}.review_id", f"{row.review_id} is what reviews made here are called", "give it another id")
+    if row.reviewed_at > now():
+        raise InputError(file, f"{where}.reviewed_at", "is in the future", "give the time when the review was finished")
     annotators = {person(annotator) for _, _, annotator in answers}
-    if row.verdict == "accepted" and annotators == {person(row.reviewer)}:
-        raise InputError(file, f"{where}.reviewer", f"{row.reviewer} gave all answers of the batch", "let somebody else review it")
+    own = [name.strip() for name in row.reviewer.split(",") if person(name) in annotators]
+    if person(row.reviewer) in annotators:  # names may hold commas
+        own = [row.reviewer]
+    if row.verdict == "accepted" and own:
+        raise InputError(file, f"{where}.reviewer", f"{own[0]} is an annotator of the batch", "let somebody else review it")
+    share, passed = demands(state.batch)[2], row.sampled - row.wrong
+    if row.verdict == "accepted" and not passes(passed, row.sampled, share):
+        problem = f"{passed} of {row.sampled} sampled answers pass, and more than {share:.0%} must"
+        raise InputError(file, f"{where}.verdict", problem, "return the batch, with the verdict 'returned'")
     if state.round > 1 and row.reviewed_at < max(answer.answered_at for answer in answers.values()):
         problem = "is before the last of the answers was given"
         raise InputError(file, f"{where}.reviewed_at", problem, "review the corrected answers")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from pathlib import Path
@@ -28,7 +29,7 @@ from flows.inputs.annotation import (
 )
 from flows.run.configuration import configure
 from flows.run.plan import annotation_digests
-from schemas.annotation import Annotation, AnnotationFigures, AnswerVerdict, Assignment, QualityReview, SampledAnswer
+from schemas.annotation import Annotation, AnnotationFigures, AnswerVerdict, Assignment, QualityReview, SampledAnswer, WorkBatch
 from schemas.capture import Instance
 from schemas.errors import InputError, LakeError
 from schemas.record import arrow_to_rows
@@ -314,6 +315,25 @@ def test_a_batch_of_others_counts_once_it_is_accepted_or_trusted(lake: Lake, tmp
     assert [row["instance_id"] for row in standing_answers(lake.snapshot()).to_pylist()] == ["0001", "0002"]
 
 
+@pytest.mark.parametrize("more", [False, True])
+def test_what_a_review_demands_of_a_batch_stays_as_it_came_in(lake: Lake, more: bool) -> None:
+    """The file again, with another trust and laxer demands, in the middle of a review or with further answers: only the trust changes."""
+    asked = {"batch_id": "b0", "annotations": [answer(SCENES[0], name, "ada", 1) for name in ("0001", "0002", "0003")]}
+    save_answers(lake, asked)
+    (before,) = lake.snapshot().rows(WorkBatch)
+    if more:
+        asked["annotations"].append(answer(SCENES[0], "0004", "ada", 1))
+    else:
+        draw_sample(lake, "b0")
+    lax = ["pass_share=0.1", "sample_share=0.0", "least_sample=1", "unreviewed_imports_count=true"]
+    assert save_answers(lake, asked, configuration=configure(seed=7, settings=[f"annotation.{name}" for name in lax]))["counts"]
+    assert lake.snapshot().rows(WorkBatch) == [dataclasses.replace(before, counts_unreviewed=True)]
+    if not more:
+        right = {(SCENES[0], name, "ada"): name == "0001" for name in ("0001", "0002", "0003")}
+        save_verdicts(lake, judged(open_reviews(lake, "b0", "rita"), right, "b0"))
+        assert conclude(lake, "b0")["verdict"] == "returned"
+
+
 def test_a_review_from_elsewhere_does_not_pass_for_a_sample(lake: Lake, tmp_path: Path) -> None:
     created(lake, tmp_path / "work")
     fill(tmp_path / "work", np.random.default_rng(0))
@@ -366,6 +386,18 @@ def test_figures_say_how_an_answer_keeps_to_the_guidelines(lake: Lake) -> None:
     assert work.revision == 1
 
 
+def test_figures_take_no_neighbor_for_what_the_same_import_takes_back(lake: Lake) -> None:
+    """Look-alikes that stand as the same asset, after corrections to none that fits and a withdrawal in one file with the answer."""
+    names = ("0001", "0002", "0003", "0004")
+    save_answers(lake, {"batch_id": "b0", "annotations": [answer(SCENES[0], name, "ada", 3) for name in names]})
+    later = [answer(SCENES[0], "0001", "ada", 3, at=1, seconds=5), answer(SCENES[0], "0002", "ada", None, at=1)]
+    later.append(answer(SCENES[0], "0003", "ada", None, at=1, withdrawn=True))
+    save_answers(lake, {"batch_id": "b0", "annotations": later})
+    rows = {(row.instance_id, row.revision): row for row in lake.snapshot().rows(AnnotationFigures)}
+    assert rows.keys() == {*((name, 1) for name in names), ("0001", 2)}
+    assert (rows["0001", 1].lookalikes_alike, rows["0001", 2].lookalikes_alike) == (3, 1)
+
+
 def open_work_of(lake: Lake, batch: str) -> list[AnnotationFigures]:
     return [row for row in lake.snapshot().rows(AnnotationFigures) if row.batch_id == batch]
 
@@ -388,6 +420,20 @@ def test_the_commands_lead_through_a_batch(lake: Lake, tmp_path: Path) -> None:
     for one in form["verdicts"]:
         one |= {"passes": True, "reviewed_at": "2026-04-01T00:00:00Z"}
     (tmp_path / "form.json").write_text(json.dumps(form))
+    filled = (tmp_path / "form.json").read_bytes()
+    refused = CliRunner().invoke(
+        cli, ["annotate", "sample", "b1", "--reviewer", "rita", "--out", str(tmp_path / "form.json"), "--lake", lake.address]
+    )
+    assert isinstance(refused.exception, InputError)
+    assert (refused.exception.field, (tmp_path / "form.json").read_bytes()) == ("--out", filled), "what was filled in stays"
+    some = json.loads(filled) | {"verdicts": form["verdicts"][:3]}
+    (tmp_path / "some.json").write_text(json.dumps(some))
+    assert "3 of 8 answers judged" in told("review", tmp_path / "some.json")
+    for reviewer, count in (("rita", 3), ("sam", 0)):
+        told("sample", "b1", "--reviewer", reviewer, "--out", tmp_path / f"{reviewer}.json")
+        again = json.loads((tmp_path / f"{reviewer}.json").read_text())["verdicts"]
+        assert sum(row["passes"] is True and row["reviewed_at"].startswith("2026-04-01") for row in again) == count
+        assert sum(row["passes"] is None for row in again) == 8 - count
     assert "8 of 8 reviewed answers pass; of all 8 between 100.0% and 100.0% do: accepted" in told("review", tmp_path / "form.json")
     assert "b1  accepted, round 1  ada 4 of 4, bob 4 of 4" in told("list")
     (row,) = json.loads(told("list", "b1", "--json"))["batches"]

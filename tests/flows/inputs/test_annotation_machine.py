@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,9 @@ from warehouse.tables.reviews import standing_answers
 
 Key = tuple[str, str, str]
 SMALL = configure(settings=["annotation.least_sample=2"])
+TRUSTING = configure(settings=["annotation.least_sample=1", "annotation.pass_share=0.1", "annotation.unreviewed_imports_count=true"])
+"""What counts unreviewed, and would be reviewed with less care: that, a batch keeps as it came in."""
+
 CREATED, ELSEWHERE = "made-here", "made-elsewhere"
 NAMES = ("ada", "bob")
 KEYS: tuple[Key, ...] = tuple((SCENES[0], f"{number:04d}", name) for number in (1, 2) for name in NAMES)
@@ -40,6 +43,8 @@ class Model:
         self.frozen: dict[Key, int] = {}
         self.sample: set[Key] = set()
         self.verdicts: dict[Key, bool] = {}
+        self.last: list[dict[str, Any]] = []
+        self.is_trusted = self.was_returned = False
 
     def answers(self) -> dict[Key, int]:
         return {key: len(rows) for key, rows in self.revisions.items() if rows and not rows[-1]}
@@ -73,7 +78,7 @@ class Gate(RuleBasedStateMachine):
     def teardown(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _answers(self, batch: str, given: dict[Key, int | None], withdrawn: bool = False) -> None:
+    def _answers(self, batch: str, given: dict[Key, int | None], withdrawn: bool = False, trusts: bool = False) -> None:
         model = self.models[batch]
         self.hours += 1
         rows = [answer(*key, choice, at=self.hours) | ({"withdrawn": True} if withdrawn else {}) for key, choice in sorted(given.items())]
@@ -86,15 +91,25 @@ class Gate(RuleBasedStateMachine):
                 save_answers(self.lake, {"batch_id": batch, "annotations": rows}, configuration=SMALL)
             assert self.lake.snapshot().snapshot_id == before
             return
-        save_answers(self.lake, {"batch_id": batch, "annotations": rows}, configuration=SMALL)
+        save_answers(self.lake, {"batch_id": batch, "annotations": rows}, configuration=TRUSTING if trusts else SMALL)
+        model.last, model.is_trusted = rows, trusts
         for key in given:
             model.revisions.setdefault(key, []).append(withdrawn)
         if batch == ELSEWHERE and model.answers():
             model.hand_in()
 
-    @rule(batch=st.sampled_from([CREATED, ELSEWHERE]), key=st.sampled_from(KEYS), choice=st.sampled_from([1, 2, None]))
-    def correct(self, batch: str, key: Key, choice: int | None) -> None:
-        self._answers(batch, {key: choice})
+    @rule(
+        batch=st.sampled_from([CREATED, ELSEWHERE]), key=st.sampled_from(KEYS), choice=st.sampled_from([1, 2, None]), trusts=st.booleans()
+    )
+    def correct(self, batch: str, key: Key, choice: int | None, trusts: bool) -> None:
+        self._answers(batch, {key: choice}, trusts=trusts)
+
+    @rule(trusts=st.booleans())
+    def import_again(self, trusts: bool) -> None:
+        """The file that came last again, in whatever state, with another trust."""
+        model = self.models[ELSEWHERE]
+        save_answers(self.lake, {"batch_id": ELSEWHERE, "annotations": model.last}, configuration=TRUSTING if trusts else SMALL)
+        model.is_trusted = trusts
 
     @rule(batch=st.sampled_from([CREATED, ELSEWHERE]), key=st.sampled_from(KEYS))
     def withdraw(self, batch: str, key: Key) -> None:
@@ -134,7 +149,7 @@ class Gate(RuleBasedStateMachine):
         model = self.models[batch]
         scene, instance, annotator = key
         verdict = {"scene_id": scene, "instance_id": instance, "annotator": annotator, "passes": passes, "remark": "low"}
-        document = {"batch_id": batch, "reviewer": reviewer, "verdicts": [verdict | {"reviewed_at": "2026-06-01T00:00:00Z"}]}
+        document = {"batch_id": batch, "reviewer": reviewer, "verdicts": [verdict | {"reviewed_at": START.isoformat()}]}
         if model.state == "in_review" and key in model.sample and reviewer.lower() != annotator:
             save_verdicts(self.lake, document, configuration=SMALL)
             model.verdicts[key] = passes
@@ -172,13 +187,13 @@ class Gate(RuleBasedStateMachine):
             return
         verdict = conclude(self.lake, batch, SMALL)["verdict"]
         assert verdict == ("accepted" if all(model.verdicts.values()) else "returned"), "one of two is more than 2 %"
-        model.state = verdict
+        model.state, model.was_returned = verdict, model.was_returned or verdict == "returned"
 
     @rule(batch=st.sampled_from([CREATED, ELSEWHERE]), verdict=st.sampled_from(["accepted", "returned"]))
     def review_from_elsewhere(self, batch: str, verdict: str) -> None:
         model = self.models[batch]
         self.reviews += 1
-        moment = (START + timedelta(days=1000 + self.reviews)).isoformat()
+        moment = datetime.now(UTC).isoformat()
         row = {"review_id": f"file-{self.reviews}", "reviewer": "eve", "reviewed_at": moment, "sampled": 1, "wrong": 0, "verdict": verdict}
         file = self.folder / "review.json"
         file.write_text(json.dumps({"batch_id": batch, "reviews": [row]}))
@@ -188,7 +203,7 @@ class Gate(RuleBasedStateMachine):
             may = verdict == "returned" or (not model.sample and model.state in ("submitted", "accepted", "returned"))
         if may and model.answers():
             import_reviews(self.lake, file, configuration=SMALL)
-            model.state = verdict
+            model.state, model.was_returned = verdict, model.was_returned or verdict == "returned"
         else:
             with pytest.raises(InputError):
                 import_reviews(self.lake, file, configuration=SMALL)
@@ -232,10 +247,10 @@ class Gate(RuleBasedStateMachine):
                 (row["scene_id"], row["instance_id"], row["annotator"]): row["revision"] for row in standing if row["batch_id"] == batch
             }
             withdrawn = {key for key, revisions in model.revisions.items() if revisions[-1]}
-            expected = (
-                {key: revision for key, revision in model.frozen.items() if key not in withdrawn} if model.state == "accepted" else {}
-            )
-            assert rows == expected, batch
+            trusted = batch == ELSEWHERE and model.is_trusted and not model.was_returned and model.state in ("submitted", "in_review")
+            counts = model.state == "accepted" or trusted
+            expected = {key: revision for key, revision in model.frozen.items() if key not in withdrawn} if counts else {}
+            assert (states[batch].counts, rows) == (counts, expected), batch
         history = [row for row in reader.rows(Annotation) if row.batch_id in self.models]
         assert len(history) == sum(len(revisions) for model in self.models.values() for revisions in model.revisions.values())
         assert len(reader.rows(Assignment)) == len(KEYS)

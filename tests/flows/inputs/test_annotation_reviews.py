@@ -220,6 +220,38 @@ def test_the_last_review_says_whether_a_batch_counts(tmp_path: Path) -> None:
     assert annotation_digests(lake) == {}, "as where nobody answered"
 
 
+REFUSED: list[tuple[dict[str, Any], str, str]] = [
+    (review(verdict="accepted", sampled=1, wrong=1), "verdict", "0 of 1 sampled answers pass, and more than 98% must"),
+    (review(verdict="accepted", sampled=2, wrong=1), "verdict", "1 of 2 sampled answers pass, and more than 98% must"),
+    (review(verdict="accepted", wrong=0, reviewer=" ADA"), "reviewer", "ADA is an annotator of the batch"),
+    (review(verdict="accepted", wrong=0, reviewer="rita, Bob"), "reviewer", "Bob is an annotator of the batch"),
+    (review(review_id="round-1"), "review_id", "round-1 is what reviews made here are called"),
+    (review(reviewed_at="2999-01-01T00:00:00Z"), "reviewed_at", "is in the future"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "field", "why"), REFUSED, ids=[f"{w[1]}: {w[2]}" for w in REFUSED])
+def test_a_review_from_elsewhere_that_bears_nothing_out_is_refused(tmp_path: Path, wrong: dict[str, Any], field: str, why: str) -> None:
+    lake = annotated(tmp_path / "lake")
+    imported(lake, tmp_path, "batch-1", 1, {"instance_id": "0001"}, {"instance_id": "0002", "annotator": "bob"})
+    before = lake.snapshot().snapshot_id
+    refused = metascenes("annotate", "review", write(tmp_path / "r.json", wrong), "--lake", lake.address)
+    assert isinstance(refused.exception, InputError)
+    assert (refused.exception.field, why in str(refused.exception)) == (f"reviews[0].{field}", True)
+    assert lake.snapshot().snapshot_id == before
+
+
+def test_a_returned_batch_counts_for_nothing_until_it_is_accepted_anew(tmp_path: Path) -> None:
+    lake = annotated(tmp_path / "lake")
+    imported(lake, tmp_path, "b", 1, {"instance_id": "0001"}, {"instance_id": "0002"})
+    assert annotation_digests(lake) != {}
+    reviewed(lake, tmp_path, "b", "r1", 3, "returned")
+    imported(lake, tmp_path, "b", 4, {"instance_id": "0001", "choice": None}, {"instance_id": "0002"})
+    assert annotation_digests(lake) == {}, "trusted, but returned before"
+    reviewed(lake, tmp_path, "b", "r2", 5, "accepted")
+    assert annotation_digests(lake) != {}
+
+
 def test_a_stage_reads_the_answers_that_its_fingerprint_names(tmp_path: Path) -> None:
     lake = annotated(tmp_path / "lake")
     imported(lake, tmp_path, "old", 1, {"instance_id": "0001"})

@@ -87,7 +87,7 @@ def carry_out(lake: Lake, scene: ScenePlan, at: float, until: int = 99, outcome:
 
 def annotate(lake: Lake, scene: str, batch: str, at: float) -> None:
     answer = sample(Annotation, batch_id=batch, scene_id=scene, instance_id="0001", annotator="anna", reason=batch)
-    accepted = sample(QualityReview, batch_id=batch, verdict="accepted")
+    accepted = sample(QualityReview, batch_id=batch, verdict="accepted", wrong=0)
     rows = {"annotations": [answer], "quality_reviews": [accepted]}
     lake.stage_rows(stage_run(batch, "annotation", fingerprint(batch), at=at), rows)
     lake.commit(scenes=[batch])

@@ -60,11 +60,11 @@ def reviewed(draw: st.DrawFn) -> list[Any]:
     rows = draw(answered())
     for batch in draw(st.lists(st.sampled_from([*"pqr", "erased"]), unique=True)):
         for number in range(draw(st.integers(1, 3))):
-            sampled = draw(st.integers(1, 40))
+            sampled = draw(st.integers(1, 60))
             rows.append(
                 sample(
                     QualityReview, batch_id=batch, review_id=f"r{number}", reviewed_at=START + timedelta(hours=draw(st.integers(0, 2))),
-                    sampled=sampled, wrong=draw(st.integers(0, sampled)), verdict=draw(st.sampled_from(VERDICTS)),
+                    sampled=sampled, wrong=draw(st.sampled_from([0, 0, 0, 1, sampled])), verdict=draw(st.sampled_from(VERDICTS)),
                     note=draw(st.sampled_from([None, "see 0003"])),
                 )
             )  # fmt: skip
@@ -72,9 +72,11 @@ def reviewed(draw: st.DrawFn) -> list[Any]:
 
 
 def counting(rows: list[Any]) -> list[Annotation]:
-    """The answers that count, as the annotation stage says, scene by scene: those of a batch whose last review accepted it."""
-    last = {row.batch_id: row.verdict for row in sorted(of(rows, QualityReview), key=lambda row: (row.reviewed_at, row.review_id))}
-    standing = [row for row in of(rows, Annotation) if last.get(row.batch_id) == "accepted"]
+    """The answers that count, as the annotation stage says, scene by scene: those of a batch whose last review accepted it, with
+    less than 2 % of its sample wrong."""
+    last = {row.batch_id: row for row in sorted(of(rows, QualityReview), key=lambda row: (row.reviewed_at, row.review_id))}
+    good = {name for name, row in last.items() if row.verdict == "accepted" and 50 * row.wrong < row.sampled}
+    standing = [row for row in of(rows, Annotation) if row.batch_id in good]
     return [one for scene in SCENES for one in current([row for row in standing if row.scene_id == scene])]
 
 
@@ -155,7 +157,7 @@ def test_kappa_of_a_textbook_table(database: Database) -> None:
             sample(Annotation, **place, batch_id="b", annotator=name, choice=ASSETS[slot - 1])
             for name, slot in (("ada", first), ("bob", second))
         ]
-    database.fill(*rows, sample(QualityReview, batch_id="b", verdict="accepted"))
+    database.fill(*rows, sample(QualityReview, batch_id="b", verdict="accepted", wrong=0))
     same(database.ask("annotator_agreement")[0], instances=50, agreement=0.7, chance_agreement=0.5, cohens_kappa=0.4)
 
 

@@ -36,7 +36,7 @@ def database() -> Iterator[Database]:
 @st.composite
 def chosen(draw: st.DrawFn) -> list[Any]:
     """Objects with candidates in an order, and accepted answers of three people."""
-    rows: list[Any] = [sample(QualityReview, batch_id="b", verdict="accepted")]
+    rows: list[Any] = [sample(QualityReview, batch_id="b", verdict="accepted", wrong=0)]
     rows += [sample(Scene, scene_id=scene, room_id=scene) for scene in SCENES] + [sample(Split, room_id=SCENES[0], split="train")]
     rows += [sample(Asset, asset_id=asset, category="Chair", extents=(1.0, 1.0, 1.0)) for asset in ASSETS]
     for scene, name in itertools.product(SCENES, OBJECTS):

@@ -2,8 +2,9 @@
 -- Version 1.
 -- From the rows of the batch alone, as the gate sees it: open, submitted, in_review, accepted or returned. A batch that was created here
 -- is accepted only if a large enough sample of exactly what was handed in was judged by others than who answered, to the end, and more
--- than pass_share of it passed. One that was made elsewhere may have been reviewed there, too. counts: its answers reach scenes; so do
--- those of batches made elsewhere that nobody reviewed yet, where they were imported with annotation.unreviewed_imports_count.
+-- than pass_share of it passed. One that was made elsewhere may have been reviewed there, too, with as many that pass. counts: its answers
+-- reach scenes; so do those of batches made elsewhere that nobody reviewed yet, where they were imported with
+-- annotation.unreviewed_imports_count and were never returned.
 WITH named AS (
     SELECT batch_id FROM annotation_batches
     UNION
@@ -69,6 +70,9 @@ sampled AS (
     LEFT JOIN verdicts USING (batch_id, scene_id, instance_id, annotator)
     GROUP BY samples.batch_id
 ),
+ever_returned AS (
+    SELECT DISTINCT batch_id FROM quality_reviews WHERE verdict = 'returned'
+),
 reviewed AS (
     SELECT
         batch_id,
@@ -90,11 +94,16 @@ facts AS (
         coalesce(sampled.judged, 0) AS judged,
         coalesce(sampled.passed, 0) AS passed,
         reviewed.reviewed_at AS concluded_at,
+        rounds.counts_unreviewed AND ever_returned.batch_id IS NULL AS is_trusted,
         reviewed.verdict = 'returned' OR (rounds.origin = 'created' AND reviewed.was_returned) AS is_returned,
         reviewed.verdict = 'accepted'
             AND coalesce(list_has_all(reviewed.hashes, coalesce(handed_in.hashes, [])), rounds.origin = 'elsewhere')
             AND (
-                (rounds.origin = 'elsewhere' AND sampled.sampled IS NULL)
+                (
+                    rounds.origin = 'elsewhere'
+                    AND sampled.sampled IS NULL
+                    AND reviewed.sampled - reviewed.wrong - rounds.pass_share * reviewed.sampled > 1e-9
+                )
                 OR (
                     sampled.sampled >= greatest(
                         1,
@@ -110,7 +119,8 @@ facts AS (
                     AND CASE
                         WHEN sampled.left_of_sample = sampled.sampled
                             THEN sampled.passed - rounds.pass_share * sampled.sampled > 1e-9
-                        ELSE reviewed.sampled = sampled.sampled
+                        ELSE sampled.sampled - sampled.left_of_sample BETWEEN 1 AND handed_in.answers - handed_in.handed_in
+                            AND reviewed.sampled = sampled.sampled
                             AND sampled.judged - sampled.passed <= reviewed.wrong
                             AND sampled.sampled - reviewed.wrong - rounds.pass_share * sampled.sampled > 1e-9
                     END
@@ -120,6 +130,7 @@ facts AS (
     LEFT JOIN handed_in USING (batch_id)
     LEFT JOIN sampled USING (batch_id)
     LEFT JOIN reviewed USING (batch_id)
+    LEFT JOIN ever_returned USING (batch_id)
 ),
 decided AS (
     SELECT
@@ -138,7 +149,7 @@ SELECT
     origin,
     state,
     round,
-    state = 'accepted' OR (origin = 'elsewhere' AND counts_unreviewed AND state IN ('submitted', 'in_review')) AS counts,
+    state = 'accepted' OR (origin = 'elsewhere' AND is_trusted AND state IN ('submitted', 'in_review')) AS counts,
     handed_in,
     sampled,
     judged,
