@@ -22,7 +22,7 @@ COMMANDS = {
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",
     "release": "Make, list, compare and attach releases: versions that can be cited.",
-    "annotate": "Import what annotators chose, and what reviewers say of it.",
+    "annotate": "Ask people, take in what they chose, and have it reviewed.",
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",
     "status": "Say what is done, running, failed and stale, from the lake alone.",
