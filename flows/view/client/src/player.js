@@ -15,8 +15,9 @@ export class Player {
     if (this.now >= this.end) this.now = 0;
     let last = performance.now();
     const step = (time) => {
-      this.now = Math.min(this.end, this.now + ((time - last) / 1000 / this.seconds) * this.end);
-      last = time;
+      // the first frame's time may lie before the moment at which it was asked for
+      this.now = Math.min(this.end, this.now + (Math.max(0, time - last) / 1000 / this.seconds) * this.end);
+      last = Math.max(last, time);
       this.running = requestAnimationFrame(step);
       this.show(this.now);
       if (this.now >= this.end) this.pause();
