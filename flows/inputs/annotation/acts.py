@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -17,6 +18,7 @@ from schemas.record import rows_to_arrow
 from tasks import annotation
 from tasks.annotation import BatchActs
 from warehouse.lake import Lake
+from warehouse.sharing.claims import Claims
 from warehouse.tables.gate import BatchState, batch_states
 from warehouse.tables.snapshot import Reader
 
@@ -28,8 +30,30 @@ WAIT_SECONDS = 60.0
 R = TypeVar("R")
 
 
+@dataclasses.dataclass(frozen=True)
+class Change:
+    """A batch that is held while it is changed. `reader`: the lake as it was when the batch was taken hold of."""
+
+    lake: Lake
+    batch_id: str
+    reader: Reader
+    claims: Claims
+
+    def commit(self, acts: BatchActs, note: str, configuration: Configuration, name: str = "") -> None:
+        """Run the stage on what was done to the batch, and commit it. `name`: the file that it comes from, for messages.
+
+        Raises:
+            InputError: a row breaks its schema. Nothing was committed then.
+            LakeError: the batch is held no more, since this process was stopped for long; somebody else may have changed it.
+        """
+        if self.batch_id not in self.claims.held():
+            problem = "this process was stopped for so long that others may have changed it; nothing was saved, try again"
+            raise LakeError(f"annotation batch {self.batch_id}: {problem}")
+        _commit(self.lake, name or self.batch_id, self.batch_id, acts, note, configuration)
+
+
 @contextlib.contextmanager
-def changing(lake: Lake, batch_id: str) -> Iterator[Reader]:
+def changing(lake: Lake, batch_id: str) -> Iterator[Change]:
     """Hold a batch while it is changed, and read the lake as it is then; what a change that was killed had staged is in it.
 
     Raises:
@@ -43,7 +67,7 @@ def changing(lake: Lake, batch_id: str) -> Iterator[Reader]:
             time.sleep(0.05)
         if batch_id in lake.abandoned():
             lake.commit(f"annotation batch {batch_id}", scenes=[batch_id])
-        yield lake.snapshot()
+        yield Change(lake, batch_id, lake.snapshot(), claims)
 
 
 def state_in(reader: Reader, batch_id: str) -> BatchState:
@@ -68,12 +92,7 @@ def rows_of(reader: Reader, record: type[R], batch_id: str) -> list[R]:
     return list(reader.rows_by_key(record, [batch_id]))
 
 
-def commit_acts(lake: Lake, name: str, batch_id: str, acts: BatchActs, note: str, configuration: Configuration) -> None:
-    """Run the stage on what was done to a batch, and commit it.
-
-    Raises:
-        InputError: a row breaks its schema. Nothing was committed then.
-    """
+def _commit(lake: Lake, name: str, batch_id: str, acts: BatchActs, note: str, configuration: Configuration) -> None:
     config = configuration.stages[STAGE.name]
     content = digest(canonical_json(acts))
     inputs: dict[str, Any] = {"annotation_batch": None, "review_batch": None, "batch_acts": acts, "instances": (), "candidates": ()}

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from flows.inputs.annotation.acts import changing, commit_acts, now, rows_of, state_in
+from flows.inputs.annotation.acts import changing, now, rows_of, state_in
 from flows.progress import Progress
 from flows.run.configuration import Configuration, configure
 from schemas.annotation import BATCH_PATTERN, Annotation, Assignment, WorkBatch
@@ -71,14 +71,14 @@ def create_batch(
     if dry_run:
         batch, assignments = _planned(lake.snapshot(), plan, again, configuration)
     else:
-        with changing(lake, plan.batch_id) as reader:
-            batch, assignments = _planned(reader, plan, again, configuration)
+        with changing(lake, plan.batch_id) as change:
+            batch, assignments = _planned(change.reader, plan, again, configuration)
             part = out.with_name(f".{out.name}.{secrets.token_hex(6)}.making")
             try:
-                _write(part, lake, reader, batch, assignments)
+                _write(part, lake, change.reader, batch, assignments)
                 if not again:
                     acts = BatchActs(annotation_batches=(batch,), assignments=tuple(assignments))
-                    commit_acts(lake, plan.batch_id, plan.batch_id, acts, f"annotation batch {plan.batch_id} created", configuration)
+                    change.commit(acts, f"annotation batch {plan.batch_id} created", configuration)
                 part.rename(out)
             except OSError as error:
                 raise InputError(str(out), "--out", f"cannot be written ({error.strerror})", "check path, permissions and space") from error

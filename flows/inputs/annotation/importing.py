@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from flows.inputs.annotation.acts import STAGE, changing, commit_acts, now, rows_of, same_rows, state_in
+from flows.inputs.annotation.acts import STAGE, Change, changing, now, rows_of, same_rows, state_in
 from flows.run.configuration import Configuration, configure
 from flows.run.fingerprints import ModuleCaches
 from schemas.annotation import Annotation, AnnotationFigures, Assignment, QualityReview, Submission, WorkBatch
@@ -88,16 +88,16 @@ def import_reviews(lake: Lake, file: Path, dry_run: bool = False, configuration:
     """
     batch, configuration = read_reviews(file), configuration or configure()
     if dry_run:
-        return _reviewed(lake, lake.snapshot(), batch, dry_run, configuration)
-    with changing(lake, batch.batch_id) as reader:
-        return _reviewed(lake, reader, batch, dry_run, configuration)
+        return _reviewed(lake, lake.snapshot(), None, batch, configuration)
+    with changing(lake, batch.batch_id) as change:
+        return _reviewed(lake, change.reader, change, batch, configuration)
 
 
 def _taken_in(lake: Lake, batch: AnnotationBatch, name: str, dry_run: bool, configuration: Configuration) -> dict[str, Any]:
     if dry_run:
-        return _answered(lake, lake.snapshot(), batch, name, dry_run, configuration)
-    with changing(lake, batch.batch_id) as reader:
-        return _answered(lake, reader, batch, name, dry_run, configuration)
+        return _answered(lake, lake.snapshot(), None, batch, name, configuration)
+    with changing(lake, batch.batch_id) as change:
+        return _answered(lake, change.reader, change, batch, name, configuration)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,8 +134,10 @@ def held_against(reader: Reader, batch: AnnotationBatch, name: str, configuratio
     return Answered(state, tuple(present), tuple(given), tuple(new))
 
 
-def _answered(lake: Lake, reader: Reader, batch: AnnotationBatch, name: str, dry_run: bool, configuration: Configuration) -> dict[str, Any]:
-    """Add the answers of a batch that the lake has not."""
+def _answered(
+    lake: Lake, reader: Reader, change: Change | None, batch: AnnotationBatch, name: str, configuration: Configuration
+) -> dict[str, Any]:
+    """Add the answers of a batch that the lake has not; without a `change`, only say which."""
     held = held_against(reader, batch, name, configuration)
     state, given, new = held.state, held.given, held.new
     acts = _acts(state, held.present, new, configuration)
@@ -149,9 +151,9 @@ def _answered(lake: Lake, reader: Reader, batch: AnnotationBatch, name: str, dry
         "corrected": sum(row.revision > 1 and not row.is_withdrawn for row in new),
         "withdrawn": sum(row.is_withdrawn for row in new),
     }
-    if not dry_run and not summary["already"]:
+    if change is not None and not summary["already"]:
         acts = dataclasses.replace(acts, annotation_figures=tuple(_figures(lake, reader, new, held.present)))
-        commit_acts(lake, name, batch.batch_id, acts, f"annotation batch {batch.batch_id}", configuration)
+        change.commit(acts, f"annotation batch {batch.batch_id}", configuration, name)
         state = state_in(lake.snapshot(), batch.batch_id)
     return summary | {"state": state.state, "counts": state.counts}
 
@@ -238,8 +240,8 @@ def _figures(lake: Lake, reader: Reader, new: Sequence[Annotation], present: Seq
     return rows
 
 
-def _reviewed(lake: Lake, reader: Reader, batch: ReviewBatch, dry_run: bool, configuration: Configuration) -> dict[str, Any]:
-    """Add the reviews of a file that the lake has not."""
+def _reviewed(lake: Lake, reader: Reader, change: Change | None, batch: ReviewBatch, configuration: Configuration) -> dict[str, Any]:
+    """Add the reviews of a file that the lake has not; without a `change`, only say which."""
     state = state_in(reader, batch.batch_id)
     answers = latest(rows_of(reader, Annotation, batch.batch_id))
     check_reviews(batch, len(answers))
@@ -258,9 +260,9 @@ def _reviewed(lake: Lake, reader: Reader, batch: ReviewBatch, dry_run: bool, con
         elif not same_rows([_as_given(before)], [_as_given(row)]):
             problem = f"{row.review_id} of batch {batch.batch_id} is in the lake and says something else"
             raise InputError(batch.source_file, "review_id", problem, "give the new review a review_id of its own")
-    if not dry_run and new:
+    if change is not None and new:
         note = f"review of annotation batch {batch.batch_id}"
-        commit_acts(lake, batch.source_file, batch.batch_id, BatchActs(quality_reviews=tuple(new)), note, configuration)
+        change.commit(BatchActs(quality_reviews=tuple(new)), note, configuration, batch.source_file)
     return {
         "batch_id": batch.batch_id,
         "reviews": len(rows),

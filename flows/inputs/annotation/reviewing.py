@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flows.inputs.annotation.acts import changing, commit_acts, known_state, now, rows_of, state_in
+from flows.inputs.annotation.acts import changing, known_state, now, rows_of, state_in
 from flows.run.configuration import Configuration, configure
 from schemas.annotation import Annotation, AnswerVerdict, Assignment, QualityReview, SampledAnswer, Submission
 from schemas.errors import InputError
@@ -34,11 +34,11 @@ def submit(lake: Lake, batch_id: str, by: str, partial: bool = False, configurat
     Raises:
         InputError: the batch takes no submission now, has no answers, or lacks some of what was assigned and is not `partial`.
     """
-    with changing(lake, batch_id) as reader:
-        state = known_state(reader, batch_id)
+    with changing(lake, batch_id) as change:
+        state = known_state(change.reader, batch_id)
         state.after("submit")
-        answers = latest(rows_of(reader, Annotation, batch_id))
-        asked = {(row.scene_id, row.instance_id, row.annotator) for row in rows_of(reader, Assignment, batch_id)}
+        answers = latest(rows_of(change.reader, Annotation, batch_id))
+        asked = {(row.scene_id, row.instance_id, row.annotator) for row in rows_of(change.reader, Assignment, batch_id)}
         missing = sorted(asked - answers.keys())
         if not answers:
             raise InputError(batch_id, "annotations", "the batch has no answers", "import them first")
@@ -55,7 +55,7 @@ def submit(lake: Lake, batch_id: str, by: str, partial: bool = False, configurat
             for (scene, instance, annotator), row in answers.items()
         )  # fmt: skip
         note = f"annotation batch {batch_id} handed in"
-        commit_acts(lake, batch_id, batch_id, BatchActs(submissions=rows), note, configuration or configure())
+        change.commit(BatchActs(submissions=rows), note, configuration or configure())
     return {"batch_id": batch_id, "round": state.round + 1, "answers": len(rows), "missing": len(missing), "state": "submitted"}
 
 
@@ -65,8 +65,8 @@ def draw_sample(lake: Lake, batch_id: str, configuration: Configuration | None =
     Raises:
         InputError: the batch has not been handed in, or is being reviewed already.
     """
-    with changing(lake, batch_id) as reader:
-        state = known_state(reader, batch_id)
+    with changing(lake, batch_id) as change:
+        state = known_state(change.reader, batch_id)
         state.after("sample")
         keys = sorted(state.handed_in)
         if not keys:
@@ -85,7 +85,7 @@ def draw_sample(lake: Lake, batch_id: str, configuration: Configuration | None =
             for place, (scene, instance, annotator) in enumerate(drawn(keys, count, np.random.default_rng(list(entropy))), 1)
         )  # fmt: skip
         note = f"sample of annotation batch {batch_id}"
-        commit_acts(lake, batch_id, batch_id, BatchActs(review_samples=rows), note, configuration or configure())
+        change.commit(BatchActs(review_samples=rows), note, configuration or configure())
     return {
         "batch_id": batch_id,
         "round": state.round,
@@ -105,12 +105,12 @@ def save_verdicts(lake: Lake, document: Any, name: str = "verdicts", configurati
             own. Nothing is saved then.
     """
     batch = read_verdicts(document, name)
-    with changing(lake, batch.batch_id) as reader:
-        state = known_state(reader, batch.batch_id)
+    with changing(lake, batch.batch_id) as change:
+        state = known_state(change.reader, batch.batch_id)
         state.after("judge", name)
         sampled = {key_of(row) for row in state.sample}
         numbers: dict[tuple[str, str, str], int] = {}
-        for row in rows_of(reader, AnswerVerdict, batch.batch_id):
+        for row in rows_of(change.reader, AnswerVerdict, batch.batch_id):
             if row.round == state.round:
                 numbers[key_of(row)] = max(row.number, numbers.get(key_of(row), 0))
         rows = []
@@ -134,7 +134,7 @@ def save_verdicts(lake: Lake, document: Any, name: str = "verdicts", configurati
             )  # fmt: skip
         if rows:
             note = f"verdicts on annotation batch {batch.batch_id}"
-            commit_acts(lake, name, batch.batch_id, BatchActs(answer_verdicts=tuple(rows)), note, configuration or configure())
+            change.commit(BatchActs(answer_verdicts=tuple(rows)), note, configuration or configure(), name)
     after = state_in(lake.snapshot(), batch.batch_id)
     return {"batch_id": batch.batch_id, "verdicts": len(batch.verdicts), "new": len(rows)} | progress(after)
 
@@ -145,8 +145,8 @@ def conclude(lake: Lake, batch_id: str, configuration: Configuration | None = No
     Raises:
         InputError: the batch is not being reviewed, or some of the sample was not judged yet.
     """
-    with changing(lake, batch_id) as reader:
-        state = known_state(reader, batch_id)
+    with changing(lake, batch_id) as change:
+        state = known_state(change.reader, batch_id)
         left = len(state.sample) - len(state.verdicts)
         state.after("accept")
         if left or not state.sample:
@@ -175,7 +175,7 @@ def conclude(lake: Lake, batch_id: str, configuration: Configuration | None = No
             is_simulated=any(row.is_simulated for row in verdicts),
         )
         note = f"annotation batch {batch_id} {verdict}"
-        commit_acts(lake, batch_id, batch_id, BatchActs(quality_reviews=(review,)), note, configuration or configure())
+        change.commit(BatchActs(quality_reviews=(review,)), note, configuration or configure())
     after = state_in(lake.snapshot(), batch_id)
     return {
         "batch_id": batch_id, "round": state.round, "answers": answers, "sampled": sampled, "passed": state.passed,

@@ -358,6 +358,18 @@ def test_two_changes_of_a_batch_come_one_after_the_other(lake: Lake, monkeypatch
     assert save_answers(lake, asked)["new"] == 1
 
 
+def test_who_holds_a_batch_no_more_changes_nothing(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after a process was stopped for longer than a claim lives, and another took the batch over."""
+    asked = {"batch_id": "b0", "annotations": [answer(SCENES[0], "0001", "ada", 1)]}
+    before = lake.snapshot().snapshot_id
+    with monkeypatch.context() as patched:
+        patched.setattr("warehouse.sharing.claims.Claims.held", lambda self: set())
+        with pytest.raises(LakeError, match="nothing was saved, try again"):
+            save_answers(lake, asked)
+    assert lake.snapshot().snapshot_id == before
+    assert save_answers(lake, asked)["new"] == 1
+
+
 def test_figures_say_how_an_answer_keeps_to_the_guidelines(lake: Lake) -> None:
     far = {"position": [-2.0, -2.0, 0.1], "yaw_degrees": 0, "scale": [1, 1, 1]}
     beyond = {"position": [-3.0, -1.6, 0.0], "yaw_degrees": 0, "scale": [2, 1, 1]}
