@@ -65,7 +65,7 @@ class WorkBatch:
 
     batch_id: str = column("Annotation batch", pattern=BATCH_PATTERN)
     origin: str = column("Where it comes from: assigned by this lake, or a file that others wrote", values=ORIGINS)
-    created_at: datetime = column("When it entered the lake", volatile=True)
+    created_at: datetime = column("When it was made; of what was made elsewhere, when its last answer was given then", volatile=True)
     pick: str | None = column("How its instances were picked; missing for batches made elsewhere", values=PICKS)
     overlap: int | None = column("How many annotators each instance was assigned to; missing for batches made elsewhere", minimum=1)
     seed: int = column("Seed of the assignment and of the samples")
@@ -173,7 +173,7 @@ class Submission:
     revision: int = column("Revision of the answer", minimum=1)
     answers: int = column("Answers that were handed in together; fewer rows say that scenes were erased since", minimum=1)
     submitted_by: str = column("Who handed the batch in")
-    submitted_at: datetime = column("When", volatile=True)
+    submitted_at: datetime = column("When; of what was made elsewhere, when the last of the answers was given", volatile=True)
 
 
 @record(

@@ -261,8 +261,8 @@ def test_no_answer_of_a_returned_batch_reaches_a_scene(home: dict[str, str], lak
         assert metascenes(home, "annotate", "import", file, "--lake", copy, *trusted).returncode == 0
 
     def review(batch: str, name: str, day: int, verdict: str) -> None:
-        said = {"review_id": name, "reviewer": "rita", "reviewed_at": f"2026-02-{day:02d}T03:04:05Z", "sampled": 1, "wrong": 1}
-        file.write_text(json.dumps({"batch_id": batch, "reviews": [said | {"verdict": verdict}]}))
+        said = {"review_id": name, "reviewer": "rita", "reviewed_at": f"2026-02-{day:02d}T03:04:05Z", "sampled": 1}
+        file.write_text(json.dumps({"batch_id": batch, "reviews": [said | {"verdict": verdict, "wrong": int(verdict == "returned")}]}))
         assert metascenes(home, "annotate", "review", file, "--lake", copy).returncode == 0
 
     def placed() -> tuple[str, str, str | None]:

@@ -168,7 +168,8 @@ def _acts(state: BatchState, present: Sequence[Annotation], new: Sequence[Annota
     has_changed = state.batch is not None and counts != state.batch.counts_unreviewed
     if not new and not has_changed and (state.batch is not None or not counts):
         return acts
-    moment = now()
+    whole = latest([*present, *new])
+    moment = max(row.answered_at for row in whole.values())  # and not that of the import: the same file gives the same bytes
     if state.batch is not None:  # what its review demands stays as it was when the batch came in
         batch = dataclasses.replace(state.batch, counts_unreviewed=counts)
     else:
@@ -187,7 +188,6 @@ def _acts(state: BatchState, present: Sequence[Annotation], new: Sequence[Annota
     if not new and state.handed_in:
         return dataclasses.replace(acts, annotation_batches=(batch,))
     number = state.round + 1 if present and new else 1
-    whole = latest([*present, *new])
     submissions = tuple(
         Submission(
             batch_id=state.batch_id,
