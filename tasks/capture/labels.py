@@ -27,7 +27,7 @@ NYU40 = (
 )  # fmt: skip
 """Names of the NYU40 classes by id, in that data set's own spelling; 0 is none of them."""
 
-WALL, FLOOR, DOOR, WINDOW, CEILING = 1, 2, 8, 9, 22
+WALL, FLOOR, DOOR, WINDOW, CEILING, OTHER_PROP = 1, 2, 8, 9, 22, 40
 STRUCTURE = frozenset({WALL, FLOOR, CEILING})
 """Classes that are part of the room and never replaced by an asset."""
 

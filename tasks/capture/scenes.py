@@ -19,7 +19,7 @@ from tasks.capture.files.images import encode_jpeg
 from tasks.capture.formats import format_of, left_out, room_of
 from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.instances.hidden import with_hidden_parts
-from tasks.capture.instances.merged import own_size
+from tasks.capture.instances.merged import own_size, set_apart
 from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
 from tasks.capture.instances.segmentation import geometry_groups
 from tasks.capture.instances.split import rejoined
@@ -101,9 +101,11 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
             label if is_known else labels.of_size(group.raw_label, partial(own_size, solid.points))
             for group, label, solid, is_known in zip(groups, meanings, solids, own_words, strict=True)
         ]
+        groups, meanings, apart = set_apart(groups, meanings, world) if reading.groups is not None else (groups, meanings, [])
+        solids = _solids(reading, world, groups, context, config) if apart else solids
         groups, meanings, joined = rejoined(groups, meanings, solids)
         solids = _solids(reading, world, groups, context, config) if joined else solids
-        notes += joined
+        notes += [*apart, *joined]
     notes += _unknown_labels(groups, meanings, scan.path.name)
     rows = [
         instance_row(context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points)

@@ -2,13 +2,54 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.capture.cloud import vertex_areas
+from tasks.capture.instances.boxes import clumps, oriented_box
+from tasks.capture.instances.segmentation import PROVIDER, guessed
+from tasks.capture.labels import OTHER_PROP, Label
+from tasks.capture.reading import Group
+from tasks.geometry.meshes import Surface
+from tasks.geometry.triangles import vertex_normals
 from tasks.mounting import mounting
+
+LEAST_FLAT = 0.25
+"""Of the cells of a rug, so many have nothing above them, whatever was annotated with it: a mattress that is called a mat has none."""
+
+KITCHEN = ("cabinet", "cupboard", "counter", "countertop", "worktop")
+"""Last words of what a worktop and the cabinets below it are annotated as."""
+
+CABINETS = ("cabinet", "cupboard")
+
+WORKTOP, CABINET, CABINET_CLASS = "kitchen counter", "kitchen cabinet", 3
+"""What the two are then, and the class of the latter."""
+
+WORKTOP_M = (0.75, 1.1)
+"""Worktops are as high [m]."""
+
+WORKTOP_DEEP_M, BEYOND_M, OTHERS_SHARE = 0.85, 0.45, 0.25
+"""No worktop of a single row is deeper [m]; so much of it runs on beyond its cabinet [m], and over so much of that, something else
+stands."""
+
+SLAB_M, BODY_M, LEVEL_NORMAL = 0.06, 0.3, 0.8
+"""A worktop is thinner, its cabinet taller than that [m], and normals of what is level are as far up."""
+
+RAISED_M = 0.3
+"""What is seen from this height above the floor on alone [m] stands on legs: beds and sofas do not."""
+
+CORNER_SHARE, LEAST_FILLED = 0.35, 0.1
+"""Each corner of a bed, so much of its sides, has points, at least this share of those in the fullest; sofas with a bend lack one."""
+
+STANDS_M, STANDS_POINTS, STANDS_GAP_M = 0.2, 60, 0.08
+"""What rises so high above a rug [m], by so many points, no two of which are farther from the next [m], stands on it."""
 
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
+Integers = NDArray[np.int64]
 
 CELL_M = 0.05
 """Cells of the plan in which heights are compared."""
@@ -24,6 +65,104 @@ TOP_SHARE = 0.5
 
 ABOVE_SHARE = 0.3
 """Of the cells, in which more is above that height, from which on it is no top: a desk has shelves on it."""
+
+
+def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface) -> tuple[tuple[Group, ...], list[Label], list[str]]:
+    """The instances of a scan, with what was annotated together with another as instances of their own, and a line for each: furniture
+    with the rug that it stands on, its category guessed from its size; a worktop with one of the cabinets below it."""
+    normals, areas = vertex_normals(world.vertices, world.faces), vertex_areas(world)
+    made, labels, notes = list(groups), list(meanings), []
+    for at, (group, label) in enumerate(zip(groups, meanings, strict=True)):
+        points = world.vertices[group.vertices]
+        if label.is_structure or len(points) < STANDS_POINTS:
+            continue
+        parts: list[tuple[str, Integers]] = []
+        if mounting(label.category).kind == "covering":
+            standing = [group.vertices[own] for own in _standing_on(points)]
+            floor = float(np.quantile(points[:, 2], 0.05))
+            parts = [(_guessed(world.vertices[own], normals[own], areas[own], floor), own) for own in standing]
+            parts = [part for part in parts if part[0] != "object"]
+        elif label.category.split(" ")[-1] in KITCHEN:
+            others = [other.vertices for k, other in enumerate(groups) if k != at and not meanings[k].is_structure]
+            slab = _worktop(points, normals[group.vertices], world.vertices[np.concatenate([[], *others]).astype(np.int64)])
+            parts = [(WORKTOP, group.vertices[slab])] if slab.any() else []
+            if parts and label.category.split(" ")[-1] not in CABINETS:
+                labels[at] = Label(CABINET, CABINET_CLASS, is_known=True)
+        for number, (category, own) in enumerate(parts, start=1):
+            is_own = np.isin(world.faces[made[at].faces], own).all(axis=1)
+            name = f"{group.source_id}.{number}"
+            made.append(Group(name, f"{PROVIDER}:{category}", own, made[at].faces[is_own], group.origin))
+            labels.append(Label(category, OTHER_PROP, is_known=True))
+            rest = np.setdiff1d(made[at].vertices, own, assume_unique=True)
+            made[at] = dataclasses.replace(made[at], vertices=rest, faces=made[at].faces[~is_own])
+            notes.append(
+                f"{group.origin or group.source_id}: {group.raw_label!r} {group.source_id} has a {category} on it, which is {name} now"
+            )
+    return tuple(made), labels, notes
+
+
+def _guessed(points: Array, normals: Array, areas: Array, floor: float) -> str:
+    """Category of what stands at a height [m], whether its legs were seen or not; `object` when it looks like nothing that is known."""
+    feet = points * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
+    category = guessed(np.concatenate([points, feet]), np.concatenate([normals, 0.0 * normals]), np.concatenate([areas, 0.0 * areas]))
+    if category in ("bed", "sofa") and points[:, 2].min() > floor + RAISED_M:
+        return "table"
+    pose, size = oriented_box(points)
+    across = (points - pose[:3, 3]) @ pose[:3, :2] / size[:2]
+    corner = (np.abs(across) > 0.5 - CORNER_SHARE).all(axis=1)
+    counts = np.bincount((across[corner] > 0.0) @ np.array([1, 2]), minlength=4)
+    return "sofa" if category == "bed" and counts.min() < LEAST_FILLED * counts.max() else category
+
+
+def _standing_on(points: Array) -> list[Integers]:
+    """What stands on a rug: which points are of each, the largest first; points of the rug and of all that is annotated with it, shape
+    (n, 3) [m]."""
+    heights = points[:, 2]
+    low = float(np.quantile(heights, 0.05))
+    high = np.flatnonzero(heights > low + THICK_M)
+    cells = np.floor(points[:, :2] / CELL_M).astype(np.int64)
+    covered = len(np.unique(cells[high], axis=0))
+    if not covered or 1.0 - covered / len(np.unique(cells, axis=0)) < LEAST_FLAT:
+        return []
+    clump, _ = clumps(points[high], STANDS_GAP_M)
+    standing = [high[clump == k] for k in range(int(clump.max()) + 1)]
+    standing = [own for own in standing if len(own) >= STANDS_POINTS and heights[own].max() >= low + STANDS_M]
+    return sorted(standing, key=lambda own: (-len(own), int(own[0])))
+
+
+def _worktop(points: Array, normals: Array, rest: Array) -> Booleans:
+    """Which points are of a worktop that runs on beyond the cabinet that it is annotated with, over what else stands there, shape (n, 3)
+    to (n,); none where none does. rest: points of all other objects, shape (m, 3) [m]."""
+    heights = points[:, 2]
+    level = (normals[:, 2] > LEVEL_NORMAL) & (heights >= WORKTOP_M[0]) & (heights <= WORKTOP_M[1])
+    nothing = np.zeros(len(points), dtype=np.bool_)
+    if level.sum() < STANDS_POINTS:
+        return nothing
+    bins = np.floor(heights[level] / LEVEL_M).astype(np.int64)
+    values, counts = np.unique(bins, return_counts=True)
+    top = float(np.median(heights[level][np.abs(bins - values[np.argmax(counts)]) <= 1]))
+    slab = level & (np.abs(heights - top) <= SLAB_M)
+    body = (heights < top - SLAB_M) & (heights > THICK_M)
+    if body.sum() < STANDS_POINTS or np.ptp(heights[body]) < BODY_M:
+        return nothing
+    pose, size = oriented_box(points[slab])
+    along = int(np.argmax(size[:2]))
+    if size[1 - along] > WORKTOP_DEEP_M:  # round a corner: one cannot tell which way each part of the front looks
+        return nothing
+    local, below = ((cloud - pose[:3, 3]) @ pose[:3, :3] for cloud in (points, rest))
+    is_below = (rest[:, 2] < top - SLAB_M) & (rest[:, 2] > THICK_M) & (np.abs(below[:, 1 - along]) <= 0.5 * size[1 - along] + CELL_M)
+    steps = round(float(size[along]) / CELL_M)
+    covered, others = (
+        np.bincount(places[(places >= 0) & (places < steps)], minlength=steps) > 0
+        for places in (
+            np.floor((line + 0.5 * size[along]) / CELL_M).astype(np.int64) for line in (local[body, along], below[is_below, along])
+        )
+    )
+    alone = ~(covered | np.roll(covered, 1) | np.roll(covered, -1))
+    if alone.sum() * CELL_M < BEYOND_M or (alone & others).sum() < OTHERS_SHARE * alone.sum():
+        return nothing
+    is_over = (np.abs(local[:, :2]) <= 0.5 * size[:2] + CELL_M).all(axis=1)
+    return np.asarray((heights >= top - SLAB_M) & is_over)
 
 
 def own_size(points: Array, category: str) -> Array:

@@ -131,7 +131,7 @@ def geometry_groups(world: Surface) -> tuple[tuple[Group, ...], list[str]]:
         support, items = _items(world.vertices, normals, areas, members)
         for part in (support, *items):
             if len(part) >= _MIN_POINTS:
-                take(_guess(world.vertices[part], normals[part], areas[part]), part)
+                take(guessed(world.vertices[part], normals[part], areas[part]), part)
     objects = sum(category not in ("floor", "wall", "ceiling") for category, _ in groups)
     rows = [(str(index), f"{PROVIDER}:{category}", np.sort(members)) for index, (category, members) in enumerate(groups)]
     note = f"instances found in the geometry: {objects} objects, categories guessed from their sizes"
@@ -258,7 +258,7 @@ def _over(points: Array, top: Array) -> NDArray[np.bool_]:
     return np.isfinite(distance)
 
 
-def _guess(points: Array, normals: Array, areas: Array) -> str:
+def guessed(points: Array, normals: Array, areas: Array) -> str:
     """Category by the first rule that fits; `object` when none does."""
     pose, size = oriented_box(points)
     length, width, height = float(size[:2].max()), float(size[:2].min()), float(size[2])
