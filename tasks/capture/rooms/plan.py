@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 CELL_M = 0.05
 """Cell of the floor plan: two to three vertices of a usual scan mesh wide, a tenth of the narrowest passage."""
 
+_UPRIGHT = 0.5
+"""Vertical part of the normal of a wall that bounds the floor: less than that of a slope of 60 degrees."""
+
 _BRIDGE_CELLS = 3
 """Parts of the plan are grown by as many cells to see which are one: rooms with a wall of up to 30 cm between them."""
 
@@ -51,7 +54,8 @@ class FloorCells:
         low, high = np.percentile(base, [0.05, 99.95], axis=0)
         origin = low - 6 * CELL_M
         shape = np.ceil((high - low) / CELL_M).astype(int) + 12
-        is_wall = (kinds == WALL) & (z < height)
+        is_upright = np.abs(cloud.normals[:, 2]) < _UPRIGHT  # floor runs on below a slanted wall
+        is_wall = (kinds == WALL) & (z < height) & is_upright
         floor, objects, walls = (_raster(cloud.points[where, :2], origin, shape) for where in (is_floor, is_object, is_wall))
         # Floor is seen once in a cell, but a single point of an object may be a stray one.
         raw = (floor >= 1) | (objects >= 2)

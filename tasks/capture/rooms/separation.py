@@ -48,6 +48,9 @@ PARTING_M = 1.6
 LEAST_ROOM_M2 = 1.0
 """Less floor than this is a shaft, or the space between two leaves of a wall."""
 
+_GRID_M = 1e-6
+"""Corners of doorways lie on a grid: beside askew walls they have slivers, which rounding would let cross themselves."""
+
 _SLIT_M = 0.02
 """Slits between walls that are narrower than twice this are part of the wall: scanned faces do not quite meet."""
 
@@ -100,7 +103,8 @@ def separated(outline: Array, interior_walls: Sequence[Sequence[float]], is_seen
         return Separation((_turned(whole),), shapely.Polygon())
     floors = _with_niches(floors, [part for part in parts if part.area < LEAST_ROOM_M2], whole.intersection(shapely.union_all(gaps)))
     rooms = sorted((_without_holes(floor, floors) for floor in floors), key=_rank)
-    return Separation(tuple(rooms), whole.intersection(shapely.union_all(gaps)).difference(shapely.union_all(floors)))
+    closed = whole.intersection(shapely.union_all(gaps), grid_size=_GRID_M)
+    return Separation(tuple(rooms), closed.difference(shapely.union_all(floors), grid_size=_GRID_M))
 
 
 def corners_of(room: Polygon) -> Array:

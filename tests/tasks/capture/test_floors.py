@@ -11,7 +11,8 @@ from tasks.capture.instances.segmentation import geometry_groups
 from tasks.capture.rooms.alignment import facets, floor_height
 from tasks.geometry.meshes import Surface
 from tests.capture_scans import plate
-from tests.tasks.capture.test_partitions import estimated, shell, solid_piece
+from tests.tasks.capture.test_partitions import DEPTH, WIDTH, estimated, shell, solid_piece
+from tests.tasks.capture.test_slopes import attic
 
 
 def level(area: float, height: float, cells: int = 12, noise: float = 0.0, seed: int = 0) -> np.ndarray:
@@ -63,6 +64,16 @@ def test_a_corner_that_furniture_hides_is_floor_where_walls_face_it() -> None:
 
     assert shapely.Polygon(hidden_corner(True)).area == pytest.approx(24.0, abs=0.3)
     assert shapely.Polygon(hidden_corner(False)).area < 22.5, "neither wall of it was seen: nobody knows"
+
+
+def test_floor_that_furniture_hides_below_a_slanted_wall_is_floor() -> None:
+    """A sofa over the whole width of an attic, below the slope: of the floor there, nothing is seen."""
+    import shapely
+
+    sofa = solid_piece("bed", (0.0, 0.0, 0.7), (WIDTH, 1.2, 0.74))
+    shape = estimated([*attic(1.0, 1.4), sofa], without=(0.0, 0.0, -0.1, WIDTH, 1.2, 0.6))
+    assert shapely.Polygon(shape.polygon).area == pytest.approx(WIDTH * DEPTH, abs=0.3)
+    assert len(shape.slopes) == 1
 
 
 def test_what_lies_outside_of_walls_is_no_floor() -> None:

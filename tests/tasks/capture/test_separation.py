@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -75,6 +75,7 @@ def check_rooms(outline: Array, walls: list[Wall], found: Separation) -> None:
     solid = [_footprint(wall).buffer(0.05, join_style="mitre") for wall in walls]
     rest = whole.difference(shapely.union_all([union, found.doorways.buffer(0.05, join_style="mitre"), *solid]))
     assert all(part.area < LEAST_ROOM_M2 for part in shapely.get_parts(rest))
+    assert found.doorways.is_valid
     assert found.doorways.intersection(union).area < 0.01
 
 
@@ -112,7 +113,14 @@ def partitioned(draw: st.DrawFn) -> tuple[Array, list[Wall]]:
     return np.array(corners), walls
 
 
+SLIVER = [[0.0, 0.0], [9.078125, 0.0], [9.078125, 1.5], [0.0, 1.5]], (
+    2.1009245235674556, 0.17374988704425876, 0.917996033761385, 1.765963590284146, 0.04, 2.0,
+)  # fmt: skip
+"""An outline, and an askew wall that leaves a sliver of a doorway."""
+
+
 @given(partitioned())
+@example((np.array(SLIVER[0]), [SLIVER[1]]))
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_rooms_are_disjoint_inside_and_nothing_is_lost_but_walls(made: tuple[Array, list[Wall]]) -> None:
     outline, walls = made
