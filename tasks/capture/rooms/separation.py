@@ -49,7 +49,7 @@ LEAST_ROOM_M2 = 1.0
 """Less floor than this is a shaft, or the space between two leaves of a wall."""
 
 _GRID_M = 1e-6
-"""Corners of doorways lie on a grid: beside askew walls they have slivers, which rounding would let cross themselves."""
+"""Corners lie on a grid: beside askew walls there are slivers, which rounding lets cross themselves, or take the largest room away."""
 
 _SLIT_M = 0.02
 """Slits between walls that are narrower than twice this are part of the wall: scanned faces do not quite meet."""
@@ -95,9 +95,9 @@ def separated(outline: Array, interior_walls: Sequence[Sequence[float]], is_seen
         return Separation((_turned(whole),), shapely.Polygon())
     gaps = _gaps(whole, walls, is_seen)
     around = whole.buffer(0.5, join_style="mitre").difference(whole)
-    solid = shapely.union_all([around, *(wall.polygon() for wall in walls), *gaps])
+    solid = shapely.union_all([around, *(wall.polygon() for wall in walls), *gaps], grid_size=_GRID_M)
     solid = solid.buffer(_SLIT_M, join_style="mitre").buffer(-_SLIT_M, join_style="mitre")
-    parts = [part for part in shapely.get_parts(whole.difference(solid)) if part.area > 1e-6]
+    parts = [part for part in shapely.get_parts(whole.difference(solid, grid_size=_GRID_M)) if part.area > 1e-6]
     floors = [part for part in parts if part.area >= LEAST_ROOM_M2]
     if not floors:
         return Separation((_turned(whole),), shapely.Polygon())
