@@ -27,8 +27,9 @@ from tasks.exports.usd.prims import (
 SUPPORT_M = 5e-4
 """How far colliders may reach below what is seen [m]: float32 positions in a room are good to a micrometre, hulls to a tenth."""
 
-TIPPED_SUPPORT_M = 5e-3
-"""The same for what leans or was laid down [m]: only the bottoms of colliders are made to end where what is seen does."""
+TIPPED_SUPPORT_M = 1e-2
+"""The same for what leans or was laid down [m]: only the bottoms of colliders end where what is seen does; rounded sides may be off by
+as much (`PieceConfig.deviation_m`), the corner of a leaning pillow by 5.2 mm."""
 
 TIPPED = 0.02
 """What leans by more than this is tipped [rad]: a degree."""

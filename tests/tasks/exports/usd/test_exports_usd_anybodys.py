@@ -81,7 +81,8 @@ def test_the_box_of_a_primitive_counts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("degrees", "deep", "expected"), [(0.5, 0.003, True), (12.0, 0.003, False), (12.0, 0.008, True), (180.0, 0.008, True)]
+    ("degrees", "deep", "expected"),
+    [(0.5, 0.003, True), (12.0, 0.003, False), (12.0, 0.009, False), (12.0, 0.013, True), (180.0, 0.013, True)],
 )
 def test_what_leans_may_be_off_by_more(degrees: float, deep: float, expected: bool, tmp_path: Path) -> None:
     from pxr import Gf, UsdGeom, UsdPhysics
