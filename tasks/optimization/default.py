@@ -234,6 +234,14 @@ def _brought_in(interior: Interior, shapes: Shapes, stand: Stand, supports: Supp
         if way is not None and math.hypot(*way) > 1e-6:
             shift(shapes, stand, groups[i], (*way, 0.0))
             moves.append((i, way, outcome))
+            stays: set[int] = set()
+            for k in groups[i][1:] if outcome == "hung" else ():
+                # a worktop lies at its wall whatever its cabinet does, and a sink with it
+                if k not in stays and interior.fixed[k] and interior.carriers[k].against is not None:
+                    back = (-way[0], -way[1])
+                    shift(shapes, stand, groups[k], (*back, 0.0))
+                    moves.append((k, back, outcome))
+                    stays.update(groups[k])
     return moves
 
 

@@ -59,6 +59,9 @@ FILLED_SHARE = 0.3
 RAISED_M = 0.1
 """What never hangs and ends higher above the floor stands on other furniture, which nobody pushes it over to reach the wall."""
 
+HOOD = "hood"
+"""Last word of what hangs and is as deep as the cabinets beside it."""
+
 RAISED = ("platform", "stage", "step", "steps", "stairs")
 """What furniture stands on as on the floor."""
 
@@ -92,7 +95,8 @@ def with_hidden_parts(
         below = _below(i, rows[i], kind, seen, raised, passed)
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
         bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below
-        if kind.is_boxy and (kind.is_fitted or not (kind.kind == "stands" and bottom > RAISED_M)):
+        is_hood = rows[i].category.split(" ")[-1] == HOOD
+        if is_hood or kind.is_boxy and (kind.is_fitted or not (kind.kind == "stands" and bottom > RAISED_M)):
             sides[:4] = _behind(i, rows[i], sides, seen, walls)
         if kind.base == "pole" and below > 0.0:
             sides[:4] = np.repeat(np.maximum(0.5 * (POLE_WIDTH_M - np.array(rows[i].box_size[:2])), 0.0), 2)

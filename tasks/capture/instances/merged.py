@@ -83,8 +83,8 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
             parts = [(_guessed(world.vertices[own], normals[own], areas[own], floor), own) for own in standing]
             parts = [part for part in parts if part[0] != "object"]
         elif label.category.split(" ")[-1] in KITCHEN:
-            others = [other.vertices for k, other in enumerate(groups) if k != at and not meanings[k].is_structure]
-            slab = _worktop(points, normals[group.vertices], world.vertices[np.concatenate([[], *others]).astype(np.int64)])
+            neighbors = [other.vertices for k, other in enumerate(groups) if k != at and not meanings[k].is_structure]
+            slab = _worktop(points, normals[group.vertices], world.vertices[np.concatenate([[], *neighbors]).astype(np.int64)])
             parts = [(WORKTOP, group.vertices[slab])] if slab.any() else []
             if parts and label.category.split(" ")[-1] not in CABINETS:
                 labels[at] = Label(CABINET, CABINET_CLASS, is_known=True)
@@ -152,14 +152,14 @@ def _worktop(points: Array, normals: Array, rest: Array) -> Booleans:
     local, below = ((cloud - pose[:3, 3]) @ pose[:3, :3] for cloud in (points, rest))
     is_below = (rest[:, 2] < top - SLAB_M) & (rest[:, 2] > THICK_M) & (np.abs(below[:, 1 - along]) <= 0.5 * size[1 - along] + CELL_M)
     steps = round(float(size[along]) / CELL_M)
-    covered, others = (
+    covered, elsewhere = (
         np.bincount(places[(places >= 0) & (places < steps)], minlength=steps) > 0
         for places in (
             np.floor((line + 0.5 * size[along]) / CELL_M).astype(np.int64) for line in (local[body, along], below[is_below, along])
         )
     )
     alone = ~(covered | np.roll(covered, 1) | np.roll(covered, -1))
-    if alone.sum() * CELL_M < BEYOND_M or (alone & others).sum() < OTHERS_SHARE * alone.sum():
+    if alone.sum() * CELL_M < BEYOND_M or (alone & elsewhere).sum() < OTHERS_SHARE * alone.sum():
         return nothing
     is_over = (np.abs(local[:, :2]) <= 0.5 * size[:2] + CELL_M).all(axis=1)
     return np.asarray((heights >= top - SLAB_M) & is_over)

@@ -32,7 +32,8 @@ class WallFace:
     """A face of a wall that looks into the room, in the world frame [m].
 
     name: part of the room's shell; None for a wall that was scanned where the shell has none. start: one end, shape (2,).
-    along: unit vector to the other end. inward: unit normal into the room. height: of its top over the floor.
+    along: unit vector to the other end. inward: unit normal into the room. height: of its top over the floor. behind: what lies wholly
+    farther behind it belongs to another room; an interior wall has one behind its other face, the middle of the wall between them.
     """
 
     name: str | None
@@ -41,6 +42,7 @@ class WallFace:
     inward: Array
     length: float
     height: float
+    behind: float = BEHIND_M
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +63,8 @@ def wall_faces(room: Shell) -> list[WallFace]:
         faces += [_face(f"wall_{i:02d}", a, b, room.height_m) for i, (a, b) in enumerate(zip(ring, np.roll(ring, -1, axis=0), strict=True))]
         for i, (wall, corners) in enumerate(zip(room.interior_walls, interior_footprints(room), strict=True)):
             # the room lies to the right of the footprint's edges
-            faces += [_face(f"inner_{i:02d}", b, a, wall[5]) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+            behind = min(BEHIND_M, 0.5 * wall[4])
+            faces += [_face(f"inner_{i:02d}", b, a, wall[5], behind) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
     except InputError:
         pass  # the shell cannot be built, which the stage says; the scanned walls are known all the same
     scanned = [
@@ -121,11 +124,11 @@ def wall_snap(obj: PlacedAsset, room: Shell, carrier: Carrier, wall_m: float = 0
     return float(move[0]), float(move[1])
 
 
-def _face(name: str | None, a: Array, b: Array, height: float) -> WallFace:
+def _face(name: str | None, a: Array, b: Array, height: float, behind: float = BEHIND_M) -> WallFace:
     """The face from `a` to `b`, with the room to its left."""
     length = float(np.linalg.norm(b - a))
     along = (b - a) / length
-    return WallFace(name, np.asarray(a, dtype=np.float64), along, np.array([-along[1], along[0]]), length, float(height))
+    return WallFace(name, np.asarray(a, dtype=np.float64), along, np.array([-along[1], along[0]]), length, float(height), behind)
 
 
 def _contact(obj: PlacedAsset, face: WallFace, within: float) -> WallContact | None:
@@ -135,7 +138,7 @@ def _contact(obj: PlacedAsset, face: WallFace, within: float) -> WallContact | N
     # the box says no for nearly every pair
     center, half = 0.5 * (obj.low + obj.high)[:2] - face.start, 0.5 * (obj.high - obj.low)[:2]
     off, reach = float(center @ face.inward), float(half @ np.abs(face.inward))
-    if off - reach > within or off + reach < -BEHIND_M:
+    if off - reach > within or off + reach < -face.behind:
         return None
     at, spread = float(center @ face.along), float(half @ np.abs(face.along))
     if at + spread < 0 or at - spread > face.length:
@@ -146,6 +149,6 @@ def _contact(obj: PlacedAsset, face: WallFace, within: float) -> WallContact | N
     if min(high, face.length) - max(low, 0.0) < 0.5 * (high - low):
         return None
     distance, far = float(away.min()), float(away.max())
-    if not (distance <= within and far >= -BEHIND_M):
+    if not (distance <= within and far >= -face.behind):
         return None
     return WallContact(face, distance, max(far - distance, 1e-4), max(high - low, 1e-4))

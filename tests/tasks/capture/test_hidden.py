@@ -130,6 +130,13 @@ def test_a_front_before_a_wall_is_the_front_of_a_body(depth: float, gap: float, 
     assert body_high == pytest.approx(high)
 
 
+def test_a_hood_is_as_deep_as_its_cabinets() -> None:
+    hood = grid((0.2, 1.0, 1.5), (0.5, 1.6, 2.0))
+    ((low, high),) = whole(("range hood", hood), floor=floor_without((0.0, 0.9), (0.6, 1.7)))
+    assert low == pytest.approx([0.0, 1.0, 1.5], abs=1e-9)
+    assert high == pytest.approx([0.5, 1.6, 2.0])
+
+
 def test_a_front_whose_back_was_seen_is_no_body() -> None:
     """A folding screen half a metre before a wall, the floor behind it in sight, and one with a box behind it."""
     front = grid((0.5, 1.0, 0.0), (0.55, 1.6, 0.86))

@@ -110,3 +110,23 @@ def test_a_room_whose_outline_crosses_itself_still_has_its_scanned_walls() -> No
     found = find_carriers([picture], bow, CONFIG)["0000"]
     assert (found.relation, found.against) == ("wall", None)
     assert wall_snap(picture, bow, found) == (0.0, 0.0)
+
+
+@given(
+    side=st.sampled_from([-1.0, 1.0]), gap=st.floats(-0.3, 0.4), thickness=st.floats(0.06, 0.25), along=st.floats(-1.0, 1.0),
+    category=st.sampled_from(["picture", "range hood", "kitchen cabinet", "curtain"]),
+)  # fmt: skip
+@settings(deadline=None)
+def test_nothing_is_snapped_through_an_interior_wall(side: float, gap: float, thickness: float, along: float, category: str) -> None:
+    depth = 0.3
+    place = room(interior=((0.0, -2.0, 0.0, 2.0, thickness, 2.5),))
+    middle = side * (0.5 * thickness + gap + 0.5 * depth)
+    obj = small(middle, along, 1.5, block(depth, 0.5, 0.5), category)
+    found = find_carriers([obj], place, CONFIG)["0000"]
+    move = np.array(wall_snap(obj, place, found))
+    after = side * (middle + move[0])
+    if found.against == "inner_00" and gap > -0.5 * depth:
+        assert after == pytest.approx(0.5 * (thickness + depth), abs=1e-9), "with its back on the face of its own room"
+    elif gap > 0.12:
+        assert found.against in (None, "ceiling")
+        assert move.tolist() == [0.0, 0.0]
