@@ -96,7 +96,7 @@ def with_hidden_parts(
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
         bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below
         is_hood = rows[i].category.split(" ")[-1] == HOOD
-        if is_hood or kind.is_boxy and (kind.is_fitted or not (kind.kind == "stands" and bottom > RAISED_M)):
+        if is_hood or (kind.is_boxy and (kind.is_fitted or not (kind.kind == "stands" and bottom > RAISED_M))):
             sides[:4] = _behind(i, rows[i], sides, seen, walls)
         if kind.base == "pole" and below > 0.0:
             sides[:4] = np.repeat(np.maximum(0.5 * (POLE_WIDTH_M - np.array(rows[i].box_size[:2])), 0.0), 2)
