@@ -143,6 +143,22 @@ def test_what_was_scanned_through_a_wall_is_pulled_in_with_all_it_carries() -> N
     assert {s.instance_id for s in outcome.rows["optimization_steps"] if s.outcome == "pulled_in"} == {"0000", "0002"}
 
 
+@pytest.mark.parametrize("off", [-0.05, 0.04], ids=["before", "in"])
+def test_a_worktop_stays_at_its_wall_when_its_cabinet_is_hung(off: float) -> None:
+    """Before the wall or into it: a hanging cabinet moves alone, under a fastened worktop with its sink."""
+    scene = Scene()
+    scene.add(block(0.55, 1.2, 0.56), translation([1.725 + off, 0.0, 0.3]), "kitchen cabinet")
+    scene.add(block(0.6, 1.3, 0.04), translation([1.7, 0.0, 0.86]), "kitchen counter")
+    scene.add(block(0.3, 0.4, 0.15), translation([1.7, 0.0, 0.9]), "sink")
+    outcome = scene.run()
+    before, after = poses_of(outcome, "proposed"), poses_of(outcome)
+    ways = {name: after[name][:3, 3] - before[name][:3, 3] for name in after}
+    assert ways["0000"] == pytest.approx([-off, 0.0, 0.0], abs=1e-7), "the cabinet's back is on the wall"
+    assert ways["0001"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    assert ways["0002"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    assert all(row.remains is None for row in outcome.rows["placements"])
+
+
 @pytest.mark.whole
 @METHODS
 def test_what_is_carried_moves_along(method: Paper | Default) -> None:
