@@ -149,7 +149,7 @@ def disturbed_scene(
             Selection(
                 scene_id=scene_id, instance_id=obj.name, rank=1, slot=1, asset_id=asset_id, score=1.0, chamfer_m=0.0, coverage=1.0,
                 foreign_share=None,
-                box_iou=1.0, color_similarity=1.0, pose=flat(pose), scale=scale, provider="bench", provider_version="1",
+                box_iou=1.0, color_similarity=1.0, pose=flat(pose), scale=scale, look=None, provider="bench", provider_version="1",
             )
         )  # fmt: skip
     context = Context(scene_id, "captions", 0, blobs)

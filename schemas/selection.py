@@ -11,7 +11,7 @@ class Selection:
 
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
-    rank: int = column("Rank by score, 1 is best", minimum=1)
+    rank: int = column("Rank by score, 1 is the choice; an asset that does for several that look alike goes first", minimum=1)
     slot: int = column("Slot of the candidate", minimum=1, maximum=10)
     asset_id: str = column("Asset", pattern=r"[0-9a-f]{64}")
     score: float = column("Weighted geometric score, higher is better", minimum=0, maximum=1)
@@ -29,5 +29,9 @@ class Selection:
     color_similarity: float = column("1 - Jensen-Shannon distance of the color histograms", minimum=0, maximum=1)
     pose: tuple[float, ...] = column("Asset to world frame, rotation about +Z, 4x4 row by row", unit="m", length=16)
     scale: tuple[float, ...] = column("Scale along the asset's own axes, applied before the pose", length=3, minimum=0.001)
+    look: str | None = column(
+        "First of the instances of its category that one asset was chosen for, since it fits each nearly as well as its best; null alone",
+        pattern=INSTANCE_PATTERN,
+    )
     provider: str = column("Who scored")
     provider_version: str = column("Version of the scoring")

@@ -15,6 +15,8 @@ from schemas.captions import Caption
 from schemas.capture import Instance
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.library import LibraryIndex, index_library, library_files
+from tasks.candidates.looks import exemplars
+from tasks.candidates.parametric import Parametric
 from tasks.candidates.provider import NothingToOffer, ProviderConfig
 from tasks.candidates.providers import provider_of
 from tasks.candidates.request import CandidateRequest
@@ -38,7 +40,12 @@ def run(*, instances: list[Instance], captions: list[Caption], library: Path | N
         problems.append("no library given: its slots are filled by the furniture generator and flagged as fallback")
     by_instance = {caption.instance_id: caption for caption in captions}
     objects = sorted((row for row in instances if not row.is_structure), key=lambda row: row.instance_id)
-    parts = [_Part(objects[k::PARTS], by_instance, objects, index, _context_of(objects[k::PARTS], context), config) for k in range(PARTS)]
+    looks = exemplars(objects, by_instance)
+    groups: dict[str, list[Instance]] = {}
+    for row in objects:  # what looks alike is of one part, which makes what they share once
+        groups.setdefault(looks.get(row.instance_id, row.instance_id), []).append(row)
+    dealt = [[row for group in list(groups.values())[k::PARTS] for row in group] for k in range(PARTS)]
+    parts = [_Part(own, by_instance, objects, looks, index, _context_of(own, context), config) for own in dealt]
     filled = {name: slots for part in context.spread(_filled, [part for part in parts if part.own]) for name, slots in part.items()}
     candidates: list[Candidate] = []
     assets: dict[str, Asset] = {}
@@ -62,11 +69,13 @@ Slotted = list[tuple[Candidate, MadeAsset | None]]
 
 @dataclasses.dataclass(frozen=True)
 class _Part:
-    """Objects of a scene, `own`, with all that their slots are filled from; may go to another process."""
+    """Objects of a scene, `own`, with all that their slots are filled from; may go to another process. looks: of those that look alike,
+    which one stands for all."""
 
     own: Sequence[Instance]
     captions: Mapping[str, Caption]
     objects: Sequence[Instance]
+    looks: Mapping[str, str]
     library: LibraryIndex | None
     context: Context
     config: CandidatesConfig
@@ -80,28 +89,56 @@ def _context_of(objects: Sequence[Instance], context: Context) -> Context:
 
 def _filled(part: _Part) -> dict[str, Slotted]:
     """The slots of a part's own objects, by instance."""
+    requests = {
+        row.instance_id: CandidateRequest(row, part.captions.get(row.instance_id), part.context, part.library, part.objects)
+        for row in part.own
+    }
     filled: dict[str, Slotted] = {}
-    for instance in part.own:
-        request = CandidateRequest(instance, part.captions.get(instance.instance_id), part.context, part.library, part.objects)
-        filled[instance.instance_id] = [_fill(number, slot, request) for number, slot in enumerate(part.config.slots, start=1)]
+    fitted: dict[str, MadeAsset] = {}
+    # who stands for a look goes first
+    for name in sorted(requests, key=lambda name: (part.looks.get(name) != name, name)):
+        lender = requests[part.looks.get(name, name)]
+        filled[name] = [_fill(number, slot, requests[name], lender) for number, slot in enumerate(part.config.slots, start=1)]
+        if lender is not requests[name]:
+            filled[name] = _with_lent(filled[name], fitted.get(lender.instance.instance_id), lender)
+        elif name in part.looks:
+            fits = [made for row, made in filled[name] if made is not None and row.provider == Parametric.kind]
+            if fits:
+                fitted[name] = fits[0]
     return filled
 
 
-def _fill(number: int, slot: SlotConfig, request: CandidateRequest) -> tuple[Candidate, MadeAsset | None]:
-    """What a slot holds after its provider was asked, and its fallback where that has nothing."""
-    candidate, made = _attempt(number, slot.provider, request)
+def _with_lent(slots: Slotted, lent: MadeAsset | None, lender: CandidateRequest) -> Slotted:
+    """The slots of an instance with the template that was fitted to another one which looks like it, in place of the last that is filled
+    for want of something better; as they are where there is none."""
+    places = [k for k, (row, _) in enumerate(slots) if row.is_fallback and row.outcome == "filled"]
+    if lent is None or not places:
+        return slots
+    row, _ = slots[places[-1]]
+    reason = f"fitted to {lender.instance.instance_id}, which looks like it; {row.reason}"
+    provider = dataclasses.replace(
+        row, provider=Parametric.kind, provider_version=Parametric.version, reason=reason, asset_id=lent.asset.asset_id
+    )
+    return [*slots[: places[-1]], (provider, lent), *slots[places[-1] + 1 :]]
+
+
+def _fill(number: int, slot: SlotConfig, request: CandidateRequest, lender: CandidateRequest) -> tuple[Candidate, MadeAsset | None]:
+    """What a slot holds after its provider was asked, and its fallback where that has nothing. lender: the request of who stands for
+    the instance's look."""
+    candidate, made = _attempt(number, slot.provider, request, lender)
     if candidate.outcome != "empty" or slot.fallback is None:
         return candidate, made
-    return _attempt(number, slot.fallback, request, instead=candidate.reason)
+    return _attempt(number, slot.fallback, request, lender, instead=candidate.reason)
 
 
 def _attempt(
-    number: int, provider: ProviderConfig, request: CandidateRequest, instead: str | None = None
+    number: int, provider: ProviderConfig, request: CandidateRequest, lender: CandidateRequest, instead: str | None = None
 ) -> tuple[Candidate, MadeAsset | None]:
     """What one provider puts into a slot. `instead`: why the slot's own provider did not, when this is the fallback."""
     is_fallback = instead is not None
     try:
-        made = provider_of(provider).offer(request, provider)
+        family = provider_of(provider)
+        made = family.offer(lender if family.draws_looks else request, provider)
     except NothingToOffer as nothing:
         return _row(number, provider, request, outcome="empty", reason=str(nothing), is_fallback=is_fallback), None
     except Exception as error:  # one slot of one instance never stops the others; the row tells what happened

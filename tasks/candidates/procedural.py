@@ -23,7 +23,7 @@ class Procedural(Config):
 
     kind: ClassVar[str] = "procedural"
     variant: Whole = 1  # others draw other styles (slats or panel, legs or pedestal)
-    version: str = "1"  # goes up when the same instance would get another model
+    version: str = "2"  # goes up when the same instance would get another model
 
 
 def procedural_asset(request: CandidateRequest, provider: Procedural) -> MadeAsset:
@@ -69,4 +69,4 @@ def fronted_extents(category: str, extents: tuple[float, float, float]) -> tuple
     return (y, x, z) if long and (x > y) != (typical_x > typical_y) else extents
 
 
-PROCEDURAL = CandidateProvider(name="procedural", config=Procedural, offer=procedural_asset)
+PROCEDURAL = CandidateProvider(name="procedural", config=Procedural, offer=procedural_asset, draws_looks=True)

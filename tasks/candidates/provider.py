@@ -36,7 +36,8 @@ class CandidateProvider:
     """A member of the family `schemas.families.candidate_providers`: who can fill a slot.
 
     config: What it can be told, a `ProviderConfig`. offer: The asset for an instance, as a config says; NothingToOffer where it has
-    none. label: Its name in rows, where that hangs on its config. needs_library: It has nothing without a library.
+    none. label: Its name in rows, where that hangs on its config. needs_library: It has nothing without a library. draws_looks: What it
+    makes for the best seen of those that look alike is the candidate of all.
     """
 
     name: str
@@ -44,6 +45,7 @@ class CandidateProvider:
     offer: Callable[[CandidateRequest, Any], MadeAsset]
     label: Callable[[Any], str] | None = None
     needs_library: bool = False
+    draws_looks: bool = False
 
     def row_name(self, config: ProviderConfig) -> str:
         """The provider as rows name it."""

@@ -17,6 +17,7 @@ from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import flat, inverse, transform_points, translation, yaw_of, yaw_pose
 from tasks.selection.alignment import AlignmentConfig, Distances, Fit, Sample, ScannedInstance, align, make_target, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.selection.looks import shared
 from tasks.selection.neighbors import Neighborhood, foreign_share
 from tasks.settings import Config, Texts
 from tasks.stage import Context, Outcome, Stage
@@ -24,7 +25,7 @@ from tasks.stage import Context, Outcome, Stage
 __all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "completeness", "is_own_geometry", "run", "score_of"]
 
 PROVIDER = "geometric"
-PROVIDER_VERSION = "3"
+PROVIDER_VERSION = "4"
 
 LEAST_WITHIN = 0.3
 """A box that holds less than this share of its points is none to go by."""
@@ -44,7 +45,8 @@ class ScoreConfig(Config):
     threshold_m: float = 0.03  # covered within 3 cm, the noise of a room scan ...
     threshold_share: float = 0.05  # ... or a twentieth of the diagonal, where that is less: a mug is not covered by a point 3 cm off
     threshold_least_m: float = 0.01  # but no scan is finer than this
-    falloff: float = 0.04  # of the diagonal: the mean distance at which closeness falls to 1/e
+    falloff: float = 0.04  # of the diagonal: the mean distance at which closeness falls to 1/e; never less than the scan's resolution
+    look_loss: float = 0.02  # an asset that scores this much less than an instance's best does where it does for several
     own_geometry: Texts = ("scan_crop",)  # providers, by how their names begin, whose assets are the scan itself
     own_fit_ceiling: float = 0.8  # such an asset fits itself; its fit counts like that of a good model, never as a perfect one
     own_completeness: float = 0.4  # it shows what the scan saw: its back and inside are a guess
@@ -69,7 +71,7 @@ def run(
     context: Context,
     config: SelectionConfig,
 ) -> Outcome:
-    """Selections: one row per filled slot of every instance, ranked by score; equal scores by slot.
+    """Selections: one row per filled slot of every instance, ranked by score; equal scores by slot, and first what several share.
 
     A candidate whose mesh cannot be read is left out, and so is an instance without any candidate; both are said.
     """
@@ -82,7 +84,7 @@ def run(
     degradations: list[str] = []
     for asset_id in sorted({c.asset_id for rows in by_instance.values() for c in rows if c.asset_id}):
         samples[asset_id] = _sample(by_asset.get(asset_id), asset_id, context, config, degradations)
-    selections: list[Selection] = []
+    rankings: dict[str, list[Selection]] = {}
     neighborhood = Neighborhood.of(instances, context.blobs)
     for instance in sorted(instances, key=lambda i: i.instance_id):
         if instance.is_structure:
@@ -91,8 +93,10 @@ def run(
         if not usable:
             degradations.append(f"{instance.instance_id}: no candidate to select from")
             continue
-        selections += _rank(instance, usable, by_asset, samples, neighborhood, context, config)
-    return Outcome(selections=selections, degradations=degradations)
+        rankings[instance.instance_id] = _rank(instance, usable, by_asset, samples, neighborhood, context, config)
+    categories = {row.instance_id: row.category for row in instances}
+    rankings = shared(rankings, categories, config.score.look_loss)
+    return Outcome(selections=[row for rows in rankings.values() for row in rows], degradations=degradations)
 
 
 STAGE = Stage(
@@ -106,11 +110,12 @@ STAGE = Stage(
 
 def score_of(
     distances: Distances, box_iou: float, color: float, complete: float, own: bool, diagonal: float, config: ScoreConfig,
-    foreign: float = 0.0,
+    foreign: float = 0.0, resolution: float = 0.0,
 ) -> float:  # fmt: skip
-    """Weighted score in 0..1. `own`: the asset is made of the instance's own points. `diagonal`: of its box [m]. `foreign`: share of
-    what was seen in it that is not the instance's."""
-    scan, asset = (float(np.exp(-d / (config.falloff * diagonal))) for d in (distances.scan, distances.asset))
+    """Weighted score in 0..1. `own`: the asset is made of the instance's own points. `diagonal`: of its box, `resolution`: distance
+    between neighboring points of its scan [m]. `foreign`: share of what was seen in it that is not the instance's."""
+    falloff = max(config.falloff * diagonal, resolution)
+    scan, asset = (float(np.exp(-d / falloff)) for d in (distances.scan, distances.asset))
     coverage = distances.coverage
     if own:
         coverage, scan, asset = (min(v, config.own_fit_ceiling) for v in (coverage, scan, asset))
@@ -189,7 +194,7 @@ def _rank(
                 rank=1,
                 slot=candidate.slot,
                 asset_id=asset_id,
-                score=score_of(distances, iou, color, complete, own, target.diagonal, score, foreign),
+                score=score_of(distances, iou, color, complete, own, target.diagonal, score, foreign, target.resolution),
                 chamfer_m=distances.chamfer,
                 coverage=distances.coverage,
                 box_iou=iou,
@@ -197,6 +202,7 @@ def _rank(
                 color_similarity=color,
                 pose=flat(frame @ yaw_pose(fit.yaw, fit.offset)),
                 scale=tuple(float(v) for v in fit.scale),
+                look=None,
                 provider=PROVIDER,
                 provider_version=PROVIDER_VERSION,
             )

@@ -57,14 +57,15 @@ HIDDEN_M = 0.05
 @dataclasses.dataclass(frozen=True)
 class ScannedInstance:
     """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
-    `spacing`: distance between neighboring points [m]; `seen`: lowest and highest corner of the part of the box that the scan could
-    see, shape (2, 3) [m]. Known once they were asked for: `spans`, its size and middle along the axes of an asset, by the asset's yaw;
-    `parts`, the instance with fewer points, by how many."""
+    `spacing`: distance between neighboring points [m]; `resolution`: the same of all points that the scan has of it; `seen`: lowest
+    and highest corner of the part of the box that the scan could see, shape (2, 3) [m]. Known once they were asked for: `spans`, its
+    size and middle along the axes of an asset, by the asset's yaw; `parts`, the instance with fewer points, by how many."""
 
     points: Array
     colors: NDArray[np.uint8]
     size: Array
     spacing: float
+    resolution: float
     seen: Array = dataclasses.field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
     spans: dict[float, tuple[Array, Array]] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
     parts: dict[int, ScannedInstance] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
@@ -180,7 +181,7 @@ def make_target(
     size, lost = np.maximum(size, 5e-3), np.zeros(6) if hidden is None else np.asarray(hidden, dtype=np.float64)
     low, high = np.array([-0.5 * size[0], -0.5 * size[1], 0.0]), np.array([0.5 * size[0], 0.5 * size[1], size[2]])
     seen = np.array([np.where(lost[0::2] > 0, low + lost[0::2], -np.inf), np.where(lost[1::2] > 0, high - lost[1::2], np.inf)])
-    return ScannedInstance(thinned, colors, size, spacing(thinned), seen)
+    return ScannedInstance(thinned, colors, size, spacing(thinned), spacing(points), seen)
 
 
 def measure(target: ScannedInstance, sample: Sample, fit: Fit, threshold: float, config: AlignmentConfig) -> Distances:
