@@ -43,15 +43,19 @@ PLAIN_SHARE = 0.5
 POINTS = 200
 """Points that a caption's colors are taken from."""
 
+FITTED = ("kitchen counter",)
+"""What the generator sets along a wall, to which kitchens have it screwed."""
+
 _WOULD_NOT_MOVE = ("let_in", "covering")
 
 
 @dataclasses.dataclass(frozen=True)
 class Carried:
-    """What carried an object before it was disturbed. relation: `floor`, `on`, `wall` or `ceiling`."""
+    """What carried an object before it was disturbed. relation: `floor`, `on`, `wall` or `ceiling`. is_fitted: screwed to its wall."""
 
     relation: str
     parent_id: str | None
+    is_fitted: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +162,10 @@ def disturbed_scene(
         "instances": instances, "selections": selections, "shells": [room], "surfaces": [], "captions": described.rows["captions"],
         "assets": [assets[key] for key in sorted(assets)], "annotations": [],
     }  # fmt: skip
-    carried = {obj.name: Carried(obj.relation, obj.parent) for obj in objects}
+    carried = {
+        obj.name: Carried(obj.relation, obj.parent, obj.relation == "floor" and item.category in FITTED)
+        for obj, item in zip(objects, furnished.objects, strict=True)
+    }
     return BenchScene(scene_id, rows, blobs, carried, {obj.name: obj.pose for obj in objects}, tuple(done))
 
 

@@ -252,7 +252,7 @@ class _Laboratory:
         reported = reported_losses(outcome, self.was_carried) if outcome is not None else set()
         said_outside = reported_outside(outcome) if outcome is not None else set()
         disagreeing, checked = self._disagreeing(pairs, poses, outcome) if outcome is not None else ((), 0)
-        drawn_fixed = {name for name, c in self.was_carried.items() if c.relation in ("wall", "ceiling")}
+        drawn_fixed = {name for name, c in self.was_carried.items() if c.relation in ("wall", "ceiling") or c.is_fitted}
         reaches = [(name, posed.reach_outside(name)) for name in free]
         outside = tuple((name, reach) for name, reach in reaches if reach > OUTSIDE_M)
         return Verdict(

@@ -259,6 +259,20 @@ def test_a_changed_support_is_counted_and_told_apart_from_a_reported_one() -> No
     assert v.lost_silently == ("0003",), "it hangs on no wall"
 
 
+def test_a_counter_along_a_wall_is_rightly_fixed_and_what_was_drawn_standing_is_not() -> None:
+    of = at_rest(
+        ("kitchen counter", (0.6, 1.6, 0.9), yaw_pose(0.0, [0.3, 1.5, 0.0]), "floor"),
+        ("kitchen cabinet", (0.4, 1.0, 0.7), yaw_pose(np.pi, [3.8, 1.5, 1.5]), "wall"),
+    )
+    assert of.carried is not None
+    assert [name for name, carried in of.carried.items() if carried.is_fitted] == ["0000"]
+    free = dataclasses.replace(of, carried={name: Carried("floor", None) for name in of.carried})
+    for drawn, wrong in ((of, ()), (free, ("0000", "0001"))):
+        states = {one.state: one for one in judge(drawn, ("paper",), 0, defaultdict(dict)).verdicts}
+        assert states["paper"].fixed_wrongly == wrong
+        assert states["paper"].free == ()
+
+
 def test_a_rug_under_an_object_is_as_good_as_the_floor() -> None:
     of = at_rest(
         ("rug", (2.0, 1.5, 0.01), yaw_pose(0.0, [2.0, 1.5, 0.0]), "floor"),
