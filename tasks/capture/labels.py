@@ -89,17 +89,20 @@ class LabelMap:
     def of_size(self, raw_label: str, size_as: Callable[[str], NDArray[np.float64]]) -> Label:
         """Meaning of a label of an object, of which `size_as` says how large it is if it is of a category [m], shape (3,): a short word,
         or one that English has and the map has not, is a slip of the hand where what it is one letter away from is as large as the
-        object. A tale that is as large as a table is one, and so is a rg that is as large as a rug."""
+        object. A tale that is as large as a table is one, and so is a rg that is as large as a rug. Where a label is one letter away from
+        several, it is furniture that has the object's size before anything else: a soaf of two metres is a sofa, no soap."""
         label = self[raw_label]
-        if label.is_known:
+        if label.is_known and not label.is_respelled:
             return label
         text = normalized(raw_label)
         near = slips(text, self.entries, least_letters=SHORT_LETTERS)
-        slack = NOT_UNLIKE_SIZE if len(near) == 1 and not is_english(text) else LIKE_SIZE
-        for right in near:
+        likely = [
+            right for right in near if is_known(self.entries[right][0]) and max(typical_extents(self.entries[right][0])) >= LEAST_SIZE_M
+        ]
+        is_sure = len(likely if label.is_respelled else near) == 1 and not is_english(text)
+        for right in likely:
             meaning = self.entries[right]
-            usual = typical_extents(meaning[0])
-            if is_known(meaning[0]) and max(usual) >= LEAST_SIZE_M and is_of_size(size_as(meaning[0]), usual, slack):
+            if is_of_size(size_as(meaning[0]), typical_extents(meaning[0]), NOT_UNLIKE_SIZE if is_sure else LIKE_SIZE):
                 return Label(*meaning, is_known=True, is_respelled=True)
         return label
 

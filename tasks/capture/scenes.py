@@ -96,7 +96,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     blobs = Blobs()
     solids = _solids(reading, world, groups, context, config)
     if not format.is_modelled:
-        own_words = [label.is_known or reading.groups is None for label in meanings]
+        own_words = [(label.is_known and not label.is_respelled) or reading.groups is None for label in meanings]
         meanings = [
             label if is_known else labels.of_size(group.raw_label, partial(own_size, solid.points))
             for group, label, solid, is_known in zip(groups, meanings, solids, own_words, strict=True)

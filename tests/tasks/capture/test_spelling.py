@@ -40,6 +40,7 @@ def test_what_is_a_word_or_too_short_or_nothing_known_stays(raw: str) -> None:
         ("rg", (2.6, 3.3, 0.01), "rug"), ("rg", (2.6, 3.3, 0.5), None), ("rg", (0.3, 0.4, 0.01), None),  # a rug is flat
         ("sfa", (1.86, 2.22, 0.74), "sofa"), ("sfa", (0.2, 0.2, 0.2), None), ("lmp", (0.2, 0.2, 0.4), None),  # lamps are of any size
         ("a", (1.6, 2.3, 0.01), None),
+        ("soaf", (2.11, 1.8, 0.66), "sofa"), ("soaf", (0.08, 0.06, 0.03), "soap"), ("soaf", (5.0, 4.0, 2.5), "soap"),
     ],
 )  # fmt: skip
 def test_a_word_that_no_map_has_is_a_slip_where_the_object_is_as_large(raw: str, size: tuple[float, ...], category: str | None) -> None:
