@@ -83,6 +83,9 @@ def test_a_folder_holds_all_that_it_takes_to_answer(lake: Lake, tmp_path: Path) 
     named = {name for one in work["objects"] for name in (one["points"], one["mesh"], one["view"]) if name}
     named |= {one[name] for asked in work["objects"] for one in asked["candidates"] for name in ("glb", "thumbnail")}
     named |= {one["answers"] for one in work["annotators"]}
+    named |= {f"{tool}/{place:03d}.{ending}" for tool, ending in (("label-studio", "json"), ("cvat", "txt")) for place in (1, 2, 3)}
+    named |= {"label-studio/config.xml", "cvat/labels.json"}
+    named |= {f"sheets/b1~{one['scene_id'].replace('/', '~')}~{one['instance_id']}.jpg" for one in work["objects"]}
     assert named | {"work.json", "answers.json", "batch.schema.json", "work.schema.json"} == set(tree(tmp_path / "work"))
     assert [path for path in tmp_path.iterdir() if path.name.endswith(".making")] == []
     for one in work["objects"]:

@@ -1,0 +1,49 @@
+"""An object and its numbered candidates as one picture, for tools that show nothing but images."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from tasks.stats.style import INK, MUTED, PAPER
+from tasks.stats.thumbnails import OBJECT_PX, fitted
+
+PHOTO_PX, COLUMNS = 340, 5
+"""Edge of the photo, which is as high as two rows of candidates; candidates beside each other."""
+
+_MARGIN, _GAP, _TITLE, _NUMBER = 16, 12, 40, 26
+
+
+def object_sheet(title: str, photo: bytes | None, candidates: Sequence[tuple[int, bytes]]) -> bytes:
+    """JPEG: the best view of an object, or that there is none, and beside it pictures of its candidates below their slots.
+
+    Raises:
+        OSError: one of them is no image that can be read.
+    """
+    import matplotlib
+    from PIL import Image, ImageDraw, ImageFont
+
+    font_file = str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")  # the letters of the charts
+    large, small = ImageFont.truetype(font_file, 20), ImageFont.truetype(font_file, 16)
+    left = _MARGIN + PHOTO_PX + 2 * _GAP
+    width = left + COLUMNS * (OBJECT_PX + _GAP) - _GAP + _MARGIN
+    rows = max(2, -(-len(candidates) // COLUMNS))
+    height = _TITLE + rows * (_NUMBER + OBJECT_PX + _GAP) + _MARGIN
+    sheet = Image.new("RGB", (width, height), PAPER.light)
+    brush = ImageDraw.Draw(sheet)
+    brush.text((_MARGIN, _TITLE - 14), title, fill=INK.light, font=large, anchor="ls")
+    if photo is None:
+        brush.text((_MARGIN, _TITLE + _NUMBER), "no frame shows it", fill=MUTED.light, font=small, anchor="ls")
+    pictures = [] if photo is None else [(_MARGIN, _TITLE, fitted(photo, (PHOTO_PX, PHOTO_PX)))]
+    for place, (slot, picture) in enumerate(candidates):
+        x = left + (place % COLUMNS) * (OBJECT_PX + _GAP)
+        y = _TITLE + (place // COLUMNS) * (_NUMBER + OBJECT_PX + _GAP)
+        brush.text((x, y + _NUMBER - 8), str(slot), fill=INK.light, font=large, anchor="ls")
+        pictures.append((x, y + _NUMBER, fitted(picture, (OBJECT_PX, OBJECT_PX))))
+    for x, y, picture in pictures:
+        with Image.open(io.BytesIO(picture)) as opened:
+            sheet.paste(opened.convert("RGB"), (x, y))
+    made = io.BytesIO()
+    sheet.save(made, "JPEG", quality=85, optimize=True)
+    return made.getvalue()
