@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from schemas.capture import Instance
+from tasks.geometry.meshes import load_glb
+from tasks.geometry.transforms import matrix, yaw_of, yaw_pose
 from tasks.stats.style import INK, MUTED, PAPER
-from tasks.stats.thumbnails import OBJECT_PX, fitted
+from tasks.stats.thumbnails import OBJECT_PX, fitted, object_thumbnail
 
 PHOTO_PX, COLUMNS = 340, 5
 """Edge of the photo, which is as high as two rows of candidates; candidates beside each other."""
@@ -15,8 +18,18 @@ PHOTO_PX, COLUMNS = 340, 5
 _MARGIN, _GAP, _TITLE, _NUMBER = 16, 12, 40, 26
 
 
+def seen(instance: Instance, blobs: Mapping[str, bytes]) -> bytes | None:
+    """JPEG of an instance: its best view, where no frame shows it its scanned faces, drawn as assets are; None where it has neither."""
+    if instance.view_blob is not None:
+        return blobs[instance.view_blob]
+    if instance.mesh_blob is None:
+        return None
+    upright = yaw_pose(-yaw_of(matrix(instance.box_pose)), (0.0, 0.0, 0.0))[:3, :3]
+    return object_thumbnail(load_glb(blobs[instance.mesh_blob], f"{instance.instance_id}.glb"), turn=upright, px=PHOTO_PX)
+
+
 def object_sheet(title: str, photo: bytes | None, candidates: Sequence[tuple[int, bytes]]) -> bytes:
-    """JPEG: the best view of an object, or that there is none, and beside it pictures of its candidates below their slots.
+    """JPEG: a photo of an object, or that there is none, and beside it pictures of its candidates below their slots.
 
     Raises:
         OSError: one of them is no image that can be read.
@@ -34,7 +47,7 @@ def object_sheet(title: str, photo: bytes | None, candidates: Sequence[tuple[int
     brush = ImageDraw.Draw(sheet)
     brush.text((_MARGIN, _TITLE - 14), title, fill=INK.light, font=large, anchor="ls")
     if photo is None:
-        brush.text((_MARGIN, _TITLE + _NUMBER), "no frame shows it", fill=MUTED.light, font=small, anchor="ls")
+        brush.text((_MARGIN, _TITLE + _NUMBER), "neither frames nor faces of it", fill=MUTED.light, font=small, anchor="ls")
     pictures = [] if photo is None else [(_MARGIN, _TITLE, fitted(photo, (PHOTO_PX, PHOTO_PX)))]
     for place, (slot, picture) in enumerate(candidates):
         x = left + (place % COLUMNS) * (OBJECT_PX + _GAP)

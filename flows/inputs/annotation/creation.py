@@ -192,7 +192,7 @@ def _write(folder: Path, lake: Lake, reader: Reader, batch: WorkBatch, assignmen
     _json(folder / ANSWERS, {"$schema": SCHEMA_FILE.name, "batch_id": batch.batch_id, "files": files})
     for schema in (SCHEMA_FILE, WORK_SCHEMA_FILE):
         shutil.copyfile(schema, folder / schema.name)
-    _write_for_tools(folder, document, thumbnails, {(row.scene_id, row.instance_id): row.view_blob for row in instances}, lake.blobs)
+    _write_for_tools(folder, document, thumbnails, instances, lake.blobs)
     _json(folder / DOCUMENT, document)
 
 
@@ -200,24 +200,24 @@ def _write_for_tools(
     folder: Path,
     document: Mapping[str, Any],
     thumbnails: Mapping[str, bytes],
-    views: Mapping[tuple[str, str], str | None],
+    instances: Sequence[Instance],
     blobs: Mapping[str, bytes],
 ) -> None:
     """Write what Label Studio and CVAT import: a picture of every object, and for each annotator what they are asked, in its order.
 
-    `thumbnails`: JPEG by asset; `views`: blob of the best view by scene and instance, None where no frame shows it.
+    `thumbnails`: JPEG by asset; `instances`: those that the batch asks about.
     """
-    from tasks.stats.object_sheets import object_sheet
+    from tasks.stats.object_sheets import object_sheet, seen
 
     batch_id = document["batch_id"]
     for name in ("sheets", "label-studio", "cvat"):
         (folder / name).mkdir()
     objects = {(row["scene_id"], row["instance_id"]): row for row in document["objects"]}
     sheets = {key: f"sheets/{image_name(batch_id, *key)}" for key in objects}
-    for key, row in objects.items():
-        candidates = [(candidate["slot"], thumbnails[candidate["asset_id"]]) for candidate in row["candidates"]]
-        view = views[key]
-        picture = object_sheet(f"{' '.join(key)}: {row['category']}", None if view is None else blobs[view], candidates)
+    for instance in instances:
+        key = (instance.scene_id, instance.instance_id)
+        candidates = [(candidate["slot"], thumbnails[candidate["asset_id"]]) for candidate in objects[key]["candidates"]]
+        picture = object_sheet(f"{' '.join(key)}: {instance.category}", seen(instance, blobs), candidates)
         (folder / sheets[key]).write_bytes(picture)
     (folder / CONFIG_FILE).write_text(labeling_config(), encoding="utf-8")
     _json(folder / LABELS_FILE, labels())
