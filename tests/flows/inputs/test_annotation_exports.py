@@ -14,15 +14,13 @@ from click.testing import CliRunner
 from PIL import Image
 
 from flows.cli import cli
-from flows.inputs.annotation import BatchPlan, batch_list, create_batch, import_export, save_answers, submit
+from flows.inputs.annotation import batch_list, import_export, save_answers, submit
 from schemas.annotation import Annotation
 from schemas.errors import InputError
 from tasks.annotation.cvat import object_of
-from tests.annotated import SCENES, annotatable
+from tests.annotated import SCENES, annotatable, created
 from tests.annotation_exports import Given, Object, asked, cvat_export, cvat_project, label_studio_export, user, xml
 from warehouse.lake import Lake
-
-NAMES = ("ada", "bob", "cleo")
 
 
 @pytest.fixture
@@ -32,7 +30,7 @@ def lake(tmp_path: Path) -> Lake:
 
 @pytest.fixture
 def folder(lake: Lake, tmp_path: Path) -> Path:
-    create_batch(lake, BatchPlan("b1", NAMES, 2), tmp_path / "work")
+    created(lake, tmp_path / "work", overlap=2)
     return tmp_path / "work"
 
 
@@ -45,7 +43,7 @@ def rows(lake: Lake) -> list[Annotation]:
 def by_files(lake: Lake, tmp_path: Path, *batches: dict[str, Any]) -> list[Annotation]:
     """The same answers in another lake, after batch.schema.json."""
     other = annotatable(tmp_path / "other")
-    create_batch(other, BatchPlan("b1", NAMES, 2), tmp_path / "other_work")
+    created(other, tmp_path / "other_work", overlap=2)
     for batch in batches:
         save_answers(other, {"batch_id": "b1", "annotations": list(batch["annotations"])})
     return rows(other)
