@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from schemas.capture import Instance
 from tasks.geometry.meshes import load_glb
-from tasks.geometry.transforms import matrix, yaw_of, yaw_pose
+from tasks.geometry.transforms import yaw_pose
 from tasks.stats.style import INK, MUTED, PAPER
 from tasks.stats.thumbnails import OBJECT_PX, fitted, object_thumbnail
 
@@ -18,14 +17,15 @@ PHOTO_PX, COLUMNS = 340, 5
 _MARGIN, _GAP, _TITLE, _NUMBER = 16, 12, 40, 26
 
 
-def seen(instance: Instance, blobs: Mapping[str, bytes]) -> bytes | None:
-    """JPEG of an instance: its best view, where no frame shows it its scanned faces, drawn as assets are; None where it has neither."""
-    if instance.view_blob is not None:
-        return blobs[instance.view_blob]
-    if instance.mesh_blob is None:
-        return None
-    upright = yaw_pose(-yaw_of(matrix(instance.box_pose)), (0.0, 0.0, 0.0))[:3, :3]
-    return object_thumbnail(load_glb(blobs[instance.mesh_blob], f"{instance.instance_id}.glb"), turn=upright, px=PHOTO_PX)
+def seen(view: bytes | None, mesh: bytes | None, yaw_radians: float) -> bytes | None:
+    """JPEG of a scanned object: its best view, where no frame shows it its faces, drawn as assets are; None where it has neither.
+
+    mesh: GLB in the world frame, in which the object is turned by its yaw.
+    """
+    if view is not None or mesh is None:
+        return view
+    upright = yaw_pose(-yaw_radians, (0.0, 0.0, 0.0))[:3, :3]
+    return object_thumbnail(load_glb(mesh, "faces.glb"), turn=upright, px=PHOTO_PX)
 
 
 def object_sheet(title: str, photo: bytes | None, candidates: Sequence[tuple[int, bytes]]) -> bytes:

@@ -11,12 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from schemas.capture import Instance
 from tasks.geometry.meshes import dump_glb
-from tasks.geometry.transforms import flat, yaw_pose
+from tasks.geometry.transforms import yaw_pose
 from tasks.stats.object_sheets import COLUMNS, PHOTO_PX, object_sheet, seen
 from tasks.stats.thumbnails import OBJECT_PX, object_thumbnail
-from tests.samples import sample
 
 COLORS = [(200, 30, 30), (30, 160, 40), (40, 60, 200), (210, 200, 40), (30, 190, 190), (190, 60, 190), (20, 20, 20), (120, 70, 20),
           (130, 140, 40), (90, 60, 130)]  # fmt: skip
@@ -61,12 +59,10 @@ def test_candidates_stand_in_order_beside_the_photo(slots: list[int], has_photo:
 def test_an_object_is_shown_by_its_view_else_by_its_faces() -> None:
     wide = trimesh.creation.box((0.3, 1.0, 0.5))
     wide.visual.vertex_colors = np.full((8, 4), 200, dtype=np.uint8)
-    turned = yaw_pose(1.1, (4.0, -2.0, 1.0))
-    blobs = {"view": b"a photo", "mesh": dump_glb([wide.copy().apply_transform(turned)])}
-    of = {"box_pose": flat(turned), "box_size": (0.3, 1.0, 0.5)}
-    assert seen(sample(Instance, view_blob="view", mesh_blob="mesh", **of), blobs) == b"a photo"
-    assert seen(sample(Instance, view_blob=None, mesh_blob=None, **of), blobs) is None
-    drawn = seen(sample(Instance, view_blob=None, mesh_blob="mesh", **of), blobs)
+    mesh = dump_glb([wide.copy().apply_transform(yaw_pose(1.1, (4.0, -2.0, 1.0)))])
+    assert seen(b"a photo", mesh, 1.1) == b"a photo"
+    assert seen(None, None, 1.1) is None
+    drawn = seen(None, mesh, 1.1)
     assert drawn is not None
     pictures = []
     for data in (drawn, object_thumbnail([wide], px=PHOTO_PX)):

@@ -8,13 +8,14 @@ import json
 import re
 import secrets
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from flows.inputs.annotation.acts import changing, now, rows_of, state_in
+from flows.inputs.annotation.handouts import write_handouts
 from flows.progress import Progress
 from flows.run.configuration import Configuration, configure
 from schemas.annotation import BATCH_PATTERN, Annotation, Assignment, WorkBatch
@@ -25,8 +26,6 @@ from schemas.errors import InputError
 from schemas.optimization import Certificate
 from schemas.selection import Selection
 from tasks.annotation import SCHEMA_FILE, BatchActs
-from tasks.annotation.cvat import LABELS_FILE, image_name, images_file, labels
-from tasks.annotation.label_studio import CONFIG_FILE, labeling_config, tasks_file, tasks_of
 from tasks.annotation.picking import assigned, doubts, picked
 from tasks.annotation.revisions import latest
 from tasks.annotation.work import ANSWERS, DOCUMENT, WORK_SCHEMA_FILE, asset_file, crop_file, crops, thumbnail_file, work_document
@@ -176,13 +175,11 @@ def _write(folder: Path, lake: Lake, reader: Reader, batch: WorkBatch, assignmen
     )  # fmt: skip
     for name in ("assets", "thumbnails", "scans", "answers"):
         (folder / name).mkdir(parents=True)
-    thumbnails: dict[str, bytes] = {}
     with Progress("candidates", len(assets)) as bar:
         for asset in assets:
             glb = lake.blobs[asset.mesh_blob]
             (folder / asset_file(asset.asset_id)).write_bytes(glb)
-            thumbnails[asset.asset_id] = object_thumbnail(load_glb(glb, f"{asset.name}.glb"))
-            (folder / thumbnail_file(asset.asset_id)).write_bytes(thumbnails[asset.asset_id])
+            (folder / thumbnail_file(asset.asset_id)).write_bytes(object_thumbnail(load_glb(glb, f"{asset.name}.glb")))
             bar.advance(asset.name)
     for blob in sorted({blob for row in instances for blob in crops(row)}):
         (folder / crop_file(blob)).write_bytes(lake.blobs[blob])
@@ -192,39 +189,8 @@ def _write(folder: Path, lake: Lake, reader: Reader, batch: WorkBatch, assignmen
     _json(folder / ANSWERS, {"$schema": SCHEMA_FILE.name, "batch_id": batch.batch_id, "files": files})
     for schema in (SCHEMA_FILE, WORK_SCHEMA_FILE):
         shutil.copyfile(schema, folder / schema.name)
-    _write_for_tools(folder, document, thumbnails, instances, lake.blobs)
+    write_handouts(folder, document)
     _json(folder / DOCUMENT, document)
-
-
-def _write_for_tools(
-    folder: Path,
-    document: Mapping[str, Any],
-    thumbnails: Mapping[str, bytes],
-    instances: Sequence[Instance],
-    blobs: Mapping[str, bytes],
-) -> None:
-    """Write what Label Studio and CVAT import: a picture of every object, and for each annotator what they are asked, in its order.
-
-    `thumbnails`: JPEG by asset; `instances`: those that the batch asks about.
-    """
-    from tasks.stats.object_sheets import object_sheet, seen
-
-    batch_id = document["batch_id"]
-    for name in ("sheets", "label-studio", "cvat"):
-        (folder / name).mkdir()
-    objects = {(row["scene_id"], row["instance_id"]): row for row in document["objects"]}
-    sheets = {key: f"sheets/{image_name(batch_id, *key)}" for key in objects}
-    for instance in instances:
-        key = (instance.scene_id, instance.instance_id)
-        candidates = [(candidate["slot"], thumbnails[candidate["asset_id"]]) for candidate in objects[key]["candidates"]]
-        picture = object_sheet(f"{' '.join(key)}: {instance.category}", seen(instance, blobs), candidates)
-        (folder / sheets[key]).write_bytes(picture)
-    (folder / CONFIG_FILE).write_text(labeling_config(), encoding="utf-8")
-    _json(folder / LABELS_FILE, labels())
-    for place, row in enumerate(document["annotators"], 1):
-        keys = [(asked["scene_id"], asked["instance_id"]) for asked in row["objects"]]
-        _json(folder / tasks_file(place), tasks_of(batch_id, [objects[key] for key in keys], sheets))
-        (folder / images_file(place)).write_text("".join(f"{sheets[key]}\n" for key in keys), encoding="utf-8")
 
 
 def _json(path: Path, value: Any) -> None:
