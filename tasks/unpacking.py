@@ -76,11 +76,32 @@ def xml_root(data: bytes) -> ElementTree.Element:
         ValueError: it is larger than `BUDGET.xml_bytes`, or has more elements or attributes than `BUDGET.elements`.
         xml.etree.ElementTree.ParseError, LookupError: it is no XML, or in an unknown encoding.
     """
+    _weigh_xml(data)
+    return ElementTree.fromstring(data)
+
+
+def plain_xml_root(data: bytes) -> ElementTree.Element:
+    """The root of an XML text that declares no document type, and so no entities that grow or lie elsewhere.
+
+    Raises:
+        ValueError: as `xml_root`, or it declares one.
+        xml.etree.ElementTree.ParseError, LookupError: as `xml_root`.
+    """
+    _weigh_xml(data)
+    return ElementTree.fromstring(data, parser=ElementTree.XMLParser(target=_PlainBuilder()))
+
+
+class _PlainBuilder(ElementTree.TreeBuilder):
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        """Called where a document type begins, before any entity of it is read."""
+        raise ValueError("declares a document type")
+
+
+def _weigh_xml(data: bytes) -> None:
     if len(data) > BUDGET.xml_bytes:
         raise ValueError(f"is {len(data)} bytes, more than {BUDGET.xml_bytes}")
     if data.count(b"<") > 2 * BUDGET.elements or data.count(b"=") > 4 * BUDGET.elements:
         raise ValueError(f"has more than {BUDGET.elements} elements, or more than {4 * BUDGET.elements} attributes")
-    return ElementTree.fromstring(data)
 
 
 def image_pixels(data: bytes) -> int | None:

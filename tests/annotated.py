@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from flows.inputs.annotation import BatchPlan, batch_list, create_batch
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene, Shell
 from schemas.selection import Selection
@@ -22,6 +23,7 @@ from warehouse.lake import Lake
 
 SCENES = ("demo/room_a", "demo/room_b")
 SQUARE = ((-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0))
+ANNOTATORS = ("ada", "bob", "cleo")
 SIDES = (0.4, 0.5, 0.6)
 """Edges of the cubes that are candidates, by slot [m]."""
 
@@ -79,6 +81,17 @@ def annotatable(folder: Path, objects: int = 4, scenes: Sequence[str] = SCENES) 
             lake.stage_rows(stage_run(scene, stage, fingerprint(scene, stage)), rows)
     lake.commit("rooms")
     return lake
+
+
+def created(lake: Lake, out: Path, batch: str = "b1", overlap: int = 1, **plan: Any) -> dict[str, Any]:
+    """A batch of the annotators, and its folder."""
+    return create_batch(lake, BatchPlan(batch, ANNOTATORS, overlap, **plan), out)
+
+
+def state(lake: Lake, batch: str = "b1") -> str:
+    """What a batch is at."""
+    (row,) = batch_list(lake, batch)
+    return str(row["state"])
 
 
 def answer(scene: str, instance: str, annotator: str, choice: int | None, at: float = 0.0, **values: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import click
 
 from flows.commands.options import existing_lake, json_option, lake_option, seed_option, settings_options
 from schemas.annotation import PICKS
+from schemas.text import one_line
 
 
 @click.group("annotate", short_help="Ask people, take in what they chose, and have it reviewed.")
@@ -67,8 +68,12 @@ def create(
 @command.command("import")
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
-    "--format", "batch_format", type=click.Choice(["answers", "scan2cad"]), default="answers", show_default=True,
-    help="Answers after batch.schema.json, or Scan2CAD's full_annotations.json.",
+    "--format", "batch_format", type=click.Choice(["answers", "label-studio", "cvat", "scan2cad"]), default="answers", show_default=True,
+    help="Answers after batch.schema.json, a JSON export of Label Studio, CVAT's annotations.xml, or Scan2CAD's full_annotations.json.",
+)  # fmt: skip
+@click.option(
+    "--annotator", "annotators", multiple=True, metavar="[ACCOUNT=]NAME",
+    help="Who answered, for label-studio and cvat: NAME where the export names nobody, ACCOUNT=NAME for others; may be repeated.",
 )  # fmt: skip
 @click.option("--batch", "batch_id", default="scan2cad", show_default=True, metavar="NAME", help="Name of the batch, for scan2cad.")
 @click.option("--dry-run", is_flag=True, help="Check the batch against the lake; write nothing.")
@@ -76,8 +81,8 @@ def create(
 @lake_option
 @json_option
 def import_batch(
-    file: Path, batch_format: str, batch_id: str, dry_run: bool, config_file: Path | None, settings: tuple[str, ...], address: str,
-    as_json: bool,
+    file: Path, batch_format: str, annotators: tuple[str, ...], batch_id: str, dry_run: bool, config_file: Path | None,
+    settings: tuple[str, ...], address: str, as_json: bool,
 ) -> None:  # fmt: skip
     """Import a batch of annotations; all of the file or nothing.
 
@@ -86,17 +91,22 @@ def import_batch(
 
     Example: metascenes annotate import batch.json --lake ./lake
     """
-    from flows.inputs.annotation import import_alignments, import_annotations
+    from flows.inputs.annotation import import_alignments, import_annotations, import_export
     from flows.run.configuration import configure
 
+    is_exported = batch_format in ("label-studio", "cvat")
+    if annotators and not is_exported:
+        raise click.UsageError("--annotator is for --format label-studio and cvat: other files say who answered")
     lake, configuration = existing_lake(address), configure(config_file, settings)
-    if batch_format == "scan2cad":
+    if is_exported:
+        result = import_export(lake, file, batch_format, annotators, dry_run, configuration)
+    elif batch_format == "scan2cad":
         result = import_alignments(lake, file, batch_id, dry_run=dry_run, configuration=configuration)
     else:
         result = import_annotations(lake, file, dry_run, configuration)
     batch_id = result["batch_id"]
     for line in () if as_json else result.get("left_out", ()):
-        click.echo(f"note: left out {line}", err=True)
+        click.echo(f"note: left out {one_line(line)}", err=True)
     if result["already"]:
         line = f"batch {batch_id} is in the lake already, with the same answers; nothing to do"
     else:

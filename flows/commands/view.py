@@ -18,6 +18,10 @@ from flows.commands.options import chosen_snapshot, existing_lake, json_option, 
     "--out", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
     help="Write one scene as a file that opens without a server, instead of serving the lake.",
 )  # fmt: skip
+@click.option(
+    "--rerun", "recording", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.rrd",
+    help="Write one scene as a recording for the Rerun viewer, instead of serving the lake.",
+)  # fmt: skip
 @click.option("--browser/--no-browser", default=True, help="Open the page in a browser, where there is a screen.")
 @click.option(
     "--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",
@@ -30,6 +34,7 @@ from flows.commands.options import chosen_snapshot, existing_lake, json_option, 
 def command(
     place: str | None,
     out: Path | None,
+    recording: Path | None,
     browser: bool,
     host: str,
     port: int,
@@ -50,18 +55,23 @@ def command(
     from flows.view.scene import Scenes
     from flows.view.serving import serve
 
-    client_file("view.html")  # before anything is read: it may not have been built
+    if out is not None and recording is not None:
+        raise click.UsageError("--out and --rerun write one file each: give one of them")
+    if recording is None:
+        client_file("view.html")  # before anything is read: it may not have been built
     lake = existing_lake(address)
     scenes = Scenes(lake, chosen_snapshot(lake, snapshot_id, release), release=release)
     first, instance = scenes.place(place) if place else (scenes.first(), None)
-    if out is not None:
+    file = out or recording
+    if file is not None:
         if instance is not None:
-            raise click.UsageError(f"--out writes a whole scene: leave /{instance} away")
+            raise click.UsageError(f"--{'out' if out else 'rerun'} writes a whole scene: leave /{instance} away")
+        from flows.view.recording import write_recording
         from flows.view.standalone import write_page
 
-        size = write_page(scenes, first, out)
-        words = json.dumps({"file": str(out), "scene_id": first, "snapshot_id": scenes.reader.snapshot_id, "bytes": size})
-        click.echo(words if as_json else f"{out} ({size / 1e6:.1f} MB)")
+        size = write_page(scenes, first, file) if out else write_recording(scenes, first, file)
+        words = json.dumps({"file": str(file), "scene_id": first, "snapshot_id": scenes.reader.snapshot_id, "bytes": size})
+        click.echo(words if as_json else f"{file} ({size / 1e6:.1f} MB)")
         return
 
     def prepare() -> None:

@@ -59,10 +59,12 @@ class AnnotatorAnswer:
 
 @dataclasses.dataclass(frozen=True)
 class AnnotationBatch:
-    """A batch of answers, the outside input of the annotation stage."""
+    """A batch of answers, the outside input of the annotation stage. `is_dated`: every answer has a time of its own, and not that of
+    the file that it was exported to."""
 
     batch_id: str
     annotations: tuple[AnnotatorAnswer, ...]
+    is_dated: bool = True
 
     @property
     def scene_ids(self) -> tuple[str, ...]:

@@ -13,10 +13,13 @@ Key = tuple[str, str, str]
 """Scene, instance and annotator."""
 
 
-def revised(present: Sequence[Annotation], given: Sequence[Annotation], places: Mapping[Key, tuple[str, str]]) -> list[Annotation]:
+def revised(
+    present: Sequence[Annotation], given: Sequence[Annotation], places: Mapping[Key, tuple[str, str]], is_dated: bool = True
+) -> list[Annotation]:
     """Those of the `given` answers of a batch that are new to it, as the next revision of what is `present`.
 
-    An answer that says what any revision of it says, at the same time, is known. `places`: file and JSON path of every given answer.
+    An answer that says what any revision of it says, at the same time, is known; where answers are not dated, one that says what the
+    last revision says. `places`: file and JSON path of every given answer.
 
     Raises:
         InputError: an answer differs from what is present and was not given later: one cannot tell which of the two holds; or one is
@@ -30,6 +33,8 @@ def revised(present: Sequence[Annotation], given: Sequence[Annotation], places: 
         before = known[key_of(row)]
         file, where = places[key_of(row)]
         if any(_content(row) == _content(earlier) for earlier in before):
+            continue
+        if before and not is_dated and _content(dataclasses.replace(row, answered_at=before[-1].answered_at)) == _content(before[-1]):
             continue
         if before and row.answered_at <= before[-1].answered_at:
             problem = f"is not later than that of the answer in the lake ({before[-1].answered_at.isoformat()}), and the two differ"

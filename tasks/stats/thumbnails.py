@@ -78,11 +78,14 @@ def scene_tile(scene_id: str, pictures: ScenePictures | tuple[bytes, bytes] | st
     return SceneTile(scene_id, scan, replica)
 
 
-def object_thumbnail(parts: Sequence[trimesh.Trimesh], scale: Sequence[float] = (1.0, 1.0, 1.0), turn: ArrayLike | None = None) -> bytes:
-    """JPEG of a canonical asset (+Z up, front +X) seen from before, beside and above.
+def object_thumbnail(
+    parts: Sequence[trimesh.Trimesh], scale: Sequence[float] = (1.0, 1.0, 1.0), turn: ArrayLike | None = None, px: int = OBJECT_PX
+) -> bytes:
+    """JPEG of a canonical asset (+Z up, front +X) seen from before, beside and above, with edges of `px` pixels.
 
     `scale` is along its own axes; `turn`, a rotation (3, 3), comes after it.
     """
+    look = dataclasses.replace(OBJECT_LOOK, width=px, height=px)
     grown = np.eye(4)
     grown[:3, :3] = (np.eye(3) if turn is None else np.asarray(turn, dtype=np.float64)) @ np.diag(np.asarray(scale, dtype=np.float64))
     placed = [part.copy().apply_transform(grown) for part in parts]
@@ -94,8 +97,8 @@ def object_thumbnail(parts: Sequence[trimesh.Trimesh], scale: Sequence[float] = 
         part.apply_translation(-middle)
         part.apply_scale(unit)
     vertices = np.concatenate([np.asarray(part.vertices, dtype=np.float64) for part in placed])
-    camera = fitting_camera(vertices, np.zeros(3), _FROM / np.linalg.norm(_FROM), OBJECT_LOOK)
-    return render(placed, camera, OBJECT_LOOK)
+    camera = fitting_camera(vertices, np.zeros(3), _FROM / np.linalg.norm(_FROM), look)
+    return render(placed, camera, look)
 
 
 def fitted(file: bytes, size: tuple[int, int]) -> bytes:

@@ -376,6 +376,34 @@ def annotation_batch() -> list[Case]:
     ]
 
 
+def label_studio_batch() -> list[Case]:
+    """An export of Label Studio: an answer with a ranking, none that fits, a skipped task."""
+    data = {"batch_id": "batch-1", "scene_id": "demo/room_a", "instance_id": "0001"}
+    choice = {"from_name": "choice", "to_name": "sheet", "type": "choices", "value": {"choices": ["2"]}}
+    ranking = {"from_name": "ranking", "to_name": "candidates", "type": "ranker", "value": {"ranker": {"next": ["1", "3"], "_": ["4"]}}}
+    usual = {"completed_by": {"id": 1, "email": "ada@example.org"}, "was_cancelled": False, "updated_at": "2026-03-01T14:05:00.0Z"}
+    tasks = [
+        {"id": 1, "data": data, "annotations": [usual | {"result": [choice, ranking], "lead_time": 12.5}]},
+        {"id": 2, "data": data | {"instance_id": "0002"}, "annotations": [usual | {"result": [choice | {"value": {"choices": ["none"]}}]}]},
+        {"id": 3, "data": data | {"instance_id": "0003"}, "annotations": [usual | {"result": [], "was_cancelled": True}]},
+    ]
+    return [{"export.json": json.dumps(tasks).encode()}]
+
+
+def cvat_batch() -> list[Case]:
+    """Exports of CVAT, of a job and of a project."""
+    person = "<assignee><username>ada</username><email>ada@example.org</email></assignee><updated>2026-03-01 14:05:00.5+00:00</updated>"
+    words = {"choice": "2", "second": "1", "third": "3", "fourth": "__undefined__", "fifth": "__undefined__"}
+    tag = "".join(f'<attribute name="{name}">{word}</attribute>' for name, word in words.items())
+    images = [
+        f'<image id="{number}" name="batch-1~demo~room_a~000{number}.jpg" task_id="7"><tag label="answer">{tag}</tag></image>'
+        for number in "12"
+    ]
+    metas = [f"<job>{person}</job>", f"<project><tasks><task><id>7</id>{person}</task></tasks></project>"]
+    texts = [f"<annotations><version>1.1</version><meta>{meta}</meta>{''.join(images)}</annotations>" for meta in metas]
+    return [{"annotations.xml": f'<?xml version="1.0" encoding="utf-8"?>\n{text}'.encode()} for text in texts]
+
+
 def review_batch() -> list[Case]:
     """Reviews, one with a note."""
     usual = {"reviewer": "rita", "reviewed_at": "2026-03-02T10:30:00+01:00", "sampled": 2, "wrong": 1, "verdict": "returned"}

@@ -39,7 +39,7 @@ def _outside_inputs() -> list[Target]:
     from tasks.pipeline import STAGES
 
     names = {name for stage in STAGES for name in stage.outside if name not in ("scan", "batch_acts")}  # acts are rows of ours
-    names |= {"verdict_batch"}  # what acts are made from
+    names |= {"verdict_batch", "label_studio_batch", "cvat_batch"}  # what acts are made from
     return [Target(name.removesuffix("_batch"), PARSER, getattr(seeds, name), globals()[f"_read_{name}"]) for name in sorted(names)]
 
 
@@ -108,6 +108,20 @@ def _read_annotation_batch(folder: Path) -> None:
     read_batch(folder / "batch.json")
     if len(list(folder.rglob("*.json"))) == 1:  # as a page hands it over
         read_answers(parse_json(read_file(folder / "batch.json", "batch.json", 2**20), "batch.json"), "batch.json")
+
+
+def _read_label_studio_batch(folder: Path) -> None:
+    from tasks.annotation.exported import accounts_of
+    from tasks.annotation.label_studio import read_label_studio
+
+    read_label_studio(read_file(folder / "export.json", "export.json", 2**20), "export.json", accounts_of(["1=ada"]))
+
+
+def _read_cvat_batch(folder: Path) -> None:
+    from tasks.annotation.cvat import read_cvat
+    from tasks.annotation.exported import accounts_of
+
+    read_cvat(read_file(folder / "annotations.xml", "annotations.xml", 2**20), "annotations.xml", accounts_of(["ada=bob"]))
 
 
 def _read_review_batch(folder: Path) -> None:

@@ -15,11 +15,11 @@ Whoever builds a page or another tool calls these; each holds the batch while it
 from __future__ import annotations
 
 from flows.inputs.annotation.creation import BatchPlan, create_batch
-from flows.inputs.annotation.importing import import_alignments, import_annotations, import_reviews, save_answers
+from flows.inputs.annotation.importing import import_alignments, import_annotations, import_export, import_reviews, save_answers
 from flows.inputs.annotation.listing import batch_list, open_reviews, open_work
 from flows.inputs.annotation.reviewing import conclude, draw_sample, save_verdicts, submit
 
 __all__ = [
-    "BatchPlan", "batch_list", "conclude", "create_batch", "draw_sample", "import_alignments", "import_annotations", "import_reviews",
-    "open_reviews", "open_work", "save_answers", "save_verdicts", "submit",
+    "BatchPlan", "batch_list", "conclude", "create_batch", "draw_sample", "import_alignments", "import_annotations", "import_export",
+    "import_reviews", "open_reviews", "open_work", "save_answers", "save_verdicts", "submit",
 ]  # fmt: skip

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from flows.inputs.annotation.acts import changing, now, rows_of, state_in
+from flows.inputs.annotation.handouts import write_handouts
 from flows.progress import Progress
 from flows.run.configuration import Configuration, configure
 from schemas.annotation import BATCH_PATTERN, Annotation, Assignment, WorkBatch
@@ -188,6 +189,7 @@ def _write(folder: Path, lake: Lake, reader: Reader, batch: WorkBatch, assignmen
     _json(folder / ANSWERS, {"$schema": SCHEMA_FILE.name, "batch_id": batch.batch_id, "files": files})
     for schema in (SCHEMA_FILE, WORK_SCHEMA_FILE):
         shutil.copyfile(schema, folder / schema.name)
+    write_handouts(folder, document)
     _json(folder / DOCUMENT, document)
 
 

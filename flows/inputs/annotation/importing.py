@@ -20,6 +20,9 @@ from schemas.errors import InputError
 from schemas.selection import Selection
 from tasks.annotation import AnnotationBatch, BatchActs, ReviewBatch, check_reviews, read_batch, read_reviews
 from tasks.annotation.batch import read_answers
+from tasks.annotation.cvat import read_cvat
+from tasks.annotation.exported import accounts_of
+from tasks.annotation.label_studio import read_label_studio
 from tasks.annotation.quality import pass_interval
 from tasks.annotation.revisions import latest, revised
 from tasks.annotation.scan2cad import read_scan2cad
@@ -31,6 +34,9 @@ from warehouse.tables.snapshot import Reader
 
 SCAN2CAD_RELEASED = datetime(2019, 6, 16, tzinfo=UTC)
 """When Scan2CAD was published: its file does not say when its answers were given."""
+
+EXPORTS = {"label-studio": read_label_studio, "cvat": read_cvat}
+"""Readers of what other annotation tools export, by what the tools are called."""
 
 
 def import_annotations(lake: Lake, file: Path, dry_run: bool = False, configuration: Configuration | None = None) -> dict[str, Any]:
@@ -74,6 +80,21 @@ def import_alignments(
         raise InputError(file.name, "aligned_models", f"none can be taken: {why}", "import the scans with a library of its models first")
     batch = read_answers(aligned.document, file.name)
     return _taken_in(lake, batch, file.name, dry_run, configuration or configure()) | {"left_out": list(aligned.left_out)}
+
+
+def import_export(
+    lake: Lake, file: Path, tool: str, annotators: Sequence[str] = (), dry_run: bool = False, configuration: Configuration | None = None
+) -> dict[str, Any]:
+    """Answers that one of `EXPORTS` exported. `annotators`: `ACCOUNT=NAME` for whom the tool calls otherwise, and `NAME` of who answered
+    where the export names nobody. `left_out` of what is returned names, a line each, what no answer was taken from.
+
+    Raises:
+        InputError: the file is no such export, nobody can tell whose an answer is, or as `import_annotations`.
+    """
+    data = read_limited(file, file.name, BUDGET.annotation_bytes)
+    exported = EXPORTS[tool](data, file.name, accounts_of(annotators))
+    summary = _taken_in(lake, exported.batch, file.name, dry_run, configuration or configure())
+    return summary | {"left_out": list(exported.left_out)}
 
 
 def import_reviews(lake: Lake, file: Path, dry_run: bool = False, configuration: Configuration | None = None) -> dict[str, Any]:
@@ -128,7 +149,7 @@ def held_against(reader: Reader, batch: AnnotationBatch, name: str, configuratio
     ).rows["annotations"]  # fmt: skip
     places = {(answer.scene_id, answer.instance_id, answer.annotator): (answer.source_file, answer.where) for answer in batch.annotations}
     present = rows_of(reader, Annotation, batch.batch_id)
-    new = revised(present, given, places)
+    new = revised(present, given, places, batch.is_dated)
     if new and present:
         state.after("answer", name)
     return Answered(state, tuple(present), tuple(given), tuple(new))

@@ -1,12 +1,10 @@
-"""An annotation batch from its creation to the scenes: folder, answers, corrections, sample, verdicts, and what reaches a layout."""
+"""An annotation batch from its creation to the scenes: folder, sample, verdicts, and what reaches a layout."""
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 import jsonschema
 import numpy as np
@@ -16,7 +14,6 @@ from click.testing import CliRunner
 from flows.cli import cli
 from flows.inputs.annotation import (
     BatchPlan,
-    batch_list,
     conclude,
     create_batch,
     draw_sample,
@@ -29,27 +26,21 @@ from flows.inputs.annotation import (
 )
 from flows.run.configuration import configure
 from flows.run.plan import annotation_digests
-from schemas.annotation import Annotation, AnnotationFigures, AnswerVerdict, Assignment, QualityReview, SampledAnswer, WorkBatch
+from schemas.annotation import Annotation, AnswerVerdict, Assignment, QualityReview, SampledAnswer
 from schemas.capture import Instance
-from schemas.errors import InputError, LakeError
+from schemas.errors import InputError
 from schemas.record import arrow_to_rows
 from schemas.selection import Selection
 from tasks.annotation.work import WORK_SCHEMA_FILE
 from tasks.optimization.proposals import propose
-from tests.annotated import SCENES, annotatable, answer, fill, judged
+from tests.annotated import ANNOTATORS, SCENES, annotatable, answer, created, fill, judged, state
 from warehouse.lake import Lake
 from warehouse.tables.reviews import standing_answers
-
-NAMES = ("ada", "bob", "cleo")
 
 
 @pytest.fixture
 def lake(tmp_path: Path) -> Lake:
     return annotatable(tmp_path / "lake")
-
-
-def created(lake: Lake, out: Path, batch: str = "b1", overlap: int = 1, **plan: Any) -> dict[str, Any]:
-    return create_batch(lake, BatchPlan(batch, NAMES, overlap, **plan), out)
 
 
 def chosen(lake: Lake, scene: str = SCENES[0]) -> dict[str, str]:
@@ -59,11 +50,6 @@ def chosen(lake: Lake, scene: str = SCENES[0]) -> dict[str, str]:
     selections = reader.rows(Selection, scene)
     proposals, _ = propose(reader.rows(Instance, scene), selections, answers, {row.asset_id for row in selections})
     return {row.instance.instance_id: row.origin for row in proposals}
-
-
-def state(lake: Lake, batch: str = "b1") -> str:
-    (row,) = batch_list(lake, batch)
-    return str(row["state"])
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -83,6 +69,9 @@ def test_a_folder_holds_all_that_it_takes_to_answer(lake: Lake, tmp_path: Path) 
     named = {name for one in work["objects"] for name in (one["points"], one["mesh"], one["view"]) if name}
     named |= {one[name] for asked in work["objects"] for one in asked["candidates"] for name in ("glb", "thumbnail")}
     named |= {one["answers"] for one in work["annotators"]}
+    named |= {f"{tool}/{place:03d}.{ending}" for tool, ending in (("label-studio", "json"), ("cvat", "txt")) for place in (1, 2, 3)}
+    named |= {"label-studio/config.xml", "cvat/labels.json"}
+    named |= {f"sheets/b1~{one['scene_id'].replace('/', '~')}~{one['instance_id']}.jpg" for one in work["objects"]}
     assert named | {"work.json", "answers.json", "batch.schema.json", "work.schema.json"} == set(tree(tmp_path / "work"))
     assert [path for path in tmp_path.iterdir() if path.name.endswith(".making")] == []
     for one in work["objects"]:
@@ -102,7 +91,7 @@ def test_a_folder_holds_all_that_it_takes_to_answer(lake: Lake, tmp_path: Path) 
 def test_a_batch_is_made_whole_or_not_at_all(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="is there already"):
         created(lake, tmp_path)
-    dry = create_batch(lake, BatchPlan("b1", NAMES), tmp_path / "work", dry_run=True)
+    dry = create_batch(lake, BatchPlan("b1", ANNOTATORS), tmp_path / "work", dry_run=True)
     assert dry["objects"] == 8
     blob = lake.snapshot().rows(Instance)[0].points_blob
     path = lake.blobs.path(blob)
@@ -131,12 +120,12 @@ def test_a_batch_is_made_whole_or_not_at_all(lake: Lake, tmp_path: Path, monkeyp
 @pytest.mark.parametrize(
     ("plan", "why"),
     [
-        (BatchPlan("a/b", NAMES), "is no name of a batch"),
+        (BatchPlan("a/b", ANNOTATORS), "is no name of a batch"),
         (BatchPlan("b", ("ada", "ADA")), "twice"),
         (BatchPlan("b", (" ada",)), "is no name"),
         (BatchPlan("b", ()), "there are 0 annotators"),
-        (BatchPlan("b", NAMES, 4), "there are 3 annotators"),
-        (BatchPlan("b", NAMES, scenes=("demo/none",)), "is not in the lake"),
+        (BatchPlan("b", ANNOTATORS, 4), "there are 3 annotators"),
+        (BatchPlan("b", ANNOTATORS, scenes=("demo/none",)), "is not in the lake"),
     ],
 )
 def test_what_cannot_be_asked_is_refused(lake: Lake, tmp_path: Path, plan: BatchPlan, why: str) -> None:
@@ -236,7 +225,7 @@ def test_a_seed_draws_the_same_sample_and_a_tenth_of_a_large_batch(tmp_path: Pat
         folder = tmp_path / str(len(drawn))
         lake = annotatable(folder / "lake", objects=30)
         told = configure(seed=seed, settings=["annotation.least_sample=5"])
-        create_batch(lake, BatchPlan("b1", NAMES, 3), folder / "work", configuration=told)
+        create_batch(lake, BatchPlan("b1", ANNOTATORS, 3), folder / "work", configuration=told)
         fill(folder / "work", np.random.default_rng(0))
         import_annotations(lake, folder / "work/answers.json")
         submit(lake, "b1", by="ada")
@@ -244,43 +233,6 @@ def test_a_seed_draws_the_same_sample_and_a_tenth_of_a_large_batch(tmp_path: Pat
         rows = lake.snapshot().rows(SampledAnswer)
         drawn.append({(row.scene_id, row.instance_id, row.annotator, row.place) for row in rows})
     assert drawn[0] == drawn[1] != drawn[2]
-
-
-def test_what_was_not_assigned_is_refused_by_its_field(lake: Lake, tmp_path: Path) -> None:
-    created(lake, tmp_path / "work", scenes=(SCENES[0],))
-    asked = {row.instance_id: row.annotator for row in lake.snapshot().rows(Assignment)}
-    (mine, ada), *_ = asked.items()
-    other = next(name for name in NAMES if name != ada)
-    sound = answer(SCENES[0], mine, ada, 1)
-    wrong = {
-        "annotator": answer(SCENES[0], mine, "eve", 1), "scene_id": answer(SCENES[1], mine, ada, 1),
-        "instance_id": answer(SCENES[0], mine, other, 1),
-    }  # fmt: skip
-    for field, one in wrong.items():
-        with pytest.raises(InputError) as caught:
-            save_answers(lake, {"batch_id": "b1", "annotations": [sound, one]})
-        assert (caught.value.field, "assigned" in str(caught.value)) == (f"annotations[1].{field}", True)
-    assert lake.snapshot().rows(Annotation) == [], "nothing by half"
-    assert save_answers(lake, {"batch_id": "b1", "annotations": [sound]})["new"] == 1
-
-
-def test_answers_come_in_parts_are_corrected_and_taken_back(lake: Lake, tmp_path: Path) -> None:
-    created(lake, tmp_path / "work")
-    keys = [(row.scene_id, row.instance_id, row.annotator) for row in lake.snapshot().rows(Assignment)]
-    first = {"batch_id": "b1", "annotations": [answer(*key, 1) for key in keys[:3]]}
-    assert save_answers(lake, first)["new"] == 3
-    with pytest.raises(InputError, match="5 of 8 assigned answers are missing"):
-        submit(lake, "b1", by="ada")
-    second = {"batch_id": "b1", "annotations": [answer(*keys[0], 2, at=1), answer(*keys[3], None, at=1), answer(*keys[1], 1)]}
-    said = save_answers(lake, second)
-    assert (said["new"], said["corrected"]) == (1, 1)
-    assert save_answers(lake, first)["already"] is True, "an older file again changes nothing"
-    with pytest.raises(InputError, match=r"annotations\[0\]\.answered_at: is not later"):
-        save_answers(lake, {"batch_id": "b1", "annotations": [answer(*keys[0], 3, at=0.5)]})
-    back = answer(*keys[1], None, at=2, withdrawn=True)
-    assert save_answers(lake, {"batch_id": "b1", "annotations": [back]})["withdrawn"] == 1
-    assert submit(lake, "b1", by="ada", partial=True)["answers"] == 3
-    assert len(lake.snapshot().rows(Annotation)) == 6
 
 
 def test_doubtful_ones_come_first_and_new_ones_are_new(lake: Lake, tmp_path: Path) -> None:
@@ -294,124 +246,6 @@ def test_doubtful_ones_come_first_and_new_ones_are_new(lake: Lake, tmp_path: Pat
     created(lake, tmp_path / "new", "new", pick="new", scenes=(SCENES[0],))
     asked = {row.instance_id for row in lake.snapshot().rows(Assignment) if row.batch_id == "new"}
     assert asked == {"0003", "0004"}
-
-
-def test_a_batch_of_others_counts_once_it_is_accepted_or_trusted(lake: Lake, tmp_path: Path) -> None:
-    asked = {"batch_id": "b0", "annotations": [answer(SCENES[0], "0001", "ada", 1)]}
-    said = save_answers(lake, asked)
-    assert (said["state"], said["counts"], annotation_digests(lake)) == ("submitted", False, {})
-    trusted = configure(settings=["annotation.unreviewed_imports_count=true"])
-    said = save_answers(lake, asked, configuration=trusted)
-    assert (said["new"], said["counts"], set(annotation_digests(lake))) == (0, True, {SCENES[0]})
-    assert save_answers(lake, asked)["counts"] is False, "trust is taken back"
-    more = {"batch_id": "b0", "annotations": [answer(SCENES[0], "0002", "ada", 1)]}
-    assert save_answers(lake, more)["new"] == 1
-    draw_sample(lake, "b0")
-    with pytest.raises(InputError, match="is in review: one cannot answer now"):
-        save_answers(lake, {"batch_id": "b0", "annotations": [answer(SCENES[0], "0003", "ada", 1)]})
-    right = {(SCENES[0], name, "ada"): True for name in ("0001", "0002")}
-    save_verdicts(lake, judged(open_reviews(lake, "b0", "rita"), right, "b0"))
-    assert conclude(lake, "b0")["counts"] is True
-    assert [row["instance_id"] for row in standing_answers(lake.snapshot()).to_pylist()] == ["0001", "0002"]
-
-
-@pytest.mark.parametrize("more", [False, True])
-def test_what_a_review_demands_of_a_batch_stays_as_it_came_in(lake: Lake, more: bool) -> None:
-    """The file again, with another trust and laxer demands, in the middle of a review or with further answers: only the trust changes."""
-    asked = {"batch_id": "b0", "annotations": [answer(SCENES[0], name, "ada", 1) for name in ("0001", "0002", "0003")]}
-    save_answers(lake, asked)
-    (before,) = lake.snapshot().rows(WorkBatch)
-    if more:
-        asked["annotations"].append(answer(SCENES[0], "0004", "ada", 1))
-    else:
-        draw_sample(lake, "b0")
-    lax = ["pass_share=0.1", "sample_share=0.0", "least_sample=1", "unreviewed_imports_count=true"]
-    assert save_answers(lake, asked, configuration=configure(seed=7, settings=[f"annotation.{name}" for name in lax]))["counts"]
-    assert lake.snapshot().rows(WorkBatch) == [dataclasses.replace(before, counts_unreviewed=True)]
-    if not more:
-        right = {(SCENES[0], name, "ada"): name == "0001" for name in ("0001", "0002", "0003")}
-        save_verdicts(lake, judged(open_reviews(lake, "b0", "rita"), right, "b0"))
-        assert conclude(lake, "b0")["verdict"] == "returned"
-
-
-def test_a_review_from_elsewhere_does_not_pass_for_a_sample(lake: Lake, tmp_path: Path) -> None:
-    created(lake, tmp_path / "work")
-    fill(tmp_path / "work", np.random.default_rng(0))
-    import_annotations(lake, tmp_path / "work/answers.json")
-    submit(lake, "b1", by="ada")
-    review = {"review_id": "r1", "reviewer": "eve", "reviewed_at": "2026-05-01T00:00:00Z", "sampled": 8, "wrong": 0, "verdict": "accepted"}
-    file = tmp_path / "r.json"
-    file.write_text(json.dumps({"batch_id": "b1", "reviews": [review]}))
-    refused = CliRunner().invoke(cli, ["annotate", "review", str(file), "--lake", lake.address])
-    assert isinstance(refused.exception, InputError)
-    assert refused.exception.field == "reviews[0].verdict"
-    assert (state(lake), lake.snapshot().rows(QualityReview)) == ("submitted", [])
-
-
-def test_two_changes_of_a_batch_come_one_after_the_other(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flows.inputs.annotation.acts.WAIT_SECONDS", 0.2)
-    asked = {"batch_id": "b0", "annotations": [answer(SCENES[0], "0001", "ada", 1)]}
-    with lake.claims() as claims:
-        assert claims.claim("b0")
-        with pytest.raises(LakeError, match="another process has been changing it"):
-            save_answers(lake, asked)
-    assert save_answers(lake, asked)["new"] == 1
-
-
-def test_who_holds_a_batch_no_more_changes_nothing(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As after a process was stopped for longer than a claim lives, and another took the batch over."""
-    asked = {"batch_id": "b0", "annotations": [answer(SCENES[0], "0001", "ada", 1)]}
-    before = lake.snapshot().snapshot_id
-    with monkeypatch.context() as patched:
-        patched.setattr("warehouse.sharing.claims.Claims.held", lambda self: set())
-        with pytest.raises(LakeError, match="nothing was saved, try again"):
-            save_answers(lake, asked)
-    assert lake.snapshot().snapshot_id == before
-    assert save_answers(lake, asked)["new"] == 1
-
-
-def test_figures_say_how_an_answer_keeps_to_the_guidelines(lake: Lake) -> None:
-    far = {"position": [-2.0, -2.0, 0.1], "yaw_degrees": 0, "scale": [1, 1, 1]}
-    beyond = {"position": [-3.0, -1.6, 0.0], "yaw_degrees": 0, "scale": [2, 1, 1]}
-    answers = [
-        answer(SCENES[0], "0001", "ada", 2, transform=far),
-        answer(SCENES[0], "0002", "ada", 1),
-        answer(SCENES[0], "0003", "ada", None),
-    ]
-    answers += [answer(SCENES[1], "0001", "bob", 2, transform=beyond)]
-    save_answers(lake, {"batch_id": "b0", "annotations": answers})
-    rows = {(row.scene_id, row.instance_id): row for row in lake.snapshot().rows(AnnotationFigures)}
-    assert rows.keys() == {(SCENES[0], "0001"), (SCENES[0], "0002"), (SCENES[1], "0001")}, "none of what chooses nothing"
-    high, small, out = rows[SCENES[0], "0001"], rows[SCENES[0], "0002"], rows[SCENES[1], "0001"]
-    assert high.is_category_match
-    assert high.size_ratio == pytest.approx(1.0)
-    assert small.size_ratio == pytest.approx((0.4 / 0.5) ** 3)
-    assert out.size_ratio == pytest.approx(2.0)
-    assert high.floating_m == pytest.approx(0.1, abs=1e-6)
-    assert small.floating_m == pytest.approx(0.0, abs=1e-6)
-    assert out.outside_share == pytest.approx(0.5, abs=1e-6)
-    assert high.outside_share == 0.0
-    assert (high.lookalikes, high.lookalikes_alike, small.lookalikes_alike) == (3, 2, 0)
-    assert high.scan_distance_m is not None
-    assert 0.005 < high.scan_distance_m < 0.1
-    (work,) = [row for row in [*open_work_of(lake, "b0")] if row.instance_id == "0001" and row.annotator == "ada"]
-    assert work.revision == 1
-
-
-def test_figures_take_no_neighbor_for_what_the_same_import_takes_back(lake: Lake) -> None:
-    """Look-alikes that stand as the same asset, after corrections to none that fits and a withdrawal in one file with the answer."""
-    names = ("0001", "0002", "0003", "0004")
-    save_answers(lake, {"batch_id": "b0", "annotations": [answer(SCENES[0], name, "ada", 3) for name in names]})
-    later = [answer(SCENES[0], "0001", "ada", 3, at=1, seconds=5), answer(SCENES[0], "0002", "ada", None, at=1)]
-    later.append(answer(SCENES[0], "0003", "ada", None, at=1, withdrawn=True))
-    save_answers(lake, {"batch_id": "b0", "annotations": later})
-    rows = {(row.instance_id, row.revision): row for row in lake.snapshot().rows(AnnotationFigures)}
-    assert rows.keys() == {*((name, 1) for name in names), ("0001", 2)}
-    assert (rows["0001", 1].lookalikes_alike, rows["0001", 2].lookalikes_alike) == (3, 1)
-
-
-def open_work_of(lake: Lake, batch: str) -> list[AnnotationFigures]:
-    return [row for row in lake.snapshot().rows(AnnotationFigures) if row.batch_id == batch]
 
 
 def test_the_commands_lead_through_a_batch(lake: Lake, tmp_path: Path) -> None:
@@ -450,24 +284,3 @@ def test_the_commands_lead_through_a_batch(lake: Lake, tmp_path: Path) -> None:
     assert "b1  accepted, round 1  ada 4 of 4, bob 4 of 4" in told("list")
     (row,) = json.loads(told("list", "b1", "--json"))["batches"]
     assert (row["state"], row["counts"], row["judged"]) == ("accepted", True, 8)
-
-
-def test_alignments_of_scan2cad_are_a_batch_of_others(lake: Lake, tmp_path: Path) -> None:
-    """The cube of half a metre, aligned to the first object: +Y up in its own frame, its middle at the origin."""
-    upright = {"translation": [-2.0, -2.0, 0.25], "rotation": [0.5**0.5, 0.5**0.5, 0.0, 0.0], "scale": [1, 1, 1]}
-    model = {"catid_cad": "box", "id_cad": "cube 0.5", "trs": upright, "center": [0, 0, 0], "bbox": [0.25, 0.25, 0.25]}
-    identity = {"translation": [0, 0, 0], "rotation": [1, 0, 0, 0], "scale": [1, 1, 1]}
-    models = [model, model | {"id_cad": "no such"}]
-    file = tmp_path / "full_annotations.json"
-    file.write_text(json.dumps([{"id_scan": "room_a", "trs": identity, "aligned_models": models}]))
-    words = ["annotate", "import", str(file), "--format", "scan2cad", "--batch", "s2c", "--lake", lake.address]
-    done = CliRunner().invoke(cli, words)
-    assert done.exit_code == 0, done.output
-    assert "batch s2c: 1 answers of 1 annotators on 1 scenes imported (1 new)" in done.output
-    assert "left out [0].aligned_models[1]: box/no such: no candidate of demo/room_a 0001 is that model" in done.stderr
-    (row,) = lake.snapshot().rows(Annotation)
-    assert (row.instance_id, row.annotator, row.tool) == ("0001", "scan2cad", "Scan2CAD")
-    assert np.allclose(np.array(row.pose).reshape(4, 4)[:3, 3], [-2.0, -2.0, 0.0])
-    assert np.allclose(row.scale, 1.0)
-    assert "nothing to do" in CliRunner().invoke(cli, words).output
-    assert state(lake, "s2c") == "submitted"
