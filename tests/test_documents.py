@@ -90,7 +90,7 @@ def words_of(line: str) -> list[str]:
 def refusal(words: list[str]) -> str | None:
     """Why the command line would refuse these words before it does anything; None where it takes them."""
     group: click.Command = cli
-    context = click.Context(cli, info_name="metascenes")
+    context = click.Context(cli, info_name="metascenes", **cli.context_settings)
     rest = words[1:]
     while isinstance(group, click.Group) and rest and not rest[0].startswith("-"):
         inner = group.get_command(context, rest[0])
@@ -121,7 +121,7 @@ def refusal(words: list[str]) -> str | None:
 def complaint(words: list[str]) -> str | None:
     """Why the command line refuses a whole command, values and arguments included; None where it takes it. Nothing is done."""
     group: click.Command = cli
-    context, rest = click.Context(cli, info_name="metascenes"), words[1:]
+    context, rest = click.Context(cli, info_name="metascenes", **cli.context_settings), words[1:]
     try:
         while isinstance(group, click.Group):
             name, inner, rest = group.resolve_command(context, rest)

@@ -32,7 +32,7 @@ MAKES = {"demo", "bench"}
 
 
 def leaves() -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    context = click.Context(cli)
+    context = click.Context(cli, **cli.context_settings)
     for name in COMMANDS:
         command = cli.get_command(context, name)
         assert command is not None
