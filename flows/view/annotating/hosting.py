@@ -1,0 +1,74 @@
+"""A batch served to its people: drafts and tokens opened, everybody's address, and the end."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from flows.view.annotating.drafts import Drafts
+from flows.view.annotating.people import Keys, keep_keys, kept_keys
+from flows.view.annotating.routes import annotation_application
+from flows.view.annotating.work import Work
+from flows.view.serving import bound, serve_people
+from schemas.errors import InputError
+from warehouse.lake import Lake
+
+FOLDER = "drafts"
+"""Of the lake, where what was begun and not saved is kept, a file for each batch."""
+
+PATIENCE_SECONDS = 60
+"""How long figures that are being computed are waited for at the end."""
+
+
+def serve_annotation(
+    lake: Lake, batch_id: str, reviewers: Sequence[str], file: Path | None, host: str, port: int,
+    announce: Callable[[dict[str, dict[str, Any]]], None],
+) -> None:  # fmt: skip
+    """Serve a batch to its annotators and to reviewers until interrupted. `announce` is called with roles and address by name.
+
+    `file`: of the drafts; in the lake's folder when none is named. Port 0 is the one of the last time, while it is free.
+
+    Raises:
+        InputError: the batch, a name, the file, the host or the port cannot be used.
+    """
+    place = file or drafts_file(lake, batch_id)
+    with contextlib.closing(Drafts(place, batch_id)) as drafts:
+        work = Work(lake, batch_id, drafts, reviewers)
+        tokens = place.with_name(f"{place.name}.tokens")
+        keys = kept_keys(tokens, work.roles)
+        with _listening(host, port, keys.port) as listening:
+            keep_keys(tokens, Keys(keys.tokens, listening.getsockname()[1]))
+
+            def show(addresses: Mapping[str, str]) -> None:
+                announce({name: {"roles": list(work.roles[name]), "address": address} for name, address in addresses.items()})
+
+            people = {token: name for name, token in keys.tokens.items()}
+            serve_people(annotation_application(work), host, listening, people, show, PATIENCE_SECONDS)
+
+
+def drafts_file(lake: Lake, batch_id: str) -> Path:
+    """Where the drafts of a batch lie.
+
+    Raises:
+        InputError: the lake is in no local folder.
+    """
+    place = lake.storage.local_path(f"{FOLDER}/{batch_id}.sqlite")
+    if place is None:
+        raise InputError(lake.address, "--drafts", "the lake is not in a local folder", "name a file of this machine for the drafts")
+    return place
+
+
+@contextlib.contextmanager
+def _listening(host: str, port: int, last: int) -> Iterator[socket.socket]:
+    """A socket at a port; for port 0 at the last one, so that addresses stay as they are, or at a free one."""
+    with contextlib.ExitStack() as stack:
+        try:
+            made = stack.enter_context(bound(host, port or last))
+        except InputError:
+            if port:
+                raise
+            made = stack.enter_context(bound(host, 0))
+        yield made
