@@ -172,6 +172,7 @@ class Annotate {
   /** Go to a step: choose, align, rank. */
   turnTo(name) {
     this.stepName = name;
+    if (document.activeElement?.type === "number") document.activeElement.blur(); // numbers are candidates again
     for (const [each, tab] of Object.entries(this.nodes.steps)) tab.setAttribute("aria-selected", String(each === name));
     this.nodes.hint.textContent = HINTS[name];
     this.handles(name === "align" ? this.handle : null);

@@ -60,7 +60,7 @@ export class Scan {
       for (const name of ["position", "normal", "color"]) {
         if (mesh.geometry.attributes[name]) geometry.setAttribute(name, mesh.geometry.attributes[name]);
       }
-      geometry.setIndex(shuffled(geometry.attributes.position.count)); // any first part of them is the scan, coarsely
+      geometry.setIndex(new BufferAttribute(shuffled(geometry.attributes.position.count), 1)); // any first part of them is the scan, coarsely
       const material = new PointsMaterial({ size, vertexColors: "color" in geometry.attributes });
       if (!material.vertexColors) material.color.set(0x8a94a2);
       material.onBeforeCompile = (shader) => {

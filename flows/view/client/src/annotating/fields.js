@@ -20,7 +20,7 @@ export class Fields {
       type: "number", step: String(step), "aria-label": `${text} [${unit}]`, "data-field": name, onchange: () => this.#changed(name),
     })]));
     for (const [name, input] of Object.entries(this.inputs)) {
-      input.addEventListener("keydown", (event) => event.key === "Enter" && !event.ctrlKey && this.#changed(name));
+      input.addEventListener("keydown", (event) => event.key === "Enter" && !event.ctrlKey && input.blur()); // which takes it over
     }
     this.snap = make("input", { type: "checkbox", onchange: () => on.snap(this.snap.checked) });
     const rows = FIELDS.map(([name, text, unit]) => make("label", { class: "field" }, make("span", { textContent: text }), this.inputs[name], make("small", { textContent: unit })));

@@ -35,7 +35,7 @@ const isText = (node) => node.matches?.("textarea, input[type=search], input[typ
 /** Keys that a field keeps for itself: numbers their digits, buttons and boxes what presses them. */
 function isKept(node, event) {
   if (isText(node)) return event.key !== "Escape";
-  if (node.matches?.("input[type=number]")) return event.key.length === 1 ? /[-+0-9.,e]/i.test(event.key) : !["Escape", "PageUp", "PageDown"].includes(event.key);
+  if (node.matches?.("input[type=number]")) return event.key.length === 1 ? /[-+0-9.,]/.test(event.key) : !["Escape", "PageUp", "PageDown"].includes(event.key);
   if (node.matches?.("button, input[type=checkbox], summary")) return event.key === " " || (event.key === "Enter" && !node.matches("input"));
   return false;
 }
