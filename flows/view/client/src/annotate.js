@@ -35,7 +35,7 @@ class Annotate {
     });
     this.saving = new Saving((state, reason) => this.#saved(state, reason));
     this.fields = new Fields({
-      change: (transform) => this.editing.place(transform), support: (transform) => this.stage.support(transform),
+      change: (transform) => this.editing.place(transform), support: (transform) => this.stage.support(this.draft, transform),
       snap: (isOn) => (this.editing.snaps = isOn), putDown: (where) => this.editing.putDown(where), settle: () => this.editing.settle(),
       reset: () => this.editing.reset(),
     });

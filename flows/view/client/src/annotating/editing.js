@@ -86,7 +86,7 @@ export class Editing {
     const transform = this.draft?.transform;
     if (!transform) return;
     const [x, y] = transform.position;
-    this.place({ ...transform, position: [x, y, where === "floor" ? 0 : this.app.stage.support(transform)] });
+    this.place({ ...transform, position: [x, y, where === "floor" ? 0 : this.app.stage.support(this.draft, transform)] });
   }
 
   /** Back to where selection put what is chosen. */
@@ -103,7 +103,7 @@ export class Editing {
 
   #snapped(transform) {
     const [x, y, z] = transform.position;
-    const below = this.app.stage.support(transform);
+    const below = this.app.stage.support(this.draft, transform);
     const isNear = !this.app.stage.gizmo.axis.includes("Z") || Math.abs(z - below) < NEAR_M;
     return isNear ? { ...transform, position: [x, y, below] } : transform;
   }

@@ -193,11 +193,11 @@ export class Stage {
     this.gizmo.at(this.hasHandles && this.draft?.transform ? this.draft.transform : null);
   }
 
-  /** Height of what lies below the chosen candidate where it would stand [m]. */
-  support(transform) {
-    const id = idOf(this.draft);
+  /** Height of what lies below a draft's candidate where it would stand [m]. */
+  support(draft, transform) {
+    const id = idOf(draft);
     const rest = [...(this.replica?.shown ?? [])].filter(([each]) => each !== id).map(([, holder]) => holder);
-    return supportBelow(transform, this.draft.chosen.extents, rest);
+    return supportBelow(transform, draft.chosen.extents, rest);
   }
 
   /** Where the camera stands: `object`, `corner` and `above` of the room, or `photo`, where the photo was taken. */
