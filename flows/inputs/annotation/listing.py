@@ -47,7 +47,7 @@ def open_work(lake: Lake, batch_id: str, annotator: str) -> list[dict[str, Any]]
                 "scene_id": row.scene_id, "instance_id": row.instance_id, "place": row.place, "doubt": row.doubt,
                 "reasons": list(row.reasons), "is_open": state.state in ("open", "returned"), "is_answered": answer is not None,
                 "is_withdrawn": answer is None and key in given,
-                "answer": _plain(answer), "figures": _plain(figures.get((*key, answer.revision))) if answer is not None else None,
+                "answer": plain(answer), "figures": plain(figures.get((*key, answer.revision))) if answer is not None else None,
                 "remarks": remarked.get(key, []),
             }
         )  # fmt: skip
@@ -72,8 +72,8 @@ def open_reviews(lake: Lake, batch_id: str, reviewer: str) -> list[dict[str, Any
         reviews.append(
             {
                 "scene_id": row.scene_id, "instance_id": row.instance_id, "annotator": row.annotator, "place": row.place,
-                "is_open": state.state == "in_review", "answer": _plain(answers.get(key)), "figures": _plain(figures.get(key)),
-                "verdict": _plain(state.verdicts.get(key_of(row))),
+                "is_open": state.state == "in_review", "answer": plain(answers.get(key)), "figures": plain(figures.get(key)),
+                "verdict": plain(state.verdicts.get(key_of(row))),
             }
         )  # fmt: skip
     return reviews
@@ -130,8 +130,8 @@ def _remarks(verdicts: list[AnswerVerdict]) -> dict[tuple[str, str, str], list[s
     return remarks
 
 
-def _plain(row: Any) -> dict[str, Any] | None:
-    """A row as plain values."""
+def plain(row: Any) -> dict[str, Any] | None:
+    """A row as plain values, times in ISO 8601; None of None."""
     if row is None:
         return None
     values: dict[str, Any] = rows_to_arrow([row], type(row)).to_pylist()[0]

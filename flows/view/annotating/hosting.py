@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from flows.view.annotating.drafts import Drafts
 from flows.view.annotating.people import Keys, keep_keys, kept_keys
 from flows.view.annotating.routes import annotation_application
+from flows.view.annotating.settling import Rooms
 from flows.view.annotating.work import Work
 from flows.view.serving import bound, serve_people
 from schemas.errors import InputError
@@ -37,16 +39,26 @@ def serve_annotation(
     place = file or drafts_file(lake, batch_id)
     with contextlib.closing(Drafts(place, batch_id)) as drafts:
         work = Work(lake, batch_id, drafts, reviewers)
+        rooms = Rooms(work)
         tokens = place.with_name(f"{place.name}.tokens")
         keys = kept_keys(tokens, work.roles)
         with _listening(host, port, keys.port) as listening:
             keep_keys(tokens, Keys(keys.tokens, listening.getsockname()[1]))
 
+            ending = threading.Event()
+            warming = threading.Thread(target=rooms.warm, args=(ending,), name="warming")
+
             def show(addresses: Mapping[str, str]) -> None:
+                warming.start()
                 announce({name: {"roles": list(work.roles[name]), "address": address} for name, address in addresses.items()})
 
             people = {token: name for name, token in keys.tokens.items()}
-            serve_people(annotation_application(work), host, listening, people, show, PATIENCE_SECONDS)
+            try:
+                serve_people(annotation_application(work, rooms), host, listening, people, show, PATIENCE_SECONDS)
+            finally:
+                ending.set()
+                if warming.ident is not None:
+                    warming.join()  # native code must not run on while the process ends
 
 
 def drafts_file(lake: Lake, batch_id: str) -> Path:

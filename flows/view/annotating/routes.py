@@ -6,6 +6,8 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
@@ -24,20 +26,25 @@ from flows.view.annotating.requests import (
     read_draft,
     refusing,
 )  # fmt: skip
+from flows.view.annotating.settling import Rooms
 from flows.view.annotating.work import Work, draft_document
 from flows.view.application import application, named, scene_routes
 from schemas.annotation import Annotation
 
 PAGE = "annotate.html"
 
+AT_ONCE = 2
+"""Figures and settlings that are computed at a time."""
+
 Body = dict[str, Any]
 
 json_object: Body = Depends(json_body)
 
 
-def annotation_application(work: Work) -> FastAPI:
+def annotation_application(work: Work, rooms: Rooms) -> FastAPI:
     """The application of the annotation page. Whoever serves it guards it, and says who asks: `scope["person"]`."""
-    app = application([scene_routes(work.scenes), file_routes(work), annotator_routes(work), reviewer_routes(work)], PAGE)
+    own = (file_routes(work), annotator_routes(work), placing_routes(work, rooms), reviewer_routes(work))
+    app = application([scene_routes(work.scenes), *own], PAGE)
 
     @app.exception_handler(Refusal)
     def refused(request: Request, refusal: Refusal) -> Response:
@@ -132,6 +139,25 @@ def annotator_routes(work: Work) -> APIRouter:
         with refusing(409):
             submit(work.lake, work.batch_id, name, partial)
         return JSONResponse(work.me(name)["batch"])
+
+    return api
+
+
+def placing_routes(work: Work, rooms: Rooms) -> APIRouter:
+    """What is computed while an annotator places an asset; a few at a time, so that drafts need not wait for it."""
+    api = APIRouter()
+    person = Depends(asking(work, ANNOTATOR))
+    turns = CapacityLimiter(AT_ONCE)
+
+    @api.post("/api/figures/{dataset}/{scan}/{instance}")
+    async def figures(dataset: str, scan: str, instance: str, name: str = person, body: Body = json_object) -> Response:
+        key = own_key(work, name, (f"{dataset}/{scan}", instance))
+        return JSONResponse(await run_sync(rooms.figures, name, key, body, limiter=turns))
+
+    @api.post("/api/settle/{dataset}/{scan}/{instance}")
+    async def settle(dataset: str, scan: str, instance: str, name: str = person, body: Body = json_object) -> Response:
+        key = own_key(work, name, (f"{dataset}/{scan}", instance))
+        return JSONResponse(await run_sync(rooms.settled, name, key, body, limiter=turns))
 
     return api
 

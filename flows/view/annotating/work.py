@@ -125,17 +125,18 @@ class Work:
 
     def objects(self, name: str) -> dict[str, Any]:
         """What is asked of an annotator, in the order of their list, with what they answered and began."""
-        drafts, rows, scenes = self.drafts.of(name), open_work(self.lake, self.batch_id, name), set()
+        drafts, rows = self.drafts.of(name), open_work(self.lake, self.batch_id, name)
         objects = []
         for row in rows:
             key = (row["scene_id"], row["instance_id"])
-            draft, scenes = drafts.get(key), scenes | {key[0]}
+            draft = drafts.get(key)
             status = "draft" if draft else "answered" if row["is_answered"] else "withdrawn" if row["is_withdrawn"] else "open"
             objects.append(
                 self._objects[key]
                 | {name: row[name] for name in ("place", "reasons", "doubt", "is_open", "remarks", "figures")}
                 | {"status": status, "answer": _answer(row["answer"]), "draft": draft_document(draft)}
             )
+        scenes = {row["scene_id"] for row in rows}
         return {"objects": objects, "scenes": [row for row in self._rooms if row["scene_id"] in scenes]}
 
     def reviews(self, name: str) -> dict[str, Any]:
@@ -196,16 +197,17 @@ def draft_document(draft: Draft | None) -> dict[str, Any] | None:
     return {**draft.body, "edit": draft.edit, "page": draft.page, "saved_at": draft.saved_at}
 
 
+def transform_document(pose: Sequence[float], scale: Sequence[float]) -> dict[str, Any]:
+    """A pose, 4x4 row by row [m], and a scale in the words of `batch.schema.json`."""
+    placed = matrix(pose)
+    return {"position": placed[:3, 3].tolist(), "rotation_wxyz": list(quaternion_wxyz(placed)), "scale": list(scale)}
+
+
 def _answer(row: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """An answer of the lake in the words of `batch.schema.json`."""
     if row is None:
         return None
-    transform = None
-    if row["pose"] is not None:
-        pose = matrix(row["pose"])
-        transform = {
-            "position": pose[:3, 3].tolist(), "rotation_wxyz": list(quaternion_wxyz(pose)), "scale": list(row["scale"]),
-        }  # fmt: skip
+    transform = None if row["pose"] is None else transform_document(row["pose"], row["scale"])
     return {name: row[name] for name in ("choice", "ranking", "seconds", "revision", "answered_at")} | {"transform": transform}
 
 
