@@ -273,7 +273,7 @@ class Annotate {
     const handing = { save: () => this.handing.save(), nextOpen: () => this.nextOpen(), withdraw: () => this.handing.withdraw() };
     const parts = about(row);
     this.nodes.aside = parts[0].querySelector("figcaption");
-    this.verdict = this.isReviewing ? verdictBox(row, { judge: (passes) => this.handing.judge(passes) }) : null;
+    this.verdict = this.isReviewing ? verdictBox(row, this.me.batch.state === "in_review", { judge: (passes) => this.handing.judge(passes) }) : null;
     parts[0].append(this.nodes.photoCamera);
     this.nodes.pane.replaceChildren(...parts, ...(this.verdict ? [this.verdict] : [actions(row, handing)]), this.nodes.figures, this.fields.node);
     this.nodes.photoCamera.hidden = !row.camera;

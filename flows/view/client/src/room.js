@@ -45,14 +45,19 @@ export class Scan {
   }
 
   /** Draw points instead of faces, or faces again. */
-  asPoints(wanted, size = POINT_M) {
-    if (wanted && this.points === null) this.#makePoints(size);
+  asPoints(wanted) {
+    if (wanted && this.points === null) this.#makePoints();
     if (this.points) this.points.visible = wanted;
     this.mesh.visible = !wanted;
   }
 
+  /** How large points are drawn [m]. */
+  pointSize(metres) {
+    for (const { material } of this.points?.children ?? []) material.size = metres;
+  }
+
   /** Points that are turned away are left out, as faces are. */
-  #makePoints(size) {
+  #makePoints() {
     this.points = new Group();
     for (const mesh of meshes(this.mesh)) {
       if (!mesh.geometry.attributes.normal) mesh.geometry.computeVertexNormals();
@@ -61,7 +66,7 @@ export class Scan {
         if (mesh.geometry.attributes[name]) geometry.setAttribute(name, mesh.geometry.attributes[name]);
       }
       geometry.setIndex(new BufferAttribute(shuffled(geometry.attributes.position.count), 1)); // any first part of them is the scan, coarsely
-      const material = new PointsMaterial({ size, vertexColors: "color" in geometry.attributes });
+      const material = new PointsMaterial({ size: POINT_M, vertexColors: "color" in geometry.attributes });
       if (!material.vertexColors) material.color.set(0x8a94a2);
       material.onBeforeCompile = (shader) => {
         const away = "vec3 toEye = -mvPosition.xyz; if (dot(normalMatrix * normal, toEye) < 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);";

@@ -132,7 +132,8 @@ export class Editing {
       this.app.figures = told.figures;
       this.app.changed();
       this.app.stage.slide(from, draft.transform);
-      this.app.say(`Settled: moved by ${(told.moved_m * 100).toFixed(1)} cm${told.steps.length ? ` (${told.steps.join(", ")})` : ""}`);
+      const how = told.steps.length ? ` (${told.steps.join(", ")})` : "";
+      this.app.say(`Settled: moved by ${(told.moved_m * 100).toFixed(1)} cm${how}${told.problem ? `; ${told.problem}` : ""}`, Boolean(told.problem));
     } catch (error) {
       this.app.say(error.message, true);
     } finally {

@@ -116,7 +116,7 @@ export class Handing {
   judge(passes) {
     const { app } = this;
     const { current } = app;
-    if (!app.isReviewing || !current) return null;
+    if (!app.isReviewing || !current || app.me.batch.state !== "in_review") return null;
     const field = app.verdict.remark;
     const remark = field.value.trim() || null;
     if (!passes && !remark) {

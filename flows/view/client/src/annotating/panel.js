@@ -19,7 +19,7 @@ export function about(row) {
 export function asideText(degrees) {
   if (degrees === null) return "";
   const turned = Math.round(Math.abs(degrees));
-  if (turned < 3) return "The view is from where the photo was taken.";
+  if (turned < 3) return "The view looks the same way as the photo.";
   return `The view is turned ${turned}° to the ${degrees > 0 ? "right" : "left"} of the photo.`;
 }
 
@@ -32,10 +32,10 @@ export function actions(row, on) {
 }
 
 /** What a reviewer says of an answer. */
-export function verdictBox(row, on) {
-  const remark = make("textarea", { rows: 3, "aria-label": "Remark", placeholder: "What is wrong with it", maxLength: 2000, value: row.verdict?.remark ?? "" });
+export function verdictBox(row, isOpen, on) {
+  const remark = make("textarea", { rows: 3, "aria-label": "Remark", placeholder: "What is wrong with it", maxLength: 2000, value: row.verdict?.remark ?? "", disabled: !isOpen });
   const act = (text, title, passes) => make("button", {
-    type: "button", class: "toggle", textContent: text, title, "aria-pressed": String(row.verdict?.passes === passes), onclick: () => on.judge(passes),
+    type: "button", class: "toggle", textContent: text, title, "aria-pressed": String(row.verdict?.passes === passes), disabled: !isOpen, onclick: () => on.judge(passes),
   });
   const buttons = make("div", { class: "acts" }, act("Passes", "Y", true), act("Fails", "X", false));
   const node = make("section", { class: "verdict", "aria-label": "Verdict" }, make("h3", { textContent: `Answered by ${row.annotator}` }), buttons, remark);

@@ -1,6 +1,7 @@
 // What the page asks of the server of a batch, and how it hears that it may not, or that nobody answers.
 
 const PATIENCE_MS = 20_000;
+const COMPUTING_MS = 180_000; // a server that was just set up compiles first
 
 /** The server answered, and refused. `value`: what it said besides. */
 export class Refusal extends Error {
@@ -15,7 +16,7 @@ export class Absence extends Error {}
 
 /** Ask for `api/<path>`, with a value as JSON where there is one; the answer's value. */
 export async function ask(method, path, value) {
-  const options = { method, signal: AbortSignal.timeout(PATIENCE_MS) };
+  const options = { method, signal: AbortSignal.timeout(/^(figures|settle|answers)\//.test(path) ? COMPUTING_MS : PATIENCE_MS) };
   if (value !== undefined) Object.assign(options, { headers: { "content-type": "application/json" }, body: JSON.stringify(value) });
   let answer;
   try {

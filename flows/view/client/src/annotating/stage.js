@@ -15,7 +15,7 @@ import { supportBelow } from "./support.js";
 
 export const SCAN_MODES = ["over", "beside", "scan", "replica"];
 const FOV_DEGREES = 45;
-const POINT_M = 0.018;
+const POINT_M = { over: 0.018, beside: 0.03, scan: 0.03, replica: 0.03 }; // over the replica they must not hide it
 const OWN_POINT_M = 0.012;
 const OWN_COLOR = 0xe8590c;
 const GLIDE_SECONDS = 0.5;
@@ -66,7 +66,7 @@ export class Stage {
     const scan = await scanning;
     if (turn !== this.loading) return;
     this.scan = scan;
-    scan?.asPoints(true, POINT_M);
+    scan?.asPoints(true);
     this.canvas.quick = (wanted, isSlow) => scan?.quick(wanted, isSlow);
     this.scanMode(this.mode);
     this.canvas.measure();
@@ -95,6 +95,7 @@ export class Stage {
     this.mode = mode;
     const { scan, replica } = this.canvas;
     (mode === "over" ? replica : scan).add(this.scanGroup);
+    this.scan?.pointSize(POINT_M[mode]);
     this.cut({ over: 0, beside: 0.5, scan: 1, replica: 0 }[mode]);
   }
 

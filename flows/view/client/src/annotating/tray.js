@@ -12,7 +12,7 @@ export function tray(draft, step, on) {
   const offers = draft.offers;
   const tiles = offers.map((offer, index) => tile(draft, offer, index, step, on));
   const none = make("button", {
-    type: "button", class: "toggle none", textContent: "None fits", title: "X", disabled: !on, "aria-pressed": String(draft.now.choice === null), onclick: () => on.none(),
+    type: "button", class: "toggle none", textContent: "None fits", hidden: !on && draft.now.choice !== null, title: "X", disabled: !on, "aria-pressed": String(draft.now.choice === null), onclick: () => on.none(),
   });
   const parts = [make("div", { class: "tiles ten", role: "group", "aria-label": "Candidates" }, ...tiles, none)];
   if (step === "rank") parts.push(ranking(draft, on));
@@ -42,7 +42,7 @@ function ranking(draft, on) {
     const offer = slot === undefined ? null : draft.candidate(slot);
     const box = make("li", { class: offer ? "place" : "place empty", "data-place": String(place) }, make("span", { class: "ordinal", textContent: name }));
     if (!offer) {
-      box.append(make("small", { textContent: "drag here, or press a number" }));
+      box.append(make("small", { textContent: on ? "drag here, or press a number" : "nothing" }));
       return box;
     }
     const node = make("button", {
