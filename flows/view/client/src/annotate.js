@@ -109,6 +109,7 @@ class Annotate {
     this.current = this.entries.find((each) => each.draft === draft) ?? null;
     if (!this.current) return;
     const { row } = this.current;
+    delete document.documentElement.dataset.shown;
     history.replaceState(null, "", `#${encodeURIComponent(entryKey(row)).replaceAll("%2F", "/")}`);
     this.figures = row.figures ?? null;
     this.fields.support = 0;
@@ -127,6 +128,7 @@ class Annotate {
     if (!this.stage.hasLooked || this.stage.draft === draft) this.stage.look("object");
     this.#show();
     this.measure();
+    document.documentElement.dataset.shown = entryKey(row);
   }
 
   async #openRoom(room, { scene_id: scene, instance_id: first, annotator }) {
