@@ -70,11 +70,10 @@ class Annotate {
     for (const tab of this.nodes.roles.children) tab.setAttribute("aria-selected", String((tab.dataset.role === "reviewer") === isReview));
     this.nodes.stepBar.hidden = this.nodes.handleBar.hidden = this.nodes.undo.hidden = this.nodes.redo.hidden = isReview;
     await this.saving.flush();
-    const told = isReview ? await ask("GET", "reviews") : await ask("GET", "work");
+    const [told] = await Promise.all([ask("GET", isReview ? "reviews" : "work"), this.progress()]);
     this.entries = (isReview ? told.answers : told.objects).map((row) => ({ row, draft: new Draft(isReview ? { ...row, draft: null } : row) }));
     this.current = null;
     this.list();
-    this.progress();
     if (!this.entries.length) {
       this.say(isReview ? "Nothing is to be judged now." : "Nothing is asked of you in this batch.");
       this.nodes.pane.replaceChildren();
@@ -118,14 +117,17 @@ class Annotate {
     this.#pane();
     const room = `${row.scene_id} ${row.annotator ?? ""}`;
     try {
-      if (this.room === room && this.stage.scene === row.scene_id) await this.stage.show(draft);
-      else await this.#openRoom(room, row);
+      if (this.room !== room || this.stage.scene !== row.scene_id) await this.#openRoom(room, row);
+      else {
+        await this.stage.show(draft);
+        if (draft === this.draft) this.stage.look("object");
+      }
     } catch (error) {
       this.room = null;
+      this.stage.canvas.isHeld = false;
       this.say(error.message, true);
     }
     if (draft !== this.draft) return;
-    if (!this.stage.hasLooked || this.stage.draft === draft) this.stage.look("object");
     this.#show();
     this.measure();
     document.documentElement.dataset.shown = entryKey(row);

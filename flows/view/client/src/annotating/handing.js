@@ -8,21 +8,15 @@ export class Handing {
   /** `app`: the page. */
   constructor(app) {
     this.app = app;
-    this.isBusy = false;
-    this.queue = Promise.resolve(); // answers go one after the other
+    this.queue = Promise.resolve(); // whatever is handed in goes one after the other
   }
 
-  /** Do something that the server may refuse; what it says then is shown. Nothing is begun while another is on its way. */
-  async #do(act) {
-    if (this.isBusy) return;
-    this.isBusy = true;
-    try {
-      await act();
-    } catch (error) {
+  /** Do something that the server may refuse, after what was begun before; what it says then is shown, and `back` is called. */
+  #do(act, back = () => {}) {
+    this.queue = this.queue.then(act).catch((error) => {
+      back(error);
       this.app.say(error instanceof Absence ? `${error.message}: try again` : error.message, true);
-    } finally {
-      this.isBusy = false;
-    }
+    });
   }
 
   /** Make the draft the answer, and go on to the next open object meanwhile: until the server has the answer it has the draft. */
@@ -32,11 +26,11 @@ export class Handing {
     if (!app.isOpen || current.row.status === "saving") return;
     app.editing.dropped();
     current.row.status = "saving";
-    this.queue = this.queue.then(() => this.#answer(current)).catch((error) => {
+    this.#do(() => this.#answer(current), (error) => {
       if (current.row.status === "saving") current.row.status = "draft";
+      error.message = `${current.row.category} ${current.row.instance_id} is kept as a draft, and not saved: ${error.message}`;
       app.saving.put(current.draft);
       app.refresh();
-      app.say(`${current.row.category} ${current.row.instance_id} is not saved as an answer, but kept as a draft: ${error.message}`, true);
     });
     app.refresh();
     if (!app.nextOpen()) app.say("That was the last one.");
@@ -44,12 +38,14 @@ export class Handing {
 
   async #answer({ row, draft }) {
     const { app } = this;
-    await app.saving.release(draft);
+    await app.saving.flush(); // on the disk as a draft, whatever comes of the answer
     const { version } = draft;
     const { figures } = await ask("POST", `answers/${keyPath(draft.key)}`, numbered(draft));
     row.figures = figures;
-    if (draft.version === version) row.status = "answered";
-    else app.saving.put(draft); // it was changed meanwhile
+    if (draft.version === version) {
+      row.status = "answered";
+      app.saving.release(draft);
+    } else app.saving.put(draft); // it was changed meanwhile
     app.refresh();
     await app.progress();
     if (app.entries.every((each) => each.row.status === "answered")) app.say("Everything that is asked of you is answered. Hand it in on the left.");
@@ -59,9 +55,10 @@ export class Handing {
   withdraw() {
     const { app } = this;
     const { current } = app;
-    return this.#do(async () => {
-      await app.saving.release(current.draft);
+    this.#do(async () => {
+      await app.saving.flush();
       await ask("POST", `answers/${keyPath(current.row.key)}`, { withdrawn: true });
+      app.saving.release(current.draft);
       current.row.status = "withdrawn";
       app.refresh();
       app.progress();
@@ -90,8 +87,8 @@ export class Handing {
 
   #submit(isPartial) {
     const { app } = this;
-    return this.#do(async () => {
-      await Promise.all([this.queue, app.saving.flush()]);
+    this.#do(async () => {
+      await app.saving.flush();
       try {
         await ask("POST", "submit", { partial: isPartial });
       } catch (error) {
@@ -106,7 +103,7 @@ export class Handing {
 
   /** Draw the answers that are reviewed. */
   sample() {
-    return this.#do(async () => {
+    this.#do(async () => {
       await ask("POST", "sample", {});
       await this.app.open(true);
     });
@@ -116,29 +113,32 @@ export class Handing {
   judge(passes) {
     const { app } = this;
     const { current } = app;
-    if (!app.isReviewing || !current || app.me.batch.state !== "in_review") return null;
+    if (!app.isReviewing || !current || app.me.batch.state !== "in_review") return;
     const field = app.verdict.remark;
     const remark = field.value.trim() || null;
     if (!passes && !remark) {
       app.say("What fails needs a remark: say what is wrong with it.", true);
       field.focus();
-      return null;
+      return;
     }
-    return this.#do(async () => {
-      const { key, annotator } = current.row;
+    const { key, annotator, verdict } = current.row;
+    current.row.verdict = { passes, remark };
+    field.blur();
+    this.#do(async () => {
       const { judged, sampled } = await ask("PUT", `verdicts/${keyPath(`${key}/${annotator}`)}`, { passes, remark });
-      current.row.verdict = { passes, remark };
-      field.blur();
+      await app.progress();
+      app.say(judged < sampled ? `${judged} of ${sampled} judged` : "All of the sample is judged. Conclude the review on the left.");
+    }, () => {
+      current.row.verdict = verdict;
       app.refresh();
-      app.progress();
-      app.say(`${judged} of ${sampled} judged`);
-      if (app.current === current && !app.nextOpen()) app.say("All of the sample is judged. Conclude the review on the left.");
     });
+    app.refresh();
+    app.nextOpen();
   }
 
   /** End the review: the batch is accepted, or goes back. */
   conclude() {
-    return this.#do(async () => {
+    this.#do(async () => {
       const told = await ask("POST", "conclude", {});
       await this.app.open(true);
       const range = `${(told.pass_low * 100).toFixed(1)} to ${(told.pass_high * 100).toFixed(1)} % of the batch are right`;

@@ -40,12 +40,9 @@ export class Saving {
     return this.running;
   }
 
-  /** Leave a draft to whoever hands it in as an answer, once none of it is on its way. */
-  async release(draft) {
-    this.pending.delete(draft.key);
-    await this.running;
-    this.pending.delete(draft.key);
-    if (!this.pending.size) this.#tell("saved");
+  /** A draft was handed in as an answer: none of it waits any more. */
+  release(draft) {
+    if (this.pending.delete(draft.key) && !this.pending.size && !this.running) this.#tell("saved");
   }
 
   #pause() {

@@ -57,10 +57,12 @@ export class Stage {
       this.canvas.draw();
     });
     await this.show(drafts.get(first));
+    if (turn !== this.loading) return;
     this.look("object");
+    this.canvas.isHeld = true;
     const scanning = told.scan ? Scan.of(told, this.scanGroup) : Promise.resolve(null);
     scanning.catch(() => {}); // told of below
-    const failed = await this.replica.load(() => this.canvas.draw());
+    const failed = await this.replica.load(() => {});
     if (turn !== this.loading) return;
     await Promise.all([room, ...[...drafts.values()].filter((draft) => draft !== this.draft).map((draft) => this.#stand(draft))]);
     const scan = await scanning;
@@ -69,6 +71,7 @@ export class Stage {
     scan?.asPoints(true);
     this.canvas.quick = (wanted, isSlow) => scan?.quick(wanted, isSlow);
     this.scanMode(this.mode);
+    this.canvas.isHeld = false;
     this.canvas.measure();
     this.on.say(failed.length ? `Cannot be drawn: ${failed.join("; ")}` : "", failed.length > 0);
     document.documentElement.dataset.ready = scene;
@@ -79,6 +82,7 @@ export class Stage {
     delete document.documentElement.dataset.ready;
     this.canvas.facing = [];
     this.canvas.quick = () => {};
+    this.canvas.isHeld = false;
     this.glide?.pause();
     for (const group of [this.scanGroup, this.shell, this.objects]) release(group?.removeFromParent());
     [this.scanGroup, this.objects] = [new Group(), new Group()];
