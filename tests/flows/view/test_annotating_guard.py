@@ -131,6 +131,7 @@ def test_roles_are_held_route_by_route(desk: Desk) -> None:
     assert digests(desk.folder / "lake") == before
 
 
+@pytest.mark.whole
 def test_a_thousand_forged_requests_change_nothing_and_run_nothing(desk: Desk) -> None:
     """From people of the batch: paths that climb, ids of nothing, objects and answers of others, wrong values, odd bodies, scripts."""
     clients = {name: desk.client(name) for name in desk.work.roles}
@@ -144,7 +145,14 @@ def test_a_thousand_forged_requests_change_nothing_and_run_nothing(desk: Desk) -
     for name, method, path, content, kind in itertools.islice(_forged(random.Random(0), desk), 1000):
         answered = clients[name].request(method, path, content=content, headers={"content-type": kind})
         codes.add(answered.status_code)
-        assert answered.status_code in (400, 403, 404, 405, 409, 413), (name, method, path, content[:200], answered.status_code, answered.text)
+        assert answered.status_code in (400, 403, 404, 405, 409, 413), (
+            name,
+            method,
+            path,
+            content[:200],
+            answered.status_code,
+            answered.text,
+        )
         assert answered.headers["content-type"].startswith("application/json")
         assert b"Traceback" not in answered.content
         assert b"\n" not in answered.content
@@ -185,7 +193,9 @@ def _forged(draw: random.Random, desk: Desk) -> Iterator[tuple[str, str, str, by
         own, strange, kind = desk.own("ada"), desk.own("bob"), "application/json"
         match draw.randrange(9):
             case 0:  # ids of nothing
-                place = draw.choice([f"{scene}/{draw.choice(words)}", f"demo/{draw.choice(words)}/0001", f"{draw.choice(words)}/room_a/0001"])
+                place = draw.choice(
+                    [f"{scene}/{draw.choice(words)}", f"demo/{draw.choice(words)}/0001", f"{draw.choice(words)}/room_a/0001"]
+                )
                 yield "ada", method, base + place, sound, kind
             case 1:  # objects of others
                 yield "ada", method, base + strange, sound, kind
@@ -200,14 +210,24 @@ def _forged(draw: random.Random, desk: Desk) -> Iterator[tuple[str, str, str, by
                 kinds = ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x", ""]
                 yield "ada", method, base + own, sound, draw.choice(kinds)
             case 5:  # acts that are not theirs, or not now
-                acts = [("ada", "POST", "/api/sample", b"{}"), ("ada", "POST", "/api/conclude", b"{}"), ("rita", "POST", "/api/submit", b"{}"),
-                        ("rita", "POST", "/api/conclude", b"{}"), ("rita", "POST", "/api/sample", b"{}"), ("ada", "POST", "/api/submit", b"{}"),
-                        ("ada", "POST", "/api/submit", b'{"by": "bob"}'), ("ada", "POST", "/api/submit", b'{"partial": "yes"}'),
-                        ("rita", "GET", "/api/work", b""), ("ada", "GET", "/api/reviews", b""), ("rita", "DELETE", f"/api/drafts/{own}", b""),
-                        ("ada", "DELETE", f"/api/drafts/{strange}", b""), ("ada", "POST", f"/api/answers/{own}", b'{"withdrawn": true}')]
+                acts = [
+                    ("ada", "POST", "/api/sample", b"{}"),
+                    ("ada", "POST", "/api/conclude", b"{}"),
+                    ("rita", "POST", "/api/submit", b"{}"),
+                    ("rita", "POST", "/api/conclude", b"{}"),
+                    ("rita", "POST", "/api/sample", b"{}"),
+                    ("ada", "POST", "/api/submit", b"{}"),
+                    ("ada", "POST", "/api/submit", b'{"by": "bob"}'),
+                    ("ada", "POST", "/api/submit", b'{"partial": "yes"}'),
+                    ("rita", "GET", "/api/work", b""),
+                    ("ada", "GET", "/api/reviews", b""),
+                    ("rita", "DELETE", f"/api/drafts/{own}", b""),
+                    ("ada", "DELETE", f"/api/drafts/{strange}", b""),
+                    ("ada", "POST", f"/api/answers/{own}", b'{"withdrawn": true}'),
+                ]
                 yield *draw.choice(acts), kind
             case 6:  # verdicts on what was not drawn, by nobody, as others
-                verdicts: list[Any] = [{"passes": True}, {"passes": 1}, {"passes": False}, {"passes": True, "reviewer": "x"}, {"remark": "x"},
+                verdicts: list[Any] = [{"passes": True}, {"passes": 1}, {"passes": False}, {"passes": True, "by": "x"}, {"remark": "x"},
                                        {"passes": False, "remark": "x" * 3000}]  # fmt: skip
                 who = draw.choice(["ada", "bob", "rita", *words])
                 body = json.dumps(draw.choice(verdicts)).encode()
