@@ -43,7 +43,10 @@ def rest_alone(interior: Interior, name: str, method: Default, supports: Support
     parents = {row: carrier.parent_id for row, carrier in zip(held.names, held.carriers, strict=True)}
     steps = [step for step in resolution.steps if step.name == name and step.outcome in APPLIED]
     moved = moved_poses(dict(zip(held.names, held.poses, strict=True)), parents, [(step.name, step.move) for step in steps])
-    return Rested(moved[name], tuple(step.outcome for step in steps), resolution.problems.get(name, ""))
+    problems = [*([resolution.problems[name]] if name in resolution.problems else []), *resolution.notes]
+    if held.carriers[held.names.index(name)].relation == "none":
+        problems.append("nothing within reach carries it")
+    return Rested(moved[name], tuple(step.outcome for step in steps), "; ".join(problems))
 
 
 def hold_others(interior: Interior, name: str) -> Interior:

@@ -71,7 +71,6 @@ class Drafts:
 
     def _prepare(self) -> None:
         ask = self._connection.execute
-        ask("PRAGMA journal_mode = WAL")
         ask("PRAGMA synchronous = FULL")  # each commit is on the disk when it returns
         ask("BEGIN IMMEDIATE")
         try:
@@ -85,6 +84,7 @@ class Drafts:
                 raise InputError(str(self.file), "--drafts", problem, remedy)
         finally:
             ask("COMMIT")
+        ask("PRAGMA journal_mode = WAL")  # only now: a file that is none of ours stays as it is
 
     def _has_table(self) -> bool:
         columns = [row[1] for row in self._connection.execute("PRAGMA table_info(drafts)")]

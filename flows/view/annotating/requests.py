@@ -100,6 +100,7 @@ def read_draft(work: Work, name: str, key: Key, body: Mapping[str, Any], moment:
         Refusal: a field is unknown or cannot be used.
     """
     check_fields(body, (*ANSWERED, *COUNTED))
+    edit_of(body)
     with refusing():
         return read_answers(answer_document(work, name, key, body, moment), "answer")
 
