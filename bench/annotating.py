@@ -35,7 +35,8 @@ SLOTS = 10
 _REACH_M = 1.0  # along its handle an object is felt for so far
 _RELEASED = "addEventListener('pointerup', () => { window.released = performance.now(); }, true)"
 _KEPT_MS = """() => {
-    const sent = performance.getEntriesByType("resource").filter(({ name, startTime }) => name.includes("api/drafts/") && startTime >= released);
+    const isOfDrag = ({ name, startTime }) => name.includes("api/drafts/") && startTime >= released;
+    const sent = performance.getEntriesByType("resource").filter(isOfDrag);
     return sent.length ? sent[0].responseEnd - released : null;
 }"""
 
@@ -140,7 +141,9 @@ def print_annotating_report(report: Mapping[str, Any], console: Console) -> None
     config = report["config"]
     console.print(headline(report["machine"], config["seed"], 1), soft_wrap=True)
     columns = ("page", "first object [s]", "all [s]", "drag to kept [ms]", "settled [s]", "drawings a second: in a turn", "in a drag")
-    title = f"annotation pages of {config['points']:,} points and {config['objects']} objects, each with an empty cache, drawn by the processor"
+    title = (
+        f"annotation pages of {config['points']:,} points and {config['objects']} objects, each with an empty cache, drawn by the processor"
+    )
     table = table_of(title, *((column, True) for column in columns))
     for number, row in enumerate(report["pages"], 1):
         cells = [f"{row['usable_s']:.2f}", f"{row['seconds']:.2f}", f"{row['kept_ms']:.0f}", f"{row['settled_s']:.2f}"]

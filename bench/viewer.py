@@ -28,8 +28,8 @@ from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
 from schemas.selection import Selection
-from tasks.furniture import CATEGORIES, generate
 from tasks.candidates.assets import make_asset
+from tasks.furniture import CATEGORIES, generate
 from tasks.geometry.meshes import dump_glb, dump_points
 from tasks.geometry.transforms import flat, matrix, transform_points, translation
 from warehouse.lake import Lake

@@ -1,4 +1,4 @@
-"""A small lake whose rooms are annotated: a table with a box on it, things beside it, ten candidates each, points, a photo with its camera."""
+"""A small lake whose rooms are annotated: a table, a box over it, more beside it; ten candidates each, points, a photo, its camera."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RING = ((-2.5, -2.5), (2.5, -2.5), (2.5, 2.5), (-2.5, 2.5))
 TABLE_M = 0.5
 """Height of the table's top; the box of object 0002 was scanned 0.2 m above it."""
 
-THINGS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, float]], ...] = (
+OBJECTS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, float]], ...] = (
     ("table", (1.0, 1.0, TABLE_M), (0.0, 0.0, 0.0)),
     ("box", (0.3, 0.3, 0.3), (0.0, 0.0, TABLE_M + 0.2)),
     ("box", (0.4, 0.4, 0.4), (1.5, 0.0, 0.0)),
@@ -67,7 +67,7 @@ def _stage(lake: Lake, scene: str, assets: list[Asset]) -> None:
     solids = []
     photo = io.BytesIO()
     Image.new("RGB", (64, 48), (120, 90, 60)).save(photo, "JPEG")
-    for number, (category, size, place) in enumerate(THINGS, 1):
+    for number, (category, size, place) in enumerate(OBJECTS, 1):
         of = {"scene_id": scene, "instance_id": f"{number:04d}"}
         pose = translation(np.add(place, (0.0, 0.0, size[2] / 2)))
         solid = trimesh.creation.box(size).apply_transform(pose)
@@ -94,7 +94,9 @@ def _stage(lake: Lake, scene: str, assets: list[Asset]) -> None:
     walls = tuple((*a, *b) for a, b in zip(RING, RING[1:] + RING[:1], strict=True))
     outputs = {
         "capture": {
-            "scenes": [sample(Scene, scene_id=scene, scan=scene.partition("/")[2], room_id=scene, alignment=flat(np.eye(4)), mesh_blob=whole)],
+            "scenes": [
+                sample(Scene, scene_id=scene, scan=scene.partition("/")[2], room_id=scene, alignment=flat(np.eye(4)), mesh_blob=whole)
+            ],
             "instances": rows[Instance], "masks": [], "surfaces": [],
             "shells": [
                 sample(
