@@ -10,7 +10,7 @@ from typing import Any
 from fastapi import Request
 
 from flows.view.annotating.drafts import Key
-from flows.view.annotating.work import Work
+from flows.view.annotating.work import ServedBatch
 from schemas.errors import InputError, LakeError
 from schemas.text import one_line
 from tasks.annotation.batch import AnnotationBatch, read_answers
@@ -86,14 +86,14 @@ def edit_of(body: Mapping[str, Any], is_needed: bool = False) -> tuple[int, str]
     return edit, page
 
 
-def answer_document(work: Work, name: str, key: Key, values: Mapping[str, Any], moment: str) -> dict[str, Any]:
+def answer_document(work: ServedBatch, name: str, key: Key, values: Mapping[str, Any], moment: str) -> dict[str, Any]:
     """An answer after `batch.schema.json`: what the page sets, of whom and for what as the server knows it."""
     given = {field: value for field, value in values.items() if field not in COUNTED}
     who = {"scene_id": key[0], "instance_id": key[1], "annotator": name, "answered_at": moment}
     return {"batch_id": work.batch_id, "tool": TOOL, "annotations": [given | who]}
 
 
-def read_draft(work: Work, name: str, key: Key, body: Mapping[str, Any], moment: str) -> AnnotationBatch:
+def read_draft(work: ServedBatch, name: str, key: Key, body: Mapping[str, Any], moment: str) -> AnnotationBatch:
     """What an annotator sets for an object, held against the schema of answers.
 
     Raises:
@@ -105,7 +105,7 @@ def read_draft(work: Work, name: str, key: Key, body: Mapping[str, Any], moment:
         return read_answers(answer_document(work, name, key, body, moment), "answer")
 
 
-def own_key(work: Work, name: str, key: Key) -> Key:
+def own_key(work: ServedBatch, name: str, key: Key) -> Key:
     """The key of an object that is asked of an annotator.
 
     Raises:

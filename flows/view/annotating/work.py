@@ -12,16 +12,17 @@ import numpy as np
 from flows.inputs.annotation import batch_list, open_reviews, open_work
 from flows.inputs.annotation.acts import known_state, rows_of, state_in
 from flows.inputs.annotation.creation import asked_of
-from flows.view.annotating.drafts import Draft, Drafts, Key
+from flows.view.annotating.drafts import Drafts, KeptDraft, Key
 from flows.view.annotating.people import roles_of
 from flows.view.scene import Document, Scenes, Shown
-from schemas.annotation import Assignment
+from schemas.annotation import Assignment, WorkBatch
 from schemas.capture import Frame, Instance, Mask
 from schemas.errors import InputError
 from tasks.annotation.quality import pass_interval
 from tasks.geometry.transforms import matrix, quaternion_wxyz
 from warehouse.lake import Lake
 from warehouse.tables.gate import demands
+from warehouse.tables.snapshot import Reader
 
 CROP_MARGIN = 0.15
 """What the best view of an object shows around it, in longer sides of its mask (`tasks.capture.instances.views.view_of`)."""
@@ -68,15 +69,13 @@ class BatchScenes(Scenes):
             raise InputError(self.lake.address, scene_id, "is no scene of this batch")
 
 
-class Work:
+class ServedBatch:
     """A batch as its people see it. Objects and candidates are those of the snapshot that the server began with."""
 
     def __init__(self, lake: Lake, batch_id: str, drafts: Drafts, reviewers: Sequence[str]) -> None:
         """Raises InputError: the lake has no such batch, it was made elsewhere, or its objects are not there any more."""
         reader = lake.snapshot()
-        state = known_state(reader, batch_id)
-        if state.batch is None or state.origin != "created":
-            raise InputError(batch_id, "BATCH", "was made elsewhere", "`metascenes annotate create` makes batches that can be served")
+        batch = created_batch(reader, batch_id)
         self.lake, self.batch_id, self.drafts = lake, batch_id, drafts
         assignments = rows_of(reader, Assignment, batch_id)
         self.roles = roles_of({row.annotator for row in assignments}, reviewers)
@@ -84,7 +83,7 @@ class Work:
         for row in assignments:
             key = (row.scene_id, row.instance_id)
             self.assigned[key] = self.assigned.get(key, frozenset()) | {row.annotator}
-        asked = asked_of(reader, state.batch, assignments)
+        asked = asked_of(reader, batch, assignments)
         self.assets = {row.asset_id: row for row in asked.assets}
         glbs = frozenset(row.mesh_blob for row in asked.assets)
         self.scenes = BatchScenes(lake, sorted({scene for scene, _ in self.assigned}), glbs)
@@ -190,7 +189,19 @@ class Work:
         return self.lake.blobs[name]
 
 
-def draft_document(draft: Draft | None) -> dict[str, Any] | None:
+def created_batch(reader: Reader, batch_id: str) -> WorkBatch:
+    """The row of a batch that can be served.
+
+    Raises:
+        InputError: the lake has no such batch, or it was made elsewhere.
+    """
+    state = known_state(reader, batch_id)
+    if state.batch is None or state.origin != "created":
+        raise InputError(batch_id, "BATCH", "was made elsewhere", "`metascenes annotate create` makes batches that can be served")
+    return state.batch
+
+
+def draft_document(draft: KeptDraft | None) -> dict[str, Any] | None:
     """A draft as its page gets it back."""
     if draft is None or draft.body is None:
         return None
