@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -18,6 +19,9 @@ from tasks.batches import parse_json
 
 MOST_BYTES = 64 * 1024
 """Of a body: an answer that ranks all candidates takes one."""
+
+MOST_SECONDS = 20.0
+"""That sending a body may take: who sends no more must not keep the server from ending."""
 
 MOST_EDITS = 2**53
 """Numbers up to here a page can count."""
@@ -50,10 +54,14 @@ async def json_body(request: Request) -> dict[str, Any]:
     if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise Refusal(400, "content-type: must be application/json")
     raw = bytearray()
-    async for part in request.stream():
-        raw += part
-        if len(raw) > MOST_BYTES:
-            raise Refusal(413, f"body: has more than {MOST_BYTES // 1024} KiB")
+    try:
+        async with asyncio.timeout(MOST_SECONDS):
+            async for part in request.stream():
+                raw += part
+                if len(raw) > MOST_BYTES:
+                    raise Refusal(413, f"body: has more than {MOST_BYTES // 1024} KiB")
+    except TimeoutError:
+        raise Refusal(408, f"body: was not sent within {MOST_SECONDS:g} seconds") from None
     with refusing():
         document = parse_json(bytes(raw), "body")
     if not isinstance(document, dict):

@@ -16,7 +16,7 @@ from flows.view.annotating.drafts import Drafts, KeptDraft, Key
 from flows.view.annotating.people import roles_of
 from flows.view.scene import Document, Scenes, Shown
 from schemas.annotation import Assignment, WorkBatch
-from schemas.capture import Frame, Instance, Mask
+from schemas.capture import Frame, Instance
 from schemas.errors import InputError
 from tasks.annotation.quality import pass_interval
 from tasks.geometry.transforms import matrix, quaternion_wxyz
@@ -232,20 +232,24 @@ def _cameras(scenes: Scenes, instances: Sequence[Instance]) -> dict[Key, dict[st
     cameras: dict[Key, dict[str, Any]] = {}
     for scene in sorted({row.scene_id for row in instances}):
         frames = {row.frame_id: row for row in scenes.reader.rows(Frame, scene)}
-        masks = {(row.instance_id, row.frame_id): row for row in scenes.reader.rows(Mask, scene)}
+        masks = scenes.reader.matching("masks", {"scene_id": [scene]}, ["pixel_box"]).to_pylist()
+        boxes = {(row["instance_id"], row["frame_id"]): row["pixel_box"] for row in masks}
         for row in instances:
             frame = frames.get(row.best_frames[0]) if row.scene_id == scene and row.best_frames else None
             if frame is not None and frame.pose is not None and row.view_blob is not None:
-                cameras[scene, row.instance_id] = _camera(frame, masks.get((row.instance_id, frame.frame_id)), row)
+                cameras[scene, row.instance_id] = photo_camera(frame, boxes.get((row.instance_id, frame.frame_id)), row)
     return cameras
 
 
-def _camera(frame: Frame, mask: Mask | None, instance: Instance) -> dict[str, Any]:
-    """A camera that sees what a photo shows: the part of its frame around the mask."""
+def photo_camera(frame: Frame, pixel_box: Sequence[int] | None, instance: Instance) -> dict[str, Any]:
+    """A camera that sees what a photo of an instance shows: the part of its frame around the mask's box x0, y0, x1, y1 [px], the whole
+    without one. Looks at the photo's middle, as far away as the instance is [m]; the angle is the photo's vertical one."""
     assert frame.pose is not None
-    x0, y0, x1, y1 = mask.pixel_box if mask is not None else (0, 0, frame.width, frame.height)
-    margin = max(4, round(CROP_MARGIN * max(x1 - x0, y1 - y0))) if mask is not None else 0
-    x0, y0, x1, y1 = max(0, x0 - margin), max(0, y0 - margin), min(frame.width, x1 + margin), min(frame.height, y1 + margin)
+    x0, y0, x1, y1 = 0, 0, frame.width, frame.height
+    if pixel_box is not None:
+        x0, y0, x1, y1 = pixel_box
+        margin = max(4, round(CROP_MARGIN * max(x1 - x0, y1 - y0)))
+        x0, y0, x1, y1 = max(0, x0 - margin), max(0, y0 - margin), min(frame.width, x1 + margin), min(frame.height, y1 + margin)
     fx, fy, cx, cy = frame.intrinsics
     pose = matrix(frame.pose)
     ray = pose[:3, :3] @ np.array([((x0 + x1) / 2 - cx) / fx, ((y0 + y1) / 2 - cy) / fy, 1.0])
