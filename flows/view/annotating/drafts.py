@@ -11,9 +11,13 @@ import threading
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError, LakeError
+
+if TYPE_CHECKING:
+    from warehouse.lake import Lake
+    from warehouse.upkeep.erasure import Traces
 
 LAYOUT = 1
 """Goes up when the table changes."""
@@ -30,7 +34,7 @@ Key = tuple[str, str]
 
 
 @dataclasses.dataclass(frozen=True)
-class Draft:
+class KeptDraft:
     """What an annotator has begun for an object. `body`: as the page sent it; None once it was saved as an answer or thrown away.
 
     `edit`: the page's count of edits of the object; `page`: which open page counted.
@@ -95,7 +99,7 @@ class Drafts:
         with self._lock, contextlib.suppress(sqlite3.Error):
             self._connection.close()
 
-    def save(self, key: Key, annotator: str, body: Mapping[str, Any], edit: int, page: str) -> tuple[bool, Draft]:
+    def save(self, key: Key, annotator: str, body: Mapping[str, Any], edit: int, page: str) -> tuple[bool, KeptDraft]:
         """Keep a draft. Of one page a later edit holds, whichever came first; of several pages what came last.
 
         Returns whether it was kept, and what is kept now.
@@ -103,7 +107,7 @@ class Drafts:
         Raises:
             LakeError: it could not be written; nothing changed then.
         """
-        draft = Draft(dict(body), edit, page, datetime.now(UTC).isoformat(timespec="milliseconds"))
+        draft = KeptDraft(dict(body), edit, page, datetime.now(UTC).isoformat(timespec="milliseconds"))
         with self._changing():
             stored = self._stored(key, annotator)
             is_of_page = stored is not None and page != "" and stored.page == page
@@ -124,9 +128,9 @@ class Drafts:
             if stored is not None and stored.page == (page or stored.page):
                 edit, page = max(edit, stored.edit), stored.page
             if stored is not None or page:
-                self._put(key, annotator, Draft(None, edit, page, datetime.now(UTC).isoformat(timespec="milliseconds")))
+                self._put(key, annotator, KeptDraft(None, edit, page, datetime.now(UTC).isoformat(timespec="milliseconds")))
 
-    def of(self, annotator: str) -> dict[Key, Draft]:
+    def of(self, annotator: str) -> dict[Key, KeptDraft]:
         """An annotator's drafts."""
         with self._asking() as ask:
             rows = ask(
@@ -144,14 +148,25 @@ class Drafts:
             ).fetchall()
         return {str(name): int(count) for name, count in rows}
 
-    def _stored(self, key: Key, annotator: str) -> Draft | None:
+    def erase(self, traces: Traces) -> int:
+        """Remove the drafts of all batches for a scene, so that the file's bytes tell nothing of it; how many there were."""
+        with self._asking() as ask:
+            scenes = [row[0] for row in ask("SELECT DISTINCT scene_id FROM drafts").fetchall() if traces.in_text(row[0])]
+            ask("PRAGMA secure_delete = ON")
+            count = sum(ask("DELETE FROM drafts WHERE scene_id = ?", (scene,)).rowcount for scene in scenes)
+            if count:
+                ask("VACUUM")
+            ask("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        return count
+
+    def _stored(self, key: Key, annotator: str) -> KeptDraft | None:
         row = self._connection.execute(
             "SELECT body, edit, page, saved_at FROM drafts WHERE batch_id = ? AND scene_id = ? AND instance_id = ? AND annotator = ?",
             (self._batch, *key, annotator),
         ).fetchone()
         return None if row is None else _draft(row)
 
-    def _put(self, key: Key, annotator: str, draft: Draft) -> None:
+    def _put(self, key: Key, annotator: str, draft: KeptDraft) -> None:
         body = None if draft.body is None else json.dumps(draft.body, allow_nan=False)
         self._connection.execute(
             "INSERT OR REPLACE INTO drafts VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
@@ -179,5 +194,23 @@ class Drafts:
                 raise
 
 
-def _draft(row: tuple[str | None, int, str, str]) -> Draft:
-    return Draft(None if row[0] is None else json.loads(row[0]), row[1], row[2], row[3])
+def drafts_folder(lake: Lake) -> Path | None:
+    """Where the drafts of a lake's batches lie, a file for each; None for a lake that is in no local folder."""
+    return lake.storage.local_path("drafts")
+
+
+def erase_drafts(lake: Lake, traces: Traces) -> int:
+    """Remove the drafts that a lake's folder has for a scene; how many there were. Drafts in files elsewhere stay.
+
+    Raises:
+        InputError: a file there is of another version.
+    """
+    folder, count = drafts_folder(lake), 0
+    for file in sorted(folder.glob("*.sqlite")) if folder is not None else ():
+        with contextlib.closing(Drafts(file, file.stem)) as drafts:
+            count += drafts.erase(traces)
+    return count
+
+
+def _draft(row: tuple[str | None, int, str, str]) -> KeptDraft:
+    return KeptDraft(None if row[0] is None else json.loads(row[0]), row[1], row[2], row[3])

@@ -9,17 +9,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flows.view.annotating.drafts import Drafts
+from flows.view.annotating.drafts import Drafts, drafts_folder
 from flows.view.annotating.people import Keys, keep_keys, kept_keys
 from flows.view.annotating.routes import annotation_application
 from flows.view.annotating.settling import Rooms
-from flows.view.annotating.work import Work
+from flows.view.annotating.work import ServedBatch, created_batch
 from flows.view.serving import bound, serve_people
 from schemas.errors import InputError
 from warehouse.lake import Lake
-
-FOLDER = "drafts"
-"""Of the lake, where what was begun and not saved is kept, a file for each batch."""
 
 PATIENCE_SECONDS = 60
 """How long figures that are being computed are waited for at the end."""
@@ -36,9 +33,10 @@ def serve_annotation(
     Raises:
         InputError: the batch, a name, the file, the host or the port cannot be used.
     """
+    created_batch(lake.snapshot(), batch_id)  # before a file is made for it
     place = file or drafts_file(lake, batch_id)
     with contextlib.closing(Drafts(place, batch_id)) as drafts:
-        work = Work(lake, batch_id, drafts, reviewers)
+        work = ServedBatch(lake, batch_id, drafts, reviewers)
         rooms = Rooms(work)
         tokens = place.with_name(f"{place.name}.tokens")
         keys = kept_keys(tokens, work.roles)
@@ -67,10 +65,10 @@ def drafts_file(lake: Lake, batch_id: str) -> Path:
     Raises:
         InputError: the lake is in no local folder.
     """
-    place = lake.storage.local_path(f"{FOLDER}/{batch_id}.sqlite")
-    if place is None:
+    folder = drafts_folder(lake)
+    if folder is None:
         raise InputError(lake.address, "--drafts", "the lake is not in a local folder", "name a file of this machine for the drafts")
-    return place
+    return folder / f"{batch_id}.sqlite"
 
 
 @contextlib.contextmanager

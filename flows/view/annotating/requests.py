@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -10,7 +11,7 @@ from typing import Any
 from fastapi import Request
 
 from flows.view.annotating.drafts import Key
-from flows.view.annotating.work import Work
+from flows.view.annotating.work import ServedBatch
 from schemas.errors import InputError, LakeError
 from schemas.text import one_line
 from tasks.annotation.batch import AnnotationBatch, read_answers
@@ -18,6 +19,9 @@ from tasks.batches import parse_json
 
 MOST_BYTES = 64 * 1024
 """Of a body: an answer that ranks all candidates takes one."""
+
+MOST_SECONDS = 20.0
+"""That sending a body may take: who sends no more must not keep the server from ending."""
 
 MOST_EDITS = 2**53
 """Numbers up to here a page can count."""
@@ -50,10 +54,14 @@ async def json_body(request: Request) -> dict[str, Any]:
     if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise Refusal(400, "content-type: must be application/json")
     raw = bytearray()
-    async for part in request.stream():
-        raw += part
-        if len(raw) > MOST_BYTES:
-            raise Refusal(413, f"body: has more than {MOST_BYTES // 1024} KiB")
+    try:
+        async with asyncio.timeout(MOST_SECONDS):
+            async for part in request.stream():
+                raw += part
+                if len(raw) > MOST_BYTES:
+                    raise Refusal(413, f"body: has more than {MOST_BYTES // 1024} KiB")
+    except TimeoutError:
+        raise Refusal(408, f"body: was not sent within {MOST_SECONDS:g} seconds") from None
     with refusing():
         document = parse_json(bytes(raw), "body")
     if not isinstance(document, dict):
@@ -86,14 +94,14 @@ def edit_of(body: Mapping[str, Any], is_needed: bool = False) -> tuple[int, str]
     return edit, page
 
 
-def answer_document(work: Work, name: str, key: Key, values: Mapping[str, Any], moment: str) -> dict[str, Any]:
+def answer_document(work: ServedBatch, name: str, key: Key, values: Mapping[str, Any], moment: str) -> dict[str, Any]:
     """An answer after `batch.schema.json`: what the page sets, of whom and for what as the server knows it."""
     given = {field: value for field, value in values.items() if field not in COUNTED}
     who = {"scene_id": key[0], "instance_id": key[1], "annotator": name, "answered_at": moment}
     return {"batch_id": work.batch_id, "tool": TOOL, "annotations": [given | who]}
 
 
-def read_draft(work: Work, name: str, key: Key, body: Mapping[str, Any], moment: str) -> AnnotationBatch:
+def read_draft(work: ServedBatch, name: str, key: Key, body: Mapping[str, Any], moment: str) -> AnnotationBatch:
     """What an annotator sets for an object, held against the schema of answers.
 
     Raises:
@@ -105,7 +113,7 @@ def read_draft(work: Work, name: str, key: Key, body: Mapping[str, Any], moment:
         return read_answers(answer_document(work, name, key, body, moment), "answer")
 
 
-def own_key(work: Work, name: str, key: Key) -> Key:
+def own_key(work: ServedBatch, name: str, key: Key) -> Key:
     """The key of an object that is asked of an annotator.
 
     Raises:

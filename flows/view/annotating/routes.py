@@ -27,7 +27,7 @@ from flows.view.annotating.requests import (
     refusing,
 )  # fmt: skip
 from flows.view.annotating.settling import Rooms
-from flows.view.annotating.work import Work, draft_document
+from flows.view.annotating.work import ServedBatch, draft_document
 from flows.view.application import application, named, scene_routes
 from schemas.annotation import Annotation
 
@@ -41,7 +41,7 @@ Body = dict[str, Any]
 json_object: Body = Depends(json_body)
 
 
-def annotation_application(work: Work, rooms: Rooms) -> FastAPI:
+def annotation_application(work: ServedBatch, rooms: Rooms) -> FastAPI:
     """The application of the annotation page. Whoever serves it guards it, and says who asks: `scope["person"]`."""
     own = (file_routes(work), annotator_routes(work), placing_routes(work, rooms), reviewer_routes(work))
     app = application([scene_routes(work.scenes), *own], PAGE)
@@ -53,7 +53,7 @@ def annotation_application(work: Work, rooms: Rooms) -> FastAPI:
     return app
 
 
-def asking(work: Work, role: str = "") -> Callable[[Request], str]:
+def asking(work: ServedBatch, role: str = "") -> Callable[[Request], str]:
     """Who asks; with a `role`, refuses who does not have it."""
 
     def who(request: Request) -> str:
@@ -65,7 +65,7 @@ def asking(work: Work, role: str = "") -> Callable[[Request], str]:
     return who
 
 
-def file_routes(work: Work) -> APIRouter:
+def file_routes(work: ServedBatch) -> APIRouter:
     """What the page shows of objects and candidates, named by content; who is there, and how the batch stands."""
     api = APIRouter()
     person = Depends(asking(work))
@@ -93,7 +93,7 @@ def file_routes(work: Work) -> APIRouter:
     return api
 
 
-def annotator_routes(work: Work) -> APIRouter:
+def annotator_routes(work: ServedBatch) -> APIRouter:
     """What an annotator asks and changes: their own objects, drafts and answers."""
     api = APIRouter()
     person = Depends(asking(work, ANNOTATOR))
@@ -143,7 +143,7 @@ def annotator_routes(work: Work) -> APIRouter:
     return api
 
 
-def placing_routes(work: Work, rooms: Rooms) -> APIRouter:
+def placing_routes(work: ServedBatch, rooms: Rooms) -> APIRouter:
     """What is computed while an annotator places an asset; a few at a time, so that drafts need not wait for it."""
     api = APIRouter()
     person = Depends(asking(work, ANNOTATOR))
@@ -162,7 +162,7 @@ def placing_routes(work: Work, rooms: Rooms) -> APIRouter:
     return api
 
 
-def reviewer_routes(work: Work) -> APIRouter:
+def reviewer_routes(work: ServedBatch) -> APIRouter:
     """What a reviewer asks and changes: the sample, verdicts on answers of others, what becomes of the batch."""
     api = APIRouter()
     person = Depends(asking(work, REVIEWER))
@@ -204,13 +204,13 @@ def _now() -> str:
     return datetime.now(UTC).isoformat()
 
 
-def _revisions(work: Work, name: str, key: tuple[str, str]) -> list[Annotation]:
+def _revisions(work: ServedBatch, name: str, key: tuple[str, str]) -> list[Annotation]:
     """All that an annotator answered for an object."""
     rows = rows_of(work.lake.snapshot(), Annotation, work.batch_id)
     return [row for row in rows if (row.scene_id, row.instance_id, row.annotator) == (*key, name)]
 
 
-def _after_last(work: Work, name: str, key: tuple[str, str]) -> str:
+def _after_last(work: ServedBatch, name: str, key: tuple[str, str]) -> str:
     """The present time, or a moment after the answer before, should the clock have been set back."""
     last = max((row.answered_at for row in _revisions(work, name, key)), default=None)
     now = datetime.now(UTC)

@@ -17,7 +17,7 @@ from flows.run.configuration import configure
 from flows.run.fingerprints import ModuleCaches
 from flows.view.annotating.drafts import Key
 from flows.view.annotating.requests import ANSWERED, Refusal, read_draft, refusing
-from flows.view.annotating.work import Work, transform_document
+from flows.view.annotating.work import ServedBatch, transform_document
 from schemas.annotation import Annotation
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Shell
@@ -51,7 +51,7 @@ class RoomRows:
 class Rooms:
     """The rooms of a batch, as each of its annotators has furnished them so far. Nothing here changes the lake."""
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, work: ServedBatch) -> None:
         self._work, self._lock = work, threading.Lock()
         self._kept = OrderedDict[str, RoomRows]()
         self._caches = ModuleCaches()
@@ -111,7 +111,8 @@ class Rooms:
             if scene_id not in self._kept:
                 reader = self._work.scenes.reader
                 candidates, selections = reader.rows(Candidate, scene_id), reader.rows(Selection, scene_id)
-                assets = reader.rows_by_key(Asset, {row.asset_id for row in (*candidates, *selections) if row.asset_id is not None})
+                named = {row.asset_id for row in selections} | {row.asset_id for row in candidates if row.asset_id is not None}
+                assets = reader.rows_by_key(Asset, named)
                 instances, shells = reader.rows(Instance, scene_id), reader.rows(Shell, scene_id)
                 self._kept[scene_id] = RoomRows(tuple(instances), tuple(candidates), tuple(selections), tuple(shells), tuple(assets))
                 if len(self._kept) > KEPT:

@@ -12,16 +12,17 @@ import numpy as np
 from flows.inputs.annotation import batch_list, open_reviews, open_work
 from flows.inputs.annotation.acts import known_state, rows_of, state_in
 from flows.inputs.annotation.creation import asked_of
-from flows.view.annotating.drafts import Draft, Drafts, Key
+from flows.view.annotating.drafts import Drafts, KeptDraft, Key
 from flows.view.annotating.people import roles_of
 from flows.view.scene import Document, Scenes, Shown
-from schemas.annotation import Assignment
-from schemas.capture import Frame, Instance, Mask
+from schemas.annotation import Assignment, WorkBatch
+from schemas.capture import Frame, Instance
 from schemas.errors import InputError
 from tasks.annotation.quality import pass_interval
 from tasks.geometry.transforms import matrix, quaternion_wxyz
 from warehouse.lake import Lake
 from warehouse.tables.gate import demands
+from warehouse.tables.snapshot import Reader
 
 CROP_MARGIN = 0.15
 """What the best view of an object shows around it, in longer sides of its mask (`tasks.capture.instances.views.view_of`)."""
@@ -68,15 +69,13 @@ class BatchScenes(Scenes):
             raise InputError(self.lake.address, scene_id, "is no scene of this batch")
 
 
-class Work:
+class ServedBatch:
     """A batch as its people see it. Objects and candidates are those of the snapshot that the server began with."""
 
     def __init__(self, lake: Lake, batch_id: str, drafts: Drafts, reviewers: Sequence[str]) -> None:
         """Raises InputError: the lake has no such batch, it was made elsewhere, or its objects are not there any more."""
         reader = lake.snapshot()
-        state = known_state(reader, batch_id)
-        if state.batch is None or state.origin != "created":
-            raise InputError(batch_id, "BATCH", "was made elsewhere", "`metascenes annotate create` makes batches that can be served")
+        batch = created_batch(reader, batch_id)
         self.lake, self.batch_id, self.drafts = lake, batch_id, drafts
         assignments = rows_of(reader, Assignment, batch_id)
         self.roles = roles_of({row.annotator for row in assignments}, reviewers)
@@ -84,7 +83,7 @@ class Work:
         for row in assignments:
             key = (row.scene_id, row.instance_id)
             self.assigned[key] = self.assigned.get(key, frozenset()) | {row.annotator}
-        asked = asked_of(reader, state.batch, assignments)
+        asked = asked_of(reader, batch, assignments)
         self.assets = {row.asset_id: row for row in asked.assets}
         glbs = frozenset(row.mesh_blob for row in asked.assets)
         self.scenes = BatchScenes(lake, sorted({scene for scene, _ in self.assigned}), glbs)
@@ -190,7 +189,19 @@ class Work:
         return self.lake.blobs[name]
 
 
-def draft_document(draft: Draft | None) -> dict[str, Any] | None:
+def created_batch(reader: Reader, batch_id: str) -> WorkBatch:
+    """The row of a batch that can be served.
+
+    Raises:
+        InputError: the lake has no such batch, or it was made elsewhere.
+    """
+    state = known_state(reader, batch_id)
+    if state.batch is None or state.origin != "created":
+        raise InputError(batch_id, "BATCH", "was made elsewhere", "`metascenes annotate create` makes batches that can be served")
+    return state.batch
+
+
+def draft_document(draft: KeptDraft | None) -> dict[str, Any] | None:
     """A draft as its page gets it back."""
     if draft is None or draft.body is None:
         return None
@@ -221,20 +232,24 @@ def _cameras(scenes: Scenes, instances: Sequence[Instance]) -> dict[Key, dict[st
     cameras: dict[Key, dict[str, Any]] = {}
     for scene in sorted({row.scene_id for row in instances}):
         frames = {row.frame_id: row for row in scenes.reader.rows(Frame, scene)}
-        masks = {(row.instance_id, row.frame_id): row for row in scenes.reader.rows(Mask, scene)}
+        masks = scenes.reader.matching("masks", {"scene_id": [scene]}, ["pixel_box"]).to_pylist()
+        boxes = {(row["instance_id"], row["frame_id"]): row["pixel_box"] for row in masks}
         for row in instances:
             frame = frames.get(row.best_frames[0]) if row.scene_id == scene and row.best_frames else None
             if frame is not None and frame.pose is not None and row.view_blob is not None:
-                cameras[scene, row.instance_id] = _camera(frame, masks.get((row.instance_id, frame.frame_id)), row)
+                cameras[scene, row.instance_id] = photo_camera(frame, boxes.get((row.instance_id, frame.frame_id)), row)
     return cameras
 
 
-def _camera(frame: Frame, mask: Mask | None, instance: Instance) -> dict[str, Any]:
-    """A camera that sees what a photo shows: the part of its frame around the mask."""
+def photo_camera(frame: Frame, pixel_box: Sequence[int] | None, instance: Instance) -> dict[str, Any]:
+    """A camera that sees what a photo of an instance shows: the part of its frame around the mask's box x0, y0, x1, y1 [px], the whole
+    without one. Looks at the photo's middle, as far away as the instance is [m]; the angle is the photo's vertical one."""
     assert frame.pose is not None
-    x0, y0, x1, y1 = mask.pixel_box if mask is not None else (0, 0, frame.width, frame.height)
-    margin = max(4, round(CROP_MARGIN * max(x1 - x0, y1 - y0))) if mask is not None else 0
-    x0, y0, x1, y1 = max(0, x0 - margin), max(0, y0 - margin), min(frame.width, x1 + margin), min(frame.height, y1 + margin)
+    x0, y0, x1, y1 = 0, 0, frame.width, frame.height
+    if pixel_box is not None:
+        x0, y0, x1, y1 = pixel_box
+        margin = max(4, round(CROP_MARGIN * max(x1 - x0, y1 - y0)))
+        x0, y0, x1, y1 = max(0, x0 - margin), max(0, y0 - margin), min(frame.width, x1 + margin), min(frame.height, y1 + margin)
     fx, fy, cx, cy = frame.intrinsics
     pose = matrix(frame.pose)
     ray = pose[:3, :3] @ np.array([((x0 + x1) / 2 - cx) / fx, ((y0 + y1) / 2 - cy) / fy, 1.0])

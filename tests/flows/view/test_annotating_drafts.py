@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flows.view.annotating.drafts import LAYOUT, Drafts
+from flows.cli import cli
+from flows.view.annotating.drafts import LAYOUT, Drafts, drafts_folder
 from flows.view.annotating.people import Keys, keep_keys, kept_keys, roles_of
 from schemas.errors import InputError, LakeError
+from tests.annotated import SCENES
+from tests.flows.view.batches import BATCH, asked_lake
 
 A, B = ("demo/a", "0001"), ("demo/a", "0002")
 
@@ -136,6 +140,21 @@ def test_a_person_who_answers_and_reviews_is_one() -> None:
     for name in ("", " rita", "a\nb", "x" * 101):
         with pytest.raises(InputError, match="is no name"):
             roles_of(["ada"], [name])
+
+
+def test_an_erased_scene_leaves_nothing_in_the_drafts(tmp_path: Path) -> None:
+    lake = asked_lake(tmp_path)
+    folder = drafts_folder(lake)
+    assert folder is not None
+    drafts = Drafts(folder / f"{BATCH}.sqlite", BATCH)
+    for index, scene in enumerate(SCENES * 20):
+        drafts.save((scene, f"{index:04d}"), "ada", {"choice": 1, "ranking": [1], "seconds": index}, 1, "")
+    result = CliRunner().invoke(cli, ["lake", "erase", SCENES[0], "--yes", "--lake", lake.address, "--json"])
+    assert json.loads(result.output)["proof"]["hits"] == [], result.output
+    assert {key[0] for key in drafts.of("ada")} == {SCENES[1]}
+    assert len(drafts.of("ada")) == 20
+    drafts.close()
+    assert all(SCENES[0].encode() not in path.read_bytes() for path in folder.iterdir())
 
 
 def test_what_a_page_sent_comes_back_as_it_was(tmp_path: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import json
+import math
 import random
 import re
 import sys
@@ -12,8 +14,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from fastapi import Request
 from fastapi.testclient import TestClient
+from hypothesis import given
+from hypothesis import strategies as st
 
 from flows.inputs.annotation import save_answers
 from flows.server.access import new_token
@@ -23,14 +29,16 @@ from flows.view.annotating.drafts import Drafts
 from flows.view.annotating.people import ANNOTATOR, REVIEWER
 from flows.view.annotating.routes import annotation_application
 from flows.view.annotating.settling import Rooms
-from flows.view.annotating.work import Work
+from flows.view.annotating.work import ServedBatch, photo_camera
 from flows.view.gate import guarded
 from schemas.annotation import Assignment
-from schemas.capture import Instance
+from schemas.capture import Frame, Instance
 from schemas.errors import InputError
+from tasks.capture.instances.views import view_of
+from tasks.geometry.transforms import flat, inverse, look_at, transform_points, translation
 from tests.annotated import SCENES, answer
 from tests.flows.view.batches import BATCH, asked_lake, digests, stand_in
-from warehouse.lake import Lake
+from tests.samples import sample
 
 PORT = 8797
 ORIGIN = f"http://127.0.0.1:{PORT}"
@@ -54,7 +62,7 @@ class Desk:
     def __init__(self, folder: Path) -> None:
         self.lake, self.folder = asked_lake(folder), folder
         self.drafts = Drafts(folder / "lake" / "drafts" / "b1.sqlite", BATCH)
-        self.work = Work(self.lake, BATCH, self.drafts, ["rita", "Bob"])
+        self.work = ServedBatch(self.lake, BATCH, self.drafts, ["rita", "Bob"])
         self.app = annotation_application(self.work, Rooms(self.work))
         self.tokens = {name: new_token() for name in self.work.roles}
         self.guard = guarded(self.app, PORT, {token: name for name, token in self.tokens.items()})
@@ -241,6 +249,38 @@ def _forged(draw: random.Random, desk: Desk) -> Iterator[tuple[str, str, str, by
                 yield "ada", other, base + own, sound, kind
 
 
+def test_who_sends_no_more_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(requests, "MOST_SECONDS", 0.01)
+
+    async def stalled() -> Any:
+        await asyncio.Event().wait()
+
+    scope = {"type": "http", "method": "PUT", "headers": [(b"content-type", b"application/json")]}
+    with pytest.raises(requests.Refusal) as caught:
+        asyncio.run(requests.json_body(Request(scope, stalled)))
+    assert caught.value.status == 408
+
+
+@given(
+    box=st.tuples(st.integers(0, 600), st.integers(0, 400), st.integers(1, 40), st.integers(1, 80)),
+    eye=st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.5, 2)),
+)  # fmt: skip
+def test_a_camera_sees_what_the_photo_shows(box: tuple[int, ...], eye: tuple[float, ...]) -> None:
+    """Its middle is the photo's, and its angle spans the photo's height."""
+    x0, y0, x1, y1 = box[0], box[1], box[0] + box[2], box[1] + box[3]
+    pose = look_at(eye, (0.1, 0.2, 0.4))
+    frame = sample(Frame, width=640, height=480, intrinsics=(500.0, 510.0, 320.0, 240.0), pose=flat(pose))
+    instance = sample(Instance, box_pose=flat(translation((0.0, 0.0, 0.4))))
+    camera = photo_camera(frame, (x0, y0, x1, y1), instance)
+    shown = view_of(np.dstack([*np.meshgrid(np.arange(640), np.arange(480)), np.zeros((480, 640))]).astype(np.int64), (x0, y0, x1, y1))
+    (left, top), (right, bottom) = shown[0, 0, :2], shown[-1, -1, :2] + 1
+    x, y, z = transform_points([camera["target"]], inverse(pose))[0]
+    assert (500 * x / z + 320, 510 * y / z + 240) == pytest.approx(((left + right) / 2, (top + bottom) / 2), abs=1e-6)
+    rays = [math.degrees(math.atan((edge - 240) / 510)) for edge in (top, bottom)]
+    assert camera["fov_degrees"] == pytest.approx(rays[1] - rays[0])
+    assert camera["position"] == pytest.approx(eye)
+
+
 def test_points_are_served_as_points_alone(desk: Desk) -> None:
     ada = desk.client("ada")
     blob = desk.lake.snapshot().rows(Instance)[0].points_blob
@@ -265,23 +305,17 @@ def test_what_cannot_be_served_is_named(tmp_path: Path, name: str) -> None:
     save_answers(lake, {"batch_id": "elsewhere", "annotations": [answer(SCENES[0], "0001", "eve", 1)]})
     drafts = Drafts(tmp_path / "drafts.sqlite", name)
     with pytest.raises(InputError, match="is not in the lake" if name == "nobody" else "was made elsewhere"):
-        Work(lake, name, drafts, [])
+        ServedBatch(lake, name, drafts, [])
     drafts.close()
 
 
 def test_a_batch_shows_its_own_scenes_alone(tmp_path: Path) -> None:
     lake = asked_lake(tmp_path, scenes=(SCENES[0],))
     drafts = Drafts(tmp_path / "drafts.sqlite", BATCH)
-    scenes = Work(lake, BATCH, drafts, []).scenes
+    scenes = ServedBatch(lake, BATCH, drafts, []).scenes
     assert [row["id"] for row in scenes.listed()["scenes"]] == [SCENES[0]] == [scenes.first()]
     assert scenes.shown(SCENES[0]).document["id"] == SCENES[0]
     for ask in (scenes.shown, scenes.scan_path, lambda scene: scenes.masks(scene, "000000")):
         with pytest.raises(InputError, match="is no scene of this batch"):
             ask(SCENES[1])
     drafts.close()
-
-
-def test_the_lake_is_left_as_it_was_made(desk: Desk) -> None:
-    """Last: what was asked above has written nothing but a draft."""
-    assert Lake.open(desk.folder / "lake").snapshot().snapshot_id == 2
-    assert desk.drafts.count() == {"ada": 1}
