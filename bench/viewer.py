@@ -29,6 +29,7 @@ from schemas.errors import InputError
 from schemas.optimization import Placement
 from schemas.selection import Selection
 from tasks.candidates.assets import make_asset
+from tasks.candidates.procedural import Procedural
 from tasks.furniture import CATEGORIES, generate
 from tasks.geometry.meshes import dump_glb, dump_points
 from tasks.geometry.transforms import flat, matrix, transform_points, translation
@@ -131,8 +132,8 @@ def _model(lake: Lake, index: int, seed: int) -> Asset:
     category = CATEGORIES[index % len(CATEGORIES)]
     model = generate(category, None, np.random.default_rng([seed, index]))
     made = make_asset(
-        model.parts, provider="procedural", name=f"{category} {index}", category=category, source="furniture generator", license="CC0-1.0",
-        pieces=model.pieces,
+        model.parts, provider=Procedural.kind, name=f"{category} {index}", category=category, source="furniture generator",
+        license="CC0-1.0", pieces=model.pieces,
     )  # fmt: skip
     for name, data in made.files.items():
         lake.blobs.put(data, name.rpartition(".")[2])
