@@ -47,7 +47,7 @@ export function listen(app) {
     x: () => (app.isReviewing ? app.handing.judge(false) : app.editing.choose(null)), y: () => (app.isReviewing ? app.handing.judge(true) : app.editing.redo()),
     m: () => app.handles("translate"), r: () => app.handles("rotate"), s: () => app.handles("scale"),
     b: () => app.editing.putDown("support"), g: () => app.editing.putDown("floor"), l: () => app.editing.settle(), z: () => app.editing.undo(),
-    f: () => app.stage.look("object"), o: () => app.stage.look("corner"), t: () => app.stage.look("above"), v: () => app.stage.look("photo"),
+    f: () => app.stage.look("near"), o: () => app.stage.look("corner"), t: () => app.stage.look("above"), v: () => app.stage.look("photo"),
     c: () => app.nextScanMode(), Enter: () => app.handing.save(), "/": () => app.nodes.search.focus(), "?": () => app.nodes.help.showModal(),
     ",": () => app.editing.turn(5), ".": () => app.editing.turn(-5), "<": () => app.editing.turn(1), ">": () => app.editing.turn(-1), ";": () => app.editing.turn(1), ":": () => app.editing.turn(-1),
     "+": () => app.editing.grow(1.02), "=": () => app.editing.grow(1.02), "-": () => app.editing.grow(1 / 1.02),

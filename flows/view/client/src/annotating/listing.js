@@ -14,7 +14,7 @@ export function entry({ draft, row }, choose) {
   const status = "annotator" in row ? (verdict ?? "open") : row.status;
   const mark = { passes: "✓", fails: "✗" }[status] ?? MARKS[status] ?? "";
   const who = "annotator" in row ? ` by ${row.annotator}` : "";
-  const button = make("button", { type: "button", "data-key": entryKey(row), "data-status": status, onclick: () => choose(draft) },
+  const button = make("button", { type: "button", class: "entry", "data-key": entryKey(row), "data-status": status, onclick: () => choose(draft) },
     make("span", { class: "mark", textContent: mark, "aria-hidden": "true" }), make("span", { textContent: row.category }),
     make("small", { textContent: `${row.scene_id.split("/")[1]} ${row.instance_id}${who}` }));
   button.setAttribute("aria-label", `${row.category} ${row.key}${who}: ${status}`);

@@ -45,7 +45,7 @@ export function pageOf(place, on) {
   const scans = make("span", { class: "group", role: "group", "aria-label": "The scan" }, ...Object.values(nodes.scans));
   const toolbar = make("div", { class: "bar top", role: "toolbar", "aria-label": "Scene" },
     scans, nodes.handleBar, nodes.undo, nodes.redo, make("span", { class: "gap" }),
-    button("Object", "F", () => on.look("object")), button("Room", "O", () => on.look("corner")), button("Above", "T", () => on.look("above")),
+    button("Object", "F", () => on.look("near")), button("Room", "O", () => on.look("corner")), button("Above", "T", () => on.look("above")),
     button("?", "Keys", () => nodes.help.showModal(), { "aria-label": "Keys" }));
   place.replaceChildren(
     make("aside", { class: "left", "aria-label": "Work" },

@@ -18,6 +18,7 @@ const FOV_DEGREES = 45;
 const POINT_M = { over: 0.018, beside: 0.03, scan: 0.03, replica: 0.03 }; // over the replica they must not hide it
 const OWN_POINT_M = 0.012;
 const OWN_COLOR = 0xe8590c;
+const LEAST_SLOPE = 0.25;
 const GLIDE_SECONDS = 0.5;
 
 export class Stage {
@@ -205,14 +206,18 @@ export class Stage {
     return supportBelow(transform, draft.chosen.extents, rest);
   }
 
-  /** Where the camera stands: `object`, `corner` and `above` of the room, or `photo`, where the photo was taken. */
+  /**
+   * Where the camera stands: `object` from the photo's side, as it is seen from there, `near` as one looks now, `corner` and `above`
+   * of the room, or `photo`, where the photo was taken.
+   */
   look(how) {
     const { canvas, draft } = this;
-    const camera = how === "photo" ? draft?.row.camera : null;
-    if (how === "photo" && !camera) return;
-    canvas.camera.fov = camera ? camera.fov_degrees : FOV_DEGREES;
+    const camera = draft?.row.camera ?? null;
+    const isPhoto = how === "photo";
+    if (isPhoto && !camera) return;
+    canvas.camera.fov = isPhoto ? camera.fov_degrees : FOV_DEGREES;
     canvas.camera.updateProjectionMatrix();
-    if (camera) {
+    if (isPhoto) {
       canvas.camera.position.set(...camera.position);
       canvas.controls.target.set(...camera.target);
       canvas.controls.update();
@@ -221,23 +226,16 @@ export class Stage {
       this.on.turned();
       return;
     }
-    if (how === "object" && draft) {
+    if ((how === "object" || how === "near") && draft) {
       const box = this.#boxOf(draft);
       box.expandByScalar(Math.max(0.2, box.getSize(new Vector3()).length() * 0.35));
-      const near = draft.row.camera;
-      canvas.look(box, near && !this.hasLooked ? new Vector3(...near.position).sub(new Vector3(...near.target)).setZ(1) : this.#direction(box));
-      this.hasLooked = true;
+      canvas.look(box, how === "near" ? null : camera ? fromPhoto(camera) : canvas.direction(box, []));
       return;
     }
     const box = this.document?.room ? roomBox(this.document.room) : (this.replica?.bounds ?? new Box3());
     if (box.isEmpty()) return;
     const boxes = this.document.objects.map((row) => this.replica.box(row.id));
     canvas.look(box, how === "above" ? new Vector3(0, -0.02, 1) : canvas.direction(box, boxes));
-  }
-
-  /** From where the camera looks already; at first from a corner. */
-  #direction(box) {
-    return this.hasLooked ? null : this.canvas.direction(box, []);
   }
 
   #boxOf(draft) {
@@ -286,6 +284,12 @@ export class Stage {
   project(point) {
     return this.canvas.project(new Vector3(...point));
   }
+}
+
+/** From which side a photo was taken, a little from above at least. */
+function fromPhoto(camera) {
+  const away = new Vector3(...camera.position).sub(new Vector3(...camera.target)).normalize();
+  return away.setZ(Math.max(away.z, LEAST_SLOPE));
 }
 
 const idOf = (draft) => draft.row.instance_id;
