@@ -126,7 +126,10 @@ export class Editing {
     this.app.say("Settling …");
     try {
       const told = await ask("POST", `settle/${keyPath(draft.key)}`, draft.body);
-      if (draft !== this.draft || draft.version !== version) return;
+      if (draft !== this.draft || draft.version !== version) {
+        this.app.say("It was moved meanwhile: settle it again.");
+        return;
+      }
       const from = draft.transform;
       draft.place({ ...from, ...told.transform });
       this.app.figures = told.figures;

@@ -23,7 +23,7 @@ const KEYS = [
   ["Enter", "save and go on; in a field: take it over; with Ctrl from anywhere"],
   ["Y, X", "in review: passes, fails (Ctrl+Enter in the remark fails, too)"],
   ["/", "search"],
-  ["Esc", "leave a field, a drag"],
+  ["Esc", "leave a field"],
 ];
 
 /** All keys as a table. */

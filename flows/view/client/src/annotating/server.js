@@ -25,6 +25,7 @@ export async function ask(method, path, value) {
     throw new Absence("the server does not answer");
   }
   const said = await answer.json().catch(() => ({}));
+  if (answer.status === 401) throw new Absence("the server does not know this page: open the address that it printed");
   if (answer.status >= 500) throw new Absence(said.error ?? `the server answered ${answer.status}`);
   if (!answer.ok) throw new Refusal(answer.status, said);
   return said;
