@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.goals import goal
 from bench.machine import machine
@@ -26,9 +27,12 @@ from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
+from schemas.selection import Selection
+from tasks.candidates.assets import make_asset
+from tasks.candidates.procedural import Procedural
 from tasks.furniture import CATEGORIES, generate
-from tasks.geometry.meshes import dump_glb
-from tasks.geometry.transforms import flat, translation
+from tasks.geometry.meshes import dump_glb, dump_points
+from tasks.geometry.transforms import flat, matrix, transform_points, translation
 from warehouse.lake import Lake
 
 if TYPE_CHECKING:
@@ -42,24 +46,27 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking", "--no-first-run")
 WINDOW = {"width": 1280, "height": 800}
 MOVES = 30
+OBJECT_POINTS = 500
 _PATIENCE_S = 120.0
 
 
 @dataclasses.dataclass(frozen=True)
 class ViewerBench:
-    """What is measured. lake: whose first scene is shown; None makes one of so many points and objects. pages: how often it is opened."""
+    """What is measured. lake: whose first scene is shown; None makes one of so many points and objects, the latter with so many
+    candidates each, in `slots`. pages: how often it is opened."""
 
     lake: str | None = None
     points: int = 200_000
     objects: int = 40
     pages: int = 5
     seed: int = 0
+    slots: int = 1
 
 
 def run_viewer_bench(config: ViewerBench, advance: Callable[[], None]) -> dict[str, Any]:
     """Figures of every page that was opened, each with an empty cache, and what is wanted of them. The first one waits for the server,
     too, which has just been started."""
-    with tempfile.TemporaryDirectory() as folder, _browser() as browser:
+    with tempfile.TemporaryDirectory() as folder, browser_without_gpu() as browser:
         address = config.lake or made_lake(Path(folder) / "lake", config).address
         with _served(address) as page:
             rows = []
@@ -72,29 +79,32 @@ def run_viewer_bench(config: ViewerBench, advance: Callable[[], None]) -> dict[s
 
 
 def made_lake(folder: Path, config: ViewerBench) -> Lake:
-    """A lake with one furnished scene: a floor with so many scanned points that is not flat, and models of the furniture generator."""
+    """A lake with one furnished scene: a floor with so many scanned points that is not flat, and models of the furniture generator.
+
+    The first candidate of an object is the model that stands for it; the others are those of the objects after it.
+    """
     rng, lake = np.random.default_rng(config.seed), Lake.open(folder)
     side = int(np.ceil(config.objects**0.5)) * 1.6 + 0.8
     ring, scene_id = ((0.0, 0.0), (side, 0.0), (side, side), (0.0, side)), "bench/room"
-    instances, candidates, assets, placements = [], [], {}, []
-    for index in range(config.objects):
-        category = CATEGORIES[index % len(CATEGORIES)]
-        blob = lake.blobs.put(dump_glb(list(generate(category, None, np.random.default_rng([config.seed, index])).parts)), "glb")
-        asset, columns = blob.partition(".")[0], int(np.ceil(config.objects**0.5))
+    assets = [_model(lake, index, config.seed) for index in range(config.objects)]
+    instances, candidates, selections, placements = [], [], [], []
+    columns = int(np.ceil(config.objects**0.5))
+    for index, asset in enumerate(assets):
         pose = flat(translation((1.2 + 1.6 * (index % columns), 1.2 + 1.6 * (index // columns), 0.0)))
         of = {"scene_id": scene_id, "instance_id": f"{index:04d}"}
         instances.append(
             sample(
-                Instance, **of, category=category, is_structure=False, box_pose=pose, box_size=(0.6, 0.6, 0.6), mesh_blob=None,
-                view_blob=None,                points_blob=lake.blobs.put(b"points", "ply"), hidden_m=None,
+                Instance, **of, category=asset.category, is_structure=False, mesh_blob=None, view_blob=None, hidden_m=None,
+                box_pose=flat(translation((0.0, 0.0, asset.extents[2] / 2)) @ matrix(pose)), box_size=asset.extents,
+                points_blob=lake.blobs.put(_points(asset, matrix(pose), rng), "ply"),
             )
         )  # fmt: skip
-        candidates.append(
-            sample(Candidate, **of, slot=1, outcome="filled", asset_id=asset)
-        )  # what no candidate names is no asset of a lake
-        assets[asset] = sample(Asset, asset_id=asset, mesh_blob=blob, pieces_blob=None, category=category)
+        for slot in range(1, config.slots + 1):
+            offer = {"slot": slot, "asset_id": assets[(index + slot - 1) % len(assets)].asset_id}
+            candidates.append(sample(Candidate, **of, **offer, outcome="filled", is_fallback=False))
+            selections.append(sample(Selection, **of, **offer, rank=slot, score=1 / slot, pose=pose, scale=(1.0, 1.0, 1.0)))
         poses = {"proposed_pose": pose, "optimized_pose": pose, "settled_pose": pose}
-        placements.append(sample(Placement, **of, **poses, asset_id=asset, scale=(1.0, 1.0, 1.0), remains=None))
+        placements.append(sample(Placement, **of, **poses, asset_id=asset.asset_id, scale=(1.0, 1.0, 1.0), remains=None))
     shell = sample(
         Shell, scene_id=scene_id, floor_polygon=ring, height_m=2.5, interior_walls=(), openings=None, slopes=None,
         walls=tuple((*a, *b) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)),
@@ -107,13 +117,33 @@ def made_lake(folder: Path, config: ViewerBench) -> Lake:
     rest = ("supports", "contacts", "optimization_steps", "optimizations", "certificates")
     written: dict[str, Mapping[str, list[Any]]] = {
         "capture": capture,
-        "candidates": {"candidates": candidates, "assets": list(assets.values())},
+        "candidates": {"candidates": candidates, "assets": [asset for i, asset in enumerate(assets) if asset not in assets[:i]]},
+        "selection": {"selections": selections},
         "optimization": {"placements": placements, **{table: [] for table in rest}},
     }
     for stage, rows in written.items():
         lake.stage_rows(stage_run(scene_id, stage, fingerprint(stage)), rows)
     lake.commit("a scene for the viewer")
     return lake
+
+
+def _model(lake: Lake, index: int, seed: int) -> Asset:
+    """An asset of the furniture generator, its files in the lake."""
+    category = CATEGORIES[index % len(CATEGORIES)]
+    model = generate(category, None, np.random.default_rng([seed, index]))
+    made = make_asset(
+        model.parts, provider=Procedural.kind, name=f"{category} {index}", category=category, source="furniture generator",
+        license="CC0-1.0", pieces=model.pieces,
+    )  # fmt: skip
+    for name, data in made.files.items():
+        lake.blobs.put(data, name.rpartition(".")[2])
+    return made.asset
+
+
+def _points(asset: Asset, pose: NDArray[np.float64], rng: np.random.Generator) -> bytes:
+    """What the scan has of an object: points in its box, PLY."""
+    points = rng.uniform((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0), (OBJECT_POINTS, 3)) * np.array(asset.extents)
+    return dump_points(transform_points(points, pose), np.full((OBJECT_POINTS, 3), 120, dtype=np.uint8))
 
 
 def _scan(points: int, side: float, rng: np.random.Generator) -> bytes:
@@ -135,7 +165,7 @@ def _scan(points: int, side: float, rng: np.random.Generator) -> bytes:
 
 
 @contextmanager
-def _browser() -> Iterator[Browser]:
+def browser_without_gpu() -> Iterator[Browser]:
     """A browser without a graphics processor.
 
     Raises:
@@ -173,11 +203,11 @@ def _opened(browser: Browser, address: str) -> dict[str, Any]:
     page.on("response", lambda answer: sizes.append(int(answer.headers.get("content-length", 0))))
     begun = time.perf_counter()
     page.goto(address)
-    _wait(page, "Boolean(document.documentElement.dataset.ready)")
+    wait_for(page, "Boolean(document.documentElement.dataset.ready)")
     seconds = time.perf_counter() - begun
     begun = time.perf_counter()
     page.locator("[data-instance]").first.click()
-    _wait(page, "Boolean(document.querySelector('.pane code'))")
+    wait_for(page, "Boolean(document.querySelector('.pane code'))")
     facts = time.perf_counter() - begun
     box = page.locator(".view").bounding_box() or {"x": 0, "y": 0, "width": 2, "height": 2}
     x, y = box["x"] + box["width"] * 0.7, box["y"] + box["height"] / 2
@@ -197,7 +227,7 @@ def _opened(browser: Browser, address: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _wait(page: Page, condition: str) -> None:
+def wait_for(page: Page, condition: str) -> None:
     """Until a condition holds. Polled, since the page lets nobody make code of text."""
     from playwright.sync_api import Error
 
@@ -210,7 +240,7 @@ def _wait(page: Page, condition: str) -> None:
             if "context was destroyed" not in str(error):
                 raise
         page.wait_for_timeout(10)
-    raise InputError("metascenes view", condition, f"does not hold after {_PATIENCE_S:g} s")
+    raise InputError(page.url, condition, f"does not hold after {_PATIENCE_S:g} s")
 
 
 def print_viewer_report(report: Mapping[str, Any], console: Console) -> None:

@@ -20,7 +20,7 @@ BUILT = CLIENT.parent / "built"
 WORKSHOP = Path(sys.prefix) / "client"
 """Where npm puts what it fetched: in the environment, away from the sources."""
 
-PAGES = ("view",)
+PAGES = ("view", "annotate")
 """Modules of `client/src` that a page of the same name loads."""
 
 

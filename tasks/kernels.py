@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import threading
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 Kernels = dict[str, Callable[..., Any]]
+
+_COMPILING = threading.RLock()
 
 
 def compile_kernels(*functions: Callable[..., Any], known: Mapping[str, Callable[..., Any]] | None = None) -> Kernels:
@@ -24,13 +27,17 @@ def compile_kernels(*functions: Callable[..., Any], known: Mapping[str, Callable
     """
     import numba
 
-    _keep_apart()
-    compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
-    names, kernels = functions[0].__globals__, dict(known or {})
-    names.update(kernels)
-    for function in functions:
-        names[function.__name__] = kernels[function.__name__] = compiled(function)
-    return kernels
+    with _COMPILING:  # another thread may ask for the same functions, or have replaced some of them since these were named
+        _keep_apart()
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+        plain = [getattr(function, "py_func", function) for function in functions]
+        names, kernels = plain[0].__globals__, dict(known or {})
+        names.update(kernels)
+        for function in plain:
+            present = names[function.__name__]
+            kernels[function.__name__] = present if hasattr(present, "py_func") else compiled(function)
+            names[function.__name__] = kernels[function.__name__]
+        return kernels
 
 
 @cache

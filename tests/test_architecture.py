@@ -271,6 +271,7 @@ OWN = {
     "flows/stats/flow.py": "the report that was written",
     "flows/stats/pictures.py": "code of the project",
     "flows/terminal.py": "descriptors of the process",
+    "flows/view/annotating/drafts.py": "drafts of this server, in a file of ours",
     "flows/view/bundle.py": "the client of the package",
     "tasks/batches.py": "the schema of the package",
     "tasks/captions/physics.py": "tables of the package",

@@ -73,6 +73,7 @@ ELSEWHERE = {
     "flows/run/configuration.py library": "the parameter, a folder",
     "flows/run/plan.py library": "the outside input of a stage",
     "flows/run/scene.py library": "as above",
+    "flows/view/annotating/work.py glb": "the file of a candidate, as the page asks for it",
     "flows/view/application.py glb": "the ending of a file",
     "flows/view/scene.py glb": "as above",
     "flows/view/shapes.py habitat": "the export that has convex pieces as files by object",

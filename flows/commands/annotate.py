@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from flows.commands.options import existing_lake, json_option, lake_option, seed_option, settings_options
+from flows.commands.options import existing_lake, json_option, lake_option, listening_options, seed_option, settings_options
 from schemas.annotation import PICKS
 from schemas.text import one_line
 
@@ -219,6 +219,43 @@ def import_review(file: Path, dry_run: bool, address: str, as_json: bool) -> Non
         count = f"{result['reviews']} review{'' if result['reviews'] == 1 else 's'}"
         line = f"batch {result['batch_id']}: {count}{known} {verb}: {verdict}"
     _print(result, as_json, line)
+
+
+@command.command("serve")
+@click.argument("batch_id", metavar="BATCH")
+@click.option("--reviewer", "reviewers", multiple=True, metavar="NAME", help="Who judges answers of others; may be repeated.")
+@click.option(
+    "--drafts", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", show_default="in the folder of the lake",
+    help="File of what is begun and not saved, with the tokens beside it.",
+)  # fmt: skip
+@listening_options
+@lake_option
+@json_option
+def serve_batch(
+    batch_id: str, reviewers: tuple[str, ...], drafts: Path | None, host: str, port: int, address: str, as_json: bool
+) -> None:  # fmt: skip
+    """Serve a batch that was created to its annotators, and to reviewers, in their browsers.
+
+    Prints an address with a token for each of them, which lets in whoever has it, as that person, and serves until it is interrupted.
+    Started again, it gives the same addresses, while the port is free.
+
+    Example: metascenes annotate serve batch-1 --reviewer rita --lake ./lake
+    """
+    from flows.view.annotating.hosting import serve_annotation
+    from flows.view.bundle import client_file
+
+    client_file("annotate.html")  # before anything is read: it may not have been built
+
+    def announce(people: dict[str, dict[str, Any]]) -> None:
+        if as_json:
+            click.echo(json.dumps({"addresses": people}))
+            return
+        width = max(map(len, people))
+        for name, entry in people.items():
+            click.echo(f"{name:<{width}}  {entry['address']}  ({' and '.join(entry['roles'])})")
+        click.echo("each token lets in whoever has it, as that person; Ctrl-C ends")
+
+    serve_annotation(existing_lake(address), batch_id, reviewers, drafts, host, port, announce)
 
 
 @command.command("list")

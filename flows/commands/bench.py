@@ -302,15 +302,18 @@ def scale(objects: str, scenes: str, seed: int, as_json: bool) -> None:
 @command.command("view")
 @click.option("--lake", "address", metavar="ADDRESS", help="Open the first scene of this lake instead of a generated one.")
 @click.option("--pages", type=click.IntRange(1, 1000), default=5, show_default=True, help="How often it is opened, with an empty cache.")
+@click.option("--annotate", is_flag=True, help="The annotation page instead: also until a drag is kept, and until an object settles.")
 @json_option
-def view(address: str | None, pages: int, as_json: bool) -> None:
+def view(address: str | None, pages: int, annotate: bool, as_json: bool) -> None:
     """Measure the viewer in headless chromium, without a GPU: 200,000 points and 40 objects, until they are seen whole.
 
     Example: metascenes bench view
     """
+    from bench.annotating import print_annotating_report, run_annotating_bench
     from bench.viewer import ViewerBench, print_viewer_report, run_viewer_bench
 
-    _measure("pages", pages, partial(run_viewer_bench, ViewerBench(address, pages=pages)), print_viewer_report, as_json)
+    run, show = (run_annotating_bench, print_annotating_report) if annotate else (run_viewer_bench, print_viewer_report)
+    _measure("pages", pages, partial(run, ViewerBench(address, pages=pages)), show, as_json)
 
 
 @command.command("chaos")

@@ -122,7 +122,7 @@ def restore(source: str, address: str, as_json: bool) -> None:
 @lake_option
 @json_option
 def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> None:
-    """Erase a scene from all tables, blobs, snapshots, releases and this machine's caches, and search the lake for what is left.
+    """Erase a scene from all tables, blobs, snapshots, releases, drafts and this machine's caches, and search the lake for what is left.
 
     Only releases and the last snapshot stay, without the scene. There is no way back but a backup from before. Exit
     code 1 says that something of the scene was found, or that blobs which no row names are too young to be removed: a
@@ -131,12 +131,14 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     Example: metascenes lake erase scannet/scene0001_00 --dry-run --lake ./lake
     """
     from flows.scans.erasure import erase_from_caches
+    from flows.view.annotating.drafts import erase_drafts
     from warehouse.upkeep.erasure import erase as run
 
     cached: list[int] = []
 
     def forget(traces: Traces, hashes: frozenset[str]) -> None:
         cached.append(erase_from_caches(traces, hashes))
+        erase_drafts(lake, traces)
 
     lake = existing_lake(address)
     if not (yes or dry_run) and not (sys.stdin.isatty() and click.confirm(f"Erase {scene} from {lake.address} for good?", err=True)):

@@ -54,6 +54,15 @@ snapshot_options = grouped(
 )
 """`--snapshot N` and `--release NAME`, as `snapshot_id` and `release`; `chosen_snapshot` says which snapshot is meant."""
 
+listening_options = grouped(
+    click.option("--port", type=click.IntRange(0, 65535), default=0, show_default="a free one", help="Port to listen at."),
+    click.option(
+        "--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",
+        help="Address to listen at; others than loopback let other machines ask, without encryption.",
+    ),
+)  # fmt: skip
+"""`--host`, `--port`: where a server of pages listens."""
+
 workers_option = click.option(
     "--workers", type=click.IntRange(1, 256), default=os.cpu_count() or 1, show_default="one per core", help="Worker processes."
 )

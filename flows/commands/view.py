@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
+from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, listening_options, snapshot_options
 
 
 @click.command("view", short_help="Show scenes in the browser: scan, replica, and all that is known of each object.")
@@ -23,11 +23,7 @@ from flows.commands.options import chosen_snapshot, existing_lake, json_option, 
     help="Write one scene as a recording for the Rerun viewer, instead of serving the lake.",
 )  # fmt: skip
 @click.option("--browser/--no-browser", default=True, help="Open the page in a browser, where there is a screen.")
-@click.option(
-    "--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",
-    help="Address to listen at; others than loopback let other machines ask, without encryption.",
-)  # fmt: skip
-@click.option("--port", type=click.IntRange(0, 65535), default=0, show_default="a free one", help="Port to listen at.")
+@listening_options
 @snapshot_options
 @lake_option
 @json_option

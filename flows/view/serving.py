@@ -9,7 +9,7 @@ import socket
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -37,21 +37,38 @@ def serve(app: FastAPI, host: str, port: int, announce: Callable[[str], None], b
     Raises:
         InputError: the host or port cannot be had.
     """
+    with contextlib.ExitStack() as until_the_end:
+
+        def show(addresses: Mapping[str, str]) -> None:
+            address = addresses["viewer"] + (f"&at={quote(at)}" if at else "")
+            announce(address)
+            if browser and _has_screen():
+                webbrowser.open(until_the_end.enter_context(_leading_to(address)))
+
+        with bound(host, port) as listening:
+            serve_people(app, host, listening, {new_token(): "viewer"}, show)
+
+
+def serve_people(
+    app: FastAPI, host: str, listening: socket.socket, people: Mapping[str, str], announce: Callable[[Mapping[str, str]], None],
+    patience: int = 2,
+) -> None:  # fmt: skip
+    """Serve an application to people, each by a token of their own, until interrupted.
+
+    `people`: names by token. `announce` is called with everybody's address by name once the server answers. `patience`: how long a
+    request that is being answered at the end is waited for [s].
+    """
     import uvicorn
 
-    with bound(host, port) as listening, contextlib.ExitStack() as until_the_end:
-        number, token = listening.getsockname()[1], new_token()
-        name = socket.gethostname().lower() if host in _EVERYWHERE else f"[{host}]" if ":" in host else host
-        address = f"http://{name}:{number}/?token={token}" + (f"&at={quote(at)}" if at else "")
-        listening.listen(64)  # from here on who opens the address is answered, if a moment later
-        announce(address)
-        if browser and _has_screen():
-            webbrowser.open(until_the_end.enter_context(_leading_to(address)))
-        guard = guarded(app, number, {token: "viewer"}, [name])
-        # below warnings uvicorn writes down what clients send, tokens included
-        server = uvicorn.Server(uvicorn.Config(guard, log_level="warning", access_log=False, timeout_graceful_shutdown=2))
-        with contextlib.suppress(KeyboardInterrupt):
-            server.run(sockets=[listening])
+    number = listening.getsockname()[1]
+    name = socket.gethostname().lower() if host in _EVERYWHERE else f"[{host}]" if ":" in host else host
+    listening.listen(64)  # from here on who opens the address is answered, if a moment later
+    announce({person: f"http://{name}:{number}/?token={token}" for token, person in people.items()})
+    guard = guarded(app, number, people, [name])
+    # below warnings uvicorn writes down what clients send, tokens included
+    server = uvicorn.Server(uvicorn.Config(guard, log_level="warning", access_log=False, timeout_graceful_shutdown=patience))
+    with contextlib.suppress(KeyboardInterrupt):
+        server.run(sockets=[listening])
 
 
 @contextlib.contextmanager

@@ -48,22 +48,38 @@ def figures(
     """
     known = {asset.asset_id: asset for asset in assets}
     objects = {row.instance_id: row for row in instances if not row.is_structure}
-    aligned: dict[str, list[Selection]] = {}
-    for selection in sorted(selections, key=lambda row: (row.instance_id, row.rank)):
-        aligned.setdefault(selection.instance_id, []).append(selection)
-    room = shells[0] if shells else None
     rows = []
     for annotator in sorted({row.annotator for row in answers}):
         own = {row.instance_id: row for row in sorted(batch_answers, key=lambda row: row.revision) if row.annotator == annotator}
         own |= {row.instance_id: row for row in answers if row.annotator == annotator}
-        proposals = [
-            proposal
-            for name, instance in sorted(objects.items())
-            if (proposal := _proposed(instance, own.get(name), aligned.get(name, ()))) is not None and proposal.asset_id in known
-        ]
-        interior, _ = furnish(proposals, known, blobs, room, SupportConfig(), PieceConfig(), caches)
+        interior = furnished(own, instances, selections, shells, assets, blobs, caches)
         rows += _of_annotator([row for row in answers if row.annotator == annotator], interior, objects, known, blobs)
     return sorted(rows, key=lambda row: (row.scene_id, row.instance_id, row.annotator, row.revision))
+
+
+def furnished(
+    own: Mapping[str, Annotation],
+    instances: Sequence[Instance],
+    selections: Sequence[Selection],
+    shells: Sequence[Shell],
+    assets: Sequence[Asset],
+    blobs: Mapping[str, bytes],
+    caches: Caches,
+) -> Interior:
+    """A room as an annotator furnished it by their `own` answers, by instance; what they did not answer for stands as selection aligned
+    its first. What cannot be placed is left out."""
+    known = {asset.asset_id: asset for asset in assets}
+    aligned: dict[str, list[Selection]] = {}
+    for selection in sorted(selections, key=lambda row: (row.instance_id, row.rank)):
+        aligned.setdefault(selection.instance_id, []).append(selection)
+    objects = {row.instance_id: row for row in instances if not row.is_structure}
+    proposals = [
+        proposal
+        for name, instance in sorted(objects.items())
+        if (proposal := _proposed(instance, own.get(name), aligned.get(name, ()))) is not None and proposal.asset_id in known
+    ]
+    interior, _ = furnish(proposals, known, blobs, shells[0] if shells else None, SupportConfig(), PieceConfig(), caches)
+    return interior
 
 
 def size_ratio(instance: Instance, asset: Asset, scale: Sequence[float]) -> float:

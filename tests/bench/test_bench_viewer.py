@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from bench.annotating import print_annotating_report, run_annotating_bench
 from bench.viewer import BROWSERS, ViewerBench, made_lake, print_viewer_report, run_viewer_bench
 from flows.view import bundle
 from flows.view.scene import Scenes
 from schemas.capture import Scene
+from schemas.errors import InputError
 from tasks.geometry.meshes import surface_of_glb
 
 
@@ -42,3 +44,26 @@ def test_every_page_has_its_figures() -> None:
     print_viewer_report(report, Console(file=said, width=140))
     assert "2,500 points and 3 objects" in said.getvalue()
     assert "median seconds until the scene is seen whole" in said.getvalue()
+
+
+@pytest.mark.whole
+@pytest.mark.browser
+@pytest.mark.skipif(not bundle.is_built(), reason="`make client` has not been run")
+def test_every_annotation_page_has_its_figures() -> None:
+    if not any(map(shutil.which, BROWSERS)):
+        pytest.skip("no chromium on this machine; apt-get install chromium")
+    report = run_annotating_bench(ViewerBench(points=2500, objects=11, pages=1), lambda: None)
+    (row,) = report["pages"]
+    assert 0 < row["usable_s"] <= row["seconds"]
+    assert row["kept_ms"] > 0
+    assert row["settled_s"] > 0
+    assert row["dragging_fps"] > 0
+    said = io.StringIO()
+    print_annotating_report(report, Console(file=said, width=140))
+    assert "2,500 points and 11 objects" in said.getvalue()
+    assert {one["wanted"] for one in report["goals"]} == {"<= 3", "< 100", "< 1"}
+
+
+def test_a_lake_of_somebodys_is_not_annotated_by_a_benchmark() -> None:
+    with pytest.raises(InputError, match="--annotate"):
+        run_annotating_bench(ViewerBench(lake="demo/lake"), lambda: None)

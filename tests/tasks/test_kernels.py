@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from tasks.kernels import compile_kernels
 from tests.conftest import REPOSITORY
 
 CALLEE = """
@@ -55,3 +58,20 @@ def test_a_function_that_calls_a_changed_one_of_another_module_is_compiled_anew(
     assert changed == 30
     assert len(now) == 1
     assert now != kept, "machine code of former states goes"
+
+
+def test_functions_are_compiled_once_whoever_names_them_again(tmp_path: Path) -> None:
+    """Threads that ask at once name functions before, while and after another has replaced them."""
+    file = tmp_path / "toy.py"
+    file.write_text("def plus(x):\n    return x + 1\n\ndef twice(x):\n    return plus(x) + plus(x)\n")
+    spec = importlib.util.spec_from_file_location("toy", file)
+    assert spec is not None
+    assert spec.loader is not None
+    toy = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(toy)
+    plain = (toy.plus, toy.twice)
+    with ThreadPoolExecutor(4) as pool:
+        made = list(pool.map(lambda _: compile_kernels(*plain), range(8)))
+    made += [compile_kernels(toy.plus, toy.twice), compile_kernels(plain[0], toy.twice)]
+    assert all(kernels["twice"] is toy.twice and kernels["plus"] is toy.plus for kernels in made)
+    assert toy.twice(10) == 22

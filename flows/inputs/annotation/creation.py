@@ -155,33 +155,53 @@ def _rows(reader: Reader, record: type[Any], scenes: Sequence[str]) -> list[Any]
     return [row for scene in scenes for row in reader.rows(record, scene)] if scenes else list(reader.rows(record))
 
 
-def _write(folder: Path, lake: Lake, reader: Reader, batch: WorkBatch, assignments: Sequence[Assignment]) -> None:
-    """Write the folder of a batch."""
-    from tasks.geometry.meshes import load_glb
-    from tasks.stats.thumbnails import object_thumbnail
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """What a batch asks about: instances with what is offered for them, and the document that says so (`work.schema.json`)."""
 
+    instances: tuple[Instance, ...]
+    assets: tuple[Asset, ...]
+    document: dict[str, Any]
+
+
+def asked_of(reader: Reader, batch: WorkBatch, assignments: Sequence[Assignment]) -> Asked:
+    """What a batch asks about, as a snapshot has it.
+
+    Raises:
+        InputError: some of it is not in the snapshot any more.
+    """
     scenes = sorted({row.scene_id for row in assignments})
-    asked = {(row.scene_id, row.instance_id) for row in assignments}
-    instances = [row for row in _rows(reader, Instance, scenes) if (row.scene_id, row.instance_id) in asked]
-    gone = asked - {(row.scene_id, row.instance_id) for row in instances}
+    keys = {(row.scene_id, row.instance_id) for row in assignments}
+    instances = [row for row in _rows(reader, Instance, scenes) if (row.scene_id, row.instance_id) in keys]
+    gone = keys - {(row.scene_id, row.instance_id) for row in instances}
     if gone:
         raise InputError("--batch", batch.batch_id, f"{len(gone)} of its objects are not in the lake any more", "create a new batch")
     candidates = _rows(reader, Candidate, scenes)
-    named = {row.asset_id for row in candidates if (row.scene_id, row.instance_id) in asked and row.asset_id is not None}
+    named = {row.asset_id for row in candidates if (row.scene_id, row.instance_id) in keys and row.asset_id is not None}
     assets: list[Asset] = reader.rows_by_key(Asset, named)
     document = work_document(
         batch, assignments, instances, _rows(reader, Caption, scenes), candidates, _rows(reader, Selection, scenes),
         _rows(reader, Shell, scenes), assets,
     )  # fmt: skip
+    return Asked(tuple(instances), tuple(assets), document)
+
+
+def _write(folder: Path, lake: Lake, reader: Reader, batch: WorkBatch, assignments: Sequence[Assignment]) -> None:
+    """Write the folder of a batch."""
+    from tasks.geometry.meshes import load_glb
+    from tasks.stats.thumbnails import object_thumbnail
+
+    asked = asked_of(reader, batch, assignments)
+    document = asked.document
     for name in ("assets", "thumbnails", "scans", "answers"):
         (folder / name).mkdir(parents=True)
-    with Progress("candidates", len(assets)) as bar:
-        for asset in assets:
+    with Progress("candidates", len(asked.assets)) as bar:
+        for asset in asked.assets:
             glb = lake.blobs[asset.mesh_blob]
             (folder / asset_file(asset.asset_id)).write_bytes(glb)
             (folder / thumbnail_file(asset.asset_id)).write_bytes(object_thumbnail(load_glb(glb, f"{asset.name}.glb")))
             bar.advance(asset.name)
-    for blob in sorted({blob for row in instances for blob in crops(row)}):
+    for blob in sorted({blob for row in asked.instances for blob in crops(row)}):
         (folder / crop_file(blob)).write_bytes(lake.blobs[blob])
     files = [row["answers"] for row in document["annotators"]]
     for name in files:

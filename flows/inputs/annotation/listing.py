@@ -25,14 +25,16 @@ NEXT = {
 def open_work(lake: Lake, batch_id: str, annotator: str) -> list[dict[str, Any]]:
     """What an annotator is asked in a batch, in the order of their list: whether it is answered, how, and what reviewers remarked.
 
-    `answer` is the last revision as a row of `annotations`, `figures` its row of `annotation_figures`; None where there is none.
+    `answer` is the last revision as a row of `annotations`, `figures` its row of `annotation_figures`; None where there is none, and
+    where the answer was withdrawn.
 
     Raises:
         InputError: there is no such batch.
     """
     reader = lake.snapshot()
     state = known_state(reader, batch_id)
-    answers = latest(rows_of(reader, Annotation, batch_id))
+    revisions = rows_of(reader, Annotation, batch_id)
+    answers, given = latest(revisions), {key_of_answer(row) for row in revisions}
     figures = {(row.scene_id, row.instance_id, row.annotator, row.revision): row for row in rows_of(reader, AnnotationFigures, batch_id)}
     asked = [row for row in rows_of(reader, Assignment, batch_id) if row.annotator == annotator]
     remarked = _remarks(rows_of(reader, AnswerVerdict, batch_id))
@@ -44,7 +46,8 @@ def open_work(lake: Lake, batch_id: str, annotator: str) -> list[dict[str, Any]]
             {
                 "scene_id": row.scene_id, "instance_id": row.instance_id, "place": row.place, "doubt": row.doubt,
                 "reasons": list(row.reasons), "is_open": state.state in ("open", "returned"), "is_answered": answer is not None,
-                "answer": _plain(answer), "figures": _plain(figures.get((*key, answer.revision))) if answer is not None else None,
+                "is_withdrawn": answer is None and key in given,
+                "answer": plain(answer), "figures": plain(figures.get((*key, answer.revision))) if answer is not None else None,
                 "remarks": remarked.get(key, []),
             }
         )  # fmt: skip
@@ -69,8 +72,8 @@ def open_reviews(lake: Lake, batch_id: str, reviewer: str) -> list[dict[str, Any
         reviews.append(
             {
                 "scene_id": row.scene_id, "instance_id": row.instance_id, "annotator": row.annotator, "place": row.place,
-                "is_open": state.state == "in_review", "answer": _plain(answers.get(key)), "figures": _plain(figures.get(key)),
-                "verdict": _plain(state.verdicts.get(key_of(row))),
+                "is_open": state.state == "in_review", "answer": plain(answers.get(key)), "figures": plain(figures.get(key)),
+                "verdict": plain(state.verdicts.get(key_of(row))),
             }
         )  # fmt: skip
     return reviews
@@ -127,8 +130,8 @@ def _remarks(verdicts: list[AnswerVerdict]) -> dict[tuple[str, str, str], list[s
     return remarks
 
 
-def _plain(row: Any) -> dict[str, Any] | None:
-    """A row as plain values."""
+def plain(row: Any) -> dict[str, Any] | None:
+    """A row as plain values, times in ISO 8601; None of None."""
     if row is None:
         return None
     values: dict[str, Any] = rows_to_arrow([row], type(row)).to_pylist()[0]

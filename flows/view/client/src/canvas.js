@@ -52,6 +52,7 @@ export class Canvas {
     this.isSlow = false;
     this.isMoving = false;
     this.isPlaying = false;
+    this.isHeld = false; // while much is loaded: drawn for a moving hand alone
     this.frames = 0;
     this.isDirty = false;
     new ResizeObserver(() => this.#resize()).observe(place);
@@ -66,7 +67,7 @@ export class Canvas {
 
   /** Draw soon; many calls are one drawing. */
   draw() {
-    if (this.isDirty) return;
+    if (this.isDirty || (this.isHeld && !this.isMoving)) return;
     this.isDirty = true;
     requestAnimationFrame(() => {
       this.isDirty = false;

@@ -78,7 +78,7 @@ function help() {
 }
 
 /** Let people take the edge between scan and replica and move it. */
-function dragEdge(edge, view, moved) {
+export function dragEdge(edge, view, moved) {
   edge.addEventListener("pointerdown", (event) => {
     edge.setPointerCapture(event.pointerId);
     event.preventDefault();

@@ -6,6 +6,7 @@ import { meshes, model, unlit } from "./models.js";
 const MANY_FACES = 60_000;
 const CELL_M = 0.06;
 const POINT_M = 0.03;
+const FEW_POINTS = 25_000;
 
 /** The scan of a scene. */
 export class Scan {
@@ -27,6 +28,8 @@ export class Scan {
 
   /** Draw a coarse form of a large scan, for as long as pictures follow one another; `isSlow`: where whole ones take too long. */
   quick(wanted, isSlow) {
+    const most = wanted && isSlow ? FEW_POINTS : Infinity;
+    for (const { geometry } of this.points?.children ?? []) geometry.setDrawRange(0, most);
     for (const mesh of this.points ? [] : meshes(this.mesh)) {
       const { fine = mesh.geometry } = mesh.userData;
       const faces = (fine.index ?? fine.attributes.position).count / 3;
@@ -48,6 +51,11 @@ export class Scan {
     this.mesh.visible = !wanted;
   }
 
+  /** How large points are drawn [m]. */
+  pointSize(metres) {
+    for (const { material } of this.points?.children ?? []) material.size = metres;
+  }
+
   /** Points that are turned away are left out, as faces are. */
   #makePoints() {
     this.points = new Group();
@@ -57,6 +65,7 @@ export class Scan {
       for (const name of ["position", "normal", "color"]) {
         if (mesh.geometry.attributes[name]) geometry.setAttribute(name, mesh.geometry.attributes[name]);
       }
+      geometry.setIndex(new BufferAttribute(shuffled(geometry.attributes.position.count), 1)); // any first part of them is the scan, coarsely
       const material = new PointsMaterial({ size: POINT_M, vertexColors: "color" in geometry.attributes });
       if (!material.vertexColors) material.color.set(0x8a94a2);
       material.onBeforeCompile = (shader) => {
@@ -70,6 +79,16 @@ export class Scan {
     }
     this.group.add(this.points);
   }
+}
+
+/** Numbers below a count, each once, in an order that is the same every time: steps that share no factor with it. */
+function shuffled(count) {
+  const order = new Uint32Array(count);
+  let step = Math.max(1, Math.round(count * 0.618034));
+  const factor = (a, b) => (b ? factor(b, a % b) : a);
+  while (factor(step, count) > 1) step += 1;
+  for (let place = 0, number = 0; place < count; place += 1, number = (number + step) % count) order[place] = number;
+  return order;
 }
 
 /** A mesh with one vertex for each cell of a grid: faces within a cell are gone. */

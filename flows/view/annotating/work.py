@@ -1,0 +1,259 @@
+"""What a person has before them: the objects that are asked of an annotator, the answers that a reviewer judges, how the batch stands."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flows.inputs.annotation import batch_list, open_reviews, open_work
+from flows.inputs.annotation.acts import known_state, rows_of, state_in
+from flows.inputs.annotation.creation import asked_of
+from flows.view.annotating.drafts import Drafts, KeptDraft, Key
+from flows.view.annotating.people import roles_of
+from flows.view.scene import Document, Scenes, Shown
+from schemas.annotation import Assignment, WorkBatch
+from schemas.capture import Frame, Instance
+from schemas.errors import InputError
+from tasks.annotation.quality import pass_interval
+from tasks.geometry.transforms import matrix, quaternion_wxyz
+from warehouse.lake import Lake
+from warehouse.tables.gate import demands
+from warehouse.tables.snapshot import Reader
+
+CROP_MARGIN = 0.15
+"""What the best view of an object shows around it, in longer sides of its mask (`tasks.capture.instances.views.view_of`)."""
+
+
+class BatchScenes(Scenes):
+    """The scenes of a batch; others are not there."""
+
+    def __init__(self, lake: Lake, scene_ids: Sequence[str], blobs: frozenset[str]) -> None:
+        """`blobs`: what may be asked for before a scene was shown."""
+        super().__init__(lake)
+        self.scene_ids, self._offered = frozenset(scene_ids), blobs
+
+    def listed(self) -> Document:
+        """See Scenes."""
+        document = super().listed()
+        return document | {"scenes": [row for row in document["scenes"] if row["id"] in self.scene_ids]}
+
+    def first(self) -> str:
+        """See Scenes."""
+        return min(self.scene_ids)
+
+    def shown(self, scene_id: str) -> Shown:
+        """See Scenes."""
+        self._refuse_strange(scene_id)
+        return super().shown(scene_id)
+
+    def scan_path(self, scene_id: str) -> str:
+        """See Scenes."""
+        self._refuse_strange(scene_id)
+        return super().scan_path(scene_id)
+
+    def frame(self, scene_id: str, frame_id: str) -> Frame:
+        """See Scenes."""
+        self._refuse_strange(scene_id)
+        return super().frame(scene_id, frame_id)
+
+    def blob(self, name: str) -> bytes:
+        """See Scenes."""
+        return self.lake.blobs[name] if name in self._offered else super().blob(name)
+
+    def _refuse_strange(self, scene_id: str) -> None:
+        if scene_id not in self.scene_ids:
+            raise InputError(self.lake.address, scene_id, "is no scene of this batch")
+
+
+class ServedBatch:
+    """A batch as its people see it. Objects and candidates are those of the snapshot that the server began with."""
+
+    def __init__(self, lake: Lake, batch_id: str, drafts: Drafts, reviewers: Sequence[str]) -> None:
+        """Raises InputError: the lake has no such batch, it was made elsewhere, or its objects are not there any more."""
+        reader = lake.snapshot()
+        batch = created_batch(reader, batch_id)
+        self.lake, self.batch_id, self.drafts = lake, batch_id, drafts
+        assignments = rows_of(reader, Assignment, batch_id)
+        self.roles = roles_of({row.annotator for row in assignments}, reviewers)
+        self.assigned: dict[Key, frozenset[str]] = {}
+        for row in assignments:
+            key = (row.scene_id, row.instance_id)
+            self.assigned[key] = self.assigned.get(key, frozenset()) | {row.annotator}
+        asked = asked_of(reader, batch, assignments)
+        self.assets = {row.asset_id: row for row in asked.assets}
+        glbs = frozenset(row.mesh_blob for row in asked.assets)
+        self.scenes = BatchScenes(lake, sorted({scene for scene, _ in self.assigned}), glbs)
+        cameras = _cameras(self.scenes, asked.instances)
+        self.points = frozenset(row.points_blob for row in asked.instances)
+        self.photos = frozenset(row.view_blob for row in asked.instances if row.view_blob is not None)
+        self._objects = {(row["scene_id"], row["instance_id"]): self._object(row, cameras) for row in asked.document["objects"]}
+        self._rooms: list[dict[str, Any]] = asked.document["scenes"]
+        self._thumbnails: dict[str, bytes] = {}
+        self._drawing = threading.Lock()
+
+    def _object(self, row: Mapping[str, Any], cameras: Mapping[Key, dict[str, Any]]) -> dict[str, Any]:
+        """What everybody is shown of an object."""
+        scene, instance = row["scene_id"], row["instance_id"]
+        return {
+            "key": f"{scene}/{instance}", "scene_id": scene, "instance_id": instance, "category": row["category"],
+            "caption": row["caption"], "box": row["box"], "points": _address("points", row["points"]),
+            "photo": _address("photos", row["view"]), "camera": cameras.get((scene, instance)),
+            "candidates": [
+                dict(offer) | {
+                    "glb": f"/blobs/{self.assets[offer['asset_id']].mesh_blob}", "thumbnail": f"/thumbnails/{offer['asset_id']}.jpg",
+                }
+                for offer in row["candidates"]
+            ],
+        }  # fmt: skip
+
+    def me(self, name: str) -> dict[str, Any]:
+        """Who somebody is, and how the batch stands."""
+        (row,) = batch_list(self.lake, self.batch_id)
+        share, least, pass_share = demands(known_state(self.lake.snapshot(), self.batch_id).batch)
+        return {
+            "person": name,
+            "roles": list(self.roles[name]),
+            "batch": {key: row[key] for key in ("batch_id", "state", "round", "origin", "next", "counts")},
+            "tool": "metascenes",
+            "settings": {"least_sample": least, "pass_share": pass_share, "sample_share": share},
+        }
+
+    def objects(self, name: str) -> dict[str, Any]:
+        """What is asked of an annotator, in the order of their list, with what they answered and began."""
+        drafts, rows = self.drafts.of(name), open_work(self.lake, self.batch_id, name)
+        objects = []
+        for row in rows:
+            key = (row["scene_id"], row["instance_id"])
+            draft = drafts.get(key)
+            status = "draft" if draft else "answered" if row["is_answered"] else "withdrawn" if row["is_withdrawn"] else "open"
+            objects.append(
+                self._objects[key]
+                | {name: row[name] for name in ("place", "reasons", "doubt", "is_open", "remarks", "figures")}
+                | {"status": status, "answer": _answer(row["answer"]), "draft": draft_document(draft)}
+            )
+        scenes = {row["scene_id"] for row in rows}
+        return {"objects": objects, "scenes": [row for row in self._rooms if row["scene_id"] in scenes]}
+
+    def reviews(self, name: str) -> dict[str, Any]:
+        """The sampled answers that a reviewer judges, in the order in which they were drawn; never their own."""
+        rows = open_reviews(self.lake, self.batch_id, name)
+        answers = [
+            self._objects[row["scene_id"], row["instance_id"]]
+            | {name: row[name] for name in ("annotator", "place", "is_open", "figures")}
+            | {
+                "answer": _answer(row["answer"]),
+                "verdict": None if row["verdict"] is None else {key: row["verdict"][key] for key in ("passes", "remark", "reviewer")},
+            }
+            for row in rows
+        ]
+        scenes = {row["scene_id"] for row in answers}
+        return {"answers": answers, "scenes": [row for row in self._rooms if row["scene_id"] in scenes]}
+
+    def progress(self) -> dict[str, Any]:
+        """How the batch stands, how far everybody is, and what the sample says so far."""
+        (row,) = batch_list(self.lake, self.batch_id)
+        state, drafts = state_in(self.lake.snapshot(), self.batch_id), self.drafts.count()
+        judged = len(state.verdicts)
+        low, high = pass_interval(state.passed, judged, len(state.handed_in)) if judged else (None, None)
+        people = [{"person": name, **count, "drafts": drafts.get(name, 0)} for name, count in row["by_annotator"].items()]
+        reviews = {"sampled": len(state.sample), "judged": judged, "passed": state.passed, "pass_low": low, "pass_high": high}
+        return {"batch": row, "people": people, "reviews": reviews}
+
+    def thumbnail(self, name: str) -> bytes:
+        """JPEG of a candidate; `name` is `<asset id>.jpg`.
+
+        Raises:
+            KeyError: the batch offers no such asset.
+        """
+        from tasks.geometry.meshes import load_glb
+        from tasks.stats.thumbnails import object_thumbnail
+
+        asset = self.assets[name.removesuffix(".jpg")] if name.endswith(".jpg") else self.assets[""]
+        with self._drawing:  # each is drawn once, and drawing is not safe for several threads
+            if name not in self._thumbnails:
+                self._thumbnails[name] = object_thumbnail(load_glb(self.lake.blobs[asset.mesh_blob], f"{asset.name}.glb"))
+            return self._thumbnails[name]
+
+    def crop(self, name: str, among: frozenset[str]) -> bytes:
+        """What the scan has of an object: points or photo, by the name of its blob.
+
+        Raises:
+            KeyError: it is not among those that the batch shows, or not there.
+        """
+        if name not in among:
+            raise KeyError(name)
+        return self.lake.blobs[name]
+
+
+def created_batch(reader: Reader, batch_id: str) -> WorkBatch:
+    """The row of a batch that can be served.
+
+    Raises:
+        InputError: the lake has no such batch, or it was made elsewhere.
+    """
+    state = known_state(reader, batch_id)
+    if state.batch is None or state.origin != "created":
+        raise InputError(batch_id, "BATCH", "was made elsewhere", "`metascenes annotate create` makes batches that can be served")
+    return state.batch
+
+
+def draft_document(draft: KeptDraft | None) -> dict[str, Any] | None:
+    """A draft as its page gets it back."""
+    if draft is None or draft.body is None:
+        return None
+    return {**draft.body, "edit": draft.edit, "page": draft.page, "saved_at": draft.saved_at}
+
+
+def transform_document(pose: Sequence[float], scale: Sequence[float]) -> dict[str, Any]:
+    """A pose, 4x4 row by row [m], and a scale in the words of `batch.schema.json`."""
+    placed = matrix(pose)
+    return {"position": placed[:3, 3].tolist(), "rotation_wxyz": list(quaternion_wxyz(placed)), "scale": list(scale)}
+
+
+def _answer(row: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """An answer of the lake in the words of `batch.schema.json`."""
+    if row is None:
+        return None
+    transform = None if row["pose"] is None else transform_document(row["pose"], row["scale"])
+    return {name: row[name] for name in ("choice", "ranking", "seconds", "revision", "answered_at")} | {"transform": transform}
+
+
+def _address(folder: str, file: str | None) -> str | None:
+    """Where a file of the document of a batch is served."""
+    return None if file is None else f"/{folder}/{file.rpartition('/')[2]}"
+
+
+def _cameras(scenes: Scenes, instances: Sequence[Instance]) -> dict[Key, dict[str, Any]]:
+    """From where the photo of each object was taken; of those without a photo or a pose nothing."""
+    cameras: dict[Key, dict[str, Any]] = {}
+    for scene in sorted({row.scene_id for row in instances}):
+        frames = {row.frame_id: row for row in scenes.reader.rows(Frame, scene)}
+        masks = scenes.reader.matching("masks", {"scene_id": [scene]}, ["pixel_box"]).to_pylist()
+        boxes = {(row["instance_id"], row["frame_id"]): row["pixel_box"] for row in masks}
+        for row in instances:
+            frame = frames.get(row.best_frames[0]) if row.scene_id == scene and row.best_frames else None
+            if frame is not None and frame.pose is not None and row.view_blob is not None:
+                cameras[scene, row.instance_id] = photo_camera(frame, boxes.get((row.instance_id, frame.frame_id)), row)
+    return cameras
+
+
+def photo_camera(frame: Frame, pixel_box: Sequence[int] | None, instance: Instance) -> dict[str, Any]:
+    """A camera that sees what a photo of an instance shows: the part of its frame around the mask's box x0, y0, x1, y1 [px], the whole
+    without one. Looks at the photo's middle, as far away as the instance is [m]; the angle is the photo's vertical one."""
+    assert frame.pose is not None
+    x0, y0, x1, y1 = 0, 0, frame.width, frame.height
+    if pixel_box is not None:
+        x0, y0, x1, y1 = pixel_box
+        margin = max(4, round(CROP_MARGIN * max(x1 - x0, y1 - y0)))
+        x0, y0, x1, y1 = max(0, x0 - margin), max(0, y0 - margin), min(frame.width, x1 + margin), min(frame.height, y1 + margin)
+    fx, fy, cx, cy = frame.intrinsics
+    pose = matrix(frame.pose)
+    ray = pose[:3, :3] @ np.array([((x0 + x1) / 2 - cx) / fx, ((y0 + y1) / 2 - cy) / fy, 1.0])
+    distance = float(np.linalg.norm(matrix(instance.box_pose)[:3, 3] - pose[:3, 3]))
+    target = pose[:3, 3] + ray / np.linalg.norm(ray) * max(distance, 0.1)
+    angle = math.degrees(math.atan((y1 - cy) / fy) - math.atan((y0 - cy) / fy))
+    return {"position": pose[:3, 3].tolist(), "target": target.tolist(), "fov_degrees": angle}

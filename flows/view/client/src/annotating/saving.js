@@ -1,0 +1,91 @@
+// Every change goes to the server by itself; what it has not confirmed is sent again until it has.
+
+import { Absence, ask, keyPath, Refusal } from "./server.js";
+
+const PAGE = crypto.getRandomValues(new Uint32Array(4)).join("-"); // tells windows apart: edits are counted in each
+const SOON_MS = 150;
+const AGAIN_MS = [500, 1000, 2000, 4000];
+
+/** What the server is sent of a draft: each time a later edit, so that what comes late does not win. */
+export function numbered(draft) {
+  draft.edit += 1;
+  return { ...draft.body, edit: draft.edit, page: PAGE };
+}
+
+export class Saving {
+  /** `changed` is told "saved", "saving" or "unsaved", and why it is not. */
+  constructor(changed) {
+    Object.assign(this, { changed, pending: new Map(), running: null, timer: 0, failures: 0, state: "saved", reason: "" });
+    addEventListener("online", () => this.flush());
+    addEventListener("beforeunload", (event) => {
+      if (this.state !== "saved") event.preventDefault();
+    });
+  }
+
+  /** A draft has changed. */
+  put(draft) {
+    this.pending.set(draft.key, draft);
+    if (!this.failures) this.#tell("saving");
+    if (!this.timer && !this.failures) this.timer = setTimeout(() => this.flush(), SOON_MS);
+  }
+
+  /** Send at once what waits. Resolves when it was sent, or could not be. */
+  async flush() {
+    clearTimeout(this.timer);
+    this.timer = 0;
+    this.running ??= this.#send().finally(() => {
+      this.running = null;
+      if (this.pending.size && !this.timer) this.timer = setTimeout(() => this.flush(), this.failures ? this.#pause() : 0);
+    });
+    return this.running;
+  }
+
+  /** A draft was handed in as an answer: none of it waits any more. */
+  release(draft) {
+    if (this.pending.delete(draft.key) && !this.pending.size && !this.running) this.#tell("saved");
+  }
+
+  #pause() {
+    return AGAIN_MS[Math.min(this.failures, AGAIN_MS.length) - 1];
+  }
+
+  async #send() {
+    for (const [key, draft] of [...this.pending]) {
+      const { version } = draft;
+      try {
+        await this.#put(draft);
+        this.failures = 0;
+        if (draft.version === version && this.pending.get(key) === draft) this.pending.delete(key);
+      } catch (error) {
+        if (error instanceof Absence) {
+          this.failures += 1;
+          this.#tell("unsaved", error.message);
+          return;
+        }
+        this.pending.delete(key); // the server will not take it, however often it is sent
+        this.#tell("unsaved", error.message);
+        if (!(error instanceof Refusal)) throw error;
+        return;
+      }
+    }
+    this.#tell(this.pending.size ? "saving" : "saved");
+  }
+
+  async #put(draft) {
+    const path = `drafts/${keyPath(draft.key)}`;
+    try {
+      await ask("PUT", path, numbered(draft));
+    } catch (error) {
+      const newer = error instanceof Refusal && error.status === 409 ? error.value.draft : null;
+      if (!newer) throw error;
+      draft.edit = newer.edit; // an edit that was thought lost had arrived
+      await ask("PUT", path, numbered(draft));
+    }
+  }
+
+  #tell(state, reason = "") {
+    if (state === this.state && reason === this.reason) return;
+    Object.assign(this, { state, reason });
+    this.changed(state, reason);
+  }
+}
