@@ -490,6 +490,7 @@ def test_the_camera_goes_where_the_photo_was_taken(opened: Callable[..., Page]) 
 @pytest.mark.parametrize("width", [1280, 1024, 700])
 def test_everything_fits_and_has_a_name(opened: Callable[..., Page], width: int, scheme: str) -> None:
     page = opened("ada", viewport={"width": width, "height": 800}, color_scheme=scheme)
+    assert (page.locator(".object-part").bounding_box() or {"height": 0})["height"] > 100, "the list is seen"
     assert page.evaluate("document.documentElement.scrollWidth") == width
     if width > 1000:
         assert page.evaluate("document.documentElement.scrollHeight") == 800

@@ -82,7 +82,8 @@ class Annotate {
       return;
     }
     const isDone = ({ row }) => (isReview ? row.verdict : row.status === "answered");
-    if (!(await this.#follow())) await this.select((this.entries.find((each) => !isDone(each)) ?? this.entries[0]).draft);
+    const first = this.entries.find((each) => !isDone(each)) ?? this.entries.find(({ row }) => row.remarks?.length) ?? this.entries[0];
+    if (!(await this.#follow())) await this.select(first.draft);
   }
 
   async #follow() {
