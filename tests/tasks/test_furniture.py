@@ -276,4 +276,4 @@ EASY = {
 def test_easy_rooms_stay_as_they_are(kind: str) -> None:
     found = summary(furnish(kind, np.random.default_rng(3), 25, 0.3))
     assert found[:4] == EASY[kind][:4]
-    assert found[4:] == pytest.approx(EASY[kind][4:], rel=1e-9)
+    assert found[4:] == pytest.approx(EASY[kind][4:], rel=1e-7), "processors differ by 2e-9 m a coordinate"

@@ -26,6 +26,8 @@ from warehouse.lake import Lake
 
 SCALE = (1.25, 0.5, 2.0)
 UNSETTLED = "0003"
+NEEDS_RERUN = pytest.mark.slow
+"""rerun-sdk takes 0.7 GB: `make test-all` asks for it, continuous integration does not."""
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +89,7 @@ def raw(data: bytes) -> np.ndarray:
     return np.concatenate([np.asarray(mesh.vertices) for mesh in loaded.dump()])
 
 
+@NEEDS_RERUN
 def test_it_is_one_recording_with_the_scene_in_its_name(scenes: Scenes, recorded: Recorded) -> None:
     (entry,) = recorded.recordings
     assert (entry.application_id, entry.recording_id) == ("metascenes", f"{SCENES[0]} {scenes.reader.snapshot_id}")
@@ -94,6 +97,7 @@ def test_it_is_one_recording_with_the_scene_in_its_name(scenes: Scenes, recorded
     assert recorded.timelines == {TIMELINE}
 
 
+@NEEDS_RERUN
 def test_objects_stand_where_the_lake_has_them_at_every_moment(lake: Lake, scenes: Scenes, recorded: Recorded) -> None:
     rows = lake.snapshot().rows(Placement, SCENES[0])
     assert len(rows) == OBJECTS
@@ -109,6 +113,7 @@ def test_objects_stand_where_the_lake_has_them_at_every_moment(lake: Lake, scene
     assert unstable.settled_pose != unstable.optimized_pose
 
 
+@NEEDS_RERUN
 def test_assets_keep_their_bytes_and_come_to_lie_where_they_are_placed(scenes: Scenes, recorded: Recorded) -> None:
     for row in scenes.shown(SCENES[0]).document["objects"]:
         placed, path = row["placed"], f"/replica/{row['id']}"
@@ -121,6 +126,7 @@ def test_assets_keep_their_bytes_and_come_to_lie_where_they_are_placed(scenes: S
         assert np.allclose([seen.min(axis=0), seen.max(axis=0)], [expected.min(axis=0), expected.max(axis=0)], atol=1e-5)
 
 
+@NEEDS_RERUN
 def test_colliders_move_with_what_they_are_of(scenes: Scenes, recorded: Recorded) -> None:
     objects = {row["id"]: row for row in scenes.shown(SCENES[0]).document["objects"]}
     exported = {key for key, row in objects.items() if row["collider"] is not None}
@@ -135,6 +141,7 @@ def test_colliders_move_with_what_they_are_of(scenes: Scenes, recorded: Recorded
         assert np.allclose(np.sort(raw(data) @ turn[:3, :3].T, axis=0), np.sort(pieces, axis=0), atol=1e-5)
 
 
+@NEEDS_RERUN
 def test_scan_room_and_navmesh_are_in_the_world_frame(scenes: Scenes, recorded: Recorded) -> None:
     document = scenes.shown(SCENES[0]).document
     scan = surface_of_glb(scenes.blob(document["scan"]))
@@ -153,6 +160,7 @@ def test_scan_room_and_navmesh_are_in_the_world_frame(scenes: Scenes, recorded: 
     }
 
 
+@NEEDS_RERUN
 def test_what_carries_what_is_a_graph_and_lines(recorded: Recorded) -> None:
     edges = recorded.values["/supports/graph", "GraphEdges:edges"][None]
     assert sorted((edge["first"], edge["second"]) for edge in edges) == [("0001", "0003"), *(("floor", f"000{n}") for n in range(3))]
@@ -169,6 +177,7 @@ def test_without_the_package_one_is_told_how_to_get_it(scenes: Scenes, tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
+@NEEDS_RERUN
 def test_recording_that_is_switched_off_is_no_empty_file(scenes: Scenes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'metascenes[rerun]'")
     monkeypatch.setenv("RERUN", "off")
@@ -177,14 +186,19 @@ def test_recording_that_is_switched_off_is_no_empty_file(scenes: Scenes, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_writes_one_scene_to_one_file(lake: Lake, tmp_path: Path) -> None:
+def test_the_command_writes_one_whole_scene_alone(lake: Lake, tmp_path: Path) -> None:
     words = ["view", SCENES[0], "--lake", lake.address, "--rerun", str(tmp_path / "a.rrd")]
     both = CliRunner().invoke(cli, [*words, "--out", str(tmp_path / "a.html")])
     assert (both.exit_code, "give one of them" in both.output) == (2, True)
     part = CliRunner().invoke(cli, ["view", f"{SCENES[0]}/0001", *words[2:]])
     assert (part.exit_code, "--rerun writes a whole scene: leave /0001 away" in part.output) == (2, True)
     assert list(tmp_path.iterdir()) == []
+
+
+@NEEDS_RERUN
+def test_the_command_writes_one_scene_to_one_file(lake: Lake, tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'metascenes[rerun]'")
-    done = CliRunner().invoke(cli, [*words, "--json"])
+    words = ["view", SCENES[0], "--lake", lake.address, "--rerun", str(tmp_path / "a.rrd"), "--json"]
+    done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["bytes"] == (tmp_path / "a.rrd").stat().st_size
