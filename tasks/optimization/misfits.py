@@ -28,7 +28,13 @@ SMALLER = 0.8
 """Factor on the plan of an asset of which every candidate fills another's place."""
 
 LITTLE = 0.88
-"""Factor on the plan of an asset that is stuck in another in the end."""
+"""Least factor on the plan of an asset that is stuck in another in the end, at a time."""
+
+LEAST_LESS = 0.98
+"""Greatest such factor: there are only so many tries."""
+
+MARGIN = 1.1
+"""By so many times its depth each side of such an asset retreats: a side that is askew meets the other farther out."""
 
 OTHER_NOTE = "another asset, whose shape leaves its neighbors their place"
 
@@ -98,7 +104,11 @@ def yielding(
     alternatives = {
         name: other for name in names if (other := _other(chosen[name], ranked[name])) and other.asset_id != chosen[name].asset_id
     }
-    less = {name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [LITTLE, LITTLE, 1.0]) for name in names}
+    less = {
+        name: dataclasses.replace(chosen[name], scale=chosen[name].scale * [factor, factor, 1.0])
+        for name in names
+        for factor in [_little(interior, name, stuck)]
+    }
     shrunk = {
         name: p for name, p in less.items() if name not in alternatives and (p.scale >= LEAST_SCALE * _selected(p, ranked[name])).all()
     }  # fmt: skip
@@ -111,6 +121,14 @@ def yielding(
     return Fitting(tuple(chosen.values()), made, tuple(left_out), tuple(f"{name}: {text}" for name, text in sorted(notes.items())))
 
 
+def _little(interior: Interior, name: str, stuck: Sequence[Penetration]) -> float:
+    """Factor on the plan of an object by which its sides retreat as far as it is stuck: at least `LITTLE`, at most `LEAST_LESS`."""
+    obj = interior.objects[interior.names.index(name)]
+    depth = max((pair.depth_m for pair in stuck if name in (pair.a, pair.b)), default=0.0)
+    wanted = 1.0 - 2.0 * MARGIN * depth / max(float((obj.high - obj.low)[:2].min()), 1e-6)
+    return min(max(LITTLE, wanted), LEAST_LESS)
+
+
 def _selected(proposal: Proposal, rows: Sequence[Selection]) -> np.ndarray:
     """The scale at which an asset was selected, shape (3,)."""
     return np.array(next(row.scale for row in rows if row.asset_id == proposal.asset_id))
@@ -120,7 +138,8 @@ def _giving_way(
     interior: Interior, pairs: Sequence[Penetration], ranked: Mapping[str, Sequence[Selection]], chosen: Mapping[str, Proposal],
     depth: float, counts_walls: bool = False,
 ) -> list[str]:  # fmt: skip
-    """The objects that give way to others, one of each pair that is deeper than `depth` [m]; where it counts, to walls as well."""
+    """The objects that give way to others, one of each pair that is deeper than `depth` [m]; in the end, `counts_walls`, to walls as
+    well, and to what is fastened before that gives way itself."""
     index = {name: i for i, name in enumerate(interior.names)}
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     carried = {(name, c.parent_id) for name, c in zip(interior.names, interior.carriers, strict=True) if c.relation == "on"}
@@ -149,7 +168,16 @@ def _giving_way(
         sides = [name for name in (pair.a, pair.b) if chosen[name].origin == "selection" and name not in rugs]
         if sides and not names & {pair.a, pair.b}:
             names.add(
-                max(sides, key=lambda name: (round(_foreign(chosen[name], ranked[name]), 3), name not in carriers, -volume(name), name))
+                max(
+                    sides,
+                    key=lambda name: (
+                        counts_walls and name not in fixed,
+                        round(_foreign(chosen[name], ranked[name]), 3),
+                        name not in carriers,
+                        -volume(name),
+                        name,
+                    ),
+                )
             )
     return sorted(names)
 
