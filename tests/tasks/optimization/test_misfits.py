@@ -76,6 +76,25 @@ def test_what_has_no_other_shape_is_made_smaller_where_it_is_deep_in_another(ove
     assert all(row.displacement_m <= 0.3 + 1e-9 for row in rows.values())
 
 
+@pytest.mark.parametrize("gap", [0.59, 0.55])
+def test_what_is_stuck_between_fitted_cabinets_gives_way_to_them_by_no_more_than_it_must(gap: float) -> None:
+    scene = Scene()
+    left, right = (
+        scene.add(block(0.6, 1.2, 0.9), translation([1.7, side * (0.5 * gap + 0.6), 0.0]), "kitchen counter") for side in (-1.0, 1.0)
+    )
+    oven = scene.add(block(0.6, 0.6, 0.9), translation([1.7, 0.0, 0.0]), "oven")
+    scene.selections[0] = dataclasses.replace(scene.selections[0], foreign_share=0.3)
+    outcome = scene.run()
+    rows = {row.instance_id: row for row in outcome.rows["placements"]}
+    fixed = {row.instance_id for row in outcome.rows["supports"] if row.is_fixed}
+    assert {left, right} <= fixed
+    assert rows[left].scale == rows[right].scale == (1.0, 1.0, 1.0)
+    least = 1.0 - 2.2 * 0.5 * (0.6 - gap) / 0.6
+    assert min(0.98, least) * 0.97 <= rows[oven].scale[0] < 1.0
+    assert all(row.displacement_m <= 0.1 for row in rows.values())
+    assert outcome.rows["optimizations"][0].deep_pairs == 0
+
+
 def test_what_nothing_else_helps_goes_farther_and_is_named() -> None:
     """Two wardrobes nearly in one place, as people chose them: neither may be made smaller."""
     scene = Scene()
