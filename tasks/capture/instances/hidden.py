@@ -41,6 +41,9 @@ MOST_DEPTH_M = 0.8
 CELL_M = 0.05
 """Cells in which it is known what was seen below and behind furniture."""
 
+OVER_SHARE = 0.5
+"""Of the box of furniture, that lies over a platform that it stands on."""
+
 CARRIED_SHARE = 0.2
 """Of the cells below furniture, in which something else ends right below it, from which on that carries it."""
 
@@ -92,7 +95,7 @@ def with_hidden_parts(
     made = list(rows)
     for i in movable:
         kind = mounting(rows[i].category)
-        below = _below(i, rows[i], kind, seen, raised, passed)
+        below = _below(i, rows[i], kind, seen, {k: rows[k] for k in np.flatnonzero(raised).tolist() if k != i}, passed)
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
         bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below
         is_hood = rows[i].category.split(" ")[-1] == HOOD
@@ -123,9 +126,9 @@ def _beyond(row: Instance, corners: Array) -> Array:
     return np.asarray(np.maximum(np.column_stack([-local.min(axis=0) - half, local.max(axis=0) - half]).ravel(), 0.0))
 
 
-def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Booleans, passed: Booleans) -> float:
-    """How far furniture reaches below its box, to the floor or a platform [m]. raised, passed: by object, which of them are platforms,
-    and which carry no furniture although they end below it: platforms and rugs."""
+def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mapping[int, Instance], passed: Booleans) -> float:
+    """How far furniture reaches below its box, to the floor or a platform [m]. stages: the platforms, by number. passed: by object,
+    which of them carry no furniture although they end below it: platforms and rugs."""
     if kind.base is None:
         return 0.0
     pose, size = matrix(row.box_pose), np.asarray(row.box_size)
@@ -135,7 +138,7 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Boole
     local = transform_points(seen.points, inverse(pose))
     inside = (np.abs(local[:, :2]) < 0.5 * size[:2]).all(axis=1) & (seen.owners != index)
     under = inside & (seen.points[:, 2] < bottom + 0.05)
-    ends_below = np.zeros(len(raised), dtype=np.bool_)
+    ends_below = np.zeros(len(passed), dtype=np.bool_)
     for other in np.unique(seen.owners[under & (seen.points[:, 2] > bottom - 0.12)]).tolist():
         top = np.quantile(seen.points[inside & (seen.owners == other), 2], TOP_QUANTILE)
         ends_below[other] = not passed[other] and top <= bottom + ENDS_M
@@ -148,9 +151,8 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, raised: Boole
         on_floor = on_floor[(np.abs(on_floor[:, :2]) < 0.5 * size[:2]).all(axis=1)]
         if len(_cells(on_floor[:, :2]) & _cells(local[seen.owners == index, :2])) > FLOOR_SHARE * cells:  # not in its bend
             return 0.0
-    stage = under & raised[seen.owners]
-    base = _top(local[stage, :2], seen.points[stage, 2]) if _filled(local[stage, :2]) > CARRIED_SHARE * cells else 0.0
-    lost = bottom - base
+    tops = [_top(cloud[:, :2], cloud[:, 2]) for k in _under(row, stages) if len(cloud := seen.points[seen.owners == k])]
+    lost = bottom - max((top for top in tops if top < bottom + 0.05), default=0.0)
     is_let_in = row.category.endswith(LET_IN)
     most = MOST_BELOW_STANDING_M if kind.kind == "stands" and not is_let_in else MOST_BELOW_M
     return lost if SEEN_M < lost <= most[kind.base] else 0.0
@@ -207,6 +209,18 @@ def _cells(plan: Array) -> set[tuple[int, int]]:
 def _filled(plan: Array) -> int:
     """How many cells points are in, shape (n, 2) [m]."""
     return len(_cells(plan))
+
+
+def _under(row: Instance, stages: Mapping[int, Instance]) -> list[int]:
+    """The platforms that furniture stands on, by number: most of its box lies over theirs. Their tops were not seen below it."""
+    corners = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
+    plan = np.stack(np.meshgrid(corners * row.box_size[0], corners * row.box_size[1]), axis=-1).reshape(-1, 2)
+    points = transform_points(np.column_stack([plan, np.zeros(len(plan))]), matrix(row.box_pose))
+    inside = {
+        k: np.abs(transform_points(points, inverse(matrix(stage.box_pose)))[:, :2]) <= 0.5 * np.array(stage.box_size[:2])
+        for k, stage in stages.items()
+    }
+    return [k for k, is_over in inside.items() if is_over.all(axis=1).mean() > OVER_SHARE]
 
 
 def _top(plan: Array, heights: Array) -> float:

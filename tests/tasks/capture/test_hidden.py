@@ -64,6 +64,16 @@ def test_furniture_on_a_platform_reaches_down_to_that() -> None:
     assert low[2] == pytest.approx(0.18, abs=0.01)
 
 
+def test_furniture_hides_the_platform_that_it_stands_on() -> None:
+    """Of the platform's top only what is beside the armchair was seen; one that stands beside it reaches the floor."""
+    platform = grid((1.0, 1.0, 0.0), (2.4, 2.4, 0.18))
+    platform = platform[~((platform[:, :2] > 1.3) & (platform[:, :2] < 2.2)).all(axis=1)]
+    on, beside = grid((1.3, 1.3, 0.4), (2.2, 2.2, 0.9)), grid((2.6, 1.3, 0.4), (3.5, 2.2, 0.9))
+    (_, _), (low, _), (other, _) = whole(("platform", platform), ("armchair", on), ("armchair", beside))
+    assert low == pytest.approx([1.3, 1.3, 0.18], abs=0.01)
+    assert other == pytest.approx([2.6, 1.3, 0.0], abs=1e-9)
+
+
 @pytest.mark.parametrize("category", ["mug", "pillow", "keyboard", "picture", "ceiling lamp", "kitchen counter", "box", "stove", "oven"])
 def test_what_stands_on_furniture_or_hangs_stays_as_it_was_seen(category: str) -> None:
     points = grid((1.0, 1.0, 0.7), (1.4, 1.4, 0.9))
