@@ -138,8 +138,8 @@ def _giving_way(
     interior: Interior, pairs: Sequence[Penetration], ranked: Mapping[str, Sequence[Selection]], chosen: Mapping[str, Proposal],
     depth: float, counts_walls: bool = False,
 ) -> list[str]:  # fmt: skip
-    """The objects that give way to others, one of each pair that is deeper than `depth` [m]; in the end, `counts_walls`, to walls as
-    well, and to what is fastened before that gives way itself."""
+    """The objects that give way to others, one of each pair that is deeper than `depth` [m]; where it counts, to walls as
+    well."""
     index = {name: i for i, name in enumerate(interior.names)}
     fixed = {name for name, is_fixed in zip(interior.names, interior.fixed, strict=True) if is_fixed}
     carried = {(name, c.parent_id) for name, c in zip(interior.names, interior.carriers, strict=True) if c.relation == "on"}
@@ -171,7 +171,6 @@ def _giving_way(
                 max(
                     sides,
                     key=lambda name: (
-                        counts_walls and name not in fixed,
                         round(_foreign(chosen[name], ranked[name]), 3),
                         name not in carriers,
                         -volume(name),

@@ -83,7 +83,6 @@ def test_what_is_stuck_between_fitted_cabinets_gives_way_to_them_by_no_more_than
         scene.add(block(0.6, 1.2, 0.9), translation([1.7, side * (0.5 * gap + 0.6), 0.0]), "kitchen counter") for side in (-1.0, 1.0)
     )
     oven = scene.add(block(0.6, 0.6, 0.9), translation([1.7, 0.0, 0.0]), "oven")
-    scene.selections[0] = dataclasses.replace(scene.selections[0], foreign_share=0.3)
     outcome = scene.run()
     rows = {row.instance_id: row for row in outcome.rows["placements"]}
     fixed = {row.instance_id for row in outcome.rows["supports"] if row.is_fixed}
