@@ -118,14 +118,17 @@ class Drafts:
         return True, draft
 
     def remove(self, key: Key, annotator: str, edit: int = 0, page: str = "") -> None:
-        """Throw a draft away, or take it for saved. Edits of its page up to this one that come late change nothing any more.
+        """Throw a draft away, or take it for saved. Edits of its page up to this one that come late change nothing any more; a later
+        one of that page stays.
 
         Raises:
             LakeError: it could not be written; nothing changed then.
         """
         with self._changing():
             stored = self._stored(key, annotator)
-            if stored is not None and stored.page == (page or stored.page):
+            if stored is not None and page and stored.page == page and stored.edit > edit:
+                return
+            if stored is not None and not page:
                 edit, page = max(edit, stored.edit), stored.page
             if stored is not None or page:
                 self._put(key, annotator, KeptDraft(None, edit, page, datetime.now(UTC).isoformat(timespec="milliseconds")))

@@ -44,8 +44,11 @@ def test_the_last_edit_of_a_page_holds_whatever_comes_late(tmp_path_factory: pyt
             drafts = Drafts(file, "b1")
         elif act == "remove":
             drafts.remove(key, name, edit, page)
-            if before is not None and page in ("", before[2]):
+            is_outrun = before is not None and page == before[2] != "" and before[1] > edit  # an answer leaves what came after it
+            if before is not None and page == "":
                 known[key, name] = (None, max(edit, before[1]), before[2])
+            elif is_outrun:
+                pass
             elif before is not None or page:
                 known[key, name] = (None, edit, page)
         else:
@@ -60,6 +63,18 @@ def test_the_last_edit_of_a_page_holds_whatever_comes_late(tmp_path_factory: pyt
         live = {key: (body, edit) for (key, who), (body, edit, _) in known.items() if who == name and body is not None}
         assert {key: (row.body["seconds"], row.edit) for key, row in drafts.of(name).items() if row.body} == live
         assert drafts.count().get(name, 0) == len(live)
+    drafts.close()
+
+
+def test_an_answer_leaves_what_its_page_drafted_after_it(tmp_path: Path) -> None:
+    drafts = Drafts(tmp_path / "b1.sqlite", "b1")
+    drafts.save(A, "ada", {"choice": 1}, 3, "p")
+    drafts.save(A, "ada", {"choice": 2}, 4, "p")
+    drafts.remove(A, "ada", 3, "p")
+    assert drafts.of("ada")[A].body == {"choice": 2}, "acknowledged, and not part of the answer"
+    drafts.remove(A, "ada", 4, "p")
+    assert drafts.of("ada") == {}
+    assert not drafts.save(A, "ada", {"choice": 2}, 4, "p")[0]
     drafts.close()
 
 
