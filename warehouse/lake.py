@@ -37,6 +37,9 @@ from warehouse.tables.snapshot import Reader
 from warehouse.tables.staging import Staging, is_left_over
 
 MARKER = "lake.json"
+DRAFT_FOLDER = "drafts"
+"""What annotators have begun and not saved, and tokens of who they are; those who serve batches keep it. Backups leave it out."""
+
 FORMAT = 1
 
 

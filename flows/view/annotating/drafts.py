@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError, LakeError
+from warehouse.lake import DRAFT_FOLDER
 
 if TYPE_CHECKING:
     from warehouse.lake import Lake
@@ -199,7 +200,7 @@ class Drafts:
 
 def drafts_folder(lake: Lake) -> Path | None:
     """Where the drafts of a lake's batches lie, a file for each; None for a lake that is in no local folder."""
-    return lake.storage.local_path("drafts")
+    return lake.storage.local_path(DRAFT_FOLDER)
 
 
 def erase_drafts(lake: Lake, traces: Traces) -> int:

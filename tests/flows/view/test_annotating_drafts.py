@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sqlite3
 import stat
@@ -170,6 +171,17 @@ def test_an_erased_scene_leaves_nothing_in_the_drafts(tmp_path: Path) -> None:
     assert len(drafts.of("ada")) == 20
     drafts.close()
     assert all(SCENES[0].encode() not in path.read_bytes() for path in folder.iterdir())
+
+
+def test_the_lake_is_sound_with_drafts(tmp_path: Path) -> None:
+    lake = asked_lake(tmp_path)
+    folder = drafts_folder(lake)
+    assert folder is not None
+    with contextlib.closing(Drafts(folder / f"{BATCH}.sqlite", BATCH)) as drafts:
+        drafts.save(A, "ada", {"choice": 1}, 1, "")
+        keep_keys(folder / f"{BATCH}.sqlite.tokens", kept_keys(folder / f"{BATCH}.sqlite.tokens", ["ada"]))
+        answered = CliRunner().invoke(cli, ["doctor", "lake", "--lake", lake.address, "--json"])
+    assert json.loads(answered.output) == {"errors": [], "warnings": []}
 
 
 def test_what_a_page_sent_comes_back_as_it_was(tmp_path: Path) -> None:
