@@ -152,16 +152,19 @@ class Drafts:
             ).fetchall()
         return {str(name): int(count) for name, count in rows}
 
-    def erase(self, traces: Traces) -> int:
+    def erase(self, traces: Traces, dry_run: bool = False) -> int:
         """Remove the drafts of all batches for a scene, so that the file's bytes tell nothing of it; how many there were."""
         with self._asking() as ask:
-            scenes = [row[0] for row in ask("SELECT DISTINCT scene_id FROM drafts").fetchall() if traces.in_text(row[0])]
-            ask("PRAGMA secure_delete = ON")
-            count = sum(ask("DELETE FROM drafts WHERE scene_id = ?", (scene,)).rowcount for scene in scenes)
-            if count:
-                ask("VACUUM")
-            ask("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-        return count
+            counts = ask("SELECT scene_id, count(body) FROM drafts GROUP BY scene_id").fetchall()  # without those that were answered
+            scenes = {scene: int(count) for scene, count in counts if traces.in_text(scene)}
+            if not dry_run:
+                ask("PRAGMA secure_delete = ON")
+                for scene in scenes:
+                    ask("DELETE FROM drafts WHERE scene_id = ?", (scene,))
+                if scenes:
+                    ask("VACUUM")
+                ask("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        return sum(scenes.values())
 
     def _stored(self, key: Key, annotator: str) -> KeptDraft | None:
         row = self._connection.execute(
@@ -203,8 +206,8 @@ def drafts_folder(lake: Lake) -> Path | None:
     return lake.storage.local_path(DRAFT_FOLDER)
 
 
-def erase_drafts(lake: Lake, traces: Traces) -> int:
-    """Remove the drafts that a lake's folder has for a scene; how many there were. Drafts in files elsewhere stay.
+def erase_drafts(lake: Lake, traces: Traces, dry_run: bool = False) -> int:
+    """Remove the drafts that a lake's folder has for a scene; how many there were, or would go. Drafts in files elsewhere stay.
 
     Raises:
         InputError: a file there is of another version.
@@ -212,7 +215,7 @@ def erase_drafts(lake: Lake, traces: Traces) -> int:
     folder, count = drafts_folder(lake), 0
     for file in sorted(folder.glob("*.sqlite")) if folder is not None else ():
         with contextlib.closing(Drafts(file, file.stem)) as drafts:
-            count += drafts.erase(traces)
+            count += drafts.erase(traces, dry_run)
     return count
 
 

@@ -74,7 +74,7 @@ class ServedBatch:
 
     def __init__(self, lake: Lake, batch_id: str, drafts: Drafts, reviewers: Sequence[str]) -> None:
         """Raises InputError: the lake has no such batch, it was made elsewhere, or its objects are not there any more."""
-        reader = lake.snapshot()
+        sign, reader = lake.last_commit(), lake.snapshot()
         batch = created_batch(reader, batch_id)
         self.lake, self.batch_id, self.drafts = lake, batch_id, drafts
         assignments = rows_of(reader, Assignment, batch_id)
@@ -93,7 +93,8 @@ class ServedBatch:
         self._objects = {(row["scene_id"], row["instance_id"]): self._object(row, cameras) for row in asked.document["objects"]}
         self._rooms: list[dict[str, Any]] = asked.document["scenes"]
         self._thumbnails: dict[str, bytes] = {}
-        self._drawing = threading.Lock()
+        self._drawing, self._looking = threading.Lock(), threading.Lock()
+        self._seen = (sign, frozenset(self.assigned))
 
     def _object(self, row: Mapping[str, Any], cameras: Mapping[Key, dict[str, Any]]) -> dict[str, Any]:
         """What everybody is shown of an object."""
@@ -109,6 +110,15 @@ class ServedBatch:
                 for offer in row["candidates"]
             ],
         }  # fmt: skip
+
+    def is_asked(self, key: Key) -> bool:
+        """Whether the lake asks for an object now; not once its scene was erased."""
+        with self._looking:
+            sign = self.lake.last_commit()
+            if sign != self._seen[0]:
+                rows = rows_of(self.lake.snapshot(), Assignment, self.batch_id)
+                self._seen = (sign, frozenset((row.scene_id, row.instance_id) for row in rows))
+            return key in self._seen[1]
 
     def is_as_shown(self, reader: Reader, key: Key) -> bool:
         """Whether a snapshot has an object, its candidates and what selection says of them as people are shown them."""

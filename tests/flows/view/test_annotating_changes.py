@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from flows.cli import cli
 from flows.view import bundle
 from schemas.annotation import Annotation
 from schemas.candidates import Asset, Candidate
@@ -77,6 +80,21 @@ def test_an_answer_is_taken_back_whatever_changed(desk: Desk) -> None:
     scene, _, instance = key.rpartition("/")
     run_again(desk.lake, scene, in_other_slots(instance))
     assert ada.post(f"/api/answers/{key}", json={"withdrawn": True}).json()["revision"] == 2
+
+
+def test_what_was_erased_does_not_come_back(desk: Desk) -> None:
+    ada, key = desk.client("ada"), desk.own("ada")
+    scene = key.rpartition("/")[0]
+    (kept, *_) = [row["key"] for row in ada.get("/api/work").json()["objects"] if row["scene_id"] != scene]
+    assert ada.put(f"/api/drafts/{key}", json={"choice": 1, "edit": 1, "page": "p"}).status_code == 200
+    erased = CliRunner().invoke(cli, ["lake", "erase", scene, "--yes", "--lake", desk.lake.address, "--json"])
+    assert json.loads(erased.output)["proof"]["hits"] == []
+    for method, path in (("PUT", "drafts"), ("DELETE", "drafts"), ("POST", "answers"), ("POST", "figures"), ("POST", "settle")):
+        body = {"choice": 1, "edit": 2, "page": "p"}
+        refused = ada.request(method, f"/api/{path}/{key}", json=None if method == "DELETE" else body)
+        assert (refused.status_code, refused.json()) == (404, {"error": "this object is in the lake no more"}), (method, path)
+    assert ada.put(f"/api/drafts/{kept}", json={"choice": 1, "edit": 1}).status_code == 200
+    assert all(scene.encode() not in path.read_bytes() for path in Path(desk.lake.address).rglob("*") if path.is_file())
 
 
 def test_drafts_name_what_was_shown_whatever_its_slot_is_later(desk: Desk) -> None:

@@ -165,8 +165,14 @@ def test_an_erased_scene_leaves_nothing_in_the_drafts(tmp_path: Path) -> None:
     drafts = Drafts(folder / f"{BATCH}.sqlite", BATCH)
     for index, scene in enumerate(SCENES * 20):
         drafts.save((scene, f"{index:04d}"), "ada", {"choice": 1, "ranking": [1], "seconds": index}, 1, "")
-    result = CliRunner().invoke(cli, ["lake", "erase", SCENES[0], "--yes", "--lake", lake.address, "--json"])
-    assert json.loads(result.output)["proof"]["hits"] == [], result.output
+    drafts.remove((SCENES[0], "0000"), "ada")
+    erase = ["lake", "erase", SCENES[0], "--lake", lake.address]
+    assert json.loads(CliRunner().invoke(cli, [*erase, "--dry-run", "--json"]).output)["drafts"] == 19
+    assert "19 drafts of annotators would go\n" in CliRunner().invoke(cli, [*erase, "--dry-run"]).output
+    assert len(drafts.of("ada")) == 39
+    result = CliRunner().invoke(cli, [*erase, "--yes", "--json"])
+    erased = json.loads(result.output)
+    assert (erased["drafts"], erased["proof"]["hits"]) == (19, []), result.output
     assert {key[0] for key in drafts.of("ada")} == {SCENES[1]}
     assert len(drafts.of("ada")) == 20
     drafts.close()
