@@ -7,6 +7,7 @@ import dataclasses
 import json
 import os
 import sqlite3
+import stat
 import threading
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
@@ -51,15 +52,15 @@ class Drafts:
     """The drafts of one batch. Safe for threads, and for several processes."""
 
     def __init__(self, file: Path, batch_id: str) -> None:
-        """Opens the file, or makes it, readable by its owner alone.
+        """Opens the file, or makes it; from then on its owner alone can read it.
 
         Raises:
-            InputError: it cannot be opened, holds something else, or was written by another version.
+            InputError: it cannot be opened, is a link or somebody else's, holds something else, or was written by another version.
         """
         self.file, self._batch, self._lock = file, batch_id, threading.Lock()
         try:
             file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            os.close(os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK, 0o600))
+            _check_owner(file)
             self._connection = sqlite3.connect(file, timeout=_WAIT_SECONDS, isolation_level=None, check_same_thread=False)
         except OSError as error:
             raise InputError(str(file), "--drafts", f"cannot be opened ({error.strerror})", "check path and permissions") from error
@@ -67,6 +68,12 @@ class Drafts:
             raise InputError(str(file), "--drafts", f"cannot be opened ({error})", "check path and permissions") from error
         try:
             self._prepare()
+            for kept in (file, *(file.with_name(file.name + end) for end in ("-wal", "-shm"))):
+                with contextlib.suppress(FileNotFoundError):
+                    kept.chmod(0o600)  # only now: a file that is none of ours stays as it is
+        except OSError as error:
+            self._connection.close()
+            raise InputError(str(file), "--drafts", f"cannot be made private ({error.strerror})", "check its permissions") from error
         except sqlite3.Error as error:
             self._connection.close()
             raise InputError(str(file), "--drafts", f"is no file of drafts ({error})", "name another one, or move it away") from error
@@ -199,6 +206,23 @@ class Drafts:
                 with contextlib.suppress(sqlite3.Error):  # the first error is the one to say
                     ask("ROLLBACK")
                 raise
+
+
+def _check_owner(file: Path) -> None:
+    """Make a file of drafts where there is none.
+
+    Raises:
+        InputError: it is a link, or somebody else's: who can change where it leads could read what is written to it.
+    """
+    if file.is_symlink():
+        raise InputError(str(file), "--drafts", "is a link", "name the file itself")
+    handle = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW, 0o600)
+    try:
+        kept = os.fstat(handle)
+    finally:
+        os.close(handle)
+    if not stat.S_ISREG(kept.st_mode) or kept.st_nlink > 1 or kept.st_uid != os.geteuid():
+        raise InputError(str(file), "--drafts", "is no file of your own", "name another one")
 
 
 def drafts_folder(lake: Lake) -> Path | None:

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sqlite3
 import stat
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.cli import cli
+from flows.view import bundle
 from flows.view.annotating.drafts import LAYOUT, Drafts, drafts_folder
+from flows.view.annotating.hosting import serve_annotation
 from flows.view.annotating.people import Keys, keep_keys, kept_keys, roles_of
+from flows.view.annotating.settling import Rooms
+from flows.view.serving import bound
 from schemas.errors import InputError, LakeError
 from tests.annotated import SCENES
-from tests.flows.view.batches import BATCH, asked_lake
+from tests.flows.view.batches import BATCH, asked_lake, stand_in
 
 A, B = ("demo/a", "0001"), ("demo/a", "0002")
 
@@ -90,6 +96,64 @@ def test_drafts_of_batches_in_one_file_are_apart_and_for_their_owner_alone(tmp_p
     )
     first.close()
     second.close()
+
+
+def test_drafts_are_private_whoever_made_the_file(tmp_path: Path) -> None:
+    file, link, second = tmp_path / "open.sqlite", tmp_path / "link.sqlite", tmp_path / "second.sqlite"
+    file.touch(0o644)
+    file.chmod(0o666)
+    for _ in range(2):
+        drafts = Drafts(file, "b1")
+        drafts.save(A, "ada", {"choice": 1}, 1, "")
+        assert {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == dict.fromkeys(
+            (file.name, f"{file.name}-wal", f"{file.name}-shm"), 0o600
+        )
+        drafts.close()
+        file.chmod(0o644)
+    link.symlink_to(file)
+    second.hardlink_to(file)
+    (tmp_path / "dangling.sqlite").symlink_to(tmp_path / "nowhere.sqlite")
+    os.mkfifo(tmp_path / "pipe.sqlite")
+    for name, why in (("link", "is a link"), ("dangling", "is a link"), ("second", "no file of your own"), ("pipe", "no file of your own")):
+        with pytest.raises(InputError, match=why):
+            Drafts(tmp_path / f"{name}.sqlite", "b1")
+    assert not (tmp_path / "nowhere.sqlite").exists()
+
+
+def test_a_second_server_leaves_the_port_of_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bundle, "BUILT", stand_in(tmp_path / "built"))
+    monkeypatch.setattr(Rooms, "warm", lambda rooms, ending: None)
+    lake = asked_lake(tmp_path)
+    ports: list[int] = []
+
+    def serve(port: int = 0) -> int:
+        """The port that it gives out before it is ended."""
+
+        def end(addresses: dict[str, dict[str, Any]]) -> None:
+            ports.append(httpx.URL(addresses["ada"]["address"]).port or 0)
+            raise EndedError
+
+        with pytest.raises(EndedError):
+            serve_annotation(lake, BATCH, [], None, "127.0.0.1", port, end)
+        return ports[-1]
+
+    first = serve()
+    with bound("127.0.0.1", first) as other:
+        other.listen()
+        assert serve() != first
+    assert serve() == first, "as before"
+    asked = serve(port=free_port())
+    assert asked != first
+    assert serve() == asked, "where a port was asked for it is the one that is kept"
+
+
+def free_port() -> int:
+    with bound("127.0.0.1", 0) as listening:
+        return int(listening.getsockname()[1])
+
+
+class EndedError(Exception):
+    """Ends a server before it answers anybody."""
 
 
 def test_files_of_other_versions_and_other_things_are_refused_in_one_line(tmp_path: Path) -> None:
