@@ -37,6 +37,9 @@ from warehouse.tables.snapshot import Reader
 from warehouse.tables.staging import Staging, is_left_over
 
 MARKER = "lake.json"
+DRAFT_FOLDER = "drafts"
+"""What annotators have begun and not saved, and tokens of who they are; those who serve batches keep it. Backups leave it out."""
+
 FORMAT = 1
 
 
@@ -99,6 +102,12 @@ class Lake:
         self._prepare()
         self._check_blobs(rows or {})
         self.staging.stage(run, rows or {})
+
+    def unstage(self, run: StageRun) -> None:
+        """Take back what was staged of a run by who staged it, while nobody else commits its scene; nothing where it is gone."""
+        key = (run.scene_id, run.stage, run.started_at)
+        own = [staged for staged in self.staging.runs() if (staged.run.scene_id, staged.run.stage, staged.run.started_at) == key]
+        self.staging.remove(own)
 
     def staged_rows(self, table: str, scene_id: str, fingerprint: str) -> list[Any] | None:
         """Rows of the newest complete staged run with a fingerprint; None when none is staged (it may be committed)."""

@@ -135,26 +135,30 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     from warehouse.upkeep.erasure import erase as run
 
     cached: list[int] = []
+    drafts: list[int] = []
 
     def forget(traces: Traces, hashes: frozenset[str]) -> None:
         cached.append(erase_from_caches(traces, hashes))
-        erase_drafts(lake, traces)
+        drafts.append(erase_drafts(lake, traces))
 
     lake = existing_lake(address)
     if not (yes or dry_run) and not (sys.stdin.isatty() and click.confirm(f"Erase {scene} from {lake.address} for good?", err=True)):
         raise click.UsageError(f"{scene} is erased for good: give --yes to say that you mean it, or --dry-run to see what would go")
     with Progress("erasing", sum(1 for _ in lake.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
         done = run(lake, scene, dry_run=dry_run, advance=progress.advance, elsewhere=forget)
-    _tell_erased(done, sum(cached), dry_run, as_json)
+    if dry_run:
+        drafts.append(erase_drafts(lake, done.traces, dry_run=True))
+    _tell_erased(done, sum(cached), sum(drafts), dry_run, as_json)
     if done.proof is not None and (done.proof.hits or done.young_blobs):
         raise click.exceptions.Exit(1)
 
 
-def _tell_erased(done: Erasure, cached: int, dry_run: bool, as_json: bool) -> None:
+def _tell_erased(done: Erasure, cached: int, drafts: int, dry_run: bool, as_json: bool) -> None:
     if as_json:
         shown: dict[str, Any] = {
             "scene_id": done.scene_id, "dry_run": dry_run, "rows": dict(done.rows), "staged_runs": done.staged_runs, "blobs": done.blobs,
             "snapshots": list(done.snapshots), "releases": list(done.releases), "young_blobs": done.young_blobs, "cached_files": cached,
+            "drafts": drafts,
             "proof": None if done.proof is None else dataclasses.asdict(done.proof),
         }  # fmt: skip
         print(json.dumps(shown))
@@ -162,9 +166,11 @@ def _tell_erased(done: Erasure, cached: int, dry_run: bool, as_json: bool) -> No
     verb = "would go" if dry_run else "erased"
     for table, count in done.rows.items():
         print(f"{table:<22} {count} rows {verb}")
-    if not (sum(done.rows.values()) or done.staged_runs or done.blobs or done.releases):
+    if not (sum(done.rows.values()) or done.staged_runs or done.blobs or done.releases or drafts):
         print(f"nothing in the lake names {done.scene_id}")
     print(f"{done.staged_runs} staged runs and {done.blobs} blobs {verb}, and {cached} files and entries of this machine's caches")
+    if drafts:
+        print(f"{drafts} drafts of annotators {verb}")
     if done.snapshots:
         print(f"{len(done.snapshots)} snapshots are {'to be ' if dry_run else ''}dropped: {_numbers(done.snapshots)}")
     if done.releases:

@@ -19,7 +19,7 @@ def revised(
     """Those of the `given` answers of a batch that are new to it, as the next revision of what is `present`.
 
     An answer that says what any revision of it says, at the same time, is known; where answers are not dated, one that says what the
-    last revision says. `places`: file and JSON path of every given answer.
+    last revision of its tool says. `places`: file and JSON path of every given answer.
 
     Raises:
         InputError: an answer differs from what is present and was not given later: one cannot tell which of the two holds; or one is
@@ -34,8 +34,11 @@ def revised(
         file, where = places[key_of(row)]
         if any(_content(row) == _content(earlier) for earlier in before):
             continue
-        if before and not is_dated and _content(dataclasses.replace(row, answered_at=before[-1].answered_at)) == _content(before[-1]):
-            continue
+        same_tool = [earlier for earlier in before if earlier.tool == row.tool]
+        if same_tool and not is_dated:
+            last = same_tool[-1]  # what others corrected since stays: the tool has nothing new to say
+            if _content(dataclasses.replace(row, answered_at=last.answered_at)) == _content(last):
+                continue
         if before and row.answered_at <= before[-1].answered_at:
             problem = f"is not later than that of the answer in the lake ({before[-1].answered_at.isoformat()}), and the two differ"
             raise InputError(file, f"{where}.answered_at", problem, "give the time of the correction")

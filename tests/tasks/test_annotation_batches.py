@@ -135,6 +135,21 @@ def test_a_later_answer_corrects_an_earlier_one_and_the_same_one_is_known() -> N
     assert len(kept) == 4, "history"
 
 
+@given(
+    acts=st.lists(st.tuples(st.sampled_from(["CVAT", "metascenes"]), st.sampled_from(["a" * 64, "b" * 64, None])), min_size=1, max_size=8)
+)
+def test_an_undated_answer_is_new_only_where_its_tool_says_something_else(acts: list[tuple[str, str | None]]) -> None:
+    """Whatever was corrected elsewhere meanwhile."""
+    kept: list[Annotation] = []
+    last: dict[str, str | None] = {}
+    for day, (tool, choice) in enumerate(acts):
+        row = given_answer(day, choice=choice, tool=tool)
+        new = revised(kept, [row], places(row), is_dated=tool != "CVAT")
+        assert bool(new) == (tool != "CVAT" or tool not in last or last[tool] != choice)
+        last[tool] = choice
+        kept += new
+
+
 def test_what_cannot_be_told_to_be_later_is_refused() -> None:
     first = given_answer(1)
     for late in (given_answer(1, choice=None), given_answer(0.5, choice=None)):

@@ -44,7 +44,8 @@ class Change:
 
         Raises:
             InputError: a row breaks its schema. Nothing was committed then.
-            LakeError: the batch is held no more, since this process was stopped for long; somebody else may have changed it.
+            LakeError: the batch is held no more, since this process was stopped for long; somebody else may have changed it. Or it
+                cannot be committed; nothing of it stays staged then.
         """
         if self.batch_id not in self.claims.held():
             problem = "this process was stopped for so long that others may have changed it; nothing was saved, try again"
@@ -113,7 +114,11 @@ def _commit(lake: Lake, name: str, batch_id: str, acts: BatchActs, note: str, co
     )
     if run.error:
         raise InputError(name, "annotations", run.error)
-    lake.commit(note=note, scenes=[batch_id])
+    try:
+        lake.commit(note=note, scenes=[batch_id])
+    except BaseException:
+        lake.unstage(run)  # what was refused must not take effect with the next change
+        raise
 
 
 def same_rows(present: list[Any], rows: list[Any]) -> bool:

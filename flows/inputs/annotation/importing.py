@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,9 @@ SCAN2CAD_RELEASED = datetime(2019, 6, 16, tzinfo=UTC)
 EXPORTS = {"label-studio": read_label_studio, "cvat": read_cvat}
 """Readers of what other annotation tools export, by what the tools are called."""
 
+Check = Callable[[Reader], None]
+"""Looks at a snapshot, and raises where nothing may be held against it."""
+
 
 def import_annotations(lake: Lake, file: Path, dry_run: bool = False, configuration: Configuration | None = None) -> dict[str, Any]:
     """Read a batch, hold it against the lake's scenes and against what was assigned, and add what is new in it.
@@ -50,13 +53,17 @@ def import_annotations(lake: Lake, file: Path, dry_run: bool = False, configurat
     return _taken_in(lake, read_batch(file), file.name, dry_run, configuration or configure())
 
 
-def save_answers(lake: Lake, document: Any, name: str = "answers", configuration: Configuration | None = None) -> dict[str, Any]:
+def save_answers(
+    lake: Lake, document: Any, name: str = "answers", configuration: Configuration | None = None, check: Check = lambda reader: None
+) -> dict[str, Any]:
     """Answers as a JSON value of `batch.schema.json`, as a page hands them over: saved as `import_annotations` saves those of a file.
+
+    `check` is given the snapshot that they are then held against, and may refuse it.
 
     Raises:
         InputError: as `import_annotations`.
     """
-    return _taken_in(lake, read_answers(document, name), name, False, configuration or configure())
+    return _taken_in(lake, read_answers(document, name), name, False, configuration or configure(), check)
 
 
 def import_alignments(
@@ -114,10 +121,13 @@ def import_reviews(lake: Lake, file: Path, dry_run: bool = False, configuration:
         return _reviewed(lake, change.reader, change, batch, configuration)
 
 
-def _taken_in(lake: Lake, batch: AnnotationBatch, name: str, dry_run: bool, configuration: Configuration) -> dict[str, Any]:
+def _taken_in(
+    lake: Lake, batch: AnnotationBatch, name: str, dry_run: bool, configuration: Configuration, check: Check = lambda reader: None
+) -> dict[str, Any]:
     if dry_run:
         return _answered(lake, lake.snapshot(), None, batch, name, configuration)
     with changing(lake, batch.batch_id) as change:
+        check(change.reader)
         return _answered(lake, change.reader, change, batch, name, configuration)
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import os
 import sqlite3
+import stat
 import threading
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from schemas.errors import InputError, LakeError
+from warehouse.lake import DRAFT_FOLDER
 
 if TYPE_CHECKING:
     from warehouse.lake import Lake
@@ -50,15 +52,15 @@ class Drafts:
     """The drafts of one batch. Safe for threads, and for several processes."""
 
     def __init__(self, file: Path, batch_id: str) -> None:
-        """Opens the file, or makes it, readable by its owner alone.
+        """Opens the file, or makes it; from then on its owner alone can read it.
 
         Raises:
-            InputError: it cannot be opened, holds something else, or was written by another version.
+            InputError: it cannot be opened, is a link or somebody else's, holds something else, or was written by another version.
         """
         self.file, self._batch, self._lock = file, batch_id, threading.Lock()
         try:
             file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            os.close(os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK, 0o600))
+            _check_owner(file)
             self._connection = sqlite3.connect(file, timeout=_WAIT_SECONDS, isolation_level=None, check_same_thread=False)
         except OSError as error:
             raise InputError(str(file), "--drafts", f"cannot be opened ({error.strerror})", "check path and permissions") from error
@@ -66,6 +68,12 @@ class Drafts:
             raise InputError(str(file), "--drafts", f"cannot be opened ({error})", "check path and permissions") from error
         try:
             self._prepare()
+            for kept in (file, *(file.with_name(file.name + end) for end in ("-wal", "-shm"))):
+                with contextlib.suppress(FileNotFoundError):
+                    kept.chmod(0o600)  # only now: a file that is none of ours stays as it is
+        except OSError as error:
+            self._connection.close()
+            raise InputError(str(file), "--drafts", f"cannot be made private ({error.strerror})", "check its permissions") from error
         except sqlite3.Error as error:
             self._connection.close()
             raise InputError(str(file), "--drafts", f"is no file of drafts ({error})", "name another one, or move it away") from error
@@ -118,14 +126,17 @@ class Drafts:
         return True, draft
 
     def remove(self, key: Key, annotator: str, edit: int = 0, page: str = "") -> None:
-        """Throw a draft away, or take it for saved. Edits of its page up to this one that come late change nothing any more.
+        """Throw a draft away, or take it for saved. Edits of its page up to this one that come late change nothing any more; a later
+        one of that page stays.
 
         Raises:
             LakeError: it could not be written; nothing changed then.
         """
         with self._changing():
             stored = self._stored(key, annotator)
-            if stored is not None and stored.page == (page or stored.page):
+            if stored is not None and page and stored.page == page and stored.edit > edit:
+                return
+            if stored is not None and not page:
                 edit, page = max(edit, stored.edit), stored.page
             if stored is not None or page:
                 self._put(key, annotator, KeptDraft(None, edit, page, datetime.now(UTC).isoformat(timespec="milliseconds")))
@@ -148,16 +159,19 @@ class Drafts:
             ).fetchall()
         return {str(name): int(count) for name, count in rows}
 
-    def erase(self, traces: Traces) -> int:
+    def erase(self, traces: Traces, dry_run: bool = False) -> int:
         """Remove the drafts of all batches for a scene, so that the file's bytes tell nothing of it; how many there were."""
         with self._asking() as ask:
-            scenes = [row[0] for row in ask("SELECT DISTINCT scene_id FROM drafts").fetchall() if traces.in_text(row[0])]
-            ask("PRAGMA secure_delete = ON")
-            count = sum(ask("DELETE FROM drafts WHERE scene_id = ?", (scene,)).rowcount for scene in scenes)
-            if count:
-                ask("VACUUM")
-            ask("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-        return count
+            counts = ask("SELECT scene_id, count(body) FROM drafts GROUP BY scene_id").fetchall()  # without those that were answered
+            scenes = {scene: int(count) for scene, count in counts if traces.in_text(scene)}
+            if not dry_run:
+                ask("PRAGMA secure_delete = ON")
+                for scene in scenes:
+                    ask("DELETE FROM drafts WHERE scene_id = ?", (scene,))
+                if scenes:
+                    ask("VACUUM")
+                ask("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        return sum(scenes.values())
 
     def _stored(self, key: Key, annotator: str) -> KeptDraft | None:
         row = self._connection.execute(
@@ -194,13 +208,30 @@ class Drafts:
                 raise
 
 
+def _check_owner(file: Path) -> None:
+    """Make a file of drafts where there is none.
+
+    Raises:
+        InputError: it is a link, or somebody else's: who can change where it leads could read what is written to it.
+    """
+    if file.is_symlink():
+        raise InputError(str(file), "--drafts", "is a link", "name the file itself")
+    handle = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW, 0o600)
+    try:
+        kept = os.fstat(handle)
+    finally:
+        os.close(handle)
+    if not stat.S_ISREG(kept.st_mode) or kept.st_nlink > 1 or kept.st_uid != os.geteuid():
+        raise InputError(str(file), "--drafts", "is no file of your own", "name another one")
+
+
 def drafts_folder(lake: Lake) -> Path | None:
     """Where the drafts of a lake's batches lie, a file for each; None for a lake that is in no local folder."""
-    return lake.storage.local_path("drafts")
+    return lake.storage.local_path(DRAFT_FOLDER)
 
 
-def erase_drafts(lake: Lake, traces: Traces) -> int:
-    """Remove the drafts that a lake's folder has for a scene; how many there were. Drafts in files elsewhere stay.
+def erase_drafts(lake: Lake, traces: Traces, dry_run: bool = False) -> int:
+    """Remove the drafts that a lake's folder has for a scene; how many there were, or would go. Drafts in files elsewhere stay.
 
     Raises:
         InputError: a file there is of another version.
@@ -208,7 +239,7 @@ def erase_drafts(lake: Lake, traces: Traces) -> int:
     folder, count = drafts_folder(lake), 0
     for file in sorted(folder.glob("*.sqlite")) if folder is not None else ():
         with contextlib.closing(Drafts(file, file.stem)) as drafts:
-            count += drafts.erase(traces)
+            count += drafts.erase(traces, dry_run)
     return count
 
 

@@ -41,7 +41,9 @@ def serve_annotation(
         tokens = place.with_name(f"{place.name}.tokens")
         keys = kept_keys(tokens, work.roles)
         with _listening(host, port, keys.port) as listening:
-            keep_keys(tokens, Keys(keys.tokens, listening.getsockname()[1]))
+            is_asked = bool(port) or not keys.port
+            # where another server of the batch has the port, its addresses stay what is kept
+            keep_keys(tokens, Keys(keys.tokens, listening.getsockname()[1] if is_asked else keys.port))
 
             ending = threading.Event()
             warming = threading.Thread(target=rooms.warm, args=(ending,), name="warming")

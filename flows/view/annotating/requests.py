@@ -117,12 +117,16 @@ def own_key(work: ServedBatch, name: str, key: Key) -> Key:
     """The key of an object that is asked of an annotator.
 
     Raises:
-        Refusal: it is not in the batch, or asked of others.
+        Refusal: it is not in the batch, or was erased since, or is asked of others.
     """
     if key not in work.assigned:
         raise Refusal(404, "there is no such object in this batch")
     if name not in work.assigned[key]:
         raise Refusal(403, "this object was given to other annotators")
+    with refusing():
+        is_asked = work.is_asked(key)
+    if not is_asked:
+        raise Refusal(404, "this object is in the lake no more")
     return key
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, FastAPI, Request, Response
 from fastapi.responses import JSONResponse
@@ -27,14 +26,15 @@ from flows.view.annotating.requests import (
     refusing,
 )  # fmt: skip
 from flows.view.annotating.settling import Rooms
+from flows.view.annotating.turns import Turns
 from flows.view.annotating.work import ServedBatch, draft_document
 from flows.view.application import application, named, scene_routes
 from schemas.annotation import Annotation
+from warehouse.tables.snapshot import Reader
 
 PAGE = "annotate.html"
 
-AT_ONCE = 2
-"""Figures and settlings that are computed at a time."""
+CHANGED = "the scene's candidates have changed since the server was started; start it again"
 
 Body = dict[str, Any]
 
@@ -107,7 +107,7 @@ def annotator_routes(work: ServedBatch) -> APIRouter:
         key = own_key(work, name, (f"{dataset}/{scan}", instance))
         read_draft(work, name, key, body, _now())
         edit, page = edit_of(body, is_needed=True)
-        values = {field: body[field] for field in ANSWERED if field in body}
+        values = work.by_asset(key, {field: body[field] for field in ANSWERED if field in body})
         is_kept, draft = work.drafts.save(key, name, values, edit, page)
         if not is_kept:
             raise Refusal(409, "edit: a later edit of this page is kept already", draft=draft_document(draft))
@@ -123,8 +123,13 @@ def annotator_routes(work: ServedBatch) -> APIRouter:
         key = own_key(work, name, (f"{dataset}/{scan}", instance))
         check_fields(body, (*ANSWERED, *COUNTED, "withdrawn"))
         edit, page = edit_of(body)
+
+        def check(reader: Reader) -> None:
+            if not body.get("withdrawn") and not work.is_as_shown(reader, key):
+                raise Refusal(409, CHANGED)
+
         with refusing(by_field={"batch_id": 409, "withdrawn": 409, "answered_at": 409}):
-            save_answers(work.lake, answer_document(work, name, key, body, _after_last(work, name, key)), "answer")
+            save_answers(work.lake, answer_document(work, name, key, body, _after_last(work, name, key)), "answer", check=check)
         work.drafts.remove(key, name, edit, page)
         (row,) = [row for row in work.objects(name)["objects"] if (row["scene_id"], row["instance_id"]) == key]
         revision = max(row.revision for row in _revisions(work, name, key))
@@ -147,17 +152,17 @@ def placing_routes(work: ServedBatch, rooms: Rooms) -> APIRouter:
     """What is computed while an annotator places an asset; a few at a time, so that drafts need not wait for it."""
     api = APIRouter()
     person = Depends(asking(work, ANNOTATOR))
-    turns = CapacityLimiter(AT_ONCE)
+    turns = Turns()
 
     @api.post("/api/figures/{dataset}/{scan}/{instance}")
-    async def figures(dataset: str, scan: str, instance: str, name: str = person, body: Body = json_object) -> Response:
-        key = own_key(work, name, (f"{dataset}/{scan}", instance))
-        return JSONResponse(await run_sync(rooms.figures, name, key, body, limiter=turns))
+    async def figures(request: Request, dataset: str, scan: str, instance: str, name: str = person, body: Body = json_object) -> Response:
+        key = await run_sync(own_key, work, name, (f"{dataset}/{scan}", instance))
+        return JSONResponse(await turns.take(request, ("figures", name, key), rooms.figures, name, key, body))
 
     @api.post("/api/settle/{dataset}/{scan}/{instance}")
-    async def settle(dataset: str, scan: str, instance: str, name: str = person, body: Body = json_object) -> Response:
-        key = own_key(work, name, (f"{dataset}/{scan}", instance))
-        return JSONResponse(await run_sync(rooms.settled, name, key, body, limiter=turns))
+    async def settle(request: Request, dataset: str, scan: str, instance: str, name: str = person, body: Body = json_object) -> Response:
+        key = await run_sync(own_key, work, name, (f"{dataset}/{scan}", instance))
+        return JSONResponse(await turns.take(request, ("settle", name, key), rooms.settled, name, key, body))
 
     return api
 

@@ -31,9 +31,9 @@ CROP_MARGIN = 0.15
 class BatchScenes(Scenes):
     """The scenes of a batch; others are not there."""
 
-    def __init__(self, lake: Lake, scene_ids: Sequence[str], blobs: frozenset[str]) -> None:
+    def __init__(self, lake: Lake, snapshot_id: int, scene_ids: Sequence[str], blobs: frozenset[str]) -> None:
         """`blobs`: what may be asked for before a scene was shown."""
-        super().__init__(lake)
+        super().__init__(lake, snapshot_id)
         self.scene_ids, self._offered = frozenset(scene_ids), blobs
 
     def listed(self) -> Document:
@@ -74,7 +74,7 @@ class ServedBatch:
 
     def __init__(self, lake: Lake, batch_id: str, drafts: Drafts, reviewers: Sequence[str]) -> None:
         """Raises InputError: the lake has no such batch, it was made elsewhere, or its objects are not there any more."""
-        reader = lake.snapshot()
+        sign, reader = lake.last_commit(), lake.snapshot()
         batch = created_batch(reader, batch_id)
         self.lake, self.batch_id, self.drafts = lake, batch_id, drafts
         assignments = rows_of(reader, Assignment, batch_id)
@@ -86,14 +86,15 @@ class ServedBatch:
         asked = asked_of(reader, batch, assignments)
         self.assets = {row.asset_id: row for row in asked.assets}
         glbs = frozenset(row.mesh_blob for row in asked.assets)
-        self.scenes = BatchScenes(lake, sorted({scene for scene, _ in self.assigned}), glbs)
+        self.scenes = BatchScenes(lake, reader.snapshot_id, sorted({scene for scene, _ in self.assigned}), glbs)
         cameras = _cameras(self.scenes, asked.instances)
         self.points = frozenset(row.points_blob for row in asked.instances)
         self.photos = frozenset(row.view_blob for row in asked.instances if row.view_blob is not None)
         self._objects = {(row["scene_id"], row["instance_id"]): self._object(row, cameras) for row in asked.document["objects"]}
         self._rooms: list[dict[str, Any]] = asked.document["scenes"]
         self._thumbnails: dict[str, bytes] = {}
-        self._drawing = threading.Lock()
+        self._drawing, self._looking = threading.Lock(), threading.Lock()
+        self._seen = (sign, frozenset(self.assigned))
 
     def _object(self, row: Mapping[str, Any], cameras: Mapping[Key, dict[str, Any]]) -> dict[str, Any]:
         """What everybody is shown of an object."""
@@ -109,6 +110,30 @@ class ServedBatch:
                 for offer in row["candidates"]
             ],
         }  # fmt: skip
+
+    def is_asked(self, key: Key) -> bool:
+        """Whether the lake asks for an object now; not once its scene was erased."""
+        with self._looking:
+            sign = self.lake.last_commit()
+            if sign != self._seen[0]:
+                rows = rows_of(self.lake.snapshot(), Assignment, self.batch_id)
+                self._seen = (sign, frozenset((row.scene_id, row.instance_id) for row in rows))
+            return key in self._seen[1]
+
+    def is_as_shown(self, reader: Reader, key: Key) -> bool:
+        """Whether a snapshot has an object, its candidates and what selection says of them as people are shown them."""
+        shown, only = self.scenes.reader, {"scene_id": [key[0]], "instance_id": [key[1]]}
+        return all(
+            shown.files(table) == reader.files(table) or shown.matching(table, only).equals(reader.matching(table, only))
+            for table in ("instances", "candidates", "selections")
+        )
+
+    def by_asset(self, key: Key, values: Mapping[str, Any]) -> dict[str, Any]:
+        """What somebody sets for an object, candidates by asset: another snapshot may have others in the slots that are shown."""
+        assets = {offer["slot"]: offer["asset_id"] for offer in self._objects[key]["candidates"]}
+        named = {"choice": assets.get(values["choice"], values["choice"])} if "choice" in values else {}
+        ranking = {"ranking": list(dict.fromkeys(assets.get(each, each) for each in values["ranking"]))} if values.get("ranking") else {}
+        return {**values, **named, **ranking}
 
     def me(self, name: str) -> dict[str, Any]:
         """Who somebody is, and how the batch stands."""

@@ -80,6 +80,29 @@ def test_who_holds_a_batch_no_more_changes_nothing(lake: Lake, monkeypatch: pyte
     assert save_answers(lake, asked)["new"] == 1
 
 
+@pytest.mark.parametrize("error", [LakeError("the lease is held"), OSError("disk full"), KeyboardInterrupt()])
+def test_what_was_refused_never_takes_effect_later(
+    lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    created(lake, tmp_path / "work", overlap=1)
+    mine = [(row.scene_id, row.instance_id) for row in lake.snapshot().rows(Assignment) if row.annotator == ANNOTATORS[0]]
+
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    def answered(key: tuple[str, str]) -> object:
+        return save_answers(lake, {"batch_id": "b1", "annotations": [answer(*key, ANNOTATORS[0], 1)]})["state"]
+
+    assert answered(mine[0]) == "open"
+    with monkeypatch.context() as patched:
+        patched.setattr(Lake, "commit", refuse)
+        with pytest.raises(type(error)):
+            submit(lake, "b1", by=ANNOTATORS[0], partial=True)
+    assert not lake.has_staged("b1")
+    assert answered(mine[1]) == "open", "and the batch was not handed in"
+    assert submit(lake, "b1", by=ANNOTATORS[0], partial=True)["answers"] == 2
+
+
 def test_figures_say_how_an_answer_keeps_to_the_guidelines(lake: Lake) -> None:
     far = {"position": [-2.0, -2.0, 0.1], "yaw_degrees": 0, "scale": [1, 1, 1]}
     beyond = {"position": [-3.0, -1.6, 0.0], "yaw_degrees": 0, "scale": [2, 1, 1]}

@@ -13,13 +13,23 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from fastapi.testclient import TestClient
 
 from flows.inputs.annotation import BatchPlan, create_batch
+from flows.server.access import new_token
+from flows.view.annotating.drafts import Drafts
+from flows.view.annotating.routes import annotation_application
+from flows.view.annotating.settling import Rooms
+from flows.view.annotating.work import ServedBatch
+from flows.view.gate import guarded
+from schemas.annotation import Assignment
 from tests.annotated import annotatable
 from tests.conftest import REPOSITORY
 from warehouse.lake import Lake
 
 BATCH = "b1"
+PORT = 8797
+ORIGIN = f"http://127.0.0.1:{PORT}"
 LAUNCH = """
 import sys
 from pathlib import Path
@@ -107,3 +117,36 @@ def digests(folder: Path) -> dict[str, str]:
     """Hash of every file below a folder."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+class Desk:
+    """The application as it is served, with a client for everybody; ada and bob answer, rita and bob review."""
+
+    def __init__(self, folder: Path) -> None:
+        self.lake, self.folder = asked_lake(folder), folder
+        self.drafts = Drafts(folder / "lake" / "drafts" / "b1.sqlite", BATCH)
+        self.work = ServedBatch(self.lake, BATCH, self.drafts, ["rita", "Bob"])
+        self.app = annotation_application(self.work, Rooms(self.work))
+        self.tokens = {name: new_token() for name in self.work.roles}
+        self.guard = guarded(self.app, PORT, {token: name for name, token in self.tokens.items()})
+
+    def stranger(self) -> TestClient:
+        return TestClient(self.guard, base_url=ORIGIN, follow_redirects=False, raise_server_exceptions=False)  # type: ignore[arg-type]
+
+    def client(self, name: str) -> TestClient:
+        client = self.stranger()
+        assert client.get("/", params={"token": self.tokens[name]}).status_code == 200
+        client.headers["origin"] = ORIGIN
+        return client
+
+    def own(self, name: str) -> str:
+        row = next(row for row in self.lake.snapshot().rows(Assignment) if row.annotator == name)
+        return f"{row.scene_id}/{row.instance_id}"
+
+    def routes(self) -> Iterator[tuple[str, str]]:
+        """Every method of every route, those of included routers among them."""
+        left: list[Any] = list(self.app.routes)
+        for route in left:
+            inner = getattr(route, "original_router", None)
+            left += inner.routes if inner is not None else ()
+            yield from ((method, route.path) for method in (sorted(route.methods) if inner is None else ()))

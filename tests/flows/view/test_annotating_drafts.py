@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import sqlite3
 import stat
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.cli import cli
+from flows.view import bundle
 from flows.view.annotating.drafts import LAYOUT, Drafts, drafts_folder
+from flows.view.annotating.hosting import serve_annotation
 from flows.view.annotating.people import Keys, keep_keys, kept_keys, roles_of
+from flows.view.annotating.settling import Rooms
+from flows.view.serving import bound
 from schemas.errors import InputError, LakeError
 from tests.annotated import SCENES
-from tests.flows.view.batches import BATCH, asked_lake
+from tests.flows.view.batches import BATCH, asked_lake, stand_in
 
 A, B = ("demo/a", "0001"), ("demo/a", "0002")
 
@@ -44,8 +51,11 @@ def test_the_last_edit_of_a_page_holds_whatever_comes_late(tmp_path_factory: pyt
             drafts = Drafts(file, "b1")
         elif act == "remove":
             drafts.remove(key, name, edit, page)
-            if before is not None and page in ("", before[2]):
+            is_outrun = before is not None and page == before[2] != "" and before[1] > edit  # an answer leaves what came after it
+            if before is not None and page == "":
                 known[key, name] = (None, max(edit, before[1]), before[2])
+            elif is_outrun:
+                pass
             elif before is not None or page:
                 known[key, name] = (None, edit, page)
         else:
@@ -63,6 +73,18 @@ def test_the_last_edit_of_a_page_holds_whatever_comes_late(tmp_path_factory: pyt
     drafts.close()
 
 
+def test_an_answer_leaves_what_its_page_drafted_after_it(tmp_path: Path) -> None:
+    drafts = Drafts(tmp_path / "b1.sqlite", "b1")
+    drafts.save(A, "ada", {"choice": 1}, 3, "p")
+    drafts.save(A, "ada", {"choice": 2}, 4, "p")
+    drafts.remove(A, "ada", 3, "p")
+    assert drafts.of("ada")[A].body == {"choice": 2}, "acknowledged, and not part of the answer"
+    drafts.remove(A, "ada", 4, "p")
+    assert drafts.of("ada") == {}
+    assert not drafts.save(A, "ada", {"choice": 2}, 4, "p")[0]
+    drafts.close()
+
+
 def test_drafts_of_batches_in_one_file_are_apart_and_for_their_owner_alone(tmp_path: Path) -> None:
     file = tmp_path / "new" / "drafts.sqlite"
     first, second = Drafts(file, "b1"), Drafts(file, "b2")
@@ -74,6 +96,64 @@ def test_drafts_of_batches_in_one_file_are_apart_and_for_their_owner_alone(tmp_p
     )
     first.close()
     second.close()
+
+
+def test_drafts_are_private_whoever_made_the_file(tmp_path: Path) -> None:
+    file, link, second = tmp_path / "open.sqlite", tmp_path / "link.sqlite", tmp_path / "second.sqlite"
+    file.touch(0o644)
+    file.chmod(0o666)
+    for _ in range(2):
+        drafts = Drafts(file, "b1")
+        drafts.save(A, "ada", {"choice": 1}, 1, "")
+        assert {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == dict.fromkeys(
+            (file.name, f"{file.name}-wal", f"{file.name}-shm"), 0o600
+        )
+        drafts.close()
+        file.chmod(0o644)
+    link.symlink_to(file)
+    second.hardlink_to(file)
+    (tmp_path / "dangling.sqlite").symlink_to(tmp_path / "nowhere.sqlite")
+    os.mkfifo(tmp_path / "pipe.sqlite")
+    for name, why in (("link", "is a link"), ("dangling", "is a link"), ("second", "no file of your own"), ("pipe", "no file of your own")):
+        with pytest.raises(InputError, match=why):
+            Drafts(tmp_path / f"{name}.sqlite", "b1")
+    assert not (tmp_path / "nowhere.sqlite").exists()
+
+
+def test_a_second_server_leaves_the_port_of_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bundle, "BUILT", stand_in(tmp_path / "built"))
+    monkeypatch.setattr(Rooms, "warm", lambda rooms, ending: None)
+    lake = asked_lake(tmp_path)
+    ports: list[int] = []
+
+    def serve(port: int = 0) -> int:
+        """The port that it gives out before it is ended."""
+
+        def end(addresses: dict[str, dict[str, Any]]) -> None:
+            ports.append(httpx.URL(addresses["ada"]["address"]).port or 0)
+            raise EndedError
+
+        with pytest.raises(EndedError):
+            serve_annotation(lake, BATCH, [], None, "127.0.0.1", port, end)
+        return ports[-1]
+
+    first = serve()
+    with bound("127.0.0.1", first) as other:
+        other.listen()
+        assert serve() != first
+    assert serve() == first, "as before"
+    asked = serve(port=free_port())
+    assert asked != first
+    assert serve() == asked, "where a port was asked for it is the one that is kept"
+
+
+def free_port() -> int:
+    with bound("127.0.0.1", 0) as listening:
+        return int(listening.getsockname()[1])
+
+
+class EndedError(Exception):
+    """Ends a server before it answers anybody."""
 
 
 def test_files_of_other_versions_and_other_things_are_refused_in_one_line(tmp_path: Path) -> None:
@@ -149,12 +229,29 @@ def test_an_erased_scene_leaves_nothing_in_the_drafts(tmp_path: Path) -> None:
     drafts = Drafts(folder / f"{BATCH}.sqlite", BATCH)
     for index, scene in enumerate(SCENES * 20):
         drafts.save((scene, f"{index:04d}"), "ada", {"choice": 1, "ranking": [1], "seconds": index}, 1, "")
-    result = CliRunner().invoke(cli, ["lake", "erase", SCENES[0], "--yes", "--lake", lake.address, "--json"])
-    assert json.loads(result.output)["proof"]["hits"] == [], result.output
+    drafts.remove((SCENES[0], "0000"), "ada")
+    erase = ["lake", "erase", SCENES[0], "--lake", lake.address]
+    assert json.loads(CliRunner().invoke(cli, [*erase, "--dry-run", "--json"]).output)["drafts"] == 19
+    assert "19 drafts of annotators would go\n" in CliRunner().invoke(cli, [*erase, "--dry-run"]).output
+    assert len(drafts.of("ada")) == 39
+    result = CliRunner().invoke(cli, [*erase, "--yes", "--json"])
+    erased = json.loads(result.output)
+    assert (erased["drafts"], erased["proof"]["hits"]) == (19, []), result.output
     assert {key[0] for key in drafts.of("ada")} == {SCENES[1]}
     assert len(drafts.of("ada")) == 20
     drafts.close()
     assert all(SCENES[0].encode() not in path.read_bytes() for path in folder.iterdir())
+
+
+def test_the_lake_is_sound_with_drafts(tmp_path: Path) -> None:
+    lake = asked_lake(tmp_path)
+    folder = drafts_folder(lake)
+    assert folder is not None
+    with contextlib.closing(Drafts(folder / f"{BATCH}.sqlite", BATCH)) as drafts:
+        drafts.save(A, "ada", {"choice": 1}, 1, "")
+        keep_keys(folder / f"{BATCH}.sqlite.tokens", kept_keys(folder / f"{BATCH}.sqlite.tokens", ["ada"]))
+        answered = CliRunner().invoke(cli, ["doctor", "lake", "--lake", lake.address, "--json"])
+    assert json.loads(answered.output) == {"errors": [], "warnings": []}
 
 
 def test_what_a_page_sent_comes_back_as_it_was(tmp_path: Path) -> None:

@@ -17,31 +17,23 @@ from typing import Any
 import numpy as np
 import pytest
 from fastapi import Request
-from fastapi.testclient import TestClient
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.inputs.annotation import save_answers
-from flows.server.access import new_token
 from flows.view import bundle
 from flows.view.annotating import requests
 from flows.view.annotating.drafts import Drafts
 from flows.view.annotating.people import ANNOTATOR, REVIEWER
-from flows.view.annotating.routes import annotation_application
-from flows.view.annotating.settling import Rooms
 from flows.view.annotating.work import ServedBatch, photo_camera
-from flows.view.gate import guarded
-from schemas.annotation import Assignment
 from schemas.capture import Frame, Instance
 from schemas.errors import InputError
 from tasks.capture.instances.views import view_of
 from tasks.geometry.transforms import flat, inverse, look_at, transform_points, translation
 from tests.annotated import SCENES, answer
-from tests.flows.view.batches import BATCH, asked_lake, digests, stand_in
+from tests.flows.view.batches import BATCH, ORIGIN, PORT, Desk, asked_lake, digests, stand_in
 from tests.samples import sample
 
-PORT = 8797
-ORIGIN = f"http://127.0.0.1:{PORT}"
 OBJECT = "{dataset}/{scan}/{instance}"
 OPEN = {
     "/", "/client/{name}", "/blobs/{name}", "/thumbnails/{name}", "/points/{name}", "/photos/{name}", "/api/me", "/api/progress",
@@ -54,39 +46,6 @@ ROLES = dict.fromkeys(OPEN, "") | {
     f"/api/verdicts/{OBJECT}/{{annotator:path}}": REVIEWER, "/api/conclude": REVIEWER,
 }  # fmt: skip
 """Who may ask each route: everybody of the batch, or one role alone."""
-
-
-class Desk:
-    """The application as it is served, with a client for everybody; ada and bob answer, rita and bob review."""
-
-    def __init__(self, folder: Path) -> None:
-        self.lake, self.folder = asked_lake(folder), folder
-        self.drafts = Drafts(folder / "lake" / "drafts" / "b1.sqlite", BATCH)
-        self.work = ServedBatch(self.lake, BATCH, self.drafts, ["rita", "Bob"])
-        self.app = annotation_application(self.work, Rooms(self.work))
-        self.tokens = {name: new_token() for name in self.work.roles}
-        self.guard = guarded(self.app, PORT, {token: name for name, token in self.tokens.items()})
-
-    def stranger(self) -> TestClient:
-        return TestClient(self.guard, base_url=ORIGIN, follow_redirects=False, raise_server_exceptions=False)  # type: ignore[arg-type]
-
-    def client(self, name: str) -> TestClient:
-        client = self.stranger()
-        assert client.get("/", params={"token": self.tokens[name]}).status_code == 200
-        client.headers["origin"] = ORIGIN
-        return client
-
-    def own(self, name: str) -> str:
-        row = next(row for row in self.lake.snapshot().rows(Assignment) if row.annotator == name)
-        return f"{row.scene_id}/{row.instance_id}"
-
-    def routes(self) -> Iterator[tuple[str, str]]:
-        """Every method of every route, those of included routers among them."""
-        left: list[Any] = list(self.app.routes)
-        for route in left:
-            inner = getattr(route, "original_router", None)
-            left += inner.routes if inner is not None else ()
-            yield from ((method, route.path) for method in (sorted(route.methods) if inner is None else ()))
 
 
 @pytest.fixture(scope="module")

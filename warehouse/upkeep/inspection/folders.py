@@ -16,7 +16,7 @@ from schemas.errors import InputError
 from schemas.record import BLOB_PATTERN
 from schemas.runs import Release, Snapshot
 from schemas.tables import TABLES
-from warehouse.lake import MARKER, Lake
+from warehouse.lake import DRAFT_FOLDER, MARKER, Lake
 from warehouse.sharing.claims import FOLDER as CLAIM_FOLDER
 from warehouse.sharing.claims import claims_of, dead_claims, path_of
 from warehouse.sharing.lease import PATH as LEASE_PATH
@@ -38,7 +38,7 @@ from warehouse.upkeep.vacuum import BLOB_SECONDS
 
 CHECKSUMS = "SHA256SUMS"
 
-_ROOT_FOLDERS = {BLOB_FOLDER, CLAIM_FOLDER, LOOK_FOLDER, RELEASE_FOLDER, RUN_FOLDER, STAGED_FOLDER, TEMPORARY, "tables"}
+_ROOT_FOLDERS = {BLOB_FOLDER, CLAIM_FOLDER, DRAFT_FOLDER, LOOK_FOLDER, RELEASE_FOLDER, RUN_FOLDER, STAGED_FOLDER, TEMPORARY, "tables"}
 _ROOT_FILES = {MARKER, LEASE_PATH, "erasure.json", "backup.json", "backup.parquet"}
 # A lake whose blobs are somewhere else misses millions.
 _MOST_NAMED = 100
