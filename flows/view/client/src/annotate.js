@@ -104,6 +104,7 @@ class Annotate {
 
   /** Show an object of the list. */
   async select(draft) {
+    this.typed();
     this.editing.dropped();
     this.saving.flush();
     this.current = this.entries.find((each) => each.draft === draft) ?? null;
@@ -116,6 +117,7 @@ class Annotate {
     this.turnTo("choose");
     this.#mark();
     this.#pane();
+    this.fields.show(draft.transform, this.isOpen, true); // nobody types over the numbers of the object before
     const room = `${row.scene_id} ${row.annotator ?? ""}`;
     try {
       if (this.room !== room || this.stage.scene !== row.scene_id) await this.#openRoom(room, row);
@@ -177,11 +179,16 @@ class Annotate {
   /** Go to a step: choose, align, rank. */
   turnTo(name) {
     this.stepName = name;
-    if (document.activeElement?.type === "number") document.activeElement.blur(); // numbers are candidates again
+    this.typed(); // numbers are candidates again
     for (const [each, tab] of Object.entries(this.nodes.steps)) tab.setAttribute("aria-selected", String(each === name));
     this.nodes.hint.textContent = HINTS[name];
     this.handles(name === "align" ? this.handle : null);
     this.#tray();
+  }
+
+  /** Take over a number that is being typed: it is of the object that is shown. */
+  typed() {
+    if (document.activeElement?.type === "number") document.activeElement.blur();
   }
 
   /** Show handles of a kind, and with them the step of aligning; null: none. */
@@ -275,21 +282,34 @@ class Annotate {
   #pane() {
     const { row } = this.current;
     this.nodes.figures = make("div", {}, figureTable(this.figures, this.isReviewing ? "It has no figures." : ""));
-    const handing = { save: () => this.handing.save(), nextOpen: () => this.nextOpen(), withdraw: () => this.handing.withdraw() };
     const parts = about(row);
     this.nodes.aside = parts[0].querySelector("figcaption");
     this.verdict = this.isReviewing ? verdictBox(row, this.me.batch.state === "in_review", { judge: (passes) => this.handing.judge(passes) }) : null;
+    this.nodes.acts = make("div");
     parts[0].append(this.nodes.photoCamera);
-    this.nodes.pane.replaceChildren(...parts, ...(this.verdict ? [this.verdict] : [actions(row, handing)]), this.nodes.figures, this.fields.node);
+    this.nodes.pane.replaceChildren(...parts, this.verdict ?? this.nodes.acts, this.nodes.figures, this.fields.node);
     this.nodes.photoCamera.hidden = !row.camera;
+    this.#handing();
     this.#aside();
   }
 
-  /** The list and the right side, after the status of an object has changed. */
-  refresh() {
+  /** What is to be done with the current object, by its status. */
+  #handing() {
+    const { row } = this.current;
+    const { handing } = this;
+    if (this.verdict) {
+      this.verdict.press(row);
+      return;
+    }
+    const acts = actions(row, { save: () => handing.save(), nextOpen: () => this.nextOpen(), withdraw: () => handing.withdraw() });
+    this.nodes.acts.replaceWith(acts);
+    this.nodes.acts = acts;
+  }
+
+  /** What shows the status of an entry of the list, after it has changed. No field is made anew: somebody may be typing in it. */
+  refresh(changed) {
     this.list();
-    if (this.current) this.#pane();
-    this.#show();
+    if (changed === this.current) this.#handing();
   }
 
   #aside() {

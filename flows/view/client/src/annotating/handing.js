@@ -24,20 +24,22 @@ export class Handing {
     const { app } = this;
     const { current } = app;
     if (!app.isOpen || current.row.status === "saving") return;
+    app.typed();
     app.editing.dropped();
     current.row.status = "saving";
     this.#do(() => this.#answer(current), (error) => {
       if (current.row.status === "saving") current.row.status = "draft";
       error.message = `${current.row.category} ${current.row.instance_id} is kept as a draft, and not saved: ${error.message}`;
       app.saving.put(current.draft);
-      app.refresh();
+      app.refresh(current);
     });
-    app.refresh();
+    app.refresh(current);
     if (!app.nextOpen()) app.say("That was the last one.");
   }
 
-  async #answer({ row, draft }) {
+  async #answer(entry) {
     const { app } = this;
+    const { row, draft } = entry;
     await app.saving.flush(); // on the disk as a draft, whatever comes of the answer
     const { version } = draft;
     const { figures } = await ask("POST", `answers/${keyPath(draft.key)}`, numbered(draft));
@@ -46,7 +48,7 @@ export class Handing {
       row.status = "answered";
       app.saving.release(draft);
     } else app.saving.put(draft); // it was changed meanwhile
-    app.refresh();
+    app.refresh(entry);
     await app.progress();
     if (app.entries.every((each) => each.row.status === "answered")) app.say("Everything that is asked of you is answered. Hand it in on the left.");
   }
@@ -60,7 +62,7 @@ export class Handing {
       await ask("POST", `answers/${keyPath(current.row.key)}`, { withdrawn: true });
       app.saving.release(current.draft);
       current.row.status = "withdrawn";
-      app.refresh();
+      app.refresh(current);
       app.progress();
     });
   }
@@ -130,9 +132,9 @@ export class Handing {
       app.say(judged < sampled ? `${judged} of ${sampled} judged` : "All of the sample is judged. Conclude the review on the left.");
     }, () => {
       current.row.verdict = verdict;
-      app.refresh();
+      app.refresh(current);
     });
-    app.refresh();
+    app.refresh(current);
     app.nextOpen();
   }
 

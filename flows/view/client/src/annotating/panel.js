@@ -35,9 +35,11 @@ export function actions(row, on) {
 export function verdictBox(row, isOpen, on) {
   const remark = make("textarea", { rows: 3, "aria-label": "Remark", placeholder: "What is wrong with it", maxLength: 2000, value: row.verdict?.remark ?? "", disabled: !isOpen });
   const act = (text, title, passes) => make("button", {
-    type: "button", class: "toggle", textContent: text, title, "aria-pressed": String(row.verdict?.passes === passes), disabled: !isOpen, onclick: () => on.judge(passes),
+    type: "button", class: "toggle", textContent: text, title, disabled: !isOpen, onclick: () => on.judge(passes),
   });
-  const buttons = make("div", { class: "acts" }, act("Passes", "Y", true), act("Fails", "X", false));
+  const [passing, failing] = [act("Passes", "Y", true), act("Fails", "X", false)];
+  const buttons = make("div", { class: "acts" }, passing, failing);
   const node = make("section", { class: "verdict", "aria-label": "Verdict" }, make("h3", { textContent: `Answered by ${row.annotator}` }), buttons, remark);
-  return Object.assign(node, { remark });
+  const press = ({ verdict }) => [passing, failing].forEach((button, at) => button.setAttribute("aria-pressed", String(verdict?.passes === (at === 0))));
+  return Object.assign(node, { remark, press });
 }

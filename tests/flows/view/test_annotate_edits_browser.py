@@ -1,0 +1,84 @@
+"""What becomes of edits on the annotation page while others are on their way, refused, or of an object that is answered already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from tests.flows.view import test_annotate_browser as pages
+from tests.flows.view.asked import SCENES
+from tests.flows.view.test_annotate_browser import OBJECT, now, position, show, wait
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page, Route
+
+pytestmark = pages.pytestmark
+room, lake, server, browser, opened = pages.room, pages.lake, pages.server, pages.browser, pages.opened
+
+OTHER = f"{SCENES[0]}/0003"
+"""The object after `OBJECT` in the list."""
+
+
+class Held:
+    """Requests of a page that wait until they are let through."""
+
+    def __init__(self, page: Page, pattern: str, method: str) -> None:
+        self.page, self.method, self.is_open = page, method, False
+        self.routes: list[Route] = []
+        page.route(pattern, self._hold)
+
+    def _hold(self, route: Route) -> None:
+        if route.request.method == self.method and not self.is_open:
+            self.routes.append(route)
+        else:
+            route.continue_()
+
+    def wait(self, count: int = 1) -> None:
+        """Until so many wait."""
+        while len(self.routes) < count:
+            self.page.wait_for_timeout(10)
+
+    def let(self) -> None:
+        """Let through what waits, and what comes later."""
+        self.is_open = True
+        for route in self.routes:
+            route.continue_()
+
+
+def status_of(key: str) -> str:
+    """An expression: the status of an object on the page."""
+    return f"annotate.state.listed.find(([key]) => key === '{key}')[1]"
+
+
+def test_what_is_typed_while_the_answer_before_is_saved_is_a_number(opened: Callable[..., Page]) -> None:
+    page = opened("ada")
+    show(page, OBJECT)
+    answers = Held(page, "**/api/answers/**", "POST")
+    page.keyboard.press("Control+Enter")
+    wait(page, "document.documentElement.dataset.shown", OTHER)
+    before = now(page)["choice"]
+    page.locator("[data-field=x]").focus()
+    page.keyboard.press("Control+a")
+    page.keyboard.type("1")
+    answers.wait()
+    answers.let()
+    wait(page, status_of(OBJECT), "answered")
+    page.keyboard.type(".25")
+    page.keyboard.press("Enter")
+    assert position(page)[0] == 1.25
+    assert now(page)["choice"] == before
+
+
+def test_a_number_that_was_typed_is_of_the_object_that_was_shown(opened: Callable[..., Page]) -> None:
+    """Also where the next one is shown, or the answer is saved, before the field was left."""
+    page = opened("ada")
+    show(page, OBJECT)
+    for leave in ("n", "Control+Enter"):
+        show(page, OBJECT)
+        page.locator("[data-field=x]").fill("0.75" if leave == "n" else "0.5")
+        page.keyboard.press(leave)
+        wait(page, "document.documentElement.dataset.shown", OTHER)
+        assert position(page) == [1.5, 0.0, 0.0]
+    wait(page, status_of(OBJECT), "answered")
+    show(page, OBJECT)
+    assert position(page)[0] == 0.5
