@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import pytest
+
 from tests.flows.view import test_annotate_browser as pages
-from tests.flows.view.asked import SCENES
+from tests.flows.view.asked import SCENES, TABLE_M
 from tests.flows.view.test_annotate_browser import OBJECT, now, position, show, wait
 
 if TYPE_CHECKING:
@@ -82,3 +84,25 @@ def test_a_number_that_was_typed_is_of_the_object_that_was_shown(opened: Callabl
     wait(page, status_of(OBJECT), "answered")
     show(page, OBJECT)
     assert position(page)[0] == 0.5
+
+
+def test_edits_after_a_look_at_another_tab_are_kept(opened: Callable[..., Page]) -> None:
+    """Drafts are read anew then; the page goes on counting where it was, also for what was answered."""
+    page = opened("ada")
+    show(page, OBJECT)
+    for _ in range(3):
+        page.keyboard.press("PageUp")
+        wait(page, "annotate.state.saved", "saved")
+    page.keyboard.press("Control+Enter")
+    wait(page, status_of(OBJECT), "answered")
+    page.evaluate("annotate.open(false)")
+    wait(page, status_of(OBJECT), "answered")
+    show(page, OBJECT)
+    page.keyboard.press("b")
+    wait(page, "annotate.state.saved", "saved")
+    kept = position(page)
+    assert kept[2] == pytest.approx(TABLE_M, abs=1e-5)
+    page.reload()
+    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    show(page, OBJECT)
+    assert (page.evaluate("annotate.state.status"), position(page)) == ("draft", kept)

@@ -39,7 +39,6 @@ export class Draft {
   /** `row`: an object as the server lists it. */
   constructor(row) {
     this.row = row;
-    this.edit = 0; // counts what is sent, so that what arrives late does not win
     this.version = 0; // counts changes, so that one made while an earlier is on its way is not called saved
     this.kept = new Map(); // slot -> where it was put, for when it is chosen again
     const given = row.draft ?? row.answer;

@@ -6,11 +6,16 @@ const PAGE = crypto.getRandomValues(new Uint32Array(4)).join("-"); // tells wind
 const SOON_MS = 150;
 const AGAIN_MS = [500, 1000, 2000, 4000];
 
-/** What the server is sent of a draft: each time a later edit, so that what comes late does not win. */
-export function numbered(draft) {
-  draft.edit += 1;
-  return { ...draft.body, edit: draft.edit, page: PAGE };
+const edits = new Map(); // key -> how often something of it was sent: as long as the page is open, whatever it shows meanwhile
+
+/** The number of the next edit of an object, so that what comes late does not win. */
+export function counted(key) {
+  edits.set(key, (edits.get(key) ?? 0) + 1);
+  return { edit: edits.get(key), page: PAGE };
 }
+
+/** What the server is sent of a draft. */
+export const numbered = (draft) => ({ ...draft.body, ...counted(draft.key) });
 
 export class Saving {
   /** `changed` is told "saved", "saving" or "unsaved", and why it is not. */
@@ -76,9 +81,9 @@ export class Saving {
     try {
       await ask("PUT", path, numbered(draft));
     } catch (error) {
-      const newer = error instanceof Refusal && error.status === 409 ? error.value.draft : null;
-      if (!newer) throw error;
-      draft.edit = newer.edit; // an edit that was thought lost had arrived
+      const known = error instanceof Refusal && error.status === 409 ? (error.value.edit ?? error.value.draft?.edit) : null;
+      if (!Number.isInteger(known)) throw error;
+      edits.set(draft.key, Math.max(known, edits.get(draft.key))); // an edit that was thought lost had arrived
       await ask("PUT", path, numbered(draft));
     }
   }
