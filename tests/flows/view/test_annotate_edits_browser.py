@@ -106,3 +106,42 @@ def test_edits_after_a_look_at_another_tab_are_kept(opened: Callable[..., Page])
     wait(page, "Boolean(document.documentElement.dataset.ready)", True)
     show(page, OBJECT)
     assert (page.evaluate("annotate.state.status"), position(page)) == ("draft", kept)
+
+
+def test_what_is_refused_stays_unsaved_until_it_is_taken(opened: Callable[..., Page]) -> None:
+    """However much else is saved meanwhile, and whatever is shown; the object is named, and leaving the page warns."""
+    page = opened("ada")
+    show(page, OBJECT)
+
+    def refuse(route: Route) -> None:
+        route.fulfill(status=409, json={"error": "it cannot be kept"})
+
+    page.route(f"**/api/drafts/{OBJECT}", refuse)
+    page.keyboard.press("PageUp")
+    told = "Not saved: box 0002: it cannot be kept"
+    wait(page, "document.querySelector('.saved').textContent", told)
+    changed = position(page)
+    show(page, OTHER)
+    with page.expect_response("**/api/drafts/**") as answer:
+        page.keyboard.press("PageUp")
+    assert answer.value.status == 200
+    wait(page, "annotate.saving.pending.size", 0)
+    assert page.locator(".saved").inner_text() == told
+    assert page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))"), "leaving warns"
+    page.evaluate("annotate.open(false)")
+    show(page, OBJECT)
+    assert position(page) == changed
+    page.unroute(f"**/api/drafts/{OBJECT}")
+    page.keyboard.press("PageUp")
+    wait(page, "annotate.state.saved", "saved")
+    assert not page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))")
+
+
+def test_what_came_too_slowly_is_sent_again(opened: Callable[..., Page]) -> None:
+    page = opened("ada")
+    show(page, OBJECT)
+    path = f"**/api/drafts/{OBJECT}"
+    page.route(path, lambda route: route.fulfill(status=408, json={"error": "body: was not sent"}), times=1)
+    page.keyboard.press("PageUp")
+    wait(page, "document.querySelector('.saved').textContent", "Not saved: body: was not sent")
+    wait(page, "annotate.state.saved", "saved")

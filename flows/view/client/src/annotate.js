@@ -71,7 +71,7 @@ class Annotate {
     this.nodes.stepBar.hidden = this.nodes.handleBar.hidden = this.nodes.undo.hidden = this.nodes.redo.hidden = isReview;
     await this.saving.flush();
     const [told] = await Promise.all([ask("GET", isReview ? "reviews" : "work"), this.progress()]);
-    this.entries = (isReview ? told.answers : told.objects).map((row) => ({ row, draft: new Draft(isReview ? { ...row, draft: null } : row) }));
+    this.entries = isReview ? told.answers.map((row) => ({ row, draft: new Draft({ ...row, draft: null }) })) : told.objects.map((row) => this.#entry(row));
     this.current = null;
     this.list();
     if (!this.entries.length) {
@@ -84,6 +84,15 @@ class Annotate {
     const isDone = ({ row }) => (isReview ? row.verdict : row.status === "answered");
     const first = this.entries.find((each) => !isDone(each)) ?? this.entries.find(({ row }) => row.remarks?.length) ?? this.entries[0];
     if (!(await this.#follow())) await this.select(first.draft);
+  }
+
+  /** An object with what is decided for it: what the server does not have yet stays. */
+  #entry(row) {
+    const held = this.saving.held(row.key);
+    if (!held) return { row, draft: new Draft(row) };
+    held.row = row;
+    row.status = "draft";
+    return { row, draft: held };
   }
 
   async #follow() {

@@ -26,7 +26,7 @@ export async function ask(method, path, value) {
   }
   const said = await answer.json().catch(() => ({}));
   if (answer.status === 401) throw new Absence("the server does not know this page: open the address that it printed");
-  if (answer.status >= 500) throw new Absence(said.error ?? `the server answered ${answer.status}`);
+  if (answer.status >= 500 || answer.status === 408) throw new Absence(said.error ?? `the server answered ${answer.status}`);
   if (!answer.ok) throw new Refusal(answer.status, said);
   return said;
 }
