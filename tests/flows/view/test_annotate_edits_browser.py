@@ -145,3 +145,27 @@ def test_what_came_too_slowly_is_sent_again(opened: Callable[..., Page]) -> None
     page.keyboard.press("PageUp")
     wait(page, "document.querySelector('.saved').textContent", "Not saved: body: was not sent")
     wait(page, "annotate.state.saved", "saved")
+
+
+def test_edits_while_an_answer_is_taken_back_are_a_draft(opened: Callable[..., Page]) -> None:
+    page = opened("ada")
+    show(page, OBJECT)
+    page.keyboard.press("Control+Enter")
+    wait(page, status_of(OBJECT), "answered")
+    show(page, OBJECT)
+    held = Held(page, "**/api/answers/**", "POST")
+    page.get_by_role("button", name="Take the answer back").click()
+    held.wait()
+    page.keyboard.press("b")
+    wait(page, "annotate.state.saved", "saved")
+    kept = position(page)
+    with page.expect_response("**/api/answers/**") as answer:
+        held.let()
+    assert answer.value.status == 200
+    wait(page, "[annotate.state.saved, annotate.state.status].join()", "saved,draft")
+    with page.expect_response("**/api/progress"):
+        page.evaluate("annotate.handing.queue.then(() => annotate.saving.flush()).then(() => annotate.progress())")
+    page.reload()
+    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    show(page, OBJECT)
+    assert (page.evaluate("annotate.state.status"), position(page)) == ("draft", kept)

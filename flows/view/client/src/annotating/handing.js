@@ -1,7 +1,7 @@
 // What leaves the annotator's or reviewer's hands: answers, the batch as a whole, verdicts.
 
 import { make } from "../dom.js";
-import { numbered } from "./saving.js";
+import { counted, numbered } from "./saving.js";
 import { Absence, ask, keyPath } from "./server.js";
 
 export class Handing {
@@ -57,11 +57,15 @@ export class Handing {
   withdraw() {
     const { app } = this;
     const { current } = app;
+    const { row, draft } = current;
     this.#do(async () => {
       await app.saving.flush();
-      await ask("POST", `answers/${keyPath(current.row.key)}`, { withdrawn: true });
-      app.saving.release(current.draft);
-      current.row.status = "withdrawn";
+      const { version } = draft;
+      await ask("POST", `answers/${keyPath(row.key)}`, { withdrawn: true, ...counted(row.key) });
+      if (draft.version === version) {
+        row.status = "withdrawn";
+        app.saving.release(draft);
+      } else app.saving.put(draft); // it was changed meanwhile
       app.refresh(current);
       app.progress();
     });
