@@ -169,3 +169,57 @@ def test_edits_while_an_answer_is_taken_back_are_a_draft(opened: Callable[..., P
     wait(page, "Boolean(document.documentElement.dataset.ready)", True)
     show(page, OBJECT)
     assert (page.evaluate("annotate.state.status"), position(page)) == ("draft", kept)
+
+
+def test_what_is_saved_is_the_asset_that_was_shown_where_it_was_shown(opened: Callable[..., Page]) -> None:
+    """Slots and what selection aligned may mean something else in a later snapshot."""
+    page = opened("ada")
+    show(page, OBJECT)
+    page.keyboard.press("3")
+    page.keyboard.press("e")
+    page.keyboard.press("5")
+    wait(page, "annotate.state.saved", "saved")
+    third, fifth = page.evaluate("[3, 5].map((slot) => annotate.draft.candidate(slot))")
+    draft = page.evaluate(
+        f"fetch('api/work').then((answer) => answer.json()).then((told) => told.objects.find((row) => row.key === '{OBJECT}').draft)"
+    )
+    with page.expect_request("**/api/answers/**") as request:
+        page.keyboard.press("Control+Enter")
+    for body in (draft, request.value.post_data_json):
+        assert (body["choice"], body["ranking"]) == (third["asset_id"], [third["asset_id"], fifth["asset_id"]])
+        assert body["transform"] == third["transform"]
+    wait(page, status_of(OBJECT), "answered")
+    page.reload()
+    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    show(page, OBJECT)
+    assert {name: now(page)[name] for name in ("choice", "ranking")} == {"choice": 3, "ranking": [5]}
+
+
+def test_a_draft_of_an_asset_that_is_no_candidate_any_more_is_not_saved_as_an_answer(opened: Callable[..., Page]) -> None:
+    page = opened("ada")
+    show(page, OBJECT)
+    strange = {"choice": "f" * 64, "transform": None, "ranking": [], "seconds": 1, "edit": 1}
+    keep = """([key, draft]) => fetch(`api/drafts/${key}`, {
+        method: "PUT", headers: { "content-type": "application/json" }, body: JSON.stringify(draft),
+    }).then((answer) => answer.status)"""
+    assert page.evaluate(keep, [OBJECT, strange]) == 200
+    page.reload()
+    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    show(page, OBJECT)
+    told = "What was chosen is no candidate any more: choose again."
+    assert page.locator(".status").inner_text() == told
+    page.keyboard.press("Control+Enter")
+    assert page.evaluate("annotate.state.status") == "draft"
+    page.keyboard.press("x")
+    page.keyboard.press("Control+Enter")
+    wait(page, status_of(OBJECT), "answered")
+
+
+def test_candidates_that_have_changed_are_said_in_words(opened: Callable[..., Page]) -> None:
+    page = opened("ada")
+    show(page, OBJECT)
+    reason = "the scene's candidates have changed since the server was started; start it again"
+    page.route("**/api/answers/**", lambda route: route.fulfill(status=409, json={"error": reason}))
+    page.keyboard.press("Control+Enter")
+    wait(page, "document.querySelector('.status').textContent", f"box 0002 is kept as a draft, and not saved: {reason}")
+    assert page.evaluate(status_of(OBJECT)) == "draft"

@@ -140,6 +140,7 @@ class Annotate {
       this.say(error.message, true);
     }
     if (draft !== this.draft) return;
+    if (draft.lost) this.say(draft.lost, true);
     this.#show();
     this.measure();
     document.documentElement.dataset.shown = entryKey(row);

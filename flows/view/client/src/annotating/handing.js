@@ -26,6 +26,10 @@ export class Handing {
     if (!app.isOpen || current.row.status === "saving") return;
     app.typed();
     app.editing.dropped();
+    if (current.draft.isLost) {
+      app.say(current.draft.lost, true);
+      return;
+    }
     current.row.status = "saving";
     this.#do(() => this.#answer(current), (error) => {
       if (current.row.status === "saving") current.row.status = "draft";
