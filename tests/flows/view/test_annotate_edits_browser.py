@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.flows.view import test_annotate_browser as pages
-from tests.flows.view.asked import SCENES, TABLE_M
+from tests.flows.view.asked import OBJECTS, SCENES, TABLE_M
 from tests.flows.view.test_annotate_browser import OBJECT, now, position, show, wait
 
 if TYPE_CHECKING:
@@ -223,3 +223,36 @@ def test_candidates_that_have_changed_are_said_in_words(opened: Callable[..., Pa
     page.keyboard.press("Control+Enter")
     wait(page, "document.querySelector('.status').textContent", f"box 0002 is kept as a draft, and not saved: {reason}")
     assert page.evaluate(status_of(OBJECT)) == "draft"
+
+
+def test_a_touched_answer_can_be_left_as_it_was(opened: Callable[..., Page]) -> None:
+    """Its draft is thrown away; until then the hand-in tells it from what is not answered."""
+    page = opened("ada")
+    show(page, OBJECT)
+    page.keyboard.press("b")
+    page.keyboard.press("Control+Enter")
+    wait(page, status_of(OBJECT), "answered")
+    for is_new in (False, True):
+        if is_new:
+            page.reload()
+            wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+        show(page, OBJECT)
+        answered = (now(page)["choice"], position(page))
+        page.keyboard.press("2")
+        page.keyboard.press("PageUp")
+        wait(page, "annotate.state.saved", "saved")
+        page.get_by_role("button", name="Hand in").click()
+        texts = page.get_by_role("dialog").locator("p").all_inner_texts()
+        assert texts[0].startswith(f"{len(OBJECTS) - 1} of your {len(OBJECTS)} objects are not answered")
+        assert texts[1].startswith("1 of them changed since answered")
+        page.get_by_role("button", name="Cancel").click()
+        page.get_by_role("button", name="Back to my answer").click()
+        wait(page, status_of(OBJECT), "answered")
+        assert (now(page)["choice"], position(page)) == (answered[0], pytest.approx(answered[1]))
+        assert page.evaluate("annotate.state.saved") == "saved"
+    page.reload()
+    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    show(page, OBJECT)
+    assert (page.evaluate("annotate.state.status"), now(page)["choice"]) == ("answered", answered[0])
+    page.keyboard.press("PageUp")
+    wait(page, "[annotate.state.saved, annotate.state.status].join()", "saved,draft")

@@ -229,9 +229,14 @@ class Annotate {
     const { row } = this.current;
     if (row.status !== "draft") {
       row.status = "draft";
-      this.list();
+      this.refresh(this.current);
     }
     this.saving.put(this.draft);
+    this.redraw();
+  }
+
+  /** Draw what is decided for the current object. */
+  redraw() {
     this.stage.follow();
     this.#show();
     this.measure();
@@ -311,7 +316,7 @@ class Annotate {
       this.verdict.press(row);
       return;
     }
-    const acts = actions(row, { save: () => handing.save(), nextOpen: () => this.nextOpen(), withdraw: () => handing.withdraw() });
+    const acts = actions(row, { save: () => handing.save(), nextOpen: () => this.nextOpen(), withdraw: () => handing.withdraw(), back: () => handing.back() });
     this.nodes.acts.replaceWith(acts);
     this.nodes.acts = acts;
   }

@@ -112,6 +112,12 @@ export class Draft {
     this.#push({ ...this.now, ranking: rest.slice(0, RANKED) });
   }
 
+  /** Back to an answer, as the server gives it; this can be undone, too. */
+  back(answer) {
+    this.#push(this.#read(answer));
+    this.seconds = answer.seconds ?? 0;
+  }
+
   undo() {
     return this.#step(-1);
   }

@@ -46,8 +46,9 @@ export class Handing {
     const { row, draft } = entry;
     await app.saving.flush(); // on the disk as a draft, whatever comes of the answer
     const { version } = draft;
-    const { figures } = await ask("POST", `answers/${keyPath(draft.key)}`, numbered(draft));
-    row.figures = figures;
+    const answer = numbered(draft);
+    const { figures } = await ask("POST", `answers/${keyPath(draft.key)}`, answer);
+    Object.assign(row, { figures, answer });
     if (draft.version === version) {
       row.status = "answered";
       app.saving.release(draft);
@@ -70,7 +71,29 @@ export class Handing {
         row.status = "withdrawn";
         app.saving.release(draft);
       } else app.saving.put(draft); // it was changed meanwhile
+      row.answer = null;
       app.refresh(current);
+      app.progress();
+    });
+  }
+
+  /** Throw away what was changed since an object was answered. */
+  back() {
+    const { app } = this;
+    const { current } = app;
+    const { row, draft } = current;
+    app.editing.dropped();
+    this.#do(async () => {
+      await app.saving.flush();
+      const { version } = draft;
+      await ask("DELETE", `drafts/${keyPath(row.key)}`);
+      if (draft.version === version) {
+        draft.back(row.answer);
+        row.status = "answered";
+        app.saving.release(draft);
+      } else app.saving.put(draft); // it was changed meanwhile
+      app.refresh(current);
+      if (current === app.current) app.redraw();
       app.progress();
     });
   }
@@ -79,8 +102,11 @@ export class Handing {
   submit(reason = "") {
     const { app } = this;
     const { asked } = app.nodes;
-    const missing = app.entries.filter(({ row }) => row.status !== "answered").length;
-    const text = missing ? `${missing} of your ${app.entries.length} objects are not answered.` : "All of your objects are answered.";
+    const count = (isMeant) => app.entries.filter(({ row }) => isMeant(row)).length;
+    const missing = count(({ status, answer }) => status !== "answered" && !answer);
+    const changed = count(({ status, answer }) => status !== "answered" && answer);
+    const texts = [missing ? `${missing} of your ${app.entries.length} objects are not answered.` : "All of your objects are answered."];
+    if (changed) texts.push(`${changed} of them changed since answered: the answer is handed in as it was saved, without the changes.`);
     const act = (name, isPartial, style = "toggle") => make("button", {
       type: "button", class: style, textContent: name, onclick: () => {
         asked.close();
@@ -88,7 +114,7 @@ export class Handing {
       },
     });
     asked.replaceChildren(
-      make("h2", { textContent: "Hand in the batch" }), make("p", { textContent: text }), reason ? make("p", { class: "remains", textContent: reason }) : "",
+      make("h2", { textContent: "Hand in the batch" }), ...texts.map((text) => make("p", { textContent: text })), reason ? make("p", { class: "remains", textContent: reason }) : "",
       make("div", { class: "acts" }, reason ? act("Hand in without what is missing", true) : act("Hand in", false, "toggle strong"),
         make("button", { type: "button", class: "toggle", textContent: "Cancel", onclick: () => asked.close() })),
     );

@@ -23,12 +23,13 @@ export function asideText(degrees) {
   return `The view is turned ${turned}° to the ${degrees > 0 ? "right" : "left"} of the photo.`;
 }
 
-/** What an annotator does with an object: save, take back. */
+/** What an annotator does with an object: save, take back, or leave the answer as it was. */
 export function actions(row, on) {
   const act = (text, title, run, name = "toggle") => make("button", { type: "button", class: name, textContent: text, title, onclick: run });
   if (!row.is_open) return make("p", { class: "muted", textContent: "The batch is handed in: nothing can be changed now." });
   const taken = row.status === "answered" ? act("Take the answer back", "", on.withdraw) : null;
-  return make("div", { class: "acts done" }, act("Save and next", "Enter", on.save, "toggle strong"), act("Next open", "U", on.nextOpen), taken);
+  const back = row.status === "draft" && row.answer ? act("Back to my answer", "Throw away what was changed since it was saved", on.back) : null;
+  return make("div", { class: "acts done" }, act("Save and next", "Enter", on.save, "toggle strong"), act("Next open", "U", on.nextOpen), taken, back);
 }
 
 /** What a reviewer says of an answer. */
