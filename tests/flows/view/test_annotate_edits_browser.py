@@ -256,3 +256,31 @@ def test_a_touched_answer_can_be_left_as_it_was(opened: Callable[..., Page]) -> 
     assert (page.evaluate("annotate.state.status"), now(page)["choice"]) == ("answered", answered[0])
     page.keyboard.press("PageUp")
     wait(page, "[annotate.state.saved, annotate.state.status].join()", "saved,draft")
+
+
+def test_nothing_is_computed_that_nobody_waits_for(opened: Callable[..., Page]) -> None:
+    """Figures of an edit before are called off, and an object that is settling is not settled twice."""
+    page = opened("ada")
+    show(page, OBJECT)
+    wait(page, "Boolean(annotate.state.figures)", True)
+    ended: list[str] = []
+    page.on("requestfailed", lambda request: ended.append(request.url))
+    figures = Held(page, "**/api/figures/**", "POST")
+    page.keyboard.press("PageUp")
+    figures.wait(1)
+    page.keyboard.press("PageUp")
+    figures.wait(2)
+    while not ended:
+        page.wait_for_timeout(10)
+    assert ended == [figures.routes[0].request.url]
+    del figures.routes[0]
+    figures.let()
+    wait(page, "annotate.state.figures?.floating_m?.toFixed(3)", "0.220")
+    settling = Held(page, "**/api/settle/**", "POST")
+    page.keyboard.press("l")
+    page.keyboard.press("l")
+    settling.wait()
+    settling.let()
+    wait(page, "document.querySelector('.status').textContent.startsWith('Settled')", True)
+    assert len(settling.routes) == 1
+    wait(page, "document.querySelector('[data-figure=floating]')?.className", "")

@@ -251,6 +251,8 @@ class Annotate {
   /** Ask for the figures of the draft as it is, soon. */
   measure() {
     clearTimeout(this.measuring);
+    this.figuring?.abort(); // nobody waits for the figures of before
+    const ending = (this.figuring = new AbortController());
     const { draft } = this;
     if (!draft || this.isReviewing) return;
     const turn = (this.figureTurn += 1);
@@ -260,7 +262,7 @@ class Annotate {
     }
     this.measuring = setTimeout(async () => {
       try {
-        const figures = await ask("POST", `figures/${keyPath(draft.key)}`, draft.body);
+        const figures = await ask("POST", `figures/${keyPath(draft.key)}`, draft.body, ending.signal);
         if (turn === this.figureTurn && draft === this.draft) this.#figures(figures);
       } catch (error) {
         if (turn === this.figureTurn && draft === this.draft) this.#figures(null, error.message);
