@@ -74,11 +74,13 @@ def _served(lake: str) -> Iterator[str]:
     """The annotator's address of `metascenes annotate serve` on a lake."""
     command = [sys.executable, "-m", "flows.cli", "annotate", "serve", BATCH, "--lake", lake, "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        line = process.stdout.readline() if process.stdout else ""
-        if not line:
-            raise InputError("metascenes annotate serve", lake, "does not serve; it says why above")
-        yield str(json.loads(line)["addresses"][ANNOTATOR]["address"])
-        process.send_signal(signal.SIGINT)
+        try:
+            line = process.stdout.readline() if process.stdout else ""
+            if not line:
+                raise InputError("metascenes annotate serve", lake, "does not serve; it says why above")
+            yield str(json.loads(line)["addresses"][ANNOTATOR]["address"])
+        finally:  # also where what was done with it failed
+            process.send_signal(signal.SIGINT)
 
 
 def _opened(browser: Browser, address: str) -> dict[str, Any]:

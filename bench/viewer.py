@@ -189,11 +189,13 @@ def _served(lake: str) -> Iterator[str]:
     """The address of `metascenes view` on a lake."""
     command = [sys.executable, "-m", "flows.cli", "view", "--lake", lake, "--no-browser", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        line = process.stdout.readline() if process.stdout else ""
-        if not line:
-            raise InputError("metascenes view", lake, "does not serve; it says why above")
-        yield str(json.loads(line)["address"])
-        process.send_signal(signal.SIGINT)
+        try:
+            line = process.stdout.readline() if process.stdout else ""
+            if not line:
+                raise InputError("metascenes view", lake, "does not serve; it says why above")
+            yield str(json.loads(line)["address"])
+        finally:  # also where what was done with it failed
+            process.send_signal(signal.SIGINT)
 
 
 def _opened(browser: Browser, address: str) -> dict[str, Any]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -62,6 +64,22 @@ def test_every_annotation_page_has_its_figures() -> None:
     print_annotating_report(report, Console(file=said, width=140))
     assert "2,500 points and 11 objects" in said.getvalue()
     assert {one["wanted"] for one in report["goals"]} == {"<= 3", "< 100", "< 1"}
+
+
+@pytest.mark.whole
+@pytest.mark.browser
+@pytest.mark.skipif(not bundle.is_built(), reason="`make client` has not been run")
+@pytest.mark.parametrize("bench", [run_viewer_bench, run_annotating_bench])
+def test_a_page_that_fails_ends_the_bench(bench: Callable[[ViewerBench, Callable[[], None]], dict[str, Any]]) -> None:
+    """The server is ended, too: nothing waits for it."""
+    if not any(map(shutil.which, BROWSERS)):
+        pytest.skip("no chromium on this machine; apt-get install chromium")
+
+    def fail() -> None:
+        raise InputError("page", "condition", "does not hold")
+
+    with pytest.raises(InputError, match="does not hold"):
+        bench(ViewerBench(points=2500, objects=11, pages=1), fail)
 
 
 def test_a_lake_of_somebodys_is_not_annotated_by_a_benchmark() -> None:

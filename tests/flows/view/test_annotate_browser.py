@@ -137,7 +137,14 @@ def is_expected(message: str) -> bool:
     """What browsers write down of answers that say no, and of servers that were killed."""
     return any(
         part in message
-        for part in ("status of 409", "ERR_INTERNET_DISCONNECTED", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE")
+        for part in (
+            "status of 408",
+            "status of 409",
+            "ERR_INTERNET_DISCONNECTED",
+            "ERR_CONNECTION_REFUSED",
+            "ERR_CONNECTION_RESET",
+            "ERR_EMPTY_RESPONSE",
+        )
     )
 
 

@@ -71,7 +71,7 @@ class Annotate {
     this.nodes.stepBar.hidden = this.nodes.handleBar.hidden = this.nodes.undo.hidden = this.nodes.redo.hidden = isReview;
     await this.saving.flush();
     const [told] = await Promise.all([ask("GET", isReview ? "reviews" : "work"), this.progress()]);
-    this.entries = (isReview ? told.answers : told.objects).map((row) => ({ row, draft: new Draft(isReview ? { ...row, draft: null } : row) }));
+    this.entries = isReview ? told.answers.map((row) => ({ row, draft: new Draft({ ...row, draft: null }) })) : told.objects.map((row) => this.#entry(row));
     this.current = null;
     this.list();
     if (!this.entries.length) {
@@ -84,6 +84,15 @@ class Annotate {
     const isDone = ({ row }) => (isReview ? row.verdict : row.status === "answered");
     const first = this.entries.find((each) => !isDone(each)) ?? this.entries.find(({ row }) => row.remarks?.length) ?? this.entries[0];
     if (!(await this.#follow())) await this.select(first.draft);
+  }
+
+  /** An object with what is decided for it: what the server does not have yet stays. */
+  #entry(row) {
+    const held = this.saving.held(row.key);
+    if (!held) return { row, draft: new Draft(row) };
+    held.row = row;
+    row.status = "draft";
+    return { row, draft: held };
   }
 
   async #follow() {
@@ -104,6 +113,7 @@ class Annotate {
 
   /** Show an object of the list. */
   async select(draft) {
+    this.typed();
     this.editing.dropped();
     this.saving.flush();
     this.current = this.entries.find((each) => each.draft === draft) ?? null;
@@ -116,6 +126,7 @@ class Annotate {
     this.turnTo("choose");
     this.#mark();
     this.#pane();
+    this.fields.show(draft.transform, this.isOpen, true); // nobody types over the numbers of the object before
     const room = `${row.scene_id} ${row.annotator ?? ""}`;
     try {
       if (this.room !== room || this.stage.scene !== row.scene_id) await this.#openRoom(room, row);
@@ -129,6 +140,7 @@ class Annotate {
       this.say(error.message, true);
     }
     if (draft !== this.draft) return;
+    if (draft.lost) this.say(draft.lost, true);
     this.#show();
     this.measure();
     document.documentElement.dataset.shown = entryKey(row);
@@ -177,11 +189,16 @@ class Annotate {
   /** Go to a step: choose, align, rank. */
   turnTo(name) {
     this.stepName = name;
-    if (document.activeElement?.type === "number") document.activeElement.blur(); // numbers are candidates again
+    this.typed(); // numbers are candidates again
     for (const [each, tab] of Object.entries(this.nodes.steps)) tab.setAttribute("aria-selected", String(each === name));
     this.nodes.hint.textContent = HINTS[name];
     this.handles(name === "align" ? this.handle : null);
     this.#tray();
+  }
+
+  /** Take over a number that is being typed: it is of the object that is shown. */
+  typed() {
+    if (document.activeElement?.type === "number") document.activeElement.blur();
   }
 
   /** Show handles of a kind, and with them the step of aligning; null: none. */
@@ -212,9 +229,14 @@ class Annotate {
     const { row } = this.current;
     if (row.status !== "draft") {
       row.status = "draft";
-      this.list();
+      this.refresh(this.current);
     }
     this.saving.put(this.draft);
+    this.redraw();
+  }
+
+  /** Draw what is decided for the current object. */
+  redraw() {
     this.stage.follow();
     this.#show();
     this.measure();
@@ -229,6 +251,8 @@ class Annotate {
   /** Ask for the figures of the draft as it is, soon. */
   measure() {
     clearTimeout(this.measuring);
+    this.figuring?.abort(); // nobody waits for the figures of before
+    const ending = (this.figuring = new AbortController());
     const { draft } = this;
     if (!draft || this.isReviewing) return;
     const turn = (this.figureTurn += 1);
@@ -238,7 +262,7 @@ class Annotate {
     }
     this.measuring = setTimeout(async () => {
       try {
-        const figures = await ask("POST", `figures/${keyPath(draft.key)}`, draft.body);
+        const figures = await ask("POST", `figures/${keyPath(draft.key)}`, draft.body, ending.signal);
         if (turn === this.figureTurn && draft === this.draft) this.#figures(figures);
       } catch (error) {
         if (turn === this.figureTurn && draft === this.draft) this.#figures(null, error.message);
@@ -275,21 +299,34 @@ class Annotate {
   #pane() {
     const { row } = this.current;
     this.nodes.figures = make("div", {}, figureTable(this.figures, this.isReviewing ? "It has no figures." : ""));
-    const handing = { save: () => this.handing.save(), nextOpen: () => this.nextOpen(), withdraw: () => this.handing.withdraw() };
     const parts = about(row);
     this.nodes.aside = parts[0].querySelector("figcaption");
     this.verdict = this.isReviewing ? verdictBox(row, this.me.batch.state === "in_review", { judge: (passes) => this.handing.judge(passes) }) : null;
+    this.nodes.acts = make("div");
     parts[0].append(this.nodes.photoCamera);
-    this.nodes.pane.replaceChildren(...parts, ...(this.verdict ? [this.verdict] : [actions(row, handing)]), this.nodes.figures, this.fields.node);
+    this.nodes.pane.replaceChildren(...parts, this.verdict ?? this.nodes.acts, this.nodes.figures, this.fields.node);
     this.nodes.photoCamera.hidden = !row.camera;
+    this.#handing();
     this.#aside();
   }
 
-  /** The list and the right side, after the status of an object has changed. */
-  refresh() {
+  /** What is to be done with the current object, by its status. */
+  #handing() {
+    const { row } = this.current;
+    const { handing } = this;
+    if (this.verdict) {
+      this.verdict.press(row);
+      return;
+    }
+    const acts = actions(row, { save: () => handing.save(), nextOpen: () => this.nextOpen(), withdraw: () => handing.withdraw(), back: () => handing.back() });
+    this.nodes.acts.replaceWith(acts);
+    this.nodes.acts = acts;
+  }
+
+  /** What shows the status of an entry of the list, after it has changed. No field is made anew: somebody may be typing in it. */
+  refresh(changed) {
     this.list();
-    if (this.current) this.#pane();
-    this.#show();
+    if (changed === this.current) this.#handing();
   }
 
   #aside() {

@@ -39,11 +39,12 @@ export class Draft {
   /** `row`: an object as the server lists it. */
   constructor(row) {
     this.row = row;
-    this.edit = 0; // counts what is sent, so that what arrives late does not win
     this.version = 0; // counts changes, so that one made while an earlier is on its way is not called saved
     this.kept = new Map(); // slot -> where it was put, for when it is chosen again
     const given = row.draft ?? row.answer;
     this.seconds = given?.seconds ?? 0;
+    this.isLost = false; // whether what was chosen is no candidate any more: it must be chosen again
+    this.lost = ""; // what is to be said of that
     this.states = [given ? this.#read(given) : this.#first()];
     this.at = 0;
   }
@@ -86,6 +87,8 @@ export class Draft {
   /** Choose a candidate by slot; null: none fits. */
   choose(slot) {
     if (slot === this.now.choice && slot !== null) return;
+    if (this.isLost) this.version += 1; // that none fits is a choice, too
+    this.isLost = false;
     if (this.chosen) this.kept.set(this.now.choice, this.now.transform);
     const ranking = slot === null ? [] : this.now.ranking.filter((each) => each !== slot);
     this.#push({ choice: slot, transform: this.kept.get(slot) ?? null, ranking });
@@ -109,6 +112,12 @@ export class Draft {
     this.#push({ ...this.now, ranking: rest.slice(0, RANKED) });
   }
 
+  /** Back to an answer, as the server gives it; this can be undone, too. */
+  back(answer) {
+    this.#push(this.#read(answer));
+    this.seconds = answer.seconds ?? 0;
+  }
+
   undo() {
     return this.#step(-1);
   }
@@ -125,13 +134,12 @@ export class Draft {
     return this.at < this.states.length - 1;
   }
 
-  /** What the server is sent. */
+  /** What the server is sent: assets and the transform as they are shown, whatever slots and selection mean later. */
   get body() {
     const { choice, ranking } = this.now;
-    const chosen = this.chosen;
-    const isOwn = chosen && (this.now.transform !== null || !chosen.transform);
+    const assets = this.chosen ? [choice, ...ranking].map((slot) => this.candidate(slot).asset_id) : [];
     return {
-      choice, transform: isOwn ? this.transform : null, ranking: chosen ? [choice, ...ranking] : [],
+      choice: assets[0] ?? null, transform: this.transform, ranking: [...new Set(assets)],
       seconds: Math.min(MOST_SECONDS, Math.round(this.seconds * 10) / 10),
     };
   }
@@ -161,6 +169,9 @@ export class Draft {
     const slotOf = (name) => this.row.candidates.find((offer) => offer.slot === name || offer.asset_id === name)?.slot ?? null;
     const slot = choice === null || choice === undefined ? null : slotOf(choice);
     const slots = [...new Set((ranking ?? []).map(slotOf))].filter((each) => each !== null && each !== slot);
+    this.isLost = slot === null && choice !== null && choice !== undefined;
+    if (this.isLost) this.lost = "What was chosen is no candidate any more: choose again.";
+    else if ((ranking ?? []).some((name) => slotOf(name) === null)) this.lost = "Some of what was ranked is no candidate any more: rank again.";
     let placed = slot === null ? null : (transform ?? null);
     if (placed && !placed.rotation_wxyz) {
       const { position, scale, yaw_degrees: degrees } = placed;

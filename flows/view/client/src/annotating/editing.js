@@ -120,9 +120,10 @@ export class Editing {
   /** Let the server put the object to rest where it stands. */
   async settle() {
     const { draft } = this;
-    if (!this.app.isOpen || !draft.chosen) return;
+    const { fields } = this.app;
+    if (!this.app.isOpen || !draft.chosen || fields.settling.disabled) return;
     const { version } = draft;
-    this.app.fields.settling.disabled = true;
+    fields.isSettling = fields.settling.disabled = true;
     this.app.say("Settling …");
     try {
       const told = await ask("POST", `settle/${keyPath(draft.key)}`, draft.body);
@@ -140,7 +141,8 @@ export class Editing {
     } catch (error) {
       this.app.say(error.message, true);
     } finally {
-      this.app.fields.settling.disabled = !this.app.isOpen;
+      fields.isSettling = false;
+      fields.settling.disabled = !this.app.isOpen || !this.draft?.chosen;
     }
   }
 }

@@ -16,6 +16,7 @@ export class Fields {
   constructor(on) {
     this.on = on;
     this.transform = null;
+    this.isSettling = false; // while the server puts something to rest, it is asked for nothing else
     this.inputs = Object.fromEntries(FIELDS.map(([name, text, unit, step]) => [name, make("input", {
       type: "number", step: String(step), "aria-label": `${text} [${unit}]`, "data-field": name, onchange: () => this.#changed(name),
     })]));
@@ -38,7 +39,7 @@ export class Fields {
   show(transform, isOpen = true, isQuick = false) {
     this.transform = transform;
     this.node.querySelectorAll("input, button").forEach((node) => {
-      node.disabled = !transform || !isOpen;
+      node.disabled = !transform || !isOpen || (node === this.settling && this.isSettling);
     });
     if (!transform) {
       for (const input of Object.values(this.inputs)) input.value = "";

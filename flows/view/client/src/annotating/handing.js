@@ -1,7 +1,7 @@
 // What leaves the annotator's or reviewer's hands: answers, the batch as a whole, verdicts.
 
 import { make } from "../dom.js";
-import { numbered } from "./saving.js";
+import { counted, numbered } from "./saving.js";
 import { Absence, ask, keyPath } from "./server.js";
 
 export class Handing {
@@ -24,29 +24,36 @@ export class Handing {
     const { app } = this;
     const { current } = app;
     if (!app.isOpen || current.row.status === "saving") return;
+    app.typed();
     app.editing.dropped();
+    if (current.draft.isLost) {
+      app.say(current.draft.lost, true);
+      return;
+    }
     current.row.status = "saving";
     this.#do(() => this.#answer(current), (error) => {
       if (current.row.status === "saving") current.row.status = "draft";
       error.message = `${current.row.category} ${current.row.instance_id} is kept as a draft, and not saved: ${error.message}`;
       app.saving.put(current.draft);
-      app.refresh();
+      app.refresh(current);
     });
-    app.refresh();
+    app.refresh(current);
     if (!app.nextOpen()) app.say("That was the last one.");
   }
 
-  async #answer({ row, draft }) {
+  async #answer(entry) {
     const { app } = this;
+    const { row, draft } = entry;
     await app.saving.flush(); // on the disk as a draft, whatever comes of the answer
     const { version } = draft;
-    const { figures } = await ask("POST", `answers/${keyPath(draft.key)}`, numbered(draft));
-    row.figures = figures;
+    const answer = numbered(draft);
+    const { figures } = await ask("POST", `answers/${keyPath(draft.key)}`, answer);
+    Object.assign(row, { figures, answer });
     if (draft.version === version) {
       row.status = "answered";
       app.saving.release(draft);
     } else app.saving.put(draft); // it was changed meanwhile
-    app.refresh();
+    app.refresh(entry);
     await app.progress();
     if (app.entries.every((each) => each.row.status === "answered")) app.say("Everything that is asked of you is answered. Hand it in on the left.");
   }
@@ -55,12 +62,38 @@ export class Handing {
   withdraw() {
     const { app } = this;
     const { current } = app;
+    const { row, draft } = current;
     this.#do(async () => {
       await app.saving.flush();
-      await ask("POST", `answers/${keyPath(current.row.key)}`, { withdrawn: true });
-      app.saving.release(current.draft);
-      current.row.status = "withdrawn";
-      app.refresh();
+      const { version } = draft;
+      await ask("POST", `answers/${keyPath(row.key)}`, { withdrawn: true, ...counted(row.key) });
+      if (draft.version === version) {
+        row.status = "withdrawn";
+        app.saving.release(draft);
+      } else app.saving.put(draft); // it was changed meanwhile
+      row.answer = null;
+      app.refresh(current);
+      app.progress();
+    });
+  }
+
+  /** Throw away what was changed since an object was answered. */
+  back() {
+    const { app } = this;
+    const { current } = app;
+    const { row, draft } = current;
+    app.editing.dropped();
+    this.#do(async () => {
+      await app.saving.flush();
+      const { version } = draft;
+      await ask("DELETE", `drafts/${keyPath(row.key)}`);
+      if (draft.version === version) {
+        draft.back(row.answer);
+        row.status = "answered";
+        app.saving.release(draft);
+      } else app.saving.put(draft); // it was changed meanwhile
+      app.refresh(current);
+      if (current === app.current) app.redraw();
       app.progress();
     });
   }
@@ -69,8 +102,11 @@ export class Handing {
   submit(reason = "") {
     const { app } = this;
     const { asked } = app.nodes;
-    const missing = app.entries.filter(({ row }) => row.status !== "answered").length;
-    const text = missing ? `${missing} of your ${app.entries.length} objects are not answered.` : "All of your objects are answered.";
+    const count = (isMeant) => app.entries.filter(({ row }) => isMeant(row)).length;
+    const missing = count(({ status, answer }) => status !== "answered" && !answer);
+    const changed = count(({ status, answer }) => status !== "answered" && answer);
+    const texts = [missing ? `${missing} of your ${app.entries.length} objects are not answered.` : "All of your objects are answered."];
+    if (changed) texts.push(`${changed} of them changed since answered: the answer is handed in as it was saved, without the changes.`);
     const act = (name, isPartial, style = "toggle") => make("button", {
       type: "button", class: style, textContent: name, onclick: () => {
         asked.close();
@@ -78,7 +114,7 @@ export class Handing {
       },
     });
     asked.replaceChildren(
-      make("h2", { textContent: "Hand in the batch" }), make("p", { textContent: text }), reason ? make("p", { class: "remains", textContent: reason }) : "",
+      make("h2", { textContent: "Hand in the batch" }), ...texts.map((text) => make("p", { textContent: text })), reason ? make("p", { class: "remains", textContent: reason }) : "",
       make("div", { class: "acts" }, reason ? act("Hand in without what is missing", true) : act("Hand in", false, "toggle strong"),
         make("button", { type: "button", class: "toggle", textContent: "Cancel", onclick: () => asked.close() })),
     );
@@ -130,9 +166,9 @@ export class Handing {
       app.say(judged < sampled ? `${judged} of ${sampled} judged` : "All of the sample is judged. Conclude the review on the left.");
     }, () => {
       current.row.verdict = verdict;
-      app.refresh();
+      app.refresh(current);
     });
-    app.refresh();
+    app.refresh(current);
     app.nextOpen();
   }
 

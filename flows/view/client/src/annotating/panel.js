@@ -23,21 +23,24 @@ export function asideText(degrees) {
   return `The view is turned ${turned}° to the ${degrees > 0 ? "right" : "left"} of the photo.`;
 }
 
-/** What an annotator does with an object: save, take back. */
+/** What an annotator does with an object: save, take back, or leave the answer as it was. */
 export function actions(row, on) {
   const act = (text, title, run, name = "toggle") => make("button", { type: "button", class: name, textContent: text, title, onclick: run });
   if (!row.is_open) return make("p", { class: "muted", textContent: "The batch is handed in: nothing can be changed now." });
   const taken = row.status === "answered" ? act("Take the answer back", "", on.withdraw) : null;
-  return make("div", { class: "acts done" }, act("Save and next", "Enter", on.save, "toggle strong"), act("Next open", "U", on.nextOpen), taken);
+  const back = row.status === "draft" && row.answer ? act("Back to my answer", "Throw away what was changed since it was saved", on.back) : null;
+  return make("div", { class: "acts done" }, act("Save and next", "Enter", on.save, "toggle strong"), act("Next open", "U", on.nextOpen), taken, back);
 }
 
 /** What a reviewer says of an answer. */
 export function verdictBox(row, isOpen, on) {
   const remark = make("textarea", { rows: 3, "aria-label": "Remark", placeholder: "What is wrong with it", maxLength: 2000, value: row.verdict?.remark ?? "", disabled: !isOpen });
   const act = (text, title, passes) => make("button", {
-    type: "button", class: "toggle", textContent: text, title, "aria-pressed": String(row.verdict?.passes === passes), disabled: !isOpen, onclick: () => on.judge(passes),
+    type: "button", class: "toggle", textContent: text, title, disabled: !isOpen, onclick: () => on.judge(passes),
   });
-  const buttons = make("div", { class: "acts" }, act("Passes", "Y", true), act("Fails", "X", false));
+  const [passing, failing] = [act("Passes", "Y", true), act("Fails", "X", false)];
+  const buttons = make("div", { class: "acts" }, passing, failing);
   const node = make("section", { class: "verdict", "aria-label": "Verdict" }, make("h3", { textContent: `Answered by ${row.annotator}` }), buttons, remark);
-  return Object.assign(node, { remark });
+  const press = ({ verdict }) => [passing, failing].forEach((button, at) => button.setAttribute("aria-pressed", String(verdict?.passes === (at === 0))));
+  return Object.assign(node, { remark, press });
 }

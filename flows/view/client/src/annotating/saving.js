@@ -6,16 +6,22 @@ const PAGE = crypto.getRandomValues(new Uint32Array(4)).join("-"); // tells wind
 const SOON_MS = 150;
 const AGAIN_MS = [500, 1000, 2000, 4000];
 
-/** What the server is sent of a draft: each time a later edit, so that what comes late does not win. */
-export function numbered(draft) {
-  draft.edit += 1;
-  return { ...draft.body, edit: draft.edit, page: PAGE };
+const edits = new Map(); // key -> how often something of it was sent: as long as the page is open, whatever it shows meanwhile
+
+/** The number of the next edit of an object, so that what comes late does not win. */
+export function counted(key) {
+  edits.set(key, (edits.get(key) ?? 0) + 1);
+  return { edit: edits.get(key), page: PAGE };
 }
+
+/** What the server is sent of a draft. */
+export const numbered = (draft) => ({ ...draft.body, ...counted(draft.key) });
 
 export class Saving {
   /** `changed` is told "saved", "saving" or "unsaved", and why it is not. */
   constructor(changed) {
-    Object.assign(this, { changed, pending: new Map(), running: null, timer: 0, failures: 0, state: "saved", reason: "" });
+    // refused: key -> draft and why the server does not take it; called unsaved until it is changed, or taken in another way
+    Object.assign(this, { changed, pending: new Map(), refused: new Map(), running: null, timer: 0, failures: 0, state: "saved", reason: "" });
     addEventListener("online", () => this.flush());
     addEventListener("beforeunload", (event) => {
       if (this.state !== "saved") event.preventDefault();
@@ -25,7 +31,8 @@ export class Saving {
   /** A draft has changed. */
   put(draft) {
     this.pending.set(draft.key, draft);
-    if (!this.failures) this.#tell("saving");
+    this.refused.delete(draft.key);
+    if (!this.failures) this.#tell();
     if (!this.timer && !this.failures) this.timer = setTimeout(() => this.flush(), SOON_MS);
   }
 
@@ -40,9 +47,16 @@ export class Saving {
     return this.running;
   }
 
-  /** A draft was handed in as an answer: none of it waits any more. */
+  /** A draft was handed in as an answer, or thrown away: none of it waits any more. */
   release(draft) {
-    if (this.pending.delete(draft.key) && !this.pending.size && !this.running) this.#tell("saved");
+    this.refused.delete(draft.key);
+    this.pending.delete(draft.key);
+    if (!this.failures && !this.running) this.#tell();
+  }
+
+  /** The draft of an object that the server does not have as it is here; null where it has. */
+  held(key) {
+    return this.pending.get(key) ?? this.refused.get(key)?.draft ?? null;
   }
 
   #pause() {
@@ -59,16 +73,17 @@ export class Saving {
       } catch (error) {
         if (error instanceof Absence) {
           this.failures += 1;
-          this.#tell("unsaved", error.message);
+          this.#set("unsaved", error.message);
           return;
         }
-        this.pending.delete(key); // the server will not take it, however often it is sent
-        this.#tell("unsaved", error.message);
         if (!(error instanceof Refusal)) throw error;
-        return;
+        this.failures = 0;
+        if (draft.version !== version || this.pending.get(key) !== draft) continue; // as it is now it was not sent yet
+        this.pending.delete(key); // the server will not take it, however often it is sent
+        this.refused.set(key, { draft, reason: `${draft.row.category} ${draft.row.instance_id}: ${error.message}` });
       }
     }
-    this.#tell(this.pending.size ? "saving" : "saved");
+    this.#tell();
   }
 
   async #put(draft) {
@@ -76,14 +91,20 @@ export class Saving {
     try {
       await ask("PUT", path, numbered(draft));
     } catch (error) {
-      const newer = error instanceof Refusal && error.status === 409 ? error.value.draft : null;
-      if (!newer) throw error;
-      draft.edit = newer.edit; // an edit that was thought lost had arrived
+      const known = error instanceof Refusal && error.status === 409 ? (error.value.edit ?? error.value.draft?.edit) : null;
+      if (!Number.isInteger(known)) throw error;
+      edits.set(draft.key, Math.max(known, edits.get(draft.key))); // an edit that was thought lost had arrived
       await ask("PUT", path, numbered(draft));
     }
   }
 
-  #tell(state, reason = "") {
+  #tell() {
+    const [first] = this.refused.values();
+    if (first) this.#set("unsaved", first.reason);
+    else this.#set(this.pending.size ? "saving" : "saved");
+  }
+
+  #set(state, reason = "") {
     if (state === this.state && reason === this.reason) return;
     Object.assign(this, { state, reason });
     this.changed(state, reason);

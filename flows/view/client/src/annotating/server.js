@@ -14,9 +14,10 @@ export class Refusal extends Error {
 /** Nobody answered, or the server failed: the same may go through later. */
 export class Absence extends Error {}
 
-/** Ask for `api/<path>`, with a value as JSON where there is one; the answer's value. */
-export async function ask(method, path, value) {
-  const options = { method, signal: AbortSignal.timeout(/^(figures|settle|answers)\//.test(path) ? COMPUTING_MS : PATIENCE_MS) };
+/** Ask for `api/<path>`, with a value as JSON where there is one, until a signal says that nobody waits any more; the answer's value. */
+export async function ask(method, path, value, ending = null) {
+  const patience = AbortSignal.timeout(/^(figures|settle|answers)\//.test(path) ? COMPUTING_MS : PATIENCE_MS);
+  const options = { method, signal: ending ? AbortSignal.any([patience, ending]) : patience };
   if (value !== undefined) Object.assign(options, { headers: { "content-type": "application/json" }, body: JSON.stringify(value) });
   let answer;
   try {
@@ -26,7 +27,7 @@ export async function ask(method, path, value) {
   }
   const said = await answer.json().catch(() => ({}));
   if (answer.status === 401) throw new Absence("the server does not know this page: open the address that it printed");
-  if (answer.status >= 500) throw new Absence(said.error ?? `the server answered ${answer.status}`);
+  if (answer.status >= 500 || answer.status === 408) throw new Absence(said.error ?? `the server answered ${answer.status}`);
   if (!answer.ok) throw new Refusal(answer.status, said);
   return said;
 }
