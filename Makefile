@@ -60,7 +60,7 @@ pages: $(VENV)/.run-ready  ## Write the pages of tables, views, settings and com
 
 client: $(CLIENT)  ## Build what browsers get of the viewer, with three.js from npm; Node comes from PyPI where there is none.
 
-$(CLIENT): requirements/client.py requirements/client.lock $(wildcard flows/view/client/* flows/view/client/.npmrc flows/view/client/src/*) | $(VENV)/.made
+$(CLIENT): requirements/client.py requirements/client.lock $(wildcard flows/view/client/* flows/view/client/.npmrc flows/view/client/src/* flows/view/client/src/*/*) | $(VENV)/.made
 	$(BIN)/python requirements/client.py
 
 native: $(RECAST)  ## Build the path finder that bakes as habitat-sim; wants Debian's librecast-dev and g++.

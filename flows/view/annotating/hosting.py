@@ -33,6 +33,8 @@ def serve_annotation(
     Raises:
         InputError: the batch, a name, the file, the host or the port cannot be used.
     """
+    import shapely  # noqa: F401  # here, once: two threads that import it for the first time at once may find half of it
+
     created_batch(lake.snapshot(), batch_id)  # before a file is made for it
     place = file or drafts_file(lake, batch_id)
     with contextlib.closing(Drafts(place, batch_id)) as drafts:
