@@ -1,4 +1,5 @@
-"""One asset for what looks alike: the chairs round a table are one model, however differently their scans came out."""
+"""One asset for several objects of a category that it fits nearly as well as their own best: the chairs round a table are one model,
+however differently their scans came out."""
 
 from __future__ import annotations
 
