@@ -200,7 +200,8 @@ def _acts(state: BatchState, present: Sequence[Annotation], new: Sequence[Annota
     if not new and not has_changed and (state.batch is not None or not counts):
         return acts
     whole = latest([*present, *new])
-    moment = max(row.answered_at for row in whole.values())  # and not that of the import: the same file gives the same bytes
+    # that of the last answer, withdrawn or not, and not that of the import: the same file gives the same bytes
+    moment = max(row.answered_at for row in [*present, *new])
     if state.batch is not None:  # what its review demands stays as it was when the batch came in
         batch = dataclasses.replace(state.batch, counts_unreviewed=counts)
     else:

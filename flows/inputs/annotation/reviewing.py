@@ -148,7 +148,7 @@ def conclude(lake: Lake, batch_id: str, configuration: Configuration | None = No
     with changing(lake, batch_id) as change:
         state = known_state(change.reader, batch_id)
         left = len(state.sample) - len(state.verdicts)
-        state.after("accept")
+        state.after("judge")  # a batch that was made elsewhere may be accepted from other states too, by a review of its own
         if left or not state.sample:
             problem = f"{left} of {len(state.sample)} sampled answers are not judged yet" if state.sample else "no sample was drawn"
             raise InputError(batch_id, "verdicts", problem, "judge all of them first")

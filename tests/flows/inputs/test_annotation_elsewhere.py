@@ -22,7 +22,7 @@ from flows.inputs.annotation import (
 )
 from flows.run.configuration import configure
 from flows.run.plan import annotation_digests
-from schemas.annotation import Annotation, QualityReview, WorkBatch
+from schemas.annotation import Annotation, QualityReview, Submission, WorkBatch
 from schemas.errors import InputError
 from tests.annotated import SCENES, annotatable, answer, created, fill, judged, state
 from warehouse.lake import Lake
@@ -105,3 +105,26 @@ def test_alignments_of_scan2cad_are_a_batch_of_others(lake: Lake, tmp_path: Path
     assert np.allclose(row.scale, 1.0)
     assert "nothing to do" in CliRunner().invoke(cli, words).output
     assert state(lake, "s2c") == "submitted"
+
+
+def test_what_was_returned_is_not_concluded_again(lake: Lake) -> None:
+    save_answers(lake, {"batch_id": "b0", "annotations": [answer(SCENES[0], "0001", "ada", 1)]})
+    draw_sample(lake, "b0")
+    save_verdicts(lake, judged(open_reviews(lake, "b0", "rita"), {(SCENES[0], "0001", "ada"): False}, "b0"))
+    assert conclude(lake, "b0")["verdict"] == "returned"
+    before = lake.snapshot().snapshot_id
+    with pytest.raises(InputError, match="is returned: one cannot judge now; what one can: accept, answer, return"):
+        conclude(lake, "b0")
+    assert lake.snapshot().snapshot_id == before
+
+
+def test_the_only_answer_of_others_may_be_withdrawn_and_given_again(lake: Lake) -> None:
+    key = (SCENES[0], "0001", "ada")
+    save_answers(lake, {"batch_id": "b0", "annotations": [answer(*key, 1)]})
+    assert save_answers(lake, {"batch_id": "b0", "annotations": [answer(*key, None, at=1, withdrawn=True)]})["withdrawn"] == 1
+    assert standing_answers(lake.snapshot()).num_rows == 0
+    assert save_answers(lake, {"batch_id": "b0", "annotations": [answer(*key, 2, at=2)]})["corrected"] == 1
+    assert [row.is_withdrawn for row in lake.snapshot().rows(Annotation)] == [False, True, False]
+    assert [(row.round, row.revision) for row in lake.snapshot().rows(Submission)] == [(1, 1), (2, 3)], (
+        "nothing is left to hand in in between"
+    )
