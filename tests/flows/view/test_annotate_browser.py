@@ -392,7 +392,7 @@ def test_what_is_called_saved_outlives_the_server_and_work_goes_on_without_it(op
     wait(page, "document.querySelector('.saved').textContent", "Not saved: the server does not answer")
     page.keyboard.press("PageUp")
     page.keyboard.press("2")
-    changed = now(page)
+    changed, shown = now(page), page.evaluate("annotate.state.transform")
     page.context.set_offline(True)
     server.start()
     other = opened("ada")
@@ -404,7 +404,7 @@ def test_what_is_called_saved_outlives_the_server_and_work_goes_on_without_it(op
     assert now(page) == changed
     page.reload()
     wait(page, "Boolean(document.documentElement.dataset.ready)", True)
-    assert now(page) == changed
+    assert now(page) == changed | {"transform": shown}, "what was shown is kept, whatever selection aligns later"
 
 
 def test_edits_while_the_server_is_killed_again_and_again_are_kept(opened: Callable[..., Page], server: Server) -> None:
