@@ -205,7 +205,7 @@ def _opened(browser: Browser, address: str) -> dict[str, Any]:
     page.on("response", lambda answer: sizes.append(int(answer.headers.get("content-length", 0))))
     begun = time.perf_counter()
     page.goto(address)
-    wait_for(page, "Boolean(document.documentElement.dataset.ready)")
+    wait_for(page, "Boolean(document.documentElement?.dataset.ready)")
     seconds = time.perf_counter() - begun
     begun = time.perf_counter()
     page.locator("[data-instance]").first.click()

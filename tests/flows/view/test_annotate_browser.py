@@ -124,7 +124,7 @@ def opened(browser: Browser, server: Server) -> Iterator[Callable[..., Page]]:
         home = server.addresses[name].partition("?")[0]
         page.on("request", lambda request: None if request.url.startswith(("data:", "blob:", home)) else wrong.append(request.url))
         page.goto(server.addresses[name])
-        wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+        wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
         return page
 
     yield open_page
@@ -252,7 +252,7 @@ def test_an_object_is_chosen_aligned_and_ranked_and_kept(opened: Callable[..., P
     wait(page, "annotate.state.saved", "saved")
     before = page.evaluate("annotate.state.now")
     page.reload()
-    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
     assert (page.evaluate("annotate.state.key"), page.evaluate("annotate.state.status")) == (OBJECT, "draft")
     assert now(page) == before
     page.keyboard.press("Enter")
@@ -355,7 +355,7 @@ def test_a_batch_goes_back_and_comes_again(opened: Callable[..., Page], lake: La
         wait(rita, f"document.querySelector('.status').textContent.startsWith('The batch is {verdict}')", True)
         if number == 1:
             bob.reload()
-            wait(bob, "Boolean(document.documentElement.dataset.ready)", True)
+            wait(bob, "Boolean(document.documentElement?.dataset.ready)", True)
             show(bob, OBJECT)
             assert "round 1, rita: too high <b>by 20 cm</b>" in bob.locator(".remarks").inner_text()
             bob.keyboard.press("b")
@@ -377,7 +377,7 @@ def test_two_annotators_do_not_meet(opened: Callable[..., Page]) -> None:
     for shift, page in zip((0, 4), pages.values(), strict=True):
         wait(page, "annotate.state.saved", "saved")
         page.reload()
-        wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+        wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
         assert now(page)["choice"] == 4 + shift
 
 
@@ -403,7 +403,7 @@ def test_what_is_called_saved_outlives_the_server_and_work_goes_on_without_it(op
     wait(page, "annotate.state.saved", "saved")
     assert now(page) == changed
     page.reload()
-    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
     assert now(page) == changed | {"transform": shown}, "what was shown is kept, whatever selection aligns later"
 
 

@@ -103,7 +103,7 @@ def test_edits_after_a_look_at_another_tab_are_kept(opened: Callable[..., Page])
     kept = position(page)
     assert kept[2] == pytest.approx(TABLE_M, abs=1e-5)
     page.reload()
-    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
     show(page, OBJECT)
     assert (page.evaluate("annotate.state.status"), position(page)) == ("draft", kept)
 
@@ -166,7 +166,7 @@ def test_edits_while_an_answer_is_taken_back_are_a_draft(opened: Callable[..., P
     with page.expect_response("**/api/progress"):
         page.evaluate("annotate.handing.queue.then(() => annotate.saving.flush()).then(() => annotate.progress())")
     page.reload()
-    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
     show(page, OBJECT)
     assert (page.evaluate("annotate.state.status"), position(page)) == ("draft", kept)
 
@@ -190,7 +190,7 @@ def test_what_is_saved_is_the_asset_that_was_shown_where_it_was_shown(opened: Ca
         assert body["transform"] == third["transform"]
     wait(page, status_of(OBJECT), "answered")
     page.reload()
-    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
     show(page, OBJECT)
     assert {name: now(page)[name] for name in ("choice", "ranking")} == {"choice": 3, "ranking": [5]}
 
@@ -204,7 +204,7 @@ def test_a_draft_of_an_asset_that_is_no_candidate_any_more_is_not_saved_as_an_an
     }).then((answer) => answer.status)"""
     assert page.evaluate(keep, [OBJECT, strange]) == 200
     page.reload()
-    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
     show(page, OBJECT)
     told = "What was chosen is no candidate any more: choose again."
     assert page.locator(".status").inner_text() == told
@@ -235,7 +235,7 @@ def test_a_touched_answer_can_be_left_as_it_was(opened: Callable[..., Page]) -> 
     for is_new in (False, True):
         if is_new:
             page.reload()
-            wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+            wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
         show(page, OBJECT)
         answered = (now(page)["choice"], position(page))
         page.keyboard.press("2")
@@ -251,7 +251,7 @@ def test_a_touched_answer_can_be_left_as_it_was(opened: Callable[..., Page]) -> 
         assert (now(page)["choice"], position(page)) == (answered[0], pytest.approx(answered[1]))
         assert page.evaluate("annotate.state.saved") == "saved"
     page.reload()
-    wait(page, "Boolean(document.documentElement.dataset.ready)", True)
+    wait(page, "Boolean(document.documentElement?.dataset.ready)", True)
     show(page, OBJECT)
     assert (page.evaluate("annotate.state.status"), now(page)["choice"]) == ("answered", answered[0])
     page.keyboard.press("PageUp")

@@ -82,7 +82,7 @@ def opened(browser: Browser, address: str) -> Iterator[Callable[..., Page]]:
         own = ("data:", "blob:", home, *([place] if place.startswith("file:") else []))
         page.on("request", lambda request: None if request.url.startswith(own) else wrong.append(request.url))
         page.goto(place)
-        wait(page, "document.documentElement.dataset.ready", scene)
+        wait(page, "document.documentElement?.dataset.ready", scene)
         return page
 
     yield open_page
@@ -128,10 +128,10 @@ def test_a_scene_opens_whole_and_the_next_takes_its_place(opened: Callable[..., 
     assert page.locator("[data-instance]").count() == OBJECTS
     assert page.locator("[data-instance='0001'] + ul [data-instance='0003']").count() == 1, "what stands on the table is below it"
     page.locator(f"[data-scene='{SCENES[1]}']").click()
-    wait(page, "document.documentElement.dataset.ready", SCENES[1])
+    wait(page, "document.documentElement?.dataset.ready", SCENES[1])
     assert page.evaluate("location.hash") == f"#{SCENES[1]}"
     page.keyboard.press("[")
-    wait(page, "document.documentElement.dataset.ready", SCENES[0])
+    wait(page, "document.documentElement?.dataset.ready", SCENES[0])
 
 
 def test_everything_fits_the_window(opened: Callable[..., Page]) -> None:
@@ -283,7 +283,7 @@ def test_frames_show_their_masks_and_a_click_selects(opened: Callable[..., Page]
 def test_scripts_in_labels_are_shown_and_not_run(opened: Callable[..., Page]) -> None:
     page = opened()
     page.locator(f"[data-scene='{SCENES[1]}']").click()
-    wait(page, "document.documentElement.dataset.ready", SCENES[1])
+    wait(page, "document.documentElement?.dataset.ready", SCENES[1])
     for instance_id in ("0000", UNSTABLE):
         page.locator(f"[data-instance='{instance_id}']").click()
         page.locator("summary").click()
@@ -384,7 +384,7 @@ def test_what_a_scene_took_is_given_back_with_it(opened: Callable[..., Page]) ->
     held = []
     for scene in SCENES[::-1] * 3:
         page.locator(f"[data-scene='{scene}']").click()
-        wait(page, "document.documentElement.dataset.ready", scene)
+        wait(page, "document.documentElement?.dataset.ready", scene)
         wait(page, "view.layers.children.length", 2)
         for _ in range(3):
             page.keyboard.press("n")
