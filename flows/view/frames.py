@@ -13,8 +13,8 @@ QUALITY = 85
 AWAY = "the pictures of a scan stay in its folder, which is not at hand here"
 
 
-def picture(scan_path: str, frame: Frame) -> bytes:
-    """JPEG of a frame, drawn anew from its pixels: what else the file holds goes nowhere.
+def picture(scan_path: str, frame: Frame, window: tuple[int, int, int, int] | None = None) -> bytes:
+    """JPEG of a frame, or of a part x0, y0, x1, y1 of it [px], drawn anew from its pixels: what else the file holds goes nowhere.
 
     Raises:
         InputError: the scan's folder is not on this machine, or the picture in it is missing, damaged or a link out of it.
@@ -38,6 +38,9 @@ def picture(scan_path: str, frame: Frame) -> bytes:
         pixels = container.color(int(index))
     else:
         pixels = read_color(path, file, (frame.width, frame.height))
+    if window is not None:
+        x0, y0, x1, y1 = window
+        pixels = pixels[y0:y1, x0:x1]
     made = io.BytesIO()
     Image.fromarray(pixels).save(made, "JPEG", quality=QUALITY)
     return made.getvalue()

@@ -28,7 +28,7 @@ from flows.view.annotating.requests import (
 from flows.view.annotating.settling import Rooms
 from flows.view.annotating.turns import Turns
 from flows.view.annotating.work import ServedBatch, draft_document
-from flows.view.application import application, named, scene_routes
+from flows.view.application import application, missing, named, scene_routes, tagged
 from schemas.annotation import Annotation
 from warehouse.tables.snapshot import Reader
 
@@ -81,6 +81,13 @@ def file_routes(work: ServedBatch) -> APIRouter:
     @api.get("/photos/{name}")
     def photo(request: Request, name: str) -> Response:
         return named(request, name, lambda name: work.crop(name, work.photos))
+
+    @api.get("/api/photos/{dataset}/{scan}/{instance}/{frame}")
+    def other_photo(request: Request, dataset: str, scan: str, instance: str, frame: str) -> Response:
+        try:
+            return tagged(request, work.photo((f"{dataset}/{scan}", instance), frame), "image/jpeg")
+        except KeyError:
+            return missing()
 
     @api.get("/api/me")
     def me(name: str = person) -> Response:

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
-
-import numpy as np
 
 from flows.inputs.annotation import batch_list, open_reviews, open_work
 from flows.inputs.annotation.acts import known_state, rows_of, state_in
 from flows.inputs.annotation.creation import asked_of
 from flows.view.annotating.drafts import Drafts, KeptDraft, Key
 from flows.view.annotating.people import roles_of
+from flows.view.annotating.photos import Photo, photos_of
+from flows.view.frames import picture
 from flows.view.scene import Document, Scenes, Shown
 from schemas.annotation import Assignment, WorkBatch
-from schemas.capture import Frame, Instance
+from schemas.capture import Frame
 from schemas.errors import InputError
 from tasks.annotation.quality import pass_interval
 from tasks.geometry.transforms import matrix, quaternion_wxyz
 from warehouse.lake import Lake
 from warehouse.tables.gate import demands
 from warehouse.tables.snapshot import Reader
-
-CROP_MARGIN = 0.15
-"""What the best view of an object shows around it, in longer sides of its mask (`tasks.capture.instances.views.view_of`)."""
 
 
 class BatchScenes(Scenes):
@@ -87,22 +83,30 @@ class ServedBatch:
         self.assets = {row.asset_id: row for row in asked.assets}
         glbs = frozenset(row.mesh_blob for row in asked.assets)
         self.scenes = BatchScenes(lake, reader.snapshot_id, sorted({scene for scene, _ in self.assigned}), glbs)
-        cameras = _cameras(self.scenes, asked.instances)
+        self._photos = photos_of(self.scenes, asked.instances)
+        self._other_photos: dict[tuple[Key, str], Photo] = {
+            (key, photo.frame.frame_id): photo for key, photos in self._photos.items() for photo in photos if not photo.is_best
+        }
         self.points = frozenset(row.points_blob for row in asked.instances)
         self.photos = frozenset(row.view_blob for row in asked.instances if row.view_blob is not None)
-        self._objects = {(row["scene_id"], row["instance_id"]): self._object(row, cameras) for row in asked.document["objects"]}
+        self._objects = {(row["scene_id"], row["instance_id"]): self._object(row) for row in asked.document["objects"]}
         self._rooms: list[dict[str, Any]] = asked.document["scenes"]
         self._thumbnails: dict[str, bytes] = {}
         self._drawing, self._looking = threading.Lock(), threading.Lock()
         self._seen = (sign, frozenset(self.assigned))
 
-    def _object(self, row: Mapping[str, Any], cameras: Mapping[Key, dict[str, Any]]) -> dict[str, Any]:
+    def _object(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """What everybody is shown of an object."""
         scene, instance = row["scene_id"], row["instance_id"]
+        best = _address("photos", row["view"])
+        photos = [
+            {"photo": best if photo.is_best else f"/api/photos/{scene}/{instance}/{photo.frame.frame_id}", "camera": photo.camera}
+            for photo in self._photos.get((scene, instance), ())
+        ]
         return {
             "key": f"{scene}/{instance}", "scene_id": scene, "instance_id": instance, "category": row["category"],
             "caption": row["caption"], "box": row["box"], "points": _address("points", row["points"]),
-            "photo": _address("photos", row["view"]), "camera": cameras.get((scene, instance)),
+            "photo": best, "photos": photos,
             "candidates": [
                 dict(offer) | {
                     "glb": f"/blobs/{self.assets[offer['asset_id']].mesh_blob}", "thumbnail": f"/thumbnails/{offer['asset_id']}.jpg",
@@ -203,6 +207,16 @@ class ServedBatch:
                 self._thumbnails[name] = object_thumbnail(load_glb(self.lake.blobs[asset.mesh_blob], f"{asset.name}.glb"))
             return self._thumbnails[name]
 
+    def photo(self, key: Key, frame_id: str) -> bytes:
+        """JPEG of an object in a frame other than that of its best view.
+
+        Raises:
+            KeyError: the batch shows no such photo.
+            InputError: the scan's folder, or the picture in it, is not there any more.
+        """
+        photo = self._other_photos[key, frame_id]
+        return picture(self.scenes.scan_path(key[0]), photo.frame, photo.window)
+
     def crop(self, name: str, among: frozenset[str]) -> bytes:
         """What the scan has of an object: points or photo, by the name of its blob.
 
@@ -250,35 +264,3 @@ def _answer(row: Mapping[str, Any] | None) -> dict[str, Any] | None:
 def _address(folder: str, file: str | None) -> str | None:
     """Where a file of the document of a batch is served."""
     return None if file is None else f"/{folder}/{file.rpartition('/')[2]}"
-
-
-def _cameras(scenes: Scenes, instances: Sequence[Instance]) -> dict[Key, dict[str, Any]]:
-    """From where the photo of each object was taken; of those without a photo or a pose nothing."""
-    cameras: dict[Key, dict[str, Any]] = {}
-    for scene in sorted({row.scene_id for row in instances}):
-        frames = {row.frame_id: row for row in scenes.reader.rows(Frame, scene)}
-        masks = scenes.reader.matching("masks", {"scene_id": [scene]}, ["pixel_box"]).to_pylist()
-        boxes = {(row["instance_id"], row["frame_id"]): row["pixel_box"] for row in masks}
-        for row in instances:
-            frame = frames.get(row.best_frames[0]) if row.scene_id == scene and row.best_frames else None
-            if frame is not None and frame.pose is not None and row.view_blob is not None:
-                cameras[scene, row.instance_id] = photo_camera(frame, boxes.get((row.instance_id, frame.frame_id)), row)
-    return cameras
-
-
-def photo_camera(frame: Frame, pixel_box: Sequence[int] | None, instance: Instance) -> dict[str, Any]:
-    """A camera that sees what a photo of an instance shows: the part of its frame around the mask's box x0, y0, x1, y1 [px], the whole
-    without one. Looks at the photo's middle, as far away as the instance is [m]; the angle is the photo's vertical one."""
-    assert frame.pose is not None
-    x0, y0, x1, y1 = 0, 0, frame.width, frame.height
-    if pixel_box is not None:
-        x0, y0, x1, y1 = pixel_box
-        margin = max(4, round(CROP_MARGIN * max(x1 - x0, y1 - y0)))
-        x0, y0, x1, y1 = max(0, x0 - margin), max(0, y0 - margin), min(frame.width, x1 + margin), min(frame.height, y1 + margin)
-    fx, fy, cx, cy = frame.intrinsics
-    pose = matrix(frame.pose)
-    ray = pose[:3, :3] @ np.array([((x0 + x1) / 2 - cx) / fx, ((y0 + y1) / 2 - cy) / fy, 1.0])
-    distance = float(np.linalg.norm(matrix(instance.box_pose)[:3, 3] - pose[:3, 3]))
-    target = pose[:3, 3] + ray / np.linalg.norm(ray) * max(distance, 0.1)
-    angle = math.degrees(math.atan((y1 - cy) / fy) - math.atan((y0 - cy) / fy))
-    return {"position": pose[:3, 3].tolist(), "target": target.tolist(), "fov_degrees": angle}

@@ -213,11 +213,21 @@ def _labels(primitives: NDArray[np.uint32], face_instance: NDArray[np.int64]) ->
     return np.where(hit, face_instance[np.where(hit, face, 0)], -1)
 
 
-def view_of(image: NDArray[np.uint8], pixel_box: tuple[int, int, int, int]) -> NDArray[np.uint8]:
-    """The part of an image around a box, with a margin of 15 % of its longer side."""
+VIEW_MARGIN = 0.15
+"""What the view of an object shows around its mask, in longer sides of the mask's box."""
+
+
+def view_window(pixel_box: Sequence[int], width: int, height: int) -> tuple[int, int, int, int]:
+    """The part of an image that shows what is in a box x0, y0, x1, y1, with a margin [px]: as the box, within the image."""
     x0, y0, x1, y1 = pixel_box
-    margin = max(4, round(0.15 * max(x1 - x0, y1 - y0)))
-    return image[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin]
+    margin = max(4, round(VIEW_MARGIN * max(x1 - x0, y1 - y0)))
+    return max(0, x0 - margin), max(0, y0 - margin), min(width, x1 + margin), min(height, y1 + margin)
+
+
+def view_of(image: NDArray[np.uint8], pixel_box: tuple[int, int, int, int]) -> NDArray[np.uint8]:
+    """The part of an image, shape (height, width, 3), around a box x0, y0, x1, y1 [px], with a margin."""
+    x0, y0, x1, y1 = view_window(pixel_box, image.shape[1], image.shape[0])
+    return image[y0:y1, x0:x1]
 
 
 def camera_up(frames: Sequence[FrameSource]) -> Array | None:

@@ -35,7 +35,10 @@ OBJECTS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, float]
 
 SLOTS = 10
 EYE = translation((0.0, -4.0, 1.0))
-"""Where photos were taken; the camera looks along +y."""
+"""Where the best views were taken; the camera looks along +y."""
+
+SIDE, SIDE_COLOR = translation((4.0, 0.0, 1.0)), (30, 160, 60)
+"""Where another photo of all was taken, whose picture is with the scan; the camera looks along -x."""
 
 
 def asked_lake(folder: Path, annotators: tuple[str, ...] = ("ada", "bob"), overlap: int = 2, scenes: tuple[str, ...] = SCENES) -> Lake:
@@ -43,7 +46,7 @@ def asked_lake(folder: Path, annotators: tuple[str, ...] = ("ada", "bob"), overl
     lake = Lake.open(folder / "lake")
     assets = [_asset(lake, slot) for slot in range(1, SLOTS + 1)]
     for scene in scenes:
-        _stage(lake, scene, assets)
+        _stage(lake, folder / "scans" / scene.partition("/")[2], scene, assets)
     lake.commit("rooms")
     create_batch(lake, BatchPlan(BATCH, annotators, overlap), folder / "work")
     return lake
@@ -62,7 +65,9 @@ def _asset(lake: Lake, slot: int) -> Asset:
     )  # fmt: skip
 
 
-def _stage(lake: Lake, scene: str, assets: list[Asset]) -> None:
+def _stage(lake: Lake, scan: Path, scene: str, assets: list[Asset]) -> None:
+    (scan / "color").mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (64, 48), SIDE_COLOR).save(scan / "color" / "1.png")
     rows: dict[type, list[Any]] = {kind: [] for kind in (Instance, Candidate, Selection)}
     solids = []
     photo = io.BytesIO()
@@ -78,7 +83,7 @@ def _stage(lake: Lake, scene: str, assets: list[Asset]) -> None:
             sample(
                 Instance, **of, category=category, raw_label=category, is_structure=False, box_pose=flat(pose), box_size=size,
                 box_volume_m3=float(np.prod(size)), points_blob=lake.blobs.put(points, "ply"), mesh_blob=None, hidden_m=None,
-                view_blob=lake.blobs.put(photo.getvalue(), "jpg"), best_frames=("000000",),
+                view_blob=lake.blobs.put(photo.getvalue(), "jpg"), best_frames=("000000", "000001"),
             )
         )  # fmt: skip
         for slot, asset in enumerate(assets, 1):
@@ -88,14 +93,17 @@ def _stage(lake: Lake, scene: str, assets: list[Asset]) -> None:
             rows[Selection].append(
                 sample(Selection, **of, **chosen, rank=slot, score=1.0 - 0.05 * slot, pose=flat(yaw_pose(0.0, place)), scale=scale)
             )
-    eye = EYE.copy()
+    eye, side = EYE.copy(), SIDE.copy()
     eye[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    side[:3, :3] = np.array([[0, 0, -1], [1, 0, 0], [0, -1, 0]])
     whole = lake.blobs.put(dump_glb(solids), "glb")
     walls = tuple((*a, *b) for a, b in zip(RING, RING[1:] + RING[:1], strict=True))
     outputs = {
         "capture": {
             "scenes": [
-                sample(Scene, scene_id=scene, scan=scene.partition("/")[2], room_id=scene, alignment=flat(np.eye(4)), mesh_blob=whole)
+                sample(
+                    Scene, scene_id=scene, scan=scan.name, room_id=scene, alignment=flat(np.eye(4)), mesh_blob=whole, scan_path=str(scan)
+                )
             ],
             "instances": rows[Instance], "masks": [], "surfaces": [],
             "shells": [
@@ -106,9 +114,10 @@ def _stage(lake: Lake, scene: str, assets: list[Asset]) -> None:
             "rooms": [sample(Room, scene_id=scene, room_index=0, floor_polygon=RING)],
             "frames": [
                 sample(
-                    Frame, scene_id=scene, frame_id="000000", color_file="color/0.jpg", depth_file=None, width=64, height=48,
-                    intrinsics=(60.0, 60.0, 32.0, 24.0), pose=flat(eye),
+                    Frame, scene_id=scene, frame_id=f"{number:06d}", color_file=f"color/{number}.{ending}", depth_file=None, width=64,
+                    height=48, intrinsics=(60.0, 60.0, 32.0, 24.0), pose=flat(pose),
                 )
+                for number, (pose, ending) in enumerate(((eye, "jpg"), (side, "png")))
             ],
         },
         "candidates": {"candidates": rows[Candidate], "assets": assets},

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from flows.inputs.annotation import batch_list, open_work
 from flows.view import bundle
 from tests.flows.stats.test_report_browser import FLAGS
-from tests.flows.view.asked import BATCH, OBJECTS, SCENES, SLOTS, TABLE_M, asked_lake
+from tests.flows.view.asked import BATCH, OBJECTS, SCENES, SIDE, SIDE_COLOR, SLOTS, TABLE_M, asked_lake
 from warehouse.lake import Lake
 
 if TYPE_CHECKING:
@@ -491,6 +491,33 @@ def test_the_camera_goes_where_the_photo_was_taken(opened: Callable[..., Page]) 
     page.keyboard.press("t")
     page.keyboard.press("o")
     wait(page, "document.querySelector('figcaption').textContent.includes('turned')", True)
+
+
+SHOT_COLOR = """() => {
+    const [image, canvas] = [document.querySelector("img.shot"), document.createElement("canvas")];
+    if (!image.complete || !image.naturalWidth) return null;
+    canvas.getContext("2d").drawImage(image, 0, 0);
+    return [...canvas.getContext("2d").getImageData(5, 5, 1, 1).data].slice(0, 3).map((value) => 20 * Math.round(value / 20)).join();
+}"""
+
+
+def test_the_photo_follows_the_view(opened: Callable[..., Page]) -> None:
+    """Of two photos the one is shown that looks as the view does, and its camera is the one that is gone to."""
+    page = opened("ada")
+    show(page, f"{SCENES[0]}/0003")
+    wait(page, f"({SHOT_COLOR})()", "120,100,60")
+    box = page.locator(".stage canvas, canvas").first.bounding_box()
+    assert box is not None
+    at = (box["x"] + 20, box["y"] + box["height"] - 20)
+    page.mouse.move(*at)
+    page.mouse.down()
+    page.mouse.move(at[0] - box["height"] / 4, at[1], steps=4)  # a quarter turn: the view comes to the right side
+    page.mouse.up()
+    wait(page, f"({SHOT_COLOR})()", ",".join(str(20 * round(value / 20)) for value in SIDE_COLOR))
+    assert page.locator("img.shot").get_attribute("src") == f"api/photos/{SCENES[0]}/0003/000001"
+    page.keyboard.press("v")
+    assert page.evaluate("annotate.stage.canvas.camera.position.toArray()") == pytest.approx(SIDE[:3, 3].tolist())
+    assert "same way" in page.locator("figcaption").inner_text()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

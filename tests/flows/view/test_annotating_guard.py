@@ -25,10 +25,11 @@ from flows.view import bundle
 from flows.view.annotating import requests
 from flows.view.annotating.drafts import Drafts
 from flows.view.annotating.people import ANNOTATOR, REVIEWER
-from flows.view.annotating.work import ServedBatch, photo_camera
+from flows.view.annotating.photos import photo_camera
+from flows.view.annotating.work import ServedBatch
 from schemas.capture import Frame, Instance
 from schemas.errors import InputError
-from tasks.capture.instances.views import view_of
+from tasks.capture.instances.views import view_of, view_window
 from tasks.geometry.transforms import flat, inverse, look_at, transform_points, translation
 from tests.annotated import SCENES, answer
 from tests.flows.view.batches import BATCH, ORIGIN, PORT, Desk, asked_lake, digests, stand_in
@@ -37,6 +38,7 @@ from tests.samples import sample
 OBJECT = "{dataset}/{scan}/{instance}"
 OPEN = {
     "/", "/client/{name}", "/blobs/{name}", "/thumbnails/{name}", "/points/{name}", "/photos/{name}", "/api/me", "/api/progress",
+    f"/api/photos/{OBJECT}/{{frame}}",
     "/api/scenes", "/api/scenes/{dataset}/{scan}", "/api/scenes/{dataset}/{scan}/objects/{instance}",
     "/api/scenes/{dataset}/{scan}/frames/{frame}", "/api/scenes/{dataset}/{scan}/frames/{frame}/picture",
 }  # fmt: skip
@@ -230,7 +232,7 @@ def test_a_camera_sees_what_the_photo_shows(box: tuple[int, ...], eye: tuple[flo
     pose = look_at(eye, (0.1, 0.2, 0.4))
     frame = sample(Frame, width=640, height=480, intrinsics=(500.0, 510.0, 320.0, 240.0), pose=flat(pose))
     instance = sample(Instance, box_pose=flat(translation((0.0, 0.0, 0.4))))
-    camera = photo_camera(frame, (x0, y0, x1, y1), instance)
+    camera = photo_camera(frame, view_window((x0, y0, x1, y1), 640, 480), instance)
     shown = view_of(np.dstack([*np.meshgrid(np.arange(640), np.arange(480)), np.zeros((480, 640))]).astype(np.int64), (x0, y0, x1, y1))
     (left, top), (right, bottom) = shown[0, 0, :2], shown[-1, -1, :2] + 1
     x, y, z = transform_points([camera["target"]], inverse(pose))[0]

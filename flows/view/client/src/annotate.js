@@ -300,12 +300,12 @@ class Annotate {
     const { row } = this.current;
     this.nodes.figures = make("div", {}, figureTable(this.figures, this.isReviewing ? "It has no figures." : ""));
     const parts = about(row);
-    this.nodes.aside = parts[0].querySelector("figcaption");
+    [this.nodes.aside, this.nodes.shot] = [parts[0].querySelector("figcaption"), parts[0].querySelector("img")];
     this.verdict = this.isReviewing ? verdictBox(row, this.me.batch.state === "in_review", { judge: (passes) => this.handing.judge(passes) }) : null;
     this.nodes.acts = make("div");
     parts[0].append(this.nodes.photoCamera);
     this.nodes.pane.replaceChildren(...parts, this.verdict ?? this.nodes.acts, this.nodes.figures, this.fields.node);
-    this.nodes.photoCamera.hidden = !row.camera;
+    this.nodes.photoCamera.hidden = !row.photos.length;
     this.#handing();
     this.#aside();
   }
@@ -329,7 +329,11 @@ class Annotate {
     if (changed === this.current) this.#handing();
   }
 
+  /** The photo that looks as the view does, and how far the view is turned from it. */
   #aside() {
+    const { nodes: { shot }, stage } = this;
+    const source = stage?.draft?.row === this.current?.row ? stage?.photo?.photo.slice(1) : null;
+    if (shot && source && shot.getAttribute("src") !== source) Object.assign(shot, { src: source, onerror: () => stage.losePhoto() });
     const text = asideText(this.stage?.aside ?? null);
     if (this.nodes.aside && text && this.nodes.aside.textContent !== text) this.nodes.aside.textContent = text;
   }

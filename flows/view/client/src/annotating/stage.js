@@ -20,6 +20,7 @@ const OWN_POINT_M = 0.012;
 const OWN_COLOR = 0xe8590c;
 const LEAST_SLOPE = 0.25;
 const GLIDE_SECONDS = 0.5;
+const CLEARLY_NEARER = 0.05;
 
 export class Stage {
   /** `on`: `moved(transform)`, `moveDone()`, `picked(instance)`, `turned()`, `say(text, isWrong)`. */
@@ -28,7 +29,7 @@ export class Stage {
     this.canvas = new Canvas(place);
     this.canvas.onPointer((x, y) => this.#clicked(x, y), () => {});
     this.canvas.paper(getComputedStyle(document.documentElement).getPropertyValue("--view").trim() || "#eef1f5");
-    this.canvas.controls.addEventListener("change", () => on.turned());
+    this.canvas.controls.addEventListener("change", () => this.#turned());
     this.gizmo = new Gizmo(this.canvas, (transform) => on.moved(transform), () => on.moveDone());
     Object.assign(this, { document: null, draft: null, loading: 0, showing: 0, mode: "over", hasHandles: false, drawn: new Map() });
     this.own = new Group(); // marks of the selected object: its scanned box and points
@@ -116,6 +117,7 @@ export class Stage {
     const turn = (this.showing += 1);
     this.glide?.pause();
     this.draft = draft ?? null;
+    this.photo = draft?.row.photos[0] ?? null;
     this.#mark(draft);
     this.gizmo.at(null);
     if (draft) await this.#stand(draft);
@@ -212,8 +214,8 @@ export class Stage {
    */
   look(how) {
     const { canvas, draft } = this;
-    const camera = draft?.row.camera ?? null;
     const isPhoto = how === "photo";
+    const camera = (isPhoto ? this.photo : draft?.row.photos[0])?.camera ?? null;
     if (isPhoto && !camera) return;
     canvas.camera.fov = isPhoto ? camera.fov_degrees : FOV_DEGREES;
     canvas.camera.updateProjectionMatrix();
@@ -223,7 +225,7 @@ export class Stage {
       canvas.controls.update();
       canvas.camera.updateMatrixWorld();
       canvas.draw();
-      this.on.turned();
+      this.#turned();
       return;
     }
     if ((how === "object" || how === "near") && draft) {
@@ -246,13 +248,32 @@ export class Stage {
 
   /** How far the view is turned from the photo's camera about the vertical, to the right above 0 [degrees]; null without one. */
   get aside() {
-    const camera = this.draft?.row.camera;
+    const camera = this.photo?.camera;
     if (!camera) return null;
     const [view, target] = [this.canvas.camera.position, this.canvas.controls.target];
     const here = Math.atan2(view.y - target.y, view.x - target.x);
     const there = Math.atan2(camera.position[1] - camera.target[1], camera.position[0] - camera.target[0]);
     const degrees = ((here - there) * 180) / Math.PI;
     return ((degrees + 540) % 360) - 180;
+  }
+
+  /** Of the photos the one that looks as the view does; another one only where it is clearly nearer, so that none flickers. */
+  #turned() {
+    const { canvas, photo } = this;
+    const view = canvas.camera.position.clone().sub(canvas.controls.target);
+    const off = (each) => view.angleTo(away(each.camera));
+    const nearest = (this.draft?.row.photos ?? []).reduce((best, each) => (best && off(best) <= off(each) ? best : each), null);
+    if (nearest && photo && off(nearest) < off(photo) - CLEARLY_NEARER) this.photo = nearest;
+    this.on.turned();
+  }
+
+  /** The picture of the photo that is shown is not there any more: it is none of the object's photos, but the best view stays. */
+  losePhoto() {
+    const { draft, photo } = this;
+    if (!draft || photo === draft.row.photos[0]) return;
+    draft.row.photos = draft.row.photos.filter((each) => each !== photo);
+    this.photo = draft.row.photos[0];
+    this.#turned();
   }
 
   #clicked(x, y) {
@@ -288,9 +309,12 @@ export class Stage {
 
 /** From which side a photo was taken, a little from above at least. */
 function fromPhoto(camera) {
-  const away = new Vector3(...camera.position).sub(new Vector3(...camera.target)).normalize();
-  return away.setZ(Math.max(away.z, LEAST_SLOPE));
+  const direction = away(camera);
+  return direction.setZ(Math.max(direction.z, LEAST_SLOPE));
 }
+
+/** From what a photo's camera looks at to the camera, unit. */
+const away = ({ position, target }) => new Vector3(...position).sub(new Vector3(...target)).normalize();
 
 const idOf = (draft) => draft.row.instance_id;
 
