@@ -24,7 +24,7 @@ from tasks.optimization.solids import ConvexParts, shell_solids
 from tasks.optimization.support.balance import draw_back
 from tasks.optimization.support.boundary import outside_share, way_in
 from tasks.optimization.support.relocation import last_resort, moves_of
-from tasks.optimization.support.resting import DEEP_M, beside, let_down, put_to_rest, shift
+from tasks.optimization.support.resting import DEEP_M, beside, is_held, let_down, put_to_rest, shift
 from tasks.optimization.support.supports import PlacedAsset, SupportConfig, support_map
 from tasks.optimization.support.walls import wall_faces, wall_snap
 from tasks.settings import Config, Count, NonNegative, Positive, Share
@@ -153,7 +153,7 @@ def resolve(
 
 def _wedged(interior: Interior, shapes: Shapes, stand: Stand) -> list[int]:
     """Objects that overlap their own carrier where they stand."""
-    carried = [(i, int(parent)) for i, parent in enumerate(interior.parent) if parent >= 0]
+    carried = [(i, int(parent)) for i, parent in enumerate(interior.parent) if parent >= 0 and not is_held(interior, i)]
     return [i for i, parent in carried if compiled()["pair_depth"](shapes, stand, i, parent, DEEP_M)[1] > 0.0]
 
 

@@ -35,6 +35,19 @@ POLE_WIDTH_M = 0.3
 MOST_BEHIND_M = 0.75
 """Farther from a wall than this, furniture does not stand against it."""
 
+FRONT_M = 0.12
+"""Of a body that is no deeper the front alone was seen [m], whose plinth stands back by some centimetres: the floor that is seen before
+it says nothing, that behind it would."""
+
+ASKEW_RADIANS = (0.05, 0.35)
+"""A worktop lies along its wall: a box that is turned by 3 degrees is as good as a scan; at 20 it may lie along another one."""
+
+LID_M = 0.1
+"""A body of which no more than this is seen in height [m] is seen from above, its top alone: none hangs below the eyes."""
+
+EYES_M = 1.3
+"""Lower than this people look down on furniture [m]."""
+
 MOST_DEPTH_M = 0.8
 """Furniture of which the front alone was seen is not deeper."""
 
@@ -92,10 +105,11 @@ def with_hidden_parts(
     raised = np.array([row.category.split(" ")[-1] in RAISED for row in rows], dtype=np.bool_)
     passed = raised | np.array([mounting(row.category).kind == "covering" for row in rows], dtype=np.bool_)
     walls = np.array(room.walls, dtype=np.float64).reshape(-1, 4)
+    rows = [_along_its_wall(row, cloud, walls) for row, cloud in zip(rows, points, strict=True)]
     made = list(rows)
     for i in movable:
         kind = mounting(rows[i].category)
-        below = _below(i, rows[i], kind, seen, {k: rows[k] for k in np.flatnonzero(raised).tolist() if k != i}, passed)
+        below = _below(i, rows[i], kind, seen, {k: rows[k] for k in np.flatnonzero(raised).tolist() if k != i}, passed, walls)
         sides = np.array([0.0, 0.0, 0.0, 0.0, below, 0.0])
         bottom = float(rows[i].box_pose[11]) - 0.5 * rows[i].box_size[2] - below
         is_hood = rows[i].category.split(" ")[-1] == HOOD
@@ -110,14 +124,37 @@ def with_hidden_parts(
     return made
 
 
+def _along_its_wall(row: Instance, points: Array, walls: Array) -> Instance:
+    """The row of a worktop with a box along the wall beside it, where the least box of its points, shape (n, 3), is askew because its
+    corners were not seen. walls: ends of each, shape (n, 4) [m]."""
+    kind = mounting(row.category)
+    if not (kind.is_fitted and kind.is_flat_topped) or not len(walls) or row.is_structure:
+        return row
+    middle = np.array([row.box_pose[3], row.box_pose[7]])
+    along, from_start = walls[:, 2:] - walls[:, :2], middle - walls[:, :2]
+    share = np.clip((from_start * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    away = np.hypot(*(from_start - share[:, None] * along).T)
+    nearest = int(np.argmin(away))
+    yaw = yaw_of(matrix(row.box_pose))
+    turn = (float(np.arctan2(along[nearest, 1], along[nearest, 0])) - yaw + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
+    if away[nearest] > MOST_DEPTH_M or not ASKEW_RADIANS[0] < abs(turn) < ASKEW_RADIANS[1]:
+        return row
+    return _with_yaw(row, points, yaw + turn)
+
+
+def _with_yaw(row: Instance, points: Array, yaw: float) -> Instance:
+    """The row with the box of its points, shape (n, 3) [m], that is turned so [rad]."""
+    pose, extents = oriented_box(points, yaw=yaw)
+    size = tuple(float(v) for v in extents)
+    return dataclasses.replace(row, box_pose=flat(pose), box_size=size, box_volume_m3=size[0] * size[1] * size[2])
+
+
 def _along_wall(row: Instance, points: Array, corners: Array) -> Instance:
     """The row of a door or window with the box of its points, shape (n, 3), turned as its wall runs: of a part of it nobody can tell.
     corners: of the whole, the first and the fifth apart along the wall, shape (8, 3) [m]."""
     along, yaw = corners[4] - corners[0], yaw_of(matrix(row.box_pose))
     turn = (float(np.arctan2(along[1], along[0])) - yaw + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
-    pose, extents = oriented_box(points, yaw=yaw + turn)
-    size = tuple(float(v) for v in extents)
-    return dataclasses.replace(row, box_pose=flat(pose), box_size=size, box_volume_m3=size[0] * size[1] * size[2])
+    return _with_yaw(row, points, yaw + turn)
 
 
 def _beyond(row: Instance, corners: Array) -> Array:
@@ -126,9 +163,11 @@ def _beyond(row: Instance, corners: Array) -> Array:
     return np.asarray(np.maximum(np.column_stack([-local.min(axis=0) - half, local.max(axis=0) - half]).ravel(), 0.0))
 
 
-def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mapping[int, Instance], passed: Booleans) -> float:
+def _below(
+    index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mapping[int, Instance], passed: Booleans, walls: Array
+) -> float:
     """How far furniture reaches below its box, to the floor or a platform [m]. stages: the platforms, by number. passed: by object,
-    which of them carry no furniture although they end below it: platforms and rugs."""
+    which of them carry no furniture although they end below it: platforms and rugs. walls: ends of each, shape (n, 4) [m]."""
     if kind.base is None:
         return 0.0
     pose, size = matrix(row.box_pose), np.asarray(row.box_size)
@@ -146,15 +185,17 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mappi
     near = inside & (seen.points[:, 2] > bottom - 0.12) & ends_below[seen.owners]
     if _filled(local[near, :2]) > CARRIED_SHARE * cells:
         return 0.0
-    if kind.base == "body":
+    tops = [_top(cloud[:, :2], cloud[:, 2]) for k in _under(row, stages) if len(cloud := seen.points[seen.owners == k])]
+    lost = bottom - max((top for top in tops if top < bottom + 0.05), default=0.0)
+    is_front = kind.is_boxy and size[:2].min() <= FRONT_M and _behind(index, row, lost * np.eye(6)[4], seen, walls).any()
+    if kind.base == "body" and not is_front:
         on_floor = transform_points(np.column_stack([seen.floor, np.full(len(seen.floor), pose[2, 3])]), inverse(pose))
         on_floor = on_floor[(np.abs(on_floor[:, :2]) < 0.5 * size[:2]).all(axis=1)]
         if len(_cells(on_floor[:, :2]) & _cells(local[seen.owners == index, :2])) > FLOOR_SHARE * cells:  # not in its bend
             return 0.0
-    tops = [_top(cloud[:, :2], cloud[:, 2]) for k in _under(row, stages) if len(cloud := seen.points[seen.owners == k])]
-    lost = bottom - max((top for top in tops if top < bottom + 0.05), default=0.0)
     is_let_in = row.category.endswith(LET_IN)
-    most = MOST_BELOW_STANDING_M if kind.kind == "stands" and not is_let_in else MOST_BELOW_M
+    is_lid = kind.is_boxy and size[2] <= LID_M and bottom + size[2] <= EYES_M
+    most = MOST_BELOW_STANDING_M if (kind.kind == "stands" or is_lid) and not is_let_in else MOST_BELOW_M
     return lost if SEEN_M < lost <= most[kind.base] else 0.0
 
 

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tasks.mounting import mounting
 
 if TYPE_CHECKING:
@@ -20,6 +22,12 @@ WORKTOPS = frozenset({"kitchen island", "kitchen counter", "counter", "kitchen w
 WORKTOP_LEVELS_M = (0.75, 1.15)
 """Between these heights people work standing [m]; at the lower ones they sit."""
 
+BELOW_SHARE = 0.5
+"""Of the plan of what is built in below a worktop, that the worktop covers."""
+
+BELOW_M = 0.1
+"""What is built in ends this near the worktop [m]: both heights are a scan's."""
+
 
 def is_fixed(carrier: Carrier, category: str, against: str | None = None) -> bool:
     """Whether an object is fastened to the room: it hangs on a wall or ceiling, is built in, or is fitted and stands `against` a wall."""
@@ -31,13 +39,26 @@ def is_worktop(obj: PlacedAsset, carrier: Carrier) -> bool:
     """Whether an object is a long slab at the height of kitchens that lies on something, by a name that worktops go by."""
     if carrier.relation != "on" or obj.height > WORKTOP_M or not WORKTOP_LEVELS_M[0] <= float(obj.high[2]) <= WORKTOP_LEVELS_M[1]:
         return False
-    return obj.category in WORKTOPS and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
+    is_called_so = obj.category in WORKTOPS or (mounting(obj.category).is_fitted and mounting(obj.category).is_flat_topped)
+    return is_called_so and float((obj.high - obj.low)[:2].max()) >= WORKTOP_LENGTH_M
+
+
+def is_below(worktop: PlacedAsset, obj: PlacedAsset) -> bool:
+    """Whether most of an object's plan is below a worktop, and its top near the worktop's underside."""
+    shared = np.minimum(worktop.high[:2], obj.high[:2]) - np.maximum(worktop.low[:2], obj.low[:2])
+    if (shared <= 0.0).any() or float(np.prod(shared)) < BELOW_SHARE * obj.plan_area:
+        return False
+    return bool(worktop.low[2] - BELOW_M <= obj.high[2] <= worktop.high[2] + BELOW_M and obj.low[2] < worktop.low[2] - BELOW_M)
 
 
 def built_in(carriers: Mapping[str, Carrier], by_id: Mapping[str, PlacedAsset]) -> dict[str, Carrier]:
-    """Carriers in which nothing fixed is carried by what is moved: a dishwasher below a worktop is built in; what is fastened over a
-    table hangs on its wall."""
+    """Carriers in which nothing fixed is carried by what is moved: all that stands below a fastened worktop is built in, whichever of it
+    was found to carry the worktop; what is fastened over a table hangs on its wall."""
     made = dict(carriers)
+    worktops = [by_id[name] for name, known in sorted(carriers.items()) if known.is_fixed and is_worktop(by_id[name], known)]
+    for name, known in carriers.items():
+        if known.relation == "floor" and mounting(by_id[name].category).is_boxy and any(is_below(top, by_id[name]) for top in worktops):
+            made[name] = dataclasses.replace(known, is_fixed=True)
     for name, known in sorted(carriers.items()):
         below = made.get(known.parent_id or "")
         if not known.is_fixed or below is None or below.is_fixed or known.parent_id is None:

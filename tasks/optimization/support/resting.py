@@ -13,6 +13,7 @@ from tasks.mounting import HOLDS_NOTHING
 from tasks.optimization.interior import Interior
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import mass_properties_of
+from tasks.optimization.support.fastening import is_worktop
 from tasks.optimization.support.laying import lay_down
 from tasks.optimization.support.tipping import SUNK_M, compiled, kept_shape, put_back, tip, turn_along
 
@@ -111,6 +112,8 @@ def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[
             gap, _ = compiled()["least_gap"](shapes, stand, i, bearing(interior, shapes, stand, i), NEAR_M)
             shift(shapes, stand, groups[i], (0.0, 0.0, -dz))
             dz -= gap if abs(gap) <= NEAR_M else 0.0
+            if is_held(interior, i):
+                dz = min(dz, float(interior.poses[i][2, 3] - stand.place[i, 2]))
         elif carrier.relation == "wall":  # a curtain that reaches the floor
             dz = max(-float(stand.low[i, 2]), 0.0)
         else:
@@ -119,6 +122,13 @@ def put_to_rest(interior: Interior, shapes: Shapes, stand: Stand) -> list[tuple[
             shift(shapes, stand, groups[i], (0.0, 0.0, dz))
             lifts.append((i, dz))
     return lifts
+
+
+def is_held(interior: Interior, obj: int) -> bool:
+    """Whether an object is a worktop that its wall holds: what is built in below may be in it, and does not raise it."""
+    parent, carrier = int(interior.parent[obj]), interior.carriers[obj]
+    is_fast = bool(interior.fixed[obj] and parent >= 0 and interior.fixed[parent] and carrier.against is not None)
+    return is_fast and is_worktop(interior.objects[obj], carrier)
 
 
 def bearing(interior: Interior, shapes: Shapes, stand: Stand, obj: int) -> NDArray[np.bool_]:
@@ -182,6 +192,8 @@ def let_down(interior: Interior, shapes: Shapes, stand: Stand, most_tilt: float,
         gap = min(solid, cloth, float(stand.low[i, 2]))
         if gap > FALL_M:
             done.hanging[i] = gap
+            continue
+        if gap < 0.0 and is_held(interior, i):
             continue
         if abs(gap) > ROUNDING_M:
             held = [(int(j), _held_up(shapes, stand, groups[j], is_other, gap)) for j in np.flatnonzero(interior.parent == i)]
@@ -249,7 +261,7 @@ def lost_supports(interior: Interior, poses: Array) -> set[str]:
     stand = stand_of(shapes, poses[:, :3, 3])
     lost = set()
     for i, (name, carrier) in enumerate(zip(interior.names, interior.carriers, strict=True)):
-        if carrier.relation in ("floor", "on", "inside"):
+        if carrier.relation in ("floor", "on", "inside") and not is_held(interior, i):
             gap, to_cloth = gap_to_carrier(interior, shapes, stand, i)
             if gap > KEPT_M and not (gap <= COVERING_M and to_cloth <= KEPT_M):
                 lost.add(name)

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from schemas.capture import Instance, Shell
 from tasks.candidates.closing import SolidField, closed_mesh, solid_field
 from tasks.candidates.completion import Unseen
+from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.instances.hidden import with_hidden_parts
 from tasks.geometry.boxes import grown_box
 from tasks.geometry.meshes import Surface
-from tasks.geometry.transforms import flat, yaw_pose
+from tasks.geometry.transforms import flat, matrix, yaw_of, yaw_pose
 from tests.samples import sample
 
 Array = np.ndarray
@@ -56,6 +57,50 @@ def test_legs_that_the_scan_lost_reach_the_floor(seat: float, x: float, y: float
     ((low, high),) = whole((category, grid((x, y, seat), (x + 0.45, y + 0.45, seat + 0.45))))
     assert low == pytest.approx([x, y, 0.0])
     assert high == pytest.approx([x + 0.45, y + 0.45, seat + 0.45])
+
+
+@pytest.mark.parametrize("category", ["kitchen cabinet", "bathroom cabinet", "dresser"])
+def test_the_floor_before_a_plinth_says_nothing_and_that_behind_a_front_does(category: str) -> None:
+    """Of a cabinet the front alone was seen, over a plinth that stands back by 6 cm; one that hangs at its wall shows the floor below."""
+    front = grid((0.52, 1.0, 0.1), (0.58, 2.2, 0.86))
+    for hidden_to, lowest in ((0.52, 0.0), (0.3, 0.1)):
+        floor = floor_without((-0.1, 0.9), (hidden_to, 2.3))
+        ((low, high),) = whole((category, front), floor=floor)
+        assert low[2] == pytest.approx(lowest, abs=1e-9), hidden_to
+        assert high == pytest.approx([0.58, 2.2, 0.86])
+    ((low, _),) = whole((category, front), floor=floor_without((-0.1, 0.9), (0.52, 2.3)))
+    assert low == pytest.approx([0.0, 1.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("category", "top", "lowest"), [("cabinet", 1.0, 0.0), ("cabinet", 1.9, 1.89), ("shelf", 1.0, 0.99), ("sink", 1.0, 0.99)])
+def test_a_cabinet_of_which_the_top_alone_was_seen_from_above_stands(category: str, top: float, lowest: float) -> None:
+    """What hangs below the eyes would show its front as well; of what hangs above them nobody sees the top alone."""
+    lid = grid((1.0, 0.02, top - 0.01), (1.8, 0.4, top))
+    ((low, high),) = whole((category, lid), floor=floor_without((0.9, -0.1), (1.9, 0.5)))
+    assert low[2] == pytest.approx(lowest, abs=1e-9)
+    assert high[2] == pytest.approx(top)
+    ((low, _),) = whole((category, lid))
+    assert low[2] == pytest.approx(top - 0.01), "the floor was seen below it"
+
+
+@pytest.mark.parametrize(("category", "turn"), [("kitchen counter", 0.0), ("table", None)])
+def test_a_worktop_lies_along_its_wall_whatever_was_seen_of_it(category: str, turn: float | None) -> None:
+    """Two corners of a worktop were not seen: the least box of the others is askew. A table may be."""
+    slab = grid((0.05, 0.5, 0.86), (0.65, 3.5, 0.9))
+    far, near = slab[:, 1] - 0.5, slab[:, 0] - 0.05
+    slab = slab[np.abs(near - 0.15 - 0.1 * far) <= 0.151]
+    pose, size = oriented_box(slab)
+    assert abs(yaw_of(pose)) > 0.05
+    row = sample(
+        Instance, instance_id="0000", category=category, is_structure=False, box_pose=flat(pose), box_size=tuple(size), hidden_m=None
+    )
+    (made,) = with_hidden_parts([row], [slab], floor_without((-0.1, 0.4), (0.7, 3.6)), ROOM)
+    assert yaw_of(matrix(made.box_pose)) == pytest.approx(yaw_of(pose) if turn is None else turn, abs=1e-9)
+    box, extents = grown_box(made.box_pose, made.box_size, made.hidden_m)
+    if turn is not None:
+        assert box[:2, 3] - 0.5 * extents[:2] == pytest.approx([0.0, 0.5], abs=0.06)
+        assert box[:2, 3] + 0.5 * extents[:2] == pytest.approx([0.65, 3.5], abs=0.03)
+        assert made.box_volume_m3 == pytest.approx(float(np.prod(made.box_size)))
 
 
 def test_furniture_on_a_platform_reaches_down_to_that() -> None:

@@ -102,6 +102,26 @@ def test_a_worktop_comes_to_rest_on_the_highest_of_its_cabinets_and_is_not_drawn
         assert np.array_equal(stand.place, before)
 
 
+@pytest.mark.parametrize("heights", [(0.86, 0.9, 0.86), (0.9, 0.86, 0.86), (0.84, 0.84, 0.84), (0.84, 0.82, 0.8)])
+def test_a_worktop_at_its_wall_is_not_raised_by_what_is_built_in_below_it(heights: tuple[float, ...]) -> None:
+    """A cabinet that was seen 4 cm too high is in the worktop; over lower ones the worktop comes down. What is on it stays on it."""
+    scene = Scene()
+    for i, height in enumerate(heights):
+        scene.add(block(0.56, 0.58, height), translation([1.7, 0.6 * i - 0.6, 0.0]), "kitchen cabinet" if i % 2 else "dishwasher")
+    scene.add(block(0.6, 1.8, 0.04), translation([1.7, 0.0, 0.86]), "kitchen counter")
+    scene.add(block(0.2, 0.2, 0.2), translation([1.7, 0.0, 0.9]), "toaster")
+    outcome = scene.run()
+    placements = {row.instance_id: row for row in outcome.rows["placements"]}
+    supports = {row.instance_id: row for row in outcome.rows["supports"]}
+    assert [supports[f"{i:04d}"].is_fixed for i in range(5)] == [True, True, True, True, False]
+    lowest = min(max(heights), 0.86)
+    assert placements["0003"].optimized_pose[11] == pytest.approx(lowest, abs=1e-6)
+    assert placements["0004"].optimized_pose[11] == pytest.approx(lowest + 0.04, abs=1e-5)
+    assert all(row.displacement_m == pytest.approx(0.0, abs=1e-9) and tuple(row.scale) == (1.0, 1.0, 1.0) for row in placements.values())
+    assert all(row.remains is None for row in placements.values())
+    assert outcome.rows["optimizations"][0].deep_pairs == 0
+
+
 def test_a_worktop_on_equal_cabinets_keeps_its_place() -> None:
     interior = interior_of(
         [*cabinets((0.86, 0.86, 0.86, 0.86)), ("kitchen counter", [solid((2.4, 0.6, 0.04))], translation([0.9, 0, 0.87]))]

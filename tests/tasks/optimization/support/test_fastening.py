@@ -39,6 +39,7 @@ def test_a_slab_along_a_kitchen_wall_is_a_worktop_whatever_it_is_called() -> Non
     for category, size, place, fastened in (
         ("kitchen island", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.86), True),
         ("table", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.86), True),
+        ("sideeboard counter", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.86), True),
         ("kitchen island", (0.6, 2.0, 0.05), (0.5, 0.0, 0.86), False),
         ("bench", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.4), False),
         ("chair", (0.6, 2.0, 0.05), (-1.69, 0.0, 0.86), False),
@@ -62,6 +63,24 @@ def test_what_a_worktop_lies_on_is_built_in_and_over_a_table_it_hangs_on_its_wal
         assert not carriers["0002"].is_fixed
         assert carriers["0002"].parent_id == "0001"
         assert carriers["0002"].lift == pytest.approx(carriers["0001"].lift - carriers["0002"].gap)
+
+
+def test_all_that_stands_below_a_worktop_is_built_in_whichever_carries_it() -> None:
+    """Appliances beside the only cabinet, one of them a little too high; the refrigerator beside the worktop is not, nor is a stool or a
+    bin below it. In the middle of the room nothing holds the worktop."""
+    for middle, expected in ((-1.69, {"0000", "0001", "0002", "0003"}), (0.0, set())):
+        objects = [
+            at(0, block(0.62, 2.4, 0.04), middle, 0.0, 0.86, "kitchen counter"),
+            at(1, block(0.56, 1.2, 0.86), middle - 0.03, 0.0, 0.0, "kitchen cabinet"),
+            at(2, block(0.56, 0.58, 0.88), middle - 0.03, -0.9, 0.0, "dishwasher"),
+            at(3, block(0.56, 0.58, 0.8), middle - 0.03, 0.9, 0.0, "oven"),
+            at(4, block(0.6, 0.6, 1.7), middle, 1.52, 0.0, "refrigerator"),
+            at(5, block(0.3, 0.3, 0.8), middle, -1.1, 0.0, "stool"),
+            at(6, block(0.3, 0.3, 0.3), middle, 1.0, 0.0, "trash can"),
+        ]
+        carriers = find_carriers(objects, room(), CONFIG)
+        assert carriers["0000"].relation == "on"
+        assert {name for name, carrier in carriers.items() if carrier.is_fixed} == expected
 
 
 def test_what_is_fitted_is_fastened_where_it_stands_against_a_wall() -> None:
