@@ -163,9 +163,7 @@ def _beyond(row: Instance, corners: Array) -> Array:
     return np.asarray(np.maximum(np.column_stack([-local.min(axis=0) - half, local.max(axis=0) - half]).ravel(), 0.0))
 
 
-def _below(
-    index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mapping[int, Instance], passed: Booleans, walls: Array
-) -> float:
+def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mapping[int, Instance], passed: Booleans, walls: Array) -> float:
     """How far furniture reaches below its box, to the floor or a platform [m]. stages: the platforms, by number. passed: by object,
     which of them carry no furniture although they end below it: platforms and rugs. walls: ends of each, shape (n, 4) [m]."""
     if kind.base is None:

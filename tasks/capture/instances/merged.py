@@ -47,6 +47,15 @@ CORNER_SHARE, LEAST_FILLED = 0.35, 0.1
 STANDS_M, STANDS_POINTS, STANDS_GAP_M = 0.2, 60, 0.08
 """What rises so high above a rug [m], by so many points, no two of which are farther from the next [m], stands on it."""
 
+SHELVED = frozenset(
+    ["book", "books", "book stack", "binder", "folder", "mug", "cup", "glass", "wine glass", "bowl", "plate", "bottle", "can", "jar", "vase", "candle", "toy", "pot", "pan", "sculpture", "shoe"]
+)
+"""Things of which several are on the boards of one shelf, and that have no boards themselves."""
+
+BOARDS_M, BETWEEN_M, BETWEEN_SHARE = 0.25, 0.01, 0.3
+"""Things on two boards reach over more than this in height [m]; a board is seen between them, this far from either [m], below so much of
+the plan of the upper ones."""
+
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 Integers = NDArray[np.int64]
@@ -69,7 +78,8 @@ ABOVE_SHARE = 0.3
 
 def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface) -> tuple[tuple[Group, ...], list[Label], list[str]]:
     """The instances of a scan, with what was annotated together with another as instances of their own, and a line for each: furniture
-    with the rug that it stands on, its category guessed from its size; a worktop with one of the cabinets below it."""
+    with the rug that it stands on, its category guessed from its size; a worktop with one of the cabinets below it; things on several
+    boards of a shelf."""
     normals, areas = vertex_normals(world.vertices, world.faces), vertex_areas(world)
     made, labels, notes = list(groups), list(meanings), []
     for at, (group, label) in enumerate(zip(groups, meanings, strict=True)):
@@ -88,6 +98,10 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
             parts = [(WORKTOP, group.vertices[slab])] if slab.any() else []
             if parts and label.category.split(" ")[-1] not in CABINETS:
                 labels[at] = Label(CABINET, CABINET_CLASS, is_known=True)
+        elif label.category in SHELVED and float(np.ptp(points[:, 2])) > BOARDS_M:
+            others = [other.vertices for k, other in enumerate(groups) if k != at and not meanings[k].is_structure]
+            beside = world.vertices[np.concatenate([np.zeros(0, dtype=np.int64), *others])]
+            parts = [(label.category, group.vertices[own]) for own in _on_other_boards(points, beside)]
         for number, (category, own) in enumerate(parts, start=1):
             is_own = np.isin(world.faces[made[at].faces], own).all(axis=1)
             name = f"{group.source_id}.{number}"
@@ -95,8 +109,9 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
             labels.append(Label(category, OTHER_PROP, is_known=True))
             rest = np.setdiff1d(made[at].vertices, own, assume_unique=True)
             made[at] = dataclasses.replace(made[at], vertices=rest, faces=made[at].faces[~is_own])
+            where = "on another board" if category == label.category else "on it"
             notes.append(
-                f"{group.origin or group.source_id}: {group.raw_label!r} {group.source_id} has a {category} on it, which is {name} now"
+                f"{group.origin or group.source_id}: {group.raw_label!r} {group.source_id} has a {category} {where}, which is {name} now"
             )
     return tuple(made), labels, notes
 
@@ -128,6 +143,32 @@ def _standing_on(points: Array) -> list[Integers]:
     standing = [high[clump == k] for k in range(int(clump.max()) + 1)]
     standing = [own for own in standing if len(own) >= STANDS_POINTS and heights[own].max() >= low + STANDS_M]
     return sorted(standing, key=lambda own: (-len(own), int(own[0])))
+
+
+def _on_other_boards(points: Array, others: Array) -> list[Integers]:
+    """Which points of things that were annotated as one are on other boards of a shelf than most of them: those of each board, the largest
+    first; none where nothing is seen between. points: shape (n, 3); others: of all other objects, shape (m, 3) [m]."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    beside = others[((others >= low) & (others <= high)).all(axis=1)]
+    clump, _ = clumps(points, STANDS_GAP_M)
+    layers: list[Integers] = []  # from below, each with all that no board parts from it
+    for own in sorted((np.flatnonzero(clump == k) for k in range(int(clump.max()) + 1)), key=lambda own: float(points[own, 2].min())):
+        for at, layer in enumerate(layers):
+            if not _is_between(points[layer], points[own], beside):
+                layers[at] = np.concatenate([layer, own])
+                break
+        else:
+            layers.append(own)
+    layers.sort(key=lambda own: (-len(own), int(own.min())))
+    return [np.sort(own) for own in layers[1:] if len(own) >= STANDS_POINTS]
+
+
+def _is_between(lower: Array, upper: Array, others: Array) -> bool:
+    """Whether others, shape (m, 3) [m], are seen between what is one above the other, in its plan."""
+    top, bottom = float(lower[:, 2].max()), float(upper[:, 2].min())
+    board = others[(others[:, 2] > top + BETWEEN_M) & (others[:, 2] < bottom + BETWEEN_M)]
+    plan, under = (set(map(tuple, np.floor(cloud[:, :2] / CELL_M).astype(np.int64).tolist())) for cloud in (upper, board))
+    return len(plan & under) >= BETWEEN_SHARE * len(plan)
 
 
 def _worktop(points: Array, normals: Array, rest: Array) -> Booleans:

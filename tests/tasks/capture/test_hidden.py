@@ -72,7 +72,9 @@ def test_the_floor_before_a_plinth_says_nothing_and_that_behind_a_front_does(cat
     assert low == pytest.approx([0.0, 1.0, 0.0], abs=1e-9)
 
 
-@pytest.mark.parametrize(("category", "top", "lowest"), [("cabinet", 1.0, 0.0), ("cabinet", 1.9, 1.89), ("shelf", 1.0, 0.99), ("sink", 1.0, 0.99)])
+@pytest.mark.parametrize(
+    ("category", "top", "lowest"), [("cabinet", 1.0, 0.0), ("cabinet", 1.9, 1.89), ("shelf", 1.0, 0.99), ("sink", 1.0, 0.99)]
+)
 def test_a_cabinet_of_which_the_top_alone_was_seen_from_above_stands(category: str, top: float, lowest: float) -> None:
     """What hangs below the eyes would show its front as well; of what hangs above them nobody sees the top alone."""
     lid = grid((1.0, 0.02, top - 0.01), (1.8, 0.4, top))

@@ -153,3 +153,32 @@ def test_a_cabinet_with_its_own_top_stays_whole() -> None:
         ("kitchen cabinet", [WIDE_CABINET]), ("kitchen cabinet", [WIDE_CABINET.copy().apply_translation([0.6, 0, 0])])
     )
     assert set_apart(groups, meanings, world)[2] == []
+
+
+@pytest.mark.parametrize("category", ["book stack", "books", "vase"])
+def test_things_on_two_boards_of_a_shelf_are_two(category: str) -> None:
+    """The larger keeps the annotation's id, whichever is higher. Without a board between they are one, as are two beside each other."""
+    board = trimesh.creation.box(bounds=[[0.0, 0.0, 0.5], [1.0, 0.3, 0.52]])
+    small = trimesh.creation.box(bounds=[[0.1, 0.05, 0.2], [0.4, 0.25, 0.4]])
+    large = trimesh.creation.box(bounds=[[0.1, 0.05, 0.521], [0.8, 0.25, 0.75]])
+    groups, meanings, world = scan_of((category, [small, large]), ("bookshelf", [board]))
+    made, labels, notes = set_apart(groups, meanings, world)
+    assert [group.source_id for group in made] == ["0", "1", "0.1"]
+    assert [label.category for label in labels] == [meanings[0].category, meanings[1].category, meanings[0].category]
+    assert np.array_equal(np.sort(np.concatenate([made[0].vertices, made[2].vertices])), np.sort(groups[0].vertices))
+    assert np.array_equal(np.sort(np.concatenate([made[0].faces, made[2].faces])), np.sort(groups[0].faces))
+    assert world.vertices[made[0].vertices, 2].min() == pytest.approx(0.521)
+    assert world.vertices[made[2].vertices, 2].max() == pytest.approx(0.4)
+    assert notes == [f"labels.json: {category!r} 0 has a {meanings[0].category} on another board, which is 0.1 now"]
+    beside = trimesh.creation.box(bounds=[[0.6, 0.05, 0.521], [0.9, 0.25, 0.8]])
+    lower = trimesh.creation.box(bounds=[[0.1, 0.05, 0.521], [0.4, 0.25, 0.75]])
+    for objects in (((category, [small, large]),), ((category, [lower, beside]), ("bookshelf", [board]))):
+        groups, meanings, world = scan_of(*objects)
+        assert set_apart(groups, meanings, world) == (tuple(groups), meanings, [])
+
+
+def test_a_shelf_with_things_between_its_boards_is_one() -> None:
+    boards = [trimesh.creation.box(bounds=[[0.0, 0.0, z], [1.0, 0.3, z + 0.02]]) for z in (0.2, 0.6)]
+    books = trimesh.creation.box(bounds=[[0.1, 0.05, 0.221], [0.9, 0.25, 0.5]])
+    groups, meanings, world = scan_of(("shelf", boards), ("books", [books]))
+    assert set_apart(groups, meanings, world) == (tuple(groups), meanings, [])
