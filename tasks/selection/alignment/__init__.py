@@ -11,7 +11,7 @@ from tasks.selection.alignment.measures import Distances, measure
 from tasks.selection.alignment.methods import method_of
 from tasks.selection.alignment.refined import clamp_scale, refine
 from tasks.selection.alignment.samples import Fit, Sample
-from tasks.selection.alignment.sampling import sample_asset
+from tasks.selection.alignment.sampling import sample_asset, sample_of
 from tasks.selection.alignment.targets import HIDDEN_M, ScannedInstance, Sight, make_target, sight_of
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "measure",
     "refine",
     "sample_asset",
+    "sample_of",
     "sight_of",
 ]
 

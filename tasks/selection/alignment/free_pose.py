@@ -60,4 +60,4 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
     return Fit(yaw, target.points.mean(axis=0) - scale * placed.mean(axis=0), scale * narrowed)
 
 
-FREE_POSE = AlignmentMethod(name="free_pose", config=FreePose, pose=pose, lacks=lacks)
+FREE_POSE = AlignmentMethod(name="free_pose", config=FreePose, pose=pose, lacks=lacks, reads_sight=True)

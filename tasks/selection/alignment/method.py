@@ -34,7 +34,8 @@ class AlignmentMethod:
 
     config: What it can be told. pose: The pose of a sampled asset on an instance; points within the threshold [m] count as covered. lacks:
     What of an instance the method wants and does not find, and what it does without; None where all is there. reads_surface: Whether it
-    takes an asset's triangles beside the samples of them.
+    takes an asset's triangles beside the samples of them. reads_sight: Whether it goes by how the instance's crop was taken, where that
+    is known.
     """
 
     name: str
@@ -42,3 +43,4 @@ class AlignmentMethod:
     pose: Callable[[ScannedInstance, Sample, float, AlignmentConfig, Any], Fit]
     lacks: Callable[[ScannedInstance, Any], str | None] = nothing
     reads_surface: bool = False
+    reads_sight: bool = False

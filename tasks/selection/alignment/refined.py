@@ -28,6 +28,12 @@ class Refined(Config):
     """Every yaw with the scale that its box asks for, the best few refined by nearest points; its settings stand beside it."""
 
     kind: ClassVar[str] = "refined"
+    camera: bool = False  # true: what looks away from the crop's camera counts as unseen; off, for scans see most things from several sides
+
+
+def lacks(target: ScannedInstance, own: Refined) -> str | None:
+    """Only the camera, if that is to count."""
+    return "nobody knows its camera; all sides count alike" if own.camera and target.sight is None else None
 
 
 def pose(target: ScannedInstance, sample: Sample, threshold: float, config: AlignmentConfig, own: Refined) -> Fit:
@@ -36,6 +42,8 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
     Every yaw of a full turn is tried with the scale that its box asks for; the best few are refined by nearest points.
     Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn.
     """
+    if own.camera and target.sight is not None:
+        target = dataclasses.replace(target, toward=target.sight.toward)
     yaws = 2 * np.pi * np.arange(config.yaw_count) / config.yaw_count
     fits = [_boxed(target, sample, float(yaw), config) for yaw in yaws]
     costs = coarse_costs(target, sample, fits, config)
@@ -107,4 +115,4 @@ def _span(target: ScannedInstance, yaw: float) -> tuple[Array, Array]:
     return high - low, turn @ (0.5 * (low + high))
 
 
-REFINED = AlignmentMethod(name="refined", config=Refined, pose=pose)
+REFINED = AlignmentMethod(name="refined", config=Refined, pose=pose, lacks=lacks, reads_sight=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas.candidates import Asset
-from tasks.geometry.meshes import sample_surface, surface_of_glb
+from tasks.geometry.meshes import Surface, sample_surface, surface_of_glb
 from tasks.geometry.triangles import surface_area
 from tasks.selection.alignment.methods import method_of
 from tasks.selection.alignment.samples import Sample
@@ -23,7 +23,15 @@ def sample_asset(asset: Asset, glb: bytes, config: AlignmentConfig, rng: np.rand
         InputError: the GLB cannot be read.
         ValueError: its surface has no area.
     """
-    surface = surface_of_glb(glb, asset.mesh_blob)
+    return sample_of(surface_of_glb(glb, asset.mesh_blob), config, rng)
+
+
+def sample_of(surface: Surface, config: AlignmentConfig, rng: np.random.Generator) -> Sample:
+    """Samples of a surface in an asset's canonical frame.
+
+    Raises:
+        ValueError: it has no area.
+    """
     area = surface_area(surface.vertices, surface.faces)
     points, colors, normals = sample_surface(surface, config.samples, rng)
     order = rng.permutation(config.samples)

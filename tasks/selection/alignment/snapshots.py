@@ -84,6 +84,23 @@ def differences(reference: Snapshot, others: list[Snapshot], depth_weight: float
     return 1.0 - together / np.maximum(union, 1) + depth_weight * np.abs(apart).sum(axis=(1, 2)) / count
 
 
+def hull_corners(points: Array) -> Array:
+    """Those of points, shape (n, 3), that a box in some view may touch, shape (m, 3)."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return points[np.sort(ConvexHull(points).vertices)]
+    except QhullError:  # all of them in a plane
+        return points
+
+
+def box_in_view(points: Array, azimuth: float, elevation: float) -> tuple[Array, Array]:
+    """Size and middle, along right and up, of the box around points in a view, both shape (2,) [m]."""
+    seen = points @ view_axes(azimuth, elevation)[:2].T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    return high - low, 0.5 * (low + high)
+
+
 def _pixels_per_meter(size: Array, side: int) -> float:
     return (side - 2) / max(float(size.max()), 1e-6)
 

@@ -20,6 +20,10 @@ HIDDEN_M = 0.05
 """Farther than this beyond what a scan could see, nobody expects points [m]."""
 
 
+AWAY = -0.1
+"""Cosine between a normal and the camera below which a surface cannot be seen: a little noise of normals is let pass."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Sight:
     """From where the crop of an instance was taken, in the instance's frame. azimuth: About +Z, from +X [rad]; elevation: above the
@@ -28,6 +32,12 @@ class Sight:
     azimuth: float
     elevation: float
     picture: NDArray[np.uint8] | None = None
+
+    @property
+    def toward(self) -> Array:
+        """Direction to the camera, shape (3,), of unit length."""
+        flat = np.cos(self.elevation)
+        return np.array([flat * np.cos(self.azimuth), flat * np.sin(self.azimuth), np.sin(self.elevation)])
 
 
 def sight_of(camera: Array, frame: Array, height: float, picture: NDArray[np.uint8] | None = None) -> Sight:
@@ -41,8 +51,9 @@ class ScannedInstance:
     """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
     `spacing`: distance between neighboring points [m]; `resolution`: the same of all points that the scan has of it; `seen`: lowest
     and highest corner of the part of the box that the scan could see, shape (2, 3) [m]; `sight`: how its crop was taken, where that is
-    known, for methods that look at it. Known once they were asked for: `spans`, its size and middle along the axes of an asset, by the
-    asset's yaw; `parts`, the instance with fewer points, by how many."""
+    known, for methods that look at it; `toward`: direction of the camera that alone counts as having seen it, shape (3,), if any. Known
+    once they were asked for: `spans`, its size and middle along the axes of an asset, by the asset's yaw; `parts`, the instance with
+    fewer points, by how many."""
 
     points: Array
     colors: NDArray[np.uint8]
@@ -51,6 +62,7 @@ class ScannedInstance:
     resolution: float
     seen: Array = dataclasses.field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
     sight: Sight | None = None
+    toward: Array | None = None
     spans: dict[float, tuple[Array, Array]] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
     parts: dict[int, ScannedInstance] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -73,6 +85,8 @@ class ScannedInstance:
         hidden = normals[..., 2] < config.hidden_normal
         if np.isfinite(self.seen).any():
             hidden |= (placed < low - HIDDEN_M).any(axis=-1) | (placed > high + HIDDEN_M).any(axis=-1)
+        if self.toward is not None:
+            hidden |= normals @ self.toward < AWAY
         return np.where(hidden, config.hidden_weight, 1.0)
 
     @property
