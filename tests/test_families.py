@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from schemas.families.alignment_methods import ALIGNMENT_METHODS
 from schemas.families.candidate_providers import CANDIDATE_PROVIDERS
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.families.path_finders import PATH_FINDERS
@@ -26,6 +27,7 @@ from tasks.exports import formats as export_formats
 from tasks.families import member, members, part
 from tasks.lineage.places import places_of
 from tasks.navigation import path_finders
+from tasks.selection.alignment import methods as alignment_methods
 from tests.conftest import REPOSITORY
 from tests.scans import OBJECTS, write_scan
 from tests.test_pipeline import QUICK
@@ -36,6 +38,7 @@ FAMILIES: dict[str, tuple[tuple[str, ...], tuple[Any, ...]]] = {
     "tasks.candidates": (CANDIDATE_PROVIDERS, providers.PROVIDERS),
     "tasks.navigation": (PATH_FINDERS, path_finders.PATH_FINDERS),
     "tasks.evaluation.policies": (POLICIES, policies.POLICIES),
+    "tasks.selection.alignment": (ALIGNMENT_METHODS, alignment_methods.METHODS),
 }
 """Names and objects of every family, by the package that its members lie in."""
 
@@ -247,6 +250,7 @@ def lake(place: Path, command: Do) -> Path:
     (place / "scans" / "room_1" / "toy.txt").write_text("the end\n")
     told = {
         "candidates.slots": '[{provider = "toy_provider"}]',
+        "selection.alignment.method": "toy_alignment",
         "navigation.path_finder": "toy_finder",
         "navigation.train_episodes": 3,
         "navigation.test_episodes": 3,
@@ -289,6 +293,7 @@ def test_a_watch_knows_when_a_scan_of_a_further_format_is_whole(command: Do, pla
 def test_further_members_make_rows_that_the_schemas_take(command: Do, lake: Path) -> None:
     assert answer(command, lake, "SELECT scene_id, room_id, scan_format FROM scenes") == [["toys/room_1", "toys/room", "toy_scan"]]
     assert answer(command, lake, "SELECT DISTINCT provider, outcome FROM candidates") == [["toy_provider", "filled"]]
+    assert answer(command, lake, "SELECT DISTINCT scale FROM selections") == [[[1.0, 1.0, 1.0]]]
     assert answer(command, lake, "SELECT path_finder FROM navmeshes UNION SELECT path_finder FROM episodes") == [["toy_finder"]]
     checks = "SELECT rule, passed FROM export_checks WHERE format = 'toy_export' ORDER BY rule"
     assert answer(command, lake, checks) == [["complete", True], ["toy_fault", True], ["toy_objects", True]]
@@ -342,6 +347,7 @@ print(json.dumps({
     "demo": str(places_in(Path("demo"))["Toy lists"]),
     "form of exports": get_args(Format)[-1],
     "setting of exports": stages["exports"]["properties"]["formats"]["items"]["enum"][-1],
+    "setting of selection": kinds(stages["selection"]["properties"]["alignment"]["properties"]["method"])[-1],
     "setting of navigation": kinds(stages["navigation"]["properties"]["path_finder"])[-1],
     "setting of candidates": kinds(stages["candidates"]["properties"]["slots"]["items"]["properties"]["provider"])[-1],
     "documentation": "`toy_export`" in table_section(table_of(ExportFile)),
@@ -355,6 +361,7 @@ def test_forms_generators_the_demo_and_the_documentation_have_a_further_member(d
         "demo": "demo/toy_export",
         "form of exports": "toy_export",
         "setting of exports": "toy_export",
+        "setting of selection": "toy_alignment",
         "setting of navigation": "toy_finder",
         "setting of candidates": "toy_provider",
         "documentation": True,

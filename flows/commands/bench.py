@@ -218,6 +218,33 @@ def colliders(library: str | None, models: int, seed: int, as_json: bool) -> Non
     _measure("measured", steps_of(config), partial(run_colliders_bench, config), print_colliders, as_json)
 
 
+@command.command("alignment")
+@click.option("--objects", type=click.IntRange(1, 100_000), default=240, show_default=True, help="Models of the generator, all categories.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same models, poses and scans.")
+@click.option(
+    "--realdata",
+    type=click.Path(path_type=Path, file_okay=False),
+    envvar="METASCENES_REALDATA",
+    help="Folder with models by others, which are measured, too.",
+)
+@_processes_option
+@json_option
+def alignment(objects: int, seed: int, realdata: Path | None, processes: int, as_json: bool) -> None:
+    """Measure the alignment: every method on objects in known poses, seen from one side with a depth sensor's noise.
+
+    Yaws are right modulo turns after which an object is the same, as far as a scan could tell. Milliseconds are processor time.
+
+    The exit code is 1 when a goal is missed, and else 0.
+
+    Example: metascenes bench alignment --objects 20
+    """
+    from bench.alignment.report import AlignmentBench, run_alignment_bench
+    from bench.alignment.tables import print_alignment
+
+    config = AlignmentBench(objects, seed, processes, realdata)
+    _measure("aligned", config.steps, partial(run_alignment_bench, config), print_alignment, as_json)
+
+
 @command.command("warehouse")
 @click.option(
     "--scale", "scenes", type=click.IntRange(100), default=100_000, show_default=True,

@@ -18,6 +18,7 @@ MEMBERS = {
     "toy_export": ("export_formats", "EXPORT_FORMATS", "tasks.exports"),
     "toy_provider": ("candidate_providers", "CANDIDATE_PROVIDERS", "tasks.candidates"),
     "toy_finder": ("path_finders", "PATH_FINDERS", "tasks.navigation"),
+    "toy_alignment": ("alignment_methods", "ALIGNMENT_METHODS", "tasks.selection.alignment"),
     "toy_policy": ("policies", "POLICIES", "tasks.evaluation.policies"),
 }
 """Names, the tuples that they are in, and the packages that their modules would lie in."""

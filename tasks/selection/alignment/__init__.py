@@ -1,0 +1,49 @@
+"""Where an asset stands on an instance: yaw, place and scale that bring its surface onto the scanned points.
+
+Everything here is in the instance's frame: its oriented box turned straight, x and y zero at the box center, z zero
+at the height on which the asset is to stand. How a pose is found is a method's affair (`ALIGNMENT_METHODS`).
+"""
+
+from __future__ import annotations
+
+from tasks.selection.alignment.configuration import AlignmentConfig
+from tasks.selection.alignment.measures import Distances, measure
+from tasks.selection.alignment.methods import method_of
+from tasks.selection.alignment.refined import clamp_scale, refine
+from tasks.selection.alignment.samples import Fit, Sample
+from tasks.selection.alignment.sampling import sample_asset, sample_of
+from tasks.selection.alignment.targets import HIDDEN_M, ScannedInstance, Sight, make_target, sight_of
+
+__all__ = [
+    "HIDDEN_M",
+    "AlignmentConfig",
+    "Distances",
+    "Fit",
+    "Sample",
+    "ScannedInstance",
+    "Sight",
+    "align",
+    "clamp_scale",
+    "lacking",
+    "make_target",
+    "measure",
+    "refine",
+    "sample_asset",
+    "sample_of",
+    "sight_of",
+]
+
+
+def align(target: ScannedInstance, sample: Sample, threshold: float, config: AlignmentConfig) -> tuple[Fit, Distances]:
+    """The pose of an asset on an instance that the config's method finds, and how it fits.
+
+    threshold: Distance within which a point counts as covered [m].
+    """
+    fit = method_of(config.method).pose(target, sample, threshold, config, config.method)
+    return fit, measure(target, sample, fit, threshold, config)
+
+
+def lacking(target: ScannedInstance, config: AlignmentConfig) -> str | None:
+    """What of an instance the config's method wants and does not find, and what it does without; None where all is there."""
+    missing = method_of(config.method).lacks(target, config.method)
+    return None if missing is None else f"{config.method.kind}: {missing}"

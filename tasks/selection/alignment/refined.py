@@ -1,0 +1,118 @@
+"""Our method: every yaw with the scale that its box asks for, the best few refined by nearest points."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.selection.alignment.measures import coarse_costs, measure
+from tasks.selection.alignment.method import AlignmentMethod
+from tasks.selection.alignment.samples import Fit, Sample, turned
+from tasks.selection.alignment.targets import ScannedInstance
+from tasks.selection.distances import clamped, nearest_turn
+from tasks.settings import Config
+
+if TYPE_CHECKING:
+    from tasks.selection.alignment.configuration import AlignmentConfig
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Refined(Config):
+    """Every yaw with the scale that its box asks for, the best few refined by nearest points; its settings stand beside it."""
+
+    kind: ClassVar[str] = "refined"
+    camera: bool = False  # true: what looks away from the crop's camera counts as unseen; off, for scans see most things from several sides
+
+
+def lacks(target: ScannedInstance, own: Refined) -> str | None:
+    """Only the camera, if that is to count."""
+    return "nobody knows its camera; all sides count alike" if own.camera and target.sight is None else None
+
+
+def pose(target: ScannedInstance, sample: Sample, threshold: float, config: AlignmentConfig, own: Refined) -> Fit:
+    """The best pose of an asset on an instance.
+
+    Every yaw of a full turn is tried with the scale that its box asks for; the best few are refined by nearest points.
+    Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn.
+    """
+    if own.camera and target.sight is not None:
+        target = dataclasses.replace(target, toward=target.sight.toward)
+    yaws = 2 * np.pi * np.arange(config.yaw_count) / config.yaw_count
+    fits = [_boxed(target, sample, float(yaw), config) for yaw in yaws]
+    costs = coarse_costs(target, sample, fits, config)
+    square = np.arange(config.yaw_count) % max(config.yaw_count // 4, 1) == 0
+    order = np.argsort(np.round(costs / target.diagonal, 6), kind="stable")
+    near = [i for i in order[: config.starts].tolist() if costs[i] <= config.hopeless * costs[order[0]]]
+    starts = sorted({*near, next(i for i in order.tolist() if square[i])})
+    rough = target.thinned(config.refine_points)
+    few = dataclasses.replace(sample, points=sample.points[: config.refine_samples], normals=sample.normals[: config.refine_samples])
+    tried = [fits[i] for i in starts if square[i]]
+    for i in starts:
+        tried.append(refine(rough, few, fits[i], config))
+        if abs(tried[-1].yaw - fits[i].yaw) > config.rebox_yaw_radians:
+            tried.append(refine(rough, few, _boxed(target, sample, tried[-1].yaw, config), config))
+    measured = [measure(rough, few, fit, threshold, config).cost for fit in tried]
+    slack = min(measured) * (1 + config.settle) + 1e-9
+    return next(fit for fit, cost in zip(tried, measured, strict=True) if cost <= slack)
+
+
+def refine(target: ScannedInstance, sample: Sample, fit: Fit, config: AlignmentConfig) -> Fit:
+    """A pose with yaw and shift by least squares over nearest points (Besl and McKay, 1992, in the plane, trimmed).
+
+    Height and scale stay; yaw and shift stay near where they started.
+    """
+    start, reach = fit, config.refine_shift * target.size[:2]
+    points = target.points
+    keep = max(int(config.refine_share * len(points)), 3)
+    scaled = sample.points * fit.scale
+    for _ in range(config.refine_steps):
+        across, along, source, to = nearest_turn(points, scaled @ turned(fit.yaw).T + fit.offset, keep)
+        turn = float(np.arctan2(across, along))
+        yaw = float(np.clip(fit.yaw + turn, start.yaw - config.refine_yaw_radians, start.yaw + config.refine_yaw_radians))
+        around = turned(yaw - fit.yaw)[:2, :2]
+        moved = around @ (fit.offset[:2] - source) + to
+        moved = np.clip(moved, start.offset[:2] - reach, start.offset[:2] + reach)
+        change = abs(yaw - fit.yaw) * target.diagonal + float(np.abs(moved - fit.offset[:2]).max())
+        fit = dataclasses.replace(fit, yaw=yaw, offset=np.array([*moved, fit.offset[2]]))
+        if change < 5e-4:  # half a millimetre
+            break
+    return fit
+
+
+def clamp_scale(ratio: Sequence[float] | Array, weight: Sequence[float] | Array, config: AlignmentConfig) -> Array:
+    """Scales nearest to the asked ones, shape (3,), in weighted least squares of their logarithms, that keep the limits
+    on each axis and on the largest over the smallest."""
+    limits = 0.5 * math.log(config.anisotropy), math.log(config.smallest_scale), math.log(config.largest_scale)
+    return clamped(np.asarray(ratio, dtype=np.float64), np.asarray(weight, dtype=np.float64), *limits)
+
+
+def _boxed(target: ScannedInstance, sample: Sample, yaw: float, config: AlignmentConfig) -> Fit:
+    """The pose for a yaw whose box is the instance's box along the asset's axes, as far as the limits allow."""
+    if yaw not in target.spans:
+        target.spans[yaw] = _span(target, yaw)
+    size, center = target.spans[yaw]
+    wanted = np.maximum(np.array([*size, target.size[2]]), 5e-3)
+    scale = clamp_scale(wanted / sample.extents, wanted / (wanted + config.thin_m), config)
+    return Fit(yaw, np.array([*center, 0.0]), scale)
+
+
+def _span(target: ScannedInstance, yaw: float) -> tuple[Array, Array]:
+    """How long and wide an instance is along the axes of an asset of a yaw, and its middle, both shape (2,) [m]."""
+    turn = turned(yaw)[:2, :2]
+    quarter = yaw / (np.pi / 2)
+    if abs(quarter - round(quarter)) < 1e-9 or target.is_cut_off:
+        square = turned(round(quarter) * np.pi / 2)[:2, :2]
+        return np.abs(square.T @ target.size[:2]), np.zeros(2)
+    local = target.points[:, :2] @ turn
+    low, high = local.min(axis=0), local.max(axis=0)
+    return high - low, turn @ (0.5 * (low + high))
+
+
+REFINED = AlignmentMethod(name="refined", config=Refined, pose=pose, lacks=lacks, reads_sight=True)
