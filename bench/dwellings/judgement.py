@@ -90,10 +90,10 @@ def judged(
     moved = [math.hypot(row.displacement_m or 0.0, row.lift_m or 0.0) for row in (replica.placements[name] for name in placed.values())]
     stands_for: dict[str, set[str]] = {}
     for instance in truth.instances:
-        name = source.get(str(instance.object_id))
+        parts = {name for id, name in source.items() if id.partition(".")[0] == str(instance.object_id)}  # what was set apart, too
         for held, share in instance.objects:
-            if name is not None and share > 0.3:
-                stands_for.setdefault(held, set()).add(name)
+            if parts and share > 0.3:
+                stands_for.setdefault(held, set()).update(parts)
     drawn = FirstHits([(name.partition("|")[0], mesh) for name, mesh in home.furnished.named_parts()])
     shares = silhouettes(truth, drawn, FirstHits(replica.parts), stands_for, moved_to)
     in_annotation = [verdict for obj, verdict in zip(free, verdicts, strict=True) if obj.name in best]

@@ -58,7 +58,8 @@ HIDDEN_M = 0.05
 class ScannedInstance:
     """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
     `spacing`: distance between neighboring points [m]; `resolution`: the same of all points that the scan has of it; `seen`: lowest
-    and highest corner of the part of the box that the scan could see, shape (2, 3) [m]. Known once they were asked for: `spans`, its
+    and highest corner of the part of the box that the scan could see, shape (2, 3) [m]; `is_square`: whether the box says how it is
+    turned and where it is, as a wall does of what is let into it. Known once they were asked for: `spans`, its
     size and middle along the axes of an asset, by the asset's yaw; `parts`, the instance with fewer points, by how many."""
 
     points: Array
@@ -67,6 +68,7 @@ class ScannedInstance:
     spacing: float
     resolution: float
     seen: Array = dataclasses.field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
+    is_square: bool = False
     spans: dict[float, tuple[Array, Array]] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
     parts: dict[int, ScannedInstance] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -167,11 +169,12 @@ def sample_asset(asset: Asset, glb: bytes, config: AlignmentConfig, rng: np.rand
 
 def make_target(
     points: Array, colors: NDArray[np.uint8], size: Array, config: AlignmentConfig, rng: np.random.Generator,
-    hidden: Sequence[float] | None = None,
+    hidden: Sequence[float] | None = None, is_let_in: bool = False,
 ) -> ScannedInstance:  # fmt: skip
     """An instance from its points in its own frame, shape (n, 3) [m]: thinned evenly, in random order.
 
-    hidden: how much of the box the scan could not see on its sides -x, +x, -y, +y, -z, +z [m].
+    hidden: how much of the box the scan could not see on its sides -x, +x, -y, +y, -z, +z [m]. is_let_in: into a wall; where a part of
+    it is hidden, its box was turned as the wall runs, and a strip of it fits other turns as well.
     """
     order = rng.permutation(len(points))
     cell = max(float(np.linalg.norm(size)) / 40, 1e-3)
@@ -181,7 +184,7 @@ def make_target(
     size, lost = np.maximum(size, 5e-3), np.zeros(6) if hidden is None else np.asarray(hidden, dtype=np.float64)
     low, high = np.array([-0.5 * size[0], -0.5 * size[1], 0.0]), np.array([0.5 * size[0], 0.5 * size[1], size[2]])
     seen = np.array([np.where(lost[0::2] > 0, low + lost[0::2], -np.inf), np.where(lost[1::2] > 0, high - lost[1::2], np.inf)])
-    return ScannedInstance(thinned, colors, size, spacing(thinned), spacing(points), seen)
+    return ScannedInstance(thinned, colors, size, spacing(thinned), spacing(points), seen, is_let_in and bool(lost[:4].any()))
 
 
 def measure(target: ScannedInstance, sample: Sample, fit: Fit, threshold: float, config: AlignmentConfig) -> Distances:
@@ -204,19 +207,21 @@ def align(target: ScannedInstance, sample: Sample, threshold: float, config: Ali
     """The best pose of an asset on an instance, and how it fits.
 
     Every yaw of a full turn is tried with the scale that its box asks for; the best few are refined by nearest points.
-    Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn.
+    Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn. What is square stays so.
     """
     yaws = 2 * np.pi * np.arange(config.yaw_count) / config.yaw_count
+    if target.is_square:
+        yaws = yaws[:: max(config.yaw_count // 4, 1)]
     fits = [_boxed(target, sample, float(yaw), config) for yaw in yaws]
     costs = _coarse_costs(target, sample, fits, config)
-    square = np.arange(config.yaw_count) % max(config.yaw_count // 4, 1) == 0
+    square = np.ones(len(yaws), dtype=np.bool_) if target.is_square else np.arange(len(yaws)) % max(config.yaw_count // 4, 1) == 0
     order = np.argsort(np.round(costs / target.diagonal, 6), kind="stable")
     near = [i for i in order[: config.starts].tolist() if costs[i] <= config.hopeless * costs[order[0]]]
     starts = sorted({*near, next(i for i in order.tolist() if square[i])})
     rough = target.thinned(config.refine_points)
     few = dataclasses.replace(sample, points=sample.points[: config.refine_samples], normals=sample.normals[: config.refine_samples])
     tried = [fits[i] for i in starts if square[i]]
-    for i in starts:
+    for i in starts if not target.is_square else ():
         tried.append(refine(rough, few, fits[i], config))
         if abs(tried[-1].yaw - fits[i].yaw) > config.rebox_yaw_radians:
             tried.append(refine(rough, few, _boxed(target, sample, tried[-1].yaw, config), config))
