@@ -132,15 +132,15 @@ def _rank(room: Polygon) -> tuple[float, float, float]:
 
 
 def doorways(outline: Array, interior_walls: Sequence[Sequence[float]] | Array) -> list[Slab]:
-    """Gaps between walls that part rooms, each once: from the end of a wall to what it would meet, as thick and high as that wall, from
-    below the other's face on. outline, interior_walls: as for `separated`."""
+    """Gaps between walls that part rooms, each once, up to `WIDE_GAP_M`: from the end of a wall to what it would meet, as thick and high
+    as that wall. outline, interior_walls: as for `separated`."""
     import shapely
 
     whole = shapely.Polygon(outline)
     if not whole.is_valid or whole.area <= 0.0:
         return []
     kept: list[Slab] = []
-    for gap in _gaps(whole, _walls_of(interior_walls), None):
+    for gap in _gaps(whole, _walls_of(interior_walls), None, WIDE_GAP_M):
         way = (gap.end - gap.start) / gap.length
         inner = dataclasses.replace(gap, start=gap.start + _SLIT_M * way, end=gap.end - _SLIT_M * way)
         if inner.length > NARROW_M and not any(inner.polygon().intersection(other.polygon()).area > 1e-3 for other in kept):
@@ -153,14 +153,14 @@ def _walls_of(rows: Sequence[Sequence[float]] | Array) -> list[Slab]:
     return [_slab(row) for row in rows if row[5] >= PARTING_M and np.hypot(row[2] - row[0], row[3] - row[1]) > 1e-3]
 
 
-def _gaps(outline: Polygon, walls: Sequence[Slab], is_seen: Seen | None) -> list[Slab]:
-    """What closes the gaps at the ends of walls, as thick as the wall."""
+def _gaps(outline: Polygon, walls: Sequence[Slab], is_seen: Seen | None, least: float = 0.0) -> list[Slab]:
+    """What closes the gaps at the ends of walls, as thick as the wall: as wide as doorways are, or `least` [m]."""
     gaps = []
     turns = [(_turns(index, wall.start, walls), _turns(index, wall.end, walls)) for index, wall in enumerate(walls)]
     for index, wall in enumerate(walls):
         along = (wall.end - wall.start) / wall.length
         for end, way, is_corner in ((wall.start, -along, turns[index][0]), (wall.end, along, turns[index][1])):
-            limit = CORNER_GAP_M if is_corner else GAP_M
+            limit = max(CORNER_GAP_M if is_corner else GAP_M, least)
             borders: list[tuple[Geometry, float]] = [(outline.exterior, limit)]
             for k, other in enumerate(walls):
                 if k != index:
