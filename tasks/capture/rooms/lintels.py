@@ -17,6 +17,9 @@ Mask = NDArray[np.bool_]
 LOWEST_M = 1.8
 """No lintel is lower: people pass below."""
 
+ABOVE_FLOOR_M = 0.3
+"""Skirting and thresholds are lower [m]: what is called wall there closes no doorway."""
+
 LEAST_M = 0.1
 """Less wall than this over a doorway is its frame [m]."""
 
@@ -60,8 +63,8 @@ def lintels(
         cells = max(int(gap.length / CELL_M), 1)
         cell = np.floor(place / gap.length * cells).astype(np.int64)
         inside = (cell >= 0) & (cell < cells) & (z < gap.height + NEAR_M)
-        above = inside & (z > LOWEST_M)
-        if len(np.unique(cell[above])) < SEEN_SHARE * cells or len(np.unique(cell[inside & ~above])) >= OPEN_SHARE * cells:
+        above, below = inside & (z > LOWEST_M), inside & (z > ABOVE_FLOOR_M) & (z <= LOWEST_M)
+        if len(np.unique(cell[above])) < SEEN_SHARE * cells or len(np.unique(cell[below])) >= OPEN_SHARE * cells:
             continue
         lowest = np.full(cells, np.inf)
         np.minimum.at(lowest, cell[above], z[above])
