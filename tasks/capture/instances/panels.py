@@ -18,8 +18,8 @@ TURNS = 36
 FACING = 0.94
 """Cosine of what a panel's normals may be off its own: 20 degrees, as fused noise is."""
 
-THICK_M = 0.08
-"""Points this near to a panel's middle plane are its own [m]: both faces of a leaf, noise, and a handle."""
+THICK_M = 0.05
+"""Points this near to a panel's middle plane are its own [m]: both faces of a leaf, with noise."""
 
 STEP_M = 0.02
 """Between places of planes that are tried [m]."""
@@ -48,18 +48,20 @@ def panels_of(points: Array, normals: Array) -> list[Integers]:
     is in another plane. points, unit normals: shape (n, 3) [m]."""
     upright = np.abs(normals[:, 2]) <= UPRIGHT
     left = upright.copy()
-    planes: list[tuple[Array, float]] = []
+    planes: list[tuple[Array, float, float, float]] = []
     while len(planes) < MOST and left.sum() >= LEAST_SHARE * len(points):
         normal, offset = _plane(points[left], normals[left])
         own = left & _is_near(points, normal, offset)
         left &= ~own
         if own.sum() < LEAST_SHARE * len(points):
             break
-        if _is_panel(points[own], normal):
-            planes.append((normal, offset))
+        facing = own & (np.abs(normals[:, :2] @ normal) >= FACING)
+        if _is_panel(points[facing], normal):
+            low, high = np.percentile(points[facing, :2] @ np.array([-normal[1], normal[0]]), [1, 99])
+            planes.append((normal, offset, float(low), float(high)))
     if len(planes) < 2:
         return [np.arange(len(points))]
-    away = np.column_stack([np.abs(points[:, :2] @ normal - offset) for normal, offset in planes])
+    away = np.column_stack([_distances(points, *plane) for plane in planes])
     if (away.min(axis=1) <= THICK_M).mean() < EXPLAINED:
         return [np.arange(len(points))]
     nearest = away.argmin(axis=1)
@@ -80,8 +82,14 @@ def _plane(points: Array, normals: Array) -> tuple[Array, float]:
         at = int(np.argmax(counts))
         if counts[at] > best[0]:
             near = places[np.abs(places - middles[at]) <= THICK_M]
-            best = int(counts[at]), normal, float(np.median(near))
+            best = int(counts[at]), normal, float(near.mean())
     return best[1], best[2]
+
+
+def _distances(points: Array, normal: Array, offset: float, low: float, high: float) -> Array:
+    """How far points are, seen from above, from a panel that reaches from low to high along its plane, shape (n, 3) to (n,) [m]."""
+    along = points[:, :2] @ np.array([-normal[1], normal[0]])
+    return np.hypot(points[:, :2] @ normal - offset, np.maximum(np.maximum(low - along, along - high), 0.0))
 
 
 def _is_near(points: Array, normal: Array, offset: float) -> Booleans:

@@ -166,7 +166,7 @@ def _within(hole: Array, side: int) -> Array:
     part = hole.copy()
     across = [2, 3] if side < 2 else [0, 1]
     low, high = hole[across]
-    margin = min(CELL_M, 0.4 * float(high - low))
+    margin = min(CELL_M, 0.25 * float(high - low))
     part[across] = low + margin, high - margin
     return part
 

@@ -71,7 +71,7 @@ def test_a_lintel_hides_no_part_of_the_door_below_it() -> None:
     ((*_, bottom, top),) = found([*shell(), *wall_with_door()], leaves=[leaf])
     assert (bottom, top) == pytest.approx((2.12, HEIGHT), abs=0.03)
     assert bottom > np.percentile(leaf[:, 2], 99)
-    beside = leaf + [1.0, 0.0, 0.0]
+    beside = leaf + np.array([1.0, 0.0, 0.0])
     assert found([*shell(), *wall_with_door()], leaves=[beside]) == found([*shell(), *wall_with_door()])
 
 
