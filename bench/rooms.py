@@ -182,7 +182,7 @@ def _room_row(scene_id: str, furnished: FurnishedRoom) -> Shell:
         scene_id=scene_id, room_type=furnished.room_type, floor_polygon=tuple(corners), floor_area_m2=float(Polygon(corners).area),
         floor_source="surface", walls=tuple((*a, *b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)),
         interior_walls=(), openings=wall_openings(np.array(corners), np.zeros((0, 6)), furnished.height, fillings),
-        slopes=(), height_m=furnished.height, height_source="ceiling", floor_color=None, wall_color=None,
+        slopes=(), lintels=(), height_m=furnished.height, height_source="ceiling", floor_color=None, wall_color=None,
     )  # fmt: skip
 
 

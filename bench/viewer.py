@@ -106,7 +106,7 @@ def made_lake(folder: Path, config: ViewerBench) -> Lake:
         poses = {"proposed_pose": pose, "optimized_pose": pose, "settled_pose": pose}
         placements.append(sample(Placement, **of, **poses, asset_id=asset.asset_id, scale=(1.0, 1.0, 1.0), remains=None))
     shell = sample(
-        Shell, scene_id=scene_id, floor_polygon=ring, height_m=2.5, interior_walls=(), openings=None, slopes=None,
+        Shell, scene_id=scene_id, floor_polygon=ring, height_m=2.5, interior_walls=(), openings=None, slopes=None, lintels=None,
         walls=tuple((*a, *b) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)),
     )  # fmt: skip
     scan = lake.blobs.put(_scan(config.points, side, rng), "glb")

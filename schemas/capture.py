@@ -80,6 +80,11 @@ class Shell:
         "interior one, heights of bottom and top, how far what fills it reaches behind that line; missing where nobody looked",
         unit="m",
     )
+    lintels: tuple[tuple[float, ...], ...] | None = column(
+        "What was seen of walls inside the outline over the doorways between them: center lines from the end of the wall that goes on, "
+        "with thickness and heights of bottom and top (x0, y0, x1, y1, thickness, bottom, top); missing where nobody looked",
+        unit="m",
+    )
     slopes: tuple[tuple[float, ...], ...] | None = column(
         "Slanted walls below a roof: segment (x0, y0, x1, y1) on the inner face of an outer wall, height at which they begin there, how "
         "far into the room they reach at the ceiling; missing where nobody looked",

@@ -36,7 +36,8 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
 
     The floor's top is z = 0. Floor and outer walls lie outside the floor polygon. Every outer wall is a convex prism on
     one edge of the polygon; they meet in miters and stand on the floor slab. Interior walls are boxes that stand on the
-    floor inside the room, half-height ones as low as they are; what is over their openings stays open. A wall with doors or windows
+    floor inside the room, half-height ones as low as they are; lintels over the doorways between them are pieces of the wall that goes
+    on there. A wall with doors or windows
     is cut into convex pieces, `wall_00`, `wall_00_1`, ..., of which the last are the wedges that slanted walls leave below the ceiling:
     openings of outer walls are niches as deep as what fills them, closed by a thin panel, those of interior walls go through. Colors
     are the scan's, where it shows any.
@@ -53,9 +54,11 @@ def room_shell(room: Shell, config: ShellConfig | None = None) -> list[tuple[str
         prisms = _named(f"wall_{index:02d}", pieces, wall_color)
         wedges = [_colored(mesh, wall_color) for mesh in _wedges(start, end, room)]
         named += [*prisms, *((f"wall_{index:02d}_{len(prisms) + i}", mesh) for i, mesh in enumerate(wedges))]
+    lintels = _lintels(room)
     for index, (wall, corners) in enumerate(zip(room.interior_walls, interior_footprints(room), strict=True)):
         pieces = _cut(corners, np.array(wall[:2]), np.array(wall[2:4]), wall[5], room.openings or (), ring, None)
-        named += _named(f"inner_{index:02d}", pieces, wall_color)
+        over = [piece for owner, piece in lintels if owner == index]
+        named += _named(f"inner_{index:02d}", [*pieces, *over], wall_color)
     if shell.ceiling:
         named.append(("ceiling", _prism_of_ring(_outer_ring(ring, shell), room.height_m, room.height_m + shell.thickness_m, wall_color)))
     return named
@@ -210,9 +213,33 @@ def interior_footprints(room: Shell) -> list[NDArray[np.float64]]:
         length = float(np.linalg.norm(along))
         if length < 1e-3 or values[4] < 1e-3 or values[5] < 1e-3:
             raise InputError("shells", f"{room.scene_id} interior_walls {number}", "has no size", "capture the scan again")
-        side = np.array([-along[1], along[0]]) / length * values[4] / 2
-        footprints.append(np.array([values[:2] - side, values[2:4] - side, values[2:4] + side, values[:2] + side]))
+        footprints.append(_band(values[:2], values[2:4], values[4]))
     return footprints
+
+
+def _lintels(room: Shell) -> list[tuple[int, _Piece]]:
+    """Lintels, each with the number of the interior wall that it goes on from; none without size, or where there is no such wall."""
+    made = []
+    for x0, y0, x1, y1, thickness, bottom, top in room.lintels or () if room.interior_walls else ():
+        start, end = np.array([x0, y0]), np.array([x1, y1])
+        length = float(np.linalg.norm(end - start))
+        if min(length, thickness, top - bottom) < _LEAST_M:
+            continue
+        away = [min(float(np.hypot(wall[i] - x0, wall[i + 1] - y0)) for i in (0, 2)) for wall in room.interior_walls]
+        made.append((int(np.argmin(away)), (_band(start, end, thickness), max(bottom, 0.0), top)))
+    return made
+
+
+def lintel_footprints(room: Shell, below_m: float) -> list[NDArray[np.float64]]:
+    """Corners of every lintel that ends below a height [m], seen from above [m], shape (4, 2) each, counter-clockwise."""
+    return [footprint for _, (footprint, bottom, _) in _lintels(room) if bottom < below_m]
+
+
+def _band(start: NDArray[np.float64], end: NDArray[np.float64], thickness: float) -> NDArray[np.float64]:
+    """Corners of a box along a center line, seen from above [m], shape (4, 2), counter-clockwise."""
+    along = (end - start) / np.linalg.norm(end - start)
+    side = np.array([-along[1], along[0]]) * thickness / 2
+    return np.array([start - side, end - side, end + side, start + side])
 
 
 def floor_ring(room: Shell) -> NDArray[np.float64]:

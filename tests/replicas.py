@@ -66,7 +66,7 @@ def room_of(scene_id: str = "demo/room_01", polygon: Sequence[Sequence[float]] =
     """An L-shaped room."""
     return Shell(
         scene_id=scene_id, room_type="office", floor_polygon=tuple(tuple(map(float, p)) for p in polygon), floor_area_m2=22.0,
-        floor_source="surface", walls=(), interior_walls=(), openings=None, slopes=None, height_m=2.6, height_source="walls",
+        floor_source="surface", walls=(), interior_walls=(), openings=None, slopes=None, lintels=None, height_m=2.6, height_source="walls",
         floor_color=None, wall_color=None,
     )  # fmt: skip
 

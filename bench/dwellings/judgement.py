@@ -88,12 +88,7 @@ def judged(
     off = [offset(obj, placed[obj.name], replica, moved_to) for obj in truth.objects if obj.name in placed]
     # how far the optimization took an object from where the scan shows it
     moved = [math.hypot(row.displacement_m or 0.0, row.lift_m or 0.0) for row in (replica.placements[name] for name in placed.values())]
-    stands_for: dict[str, set[str]] = {}
-    for instance in truth.instances:
-        name = source.get(str(instance.object_id))
-        for held, share in instance.objects:
-            if name is not None and share > 0.3:
-                stands_for.setdefault(held, set()).add(name)
+    stands_for = parts_of(truth, source)
     drawn = FirstHits([(name.partition("|")[0], mesh) for name, mesh in home.furnished.named_parts()])
     shares = silhouettes(truth, drawn, FirstHits(replica.parts), stands_for, moved_to)
     in_annotation = [verdict for obj, verdict in zip(free, verdicts, strict=True) if obj.name in best]
@@ -154,6 +149,18 @@ def standing_for(truth: DwellingTruth, captured: Container[str] | None = None) -
         if name not in best or weight > best[name][1]:
             best[name] = (instance.object_id, weight)
     return best
+
+
+def parts_of(truth: DwellingTruth, captured: Mapping[str, str]) -> dict[str, set[str]]:
+    """Instances that are annotated as a true object, alone or with others, by its name; also those that capture set apart of such an
+    annotation, which is `21.1` beside `21`. captured: instances by their ids in the scan."""
+    parts: dict[str, set[str]] = {}
+    for instance in truth.instances:
+        own = {name for object_id, name in captured.items() if object_id.partition(".")[0] == str(instance.object_id)}
+        for held, share in instance.objects:
+            if own and share > 0.3:
+                parts.setdefault(held, set()).update(own)
+    return parts
 
 
 def _verdict(instance: str | None, replica: BenchReplica) -> tuple[bool, bool, bool]:

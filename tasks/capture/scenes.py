@@ -29,6 +29,7 @@ from tasks.capture.premises import REMEDY
 from tasks.capture.reading import FrameSource, Group, Reading
 from tasks.capture.rooms.alignment import Alignment, align
 from tasks.capture.rooms.leaves import whole_leaves
+from tasks.capture.rooms.lintels import lintels
 from tasks.capture.rooms.openings import wall_openings
 from tasks.capture.rooms.room import estimate_room, floor_points
 from tasks.capture.rooms.rows import parted
@@ -289,7 +290,9 @@ def _shell(
     leaves = {i: corners for i, corners in zip(fillings, whole, strict=True) if corners is not None and not is_modelled}
     openings = wall_openings(*lines, list((fillings | leaves).values()))
     parts = [(solid.colors, label) for solid, label in zip(solids, meanings, strict=True)]
-    return shape.row(context.scene_id, parts, openings), shape.is_seen, leaves
+    doors = [points for points, door in zip((fillings | leaves).values(), is_door, strict=True) if door]
+    over = lintels(cloud, classes == WALL, shape.polygon, shape.interior_walls, doors)
+    return shape.row(context.scene_id, parts, openings, over), shape.is_seen, leaves
 
 
 def _is_let_in(label: Label) -> bool:

@@ -85,7 +85,7 @@ def run(
     """
     import shapely
 
-    from tasks.shell import interior_footprints
+    from tasks.shell import interior_footprints, lintel_footprints
 
     if not scenes or not shells:
         raise InputError(context.scene_id, "shells" if scenes else "scenes", "has no row for this scene", "run the capture stage again")
@@ -97,7 +97,8 @@ def run(
     furniture = [p for p in placements if not by_id[p.instance_id].is_structure]
     surfaces = placed_surfaces(furniture, assets, context.blobs)
     agent = config.agent
-    walls = [shapely.Polygon(corners) for corners in interior_footprints(shells[0])]
+    in_the_way = lintel_footprints(shells[0], agent.height_m)
+    walls = [shapely.Polygon(corners) for corners in (*interior_footprints(shells[0]), *in_the_way)]
     finder = member(PATH_FINDERS, config.path_finder.kind).build(shells[0], list(surfaces.values()), walls, config)
     blobs, degradations = Blobs(), []
     reasons = {i.instance_id: "no asset was placed for it" for i in instances if not i.is_structure and i.instance_id not in surfaces}

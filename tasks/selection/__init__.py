@@ -15,6 +15,7 @@ from schemas.selection import Selection
 from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import flat, inverse, transform_points, translation, yaw_of, yaw_pose
+from tasks.mounting import mounting
 from tasks.selection.alignment import AlignmentConfig, Distances, Fit, Sample, ScannedInstance, align, make_target, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.looks import shared
@@ -25,7 +26,7 @@ from tasks.stage import Context, Outcome, Stage
 __all__ = ["STAGE", "AlignmentConfig", "ScoreConfig", "SelectionConfig", "completeness", "is_own_geometry", "run", "score_of"]
 
 PROVIDER = "geometric"
-PROVIDER_VERSION = "4"
+PROVIDER_VERSION = "5"
 
 LEAST_WITHIN = 0.3
 """A box that holds less than this share of its points is none to go by."""
@@ -225,7 +226,8 @@ def instance_frame(instance: Instance, context: Context, config: SelectionConfig
     if within.mean() >= LEAST_WITHIN:  # what lies farther off was annotated with it and is another object
         local, colors = local[within], colors[within]
     rng = context.rng("instance", instance.instance_id)
-    return frame, make_target(local, colors, extent, config.alignment, rng, instance.hidden_m)
+    is_let_in = mounting(instance.category).kind == "let_in"
+    return frame, make_target(local, colors, extent, config.alignment, rng, instance.hidden_m, is_let_in)
 
 
 def _placed_iou(frame: np.ndarray, fit: Fit, sample: Sample, instance: Instance) -> float:

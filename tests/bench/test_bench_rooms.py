@@ -18,7 +18,7 @@ from rich.console import Console
 
 import bench.dwellings
 from bench.dwellings import DwellingJob, DwellingsBench, goals, measure_room, run_dwellings_bench
-from bench.dwellings.judgement import FIGURES, RIGHT, judged, lost_room, shared_floors, standing_for, summed
+from bench.dwellings.judgement import FIGURES, RIGHT, judged, lost_room, parts_of, shared_floors, standing_for, summed
 from bench.dwellings.openings import eyes, silhouettes
 from bench.dwellings.replicas import BenchReplica, FirstHits
 from bench.dwellings.tables import print_dwellings
@@ -226,6 +226,15 @@ def test_of_the_halves_of_a_split_object_the_larger_stands_for_it() -> None:
         TrueInstance(2, "sofa", "sofa", (("another", 0.6), (name, 0.4)), 50, True, False),
     )
     assert standing_for(dataclasses.replace(truth(), instances=halves))[name][0] == 1
+
+
+def test_what_was_set_apart_of_an_annotation_stands_for_what_it_holds() -> None:
+    both = TrueInstance(21, "door", "door", (("one", 0.57), ("other", 0.4), ("wall", 0.03)), 9, True, False)
+    alone = TrueInstance(2, "door", "door", (("third", 1.0),), 9, False, False)
+    captured = {"21": "0021", "21.1": "0080", "2": "0002", "210": "0099"}
+    assert parts_of(dataclasses.replace(truth(), instances=(both, alone)), captured) == {
+        "one": {"0021", "0080"}, "other": {"0021", "0080"}, "third": {"0002"},
+    }  # fmt: skip
 
 
 def test_a_failed_room_counts_all_its_objects_and_is_named() -> None:

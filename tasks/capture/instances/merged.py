@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tasks.capture.cloud import vertex_areas
 from tasks.capture.instances.boxes import clumps, oriented_box
+from tasks.capture.instances.panels import panels_of
 from tasks.capture.instances.segmentation import PROVIDER, guessed
 from tasks.capture.labels import OTHER_PROP, Label
 from tasks.capture.reading import Group
@@ -82,7 +83,7 @@ ABOVE_SHARE = 0.3
 def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface) -> tuple[tuple[Group, ...], list[Label], list[str]]:
     """The instances of a scan, with what was annotated together with another as instances of their own, and a line for each: furniture
     with the rug that it stands on, its category guessed from its size; a worktop with one of the cabinets below it; things on several
-    boards of a shelf."""
+    boards of a shelf; doors and windows in different planes."""
     normals, areas = vertex_normals(world.vertices, world.faces), vertex_areas(world)
     made, labels, notes = list(groups), list(meanings), []
     for at, (group, label) in enumerate(zip(groups, meanings, strict=True)):
@@ -90,7 +91,11 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
         if label.is_structure or len(points) < STANDS_POINTS:
             continue
         parts: list[tuple[str, Integers]] = []
-        if mounting(label.category).kind == "covering":
+        is_let_in = mounting(label.category).kind == "let_in"
+        if is_let_in:
+            panels = panels_of(points, normals[group.vertices])
+            parts = [(label.category, group.vertices[own]) for own in panels[1:]]
+        elif mounting(label.category).kind == "covering":
             standing = [group.vertices[own] for own in _standing_on(points)]
             floor = float(np.quantile(points[:, 2], 0.05))
             parts = [(_guessed(world.vertices[own], normals[own], areas[own], floor), own) for own in standing]
@@ -108,14 +113,15 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
         for number, (category, own) in enumerate(parts, start=1):
             is_own = np.isin(world.faces[made[at].faces], own).all(axis=1)
             name = f"{group.source_id}.{number}"
-            made.append(Group(name, f"{PROVIDER}:{category}", own, made[at].faces[is_own], group.origin))
-            labels.append(Label(category, OTHER_PROP, is_known=True))
+            made.append(Group(name, group.raw_label if is_let_in else f"{PROVIDER}:{category}", own, made[at].faces[is_own], group.origin))
+            labels.append(label if is_let_in else Label(category, OTHER_PROP, is_known=True))
             rest = np.setdiff1d(made[at].vertices, own, assume_unique=True)
             made[at] = dataclasses.replace(made[at], vertices=rest, faces=made[at].faces[~is_own])
-            where = "on another board" if category == label.category else "on it"
-            notes.append(
-                f"{group.origin or group.source_id}: {group.raw_label!r} {group.source_id} has a {category} {where}, which is {name} now"
-            )
+            if is_let_in:
+                said = f"is two, of which {name} is the other"
+            else:
+                said = f"has a {category} {'on another board' if category == label.category else 'on it'}, which is {name} now"
+            notes.append(f"{group.origin or group.source_id}: {group.raw_label!r} {group.source_id} {said}")
     return tuple(made), labels, notes
 
 

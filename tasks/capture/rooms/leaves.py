@@ -30,8 +30,8 @@ CELL_M = 0.1
 WALL_SHARE = 0.34
 """Of a rim's cells with wall in them, from which on the rectangle ends there."""
 
-DOOR_M, WINDOW_M = (0.88, 2.03), (0.9, 1.1)
-"""Usual widths and heights [m]: as far nothing that was not seen ends them."""
+DOOR_M, WINDOW_M = (0.88, 2.03), (1.2, 1.1)
+"""Usual widths and heights [m]: as far nothing that was not seen ends them. Of windows as of one with two casements."""
 
 WIDEST_DOOR_M, WIDEST_WINDOW_M = 1.0, 1.4
 """Wider than this neither gets [m], unless more of it was seen: what lies beyond is wall that was not seen."""
@@ -56,6 +56,9 @@ LOW_SILL_M = 0.1
 
 LEAF_TOP_M, LEAF_M, LEAF_DEPTH_M = 1.7, 0.3, 0.15
 """The leaf of a door that is in no wall's line ends higher, is wider and taller than this where it was seen, and no thicker [m]."""
+
+LEAST_LEAF_M, HINGE_M = 0.65, 0.25
+"""Whatever height of it was seen, what is as wide, reaches down to the floor and hangs so near to the end of a wall is its door [m]."""
 
 BAR = (0.02, 0.4)
 """Least width [m] and flatness of a bar between panes, all that was seen of a window."""
@@ -91,7 +94,7 @@ def whole_leaves(
 def _whole(points: Array, is_door: bool, is_alone: bool, lines: Sequence[WallLine], height: float, wall_points: Array) -> Array | None:
     fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height)) is not None]
     if not fits and is_alone:
-        lines = _own_line(points)
+        lines = _own_line(points, np.array([line.start + s * line.along for line in lines if line.reach for s in (0.0, line.length)]))
         fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height)) is not None]
     elif not fits and not is_door:
         fits = [(fit, i) for i, line in enumerate(lines) if (fit := interval_on(line, points, height, *BAR)) is not None]
@@ -110,8 +113,9 @@ def _whole(points: Array, is_door: bool, is_alone: bool, lines: Sequence[WallLin
     )
 
 
-def _own_line(points: Array) -> list[WallLine]:
-    """The line that a leaf stands on which is in no wall: in a doorway between two, or open; none for what is no leaf of a door."""
+def _own_line(points: Array, wall_ends: Array) -> list[WallLine]:
+    """The line that a leaf stands on which is in no wall: in a doorway between two, or open; none for what is no leaf of a door.
+    wall_ends: of walls inside the room, shape (k, 2) [m]."""
     if len(points) < LEAST_POINTS:
         return []
     low, high = np.percentile(points, [1, 99], axis=0)
@@ -120,7 +124,11 @@ def _own_line(points: Array) -> list[WallLine]:
     along = vectors[:, int(np.argmax(values))]
     inward = np.array([-along[1], along[0]])
     deep, wide = (float(np.ptp(np.percentile((points[:, :2] - middle) @ way, [1, 99]))) for way in (inward, along))
-    if high[2] < LEAF_TOP_M or high[2] - low[2] < LEAF_M or wide < LEAF_M or deep > LEAF_DEPTH_M:
+    if high[2] - low[2] < LEAF_M or wide < LEAF_M or deep > LEAF_DEPTH_M:
+        return []
+    sides = middle + np.percentile((points[:, :2] - middle) @ along, [1, 99])[:, None] * along
+    hangs = len(wall_ends) and np.linalg.norm(sides[:, None] - wall_ends, axis=2).min() < HINGE_M
+    if high[2] < LEAF_TOP_M and not (hangs and wide > LEAST_LEAF_M and low[2] < NEAR_FLOOR_M):
         return []
     # long enough for what was not seen of it
     return [WallLine(middle - 2.0 * along, along, inward, 4.0, 0.0)]
@@ -134,8 +142,7 @@ def _grown(seen: Array, is_door: bool, length: float, height: float, wall: Array
     while left:
         for side in tuple(left):
             step = STEP_M if side % 2 else -STEP_M
-            rim = _rim(hole, side)
-            ends[side] = _is_wall(rim, wall)
+            ends[side] = _is_wall(_rim(_beside(hole, seen, side), side), wall) or _is_wall(_rim(_within(hole, side), side), wall)
             if ends[side] or (most[side] - hole[side]) * step <= 0.0:
                 left.remove(side)
             else:
@@ -145,6 +152,25 @@ def _grown(seen: Array, is_door: bool, length: float, height: float, wall: Array
     return _bounded(seen, hole, ends, is_door, wall, float(most[3]))
 
 
+def _beside(hole: Array, seen: Array, side: int) -> Array:
+    """The part of a hole beside what was seen of its filling, from which a side of it is looked at: there nothing but wall ends it."""
+    part = hole.copy()
+    across = [2, 3] if side < 2 else [0, 1]
+    part[across] = seen[across]
+    return _within(part, side)
+
+
+def _within(hole: Array, side: int) -> Array:
+    """A hole without its rows next to the sill and the lintel, from which its sides are looked at, or without its columns next to those:
+    wall that runs on below a window is none beside it."""
+    part = hole.copy()
+    across = [2, 3] if side < 2 else [0, 1]
+    low, high = hole[across]
+    margin = min(CELL_M, 0.25 * float(high - low))
+    part[across] = low + margin, high - margin
+    return part
+
+
 def _bounded(seen: Array, hole: Array, ends: Sequence[bool], is_door: bool, wall: Array, highest: float) -> Array:
     """The hole in the wall where it ends at wall that was seen (ends: low, high, bottom, top); where none was, no more of it than is
     usual around what was seen, and none above `highest` [m]."""
@@ -152,7 +178,9 @@ def _bounded(seen: Array, hole: Array, ends: Sequence[bool], is_door: bool, wall
     low, high, bottom, top = hole.tolist()
     width = max(widest if all(ends[:2]) else usual[0], float(seen[1] - seen[0]))
     if high - low > width:
-        at_low, at_high = ends[0] and not ends[1], ends[1] and not ends[0]
+        # wall that was seen farther from it than a door or window is wide says nothing of where it ends
+        at_low = ends[0] and not ends[1] and seen[1] - low <= width
+        at_high = ends[1] and not ends[0] and high - seen[0] <= width
         middle = float(np.clip(0.5 * (seen[0] + seen[1]), low + 0.5 * width, high - 0.5 * width))
         low, high = (low, low + width) if at_low else (high - width, high) if at_high else (middle - 0.5 * width, middle + 0.5 * width)
     if not ends[3]:

@@ -74,6 +74,9 @@ _OBLIQUE_LENGTH_M = 0.6
 _STRIP_M = 0.08
 """Floor is looked for this far to both sides of a wall's center line at least: farther than vertices are apart."""
 
+_THRESHOLD_M, _LEVEL = 0.04, 0.9
+"""What is level and so low is floor, whatever it was called: thresholds of doorways are often annotated with their wall."""
+
 _SLOPE = 0.1
 """A stretch askew by more is a piece of a wall that runs in another direction."""
 
@@ -97,7 +100,8 @@ def interior_walls(
     inside = is_wall & (np.abs(cloud.normals[:, 2]) < 0.4) & (cloud.points[:, 2] < height + 0.1)
     inside[inside] = shapely.contains_xy(floor.buffer(_FLAT_M), cloud.points[inside, :2])
     left = inside & ~_behind_edges(cloud, inside, floor)
-    objects = ~is_wall & (cloud.points[:, 2] < _LOW_M + _BANDS * _BAND_M)
+    is_threshold = (np.abs(cloud.points[:, 2]) < _THRESHOLD_M) & (cloud.normals[:, 2] > _LEVEL)
+    objects = (~is_wall | is_threshold) & (cloud.points[:, 2] < _LOW_M + _BANDS * _BAND_M)
     site = _Site(cloud, cloud.points[objects, :2], floor, height, is_floor)
     slabs: list[Slab] = []
     for angle in (0.0, np.pi / 2):

@@ -69,7 +69,7 @@ class RoomShape:
 
     def row(
         self, scene_id: str, parts: Sequence[tuple[NDArray[np.uint8], Label]],
-        openings: tuple[tuple[float, ...], ...] | None = None,
+        openings: tuple[tuple[float, ...], ...] | None = None, lintels: tuple[tuple[float, ...], ...] | None = None,
     ) -> Shell:  # fmt: skip
         """The row of `shells` for this shape, of unknown kind. parts: Colors, shape (n, 3), and label of what tells the colors of floor
         and walls."""
@@ -82,6 +82,7 @@ class RoomShape:
             walls=tuple(tuple(float(v) for v in wall) for wall in self.walls),
             interior_walls=tuple(tuple(float(v) for v in wall) for wall in self.interior_walls),
             openings=openings,
+            lintels=lintels,
             slopes=tuple(slope.row for slope in self.slopes),
             height_m=self.height,
             height_source=self.height_source,

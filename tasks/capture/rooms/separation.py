@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.capture.rooms.slabs import Slab
+from tasks.capture.rooms.slabs import NARROW_M, Slab
 
 if TYPE_CHECKING:
     from shapely import Geometry, Polygon
@@ -90,10 +90,10 @@ def separated(outline: Array, interior_walls: Sequence[Sequence[float]], is_seen
     whole = shapely.Polygon(outline)
     if not whole.is_valid or whole.area <= 0.0:
         return Separation((whole,), shapely.Polygon())
-    walls = [_slab(row) for row in interior_walls if row[5] >= PARTING_M and np.hypot(row[2] - row[0], row[3] - row[1]) > 1e-3]
+    walls = _walls_of(interior_walls)
     if not walls:
         return Separation((_turned(whole),), shapely.Polygon())
-    gaps = _gaps(whole, walls, is_seen)
+    gaps = [gap.polygon() for gap in _gaps(whole, walls, is_seen)]
     around = whole.buffer(0.5, join_style="mitre").difference(whole)
     solid = shapely.union_all([around, *(wall.polygon() for wall in walls), *gaps], grid_size=_GRID_M)
     solid = solid.buffer(_SLIT_M, join_style="mitre").buffer(-_SLIT_M, join_style="mitre")
@@ -131,14 +131,36 @@ def _rank(room: Polygon) -> tuple[float, float, float]:
     return (-round(float(room.area), 3), float(room.centroid.x), float(room.centroid.y))
 
 
-def _gaps(outline: Polygon, walls: Sequence[Slab], is_seen: Seen | None) -> list[Polygon]:
-    """What closes the gaps at the ends of walls, as thick as the wall."""
+def doorways(outline: Array, interior_walls: Sequence[Sequence[float]] | Array) -> list[Slab]:
+    """Gaps between walls that part rooms, each once, up to `WIDE_GAP_M`: from the end of a wall to what it would meet, as thick and high
+    as that wall. outline, interior_walls: as for `separated`."""
+    import shapely
+
+    whole = shapely.Polygon(outline)
+    if not whole.is_valid or whole.area <= 0.0:
+        return []
+    kept: list[Slab] = []
+    for gap in _gaps(whole, _walls_of(interior_walls), None, WIDE_GAP_M):
+        way = (gap.end - gap.start) / gap.length
+        inner = dataclasses.replace(gap, start=gap.start + _SLIT_M * way, end=gap.end - _SLIT_M * way)
+        if inner.length > NARROW_M and not any(inner.polygon().intersection(other.polygon()).area > 1e-3 for other in kept):
+            kept.append(inner)
+    return kept
+
+
+def _walls_of(rows: Sequence[Sequence[float]] | Array) -> list[Slab]:
+    """Walls that part rooms."""
+    return [_slab(row) for row in rows if row[5] >= PARTING_M and np.hypot(row[2] - row[0], row[3] - row[1]) > 1e-3]
+
+
+def _gaps(outline: Polygon, walls: Sequence[Slab], is_seen: Seen | None, least: float = 0.0) -> list[Slab]:
+    """What closes the gaps at the ends of walls, as thick as the wall: as wide as doorways are, or `least` [m]."""
     gaps = []
     turns = [(_turns(index, wall.start, walls), _turns(index, wall.end, walls)) for index, wall in enumerate(walls)]
     for index, wall in enumerate(walls):
         along = (wall.end - wall.start) / wall.length
         for end, way, is_corner in ((wall.start, -along, turns[index][0]), (wall.end, along, turns[index][1])):
-            limit = CORNER_GAP_M if is_corner else GAP_M
+            limit = max(CORNER_GAP_M if is_corner else GAP_M, least)
             borders: list[tuple[Geometry, float]] = [(outline.exterior, limit)]
             for k, other in enumerate(walls):
                 if k != index:
@@ -149,7 +171,7 @@ def _gaps(outline: Polygon, walls: Sequence[Slab], is_seen: Seen | None) -> list
                 far = _reach(end, way, wall.thickness, [(border, HIDDEN_M) for border, _ in borders])
                 reach = far if far is not None and _is_hidden(end, way, far, is_seen) else None
             if reach is not None:
-                gaps.append(Slab(end - _SLIT_M * way, end + (reach + _SLIT_M) * way, wall.thickness, wall.height).polygon())
+                gaps.append(Slab(end - _SLIT_M * way, end + (reach + _SLIT_M) * way, wall.thickness, wall.height))
     return gaps
 
 

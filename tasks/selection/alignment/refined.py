@@ -40,21 +40,23 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
     """The best pose of an asset on an instance.
 
     Every yaw of a full turn is tried with the scale that its box asks for; the best few are refined by nearest points.
-    Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn.
+    Of poses that fit alike, the one squared up with the box is taken, then the one with the smaller turn. What is square stays so.
     """
     if own.camera and target.sight is not None:
         target = dataclasses.replace(target, toward=target.sight.toward)
     yaws = 2 * np.pi * np.arange(config.yaw_count) / config.yaw_count
+    if target.is_square:
+        yaws = yaws[:: max(config.yaw_count // 4, 1)]
     fits = [_boxed(target, sample, float(yaw), config) for yaw in yaws]
     costs = coarse_costs(target, sample, fits, config)
-    square = np.arange(config.yaw_count) % max(config.yaw_count // 4, 1) == 0
+    square = np.ones(len(yaws), dtype=np.bool_) if target.is_square else np.arange(len(yaws)) % max(config.yaw_count // 4, 1) == 0
     order = np.argsort(np.round(costs / target.diagonal, 6), kind="stable")
     near = [i for i in order[: config.starts].tolist() if costs[i] <= config.hopeless * costs[order[0]]]
     starts = sorted({*near, next(i for i in order.tolist() if square[i])})
     rough = target.thinned(config.refine_points)
     few = dataclasses.replace(sample, points=sample.points[: config.refine_samples], normals=sample.normals[: config.refine_samples])
     tried = [fits[i] for i in starts if square[i]]
-    for i in starts:
+    for i in starts if not target.is_square else ():
         tried.append(refine(rough, few, fits[i], config))
         if abs(tried[-1].yaw - fits[i].yaw) > config.rebox_yaw_radians:
             tried.append(refine(rough, few, _boxed(target, sample, tried[-1].yaw, config), config))

@@ -51,9 +51,10 @@ class ScannedInstance:
     """A scanned instance in its own frame. `points`: shape (k, 3) [m]; `colors`: shape (n, 3); `size`: box extents [m];
     `spacing`: distance between neighboring points [m]; `resolution`: the same of all points that the scan has of it; `seen`: lowest
     and highest corner of the part of the box that the scan could see, shape (2, 3) [m]; `sight`: how its crop was taken, where that is
-    known, for methods that look at it; `toward`: direction of the camera that alone counts as having seen it, shape (3,), if any. Known
-    once they were asked for: `spans`, its size and middle along the axes of an asset, by the asset's yaw; `parts`, the instance with
-    fewer points, by how many."""
+    known, for methods that look at it; `toward`: direction of the camera that alone counts as having seen it, shape (3,), if any;
+    `is_square`: whether the box says how it is turned and where it is, as a wall does of what is let into it. Known once they were asked
+    for: `spans`, its size and middle along the axes of an asset, by the asset's yaw; `parts`, the instance with fewer points, by how
+    many."""
 
     points: Array
     colors: NDArray[np.uint8]
@@ -63,6 +64,7 @@ class ScannedInstance:
     seen: Array = dataclasses.field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
     sight: Sight | None = None
     toward: Array | None = None
+    is_square: bool = False
     spans: dict[float, tuple[Array, Array]] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
     parts: dict[int, ScannedInstance] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -97,11 +99,12 @@ class ScannedInstance:
 
 def make_target(
     points: Array, colors: NDArray[np.uint8], size: Array, config: AlignmentConfig, rng: np.random.Generator,
-    hidden: Sequence[float] | None = None,
+    hidden: Sequence[float] | None = None, is_let_in: bool = False,
 ) -> ScannedInstance:  # fmt: skip
     """An instance from its points in its own frame, shape (n, 3) [m]: thinned evenly, in random order.
 
-    hidden: how much of the box the scan could not see on its sides -x, +x, -y, +y, -z, +z [m].
+    hidden: how much of the box the scan could not see on its sides -x, +x, -y, +y, -z, +z [m]. is_let_in: into a wall; where a part of
+    it is hidden, its box was turned as the wall runs, and a strip of it fits other turns as well.
     """
     order = rng.permutation(len(points))
     cell = max(float(np.linalg.norm(size)) / 40, 1e-3)
@@ -111,4 +114,5 @@ def make_target(
     size, lost = np.maximum(size, 5e-3), np.zeros(6) if hidden is None else np.asarray(hidden, dtype=np.float64)
     low, high = np.array([-0.5 * size[0], -0.5 * size[1], 0.0]), np.array([0.5 * size[0], 0.5 * size[1], size[2]])
     seen = np.array([np.where(lost[0::2] > 0, low + lost[0::2], -np.inf), np.where(lost[1::2] > 0, high - lost[1::2], np.inf)])
-    return ScannedInstance(thinned, colors, size, spacing(thinned), spacing(points), seen)
+    is_square = is_let_in and bool(lost[:4].any())
+    return ScannedInstance(thinned, colors, size, spacing(thinned), spacing(points), seen, is_square=is_square)

@@ -108,7 +108,8 @@ def _stage(lake: Lake, scan: Path, scene: str, assets: list[Asset]) -> None:
             "instances": rows[Instance], "masks": [], "surfaces": [],
             "shells": [
                 sample(
-                    Shell, scene_id=scene, floor_polygon=RING, walls=walls, interior_walls=(), height_m=2.5, openings=None, slopes=None
+                    Shell, scene_id=scene, floor_polygon=RING, walls=walls, interior_walls=(), height_m=2.5, openings=None, slopes=None,
+                        lintels=None
                 )
             ],
             "rooms": [sample(Room, scene_id=scene, room_index=0, floor_polygon=RING)],

@@ -57,7 +57,7 @@ def _stage(lake: Lake, scan: Path, scene_id: str, number: int) -> None:
     ring = ((0.0, 0.0), (5.0, 0.0), (5.0, 3.0), (0.0, 3.0))
     room = sample(
         Shell, scene_id=scene_id, room_type="office", floor_polygon=ring, floor_area_m2=15.0, height_m=2.5, interior_walls=(),
-        openings=None,        walls=tuple((*a, *b) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)), slopes=None,
+        openings=None,        walls=tuple((*a, *b) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)), slopes=None, lintels=None,
         floor_color=(150, 120, 90), wall_color=(210, 205, 195),
     )  # fmt: skip
     kinds = (Instance, Caption, Candidate, Asset, Selection, Placement, Support, Certificate, Mask)

@@ -98,3 +98,37 @@ def test_the_wall_may_run_in_any_direction(yaw: float) -> None:
     assert made is not None
     assert turned is not None
     np.testing.assert_allclose(turned, transform_points(made, pose), atol=0.051)
+
+
+@given(at=st.floats(1.0, 3.5), width=st.floats(1.0, 1.35), seen=st.tuples(st.floats(0.25, 0.4), st.floats(0.5, 0.7)))
+def test_a_sill_that_runs_on_below_a_window_ends_it_on_no_side(at: float, width: float, seen: tuple[float, float]) -> None:
+    """Only the lowest hand of the pane was seen, and of the wall what is no higher; points of the sill lie beside the pane's own."""
+    wall = wall_around(at, at + width, 1.1, 2.3)
+    wall = np.concatenate([wall[wall[:, 2] < 1.32], sheet(at, at + width, 1.12, 1.12, 0.0, 0.07)])
+    pane = sheet(at + seen[0] * width, at + seen[1] * width, 1.12, 1.3, -0.05, 0.05)
+    made = whole(pane, False, wall)
+    assert made is not None
+    assert made[:2] == pytest.approx([at, at + width], abs=0.21)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_wall_farther_off_than_a_window_is_wide_says_nothing_of_where_it_ends(mirrored: bool) -> None:
+    """A curtain hides what lies between the wall and the pane."""
+    pane, wall = sheet(3.0, 3.6, 1.0, 2.0, -0.05, 0.05), sheet(0.0, 1.9, 0.0, HEIGHT, 0.0, 0.07)
+    sill = sheet(1.9, 5.0, 0.0, 0.97, 0.0, 0.07)
+    if mirrored:
+        pane, wall, sill = ([6.0, 0.0, 0.0] + [-1.0, 1.0, 1.0] * points for points in (pane, wall, sill))
+    made = whole(pane, False, np.concatenate([wall, sill]))
+    assert made is not None
+    assert made[:2] == pytest.approx([6.0 - 3.9, 6.0 - 2.7] if mirrored else [2.7, 3.9], abs=0.03)
+
+
+@given(top=st.floats(0.9, 1.25), turn=st.floats(0.0, 1.5))
+def test_the_lower_half_of_a_leaf_that_hangs_at_the_end_of_a_wall_is_a_door(top: float, turn: float) -> None:
+    inner = np.array([[0.0, 2.0, 3.0, 2.0, 0.12, HEIGHT]])
+    leaf = transform_points(sheet(0.05, 0.9, 0.02, top, 0.0, 0.05), yaw_pose(turn - 1.5, [3.0, 2.0, 0.0]))
+    (made,) = whole_leaves(RING, inner, HEIGHT, [leaf], [True], sheet(0.0, 3.0, 0.0, HEIGHT, 2.0, 0.07))
+    assert made is not None
+    assert [made[:, 2].min(), made[:, 2].max()] == pytest.approx([0.0, 2.03], abs=0.02)
+    for away in ([1.0, 0.0, 0.0], [0.0, 0.0, 0.4]):  # at no wall, or not down to the floor
+        assert whole_leaves(RING, inner, HEIGHT, [leaf + np.array(away)], [True], np.zeros((0, 3)))[0] is None

@@ -75,7 +75,8 @@ def furnished(
     w, d = size
     room = Shell(
         scene_id=SCENE, room_type="office", floor_polygon=((0.0, 0.0), (w, 0.0), (w, d), (0.0, d)), floor_area_m2=w * d,
-        floor_source="surface", walls=(), interior_walls=(), openings=None, slopes=None, height_m=2.6, height_source="ceiling",
+        floor_source="surface", walls=(), interior_walls=(), openings=None, slopes=None, lintels=None,
+        height_m=2.6, height_source="ceiling",
         floor_color=None, wall_color=None,
     )  # fmt: skip
     tables = {"scenes": [scene], "placements": placements, "shells": [room], "instances": instances, "assets": list(assets.values())}

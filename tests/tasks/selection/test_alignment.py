@@ -16,7 +16,7 @@ from tasks.geometry.boxes import oriented_iou
 from tasks.geometry.meshes import load_glb
 from tasks.geometry.transforms import matrix, transform_points, yaw_of, yaw_pose
 from tasks.selection import STAGE
-from tasks.selection.alignment import AlignmentConfig, Fit, clamp_scale, make_target, measure, sample_asset
+from tasks.selection.alignment import AlignmentConfig, Fit, align, clamp_scale, make_target, measure, sample_asset
 from tests.tasks.selection.rooms import Room, cabinet, chair, part, scan, shelf, table, yaw_error
 
 
@@ -156,3 +156,27 @@ def test_legs_that_the_scan_lost_are_held_against_no_chair(seed: int) -> None:
     rows, _ = room.select()
     best = min(rows, key=lambda r: r.rank)
     assert best.asset_id == whole
+
+
+def test_a_strip_of_a_window_leaves_it_in_its_wall() -> None:
+    """Points of one mullion fit a window at any angle; the box of its instance runs along the wall."""
+    room, rng = Room(), np.random.default_rng(3)
+    pane = [part((0.04, 1.4, 1.0), (0, 0, 0.5))]
+    asset_id = room.asset(pane, "window")
+    asset, glb = room.assets[asset_id], room.blobs[room.assets[asset_id].mesh_blob]
+    config = AlignmentConfig()
+    turn = yaw_pose(0.35, [0.0, 0.0, 0.0])
+    strip = transform_points(
+        np.column_stack([rng.uniform(-0.02, 0.02, 200), rng.uniform(-0.08, 0.08, 200), rng.uniform(0.1, 0.9, 200)]), turn
+    )
+    hidden = (0.0, 0.0, 0.62, 0.62, 0.0, 0.0)
+    colors = np.full((200, 3), 128, dtype=np.uint8)
+    size = np.array([0.05, 1.4, 1.0])
+    sample = sample_asset(asset, glb, config, np.random.default_rng(0))
+    let_in, loose = (make_target(strip, colors, size, config, np.random.default_rng(0), hidden, is_let_in=kind) for kind in (True, False))
+    assert align(loose, sample, 0.03, config)[0].yaw % np.pi > 0.1, "the strip itself says another angle"
+    fit, _ = align(let_in, sample, 0.03, config)
+    assert fit.yaw % np.pi in (0.0, pytest.approx(np.pi))
+    assert np.allclose(fit.offset, 0.0)
+    whole = make_target(strip, colors, size, config, np.random.default_rng(0), is_let_in=True)
+    assert not whole.is_square, "what was seen whole says by itself how it is turned"
