@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from typing import Protocol, TypeVar
 
@@ -34,3 +35,16 @@ class RowsInMemory:
     def rows(self, record: type[R]) -> Iterator[R]:
         """Rows of a record type, in the order that they were given in."""
         return (row for row in self._rows if isinstance(row, record))
+
+
+@dataclasses.dataclass(frozen=True)
+class Provenance:
+    """What a training follows from besides config and seed, as rows say it.
+
+    fingerprint: Hash of the runs that wrote the rows of the dataset. code: Hash of the code of the learned system.
+    """
+
+    snapshot_id: int | None
+    release: str | None
+    fingerprint: str
+    code: str
