@@ -82,3 +82,11 @@ def augmented(
             far = float(np.linalg.norm(cloud.points - center, axis=1).max())
             clouds.append(thinned(moved(cloud, drawn_motion(config, far, rng), center), config.dropout, rng))
     return View(scan, clouds, near, [shuffled(cloud, rng) for cloud in placed])
+
+
+def cropped(image: NDArray[np.uint8], least: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """A window of a picture, shape (h, w, 3), with its share U(least, 1) of the area and its proportions, as it lies."""
+    side = np.sqrt(rng.uniform(least, 1.0))
+    height, width = (max(int(round(side * length)), 1) for length in image.shape[:2])
+    top, left = int(rng.integers(image.shape[0] - height + 1)), int(rng.integers(image.shape[1] - width + 1))
+    return image[top : top + height, left : left + width]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.model.augmentation import augmented
+from tasks.selection.model.augmentation import augmented, cropped
 from tasks.selection.model.config import AugmentationConfig, OwnText, SelectionModel
 from tasks.selection.model.examples import Example
 from tasks.selection.model.features import features_of
@@ -57,7 +57,11 @@ def training_batch(
         order = rng.permutation(len(contenders))
         given = example.rankings[int(rng.integers(len(example.rankings)))]  # annotators disagree: each is heard as often
         mixed = [contenders[i] for i in order]
-        rows.append(features_of(example.scanned, mixed, model, augmented(example.scanned, mixed, model, config.augmentation, rng)))
+        view = augmented(example.scanned, mixed, model, config.augmentation, rng)
+        scanned = example.scanned
+        if scanned.image is not None:
+            scanned = dataclasses.replace(scanned, image=cropped(scanned.image, config.augmentation.crop, rng))
+        rows.append(features_of(scanned, mixed, model, view))
         at = np.argsort(order)
         choices.append(int(at[given[0]]))
         rankings.append([int(at[i]) for i in given[:RANKED]] + [-1] * (RANKED - len(given)))
@@ -127,7 +131,8 @@ class SelectionObjective:
         from tasks.selection.model.networks.losses import total
 
         weights = {"rank": self.config.rank_weight, "strangers": self.config.strangers_weight, "names": self.config.names_weight}
-        return total(module, batch, weights)
+        loss, parts = total(module(batch), batch, weights)
+        return loss, {name: float(value.detach()) for name, value in parts.items()}
 
     def validate(self, module: Any) -> float | None:
         """Mean of the share of right choices and of the chance given to them; None without rooms held out. The chance tells models apart
@@ -145,7 +150,7 @@ def predicted(module: Any, examples: Sequence[Example], clouds: Mapping[str, byt
     import torch
 
     config = module.config
-    device = module.logit_scale.device
+    device = next(module.parameters()).device
     was_training = module.training
     module.eval()
     made: list[NDArray[np.float32]] = []

@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, ClassVar, Literal
 
-from tasks.settings import LISTED, Config, Count, Natural, NonNegative, Positive, Share, union_of
+from tasks.settings import LISTED, Config, Count, NonNegative, Positive, Share, union_of
 
 Widths = Annotated[tuple[Count, ...], LISTED]
-Lengths = Annotated[tuple[Positive, ...], LISTED]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,6 +159,7 @@ class AugmentationConfig(Config):
     tilt_radians: NonNegative = 0.06  # standard deviation of a turn about each axis ...
     tilt_limit_radians: NonNegative = 0.18  # ... and its limit
     turn: bool = True  # about up, by any angle, all clouds of an object alike where these stand in one frame
+    crop: Share = 0.5  # least share of a view that is looked at; as released
     axis: Literal["z", "y"] = "z"  # of the turn; the release turns about y, which is up in some of its clouds only
 
 

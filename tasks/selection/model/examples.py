@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.model.clouds import Array, Cloud, spread_cloud
+from tasks.selection.model.clouds import Array, Cloud
 from tasks.selection.model.features import Contender, Scanned
 
 POINT_BYTES = 15
@@ -63,15 +63,6 @@ def unpacked(data: bytes) -> Cloud:
     count = len(data) // POINT_BYTES
     halves = np.frombuffer(data, dtype="<f2", count=6 * count).astype(np.float32).reshape(2, count, 3)
     return Cloud(halves[0], np.frombuffer(data, dtype=np.uint8, offset=12 * count).reshape(count, 3), halves[1])
-
-
-def scan_cloud(points: NDArray[np.floating], colors: NDArray[np.uint8], count: int) -> Cloud:
-    """At most `count` of an instance's points in its frame, those that lie apart first; of many, evenly drawn ones."""
-    most = 4 * count
-    if len(points) > most:
-        index = np.sort(np.random.default_rng(0).permutation(len(points))[:most])
-        points, colors = points[index], colors[index]
-    return spread_cloud(points, colors, count)
 
 
 def by_room(examples: Sequence[Example], share: float) -> tuple[list[Example], list[Example]]:

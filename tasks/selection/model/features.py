@@ -69,22 +69,6 @@ class Scanned:
     text_vector: Array | None = None
 
 
-def evidence_of(
-    *, coverage: float, box_iou: float, color: float, foreign: float | None, chamfer_m: float, diagonal_m: float,
-    scale: Sequence[float] | NDArray, is_category: bool, is_own: bool, is_closed: bool,
-) -> Array:  # fmt: skip
-    """Values by `EVIDENCE`: what the rows of a candidate, its asset and its alignment say.
-
-    foreign: None where nobody looked. diagonal_m: of the instance's box. scale: of the alignment, shape (3,).
-    """
-    stretch = np.log(np.maximum(np.asarray(scale, dtype=np.float64), 1e-3))
-    values = [
-        coverage, box_iou, color, foreign or 0.0, float(foreign is not None), float(np.exp(-chamfer_m / (0.04 * max(diagonal_m, 1e-3)))),
-        *np.clip(stretch, -1.0, 1.0), float(min(np.ptp(stretch), 1.0)), float(is_category), float(is_own), float(is_closed),
-    ]  # fmt: skip
-    return np.array(values, dtype=np.float32)
-
-
 @dataclasses.dataclass(frozen=True)
 class View:
     """An object's clouds as one look at it has them.

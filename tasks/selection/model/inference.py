@@ -13,16 +13,16 @@ from schemas.errors import InputError
 from tasks.selection.model.clouds import Array, Cloud
 from tasks.selection.model.config import NoQuery, OwnImage, OwnText, Paper, Patches, SelectionModel, Small
 from tasks.selection.model.features import EVIDENCE, Contender, Scanned, features_of, log_sizes, colored, radius_of
-from tasks.selection.model.examples import scan_cloud
-from tasks.selection.model.weights import read
+from tasks.selection.model.sight import scan_cloud
 from tasks.selection.model.words import tokens_of
+from tasks.weights import from_safetensors
 
 LARGEST_SCALE = 100.0
 EPSILON = 1e-5
 """Of batch and layer norms, as in torch."""
 
 
-class ScoringModel(Protocol):
+class CandidateScorer(Protocol):
     """What scores the candidates of an object."""
 
     config: SelectionModel
@@ -38,14 +38,14 @@ def is_plain(config: SelectionModel) -> bool:
     return own and isinstance(config.architecture, Small | Paper)
 
 
-def load(weights: bytes, config: SelectionModel, file: str = "weights") -> ScoringModel:
+def load(weights: bytes, config: SelectionModel, file: str = "weights") -> CandidateScorer:
     """What scores by these weights: without torch where that is possible.
 
     Raises:
         InputError: they are no weights of such a model.
     """
     if is_plain(config):
-        return Scorer(config, _fitting(read(weights, file), config, file))
+        return Scorer(config, _fitting(from_safetensors(weights, file), config, file))
     from tasks.selection.model.scoring import torch_scorer
 
     return torch_scorer(weights, config, file)
@@ -73,10 +73,10 @@ class Scorer:
         the instance. text: Its category. extents: Of the candidates' boxes and, last, the instance's, (k + 1, 3) [m]. scan: Points and
         colors of the instance.
         """
-        own = Cloud(points[0].astype(np.float32), colors[0]) if scan is None else scan_cloud(*scan, 2 * self.config.architecture.points)
+        own = Cloud(points[0].astype(np.float32), colors[0]) if scan is None else scan_cloud(*scan, self.config)
         scanned = Scanned(own, np.asarray(extents[-1], dtype=np.float32), text or "", None, image)
         nothing = np.zeros(len(EVIDENCE), dtype=np.float32)
-        clouds = [scan_cloud(p, c, 2 * self.config.architecture.points) for p, c in zip(points, colors, strict=True)]
+        clouds = [scan_cloud(p, c, self.config) for p, c in zip(points, colors, strict=True)]
         contenders = [
             Contender(cloud, np.asarray(size, dtype=np.float32), np.eye(4), np.ones(3), nothing)
             for cloud, size in zip(clouds, extents, strict=False)
@@ -251,4 +251,4 @@ def _fitting(arrays: Mapping[str, NDArray], config: SelectionModel, file: str) -
         if name not in arrays or name not in wanted or arrays[name].shape != wanted[name]:
             problem = "is missing" if name not in arrays else "is unknown" if name not in wanted else f"has the shape {arrays[name].shape}"
             raise InputError(file, name, f"{problem}; the model's config wants {wanted.get(name, 'none')}", "take weights and config of one model")
-    return {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in arrays.items()}
+    return {name: np.asarray(values, dtype=np.float32) for name, values in arrays.items()}

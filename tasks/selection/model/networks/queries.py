@@ -37,8 +37,8 @@ class WordTable(nn.Module):
 
     def forward(self, tokens: Tensor) -> Tensor:
         """Vectors of texts, of any length."""
-        count = (tokens > 0).sum(1, keepdim=True).clamp(min=1)
-        result: Tensor = self.projection(self.table(tokens).sum(1) / count)
+        is_word = (tokens > 0)[..., None]
+        result: Tensor = self.projection((self.table(tokens) * is_word).sum(1) / is_word.sum(1).clamp(min=1))
         return result
 
 

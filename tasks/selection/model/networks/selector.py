@@ -25,7 +25,7 @@ class Selector(nn.Module):
     A batch is a table of tensors, for b objects of k candidates: `clouds` (b, k, n, 6), `scan` (b, n, 6), `is_candidate` (b, k),
     `evidence` (b, k, e), `residuals` (b, k, m, c), `sizes` (b, k, 3) and `scan_size` (b, 3) as logarithms [m], `image` (b, 3, side, side)
     or as the frozen encoder gave it (b, e), `has_image` (b,), `text` (b, t) tokens or (b, e), and in training `starts` (b, k + 1), where
-    groups begin. What a model does not use may be missing.
+    groups begin. `others` (b, m) are places among all candidates of the batch, object by object, -1 for none. What a model does not use may be missing.
 
     `image_width`, `text_width`: lengths of what frozen encoders give; 0 without one.
     """
@@ -59,7 +59,8 @@ class Selector(nn.Module):
 
     def forward(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """`scores` and `match`, the part of them without the quality, both (b, k), -inf where there is no candidate; `candidates`
-        (b, k, e), and the queries `points`, `image`, `text` (b, e) where there are any, of length 1."""
+        (b, k, e), and the queries `points`, `image`, `text` (b, e) where there are any, of length 1. Of a batch with `choice` and `others`
+        also `strangers`, and of one with `words`, `names`: what losses are made of."""
         config, clouds, mask = self.config, batch["clouds"], batch["is_candidate"]
         objects, count = clouds.shape[:2]
         pooled, scan = self._encoded(batch)
@@ -76,7 +77,7 @@ class Selector(nn.Module):
         if config.quality:
             scores = match + self._judged(pooled.view(objects, count, -1), vectors, batch)
         hide = torch.where(mask, 0.0, -torch.inf).to(scores.dtype)
-        return {"scores": scores + hide, "match": match + hide, **vectors}
+        return {"scores": scores + hide, "match": match + hide, **vectors, **self._trained_beside(vectors, batch)}
 
     def scale(self) -> Tensor:
         """What cosines are multiplied by."""
@@ -93,6 +94,21 @@ class Selector(nn.Module):
             return candidates.new_zeros(candidates.shape[:2])
         total = torch.stack([torch.einsum("bke,be->bk", candidates, query) for query in named]).sum(0)
         return self.scale() * total
+
+    def _trained_beside(self, vectors: Mapping[str, Tensor], batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """`strangers`: how the chosen candidate and candidates of other scenes match, (b, 1 + m), the chosen first, -inf where there are
+        too few; `names`: how categories name the scanned points, (b, c)."""
+        made = {}
+        if "others" in batch and not vectors.keys().isdisjoint(("points", "image", "text")):
+            candidates, choice, others = vectors["candidates"], batch["choice"], batch["others"]
+            right = candidates[torch.arange(len(choice), device=choice.device), choice][:, None]
+            group = torch.cat([right, candidates.flatten(0, 1)[others.clamp(min=0)]], dim=1)
+            missing = torch.cat([torch.zeros_like(others[:, :1]), others], dim=1) < 0
+            made["strangers"] = self.compared(group, vectors).masked_fill(missing, -torch.inf)
+        if "words" in batch and "points" in vectors and self.text_encoder is not None:
+            texts = functional.normalize(self.text_encoder(batch["words"]), dim=-1)
+            made["names"] = self.scale() * vectors["points"] @ texts.T
+        return made
 
     def _encoded(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor | None]:
         """Vectors of the clouds of candidates, shape (b k, width), and of the scans, (b, width), by one pass of the encoder."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tasks.selection.model.clouds import spread_cloud
 from tasks.selection.model.examples import Aligned, Example, packed
-from tasks.selection.model.features import Scanned, evidence_of
+from tasks.selection.model.features import EVIDENCE, Scanned
 
 KINDS = ("box", "ball", "cylinder", "table")
 
@@ -66,10 +66,7 @@ def toy(count: int, seed: int, *, points: int = 128, candidates: int = 10) -> tu
             normals /= np.linalg.norm(normals, axis=1, keepdims=True)
             tint = np.broadcast_to(c.astype(np.uint8), (len(at), 3))
             clouds[name] = packed(spread_cloud(at * s, tint, points, normals))
-            evidence = evidence_of(
-                coverage=0.5, box_iou=0.5, color=0.5, foreign=None, chamfer_m=0.1, diagonal_m=1.0, scale=(1, 1, 1), is_category=False,
-                is_own=False, is_closed=True,
-            )  # fmt: skip
+            evidence = np.zeros(len(EVIDENCE), dtype=np.float32)
             rows.append(Aligned(name, s.astype(np.float32), np.eye(4), np.ones(3), evidence))
         examples.append(Example(f"toy/room{number // 10}", f"toy/room{number // 10}", f"{number:04d}", scanned, tuple(rows), (ranking,)))
     return examples, clouds
