@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import hashlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import Protocol, TypeVar
@@ -19,12 +19,13 @@ from schemas.navigation import Split
 from schemas.selection import Selection
 from tasks.geometry.transforms import inverse, matrix
 from tasks.navigation import split_of
-from tasks.selection import ScoreConfig, is_own_geometry
-from tasks.selection.alignment import AlignmentConfig, sample_asset
+from tasks.selection import SelectionConfig
+from tasks.selection.crops import decoded
+from tasks.selection.evidence import instance_frame
 from tasks.selection.model.config import SelectionModel
-from tasks.selection.model.examples import Aligned, Example, packed, unpacked
-from tasks.selection.model.features import Scanned
-from tasks.selection.model.sight import asset_cloud, asset_points, evidence, scan_cloud, scan_points, standing, view_of
+from tasks.selection.model.examples import Aligned, Example
+from tasks.selection.model.sight import evidence, scanned, surface_cloud
+from tasks.selection.scoring import is_own_geometry
 from tasks.stage import Context
 
 R = TypeVar("R")
@@ -32,6 +33,12 @@ Key = tuple[str, str]
 """Scene and instance."""
 
 READS = ("annotations", "assets", "candidates", "captions", "instances", "scenes", "selections", "splits")
+
+MEMORY = "tasks.selection.model.sight"
+"""Of point clouds; use and training share it."""
+
+STAGE_CONFIG = SelectionConfig()
+"""What instances stand by, and whose assets are the scan itself, as the stage has it by default."""
 
 
 class Rows(Protocol):
@@ -124,21 +131,11 @@ def collected(dataset: Rows, context: Context, config: SelectionModel, test_shar
 
 
 def asset_clouds(assets: Mapping[str, Asset], context: Context, config: SelectionModel) -> dict[str, bytes]:
-    """Packed clouds of assets, made once for each content; without those that cannot be read."""
-    memory, count = context.caches[__name__], asset_points(config)
+    """Packed clouds of assets; without those that cannot be read."""
     clouds: dict[str, bytes] = {}
     for number, (asset_id, asset) in enumerate(sorted(assets.items())):
-        key = f"asset {asset.mesh_blob} {count}"
-        data = memory.get(key)
-        if data is None:
-            rng = np.random.default_rng(list(hashlib.sha256(key.encode()).digest()))
-            try:
-                sample = sample_asset(asset, context.blobs[asset.mesh_blob], AlignmentConfig(samples=2 * count), rng)
-            except (InputError, ValueError, KeyError):
-                continue
-            data = packed(asset_cloud(sample.points, sample.normals, sample.colors, config))
-            memory[key] = data
-        clouds[asset_id] = data
+        with contextlib.suppress(InputError, ValueError, KeyError):
+            clouds[asset_id] = surface_cloud(asset.mesh_blob, context.blobs, config, context.caches[MEMORY])
         context.report(number + 1, len(assets), "point clouds")
     return clouds
 
@@ -161,25 +158,20 @@ def _example(
     if not kept:
         return "the chosen asset is no candidate any more"
     try:
-        stands = standing(instance, context.blobs)
-        image = view_of(instance, context.blobs, config)
+        frame, target, points, colors = instance_frame(instance, context, STAGE_CONFIG)
+        image = None if instance.view_blob is None else decoded(context.blobs[instance.view_blob], instance.view_blob)
     except (InputError, KeyError):
         return "its points or its view cannot be read"
-    diagonal, back = float(np.linalg.norm(stands.extents)), inverse(stands.frame)
-    key = " ".join(map(str, ("scan", instance.points_blob, instance.box_pose, instance.box_size, instance.hidden_m, scan_points(config))))
-    memory = context.caches[__name__]
-    points = memory.get(key)
-    if points is None:
-        points = memory[key] = packed(scan_cloud(stands.points, stands.colors, config))
+    seen = scanned(points, colors, target.size, instance.category, caption, image, config)
+    back = inverse(frame)
     candidates = []
     for slot in usable:
         row, asset = poses[slot], assets[poses[slot].asset_id]
         values = evidence(
             coverage=row.coverage, box_iou=row.box_iou, color=row.color_similarity, foreign=row.foreign_share, chamfer_m=row.chamfer_m,
-            diagonal_m=diagonal, scale=row.scale, category=instance.category, asset=asset,
-            is_own=is_own_geometry(asset, slots[slot].provider, ScoreConfig()),
+            diagonal_m=target.diagonal, scale=row.scale, category=instance.category, asset=asset,
+            is_own=is_own_geometry(asset, slots[slot].provider, STAGE_CONFIG.score),
         )  # fmt: skip
         pose, extents = back @ matrix(row.pose), np.array(asset.extents, dtype=np.float32)
         candidates.append(Aligned(row.asset_id, extents, pose, np.array(row.scale), values))
-    seen = Scanned(unpacked(points), stands.extents.astype(np.float32), instance.category, caption, image)
     return Example(instance.scene_id, room_id, instance.instance_id, seen, tuple(candidates), kept)

@@ -10,12 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.model.clouds import Array, Cloud
+from tasks.selection.model.clouds import Array, unpacked
 from tasks.selection.model.features import Contender, Scanned
-
-POINT_BYTES = 15
-"""Of a packed point: place and normal as half precision, color."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Aligned:
@@ -50,19 +46,6 @@ class Example:
     def contenders(self, clouds: Mapping[str, bytes]) -> list[Contender]:
         """Candidates with their clouds, of packed ones by asset."""
         return [Contender(unpacked(clouds[c.asset_id]), c.extents, c.pose, c.scale, c.evidence) for c in self.candidates]
-
-
-def packed(cloud: Cloud) -> bytes:
-    """A cloud with normals in 15 bytes a point; without, in as many."""
-    normals = np.zeros_like(cloud.points) if cloud.normals is None else cloud.normals
-    return cloud.points.astype("<f2").tobytes() + normals.astype("<f2").tobytes() + cloud.colors.astype(np.uint8).tobytes()
-
-
-def unpacked(data: bytes) -> Cloud:
-    """The cloud of `packed`."""
-    count = len(data) // POINT_BYTES
-    halves = np.frombuffer(data, dtype="<f2", count=6 * count).astype(np.float32).reshape(2, count, 3)
-    return Cloud(halves[0], np.frombuffer(data, dtype=np.uint8, offset=12 * count).reshape(count, 3), halves[1])
 
 
 def by_room(examples: Sequence[Example], share: float) -> tuple[list[Example], list[Example]]:

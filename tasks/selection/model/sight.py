@@ -2,57 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
-import io
-from collections.abc import Mapping, Sequence
+import hashlib
+import json
+from collections.abc import Mapping, MutableMapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from schemas.capture import Instance
 from schemas.errors import InputError
-from tasks.geometry.boxes import grown_box
-from tasks.geometry.meshes import read_points
-from tasks.geometry.transforms import inverse, transform_points, yaw_of, yaw_pose
-from tasks.selection.model.clouds import Array, Cloud, spread_cloud
+from tasks.geometry.meshes import sample_surface, surface_of_glb
+from tasks.selection.model.clouds import Array, Cloud, packed, spread_cloud, unpacked
 from tasks.selection.model.config import NoQuery, OwnImage, SelectionModel
 from tasks.selection.model.features import Scanned, square_crop
+from tasks.settings import adapter
 
 LEAST_CLOUD = 512
 """Points that an asset's cloud has at least, for distances point by point."""
-
-BESIDE_M, FLOOR_M, LEAST_WITHIN = 0.05, 0.05, 0.3
-"""As the stage has them: points farther out of the box are another object's; what ends this near the floor stands on it; a box that holds
-less than this share of its points is none to go by."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Standing:
-    """An instance in its own frame. frame: in the world, 4x4 [m]. points: (n, 3) [m], colors: (n, 3). extents: of its box, (3,) [m]."""
-
-    frame: NDArray[np.float64]
-    points: NDArray[np.float64]
-    colors: NDArray[np.uint8]
-    extents: NDArray[np.float64]
-
-
-def standing(instance: Instance, blobs: Mapping[str, bytes]) -> Standing:
-    """An instance's points in its frame: its box turned straight, z zero at the height on which an asset is to stand.
-
-    Raises:
-        InputError: its points cannot be read.
-    """
-    box, size = grown_box(instance.box_pose, instance.box_size, instance.hidden_m)
-    bottom, top = box[2, 3] - 0.5 * size[2], box[2, 3] + 0.5 * size[2]
-    bottom = 0.0 if abs(bottom) <= FLOOR_M < top else bottom
-    frame = yaw_pose(yaw_of(box), [box[0, 3], box[1, 3], bottom])
-    points, colors = read_points(blobs[instance.points_blob], instance.points_blob)
-    local, extents = transform_points(points, inverse(frame)), np.maximum([size[0], size[1], top - bottom], 5e-3)
-    within = (np.abs(local - [0.0, 0.0, 0.5 * extents[2]]) <= 0.5 * extents + BESIDE_M).all(axis=1)
-    if within.mean() >= LEAST_WITHIN:
-        local, colors = local[within], colors[within]
-    return Standing(frame, local, colors, extents)
 
 
 def scan_points(config: SelectionModel) -> int:
@@ -74,17 +40,37 @@ def scan_cloud(points: NDArray[np.floating], colors: NDArray[np.uint8], config: 
     return spread_cloud(points, colors, count)
 
 
-def asset_cloud(points: NDArray[np.floating], normals: NDArray[np.floating], colors: NDArray[np.uint8], config: SelectionModel) -> Cloud:
-    """An asset's cloud, of samples of its surface with unit normals in its own frame, shape (m, 3) [m]."""
-    return spread_cloud(points, colors, asset_points(config), normals)
+def surface_cloud(mesh_blob: str, blobs: Mapping[str, bytes], config: SelectionModel, memory: MutableMapping[str, bytes]) -> bytes:
+    """The packed cloud of an asset's surface, with normals, in its own frame; made once for each content.
+
+    Raises:
+        InputError: the mesh cannot be read.
+        ValueError: its surface has no area.
+        KeyError: it is not among the blobs.
+    """
+    count = asset_points(config)
+    key = f"surface {mesh_blob} {count}"
+    data = memory.get(key)
+    if data is None:
+        rng = np.random.default_rng(list(hashlib.sha256(key.encode()).digest()))
+        points, colors, normals = sample_surface(surface_of_glb(blobs[mesh_blob], mesh_blob), 2 * count, rng)
+        data = memory[key] = packed(spread_cloud(points, colors, count, normals))
+    return data
 
 
 def scanned(
     points: NDArray[np.floating], colors: NDArray[np.uint8], extents: NDArray[np.floating], category: str, caption: str | None,
     image: NDArray[np.uint8] | None, config: SelectionModel,
 ) -> Scanned:  # fmt: skip
-    """An instance as a model sees it. points, colors: in its frame (see `standing`). image: the crop of its best view."""
-    return Scanned(scan_cloud(points, colors, config), np.asarray(extents, dtype=np.float32), category, caption, image)
+    """An instance as a model sees it.
+
+    points, colors: In its frame, shapes (n, 3) [m] and (n, 3). extents: Of its box [m]. caption: A sentence; None without. image: The crop
+    of its best view, shape (h, w, 3); None without.
+    """
+    if image is not None and isinstance(config.image, OwnImage):
+        image = square_crop(image, config.image.side)
+    cloud = unpacked(packed(scan_cloud(points, colors, config)))
+    return Scanned(cloud, np.asarray(extents, dtype=np.float32), category, caption, None if isinstance(config.image, NoQuery) else image)
 
 
 def evidence(
@@ -105,19 +91,13 @@ def evidence(
     return np.array(values, dtype=np.float32)
 
 
-def view_of(instance: Instance, blobs: Mapping[str, bytes], config: SelectionModel) -> NDArray[np.uint8] | None:
-    """The crop of an instance's best view, shape (h, w, 3), as small as an own encoder wants it; None where it has none.
+def config_from(text: str) -> SelectionModel:
+    """The network's config in that of the learned system, as JSON (`tasks.models.Model.config`).
 
     Raises:
-        InputError: it cannot be read as a picture.
+        InputError: there is none in it.
     """
-    from PIL import Image
-
-    if instance.view_blob is None or isinstance(config.image, NoQuery):
-        return None
     try:
-        with Image.open(io.BytesIO(blobs[instance.view_blob])) as picture:
-            pixels = np.asarray(picture.convert("RGB"))
-    except Exception as error:  # decoders raise what they like
-        raise InputError(instance.view_blob, "view_blob", "cannot be read as a picture", "run the capture stage again") from error
-    return square_crop(pixels, config.image.side) if isinstance(config.image, OwnImage) else pixels
+        return adapter(SelectionModel).validate_python(json.loads(text)["model"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError("model", "config", "is not that of a selection model", "train it again, or import it with its own config") from error

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.model.clouds import spread_cloud
-from tasks.selection.model.examples import Aligned, Example, packed
+from tasks.selection.model.clouds import packed, spread_cloud
+from tasks.selection.model.examples import Aligned, Example
 from tasks.selection.model.features import EVIDENCE, Scanned
 
 KINDS = ("box", "ball", "cylinder", "table")
