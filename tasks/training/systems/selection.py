@@ -7,21 +7,21 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from schemas.errors import InputError
 from tasks.selection.model.batches import BatchConfig, SelectionObjective, predicted
 from tasks.selection.model.collection import READS, Collected, collected
 from tasks.selection.model.config import OwnImage, OwnText, SelectionModel
 from tasks.selection.model.examples import Example, by_room
 from tasks.selection.model.figures import hits, interval
-from tasks.selection.model.shapes import shapes_of
+from tasks.selection.model.foreign import begin_with_foreign
+from tasks.selection.model.frozen import is_frozen, seen_by_frozen, widths_of
+from tasks.selection.model.scoring import begin_with
+from tasks.models import folders_in
 from tasks.settings import Config, Share
 from tasks.stage import Context
 from tasks.training.dataset import Dataset
 from tasks.training.fitting import FittingConfig, check_installed, fit, seeded, weights_of
 from tasks.training.system import LearnedSystem, ShippedModel
 from tasks.training.trained import Measure, Trained
-from tasks.models import folders_in
-from tasks.weights import from_safetensors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -55,7 +55,7 @@ def train(*, dataset: Dataset, start: bytes | None, context: Context, config: Se
     """
     check_installed()
     data = collected(dataset, context, config.model, config.test_share)
-    data, widths = with_frozen(data, context, config.model)
+    data, widths = with_frozen(data, context, config.model), widths_of(config.model)
     learning, held = by_room(data.train, config.validation_share)
     notes = notes_of(data, config)
     module = network(config.model, context.seed, widths)
@@ -89,28 +89,24 @@ def train(*, dataset: Dataset, start: bytes | None, context: Context, config: Se
     )
 
 
+def with_frozen(data: Collected, context: Context, model: SelectionModel) -> Collected:
+    """Examples with the vectors of frozen encoders, each made once."""
+    if not any(map(is_frozen, (model.image, model.text))):
+        return data
+    memory = context.caches["tasks.selection.model.frozen"]
+    made = {
+        split: [dataclasses.replace(example, scanned=seen_by_frozen(example.scanned, model, memory)) for example in getattr(data, split)]
+        for split in ("train", "test")
+    }
+    return dataclasses.replace(data, **made)
+
+
 def network(model: SelectionModel, seed: int, widths: tuple[int, int] = (0, 0)) -> Any:
     """A network whose first weights follow from the seed. widths: of what frozen encoders of image and text give."""
     from tasks.selection.model.networks.selector import Selector
 
     with seeded(seed, "selection", "weights"):
         return Selector(model, image_width=widths[0], text_width=widths[1])
-
-
-def begin_with(module: Any, weights: bytes, file: str = "weights") -> None:
-    """Give a network all of its weights.
-
-    Raises:
-        InputError: some are missing, too many or of another shape.
-    """
-    import torch
-
-    given = from_safetensors(weights, file)
-    wanted = module.state_dict()
-    for name in sorted({*wanted, *given}):
-        if name not in given or name not in wanted or tuple(wanted[name].shape) != given[name].shape:
-            raise InputError(file, name, "does not fit the model's config", "begin with a model of the same config")
-    module.load_state_dict({name: torch.from_numpy(values.copy()).to(wanted[name].dtype) for name, values in given.items()})
 
 
 def freeze(module: Any, trains: str) -> None:
