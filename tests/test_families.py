@@ -19,6 +19,7 @@ from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.families.path_finders import PATH_FINDERS
 from schemas.families.policies import POLICIES
 from schemas.families.scan_formats import SCAN_FORMATS
+from schemas.families.selection_methods import SELECTION_METHODS
 from tasks.candidates import providers
 from tasks.capture import formats as scan_formats
 from tasks.evaluation import policies
@@ -26,6 +27,7 @@ from tasks.exports import formats as export_formats
 from tasks.families import member, members, part
 from tasks.lineage.places import places_of
 from tasks.navigation import path_finders
+from tasks.selection.methods import members as selection_methods
 from tests.conftest import REPOSITORY
 from tests.scans import OBJECTS, write_scan
 from tests.test_pipeline import QUICK
@@ -36,6 +38,7 @@ FAMILIES: dict[str, tuple[tuple[str, ...], tuple[Any, ...]]] = {
     "tasks.candidates": (CANDIDATE_PROVIDERS, providers.PROVIDERS),
     "tasks.navigation": (PATH_FINDERS, path_finders.PATH_FINDERS),
     "tasks.evaluation.policies": (POLICIES, policies.POLICIES),
+    "tasks.selection.methods": (SELECTION_METHODS, selection_methods.METHODS),
 }
 """Names and objects of every family, by the package that its members lie in."""
 
@@ -85,7 +88,7 @@ ELSEWHERE = {
     "tasks/ingestion/reading.py habitat": "as above",
     "tasks/ingestion/scene.py habitat": "the name of an agent, which files of that layout do not say",
     "tasks/ingestion/sources.py habitat": "a layout of finished datasets",
-    "tasks/selection/__init__.py scan_crop": "a setting: rows of earlier versions count, whoever fills slots now",
+    "tasks/selection/scoring.py scan_crop": "a setting: rows of earlier versions count, whoever fills slots now",
     "tasks/stage.py library": "an outside input of stages",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""

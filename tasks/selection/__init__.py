@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
-from schemas.errors import InputError
 from schemas.selection import Selection
 from tasks.geometry.transforms import flat, yaw_pose
+from tasks.models import Model
 from tasks.selection.alignment import AlignmentConfig
-from tasks.selection.evidence import Evidence, Query, gather
+from tasks.selection.evidence import Evidence, InstanceQuery, gather
 from tasks.selection.looks import shared
 from tasks.selection.methods.geometric import GEOMETRIC, Geometric
 from tasks.selection.methods.members import METHODS, method_of
-from tasks.selection.methods.method import Array, Lacking, MethodConfig, ScoringModel, missing
+from tasks.selection.methods.method import Array, Lacking, MethodConfig, missing
+from tasks.selection.methods.model import wanted
 from tasks.selection.scoring import ScoreConfig, completeness, is_own_geometry, score_of
 from tasks.settings import Config, union_of
 from tasks.stage import Context, Outcome, Stage
@@ -51,7 +52,7 @@ def run(
     masks: Sequence[Mask] = (),
     context: Context,
     config: SelectionConfig,
-    model: ScoringModel | None = None,
+    model: Model | None = None,
 ) -> Outcome:
     """Selections: one row per filled slot of every instance, ranked by score; equal scores by slot, and first what several share.
 
@@ -60,9 +61,7 @@ def run(
     """
     degradations: list[str] = []
     rankings: dict[str, list[Selection]] = {}
-    gathered = gather(
-        instances, candidates, assets, context, config, degradations, captions=captions, frames=frames, masks=masks
-    )  # fmt: skip
+    gathered = gather(instances, candidates, assets, context, config, degradations, captions=captions, frames=frames, masks=masks)
     for query, evidence in gathered:
         scores, provider, version, lacks = scored(query, evidence, config.provider, model)
         if lacks is not None:
@@ -74,7 +73,7 @@ def run(
 
 
 def scored(
-    query: Query, evidence: Sequence[Evidence], config: MethodConfig, model: ScoringModel | None = None
+    query: InstanceQuery, evidence: Sequence[Evidence], config: MethodConfig, model: Model | None = None
 ) -> tuple[Array, str, str, str | None]:
     """Scores of an instance's candidates, shape (k,), name and version of who scored, and what the method that was asked for lacked: then
     the geometric score stood in. None where it lacked nothing."""
@@ -88,7 +87,7 @@ def scored(
     return GEOMETRIC.score(query, evidence, Geometric(), None), GEOMETRIC.name, GEOMETRIC.version, lacks
 
 
-def _ranked(query: Query, evidence: Sequence[Evidence], scores: Array, provider: str, version: str) -> list[Selection]:
+def _ranked(query: InstanceQuery, evidence: Sequence[Evidence], scores: Array, provider: str, version: str) -> list[Selection]:
     """Rows of one instance, best first."""
     rows = [
         Selection(
@@ -121,4 +120,6 @@ STAGE = Stage(
     writes=("selections",),
     config=SelectionConfig,
     run=run,
+    outside=("model",),
+    model_wanted=lambda config: wanted(config.provider),
 )

@@ -35,7 +35,7 @@ LEAST_WITHIN = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
-class Query:
+class InstanceQuery:
     """An instance that candidates are scored for.
 
     frame: Its own frame in the world, 4x4 [m]: its box turned straight, x and y zero at the middle of the box, z zero at the height on
@@ -122,7 +122,7 @@ def gather(
     captions: Sequence[Caption] = (),
     frames: Sequence[Frame] = (),
     masks: Sequence[Mask] = (),
-) -> Iterator[tuple[Query, list[Evidence]]]:
+) -> Iterator[tuple[InstanceQuery, list[Evidence]]]:
     """Every instance that is no structure and has a candidate that can be read, in their order, with its candidates by slot.
 
     What is left out is said in `degradations`.
@@ -147,7 +147,7 @@ def gather(
             continue
         best = instance.best_frames[0] if instance.best_frames else ""
         frame, target, points, colors = instance_frame(instance, context, config)
-        query = Query(
+        query = InstanceQuery(
             instance, described.get(instance.instance_id), context, frame, target, points, colors, views.get(best),
             shown.get((best, instance.instance_id)),
         )  # fmt: skip
@@ -155,7 +155,7 @@ def gather(
 
 
 def evidence_of(
-    query: Query,
+    query: InstanceQuery,
     candidates: Sequence[Candidate],
     assets: Mapping[str, Asset],
     samples: Mapping[str, Sample | None],
@@ -170,7 +170,7 @@ def evidence_of(
     beside = neighborhood.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
     beside, own_cubes = transform_points(beside, inverse(frame)), len(neighborhood.seen.get(instance.instance_id, ()))
     done: dict[str, tuple[Fit, Distances, float, float, float]] = {}
-    found: list[Evidence] = []
+    measured: list[Evidence] = []
     for candidate in candidates:
         asset_id = candidate.asset_id or ""
         sample = samples[asset_id]
@@ -187,8 +187,8 @@ def evidence_of(
         own = is_own_geometry(asset, candidate.provider, score)
         complete = completeness(asset, own, score)
         geometric = score_of(distances, iou, color, complete, own, target.diagonal, score, foreign, target.resolution)
-        found.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, complete, own, geometric))
-    return found
+        measured.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, complete, own, geometric))
+    return measured
 
 
 def instance_frame(

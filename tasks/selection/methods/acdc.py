@@ -10,10 +10,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.models import Model
 from tasks.selection.crops import filling, squared
-from tasks.selection.evidence import Evidence, Query
+from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.encoders import clip_in, dino_in, remembered, weights_digest
-from tasks.selection.methods.method import Array, Lacking, ScoringModel, SelectionMethod
+from tasks.selection.methods.method import Array, Lacking, SelectionMethod
 from tasks.selection.methods.pictures import around, parts_of
 from tasks.settings import Config, Count, Positive
 
@@ -30,7 +31,7 @@ class Acdc(Config):
     pitch_radians: Positive = 0.35  # furniture lies below the eye
 
 
-def score(query: Query, candidates: Sequence[Evidence], config: Acdc, model: ScoringModel | None) -> Array:
+def score(query: InstanceQuery, candidates: Sequence[Evidence], config: Acdc, model: Model | None) -> Array:
     """Mean cosine of patches at the same place, of the nearest snapshot, shape (k,): -1..1 put into 0.5..1 for the categories that CLIP
     chose, into 0..0.5 for the others.
 
@@ -68,7 +69,7 @@ def likely_categories(category: str, offered: Sequence[str], config: Acdc) -> fr
     return frozenset(names[i] for i in order[: config.categories])
 
 
-def _snapshots(query: Query, candidate: Evidence, config: Acdc) -> NDArray[np.float32]:
+def _snapshots(query: InstanceQuery, candidate: Evidence, config: Acdc) -> NDArray[np.float32]:
     """Patches of an asset's snapshots, shape (n, p, d), remembered by content."""
     encoder, asset = dino_in(config.weights), candidate.asset
 
@@ -79,7 +80,7 @@ def _snapshots(query: Query, candidate: Evidence, config: Acdc) -> NDArray[np.fl
     return remembered(query.context.caches[__name__], key, make, half=True)  # megabytes an asset
 
 
-def label(config: Acdc, model: ScoringModel | None) -> str:
+def label(config: Acdc, model: Model | None) -> str:
     """Which weights scored."""
     return "+".join(weights_digest(folder)[:12] for folder in (config.weights, config.clip) if folder)
 

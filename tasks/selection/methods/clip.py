@@ -9,9 +9,10 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from schemas.candidates import Asset
-from tasks.selection.evidence import Evidence, Query
+from tasks.models import Model
+from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.encoders import ClipEncoder, clip_in, remembered, weights_digest
-from tasks.selection.methods.method import Array, ScoringModel, SelectionMethod, chances
+from tasks.selection.methods.method import Array, SelectionMethod, chances
 from tasks.selection.methods.pictures import around, parts_of
 from tasks.settings import Config, Count
 
@@ -28,7 +29,7 @@ class Clip(Config):
     views: Count = 4  # pictures of an asset from around: front, back and sides
 
 
-def score(query: Query, candidates: Sequence[Evidence], config: Clip, model: ScoringModel | None) -> Array:
+def score(query: InstanceQuery, candidates: Sequence[Evidence], config: Clip, model: Model | None) -> Array:
     """Chances of the candidates, shape (k,): the softmax of their cosines by CLIP's own scale, which tells ten apart.
 
     Raises:
@@ -40,12 +41,12 @@ def score(query: Query, candidates: Sequence[Evidence], config: Clip, model: Sco
     return chances(np.array([encoder.scale * float(vectors[each.asset.asset_id] @ text) for each in candidates]))
 
 
-def text_of(query: Query, kind: str) -> str:
+def text_of(query: InstanceQuery, kind: str) -> str:
     """What is asked for: the caption where it is wanted and there is one, else the category as in the paper's release."""
     return query.text if kind == "caption" and query.text else f"A photo of a {query.category}."
 
 
-def asset_vector(asset: Asset, query: Query, encoder: ClipEncoder, config: Clip) -> Array:
+def asset_vector(asset: Asset, query: InstanceQuery, encoder: ClipEncoder, config: Clip) -> Array:
     """Mean of CLIP's vectors of an asset's pictures, length 1, shape (d,); remembered by content."""
 
     def make() -> Array:
@@ -56,7 +57,7 @@ def asset_vector(asset: Asset, query: Query, encoder: ClipEncoder, config: Clip)
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-9))
 
 
-def label(config: Clip, model: ScoringModel | None) -> str:
+def label(config: Clip, model: Model | None) -> str:
     """Which weights scored."""
     return weights_digest(config.weights)[:12]
 

@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from tasks.selection.evidence import Evidence, Query
-from tasks.selection.methods.method import Array, ScoringModel, SelectionMethod
+from tasks.models import Model
+from tasks.selection.evidence import Evidence, InstanceQuery
+from tasks.selection.methods.method import Array, SelectionMethod
 from tasks.settings import Config
 
 
@@ -20,7 +21,7 @@ class ColorHistogram(Config):
     kind: ClassVar[str] = "color_histogram"
 
 
-def score(query: Query, candidates: Sequence[Evidence], config: ColorHistogram, model: ScoringModel | None) -> Array:
+def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ColorHistogram, model: Model | None) -> Array:
     """Likeness of the colors, shape (k,)."""
     return np.array([each.color for each in candidates])
 

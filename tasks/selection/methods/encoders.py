@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.files import open_file
+from tasks.weights import MOST_BYTES
 
 Vectors = NDArray[np.float32]
 Images = NDArray[np.uint8]
@@ -46,11 +48,11 @@ class ClipEncoder:
         """Vectors of pictures, shape (n, side, side, 3) to (n, d)."""
         import torch
 
-        found = []
+        vectors = []
         with torch.no_grad(), _one_thread():
             for pixels in _batches(pictures, CLIP_MEAN, CLIP_STD):
-                found.append(self._model.visual_projection(self._model.vision_model(pixel_values=pixels).pooler_output).numpy())
-        return _unit(np.concatenate(found))
+                vectors.append(self._model.visual_projection(self._model.vision_model(pixel_values=pixels).pooler_output).numpy())
+        return _unit(np.concatenate(vectors))
 
     def texts(self, texts: Sequence[str]) -> Vectors:
         """Vectors of texts, shape (n, d); what is longer than the model reads is cut."""
@@ -79,11 +81,11 @@ class DinoEncoder:
         """Vectors of length 1 of the patches of pictures, shape (n, side, side, 3) to (n, p, d)."""
         import torch
 
-        found = []
+        vectors = []
         with torch.no_grad(), _one_thread():
             for pixels in _batches(pictures, IMAGENET_MEAN, IMAGENET_STD):
-                found.append(self._model(pixel_values=pixels).last_hidden_state[:, 1:].numpy())  # the first token stands for the picture
-        return _unit(np.concatenate(found))
+                vectors.append(self._model(pixel_values=pixels).last_hidden_state[:, 1:].numpy())  # the first token stands for the picture
+        return _unit(np.concatenate(vectors))
 
 
 def clip_in(folder: str) -> ClipEncoder:
@@ -144,7 +146,7 @@ def _dino(folder: str, digest: str) -> DinoEncoder:
 def _digest(folder: str, stamps: tuple[tuple[str, int, int], ...]) -> str:
     hashes = hashlib.sha256()
     for name, _, _ in stamps:
-        with (Path(folder) / name).open("rb") as file:
+        with open_file(Path(folder) / name, name, MOST_BYTES) as file:
             hashes.update(name.encode() + b"\0" + hashlib.file_digest(file, "sha256").digest())
     return hashes.hexdigest()
 
@@ -168,8 +170,8 @@ def _opening(folder: Path, kind: str) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        said = str(error).strip().splitlines()
-        raise InputError(str(folder), "", f"holds no {kind}: {said[0] if said else error!r}", "name a folder that it was saved to") from error
+        problem = f"holds no {kind}: {next(iter(str(error).strip().splitlines()), repr(error))}"
+        raise InputError(str(folder), "", problem, "name a folder that it was saved to") from error
 
 
 @contextlib.contextmanager

@@ -82,10 +82,10 @@ class Endpoint:
                 with _OPENER.open(request, timeout=self.timeout_seconds) as reply:
                     return self._text(reply.read(MOST_BYTES + 1))
             except urllib.error.HTTPError as error:
-                said = cut(error.read(400).decode(errors="replace"))
+                message = cut(error.read(400).decode(errors="replace"))
                 if error.code in NOT_UNDERSTOOD and not is_last:
                     return None
-                problem = f"HTTP {error.code}: {said}"
+                problem = f"HTTP {error.code}: {message}"
                 if error.code not in TRIED_AGAIN:
                     raise InputError(self.url, self.model, problem, "see url, model and the key of selection.provider") from None
                 self._wait_as_told(error.headers.get("Retry-After"), attempt)

@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from tasks.selection.evidence import Evidence, Query
-from tasks.selection.methods.method import Array, ScoringModel, SelectionMethod
+from tasks.models import Model
+from tasks.selection.evidence import Evidence, InstanceQuery
+from tasks.selection.methods.method import Array, SelectionMethod
 from tasks.settings import Config
 
 LEAST_M = 0.005
@@ -23,7 +24,7 @@ class Extents(Config):
     kind: ClassVar[str] = "extents"
 
 
-def score(query: Query, candidates: Sequence[Evidence], config: Extents, model: ScoringModel | None) -> Array:
+def score(query: InstanceQuery, candidates: Sequence[Evidence], config: Extents, model: Model | None) -> Array:
     """Agreement of sizes, shape (k,), 1 where all sides are equal."""
     return np.array([size_agreement(each.sample.extents, query.target.size) for each in candidates])
 

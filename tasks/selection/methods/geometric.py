@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from tasks.selection.evidence import Evidence, Query
-from tasks.selection.methods.method import Array, ScoringModel, SelectionMethod
+from tasks.models import Model
+from tasks.selection.evidence import Evidence, InstanceQuery
+from tasks.selection.methods.method import Array, SelectionMethod
 from tasks.settings import Config
 
 
@@ -20,7 +21,7 @@ class Geometric(Config):
     kind: ClassVar[str] = "geometric"
 
 
-def score(query: Query, candidates: Sequence[Evidence], config: Geometric, model: ScoringModel | None) -> Array:
+def score(query: InstanceQuery, candidates: Sequence[Evidence], config: Geometric, model: Model | None) -> Array:
     """The scores that came of measuring, shape (k,)."""
     return np.array([each.geometric for each in candidates])
 

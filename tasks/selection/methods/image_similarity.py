@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.fidelity.colors import gray, structural_similarity
+from tasks.models import Model
 from tasks.selection.crops import Crop, filling, squared
-from tasks.selection.evidence import Evidence, Query
-from tasks.selection.methods.method import Array, Lacking, ScoringModel, SelectionMethod
+from tasks.selection.evidence import Evidence, InstanceQuery
+from tasks.selection.methods.method import Array, Lacking, SelectionMethod
 from tasks.selection.methods.pictures import around, parts_of, seen_from
 from tasks.settings import Config, Count
 
@@ -30,7 +31,7 @@ class ImageSimilarity(Config):
     yaws: Count = 8  # from around: every 45 degrees
 
 
-def score(query: Query, candidates: Sequence[Evidence], config: ImageSimilarity, model: ScoringModel | None) -> Array:
+def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ImageSimilarity, model: Model | None) -> Array:
     """Similarity to the crop, shape (k,), -1..1 put into 0..1.
 
     Raises:
@@ -51,14 +52,14 @@ def similarity(first: NDArray[np.uint8], second: NDArray[np.uint8], where: NDArr
     return float(structural_similarity(gray(first), gray(second))[where].mean()) if where.any() else 0.0
 
 
-def _from_its_camera(query: Query, crop: Crop, candidate: Evidence) -> float:
+def _from_its_camera(query: InstanceQuery, crop: Crop, candidate: Evidence) -> float:
     assert crop.camera is not None
     picture, drawn = seen_from(query, candidate, crop.camera)
     seen = np.ones(drawn.shape, dtype=bool) if crop.silhouette is None else crop.silhouette
     return similarity(crop.on_white(), picture, seen | drawn)
 
 
-def _from_around(query: Query, crop: Crop, candidate: Evidence, config: ImageSimilarity) -> float:
+def _from_around(query: InstanceQuery, crop: Crop, candidate: Evidence, config: ImageSimilarity) -> float:
     shown = squared(crop.image, config.pixels) if crop.silhouette is None else filling(crop.image, crop.silhouette, config.pixels)
     parts = parts_of(candidate.asset, query.context.blobs, candidate.fit.scale)
     everywhere = np.ones(shown.shape[:2], dtype=bool)

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from tasks.models import Model
 from tasks.settings import Config
 
 if TYPE_CHECKING:
-    from tasks.selection.evidence import Evidence, Query
+    from tasks.selection.evidence import Evidence, InstanceQuery
 
 Array = NDArray[np.float64]
 
@@ -22,25 +23,6 @@ Need = Literal["image", "text", "model", "clip", "dinov2", "endpoint"]
 
 class Lacking(Exception):
     """A method lacks what it needs for an instance. The text says what; the geometric score stands in, and the rows say so."""
-
-
-class ScoringModel(Protocol):
-    """A learned model with its weights, as `tasks.models.Model` is one."""
-
-    @property
-    def model_id(self) -> str:
-        """Its name: 64 hex digits."""
-        ...
-
-    @property
-    def config(self) -> str:
-        """The config that it was trained with, as JSON."""
-        ...
-
-    @property
-    def weights(self) -> bytes:
-        """Its weights, safetensors."""
-        ...
 
 
 class MethodConfig(Protocol):
@@ -64,17 +46,17 @@ class SelectionMethod:
     name: str
     config: type[Config]
     version: str
-    score: Callable[[Query, Sequence[Evidence], Any, ScoringModel | None], Array]
+    score: Callable[[InstanceQuery, Sequence[Evidence], Any, Model | None], Array]
     needs: tuple[Need, ...] = ()
-    label: Callable[[Any, ScoringModel | None], str] | None = None
+    label: Callable[[Any, Model | None], str] | None = None
 
-    def row_version(self, config: MethodConfig, model: ScoringModel | None) -> str:
+    def row_version(self, config: MethodConfig, model: Model | None) -> str:
         """The version as rows have it: with what else the scores follow from."""
         more = self.label(config, model) if self.label is not None else ""
         return f"{self.version}:{more}" if more else self.version
 
 
-def missing(method: SelectionMethod, query: Query, model: ScoringModel | None) -> str | None:
+def missing(method: SelectionMethod, query: InstanceQuery, model: Model | None) -> str | None:
     """What of an instance a method needs and lacks; None where all is there."""
     if "image" in method.needs:
         try:

@@ -17,7 +17,7 @@ from tasks.selection.crops import filling
 if TYPE_CHECKING:
     import trimesh
 
-    from tasks.selection.evidence import Evidence, Query
+    from tasks.selection.evidence import Evidence, InstanceQuery
 
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -38,7 +38,7 @@ def parts_of(asset: Asset, blobs: Mapping[str, bytes], scale: NDArray[np.float64
     return parts
 
 
-def seen_from(query: Query, evidence: Evidence, camera: Camera) -> tuple[Image, Mask]:
+def seen_from(query: InstanceQuery, evidence: Evidence, camera: Camera) -> tuple[Image, Mask]:
     """A candidate where it stands, from a camera in the world frame: picture (h, w, 3) on white, and the pixels that show it (h, w)."""
     pose = query.frame @ yaw_pose(evidence.fit.yaw, evidence.fit.offset)
     parts = parts_of(evidence.asset, query.context.blobs, evidence.fit.scale)
@@ -58,10 +58,10 @@ def around(parts: list[trimesh.Trimesh], yaws: int, pitches_radians: tuple[float
     middle, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
     far = radius / np.sin(0.5 * FOV_RADIANS)
     scene = RayScene(parts)
-    pictures = []
+    pictures, width = [], round(DRAWN * side)
     for pitch in pitches_radians:
         for yaw in 2 * np.pi * np.arange(yaws) / yaws:
             way = np.array([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)])
-            drawn = scene.render(Camera.with_fov(look_at(middle + far * way, middle), round(DRAWN * side), round(DRAWN * side), FOV_RADIANS))
+            drawn = scene.render(Camera.with_fov(look_at(middle + far * way, middle), width, width, FOV_RADIANS))
             pictures.append(filling(drawn.color, drawn.part >= 0, side))
     return np.stack(pictures)

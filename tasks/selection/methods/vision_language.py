@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from tasks.models import Model
 from tasks.selection.crops import squared
-from tasks.selection.evidence import Evidence, Query
+from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.endpoint import Endpoint, key_in
-from tasks.selection.methods.method import Array, Lacking, ScoringModel, SelectionMethod
+from tasks.selection.methods.method import Array, Lacking, SelectionMethod
 from tasks.selection.methods.pictures import around, parts_of
 from tasks.selection.methods.replies import UnreadableReply, ranking_of
 from tasks.settings import Config, Count, NonNegative, Positive
@@ -50,7 +51,7 @@ class VisionLanguage(Config):
     timeout_seconds: Positive = 120.0  # large models look at eleven pictures for a while
 
 
-def score(query: Query, candidates: Sequence[Evidence], config: VisionLanguage, model: ScoringModel | None) -> Array:
+def score(query: InstanceQuery, candidates: Sequence[Evidence], config: VisionLanguage, model: Model | None) -> Array:
     """Scores that rank candidates as the model does, shape (k,): 1, 0.9, ... for those that it names, below them by geometry.
 
     Raises:
@@ -67,16 +68,16 @@ def score(query: Query, candidates: Sequence[Evidence], config: VisionLanguage, 
     return scores
 
 
-def messages_of(query: Query, candidates: Sequence[Evidence], config: VisionLanguage) -> list[dict[str, Any]]:
+def messages_of(query: InstanceQuery, candidates: Sequence[Evidence], config: VisionLanguage) -> list[dict[str, Any]]:
     """What the model is asked: the crop and what is known of the object, then a picture of each candidate with its number and size."""
     assert query.crop is not None
     size = " x ".join(f"{value:.2f}" for value in query.target.size)
     about = f" It was described so: {query.text}" if query.text else ""
     parts: list[dict[str, Any]] = [
         _text(
-            f"The first picture shows an object in a scanned room: {query.category or 'unnamed'}, {size} m (length, width, height).{about} "
-            f"Then come {len(candidates)} models of furniture, numbered from 1, each seen from several sides. Which of them should stand in "
-            "its place? Judge shape and parts first, then proportions, material and color."
+            f"The first picture shows an object in a scanned room: {query.category or 'unnamed'}, {size} m (length, width, height)."
+            f"{about} Then come {len(candidates)} models of furniture, numbered from 1, each seen from several sides. Which of them should "
+            "stand in its place? Judge shape and parts first, then proportions, material and color."
         ),
         _picture(squared(query.crop.on_white(), config.pixels)),
     ]
@@ -93,7 +94,7 @@ def messages_of(query: Query, candidates: Sequence[Evidence], config: VisionLang
     return [{"role": "user", "content": parts}]
 
 
-def _ranking(query: Query, candidates: Sequence[Evidence], config: VisionLanguage) -> tuple[int, ...]:
+def _ranking(query: InstanceQuery, candidates: Sequence[Evidence], config: VisionLanguage) -> tuple[int, ...]:
     """Numbers of candidates, best first, as the model ranks them; a reply that could be read is remembered.
 
     Raises:
@@ -135,7 +136,7 @@ def _picture(image: NDArray[np.uint8]) -> dict[str, Any]:
     return {"type": "image_url", "image_url": {"url": f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"}}
 
 
-def label(config: VisionLanguage, model: ScoringModel | None) -> str:
+def label(config: VisionLanguage, model: Model | None) -> str:
     """Which model picked."""
     return config.model
 
