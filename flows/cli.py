@@ -25,6 +25,8 @@ COMMANDS = {
     "annotate": "Ask people, take in what they chose, and have it reviewed.",
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",
+    "train": "Train a learned system on a snapshot or release of the lake.",
+    "models": "List, show, export, import and withdraw models.",
     "status": "Say what is done, running, failed and stale, from the lake alone.",
     "deploy": "Schedule runs on a Prefect server, or start one with a worker.",
     "lake": "Compact, vacuum, back up, restore the lake, or erase a scene from it.",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -16,10 +15,11 @@ from tasks.geometry.transforms import yaw_pose
 from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod, chances
-from tasks.settings import Config, adapter
+from tasks.settings import Config
 from tasks.stage import WantedModel
 
 if TYPE_CHECKING:
+    from tasks.selection.model.config import SelectionModel
     from tasks.selection.model.features import Contender, Scanned
 
 SYSTEM = "selection"
@@ -48,51 +48,48 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelSco
     """
     if model is None:
         raise Lacking("no model")
-    return chances(_scorer(model.model_id, model.weights, model.config).score(scanned_of(query), contenders_of(query, candidates)))
+    scorer = _scorer(model.model_id, model.weights, model.config)
+    return chances(scorer.score(scanned_of(query, scorer.config), contenders_of(query, candidates, scorer.config)))
 
 
-def scanned_of(query: InstanceQuery) -> Scanned:
-    """An instance as the model sees it."""
-    from tasks.selection.model.examples import scan_cloud
-    from tasks.selection.model.features import Scanned
+def scanned_of(query: InstanceQuery, config: SelectionModel) -> Scanned:
+    """An instance as a model sees it; without a crop where that cannot be read."""
+    from tasks.selection.model.sight import scanned
 
-    cloud = scan_cloud(query.points, query.colors, CLOUD)
     try:
         image = query.image
-    except InputError:  # it is scored without
+    except InputError:
         image = None
-    return Scanned(cloud, query.target.size.astype(np.float32), query.category, query.text, image)
+    return scanned(query.points, query.colors, query.target.size, query.category, query.text, image, config)
 
 
-CLOUD = 512
-"""Points of a cloud; models take the first of them, which lie apart."""
+def contenders_of(query: InstanceQuery, candidates: Sequence[Evidence], config: SelectionModel) -> list[Contender]:
+    """Candidates as a model sees them."""
+    from tasks.selection.model import sight
+    from tasks.selection.model.clouds import unpacked
+    from tasks.selection.model.features import Contender
 
-
-def contenders_of(query: InstanceQuery, candidates: Sequence[Evidence]) -> list[Contender]:
-    """Candidates as the model sees them."""
-    from tasks.selection.model.clouds import spread_cloud
-    from tasks.selection.model.features import Contender, evidence_of
-
+    memory = query.context.caches[sight.__name__]
     contenders = []
     for each in candidates:
-        measured = evidence_of(
+        vector = sight.evidence(
             coverage=each.distances.coverage, box_iou=each.box_iou, color=each.color, foreign=each.foreign,
-            chamfer_m=each.distances.chamfer, diagonal_m=query.target.diagonal, score=each.geometric, scale=each.fit.scale,
-            is_category=each.asset.category.lower() == query.category, is_own=each.own, is_closed=each.asset.is_watertight,
+            chamfer_m=each.distances.chamfer, diagonal_m=query.target.diagonal, scale=each.fit.scale, category=query.category,
+            asset=each.asset, is_own=each.own,
         )  # fmt: skip
-        cloud = spread_cloud(each.sample.points, each.sample.colors, CLOUD, each.sample.normals)
-        pose = yaw_pose(each.fit.yaw, each.fit.offset)
-        contenders.append(Contender(cloud, each.sample.extents.astype(np.float32), pose, each.fit.scale, measured))
+        cloud = unpacked(sight.surface_cloud(each.asset.mesh_blob, query.context.blobs, config, memory))
+        extents = np.asarray(each.asset.extents, dtype=np.float32)
+        contenders.append(Contender(cloud, extents, yaw_pose(each.fit.yaw, each.fit.offset), each.fit.scale, vector))
     return contenders
 
 
 @lru_cache(maxsize=2)
 def _scorer(model_id: str, weights: bytes, config: str) -> Any:
     """What scores by a model's weights, opened once in a process."""
-    from tasks.selection.model.config import SelectionModel
     from tasks.selection.model.inference import load
+    from tasks.selection.model.sight import config_from
 
-    return load(weights, adapter(SelectionModel).validate_python(json.loads(config)), f"model {model_id[:12]}")
+    return load(weights, config_from(config), f"model {model_id[:12]}")
 
 
 def label(config: ModelScores, model: Model | None) -> str:
