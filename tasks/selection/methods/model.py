@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from schemas.errors import InputError
 from tasks.geometry.transforms import yaw_pose
@@ -31,7 +30,7 @@ class ModelScores(Config):
     """The scores of a learned model: of the lake's newest, else the one that ships, or of the one that is named."""
 
     kind: ClassVar[str] = "model"
-    model_id: Annotated[str, Field(pattern=r"[0-9a-f]{0,64}")] = ""  # or how it begins; without, the newest that was not withdrawn
+    model_id: str = ""  # or how it begins; without, the newest that was not withdrawn, else the one that ships
 
 
 def wanted(config: Any) -> WantedModel | None:
