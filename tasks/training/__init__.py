@@ -26,11 +26,14 @@ else:
     AnySystem = union_of(system.config for system in SYSTEMS) if SYSTEMS else Config
 
 
+_FIRST = SYSTEMS[0].config if SYSTEMS else Config
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig(Config):
     """What is trained, and how."""
 
-    system: AnySystem = dataclasses.field(default_factory=SYSTEMS[0].config if SYSTEMS else Config)  # the first learned system; `metascenes train` names one
+    system: AnySystem = dataclasses.field(default_factory=_FIRST)  # the first learned system; `metascenes train` names one
 
 
 def run(*, dataset: Dataset, start: Model | None, provenance: Provenance, context: Context, config: TrainingConfig) -> Outcome:
