@@ -80,6 +80,7 @@ def run(*, dataset: Dataset, start: Model | None, provenance: Provenance, contex
         models=[model],
         training_steps=_curve(trained, context.scene_id),
         model_evaluations=evaluations_of(trained.measures, model),
+        selection_outcomes=[dataclasses.replace(row, training_id=context.scene_id) for row in trained.outcomes],
         blobs=blobs,
         degradations=notes,
     )
@@ -110,7 +111,7 @@ def evaluations_of(measures: tuple[Measure, ...], model: LearnedModel) -> list[M
 STAGE = Stage(
     name="training",
     reads=(),
-    writes=("models", "training_steps", "model_evaluations"),
+    writes=("models", "training_steps", "model_evaluations", "selection_outcomes"),
     config=TrainingConfig,
     run=run,
     grain="dataset",

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from tasks.models import folders_in
 from tasks.selection.model.batches import BatchConfig, SelectionObjective, predicted
 from tasks.selection.model.collection import READS, Collected, collected
 from tasks.selection.model.config import OwnImage, OwnText, SelectionModel
@@ -15,12 +16,11 @@ from tasks.selection.model.figures import hits, interval
 from tasks.selection.model.foreign import begin_with_foreign
 from tasks.selection.model.frozen import is_frozen, seen_by_frozen, widths_of
 from tasks.selection.model.scoring import begin_with
-from tasks.models import folders_in
 from tasks.settings import Config, Share
 from tasks.stage import Context
 from tasks.training.dataset import Dataset
 from tasks.training.fitting import FittingConfig, check_installed, fit, seeded, weights_of
-from tasks.training.system import LearnedSystem, ShippedModel
+from tasks.training.system import LearnedSystem
 from tasks.training.trained import Measure, Trained
 
 if TYPE_CHECKING:

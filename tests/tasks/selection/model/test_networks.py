@@ -9,11 +9,18 @@ import math
 import numpy as np
 import pytest
 
-from tasks.selection.model.batches import BatchConfig, SelectionObjective, chosen_objects, joined, others_of, predicted, tensors, training_batch
+from tasks.selection.model.batches import (
+    BatchConfig,
+    SelectionObjective,
+    chosen_objects,
+    others_of,
+    predicted,
+    training_batch,
+)
 from tasks.selection.model.config import AugmentationConfig, NoQuery, OwnText, PointNet2, SelectionModel, Uni3d
 from tasks.selection.model.examples import by_room
 from tasks.selection.model.features import features_of
-from tasks.training.fitting import FittingConfig, fit, seeded
+from tasks.training.fitting import FittingConfig, fit
 from tasks.training.systems.selection import freeze, network
 from tests.tasks.selection.model.shapes import toy
 from tests.tasks.selection.model.test_inference import FULL, PAPER, SMALL, SWITCHES
