@@ -85,4 +85,4 @@ class SelectionOutcome:
     best_box_iou: float | None = column("Largest box_iou of all candidates", minimum=0, maximum=1)
     best_oriented_iou: float | None = column("Largest oriented_iou of all candidates", minimum=0, maximum=1)
     best_color_kl: float | None = column("Least color_kl of all candidates", minimum=0)
-    milliseconds: float | None = column("Time that scoring the instance's candidates took", unit="ms", minimum=0, volatile=True)
+    seconds: float | None = column("Time that scoring the instance's candidates took", unit="s", minimum=0, volatile=True)

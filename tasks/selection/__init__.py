@@ -58,7 +58,13 @@ def run(
 
     A candidate whose mesh cannot be read is left out, and so is an instance without any candidate; where the method lacks what it needs,
     the geometric score stands in. All of this is said.
+
+    Raises:
+        InputError: the config does not name weights or an endpoint that its method needs, or these cannot be used.
     """
+    check = method_of(config.provider).check
+    if check is not None:
+        check(config.provider)
     degradations: list[str] = []
     rankings: dict[str, list[Selection]] = {}
     gathered = gather(instances, candidates, assets, context, config, degradations, captions=captions, frames=frames, masks=masks)

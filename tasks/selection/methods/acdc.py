@@ -24,7 +24,7 @@ class Acdc(Config):
     """Likeness of DINOv2's patches of the crop and of the nearest of an asset's snapshots. Needs weights that the user names."""
 
     kind: ClassVar[str] = "acdc"
-    weights: str  # folder of DINOv2 that transformers wrote; ACDC has ViT-S/14
+    weights: str = ""  # folder of DINOv2 that transformers wrote; ACDC has ViT-S/14
     clip: str = ""  # folder of CLIP for the choice of categories; without one all candidates are compared
     categories: Count = 3  # that CLIP's text finds nearest to the instance's, as published; assets of others come after all of these
     yaws: Count = 12  # snapshots per height: every 30 degrees; 50 at two heights are ACDC's hundred
@@ -85,4 +85,10 @@ def label(config: Acdc, model: Model | None) -> str:
     return "+".join(weights_digest(folder)[:12] for folder in (config.weights, config.clip) if folder)
 
 
-ACDC = SelectionMethod(name="acdc", config=Acdc, version="1", score=score, needs=("image", "dinov2"), label=label)
+def check(config: Acdc) -> None:
+    """Raises InputError where a folder of weights is not there."""
+    label(config, None)
+    weights_digest(config.weights)
+
+
+ACDC = SelectionMethod(name="acdc", config=Acdc, version="1", score=score, needs=("image", "dinov2"), label=label, check=check)

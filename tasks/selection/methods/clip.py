@@ -24,7 +24,7 @@ class Clip(Config):
     """Cosine of CLIP's vectors of a text and of the mean of an asset's pictures. Needs weights that the user names."""
 
     kind: ClassVar[str] = "clip"
-    weights: str  # folder that transformers wrote; none ships, as theirs are of hundreds of megabytes
+    weights: str = ""  # folder that transformers wrote; none ships, as theirs are of hundreds of megabytes
     text: Literal["caption", "category"] = "caption"  # a caption tells materials and colors too; the paper's release has the category alone
     views: Count = 4  # pictures of an asset from around: front, back and sides
 
@@ -62,4 +62,9 @@ def label(config: Clip, model: Model | None) -> str:
     return weights_digest(config.weights)[:12]
 
 
-CLIP = SelectionMethod(name="clip", config=Clip, version="1", score=score, needs=("text", "clip"), label=label)
+def check(config: Clip) -> None:
+    """Raises InputError where the folder of weights is not there."""
+    weights_digest(config.weights)
+
+
+CLIP = SelectionMethod(name="clip", config=Clip, version="1", score=score, needs=("text", "clip"), label=label, check=check)

@@ -8,12 +8,12 @@ import hashlib
 import io
 import json
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
+from schemas.errors import InputError, check_address
 from tasks.models import Model
 from tasks.selection.crops import squared
 from tasks.selection.evidence import Evidence, InstanceQuery
@@ -40,8 +40,8 @@ class VisionLanguage(Config):
     """The ranking that a vision-language model gives. Its answers are remembered: the same request is sent once."""
 
     kind: ClassVar[str] = "vision_language"
-    url: Annotated[str, Field(pattern=r"https?://\S+")]  # of an OpenAI-compatible endpoint, without /chat/completions
-    model: Annotated[str, Field(min_length=1)]  # as the endpoint calls it
+    url: str = ""  # of an OpenAI-compatible endpoint, without /chat/completions; none is ours to name
+    model: str = ""  # as the endpoint calls it
     key_variable: str = ""  # environment variable that holds the key; servers at home need none
     pixels: Count = 256  # of a picture's side: what crops in the lake have
     views: Count = 2  # pictures of a candidate, side by side: its front and its side
@@ -136,11 +136,21 @@ def _picture(image: NDArray[np.uint8]) -> dict[str, Any]:
     return {"type": "image_url", "image_url": {"url": f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"}}
 
 
+def check(config: VisionLanguage) -> None:
+    """Raises InputError where no endpoint or model is named, the address is none, or the key is not there."""
+    if not config.model:
+        raise InputError("selection.provider", "model", "names no model", "give it as the endpoint calls it")
+    if not config.url.startswith(("http://", "https://")):
+        raise InputError("selection.provider", "url", "is no address", "give that of an OpenAI-compatible endpoint: https://.../v1")
+    check_address(config.url, "selection.provider.url")
+    key_in(config.key_variable)
+
+
 def label(config: VisionLanguage, model: Model | None) -> str:
     """Which model picked."""
     return config.model
 
 
 VISION_LANGUAGE = SelectionMethod(
-    name="vision_language", config=VisionLanguage, version="1", score=score, needs=("image", "endpoint"), label=label
+    name="vision_language", config=VisionLanguage, version="1", score=score, needs=("image", "endpoint"), label=label, check=check
 )

@@ -42,7 +42,7 @@ class KnownInstance:
 
 def outcome_of(
     known: KnownInstance, scores: ArrayLike, slots: Sequence[int], *, method: str, dataset: str, training_id: str, seed: int = 0,
-    model_id: str | None = None, is_fallback: bool = False, milliseconds: float | None = None,
+    model_id: str | None = None, is_fallback: bool = False, seconds: float | None = None,
 ) -> SelectionOutcome:  # fmt: skip
     """The row of an instance whose candidates, in the order of `slots`, a method gave some scores, shape (k,)."""
     ranking = ranking_of(scores, slots)
@@ -58,7 +58,7 @@ def outcome_of(
         room_id=known.room_id, instance_id=known.instance_id, category=known.category, is_held_out_category=known.is_held_out_category,
         candidate_count=len(ranking), chosen_asset_id=known.assets[chosen], is_chosen_own=chosen in known.own, is_fallback=is_fallback,
         truth_rank=place_of(ranking, known.true), truth_rank_without_own=place_of(ranking, known.true_without_own, known.own),
-        milliseconds=milliseconds, **figures,
+        seconds=seconds, **figures,
     )  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def figures_of(outcomes: Sequence[SelectionOutcome], seed: int) -> dict[str, Int
     for metric in METRICS:
         chosen, best = (_column(outcomes, name) for name in (metric, f"best_{metric}"))
         values |= {metric: chosen, f"regret_{metric}": np.abs(chosen - best)}
-    values["milliseconds"] = _column(outcomes, "milliseconds")
+    values["milliseconds"] = 1000.0 * _column(outcomes, "seconds")
     figures = {name: interval(values[name], rooms, seed) for name in FIGURES}
     return {name: figure for name, figure in figures.items() if figure.examples}
 

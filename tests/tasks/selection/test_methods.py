@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from schemas.capture import Frame
+from schemas.errors import InputError
 from schemas.families.selection_methods import SELECTION_METHODS
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import matrix, transform_points, yaw_pose
@@ -52,8 +53,8 @@ def test_every_method_is_a_choice_of_the_setting_and_the_first_is_the_default() 
     for name in plain:
         assert adapter(SelectionConfig).validate_python({"provider": name}).provider.kind == name
     for name in set(kinds) - set(plain):
-        with pytest.raises(ValueError, match=r"weights|url"):
-            adapter(SelectionConfig).validate_python({"provider": name})
+        with pytest.raises(InputError, match=r"^selection.provider: (weights: names no folder|model: names no model)"):
+            Room().select(adapter(SelectionConfig).validate_python({"provider": name}))
 
 
 def test_sizes_are_held_against_each_other_both_ways() -> None:

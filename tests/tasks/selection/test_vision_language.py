@@ -229,10 +229,11 @@ def test_redirects_are_not_followed(server: Server) -> None:
     assert len(server.requests) == 1
 
 
-@pytest.mark.parametrize("told", [{"url": "file:///etc/passwd"}, {"url": ""}, {"model": ""}])
-def test_addresses_that_are_none_are_refused(told: dict[str, str]) -> None:
-    with pytest.raises(ValueError, match=next(iter(told))):
-        VisionLanguage(**{"url": "http://127.0.0.1/v1", "model": "seer-1", **told})
+@pytest.mark.parametrize("told", [{"url": "file:///etc/passwd"}, {"url": ""}, {"model": ""}, {"url": "http://a:secret@127.0.0.1/v1"}])
+def test_addresses_that_are_none_are_refused_before_anything_is_done(told: dict[str, str]) -> None:
+    with pytest.raises(InputError, match=next(iter(told))) as refused:
+        Room().select(SelectionConfig(provider=VisionLanguage(**{"url": "http://127.0.0.1/v1", "model": "seer-1", **told})))
+    assert "secret" not in str(refused.value)
 
 
 READ = [

@@ -26,7 +26,7 @@ measured AS (
             {'metric': 'regret_box_iou', 'value': abs(box_iou - best_box_iou)},
             {'metric': 'regret_oriented_iou', 'value': abs(oriented_iou - best_oriented_iou)},
             {'metric': 'regret_color_kl', 'value': abs(color_kl - best_color_kl)},
-            {'metric': 'milliseconds', 'value': milliseconds}
+            {'metric': 'milliseconds', 'value': 1000 * seconds}
         ]) AS figure
     FROM grouped
 ),

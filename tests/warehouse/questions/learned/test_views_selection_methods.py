@@ -42,7 +42,7 @@ def outcomes(seed: int = 0, rooms: int = 30) -> list[SelectionOutcome]:
                         scene_id=f"demo/{room:02d}", room_id=f"demo/{room:02d}", instance_id=f"{instance:04d}", category=category,
                         is_held_out_category=category == "lamp", candidate_count=10, is_chosen_own=draw.random() < 0.2, is_fallback=False,
                         chosen_asset_id=fingerprint(room, instance), truth_rank=rank,
-                        truth_rank_without_own=None if draw.random() < 0.2 else draw.randrange(1, 11), milliseconds=draw.random() * 5,
+                        truth_rank_without_own=None if draw.random() < 0.2 else draw.randrange(1, 11), seconds=draw.random() * 5,
                         **figures,
                     )
                 )  # fmt: skip
@@ -80,7 +80,7 @@ def value_of(row: SelectionOutcome, metric: str) -> float | None:
         name = metric.removeprefix("regret_")
         chosen, best = getattr(row, name), getattr(row, f"best_{name}")
         return None if chosen is None else abs(chosen - best)
-    return getattr(row, metric)
+    return 1000 * row.seconds if metric == "milliseconds" and row.seconds is not None else getattr(row, metric)
 
 
 def linearized(rows: list[SelectionOutcome], metric: str) -> tuple[float, float]:
