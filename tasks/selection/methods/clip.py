@@ -11,7 +11,7 @@ import numpy as np
 from schemas.candidates import Asset
 from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
-from tasks.selection.methods.encoders import ClipEncoder, clip_in, remembered, weights_digest
+from tasks.selection.methods.encoders import ClipEncoder, Vectors, clip_in, remembered, weights_digest
 from tasks.selection.methods.method import Array, SelectionMethod, chances
 from tasks.selection.methods.pictures import around, parts_of
 from tasks.settings import Config, Count
@@ -49,7 +49,7 @@ def text_of(query: InstanceQuery, kind: str) -> str:
 def asset_vector(asset: Asset, query: InstanceQuery, encoder: ClipEncoder, config: Clip) -> Array:
     """Mean of CLIP's vectors of an asset's pictures, length 1, shape (d,); remembered by content."""
 
-    def make() -> Array:
+    def make() -> Vectors:
         return encoder.images(around(parts_of(asset, query.context.blobs), config.views, (PITCH_RADIANS,), encoder.side))
 
     key = f"{weights_digest(config.weights)}:{asset.mesh_blob}:{config.views}"
