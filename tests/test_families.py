@@ -20,6 +20,7 @@ from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.families.path_finders import PATH_FINDERS
 from schemas.families.policies import POLICIES
 from schemas.families.scan_formats import SCAN_FORMATS
+from schemas.families.selection_methods import SELECTION_METHODS
 from tasks.candidates import providers
 from tasks.capture import formats as scan_formats
 from tasks.evaluation import policies
@@ -28,6 +29,7 @@ from tasks.families import member, members, part
 from tasks.lineage.places import places_of
 from tasks.navigation import path_finders
 from tasks.selection.alignment import methods as alignment_methods
+from tasks.selection.methods import members as selection_methods
 from tests.conftest import REPOSITORY
 from tests.scans import OBJECTS, write_scan
 from tests.test_pipeline import QUICK
@@ -39,6 +41,7 @@ FAMILIES: dict[str, tuple[tuple[str, ...], tuple[Any, ...]]] = {
     "tasks.navigation": (PATH_FINDERS, path_finders.PATH_FINDERS),
     "tasks.evaluation.policies": (POLICIES, policies.POLICIES),
     "tasks.selection.alignment": (ALIGNMENT_METHODS, alignment_methods.METHODS),
+    "tasks.selection.methods": (SELECTION_METHODS, selection_methods.METHODS),
 }
 """Names and objects of every family, by the package that its members lie in."""
 
@@ -65,31 +68,57 @@ ELSEWHERE = {
     "bench/warehouse/rows/assets.sql procedural": "as above",
     "bench/warehouse/rows/candidates.sql library": "as above",
     "bench/warehouse/rows/candidates.sql procedural": "as above",
+    "bench/warehouse/rows/captions.sql vision_language": "rows of a generated lake, whose captions such a model wrote",
     "bench/warehouse/rows/episodes.sql planar": "as above",
     "bench/warehouse/rows/navmeshes.sql planar": "as above",
     "bench/warehouse/rows/scenes.sql posed_rgbd": "as above",
     "bench/warehouse/rows/scenes.sql scannet": "as above",
+    "bench/warehouse/rows/selections.sql geometric": "rows of a generated lake, in shares that are like those of real ones",
     "bench/warehouse/rows/trajectories.sql expert": "as above",
     "bench/warehouse/rows/trajectories.sql planar": "as above",
     "flows/commands/ingest.py habitat": "a layout of finished datasets, whose commands differ in what they take",
+    "flows/commands/training/models.py model": "a parameter, and the head of a column",
     "flows/commands/watch.py library": "the parameter, a folder",
     "flows/run/configuration.py library": "the parameter, a folder",
     "flows/run/plan.py library": "the outside input of a stage",
+    "flows/run/plan.py model": "the outside input of a stage",
     "flows/run/scene.py library": "as above",
     "flows/view/annotating/work.py glb": "the file of a candidate, as the page asks for it",
     "flows/view/application.py glb": "the ending of a file",
     "flows/view/scene.py glb": "as above",
     "flows/view/shapes.py habitat": "the export that has convex pieces as files by object",
+    "flows/worker.py model": "as above",
     "schemas/capture.py habitat": "a layout of finished datasets",
+    "tasks/annotation/work.py extents": "the size of a candidate, in the folder that annotators get",
     "tasks/annotation/work.py glb": "the file of a candidate, in the folder that annotators get",
     "tasks/candidates/__init__.py library": "the outside input of the stage",
+    "tasks/capture/glb.py model": "a file of a scan",
+    "tasks/exports/mjcf/rules.py model": "an attribute of the file that the rules read",
     "tasks/exports/urdf/rules.py glb": "the ending of a file that a URDF file names",
+    "tasks/exports/usd/body_rules.py extents": "the size of a body",
+    "tasks/exports/usd/rules.py extents": "as above",
+    "tasks/geometry/meshes.py model": "the name of a file",
+    "tasks/ingestion/habitat.py model": "a part of a dataset's layout",
     "tasks/ingestion/habitat_scenes.py habitat": "a layout of finished datasets",
     "tasks/ingestion/reading.py habitat": "as above",
     "tasks/ingestion/scene.py habitat": "the name of an agent, which files of that layout do not say",
     "tasks/ingestion/sources.py habitat": "a layout of finished datasets",
-    "tasks/selection/__init__.py scan_crop": "a setting: rows of earlier versions count, whoever fills slots now",
+    "tasks/lineage/words.py extents": "the size of an object",
+    "tasks/scanner/scenery.py model": "a file of a library",
+    "tasks/selection/__init__.py model": "the outside input of the stage",
+    "tasks/selection/methods/endpoint.py model": "a field of the protocol",
+    "tasks/selection/methods/method.py clip": "weights that methods need",
+    "tasks/selection/methods/method.py model": "as above",
+    "tasks/selection/methods/vision_language.py model": "a field of settings",
+    "tasks/selection/model/config.py clip": "a frozen encoder of a learned model",
+    "tasks/selection/model/foreign.py model": "a part of the names in files of weights",
+    "tasks/selection/model/frozen.py clip": "a frozen encoder of a learned model",
+    "tasks/selection/model/sight.py model": "a field of a learned system's settings",
+    "tasks/selection/scoring.py scan_crop": "a setting: rows of earlier versions count, whoever fills slots now",
     "tasks/stage.py library": "an outside input of stages",
+    "tasks/stage.py model": "an outside input of stages",
+    "tasks/training/systems/selection.py model": "as above",
+    "warehouse/lineage/nodes.py extents": "the size of an object",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""
 
@@ -251,6 +280,7 @@ def lake(place: Path, command: Do) -> Path:
     told = {
         "candidates.slots": '[{provider = "toy_provider"}]',
         "selection.alignment.method": "toy_alignment",
+        "selection.provider": "toy_method",
         "navigation.path_finder": "toy_finder",
         "navigation.train_episodes": 3,
         "navigation.test_episodes": 3,
@@ -294,6 +324,7 @@ def test_further_members_make_rows_that_the_schemas_take(command: Do, lake: Path
     assert answer(command, lake, "SELECT scene_id, room_id, scan_format FROM scenes") == [["toys/room_1", "toys/room", "toy_scan"]]
     assert answer(command, lake, "SELECT DISTINCT provider, outcome FROM candidates") == [["toy_provider", "filled"]]
     assert answer(command, lake, "SELECT DISTINCT scale FROM selections") == [[[1.0, 1.0, 1.0]]]
+    assert answer(command, lake, "SELECT DISTINCT provider, provider_version, score FROM selections") == [["toy_method", "7", 0.1]]
     assert answer(command, lake, "SELECT path_finder FROM navmeshes UNION SELECT path_finder FROM episodes") == [["toy_finder"]]
     checks = "SELECT rule, passed FROM export_checks WHERE format = 'toy_export' ORDER BY rule"
     assert answer(command, lake, checks) == [["complete", True], ["toy_fault", True], ["toy_objects", True]]
@@ -347,8 +378,9 @@ print(json.dumps({
     "demo": str(places_in(Path("demo"))["Toy lists"]),
     "form of exports": get_args(Format)[-1],
     "setting of exports": stages["exports"]["properties"]["formats"]["items"]["enum"][-1],
-    "setting of selection": kinds(stages["selection"]["properties"]["alignment"]["properties"]["method"])[-1],
+    "setting of alignment": kinds(stages["selection"]["properties"]["alignment"]["properties"]["method"])[-1],
     "setting of navigation": kinds(stages["navigation"]["properties"]["path_finder"])[-1],
+    "setting of selection": kinds(stages["selection"]["properties"]["provider"])[-1],
     "setting of candidates": kinds(stages["candidates"]["properties"]["slots"]["items"]["properties"]["provider"])[-1],
     "documentation": "`toy_export`" in table_section(table_of(ExportFile)),
 }))
@@ -361,8 +393,9 @@ def test_forms_generators_the_demo_and_the_documentation_have_a_further_member(d
         "demo": "demo/toy_export",
         "form of exports": "toy_export",
         "setting of exports": "toy_export",
-        "setting of selection": "toy_alignment",
+        "setting of alignment": "toy_alignment",
         "setting of navigation": "toy_finder",
+        "setting of selection": "toy_method",
         "setting of candidates": "toy_provider",
         "documentation": True,
     }

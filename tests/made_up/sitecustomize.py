@@ -20,6 +20,8 @@ MEMBERS = {
     "toy_finder": ("path_finders", "PATH_FINDERS", "tasks.navigation"),
     "toy_alignment": ("alignment_methods", "ALIGNMENT_METHODS", "tasks.selection.alignment"),
     "toy_policy": ("policies", "POLICIES", "tasks.evaluation.policies"),
+    "toy_method": ("selection_methods", "SELECTION_METHODS", "tasks.selection.methods"),
+    "toy_system": ("learned_systems", "LEARNED_SYSTEMS", "tasks.training.systems"),
 }
 """Names, the tuples that they are in, and the packages that their modules would lie in."""
 
