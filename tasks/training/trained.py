@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
-from schemas.errors import LakeError
+from schemas.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,5 +60,5 @@ class Trained:
     seconds: float = 0.0
 
 
-class Diverged(LakeError):
+class Diverged(InputError):
     """Training that leads nowhere: a loss that is no finite number."""
