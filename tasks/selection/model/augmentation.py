@@ -17,7 +17,7 @@ Motion = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 def thinned(cloud: Cloud, most: float, rng: np.random.Generator) -> Cloud:
     """A cloud without a share U(0, most) of its points, in the order that they had; whoever needs more takes its first ones again."""
-    keep = max(int(round(len(cloud.points) * (1.0 - rng.uniform(0.0, most)))), 1)
+    keep = max(round(len(cloud.points) * (1.0 - rng.uniform(0.0, most))), 1)
     return taken(cloud, np.sort(rng.permutation(len(cloud.points))[:keep]))
 
 
@@ -87,6 +87,6 @@ def augmented(
 def cropped(image: NDArray[np.uint8], least: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """A window of a picture, shape (h, w, 3), with its share U(least, 1) of the area and its proportions, as it lies."""
     side = np.sqrt(rng.uniform(least, 1.0))
-    height, width = (max(int(round(side * length)), 1) for length in image.shape[:2])
+    height, width = (max(round(side * length), 1) for length in image.shape[:2])
     top, left = int(rng.integers(image.shape[0] - height + 1)), int(rng.integers(image.shape[1] - width + 1))
     return image[top : top + height, left : left + width]

@@ -40,9 +40,7 @@ def farthest_order(points: NDArray[np.floating], count: int, start: int | None =
     return np.asarray(_compiled()["_farthest"](points, min(count, len(points)), start))
 
 
-def spread_cloud(
-    points: NDArray[np.floating], colors: NDArray[np.uint8], count: int, normals: NDArray[np.floating] | None = None
-) -> Cloud:
+def spread_cloud(points: NDArray[np.floating], colors: NDArray[np.uint8], count: int, normals: NDArray[np.floating] | None = None) -> Cloud:
     """At most `count` of a cloud's points, those that lie apart first."""
     order = farthest_order(points, count)
     kept = None if normals is None else np.ascontiguousarray(normals[order], dtype=np.float32)

@@ -94,7 +94,9 @@ def collected(dataset: Rows, context: Context, config: SelectionModel, test_shar
     """
     answers, simulated = answers_of(dataset)
     if not answers:
-        raise InputError("train selection", "annotations", "has no choice that counts", "annotate and accept a batch, or simulate annotators")
+        raise InputError(
+            "train selection", "annotations", "has no choice that counts", "annotate and accept a batch, or simulate annotators"
+        )
     rooms, licenses = {}, set()
     for scene in dataset.rows(Scene):
         rooms[scene.scene_id] = scene.room_id

@@ -44,10 +44,10 @@ class Contender:
     def placed(self) -> Cloud:
         """The cloud in the instance's frame [m]."""
         normals = self.cloud.normals
-        turned = None
+        turned: Array | None = None
         if normals is not None:
-            turned = (normals / self.scale) @ self.pose[:3, :3].T
-            turned = (turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)).astype(np.float32)
+            leaning = (normals / self.scale) @ self.pose[:3, :3].T
+            turned = (leaning / np.maximum(np.linalg.norm(leaning, axis=1, keepdims=True), 1e-9)).astype(np.float32)
         points = (self.cloud.points * self.scale) @ self.pose[:3, :3].T + self.pose[:3, 3]
         return Cloud(points.astype(np.float32), self.cloud.colors, turned)
 
@@ -89,9 +89,7 @@ def plain_view(scanned: Scanned, contenders: Sequence[Contender], config: Select
     return View(scanned.cloud, placed if config.frame == "placed" else [each.cloud for each in contenders], scanned.cloud, placed)
 
 
-def features_of(
-    scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel, view: View | None = None
-) -> dict[str, NDArray]:
+def features_of(scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel, view: View | None = None) -> dict[str, NDArray]:
     """What the network takes of an object, for a batch of one without its first axis (see `Selector`).
 
     view: the clouds where they were changed.
@@ -125,9 +123,9 @@ def asked(scanned: Scanned, config: SelectionModel) -> dict[str, NDArray]:
             image = square_crop(scanned.image, side).transpose(2, 0, 1).astype(np.float32) / 255.0
             if config.image_normalization == "imagenet":
                 image = (image - np.reshape(IMAGENET_MEAN, (3, 1, 1))) / np.reshape(IMAGENET_STD, (3, 1, 1))
-        made["image"], made["has_image"] = image.astype(np.float32), np.float32(scanned.image is not None)
+        made["image"], made["has_image"] = image.astype(np.float32), np.array(scanned.image is not None, dtype=np.float32)
     elif not isinstance(config.image, NoQuery) and scanned.image_vector is not None:
-        made["image"], made["has_image"] = scanned.image_vector, np.float32(np.any(scanned.image_vector))
+        made["image"], made["has_image"] = scanned.image_vector, np.array(np.any(scanned.image_vector), dtype=np.float32)
     if isinstance(config.text, OwnText):
         made["text"] = tokens_of(described(scanned.category, scanned.caption), config.text.buckets, config.text.tokens)
     elif not isinstance(config.text, NoQuery) and scanned.text_vector is not None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from tasks.selection.model.clouds import Array, Cloud
 from tasks.selection.model.config import NoQuery, OwnImage, OwnText, Paper, Patches, SelectionModel, Small
-from tasks.selection.model.features import EVIDENCE, Contender, Scanned, features_of, log_sizes, colored, radius_of
+from tasks.selection.model.features import EVIDENCE, Contender, Scanned, colored, features_of, log_sizes, radius_of
 from tasks.selection.model.sight import scan_cloud
 from tasks.selection.model.words import tokens_of
 from tasks.weights import from_safetensors
@@ -25,7 +25,10 @@ EPSILON = 1e-5
 class CandidateScorer(Protocol):
     """What scores the candidates of an object."""
 
-    config: SelectionModel
+    @property
+    def config(self) -> SelectionModel:
+        """What model it is."""
+        ...
 
     def score(self, scanned: Scanned, contenders: Sequence[Contender]) -> NDArray[np.float64]:
         """Scores, shape (k,), higher is better; only differences mean something."""
@@ -250,5 +253,7 @@ def _fitting(arrays: Mapping[str, NDArray], config: SelectionModel, file: str) -
     for name in sorted({*wanted, *arrays}):
         if name not in arrays or name not in wanted or arrays[name].shape != wanted[name]:
             problem = "is missing" if name not in arrays else "is unknown" if name not in wanted else f"has the shape {arrays[name].shape}"
-            raise InputError(file, name, f"{problem}; the model's config wants {wanted.get(name, 'none')}", "take weights and config of one model")
+            raise InputError(
+                file, name, f"{problem}; the model's config wants {wanted.get(name, 'none')}", "take weights and config of one model"
+            )
     return {name: np.asarray(values, dtype=np.float32) for name, values in arrays.items()}

@@ -100,4 +100,6 @@ def config_from(text: str) -> SelectionModel:
     try:
         return adapter(SelectionModel).validate_python(json.loads(text)["model"])
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError("model", "config", "is not that of a selection model", "train it again, or import it with its own config") from error
+        raise InputError(
+            "model", "config", "is not that of a selection model", "train it again, or import it with its own config"
+        ) from error

@@ -23,9 +23,10 @@ class Selector(nn.Module):
     """Scores of the candidates of objects.
 
     A batch is a table of tensors, for b objects of k candidates: `clouds` (b, k, n, 6), `scan` (b, n, 6), `is_candidate` (b, k),
-    `evidence` (b, k, e), `residuals` (b, k, m, c), `sizes` (b, k, 3) and `scan_size` (b, 3) as logarithms [m], `image` (b, 3, side, side)
-    or as the frozen encoder gave it (b, e), `has_image` (b,), `text` (b, t) tokens or (b, e), and in training `starts` (b, k + 1), where
-    groups begin. `others` (b, m) are places among all candidates of the batch, object by object, -1 for none. What a model does not use may be missing.
+    `evidence` (b, k, e), `residuals` (b, k, m, c), `sizes` (b, k, 3) and `scan_size` (b, 3) as logarithms [m], `image`
+    (b, 3, side, side) or as the frozen encoder gave it (b, e), `has_image` (b,), `text` (b, t) tokens or (b, e), and in training
+    `starts` (b, k + 1), where groups begin. `others` (b, m) are places among all candidates of the batch, object by object, -1 for none.
+    What a model does not use may be missing.
 
     `image_width`, `text_width`: lengths of what frozen encoders give; 0 without one.
     """

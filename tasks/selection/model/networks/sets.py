@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import torch
@@ -29,7 +30,7 @@ class Level(nn.Module):
     def __init__(self, inside: int, widths: Sequence[int]) -> None:
         super().__init__()
         sizes = [inside, *widths]
-        self.layers = nn.ModuleList(Pointwise(a, b) for a, b in zip(sizes, sizes[1:], strict=False))
+        self.layers = nn.ModuleList(Pointwise(a, b) for a, b in itertools.pairwise(sizes))
         self.norms = nn.ModuleList(nn.BatchNorm1d(width) for width in widths)
 
     def forward(self, values: Tensor) -> Tensor:
@@ -50,7 +51,7 @@ class PointNet(nn.Module):
         self.third = Level(3 + config.second_widths[-1], config.third_widths)
         sizes = [config.third_widths[-1], *config.last_widths]
         self.last = nn.Sequential()
-        for inside, outside in zip(sizes, sizes[1:], strict=False):
+        for inside, outside in itertools.pairwise(sizes):
             self.last.extend([nn.Linear(inside, outside), nn.BatchNorm1d(outside), nn.ReLU(), nn.Dropout(config.head_dropout)])
 
     def forward(self, clouds: Tensor, starts: Tensor | None = None) -> Tensor:

@@ -1,4 +1,4 @@
-"""The toy problem of specs C.8: boxes, balls, cylinders and tables, stretched along their axes and colored; the candidate that was scanned is
+"""The toy problem of specs C.8: boxes, balls, cylinders and tables, stretched and colored; the one that was scanned is
 among ten that are more or less like it."""
 
 from __future__ import annotations
