@@ -35,8 +35,8 @@ COMMANDS = {
 }
 """Commands with their first line of help, in the order of `--help`. Each lives in `flows.commands.<name>`."""
 
-MODULES = {"import": "ingest"}
-"""Commands whose names no module can have, and their modules."""
+MODULES = {"import": "ingest", "train": "training.train", "models": "training.models"}
+"""Commands whose names no module can have, or that have a folder for several, and their modules."""
 
 
 class LazyGroup(click.Group):

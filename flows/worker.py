@@ -185,9 +185,13 @@ def _kept(stage: Stage, job: Job, lake: Lake, outcome: Outcome) -> Outcome:
     return outcome
 
 
+_OWNERS = {"scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "dataset": "training_id"}
+"""The column that says whose a row is, by the grain of its table."""
+
+
 def _check_owner(table: str, rows: list[Any], job: Job) -> None:
     """A stage may write rows of its own scene only; a batch writes rows that name it."""
-    column = {"scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "dataset": "training_id"}.get(TABLES[table].grain)
+    column = _OWNERS.get(TABLES[table].grain)
     for index, row in enumerate(rows):
         if column and getattr(row, column) != job.scene_id:
             raise RecordError(table, str(index), column, f"must be {job.scene_id}, got {getattr(row, column)!r}")

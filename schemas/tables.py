@@ -56,6 +56,7 @@ RECORDS: tuple[type, ...] = (
     training.LearnedModel,
     training.TrainingStep,
     training.ModelEvaluation,
+    selection.SelectionOutcome,
     runs.StageRun,
     runs.Snapshot,
     runs.Release,

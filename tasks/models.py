@@ -104,7 +104,7 @@ class ModelFolder:
         from_safetensors(weights, name)
         config = json.dumps(document["config"], sort_keys=True, separators=(",", ":"))
         if model_id_of(weights, config) != document["model_id"]:
-            raise InputError(f"{self.folder.name}/{DOCUMENT}", "model_id", "is not that of these weights and this config", "export it again")
+            raise InputError(f"{self.folder.name}/{DOCUMENT}", "model_id", "is not that of its weights and config", "export it again")
         return Model(document["model_id"], document["kind"], document["architecture"], config, weights)
 
 

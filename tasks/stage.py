@@ -106,7 +106,9 @@ class WantedModel:
     model_id: str = ""
 
 
-OutsideInput = Literal["scan", "library", "annotation_batch", "review_batch", "batch_acts", "trajectory_batch", "dataset", "start", "provenance", "model"]
+OutsideInput = Literal[
+    "scan", "library", "annotation_batch", "review_batch", "batch_acts", "trajectory_batch", "dataset", "start", "provenance", "model"
+]
 
 
 @dataclasses.dataclass(frozen=True)

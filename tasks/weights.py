@@ -25,7 +25,7 @@ MOST_HEADER_BYTES = 100 << 20
 MOST_TENSORS = 100_000
 """Of its arrays; large networks have a few thousand."""
 
-_KINDS = {
+_KINDS: dict[str, np.dtype[Any]] = {
     "F64": np.dtype("<f8"), "F32": np.dtype("<f4"), "F16": np.dtype("<f2"), "I64": np.dtype("<i8"), "I32": np.dtype("<i4"),
     "I16": np.dtype("<i2"), "I8": np.dtype("i1"), "U64": np.dtype("<u8"), "U32": np.dtype("<u4"), "U16": np.dtype("<u2"),
     "U8": np.dtype("u1"), "BOOL": np.dtype("?"),

@@ -153,7 +153,8 @@ def make_plan(
 def planned_again(lake: Lake, scene: ScenePlan, configuration: Configuration, retry_failed: bool = False) -> ScenePlan | None:
     """The plan of a scene as the lake is now, under the name that it has; None when its scan cannot be read.
 
-    What a scan is called is decided once, and so is which model is the newest. Its files are looked at under its own name, which is a part of their paths.
+    What a scan is called is decided once, and so is which model is the newest. Its files are looked at under its own name, which is a
+    part of their paths.
     """
     given = scene.given or scene.scan
     same = {given.scene_id: scene.scan.scene_id} if scene.given else {}

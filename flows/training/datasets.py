@@ -86,7 +86,7 @@ class LakeDataset:
         yield from (last[each] for each in sorted(last))
 
 
-def _records(rows: pa.Table, table: Table) -> Iterator[R]:  # type: ignore[type-var]
+def _records(rows: pa.Table, table: Table) -> Iterator[R]:
     """Rows as records, some at a time."""
     for first in range(0, rows.num_rows, ROWS_AT_ONCE):
         yield from arrow_to_rows(rows.slice(first, ROWS_AT_ONCE), table.record)

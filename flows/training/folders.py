@@ -1,16 +1,13 @@
-"""Models in folders and archives: written for others, and taken in from them. What could run is never opened."""
+"""Models in folders: written for others, and taken in from them. What could run is never opened."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
 import json
 import os
 import resource
 import socket
-import tarfile
-import tempfile
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,21 +16,15 @@ from typing import Any
 from flows.run.fingerprints import digest
 from flows.training.models import evaluations_of_model, found_model, is_known, loaded_model, row_of_document, shipped_models, system_names
 from schemas.errors import InputError
-from schemas.files import read_file, write_whole
+from schemas.files import write_whole
 from schemas.runs import StageRun
 from schemas.training import LearnedModel, ModelEvaluation
 from tasks.models import CARD, DOCUMENT, FORMAT, WEIGHTS, ModelFolder
-from tasks.weights import MOST_BYTES
 from warehouse.lake import Lake
-
-ARCHIVE = ".tar"
-"""What a model's name ends with where it is one file."""
-
-_MOST_ARCHIVE_BYTES = MOST_BYTES + (64 << 20)
 
 
 def export_model(lake: Lake | None, wanted: str, out: Path, force: bool = False) -> tuple[LearnedModel, list[Path]]:
-    """Write a model as a folder, or as one file where `out` ends with `.tar`: weights, what is known of it, and a card for people.
+    """Write a model as a folder: weights, what is known of it, and a card for people.
 
     The same model gives the same bytes. Returns its row and what was written.
 
@@ -45,11 +36,8 @@ def export_model(lake: Lake | None, wanted: str, out: Path, force: bool = False)
     files = _files(lake, reader, row, name)
     if out.exists() and not force:
         raise InputError(str(out), "--out", "is there already", "name another place, or give --force")
-    if out.suffix == ARCHIVE:
-        write_whole(out, _packed(files))
-        return row, [out]
     if out.exists() and not out.is_dir():
-        raise InputError(str(out), "--out", "is no folder", f"name a folder, or a file that ends with {ARCHIVE}")
+        raise InputError(str(out), "--out", "is no folder", "name a folder")
     out.mkdir(parents=True, exist_ok=True)
     for each, data in files.items():
         write_whole(out / each, data)
@@ -111,53 +99,17 @@ def card_of(document: Mapping[str, Any], size: int) -> str:
     return "\n".join(lines)
 
 
-def _packed(files: Mapping[str, bytes]) -> bytes:
-    """Files as an archive without times or owners: the same files give the same bytes."""
-    made = io.BytesIO()
-    with tarfile.open(fileobj=made, mode="w", format=tarfile.USTAR_FORMAT) as archive:
-        for name, data in sorted(files.items()):
-            entry = tarfile.TarInfo(name)
-            entry.size, entry.mode = len(data), 0o644
-            archive.addfile(entry, io.BytesIO(data))
-    return made.getvalue()
-
-
 def import_model(lake: Lake, source: Path, dry_run: bool = False) -> tuple[LearnedModel, bool]:
-    """Take a model in from a folder or file that `export_model` wrote; its row, and whether it is new to the lake.
+    """Take a model in from a folder that `export_model` wrote; its row, and whether it is new to the lake.
 
     Raises:
         InputError: something that is no model of this kind: another format, a file that could run, weights that are cut off or not
             those of its name, or a learned system that is not known here.
     """
-    if source.is_dir():
-        return _taken_in(lake, ModelFolder(source), source.name, dry_run)
-    with tempfile.TemporaryDirectory(prefix="metascenes-model-") as place:
-        folder = Path(place) / source.name.removesuffix(ARCHIVE)
-        folder.mkdir()
-        for name, data in _unpacked(source).items():
-            (folder / name).write_bytes(data)
-        return _taken_in(lake, ModelFolder(folder), source.name, dry_run)
-
-
-def _unpacked(source: Path) -> dict[str, bytes]:
-    """The files of a model's archive; others are refused, and nothing is written where its names say."""
-    remedy = f"give a folder with {DOCUMENT} and {WEIGHTS}, or the {ARCHIVE} file that `metascenes models export` wrote"
-    data = read_file(source, source.name, _MOST_ARCHIVE_BYTES)
-    if source.suffix != ARCHIVE:
-        raise InputError(source.name, "", "is no model: only safetensors are taken, what could run code is not", remedy)
-    files: dict[str, bytes] = {}
-    try:
-        with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
-            for entry in archive:
-                if entry.name not in (WEIGHTS, DOCUMENT, CARD) or not entry.isreg() or entry.name in files:
-                    raise InputError(source.name, entry.name, "does not belong to a model", remedy)
-                read = archive.extractfile(entry)
-                files[entry.name] = read.read() if read is not None else b""
-                if len(files[entry.name]) != entry.size:
-                    raise InputError(source.name, entry.name, "is cut off", "copy the file again")
-    except (tarfile.TarError, ValueError, EOFError) as error:
-        raise InputError(source.name, "", f"is no archive ({error})", remedy) from error
-    return files
+    if not source.is_dir():
+        remedy = f"give a folder with {DOCUMENT} and {WEIGHTS}, as `metascenes models export` writes it"
+        raise InputError(source.name, "", "is no folder of a model; of weights only safetensors are read: others could run code", remedy)
+    return _taken_in(lake, ModelFolder(source), source.name, dry_run)
 
 
 def _taken_in(lake: Lake, folder: ModelFolder, name: str, dry_run: bool) -> tuple[LearnedModel, bool]:
@@ -174,7 +126,13 @@ def _taken_in(lake: Lake, folder: ModelFolder, name: str, dry_run: bool) -> tupl
         return known, False
     if not dry_run:
         lake.blobs.put(model.weights, "weights")
-        _keep(lake, training_id, {"models": [row], "model_evaluations": figures}, {"import": row.model_id}, f"import of model {row.model_id[:12]}")
+        _keep(
+            lake,
+            training_id,
+            {"models": [row], "model_evaluations": figures},
+            {"import": row.model_id},
+            f"import of model {row.model_id[:12]}",
+        )
     return row, True
 
 
@@ -248,4 +206,3 @@ def _keep(lake: Lake, training_id: str, rows: Mapping[str, list[Any]], reasons: 
     )  # fmt: skip
     lake.stage_rows(run, rows)
     lake.commit(note=note, scenes=[training_id])
-

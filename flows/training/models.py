@@ -77,13 +77,13 @@ def found_model(reader: Reader | None, wanted: str, kind: str | None = None) -> 
         InputError: none or several are meant, or it is of another learned system.
     """
     every = listed_models(reader)
-    found = [(row, name) for row, name in every if wanted and (wanted == name or row.model_id.startswith(wanted))]
-    if len(found) != 1:
-        problem = f"{len(found)} models begin with {wanted!r}" if found else f"there is no model {wanted!r}"
-        raise InputError("models", "model_id", problem, "give more digits" if found else LIST)
-    if kind is not None and found[0][0].kind != kind:
-        raise InputError("models", "model_id", f"{wanted} is a model of {found[0][0].kind}", f"name one of {kind}; {LIST}")
-    return found[0]
+    meant = [(row, name) for row, name in every if wanted and (wanted == name or row.model_id.startswith(wanted))]
+    if len(meant) != 1:
+        problem = f"{len(meant)} models begin with {wanted!r}" if meant else f"there is no model {wanted!r}"
+        raise InputError("models", "model_id", problem, "give more digits" if meant else LIST)
+    if kind is not None and meant[0][0].kind != kind:
+        raise InputError("models", "model_id", f"{wanted} is a model of {meant[0][0].kind}", f"name one of {kind}; {LIST}")
+    return meant[0]
 
 
 def wanted_model(reader: Reader | None, wanted: WantedModel) -> LearnedModel:

@@ -19,8 +19,9 @@ from schemas.training import LearnedModel
 from tasks import training
 from tasks.models import Model, identity_json
 from tasks.stage import silently
+from tasks.training.checkpoints import forget
 from tasks.training.dataset import Provenance
-from tasks.training.fitting import check_installed, forget, rank
+from tasks.training.devices import check_installed, rank
 from warehouse.lake import Lake
 from warehouse.tables.history import StageState
 
@@ -29,6 +30,10 @@ CHECKPOINTS = "tasks.training.fitting"
 """The module in whose cache checkpoints lie."""
 
 Report = Callable[[int, int, str], None]
+
+
+class UnderWay(InputError):
+    """Somebody else is at the same training."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,9 +64,9 @@ def system_configuration(
         InputError: as `configure`, or the settings name another learned system.
     """
     before = configure(file, tables=tables)
-    named = before.stages[STAGE.name].system.kind == system
-    told = {**(tables or {}), STAGE.name: {"system": system}} if not named else tables
-    configuration = configure(file, settings, None, seed, told)
+    if before.stages[STAGE.name].system.kind != system:
+        tables = {**(tables or {}), STAGE.name: {"system": system}}
+    configuration = configure(file, settings, None, seed, tables)
     config = configuration.stages[STAGE.name].system
     if config.kind != system:
         raise InputError("--set", "training.system", f"is {config.kind}, and {system} is to be trained", "name one of them")
@@ -132,6 +137,12 @@ def model_of_training(lake: Lake, training_id: str) -> LearnedModel | None:
     return rows[0] if rows else None
 
 
+def trained_on(lake: Lake, system: str, release: str) -> LearnedModel | None:
+    """A model of a learned system that was trained on a release, withdrawn or not; None where there is none."""
+    rows = arrow_to_rows(lake.snapshot().matching("models", {"kind": [system], "release": [release]}), LearnedModel)
+    return rows[0] if rows else None
+
+
 def _why(state: StageState | None, held: LearnedModel | None) -> str:
     if held is not None:
         return "withdrawn" if held.is_withdrawn else "unchanged"
@@ -146,7 +157,8 @@ def train(lake: Lake, planned: PlannedTraining, report: Report = silently) -> Le
     Of several processes at one training (`torchrun`, `fabric run`) the first one keeps what comes of it.
 
     Raises:
-        InputError: what training needs is not installed, somebody else is at it, or the dataset cannot be learned from.
+        InputError: what training needs is not installed, or the dataset cannot be learned from.
+        UnderWay: somebody else is at it.
         LakeError: it failed by a defect; the text says where.
     """
     if planned.held is not None:
@@ -181,7 +193,7 @@ def _claimed(lake: Lake, training_id: str) -> Iterator[None]:
         if not claims.claim(training_id):
             holder = lake.claimed().get(training_id)
             who = f" on {holder.host}" if holder is not None else ""
-            raise InputError(training_id, "training", f"is under way{who}", "wait for it, or stop it")
+            raise UnderWay(training_id, "training", f"is under way{who}", "wait for it, or stop it")
         yield
 
 

@@ -26,11 +26,14 @@ else:
     AnySystem = union_of(system.config for system in SYSTEMS) if SYSTEMS else Config
 
 
+_FIRST = SYSTEMS[0].config if SYSTEMS else Config
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig(Config):
     """What is trained, and how."""
 
-    system: AnySystem = dataclasses.field(default_factory=SYSTEMS[0].config if SYSTEMS else Config)  # the first learned system; `metascenes train` names one
+    system: AnySystem = dataclasses.field(default_factory=_FIRST)  # the first learned system; `metascenes train` names one
 
 
 def run(*, dataset: Dataset, start: Model | None, provenance: Provenance, context: Context, config: TrainingConfig) -> Outcome:
@@ -77,6 +80,7 @@ def run(*, dataset: Dataset, start: Model | None, provenance: Provenance, contex
         models=[model],
         training_steps=_curve(trained, context.scene_id),
         model_evaluations=evaluations_of(trained.measures, model),
+        selection_outcomes=[dataclasses.replace(row, training_id=context.scene_id) for row in trained.outcomes],
         blobs=blobs,
         degradations=notes,
     )
@@ -107,7 +111,7 @@ def evaluations_of(measures: tuple[Measure, ...], model: LearnedModel) -> list[M
 STAGE = Stage(
     name="training",
     reads=(),
-    writes=("models", "training_steps", "model_evaluations"),
+    writes=("models", "training_steps", "model_evaluations", "selection_outcomes"),
     config=TrainingConfig,
     run=run,
     grain="dataset",

@@ -9,24 +9,26 @@ whether training was killed or not, and whoever loaded the batches.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import hashlib
 import io
 import json
 import math
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field
 
-from schemas.errors import InputError
 from tasks.models import identity_json
 from tasks.settings import LISTED, Config, Count, Natural, NonNegative, Positive
+from tasks.training.checkpoints import forget, keep, newest
+from tasks.training.devices import check_installed, fabric_for, quiet_torch, seed_of, seeded
 from tasks.training.trained import Diverged, StepLoss
 from tasks.weights import to_safetensors
+
+__all__ = [
+    "Fitted", "FittingConfig", "Objective", "check_installed", "fit", "forget", "learning_rate_at", "seed_of", "seeded", "weights_of",
+]  # fmt: skip
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -91,35 +93,6 @@ class Fitted:
     seconds: float
 
 
-def check_installed() -> None:
-    """Refuse to train where the packages for it are not there.
-
-    Raises:
-        InputError: one line that says how they get there.
-    """
-    from importlib.util import find_spec
-
-    gone = [name for name in ("torch", "lightning_fabric") if find_spec(name) is None]
-    if gone:
-        raise InputError("train", gone[0], "is not installed", "pip install 'metascenes[train]', or `make train` in a checkout")
-
-
-def seed_of(seed: int, *words: object) -> int:
-    """A seed of 63 bits made of a seed and words."""
-    text = "\x1f".join(map(str, (seed, *words)))
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1
-
-
-@contextlib.contextmanager
-def seeded(seed: int, *words: object) -> Iterator[None]:
-    """What is drawn from torch's own generators inside, such as initial weights, follows from seed and words; they go on as before."""
-    import torch
-
-    with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
-        torch.manual_seed(seed_of(seed, *words))
-        yield
-
-
 def weights_of(state_dict: Mapping[str, Tensor], half: bool = False) -> bytes:
     """Tensors by name as safetensors; with `half` all floats in half precision, which is what small shipped models have."""
     import torch
@@ -140,13 +113,6 @@ def learning_rate_at(step: int, config: FittingConfig) -> float:
     share = (step + 1 - config.warmup_steps) / max(config.steps - config.warmup_steps, 1)
     low, high = min(config.final_learning_rate, config.learning_rate), config.learning_rate
     return low + (high - low) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
-
-
-def forget(checkpoints: MutableMapping[str, bytes], key: str) -> None:
-    """Remove the checkpoints of a key, once what came of it is kept elsewhere."""
-    for name in _names(checkpoints, key):
-        with contextlib.suppress(KeyError):
-            del checkpoints[name]
 
 
 def fit(
@@ -172,19 +138,19 @@ def fit(
     check_installed()
     import torch
 
-    with _quiet_torch(config):
-        fabric = _fabric(config)
+    with quiet_torch(config):
+        fabric = fabric_for(config)
         fabric.launch()
         run = _Run(module, config, seed, fabric)
         mark = f"{identity_json(config)}|{seed}|{fabric.world_size}"
-        run.resume(_newest(checkpoints, key, mark) if fabric.is_global_zero else None)
+        run.resume(newest(checkpoints, key, mark) if fabric.is_global_zero else None)
         for batch in _loader(objective, config, seed, run.step, fabric):
             run.advance(objective, fabric.to_device(batch))
             is_last = run.step == config.steps
             if run.step % config.validate_steps == 0 or is_last:
                 run.validate(objective)
             if (run.step % config.checkpoint_steps == 0 or is_last) and fabric.is_global_zero:
-                _keep(checkpoints, key, run.step, run.state(mark))
+                keep(checkpoints, key, run.step, run.state(mark))
             report(run.step, config.steps, f"loss {run.losses[-1][0]:.4g}")
         fabric.barrier()
         name = "cpu" if fabric.device.type == "cpu" else torch.cuda.get_device_name(fabric.device)
@@ -200,8 +166,8 @@ class _Run:
         self.config, self.seed, self.fabric, self.plain = config, seed, fabric, module
         learned = [parameter for parameter in module.parameters() if parameter.requires_grad]
         decayed = [parameter for parameter in learned if parameter.ndim >= 2]
-        others = [parameter for parameter in learned if parameter.ndim < 2]
-        groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": others, "weight_decay": 0.0}]
+        plain = [parameter for parameter in learned if parameter.ndim < 2]
+        groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
         optimizer = torch.optim.AdamW([group for group in groups if group["params"]], lr=0.0, betas=config.betas, eps=config.eps)
         self.module, self.optimizer = fabric.setup(module, optimizer)
         self.frozen = {name for name, parameter in module.named_parameters() if not parameter.requires_grad}
@@ -344,81 +310,3 @@ def _loader(objective: Objective, config: FittingConfig, seed: int, first: int, 
         multiprocessing_context="fork" if config.workers and steps else None,  # what the objective holds is shared, not copied
         generator=torch.Generator().manual_seed(seed_of(seed, "loader")),
     )
-
-
-def _fabric(config: FittingConfig) -> Any:
-    """What owns devices and precision, for as many processes as whoever started us says that there are.
-
-    Raises:
-        InputError: a graphics card is asked for, and there is none.
-    """
-    import torch
-    from lightning_fabric import Fabric
-
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
-    if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("training", "device", "torch sees no CUDA device", "set device=cpu, or auto")
-    world, local = processes(), int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
-    precision = {"32": "32-true", "bf16-mixed": "bf16-mixed"}[config.precision]
-    return Fabric(
-        accelerator=device, devices=local if world > 1 else 1, num_nodes=max(world // local, 1), precision=precision,  # type: ignore[arg-type]
-        strategy="ddp" if world > 1 else "auto",
-    )  # fmt: skip
-
-
-def processes() -> int:
-    """How many processes are at one training: as `torchrun` and `fabric run` say in the environment; else 1."""
-    return int(os.environ.get("WORLD_SIZE", "1"))
-
-
-def rank() -> int:
-    """Which of them this is, from 0; the first keeps what comes of it."""
-    return int(os.environ.get("RANK", "0"))
-
-
-@contextlib.contextmanager
-def _quiet_torch(config: FittingConfig) -> Iterator[None]:
-    """Torch with the threads of a config and deterministic algorithms, and as it was afterwards; it warns of nothing.
-
-    On a graphics card an operation that has no deterministic algorithm is let through: there, resumed weights may differ in last bits.
-    """
-    import torch
-
-    before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
-    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS is deterministic with it alone
-    torch.set_num_threads(config.threads)
-    torch.use_deterministic_algorithms(True, warn_only=config.device != "cpu" and torch.cuda.is_available())
-    try:
-        with seeded(0, "fitting"):
-            yield
-    finally:
-        torch.set_num_threads(before[0])
-        torch.use_deterministic_algorithms(before[1], warn_only=before[2])
-
-
-def _names(checkpoints: Mapping[str, bytes], key: str) -> list[str]:
-    """Checkpoints of a key, the newest first."""
-    return sorted((name for name in checkpoints if name.rpartition("-")[0] == key and name.endswith(".pt")), reverse=True)
-
-
-def _keep(checkpoints: MutableMapping[str, bytes], key: str, step: int, state: bytes) -> None:
-    """Keep a checkpoint, and of those before it the last."""
-    checkpoints[f"{key}-{step:09d}.pt"] = state
-    for name in _names(checkpoints, key)[2:]:
-        with contextlib.suppress(KeyError):
-            del checkpoints[name]
-
-
-def _newest(checkpoints: Mapping[str, bytes], key: str, mark: str) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """The newest checkpoint of a key that is whole and was made under the same settings: its facts and its tensors."""
-    import torch
-
-    for name in _names(checkpoints, key):
-        try:
-            read = torch.load(io.BytesIO(checkpoints[name]), map_location="cpu", weights_only=True)
-            facts = json.loads(read.pop("facts"))
-        except Exception:  # torch says in many ways that a file is not whole, and another is as good
-            continue
-        if facts.get("mark") == mark:
-            return facts, read
-    return None

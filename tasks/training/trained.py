@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 
 from schemas.errors import LakeError
+from schemas.selection import SelectionOutcome
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +45,8 @@ class Measure:
 class Trained:
     """What a learned system gives back. weights: safetensors (`tasks.weights`). examples: How many there were, by split.
 
-    device: What it was trained on, as `Fitted` has it. seconds: Time that training took, over all of its beginnings [s].
+    device: What it was trained on, as `Fitted` has it. seconds: Time that training took, over all of its beginnings [s]. outcomes: What was
+    chosen for instances of which the truth is known, by this model and by what it is held against.
     """
 
     architecture: str
@@ -58,6 +60,7 @@ class Trained:
     notes: tuple[str, ...] = ()
     device: str = "cpu"
     seconds: float = 0.0
+    outcomes: tuple[SelectionOutcome, ...] = ()
 
 
 class Diverged(LakeError):

@@ -100,8 +100,9 @@ def trained(fitted: Fitted, count: int) -> Trained:
         Measure("", "validation", "accuracy", fitted.validation or 0.0, 0.0, 1.0, count),
         Measure("", "validation", "accuracy", 0.5, examples=count, method="coin"),
     )
+    size = sum(tensor.numel() for tensor in fitted.state_dict.values())
     return Trained(
-        architecture="two layers", weights=weights_of(fitted.state_dict), parameter_count=sum(t.numel() for t in fitted.state_dict.values()),
+        architecture="two layers", weights=weights_of(fitted.state_dict), parameter_count=size,
         steps=fitted.steps, measures=measures, examples={"train": count}, license="CC0-1.0", is_fallback=True,
         notes=("made up",), device=fitted.device, seconds=fitted.seconds,
     )  # fmt: skip

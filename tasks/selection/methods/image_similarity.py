@@ -17,8 +17,8 @@ from tasks.selection.methods.method import Array, Lacking, SelectionMethod
 from tasks.selection.methods.pictures import around, parts_of, seen_from
 from tasks.settings import Config, Count
 
-PITCH_RADIANS = 0.35
-"""People hold a camera above furniture and look down a little."""
+PITCHES_RADIANS = (0.2, 0.5)
+"""People hold a camera above furniture: from afar they look down a little, from nearby more."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ImageSimilarity(Config):
 
     kind: ClassVar[str] = "image_similarity"
     pixels: Count = 96  # of the longer side: details finer than a hundredth of an object are texture and noise
-    yaws: Count = 8  # from around: every 45 degrees
+    yaws: Count = 12  # from around, at two heights: every 30 degrees
 
 
 def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ImageSimilarity, model: Model | None) -> Array:
@@ -63,7 +63,7 @@ def _from_around(query: InstanceQuery, crop: Crop, candidate: Evidence, config: 
     shown = squared(crop.image, config.pixels) if crop.silhouette is None else filling(crop.image, crop.silhouette, config.pixels)
     parts = parts_of(candidate.asset, query.context.blobs, candidate.fit.scale)
     everywhere = np.ones(shown.shape[:2], dtype=bool)
-    return max(similarity(shown, picture, everywhere) for picture in around(parts, config.yaws, (PITCH_RADIANS,), config.pixels))
+    return max(similarity(shown, picture, everywhere) for picture in around(parts, config.yaws, PITCHES_RADIANS, config.pixels))
 
 
 IMAGE_SIMILARITY = SelectionMethod(name="image_similarity", config=ImageSimilarity, version="1", score=score, needs=("image",))

@@ -42,7 +42,7 @@ def command(system: str, address: str, release: str | None, snapshot_id: int | N
     from flows.training.progress import StepBar
     from flows.training.training import planned_training, system_configuration, train
     from tasks.stage import silently
-    from tasks.training.fitting import rank
+    from tasks.training.devices import rank
 
     lake = existing_lake(address)
     configuration = system_configuration(system, config_file, settings, seed)
@@ -61,7 +61,9 @@ def command(system: str, address: str, release: str | None, snapshot_id: int | N
         return
     state = "trained" if planned.held is None else "withdrawn, and left so" if model.is_withdrawn else "in the lake already"
     print(f"model {model.model_id}: {state}")
-    print(f"{model.kind}, {model.architecture}, {model.parameter_count:,} numbers, on {model.dataset}: {model.seconds:.0f} s, {model.device}")
+    print(
+        f"{model.kind}, {model.architecture}, {model.parameter_count:,} numbers, on {model.dataset}: {model.seconds:.0f} s, {model.device}"
+    )
     for line in figure_lines(figures):
         print(line)
     if model.is_fallback:

@@ -85,7 +85,7 @@ def show(model: str, address: str, as_json: bool) -> None:
 
 @command.command("export")
 @click.argument("model", metavar="MODEL_ID")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write, or a file that ends with .tar.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write.")
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @lake_option
 @json_option
@@ -111,7 +111,7 @@ def export(model: str, out: Path, force: bool, address: str, as_json: bool) -> N
 @lake_option
 @json_option
 def import_(source: Path, dry_run: bool, address: str, as_json: bool) -> None:
-    """Take a model in that `metascenes models export` wrote, a folder or a .tar file.
+    """Take a model in that `metascenes models export` wrote.
 
     Its weights are arrays and nothing else: files that could run code are refused. It is the newest of its kind then. A model that was
     withdrawn counts again.
