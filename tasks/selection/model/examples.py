@@ -15,7 +15,7 @@ from tasks.selection.model.features import Contender, Scanned
 
 
 @dataclasses.dataclass(frozen=True)
-class Aligned:
+class AlignedCandidate:
     """A candidate of an example: whose cloud, its box [m], and how it stands; see `Contender`."""
 
     asset_id: str
@@ -36,7 +36,7 @@ class Example:
     room_id: str
     instance_id: str
     scanned: Scanned
-    candidates: tuple[Aligned, ...]
+    candidates: tuple[AlignedCandidate, ...]
     rankings: tuple[tuple[int, ...], ...]
 
     @property

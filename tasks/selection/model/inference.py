@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.selection.model.clouds import Array, Cloud
-from tasks.selection.model.config import NoQuery, OwnImage, OwnText, Paper, Patches, SelectionModel, Small
+from tasks.selection.model.clouds import Array, ColoredCloud
+from tasks.selection.model.config import NoQuery, OwnImage, OwnText, PaperPatches, Patches, SelectionModel, Small
 from tasks.selection.model.features import EVIDENCE, Contender, Scanned, colored, features_of, log_sizes, radius_of
 from tasks.selection.model.sight import scan_cloud
 from tasks.selection.model.words import tokens_of
@@ -38,7 +38,7 @@ class CandidateScorer(Protocol):
 def is_plain(config: SelectionModel) -> bool:
     """Whether a model is scored without torch: patches and own encoders are, other architectures and frozen encoders are not."""
     own = isinstance(config.image, NoQuery | OwnImage) and isinstance(config.text, NoQuery | OwnText)
-    return own and isinstance(config.architecture, Small | Paper)
+    return own and isinstance(config.architecture, Small | PaperPatches)
 
 
 def load(weights: bytes, config: SelectionModel, file: str = "weights") -> CandidateScorer:
@@ -76,7 +76,7 @@ class Scorer:
         the instance. text: Its category. extents: Of the candidates' boxes and, last, the instance's, (k + 1, 3) [m]. scan: Points and
         colors of the instance.
         """
-        own = Cloud(points[0].astype(np.float32), colors[0]) if scan is None else scan_cloud(*scan, self.config)
+        own = ColoredCloud(points[0].astype(np.float32), colors[0]) if scan is None else scan_cloud(*scan, self.config)
         scanned = Scanned(own, np.asarray(extents[-1], dtype=np.float32), text or "", None, image)
         nothing = np.zeros(len(EVIDENCE), dtype=np.float32)
         clouds = [scan_cloud(p, c, self.config) for p, c in zip(points, colors, strict=True)]
@@ -111,7 +111,7 @@ class Scorer:
             return self.config.fixed_scale
         return min(float(np.exp(self.weights["logit_scale"])), LARGEST_SCALE)
 
-    def named(self, cloud: Cloud, extents: NDArray, categories: Sequence[str], tokens: int) -> NDArray[np.float64]:
+    def named(self, cloud: ColoredCloud, extents: NDArray, categories: Sequence[str], tokens: int) -> NDArray[np.float64]:
         """How well each of some categories names a scanned object, shape (c,): cosines times the scale. `cloud` as in `Scanned`."""
         config = self.config
         if not isinstance(config.text, OwnText) or not config.query_points:
@@ -176,7 +176,7 @@ class Scorer:
         return self._linear(f"{name}.second_conv.3", mixed).max(axis=2)
 
     def _block(self, name: str, tokens: Array, heads: int) -> Array:
-        """`Block`."""
+        """`TransformerBlock`."""
         batch, count, dim = tokens.shape
         parts = self._linear(f"{name}.attn.qkv", self._layer_norm(f"{name}.norm1", tokens))
         query, key, value = parts.reshape(batch, count, 3, heads, dim // heads).transpose(2, 0, 3, 1, 4)

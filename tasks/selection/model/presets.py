@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from tasks.selection.model.batches import BatchConfig
-from tasks.selection.model.config import AugmentationConfig, NoQuery, Paper, PointNet2, SelectionModel, Small, Uni3d
+from tasks.selection.model.config import AugmentationConfig, NoQuery, PaperPatches, PointNet2, SelectionModel, Small, Uni3d
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,9 @@ DUAL = dataclasses.replace(
 )  # fmt: skip
 """What the paper has: clouds by themselves, asked with image and text, and a head that sees nothing but the cloud."""
 
-PUBLISHED = Preset(DUAL, BatchConfig(rank_weight=0.0, strangers_weight=1.0, names_weight=0.0, augmentation=AS_PUBLISHED_CLOUDS), Paper())
+PUBLISHED = Preset(
+    DUAL, BatchConfig(rank_weight=0.0, strangers_weight=1.0, names_weight=0.0, augmentation=AS_PUBLISHED_CLOUDS), PaperPatches()
+)
 
 POINTS = dataclasses.replace(DUAL, image=NoQuery(), text=NoQuery(), query_points=True, quality=False)
 """Scanned against candidate points, and nothing else."""
@@ -84,8 +86,8 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "fixed_temperature": _without(temperature="fixed"),
         "no_temperature": _without(temperature="none"),
         "pointnet2": Preset(dataclasses.replace(POINTS, architecture=SMALL_POINTNET2), PLAIN_BATCH, PointNet2()),
-        "pointbert": Preset(POINTS, PLAIN_BATCH, Paper()),
-        "ulip2": Preset(ASKED, PLAIN_BATCH, Paper()),
+        "pointbert": Preset(POINTS, PLAIN_BATCH, PaperPatches()),
+        "ulip2": Preset(ASKED, PLAIN_BATCH, PaperPatches()),
         "uni3d": Preset(dataclasses.replace(ASKED, architecture=SMALL_UNI3D), PLAIN_BATCH, Uni3d()),
     }
 )

@@ -73,7 +73,7 @@ class Attention(nn.Module):
         return result
 
 
-class Block(nn.Module):
+class TransformerBlock(nn.Module):
     """A block of a transformer that normalizes first."""
 
     def __init__(self, dim: int, heads: int, hidden: int, activation: nn.Module, drop: float, *, split_bias: bool = False) -> None:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from tasks.selection.model.config import Patches, Uni3d
-from tasks.selection.model.networks.blocks import Block, Pointwise, activation_of, centers_of, nearest, normalized_rows, taken
+from tasks.selection.model.networks.blocks import Pointwise, TransformerBlock, activation_of, centers_of, nearest, normalized_rows, taken
 
 
 class PatchNet(nn.Module):
@@ -45,7 +45,7 @@ class BlockList(nn.Module):
         super().__init__()
         drops = torch.linspace(0, config.drop_path, config.depth, device="cpu").tolist()
         self.blocks = nn.ModuleList(
-            Block(config.dim, config.heads, 4 * config.dim, activation_of(config.activation), drop) for drop in drops
+            TransformerBlock(config.dim, config.heads, 4 * config.dim, activation_of(config.activation), drop) for drop in drops
         )
 
     def forward(self, tokens: Tensor, places: Tensor) -> Tensor:
@@ -104,7 +104,8 @@ class Vision(nn.Module):
         super().__init__()
         drops = torch.linspace(0, config.drop_path, config.depth, device="cpu").tolist()
         self.blocks = nn.ModuleList(
-            Block(config.dim, config.heads, config.mlp_width, activation_of(config.activation), drop, split_bias=True) for drop in drops
+            TransformerBlock(config.dim, config.heads, config.mlp_width, activation_of(config.activation), drop, split_bias=True)
+            for drop in drops
         )
         self.fc_norm = nn.LayerNorm(config.dim)
 

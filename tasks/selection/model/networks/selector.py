@@ -101,10 +101,10 @@ class Selector(nn.Module):
         too few; `names`: how categories name the scanned points, (b, c)."""
         made = {}
         if "others" in batch and not vectors.keys().isdisjoint(("points", "image", "text")):
-            candidates, choice, others = vectors["candidates"], batch["choice"], batch["others"]
+            candidates, choice, rivals = vectors["candidates"], batch["choice"], batch["others"]
             right = candidates[torch.arange(len(choice), device=choice.device), choice][:, None]
-            group = torch.cat([right, candidates.flatten(0, 1)[others.clamp(min=0)]], dim=1)
-            missing = torch.cat([torch.zeros_like(others[:, :1]), others], dim=1) < 0
+            group = torch.cat([right, candidates.flatten(0, 1)[rivals.clamp(min=0)]], dim=1)
+            missing = torch.cat([torch.zeros_like(rivals[:, :1]), rivals], dim=1) < 0
             made["strangers"] = self.compared(group, vectors).masked_fill(missing, -torch.inf)
         if "words" in batch and "points" in vectors and self.text_encoder is not None:
             texts = functional.normalize(self.text_encoder(batch["words"]), dim=-1)

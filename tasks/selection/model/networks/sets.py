@@ -24,7 +24,7 @@ def in_balls(points: Tensor, centers: Tensor, radius: float, count: int) -> Tens
     return torch.where(index == total, index[..., :1], index)
 
 
-class Level(nn.Module):
+class BallLevel(nn.Module):
     """A PointNet of balls, or of whole clouds."""
 
     def __init__(self, inside: int, widths: Sequence[int]) -> None:
@@ -46,9 +46,9 @@ class PointNet(nn.Module):
     def __init__(self, config: PointNet2) -> None:
         super().__init__()
         self.config, self.width = config, config.last_widths[-1]
-        self.first = Level(6, config.first_widths)
-        self.second = Level(3 + config.first_widths[-1], config.second_widths)
-        self.third = Level(3 + config.second_widths[-1], config.third_widths)
+        self.first = BallLevel(6, config.first_widths)
+        self.second = BallLevel(3 + config.first_widths[-1], config.second_widths)
+        self.third = BallLevel(3 + config.second_widths[-1], config.third_widths)
         sizes = [config.third_widths[-1], *config.last_widths]
         self.last = nn.Sequential()
         for inside, outside in itertools.pairwise(sizes):

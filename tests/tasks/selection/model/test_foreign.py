@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from schemas.errors import InputError
-from tasks.selection.model.config import ClipQuery, Dinov2Query, Paper, SelectionModel, SiglipQuery, Uni3d
+from tasks.selection.model.config import ClipQuery, Dinov2Query, PaperPatches, SelectionModel, SiglipQuery, Uni3d
 from tasks.selection.model.foreign import begin_with_foreign, checkpoint, matched
 from tasks.weights import to_safetensors
 
 torch = pytest.importorskip("torch")
 
 PLAIN = {"query_points": False, "query_evidence": False, "residuals": False, "extents": False, "relative": False, "frame": "canonical"}
-PAPER = SelectionModel(Paper(), **PLAIN)
+PAPER = SelectionModel(PaperPatches(), **PLAIN)
 
 
 def ulip2_shapes() -> dict[str, tuple[int, ...]]:

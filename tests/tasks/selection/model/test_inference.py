@@ -11,7 +11,7 @@ import pytest
 
 from schemas.errors import InputError
 from tasks.selection.model.batches import predicted
-from tasks.selection.model.config import NoQuery, OwnImage, OwnText, Paper, SelectionModel, Small
+from tasks.selection.model.config import NoQuery, OwnImage, OwnText, PaperPatches, SelectionModel, Small
 from tasks.selection.model.inference import Scorer, load
 from tasks.selection.model.shapes import shapes_of
 from tasks.weights import to_safetensors
@@ -20,7 +20,9 @@ from tests.tasks.selection.model.shapes import toy
 
 SMALL = Small(points=48, groups=8, group_size=6, dim=24, depth=2, heads=4, first_widths=(8, 16), second_widths=(16, 24), position_width=8,
               embedding=20, head_width=16)  # fmt: skip
-PAPER = Paper(points=48, groups=8, group_size=6, dim=24, depth=3, heads=6, first_widths=(8, 16), second_widths=(32, 16), embedding=40)
+PAPER = PaperPatches(
+    points=48, groups=8, group_size=6, dim=24, depth=3, heads=6, first_widths=(8, 16), second_widths=(32, 16), embedding=40
+)
 FULL = SelectionModel(
     SMALL, image=OwnImage(widths=(4, 6, 8)), text=OwnText(buckets=64, width=8), residual_points=16, residual_widths=(8, 12)
 )
