@@ -48,7 +48,7 @@ def load(weights: bytes, config: SelectionModel, file: str = "weights") -> Candi
         InputError: they are no weights of such a model.
     """
     if is_plain(config):
-        return Scorer(config, _fitting(from_safetensors(weights, file), config, file))
+        return Scorer(config, folded(_fitting(from_safetensors(weights, file), config, file)))
     from tasks.selection.model.scoring import torch_scorer
 
     return torch_scorer(weights, config, file)
@@ -56,7 +56,7 @@ def load(weights: bytes, config: SelectionModel, file: str = "weights") -> Candi
 
 @dataclasses.dataclass(frozen=True)
 class Scorer:
-    """A model in NumPy. `weights`: by name, single precision."""
+    """A model in NumPy. `weights`: by name, single precision, as `folded` has them."""
 
     config: SelectionModel
     weights: Mapping[str, Array]
@@ -127,11 +127,6 @@ class Scorer:
         product = values @ self.weights[f"{name}.weight"].reshape(len(self.weights[f"{name}.weight"]), -1).T
         return product if bias is None else product + bias
 
-    def _batch_norm(self, name: str, values: Array) -> Array:
-        w = self.weights
-        factor = w[f"{name}.weight"] / np.sqrt(w[f"{name}.running_var"] + EPSILON)
-        return values * factor + (w[f"{name}.bias"] - w[f"{name}.running_mean"] * factor)
-
     def _layer_norm(self, name: str, values: Array) -> Array:
         middle = values - values.mean(axis=-1, keepdims=True)
         spread = np.sqrt(np.square(middle).mean(axis=-1, keepdims=True) + np.float32(EPSILON))
@@ -168,11 +163,11 @@ class Scorer:
     def _patches(self, patches: Array) -> Array:
         """`PatchNet`."""
         name = "point_encoder.encoder"
-        points = np.maximum(self._batch_norm(f"{name}.first_conv.1", self._linear(f"{name}.first_conv.0", patches)), 0)
+        points = np.maximum(self._linear(f"{name}.first_conv.0", patches), 0)
         points = self._linear(f"{name}.first_conv.3", points)
         weight, width = self.weights[f"{name}.second_conv.0.weight"][..., 0], points.shape[-1]
         whole = points.max(axis=2, keepdims=True) @ weight[:, :width].T + self.weights[f"{name}.second_conv.0.bias"]
-        mixed = np.maximum(self._batch_norm(f"{name}.second_conv.1", points @ weight[:, width:].T + whole), 0)
+        mixed = np.maximum(points @ weight[:, width:].T + whole, 0)
         return self._linear(f"{name}.second_conv.3", mixed).max(axis=2)
 
     def _block(self, name: str, tokens: Array, heads: int) -> Array:
@@ -230,6 +225,17 @@ class Scorer:
         if config.relative:
             seen = np.concatenate([seen, seen - seen.mean(axis=0)], axis=-1)
         return self._linear("quality.3", np.maximum(self._linear("quality.0", seen), 0))[:, 0]
+
+
+def folded(weights: Mapping[str, NDArray]) -> dict[str, Array]:
+    """Weights with the batch norms of patches inside of the layers before them, where they cost nothing."""
+    made = dict(weights)
+    for name in ("point_encoder.encoder.first_conv", "point_encoder.encoder.second_conv"):
+        mean, spread = made.pop(f"{name}.1.running_mean"), np.sqrt(made.pop(f"{name}.1.running_var").astype(np.float64) + EPSILON)
+        factor, shift = made.pop(f"{name}.1.weight") / spread, made.pop(f"{name}.1.bias")
+        made[f"{name}.0.weight"] = (made[f"{name}.0.weight"] * factor[:, None, None]).astype(np.float32)
+        made[f"{name}.0.bias"] = ((made[f"{name}.0.bias"] - mean) * factor + shift).astype(np.float32)
+    return made
 
 
 def _unit(values: Array) -> Array:

@@ -105,7 +105,7 @@ def test_scoring_loads_no_torch() -> None:
         "from tests.tasks.selection.model.shapes import toy; import numpy as np;"
         "c = SelectionModel(); e, clouds = toy(1, 0);"
         "w = {n: np.ones(s, dtype='<f4') for n, s in shapes_of(c).items()};"
-        "Scorer(c, w).score(e[0].scanned, e[0].contenders(clouds)); print('torch' in sys.modules)"
+        "Scorer(c, folded(w)).score(e[0].scanned, e[0].contenders(clouds)); print('torch' in sys.modules)"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=REPOSITORY)
     assert (found.stdout, found.stderr) == ("False\n", "")
