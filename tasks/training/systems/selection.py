@@ -159,6 +159,8 @@ def notes_of(data: Collected, config: SelectionTraining) -> list[str]:
     if data.simulated:
         notes.append(f"{data.simulated} of {len(data.train) + len(data.test)} objects were answered for by programs alone")
     notes += [f"{count} objects left out: {reason}" for reason, count in sorted(data.left_out.items())]
+    if config.trains == "last" and not config.foreign:
+        notes.append("most of the encoder and the projection stayed as they were drawn: nobody named foreign weights")
     for name, encoder in (("image", config.model.image), ("text", config.model.text)):
         if isinstance(encoder, OwnImage | OwnText):
             notes.append(f"{name}: an encoder of ours, trained with the rest, stands in for a foreign one; name weights to have that")
