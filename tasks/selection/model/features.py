@@ -14,7 +14,7 @@ from tasks.selection.model.words import described, tokens_of
 
 EVIDENCE = (
     "coverage", "box_iou", "color_similarity", "foreign_share", "looked", "closeness", "stretch_x", "stretch_y", "stretch_z",
-    "oval", "category", "own", "closed",
+    "oval", "unscaled", "category", "own", "closed",
 )  # fmt: skip
 """Numbers of a candidate beside its shape, each about -1 to 1."""
 
@@ -35,7 +35,7 @@ class Contender:
     """A candidate as a model sees it.
 
     cloud: Of the asset's surface, in its own frame [m], with normals. extents: Of the asset's box [m]. pose: Asset to the instance's frame,
-    (4, 4), rigid. scale: Along the asset's own axes, before the pose. evidence: Values by `EVIDENCE`, shape (13,).
+    (4, 4), rigid. scale: Along the asset's own axes, before the pose. evidence: Values by `EVIDENCE`, shape (14,).
     """
 
     cloud: ColoredCloud

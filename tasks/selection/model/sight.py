@@ -85,8 +85,8 @@ def evidence(
     stretch = np.log(np.maximum(np.asarray(scale, dtype=np.float64), 1e-3))
     values = [
         coverage, box_iou, color, foreign or 0.0, float(foreign is not None), float(np.exp(-chamfer_m / (0.04 * max(diagonal_m, 1e-3)))),
-        *np.clip(stretch, -1.0, 1.0), float(min(np.ptp(stretch), 1.0)), float(category.lower() == asset.category.lower()), float(is_own),
-        float(asset.is_watertight),
+        *np.clip(stretch, -1.0, 1.0), float(min(np.ptp(stretch), 1.0)), float(np.exp(-20.0 * np.abs(stretch).mean())),
+        float(category.lower() == asset.category.lower()), float(is_own), float(asset.is_watertight),
     ]  # fmt: skip
     return np.array(values, dtype=np.float32)
 
