@@ -25,6 +25,8 @@ COMMANDS = {
     "annotate": "Ask people, take in what they chose, and have it reviewed.",
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",
+    "train": "Train a learned system on a snapshot or release of the lake.",
+    "models": "List, show, export, import and withdraw models.",
     "status": "Say what is done, running, failed and stale, from the lake alone.",
     "deploy": "Schedule runs on a Prefect server, or start one with a worker.",
     "lake": "Compact, vacuum, back up, restore the lake, or erase a scene from it.",
@@ -33,8 +35,8 @@ COMMANDS = {
 }
 """Commands with their first line of help, in the order of `--help`. Each lives in `flows.commands.<name>`."""
 
-MODULES = {"import": "ingest"}
-"""Commands whose names no module can have, and their modules."""
+MODULES = {"import": "ingest", "train": "training.train", "models": "training.models"}
+"""Commands whose names no module can have, or that have a folder for several, and their modules."""
 
 
 class LazyGroup(click.Group):

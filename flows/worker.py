@@ -27,7 +27,8 @@ from schemas.record import arrow_to_rows, check
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from schemas.text import one_line
-from tasks.stage import Context, Outcome, Stage
+from tasks.models import Model
+from tasks.stage import Context, Outcome, Stage, silently
 from warehouse.lake import Lake
 from warehouse.release.licenses import with_licenses_of_scans
 from warehouse.tables.reviews import standing_answers
@@ -60,14 +61,16 @@ Spread = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
 """A map over items, as `Context.spread`."""
 
 
-def execute(job: Job, spread: Spread | None = None) -> StageRun:
+Report = Callable[[int, int, str], None]
+"""Who is told how far a run is, as `Context.report`."""
+
+
+def execute(job: Job, spread: Spread | None = None, report: Report = silently) -> StageRun:
     """Run a stage and stage its rows; a failure is staged as a row too. Returns the row of `stage_runs`.
 
     `spread` stands in for the worker's own map over parts of the work, to show how far it is.
     """
-    from tasks.pipeline import STAGES
-
-    stage = next(s for s in STAGES if s.name == job.stage)
+    stage = _stage_of(job)
     lake = Lake.open(job.lake)
     started, clock = datetime.now(UTC), time.perf_counter()
     rows: dict[str, list[Any]] = {}
@@ -75,7 +78,7 @@ def execute(job: Job, spread: Spread | None = None) -> StageRun:
     kind: str | None = None
     degradations: tuple[str, ...] = ()
     try:
-        outcome = _run(stage, job, lake, spread or spread_over(job.processes))
+        outcome = _kept(stage, job, lake, _computed(stage, job, lake, spread or spread_over(job.processes), report))
         rows, degradations = outcome.rows, outcome.degradations
     except InputError as problem:
         error, kind = str(problem), "input"
@@ -95,6 +98,17 @@ def execute(job: Job, spread: Spread | None = None) -> StageRun:
     )
     lake.stage_rows(run, rows)
     return run
+
+
+def followed(job: Job, report: Report = silently) -> Outcome:
+    """What a stage gives, and nothing kept of it: for processes that take part in a run whose first one keeps its rows."""
+    return _computed(_stage_of(job), job, Lake.open(job.lake), spread_over(job.processes), report)
+
+
+def _stage_of(job: Job) -> Stage:
+    from tasks.pipeline import STAGES
+
+    return next(stage for stage in STAGES if stage.name == job.stage)
 
 
 def lost_run(job: Job, kind: str | None, message: str | None, seconds: float) -> StageRun:
@@ -123,8 +137,8 @@ def lost_run(job: Job, kind: str | None, message: str | None, seconds: float) ->
     )
 
 
-def _run(stage: Stage, job: Job, lake: Lake, spread: Spread) -> Outcome:
-    """Inputs in, `run`, and the result held against the declaration and the schemas."""
+def _computed(stage: Stage, job: Job, lake: Lake, spread: Spread, report: Report) -> Outcome:
+    """Inputs in, and `run`."""
     fingerprints = dict(part.split("=", 1) for part in job.upstream)
     inputs: dict[str, Any] = dict(job.outside)
     for table in stage.reads:
@@ -135,8 +149,24 @@ def _run(stage: Stage, job: Job, lake: Lake, spread: Spread) -> Outcome:
         inputs[table] = history_rows(lake, table, job)
     if "assets" in inputs:
         inputs["assets"] = with_licenses_of_scans(inputs["assets"], lake.snapshot, job.scene_id)
-    context = Context(scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches(), spread=spread)
-    outcome = stage.run(**inputs, context=context, config=job.config)
+    if inputs.get("model") is not None and stage.model_wanted is not None:
+        inputs["model"] = _model(stage, job, str(inputs["model"]))
+    context = Context(
+        scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches(), spread=spread, report=report
+    )
+    return stage.run(**inputs, context=context, config=job.config)
+
+
+def _model(stage: Stage, job: Job, model_id: str) -> Model:
+    """The model that a job names, of the learned system that the stage's config asks for."""
+    from flows.training.models import model_for_worker
+
+    wanted = stage.model_wanted(job.config) if stage.model_wanted is not None else None
+    return model_for_worker(job.lake, wanted.kind if wanted is not None else "", model_id)
+
+
+def _kept(stage: Stage, job: Job, lake: Lake, outcome: Outcome) -> Outcome:
+    """The result, held against the declaration and the schemas, and its blobs in the lake."""
     if set(outcome.rows) != set(stage.writes):
         raise LakeError(f"stage {stage.name} declares {', '.join(stage.writes)} and returned {', '.join(outcome.rows)}")
     named: set[str] = set()
@@ -155,9 +185,13 @@ def _run(stage: Stage, job: Job, lake: Lake, spread: Spread) -> Outcome:
     return outcome
 
 
+_OWNERS = {"scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "dataset": "training_id"}
+"""The column that says whose a row is, by the grain of its table."""
+
+
 def _check_owner(table: str, rows: list[Any], job: Job) -> None:
     """A stage may write rows of its own scene only; a batch writes rows that name it."""
-    column = {"scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id"}.get(TABLES[table].grain)
+    column = _OWNERS.get(TABLES[table].grain)
     for index, row in enumerate(rows):
         if column and getattr(row, column) != job.scene_id:
             raise RecordError(table, str(index), column, f"must be {job.scene_id}, got {getattr(row, column)!r}")

@@ -14,6 +14,7 @@ from schemas import (
     optimization,
     runs,
     selection,
+    training,
 )
 from schemas.record import Table, table_of
 
@@ -52,6 +53,10 @@ RECORDS: tuple[type, ...] = (
     exports.ExportFile,
     exports.ExportCheck,
     evaluation.Trajectory,
+    training.LearnedModel,
+    training.TrainingStep,
+    training.ModelEvaluation,
+    selection.SelectionOutcome,
     runs.StageRun,
     runs.Snapshot,
     runs.Release,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tasks import annotation, candidates, captions, capture, evaluation, exports, fidelity, navigation, optimization, selection
+from tasks import annotation, candidates, captions, capture, evaluation, exports, fidelity, navigation, optimization, selection, training
 from tasks.stage import Stage
 
 STAGES: tuple[Stage, ...] = (
@@ -16,6 +16,7 @@ STAGES: tuple[Stage, ...] = (
     fidelity.STAGE,
     exports.STAGE,
     evaluation.STAGE,
+    training.STAGE,
 )
 
 SCENE_STAGES: tuple[Stage, ...] = tuple(stage for stage in STAGES if stage.grain == "scene")
@@ -26,5 +27,5 @@ MODULES: dict[str, str] = {stage.name: f"tasks.{stage.name}" for stage in STAGES
 
 def upstream(stage: Stage) -> tuple[Stage, ...]:
     """The stages whose rows `stage` reads as part of the same scene's run, in order."""
-    tables = set(stage.reads) - set(stage.history)
+    tables = {*stage.reads, *stage.streams} - set(stage.history)
     return tuple(other for other in STAGES if tables & set(other.writes))

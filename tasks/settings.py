@@ -146,7 +146,10 @@ class ByWord:
 
 def union_of(configs: Iterable[type[Config]]) -> Any:
     """Type of a field that holds a config of any of some classes, each with a `kind` of its own."""
-    return Annotated[Union[tuple(configs)], ByKind()]  # noqa: UP007
+    every = tuple(configs)
+    if len(every) == 1:
+        return Annotated[every[0], ByWord()]
+    return Annotated[Union[every], ByKind()]  # noqa: UP007
 
 
 def _tag(value: Any) -> str:

@@ -39,6 +39,10 @@ class Blobs(Mapping[str, bytes]):
         return len(self._data)
 
 
+def silently(done: int, of: int, text: str) -> None:
+    """Progress that nobody watches."""
+
+
 def in_turn(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
     """The function's values, one item after another, in this process."""
     return [function(item) for item in items]
@@ -65,6 +69,7 @@ class Context:
     much and follows from content alone, one for every module that computes such values (`caches["tasks.geometry.pieces"]`): a
     key must name everything that its value depends on but the module's own code. `spread(function, items)` is the list
     of the function's values, in the order of the items, computed in other processes where cores are free.
+    `report(done, of, text)` tells whoever watches how far a long run is.
     """
 
     scene_id: str
@@ -73,6 +78,7 @@ class Context:
     blobs: Mapping[str, bytes]
     caches: Caches = dataclasses.field(default_factory=_forgetful)
     spread: Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]] = in_turn
+    report: Callable[[int, int, str], None] = silently
 
     def rng(self, *words: object) -> np.random.Generator:
         """A generator seeded by (run seed, scene, stage, words): the same on every worker."""
@@ -92,7 +98,17 @@ class Outcome:
         self.degradations = tuple(degradations)
 
 
-OutsideInput = Literal["scan", "library", "annotation_batch", "review_batch", "batch_acts", "trajectory_batch"]
+@dataclasses.dataclass(frozen=True)
+class WantedModel:
+    """A model that a stage asks for: of the learned system `kind`, the newest, or the one whose id is, or begins with, `model_id`."""
+
+    kind: str
+    model_id: str = ""
+
+
+OutsideInput = Literal[
+    "scan", "library", "annotation_batch", "review_batch", "batch_acts", "trajectory_batch", "dataset", "start", "provenance", "model"
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,7 +116,9 @@ class Stage:
     """A stage's declaration. `run` takes a keyword per table in `reads`, per name in `outside`, `context` and `config`.
 
     `history` names tables that are read as they stand in the lake, whoever wrote them (annotations: those that were
-    accepted), instead of from an upstream stage of the same scene.
+    accepted), instead of from an upstream stage of the same scene. `streams` are tables of which a stage of grain `dataset`
+    reads the rows of all scenes, through its input `dataset`. A stage with the outside input `model` says by `model_wanted(config)`
+    which one it wants, if any.
     """
 
     name: str
@@ -111,9 +129,13 @@ class Stage:
     grain: Literal["scene", "annotation_batch", "trajectory_batch", "dataset"] = "scene"
     outside: tuple[OutsideInput, ...] = ()
     history: tuple[str, ...] = ()
+    streams: tuple[str, ...] = ()
+    model_wanted: Callable[[Any], WantedModel | None] | None = None
 
     def __post_init__(self) -> None:
-        for table in (*self.reads, *self.writes):
+        if ("model" in self.outside) != (self.model_wanted is not None):
+            raise ValueError(f"stage {self.name}: the outside input `model` and `model_wanted` go together")
+        for table in (*self.reads, *self.streams, *self.writes):
             if table not in TABLES:
                 raise ValueError(f"stage {self.name}: {table} is no table of schemas.tables")
         wrong = [table for table in self.writes if TABLES[table].stage != self.name]

@@ -19,6 +19,7 @@ from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.families.path_finders import PATH_FINDERS
 from schemas.families.policies import POLICIES
 from schemas.families.scan_formats import SCAN_FORMATS
+from schemas.families.selection_methods import SELECTION_METHODS
 from tasks.candidates import providers
 from tasks.capture import formats as scan_formats
 from tasks.evaluation import policies
@@ -26,6 +27,7 @@ from tasks.exports import formats as export_formats
 from tasks.families import member, members, part
 from tasks.lineage.places import places_of
 from tasks.navigation import path_finders
+from tasks.selection.methods import members as selection_methods
 from tests.conftest import REPOSITORY
 from tests.scans import OBJECTS, write_scan
 from tests.test_pipeline import QUICK
@@ -36,6 +38,7 @@ FAMILIES: dict[str, tuple[tuple[str, ...], tuple[Any, ...]]] = {
     "tasks.candidates": (CANDIDATE_PROVIDERS, providers.PROVIDERS),
     "tasks.navigation": (PATH_FINDERS, path_finders.PATH_FINDERS),
     "tasks.evaluation.policies": (POLICIES, policies.POLICIES),
+    "tasks.selection.methods": (SELECTION_METHODS, selection_methods.METHODS),
 }
 """Names and objects of every family, by the package that its members lie in."""
 
@@ -62,10 +65,12 @@ ELSEWHERE = {
     "bench/warehouse/rows/assets.sql procedural": "as above",
     "bench/warehouse/rows/candidates.sql library": "as above",
     "bench/warehouse/rows/candidates.sql procedural": "as above",
+    "bench/warehouse/rows/captions.sql vision_language": "rows of a generated lake, whose captions such a model wrote",
     "bench/warehouse/rows/episodes.sql planar": "as above",
     "bench/warehouse/rows/navmeshes.sql planar": "as above",
     "bench/warehouse/rows/scenes.sql posed_rgbd": "as above",
     "bench/warehouse/rows/scenes.sql scannet": "as above",
+    "bench/warehouse/rows/selections.sql geometric": "rows of a generated lake, in shares that are like those of real ones",
     "bench/warehouse/rows/trajectories.sql expert": "as above",
     "bench/warehouse/rows/trajectories.sql planar": "as above",
     "flows/commands/ingest.py habitat": "a layout of finished datasets, whose commands differ in what they take",
@@ -78,15 +83,30 @@ ELSEWHERE = {
     "flows/view/scene.py glb": "as above",
     "flows/view/shapes.py habitat": "the export that has convex pieces as files by object",
     "schemas/capture.py habitat": "a layout of finished datasets",
+    "tasks/annotation/work.py extents": "the size of a candidate, in the folder that annotators get",
     "tasks/annotation/work.py glb": "the file of a candidate, in the folder that annotators get",
     "tasks/candidates/__init__.py library": "the outside input of the stage",
+    "tasks/capture/glb.py model": "a file of a scan",
+    "tasks/exports/mjcf/rules.py model": "an attribute of the file that the rules read",
     "tasks/exports/urdf/rules.py glb": "the ending of a file that a URDF file names",
+    "tasks/exports/usd/body_rules.py extents": "the size of a body",
+    "tasks/exports/usd/rules.py extents": "as above",
+    "tasks/geometry/meshes.py model": "the name of a file",
+    "tasks/ingestion/habitat.py model": "a part of a dataset's layout",
     "tasks/ingestion/habitat_scenes.py habitat": "a layout of finished datasets",
     "tasks/ingestion/reading.py habitat": "as above",
     "tasks/ingestion/scene.py habitat": "the name of an agent, which files of that layout do not say",
     "tasks/ingestion/sources.py habitat": "a layout of finished datasets",
-    "tasks/selection/__init__.py scan_crop": "a setting: rows of earlier versions count, whoever fills slots now",
+    "tasks/lineage/words.py extents": "the size of an object",
+    "tasks/scanner/scenery.py model": "a file of a library",
+    "tasks/selection/__init__.py model": "the outside input of the stage",
+    "tasks/selection/methods/endpoint.py model": "a field of the protocol",
+    "tasks/selection/methods/method.py clip": "weights that methods need",
+    "tasks/selection/methods/method.py model": "as above",
+    "tasks/selection/scoring.py scan_crop": "a setting: rows of earlier versions count, whoever fills slots now",
     "tasks/stage.py library": "an outside input of stages",
+    "tasks/stage.py model": "an outside input of stages",
+    "warehouse/lineage/nodes.py extents": "the size of an object",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""
 
@@ -247,6 +267,7 @@ def lake(place: Path, command: Do) -> Path:
     (place / "scans" / "room_1" / "toy.txt").write_text("the end\n")
     told = {
         "candidates.slots": '[{provider = "toy_provider"}]',
+        "selection.provider": "toy_method",
         "navigation.path_finder": "toy_finder",
         "navigation.train_episodes": 3,
         "navigation.test_episodes": 3,
@@ -289,6 +310,7 @@ def test_a_watch_knows_when_a_scan_of_a_further_format_is_whole(command: Do, pla
 def test_further_members_make_rows_that_the_schemas_take(command: Do, lake: Path) -> None:
     assert answer(command, lake, "SELECT scene_id, room_id, scan_format FROM scenes") == [["toys/room_1", "toys/room", "toy_scan"]]
     assert answer(command, lake, "SELECT DISTINCT provider, outcome FROM candidates") == [["toy_provider", "filled"]]
+    assert answer(command, lake, "SELECT DISTINCT provider, provider_version, score FROM selections") == [["toy_method", "7", 0.1]]
     assert answer(command, lake, "SELECT path_finder FROM navmeshes UNION SELECT path_finder FROM episodes") == [["toy_finder"]]
     checks = "SELECT rule, passed FROM export_checks WHERE format = 'toy_export' ORDER BY rule"
     assert answer(command, lake, checks) == [["complete", True], ["toy_fault", True], ["toy_objects", True]]
@@ -343,6 +365,7 @@ print(json.dumps({
     "form of exports": get_args(Format)[-1],
     "setting of exports": stages["exports"]["properties"]["formats"]["items"]["enum"][-1],
     "setting of navigation": kinds(stages["navigation"]["properties"]["path_finder"])[-1],
+    "setting of selection": kinds(stages["selection"]["properties"]["provider"])[-1],
     "setting of candidates": kinds(stages["candidates"]["properties"]["slots"]["items"]["properties"]["provider"])[-1],
     "documentation": "`toy_export`" in table_section(table_of(ExportFile)),
 }))
@@ -356,6 +379,7 @@ def test_forms_generators_the_demo_and_the_documentation_have_a_further_member(d
         "form of exports": "toy_export",
         "setting of exports": "toy_export",
         "setting of navigation": "toy_finder",
+        "setting of selection": "toy_method",
         "setting of candidates": "toy_provider",
         "documentation": True,
     }

@@ -88,7 +88,7 @@ def test_the_data_path_of_the_architecture_is_that_of_the_declarations() -> None
     for stage in STAGES:
         outside, reads, writes = path[stage.name]
         assert [word.replace(" ", "_") for word in outside.split(", ") if word] == list(stage.outside)
-        assert named(reads) == [*stage.reads, *stage.history]
+        assert named(reads) == [*stage.reads, *stage.streams, *stage.history]
         assert named(writes) == list(stage.writes)
 
 

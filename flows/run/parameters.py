@@ -53,7 +53,7 @@ class Form(GenerateJsonSchema):
         if "anyOf" not in made:
             return {**made, "default": {}}
         words, *tables = made["anyOf"]
-        del tables[words["enum"].index(default.kind)]["required"]  # a table that names no kind is of the one that is there
+        tables[words["enum"].index(default.kind)].pop("required", None)  # a table that names no kind is of the one that is there
         return {**made, "default": default.kind}
 
 

@@ -59,6 +59,12 @@ class ScenePlan:
         return tuple(step for step in self.steps if step.action == "run")
 
     @property
+    def models(self) -> dict[str, str]:
+        """Ids of the models that its stages use, by stage."""
+        named = [(step.stage, part.partition("=")) for step in self.steps for part in step.fingerprint.inputs]
+        return {stage: value for stage, (name, _, value) in named if name == MODEL}
+
+    @property
     def failure(self) -> Step | None:
         """The step that failed before and is not computed again."""
         return next((step for step in self.steps if step.action == "report"), None)
@@ -98,6 +104,7 @@ def make_plan(
     *,
     again: bool = False,
     same: Mapping[str, str] | None = None,
+    models: Mapping[str, str] | None = None,
 ) -> Plan:
     """Hold scans against the lake. Nothing is computed or written but the cache of file hashes.
 
@@ -130,13 +137,15 @@ def make_plan(
     if same:
         history |= lake.history(set(same.values()) - {scan.scene_id for scan in scans})
         looked, given = _as_scenes(lake, looked, same, history)
+    models = wanted_models(lake, configuration) if models is None else models
     annotations = annotation_digests(lake, {scan.scene_id for scan, _ in looked}, snapshot_id)
     scenes = []
     for scan, content in looked:
         outside = {"scan": content.named, "library": library}
         past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
         facts = {"scan": content.parts[1:]}
-        steps = _steps(outside, facts, annotations.get(scan.scene_id, ""), past, stage_facts, configuration.seed, retry_failed)
+        given_to = {stage.name: outside | {MODEL: models[stage.name]} if stage.name in models else outside for stage in SCENE_STAGES}
+        steps = _steps(given_to, facts, annotations.get(scan.scene_id, ""), past, stage_facts, configuration.seed, retry_failed)
         scenes.append(ScenePlan(scan, steps, snapshot_id, given.get(scan.scene_id)))
     return Plan(tuple(scenes), tuple(errors), snapshot_id, tuple(notes), same)
 
@@ -144,12 +153,16 @@ def make_plan(
 def planned_again(lake: Lake, scene: ScenePlan, configuration: Configuration, retry_failed: bool = False) -> ScenePlan | None:
     """The plan of a scene as the lake is now, under the name that it has; None when its scan cannot be read.
 
-    What a scan is called is decided once. Its files are looked at under its own name, which is a part of their paths.
+    What a scan is called is decided once, and so is which model is the newest. Its files are looked at under its own name, which is a
+    part of their paths.
     """
     given = scene.given or scene.scan
     same = {given.scene_id: scene.scan.scene_id} if scene.given else {}
-    return next(iter(make_plan(lake, [given], (), configuration, retry_failed, same=same).scenes), None)
+    return next(iter(make_plan(lake, [given], (), configuration, retry_failed, same=same, models=scene.models).scenes), None)
 
+
+MODEL = "model"
+"""The outside input that is a model of the lake or of the package, by its id."""
 
 CAPTURE = "capture"
 """The stage that reads scans."""
@@ -176,7 +189,7 @@ def _as_scenes(
 
 
 def _steps(
-    outside: Mapping[str, str],
+    outside: Mapping[str, Mapping[str, str]],
     facts: Mapping[str, tuple[str, ...]],
     annotations: str,
     past: Mapping[str, object],
@@ -184,15 +197,15 @@ def _steps(
     seed: int,
     retry_failed: bool,
 ) -> tuple[Step, ...]:
-    """The steps of one scene. `told` holds config and code of every stage, the same texts for all scenes; `facts` what is to be
-    recorded beside an outside input."""
+    """The steps of one scene. `outside` holds hashes of outside inputs by stage, `stage_facts` config and code of every stage, the same
+    texts for all scenes; `facts` what is to be recorded beside an outside input."""
     steps: list[Step] = []
     by_stage: dict[str, Step] = {}
     for stage in SCENE_STAGES:
         above = upstream(stage)
         above = tuple(other for other in above if other.grain == "scene")
         read = tuple(f"{other.name}={by_stage[other.name].fingerprint.value}" for other in above)
-        inputs = tuple(f"{name}={outside[name]}" for name in stage.outside if name in outside)
+        inputs = tuple(f"{name}={outside[stage.name][name]}" for name in stage.outside if name in outside[stage.name])
         if stage.history:
             inputs += (f"annotations={annotations}",)
         beside = tuple(fact for name in stage.outside for fact in facts.get(name, ()))
@@ -246,6 +259,25 @@ def _library_hash(library: Path | None, hashes: FileHashes) -> str:
         name = path.relative_to(library).as_posix().encode(errors="backslashreplace").decode()
         parts.append(f"{name}={value}")
     return digest(*parts)
+
+
+def wanted_models(lake: Lake, configuration: Configuration) -> dict[str, str]:
+    """Id of the model that each stage is to use, by stage; no entry for stages whose configs ask for none.
+
+    Raises:
+        InputError: there is no such model, or it was withdrawn.
+    """
+    asked = {
+        stage.name: wanted
+        for stage in SCENE_STAGES
+        if stage.model_wanted is not None and (wanted := stage.model_wanted(configuration.stages[stage.name])) is not None
+    }
+    if not asked:
+        return {}
+    from flows.training.models import wanted_model
+
+    reader = lake.snapshot()
+    return {name: wanted_model(reader, wanted).model_id for name, wanted in asked.items()}
 
 
 def annotation_digests(lake: Lake, scenes: Collection[str] | None = None, snapshot_id: int | None = None) -> dict[str, str]:

@@ -229,6 +229,7 @@ _ORDERS: Mapping[str, str] = {
     "broken_rules": "format, rule, scene_id, message",
     "degradation_counts": "times DESC, stage, degradation",
     "fallback_counts": "stage, provider, provider_version",
+    "selection_methods": "dataset, split, top_1 DESC, method, model_id, training_id",
     "selection_quality": "objects DESC, category",
     "scene_certificates": "is_plausible, deep_pairs DESC, unstable_5cm DESC, uncertified DESC, scene_id, engine",
     "stability": "stable_5cm_share, stable_1cm_share, scene_id, engine",

@@ -19,6 +19,8 @@ MEMBERS = {
     "toy_provider": ("candidate_providers", "CANDIDATE_PROVIDERS", "tasks.candidates"),
     "toy_finder": ("path_finders", "PATH_FINDERS", "tasks.navigation"),
     "toy_policy": ("policies", "POLICIES", "tasks.evaluation.policies"),
+    "toy_method": ("selection_methods", "SELECTION_METHODS", "tasks.selection.methods"),
+    "toy_system": ("learned_systems", "LEARNED_SYSTEMS", "tasks.training.systems"),
 }
 """Names, the tuples that they are in, and the packages that their modules would lie in."""
 

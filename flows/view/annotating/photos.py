@@ -13,8 +13,8 @@ from flows.view.annotating.drafts import Key
 from flows.view.frames import are_at_hand
 from flows.view.scene import Scenes
 from schemas.capture import Frame, Instance
-from tasks.capture.instances.views import view_window
 from tasks.geometry.transforms import matrix
+from tasks.geometry.windows import view_window
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,6 +12,7 @@ from tasks.capture.files.frames import scaled_intrinsics
 from tasks.capture.reading import FrameSource
 from tasks.geometry.meshes import Surface
 from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.windows import view_window
 
 Array = NDArray[np.float64]
 
@@ -211,17 +212,6 @@ def _labels(primitives: NDArray[np.uint32], face_instance: NDArray[np.int64]) ->
     face = primitives.astype(np.int64)
     hit = face < len(face_instance)
     return np.where(hit, face_instance[np.where(hit, face, 0)], -1)
-
-
-VIEW_MARGIN = 0.15
-"""What the view of an object shows around its mask, in longer sides of the mask's box."""
-
-
-def view_window(pixel_box: Sequence[int], width: int, height: int) -> tuple[int, int, int, int]:
-    """The part of an image that shows what is in a box x0, y0, x1, y1, with a margin [px]: as the box, within the image."""
-    x0, y0, x1, y1 = pixel_box
-    margin = max(4, round(VIEW_MARGIN * max(x1 - x0, y1 - y0)))
-    return max(0, x0 - margin), max(0, y0 - margin), min(width, x1 + margin), min(height, y1 + margin)
 
 
 def view_of(image: NDArray[np.uint8], pixel_box: tuple[int, int, int, int]) -> NDArray[np.uint8]:

@@ -77,7 +77,11 @@ def test_their_flows_are_found_and_take_what_they_tell_them() -> None:
         assert flow.name == one["flow"]
         flow.validate_parameters(one["parameters"])
         names.add(one["name"])
-    assert names == set(BASES)
+    assert names == set(BASES) - LATER
+
+
+LATER = {"train"}
+"""Deployments that these servers did not have yet."""
 
 
 def ended(prefect: Prefect, deployment: str) -> list[dict[str, Any]]:
@@ -129,7 +133,7 @@ def test_they_run_on_under_todays_code(prefect: Prefect, former: dict[str, str])
 
 def test_deploying_another_lake_leaves_them_and_deploying_theirs_replaces_them(prefect: Prefect, former: dict[str, str]) -> None:
     names = {one["name"] for one in prefect.ask("deployments/filter", {}).json()}
-    assert names == set(BASES)
+    assert names == set(BASES) - LATER
     other = prefect.deploy("--lake", str(prefect.folder / "other" / "lake"), "--name", "other")
     assert {change for name, change in other.items() if "/" in name} == {"created"}
     assert {one["name"] for one in prefect.ask("deployments/filter", {}).json()} == names | {f"{base}-other" for base in BASES}

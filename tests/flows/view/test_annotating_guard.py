@@ -29,8 +29,9 @@ from flows.view.annotating.photos import photo_camera
 from flows.view.annotating.work import ServedBatch
 from schemas.capture import Frame, Instance
 from schemas.errors import InputError
-from tasks.capture.instances.views import view_of, view_window
+from tasks.capture.instances.views import view_of
 from tasks.geometry.transforms import flat, inverse, look_at, transform_points, translation
+from tasks.geometry.windows import view_window
 from tests.annotated import SCENES, answer
 from tests.flows.view.batches import BATCH, ORIGIN, PORT, Desk, asked_lake, digests, stand_in
 from tests.samples import sample

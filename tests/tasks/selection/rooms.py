@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+from typing import Any
 
 import numpy as np
 import trimesh
 
 from schemas.candidates import Asset, Candidate
-from schemas.capture import Instance
+from schemas.captions import Caption
+from schemas.capture import Frame, Instance, Mask
 from schemas.record import check
 from schemas.selection import Selection
+from tasks.capture.files.images import encode_jpeg
+from tasks.capture.instances.views import run_lengths, view_of
 from tasks.geometry.meshes import canonical, dump_glb, dump_points, sample_surface, surface_of
-from tasks.geometry.transforms import flat, transform_points, yaw_of, yaw_pose
+from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.transforms import flat, look_at, transform_points, yaw_of, yaw_pose
 from tasks.selection import SelectionConfig, run
 from tasks.stage import Blobs, Context
 
@@ -60,6 +66,9 @@ class Room:
         self.instances: list[Instance] = []
         self.candidates: list[Candidate] = []
         self.assets: dict[str, Asset] = {}
+        self.captions: list[Caption] = []
+        self.frames: list[Frame] = []
+        self.masks: list[Mask] = []
 
     def asset(self, parts: list[trimesh.Trimesh], name: str, provider: str = "library", watertight: bool = False) -> str:
         data = dump_glb(canonical(parts))
@@ -96,11 +105,11 @@ class Room:
             )
         )  # fmt: skip
 
-    def select(self, config: SelectionConfig | None = None, seed: int = 0) -> tuple[list[Selection], tuple[str, ...]]:
-        context = Context(scene_id=SCENE, stage="selection", seed=seed, blobs=self.blobs)
+    def select(self, config: SelectionConfig | None = None, seed: int = 0, **more: Any) -> tuple[list[Selection], tuple[str, ...]]:
+        context = more.pop("context", None) or Context(scene_id=SCENE, stage="selection", seed=seed, blobs=self.blobs)
         outcome = run(
-            instances=self.instances, candidates=self.candidates, assets=list(self.assets.values()), context=context,
-            config=config or SelectionConfig(),
+            instances=self.instances, candidates=self.candidates, assets=list(self.assets.values()), captions=self.captions,
+            frames=self.frames, masks=self.masks, context=context, config=config or SelectionConfig(), **more,
         )  # fmt: skip
         rows = outcome.rows["selections"]
         check(rows, Selection)
@@ -126,3 +135,32 @@ def scan(
 
 def yaw_error(pose: np.ndarray, truth: np.ndarray) -> float:
     return abs(float(np.degrees(np.angle(np.exp(1j * (yaw_of(pose) - yaw_of(truth)))))))
+
+
+def photographed(
+    room: Room, instance: Instance, parts: list[trimesh.Trimesh], pose: np.ndarray, eye: tuple[float, float, float]
+) -> tuple[Instance, Frame, Mask]:
+    """An instance with the crop of a frame that sees its parts, and that frame, from an eye [m] in the world frame."""
+    placed = [part.copy() for part in canonical(parts)]
+    for each in placed:
+        each.apply_transform(pose)
+    middle = np.mean([each.bounds.mean(axis=0) for each in placed], axis=0)
+    camera = Camera.with_fov(look_at(eye, middle), 640, 480, 1.0)
+    drawn = RayScene(placed).render(camera, background=(90, 110, 90))
+    rows, columns = np.flatnonzero((drawn.part >= 0).any(axis=1)), np.flatnonzero((drawn.part >= 0).any(axis=0))
+    box = (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
+    frame = Frame(
+        scene_id=SCENE, frame_id=f"{int(instance.instance_id):06d}", color_file="0.jpg", depth_file=None, width=640, height=480,
+        intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), depth_scale=1000.0, pose=flat(camera.pose),
+    )  # fmt: skip
+    silhouette = drawn.part[box[1] : box[3], box[0] : box[2]] >= 0
+    mask = Mask(
+        scene_id=SCENE, frame_id=frame.frame_id, instance_id=instance.instance_id, pixel_box=box, pixel_count=int(silhouette.sum()),
+        visible_fraction=1.0, score=1.0, run_lengths=run_lengths(silhouette),
+    )  # fmt: skip
+    view = room.blobs.add(encode_jpeg(view_of(drawn.color, box), 256), "jpg")
+    seen = dataclasses.replace(instance, view_blob=view, best_frames=(frame.frame_id,))
+    room.instances[room.instances.index(instance)] = seen
+    room.frames.append(frame)
+    room.masks.append(mask)
+    return seen, frame, mask

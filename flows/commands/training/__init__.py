@@ -1,0 +1,1 @@
+"""Commands about learned systems and their models."""

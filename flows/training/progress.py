@@ -1,0 +1,37 @@
+"""How far a training is, for people: a bar on a terminal, a line now and then where there is none."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from flows.progress import Progress
+
+
+class StepBar:
+    """``with StepBar("selection") as bar: train(..., bar.report)``. A fit that begins anew, or is another's, has a bar of its own."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._bar: Progress | None = None
+        self._done, self._of = 0, 0
+
+    def report(self, done: int, of: int, text: str) -> None:
+        """So many of so many steps are done."""
+        if self._bar is None or of != self._of or done <= self._done:
+            self._end()
+            self._bar = Progress(f"{self._title}: steps", of, lines=True).__enter__()
+            self._done, self._of = 0, of
+        for _ in range(done - self._done):
+            self._bar.advance(text)
+        self._done = done
+
+    def __enter__(self) -> StepBar:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._end()
+
+    def _end(self) -> None:
+        if self._bar is not None:
+            self._bar.__exit__(None, None, None)
+            self._bar = None

@@ -1,0 +1,113 @@
+"""Models as they are handed around: weights with the config that they belong to, in memory, in a folder, in the package.
+
+A folder of a model holds `weights.safetensors`, `model.json` and a card for people.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import InputError
+from schemas.files import read_file
+from tasks.batches import parse_json
+from tasks.settings import Config, fields_of
+from tasks.weights import MOST_BYTES, from_safetensors
+
+WEIGHTS, DOCUMENT, CARD = "weights.safetensors", "model.json", "README.md"
+FORMAT = 1
+MOST_DOCUMENT_BYTES = 4 << 20
+"""Of `model.json`; a few kilobytes are usual."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """A model that a stage scores with. config: That of its learned system, as JSON. weights: safetensors."""
+
+    model_id: str
+    kind: str
+    architecture: str
+    config: str
+    weights: bytes = dataclasses.field(repr=False)
+
+
+def identity(config: Any) -> Any:
+    """A config as plain JSON values, without the fields that its class calls `idle`: what changes no weight is no part of a model."""
+    if isinstance(config, Config):
+        idle = getattr(type(config), "idle", ())
+        values = {name: identity(getattr(config, name)) for name in fields_of(type(config)) if name not in idle}
+        return ({"kind": config.kind} if config.kind else {}) | values
+    if isinstance(config, tuple | list):
+        return [identity(item) for item in config]
+    return config
+
+
+def identity_json(config: Any) -> str:
+    """`identity` as JSON text; the same config gives the same text."""
+    return json.dumps(identity(config), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def model_id_of(weights: bytes, config_json: str) -> str:
+    """Name of a model, 64 hex digits: hash of its weights and its config."""
+    return hashlib.sha256(hashlib.sha256(weights).digest() + config_json.encode()).hexdigest()
+
+
+_FIELDS: dict[str, type | tuple[type, ...]] = {
+    "format": int, "model_id": str, "kind": str, "architecture": str, "parameter_count": int, "config": dict, "dataset": str,
+    "dataset_fingerprint": str, "examples": dict, "seed": int, "code_fingerprint": str, "device": str, "license": str,
+    "parent_id": (str, type(None)), "is_fallback": bool, "notes": list, "measures": list,
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelFolder:
+    """A folder with a model. It is read when it is asked for, and never trusted.
+
+    >>> ModelFolder(Path("tasks/selection/model/shipped/small")).model.model_id  # doctest: +SKIP
+    """
+
+    folder: Path
+
+    @cached_property
+    def document(self) -> Mapping[str, Any]:
+        """What `model.json` says.
+
+        Raises:
+            InputError: it cannot be read, lacks a field, or has one of another type.
+        """
+        name = f"{self.folder.name}/{DOCUMENT}"
+        read = parse_json(read_file(self.folder / DOCUMENT, name, MOST_DOCUMENT_BYTES), name)
+        if not isinstance(read, dict):
+            raise InputError(name, "", "is no table", "export the model again")
+        for field, kinds in _FIELDS.items():
+            kind = type(read.get(field))
+            if field not in read or not issubclass(kind, kinds) or (kind is bool and kinds is int):
+                raise InputError(name, field, "is missing" if field not in read else f"is {kind.__name__}", "export the model again")
+        if read["format"] != FORMAT:
+            raise InputError(name, "format", f"is {read['format']}, this version reads {FORMAT}", "export the model again")
+        return read
+
+    @cached_property
+    def model(self) -> Model:
+        """The model, its weights held against its name.
+
+        Raises:
+            InputError: as `document`; or the weights are no safetensors file, or not those that the model's name is made of.
+        """
+        document, name = self.document, f"{self.folder.name}/{WEIGHTS}"
+        weights = read_file(self.folder / WEIGHTS, name, MOST_BYTES)
+        from_safetensors(weights, name)
+        config = json.dumps(document["config"], sort_keys=True, separators=(",", ":"))
+        if model_id_of(weights, config) != document["model_id"]:
+            raise InputError(f"{self.folder.name}/{DOCUMENT}", "model_id", "is not that of its weights and config", "export it again")
+        return Model(document["model_id"], document["kind"], document["architecture"], config, weights)
+
+
+def folders_in(place: Path) -> dict[str, ModelFolder]:
+    """Models in folders of a folder, by the folders' names; none where it is not there."""
+    return {file.parent.name: ModelFolder(file.parent) for file in sorted(place.glob(f"*/{DOCUMENT}"))}

@@ -1,0 +1,229 @@
+"""What selection knows of an instance and of each of its candidates once these are aligned to it: what every method scores by."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.candidates import Asset, Candidate
+from schemas.captions import Caption
+from schemas.capture import Frame, Instance, Mask
+from schemas.errors import InputError
+from tasks.geometry.boxes import grown_box, oriented_iou
+from tasks.geometry.meshes import read_points
+from tasks.geometry.transforms import inverse, transform_points, translation, yaw_of, yaw_pose
+from tasks.selection.alignment import Distances, Fit, Sample, ScannedInstance, align, make_target, sample_asset
+from tasks.selection.coloring import color_histogram, color_similarity
+from tasks.selection.crops import Crop, crop_of
+from tasks.selection.neighbors import Neighborhood, foreign_share
+from tasks.selection.scoring import completeness, is_own_geometry, score_of
+from tasks.stage import Context
+
+if TYPE_CHECKING:
+    from tasks.selection import SelectionConfig
+
+Array = NDArray[np.float64]
+
+LEAST_WITHIN = 0.3
+"""A box that holds less than this share of its points is none to go by."""
+
+
+@dataclasses.dataclass(frozen=True)
+class InstanceQuery:
+    """An instance that candidates are scored for.
+
+    frame: Its own frame in the world, 4x4 [m]: its box turned straight, x and y zero at the middle of the box, z zero at the height on
+    which an asset is to stand. points, colors: All that the scan has of it in that frame, shapes (n, 3) [m] and (n, 3) uint8. target: The
+    same, thinned, as alignment takes it. view, mask: The frame that sees it best, and where in it, as far as they are known.
+    """
+
+    instance: Instance
+    caption: Caption | None
+    context: Context
+    frame: Array
+    target: ScannedInstance
+    points: Array
+    colors: NDArray[np.uint8]
+    view: Frame | None = None
+    mask: Mask | None = None
+
+    @property
+    def category(self) -> str:
+        """What the instance is called."""
+        return self.instance.category
+
+    @property
+    def text(self) -> str | None:
+        """A sentence about it; None where nobody wrote one."""
+        return self.caption.sentence if self.caption is not None and self.caption.sentence else None
+
+    @cached_property
+    def crop(self) -> Crop | None:
+        """The crop of its best view; None where it has none.
+
+        Raises:
+            InputError: the picture cannot be read.
+        """
+        return crop_of(self.instance, self.view, self.mask, self.context.blobs)
+
+    @property
+    def image(self) -> NDArray[np.uint8] | None:
+        """The pixels of the crop, shape (h, w, 3); None where it has none. Raises as `crop` does."""
+        return None if self.crop is None else self.crop.image
+
+
+@dataclasses.dataclass(frozen=True)
+class Evidence:
+    """A candidate, aligned to its instance and measured.
+
+    sample: Of the asset's surface, as it is in the lake. fit: Where it stands in the instance's frame. box_iou: Of its placed box and the
+    instance's. color: Likeness of the color histograms. foreign: Share of what was seen in it that is another's. complete: How much of a
+    whole object it shows. own: It is made of the instance's own points. geometric: Its geometric score. All but distances in 0..1.
+    """
+
+    candidate: Candidate
+    asset: Asset
+    sample: Sample
+    fit: Fit
+    distances: Distances
+    box_iou: float
+    color: float
+    foreign: float
+    complete: float
+    own: bool
+    geometric: float
+
+    @property
+    def placed(self) -> tuple[Array, Array]:
+        """Samples of its surface where it stands: points [m] and unit normals in the instance's frame, shapes (m, 3)."""
+        points, normals, _ = self.sample.placed(self.fit)
+        return points, normals
+
+    @property
+    def extents(self) -> Array:
+        """Extents of its box along its own axes as it is placed, shape (3,) [m]."""
+        return self.sample.extents * self.fit.scale
+
+
+def gather(
+    instances: Sequence[Instance],
+    candidates: Sequence[Candidate],
+    assets: Sequence[Asset],
+    context: Context,
+    config: SelectionConfig,
+    degradations: list[str],
+    *,
+    captions: Sequence[Caption] = (),
+    frames: Sequence[Frame] = (),
+    masks: Sequence[Mask] = (),
+) -> Iterator[tuple[InstanceQuery, list[Evidence]]]:
+    """Every instance that is no structure and has a candidate that can be read, in their order, with its candidates by slot.
+
+    What is left out is said in `degradations`.
+    """
+    by_asset = {asset.asset_id: asset for asset in assets}
+    by_instance: dict[str, list[Candidate]] = defaultdict(list)
+    for candidate in sorted(candidates, key=lambda c: (c.instance_id, c.slot)):
+        if candidate.outcome == "filled" and candidate.asset_id is not None:
+            by_instance[candidate.instance_id].append(candidate)
+    samples: dict[str, Sample | None] = {}
+    for asset_id in sorted({c.asset_id for rows in by_instance.values() for c in rows if c.asset_id}):
+        samples[asset_id] = _sample(by_asset.get(asset_id), asset_id, context, config, degradations)
+    described = {row.instance_id: row for row in captions}
+    views, shown = {row.frame_id: row for row in frames}, {(row.frame_id, row.instance_id): row for row in masks}
+    neighborhood = Neighborhood.of(instances, context.blobs)
+    for instance in sorted(instances, key=lambda i: i.instance_id):
+        if instance.is_structure:
+            continue
+        usable = [c for c in by_instance[instance.instance_id] if samples.get(c.asset_id or "")]
+        if not usable:
+            degradations.append(f"{instance.instance_id}: no candidate to select from")
+            continue
+        best = instance.best_frames[0] if instance.best_frames else ""
+        frame, target, points, colors = instance_frame(instance, context, config)
+        query = InstanceQuery(
+            instance, described.get(instance.instance_id), context, frame, target, points, colors, views.get(best),
+            shown.get((best, instance.instance_id)),
+        )  # fmt: skip
+        yield query, evidence_of(query, usable, by_asset, samples, neighborhood, config)
+
+
+def evidence_of(
+    query: InstanceQuery,
+    candidates: Sequence[Candidate],
+    assets: Mapping[str, Asset],
+    samples: Mapping[str, Sample | None],
+    neighborhood: Neighborhood,
+    config: SelectionConfig,
+) -> list[Evidence]:
+    """Candidates of an instance, aligned and measured, in their order; those without samples are left out."""
+    instance, frame, target, score = query.instance, query.frame, query.target, config.score
+    histogram = color_histogram(target.colors)
+    threshold = max(min(score.threshold_m, score.threshold_share * target.diagonal), score.threshold_least_m)
+    reach = np.array([0.5 * target.diagonal, 0.5 * target.diagonal, 0.0])
+    beside = neighborhood.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
+    beside, own_cubes = transform_points(beside, inverse(frame)), len(neighborhood.seen.get(instance.instance_id, ()))
+    done: dict[str, tuple[Fit, Distances, float, float, float]] = {}
+    measured: list[Evidence] = []
+    for candidate in candidates:
+        asset_id = candidate.asset_id or ""
+        sample = samples[asset_id]
+        if sample is None:
+            continue
+        if asset_id not in done:
+            fit, distances = align(target, sample, threshold, config.alignment)
+            color = color_similarity(histogram, color_histogram(sample.colors))
+            placed, normals, _ = sample.placed(fit)
+            foreign = foreign_share(beside, own_cubes, placed, normals)
+            done[asset_id] = (fit, distances, color, _placed_iou(frame, fit, sample, instance), foreign)
+        fit, distances, color, iou, foreign = done[asset_id]
+        asset = assets[asset_id]
+        own = is_own_geometry(asset, candidate.provider, score)
+        complete = completeness(asset, own, score)
+        geometric = score_of(distances, iou, color, complete, own, target.diagonal, score, foreign, target.resolution)
+        measured.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, complete, own, geometric))
+    return measured
+
+
+def instance_frame(
+    instance: Instance, context: Context, config: SelectionConfig
+) -> tuple[Array, ScannedInstance, Array, NDArray[np.uint8]]:
+    """The instance's frame in the world, 4x4 [m], standing where the asset is to stand; its points in that frame, as alignment takes
+    them and all of them, shape (n, 3) [m], with their colors (n, 3)."""
+    box, size = grown_box(instance.box_pose, instance.box_size, instance.hidden_m)
+    bottom, top = box[2, 3] - 0.5 * size[2], box[2, 3] + 0.5 * size[2]
+    if abs(bottom) <= config.floor_snap_m < top:
+        bottom = 0.0
+    frame = yaw_pose(yaw_of(box), [box[0, 3], box[1, 3], bottom])
+    points, colors = read_points(context.blobs[instance.points_blob], instance.points_blob)
+    local = transform_points(points, inverse(frame))
+    extent = np.array([size[0], size[1], top - bottom])
+    within = (np.abs(local - [0.0, 0.0, 0.5 * extent[2]]) <= 0.5 * extent + config.beside_m).all(axis=1)
+    if within.mean() >= LEAST_WITHIN:  # what lies farther off was annotated with it and is another object
+        local, colors = local[within], colors[within]
+    rng = context.rng("instance", instance.instance_id)
+    return frame, make_target(local, colors, extent, config.alignment, rng, instance.hidden_m), local, colors
+
+
+def _sample(asset: Asset | None, asset_id: str, context: Context, config: SelectionConfig, degradations: list[str]) -> Sample | None:
+    """Samples of an asset, or None and the reason among the degradations."""
+    try:
+        if asset is None:
+            raise ValueError("has no row in assets")
+        return sample_asset(asset, context.blobs[asset.mesh_blob], config.alignment, context.rng("asset", asset_id))
+    except (InputError, ValueError, KeyError) as error:
+        degradations.append(f"asset {asset_id[:12]}: left out: {error}")
+        return None
+
+
+def _placed_iou(frame: Array, fit: Fit, sample: Sample, instance: Instance) -> float:
+    """Intersection over union of the placed asset's box and the instance's box."""
+    size = sample.extents * fit.scale
+    center = frame @ yaw_pose(fit.yaw, fit.offset) @ translation([0.0, 0.0, 0.5 * size[2]])
+    return oriented_iou(center, size, *grown_box(instance.box_pose, instance.box_size, instance.hidden_m))

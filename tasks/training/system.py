@@ -1,0 +1,36 @@
+"""What a learned system is: a declaration, a frozen config and a pure `train`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+from tasks.models import Model, ModelFolder
+from tasks.settings import Config
+from tasks.training.trained import Trained
+
+__all__ = ["LearnedSystem", "Model", "ShippedModel"]
+
+ShippedModel = ModelFolder
+"""A model inside the package: a folder as `metascenes models export` writes it."""
+
+
+def none_shipped() -> Mapping[str, ShippedModel]:
+    """Of a learned system whose models are all trained by who uses them."""
+    return {}
+
+
+@dataclasses.dataclass(frozen=True)
+class LearnedSystem:
+    """A member of the family `schemas.families.learned_systems`.
+
+    config: Its settings, a class whose `kind` is the name. reads: Tables that it learns from. train: `train(*, dataset, start, context,
+    config)` gives what came of training on a `Dataset`, from the weights `start` or, where these are None, anew. It is pure: the same
+    rows, config and seed give the same weights on the same device. shipped: Models inside the package, by name.
+    """
+
+    name: str
+    config: type[Config]
+    reads: tuple[str, ...]
+    train: Callable[..., Trained]
+    shipped: Callable[[], Mapping[str, ShippedModel]] = none_shipped

@@ -1,0 +1,166 @@
+"""The scores of a learned model in use: of the same sight that it is trained on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from schemas.annotation import Annotation
+from schemas.captions import Caption
+from schemas.capture import Scene
+from schemas.errors import InputError
+from tasks.geometry.transforms import yaw_pose
+from tasks.models import Model, model_id_of
+from tasks.selection import STAGE, SelectionConfig
+from tasks.selection.evidence import gather
+from tasks.selection.methods.geometric import Geometric
+from tasks.selection.methods.model import ModelScores, contenders_of, scanned_of
+from tasks.selection.model.collection import collected
+from tasks.selection.model.config import OwnImage, OwnText, SelectionModel, Small
+from tasks.selection.model.inference import load
+from tasks.selection.model.shapes import shapes_of
+from tasks.settings import plain
+from tasks.stage import Context, WantedModel
+from tasks.training.dataset import RowsInMemory
+from tasks.weights import to_safetensors
+from tests.samples import sample
+from tests.tasks.selection.rooms import RED, SCENE, Room, cabinet, chair, photographed, scan, shelf, table
+
+SMALL = Small(points=48, groups=8, group_size=6, dim=24, depth=2, heads=4, first_widths=(8, 16), second_widths=(16, 24), position_width=8,
+              embedding=20, head_width=16)  # fmt: skip
+CONFIG = SelectionModel(
+    SMALL, image=OwnImage(widths=(4, 6, 8)), text=OwnText(buckets=64, width=8), residual_points=16, residual_widths=(8, 12)
+)
+
+
+def drawn_model(seed: int = 0) -> Model:
+    """A model whose weights were drawn."""
+    rng = np.random.default_rng(seed)
+    arrays = {}
+    for name, shape in sorted(shapes_of(CONFIG).items()):
+        values = rng.normal(0, 0.3, shape)
+        arrays[name] = np.asarray(0.5 + np.abs(values) if name.endswith("running_var") else values, dtype="<f2")
+    weights = to_safetensors(arrays)
+    config = json.dumps({"model": plain(CONFIG)})
+    return Model(model_id_of(weights, config), "selection", "small", config, weights)
+
+
+@pytest.fixture(scope="module")
+def room() -> Room:
+    made, pose = Room(), yaw_pose(0.4)
+    points, colors = scan(chair(RED), pose, (1, 1, 1), np.random.default_rng(0), view=0.4)
+    instance = made.instance(points, colors, 0.4, category="chair")
+    offered = ((table(), "library"), (chair(RED), "library"), (cabinet(), "scan_crop_closed"), (shelf(), "library"))
+    for slot, (parts, provider) in enumerate(offered, start=1):
+        made.candidate(instance, slot, made.asset(parts, "chair" if slot == 2 else f"model {slot}", provider), provider)
+    photographed(made, instance, chair(RED), pose, (2.4, 1.3, 1.6))
+    made.captions.append(sample(Caption, scene_id=SCENE, instance_id="0000", sentence="A red chair of wood."))
+    return made
+
+
+def by_model() -> SelectionConfig:
+    return SelectionConfig(provider=ModelScores())
+
+
+def test_rows_say_which_model_scored_and_scores_are_its_chances(room: Room) -> None:
+    model = drawn_model()
+    rows, degradations = room.select(by_model(), model=model)
+    assert degradations == ()
+    assert {(row.provider, row.provider_version) for row in rows} == {("model", f"1:{model.model_id[:12]}")}
+    assert sum(row.score for row in rows) == pytest.approx(1.0)
+    query, candidates = _gathered(room)
+    logits = load(model.weights, CONFIG).score(scanned_of(query, CONFIG), contenders_of(query, candidates, CONFIG))
+    powers = np.exp(logits - logits.max())
+    expected = dict(zip((each.candidate.slot for each in candidates), powers / powers.sum(), strict=True))
+    assert {row.slot: row.score for row in rows} == pytest.approx(expected, abs=1e-9)
+    assert len({round(row.score, 6) for row in rows}) == 4
+
+
+def test_another_model_scores_otherwise_and_geometry_stays_as_it_was(room: Room) -> None:
+    first, second = (room.select(by_model(), model=drawn_model(seed))[0] for seed in (0, 1))
+    assert {row.slot: row.score for row in first} != {row.slot: row.score for row in second}
+    assert room.select(SelectionConfig(provider=Geometric()), model=drawn_model())[0] == room.select()[0]
+
+
+def test_what_is_seen_in_use_is_what_was_seen_in_training(room: Room) -> None:
+    """From the rows that selection left and an answer, training collects the same arrays, to the last bit but for poses."""
+    rows, _ = room.select()
+    answer = Annotation(
+        batch_id="b1", scene_id=SCENE, instance_id="0000", annotator="a", revision=1, answered_at=datetime(2026, 1, 1, tzinfo=UTC),
+        choice=rows[0].asset_id, pose=None, scale=None, ranking=(), box_pose=room.instances[0].box_pose, box_size=room.instances[0].box_size,
+        source_file="a.json", seconds=None, is_withdrawn=False, tool=None, is_simulated=True,
+    )  # fmt: skip
+    scene = sample(Scene, scene_id=SCENE, room_id="test/somewhere")
+    context = Context(SCENE, "selection", 0, room.blobs)
+    dataset = RowsInMemory("rows", scene, *room.instances, *room.candidates, *room.assets.values(), *room.captions, *rows, answer)
+    seen = [example for share in (0.0, 1.0) for example in _collected(dataset, context, share)]
+    (example,) = {id(each): each for each in seen[:1]}.values()
+    query, candidates = _gathered(room)
+    scanned, contenders = scanned_of(query, CONFIG), contenders_of(query, candidates, CONFIG)
+    for name in ("points", "colors"):
+        assert (getattr(example.scanned.cloud, name) == getattr(scanned.cloud, name)).all()
+    assert (example.scanned.extents == scanned.extents).all()
+    assert (example.scanned.category, example.scanned.caption) == (scanned.category, scanned.caption) == ("chair", "A red chair of wood.")
+    assert example.scanned.image is not None
+    assert scanned.image is not None
+    assert (example.scanned.image == scanned.image).all()
+    clouds = collected(dataset, context, CONFIG, 0.0).clouds
+    for learned, used in zip(example.contenders(clouds), contenders, strict=True):
+        assert (learned.cloud.points == used.cloud.points).all()
+        assert (learned.evidence == used.evidence).all()
+        assert (learned.extents == used.extents).all()
+        assert (learned.scale == used.scale).all()
+        assert np.allclose(learned.pose, used.pose, atol=1e-9)
+    model = drawn_model()
+    scorer = load(model.weights, CONFIG)
+    assert scorer.score(example.scanned, example.contenders(clouds)) == pytest.approx(scorer.score(scanned, contenders), abs=1e-4)
+
+
+def test_a_crop_that_cannot_be_read_is_no_reason_to_ask_somebody_else(room: Room) -> None:
+    broken = dataclasses.replace(room.instances[0], view_blob=room.blobs.add(b"no picture", "jpg"))
+    gone = dataclasses.replace(room.instances[0], view_blob=None)
+    scores = []
+    for instance in (broken, gone):
+        made = Room()
+        made.__dict__.update(room.__dict__ | {"instances": [instance]})
+        rows, degradations = made.select(by_model(), model=drawn_model())
+        assert {row.provider for row in rows} == {"model"}
+        assert degradations == ()
+        scores.append([row.score for row in rows])
+    assert scores[0] == scores[1]
+
+
+def test_weights_that_do_not_fit_their_config_are_refused(room: Room) -> None:
+    model = drawn_model()
+    other = dataclasses.replace(model, model_id="0" * 64, config=json.dumps({"model": plain(dataclasses.replace(CONFIG, quality=False))}))
+    with pytest.raises(InputError, match="model 000000000000"):
+        room.select(by_model(), model=other)
+
+
+def test_the_stage_says_which_model_it_wants() -> None:
+    assert STAGE.outside == ("model",)
+    assert STAGE.model_wanted is not None
+    assert STAGE.model_wanted(SelectionConfig()) is None
+    assert STAGE.model_wanted(by_model()) == WantedModel("selection", "")
+    assert STAGE.model_wanted(SelectionConfig(provider=ModelScores(model_id="ab12"))) == WantedModel("selection", "ab12")
+
+
+def _gathered(room: Room):
+    context = Context(SCENE, "selection", 0, room.blobs)
+    gathered = gather(
+        room.instances, room.candidates, list(room.assets.values()), context, SelectionConfig(), [], captions=room.captions,
+        frames=room.frames, masks=room.masks,
+    )  # fmt: skip
+    return next(iter(gathered))
+
+
+def _collected(dataset: RowsInMemory, context: Context, share: float):
+    try:
+        made = collected(dataset, context, CONFIG, share)
+    except InputError:  # the one room is a test room
+        return []
+    return [*made.train, *made.test]
