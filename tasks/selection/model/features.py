@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.model.clouds import Array, Cloud, filled, nearest_both
+from tasks.selection.model.clouds import Array, ColoredCloud, filled, nearest_both
 from tasks.selection.model.config import NoQuery, OwnImage, OwnText, SelectionModel
 from tasks.selection.model.words import described, tokens_of
 
@@ -35,21 +35,21 @@ class Contender:
     (4, 4), rigid. scale: Along the asset's own axes, before the pose. evidence: Values by `EVIDENCE`, shape (13,).
     """
 
-    cloud: Cloud
+    cloud: ColoredCloud
     extents: Array
     pose: NDArray[np.float64]
     scale: NDArray[np.float64]
     evidence: Array
 
-    def placed(self) -> Cloud:
+    def placed(self) -> ColoredCloud:
         """The cloud in the instance's frame [m]."""
         normals = self.cloud.normals
-        turned = None
+        turned: Array | None = None
         if normals is not None:
-            turned = (normals / self.scale) @ self.pose[:3, :3].T
-            turned = (turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)).astype(np.float32)
+            leaning = (normals / self.scale) @ self.pose[:3, :3].T
+            turned = (leaning / np.maximum(np.linalg.norm(leaning, axis=1, keepdims=True), 1e-9)).astype(np.float32)
         points = (self.cloud.points * self.scale) @ self.pose[:3, :3].T + self.pose[:3, 3]
-        return Cloud(points.astype(np.float32), self.cloud.colors, turned)
+        return ColoredCloud(points.astype(np.float32), self.cloud.colors, turned)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Scanned:
     [m]. image: Crop of its best view, (h, w, 3). image_vector, text_vector: What frozen encoders made of view and text.
     """
 
-    cloud: Cloud
+    cloud: ColoredCloud
     extents: Array
     category: str
     caption: str | None = None
@@ -70,27 +70,27 @@ class Scanned:
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class CloudView:
     """An object's clouds as one look at it has them.
 
     scan, clouds: For the encoder, of the instance and of the candidates in the model's frame. near, placed: For distances point by point,
     of the instance and of the candidates as aligned to it.
     """
 
-    scan: Cloud
-    clouds: Sequence[Cloud]
-    near: Cloud
-    placed: Sequence[Cloud]
+    scan: ColoredCloud
+    clouds: Sequence[ColoredCloud]
+    near: ColoredCloud
+    placed: Sequence[ColoredCloud]
 
 
-def plain_view(scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel) -> View:
+def plain_view(scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel) -> CloudView:
     """The clouds as they are."""
     placed = [each.placed() for each in contenders]
-    return View(scanned.cloud, placed if config.frame == "placed" else [each.cloud for each in contenders], scanned.cloud, placed)
+    return CloudView(scanned.cloud, placed if config.frame == "placed" else [each.cloud for each in contenders], scanned.cloud, placed)
 
 
 def features_of(
-    scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel, view: View | None = None
+    scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel, view: CloudView | None = None
 ) -> dict[str, NDArray]:
     """What the network takes of an object, for a batch of one without its first axis (see `Selector`).
 
@@ -125,9 +125,9 @@ def asked(scanned: Scanned, config: SelectionModel) -> dict[str, NDArray]:
             image = square_crop(scanned.image, side).transpose(2, 0, 1).astype(np.float32) / 255.0
             if config.image_normalization == "imagenet":
                 image = (image - np.reshape(IMAGENET_MEAN, (3, 1, 1))) / np.reshape(IMAGENET_STD, (3, 1, 1))
-        made["image"], made["has_image"] = image.astype(np.float32), np.float32(scanned.image is not None)
+        made["image"], made["has_image"] = image.astype(np.float32), np.array(scanned.image is not None, dtype=np.float32)
     elif not isinstance(config.image, NoQuery) and scanned.image_vector is not None:
-        made["image"], made["has_image"] = scanned.image_vector, np.float32(np.any(scanned.image_vector))
+        made["image"], made["has_image"] = scanned.image_vector, np.array(np.any(scanned.image_vector), dtype=np.float32)
     if isinstance(config.text, OwnText):
         made["text"] = tokens_of(described(scanned.category, scanned.caption), config.text.buckets, config.text.tokens)
     elif not isinstance(config.text, NoQuery) and scanned.text_vector is not None:
@@ -145,7 +145,7 @@ def log_sizes(extents: NDArray) -> Array:
     return np.log(np.maximum(extents, 1e-3)).astype(np.float32)
 
 
-def colored(cloud: Cloud, count: int, middle: NDArray | None = None, radius: float | None = None) -> Array:
+def colored(cloud: ColoredCloud, count: int, middle: NDArray | None = None, radius: float | None = None) -> Array:
     """Places and colors, shape (count, 6): about `middle`, in units of `radius`; without these about its mean, in a ball of radius 1."""
     points = filled(cloud.points, count)
     middle = points.mean(axis=0) if middle is None else middle
@@ -156,7 +156,7 @@ def colored(cloud: Cloud, count: int, middle: NDArray | None = None, radius: flo
     return np.concatenate([np.clip(points / radius, -2.0, 2.0), filled(cloud.colors, count) / np.float32(255.0)], axis=1).astype(np.float32)
 
 
-def residuals_of(scan: Cloud, placed: Sequence[Cloud], extents: NDArray, count: int) -> Array:
+def residuals_of(scan: ColoredCloud, placed: Sequence[ColoredCloud], extents: NDArray, count: int) -> Array:
     """Points of the scan and of every candidate with their distances to the other, shape (k, 2 count, 17): first those of the scan.
 
     Lengths are in units of half the box's diagonal. scan, placed: in the instance's frame [m], placed ones with normals.
@@ -188,7 +188,7 @@ def _residual(at: NDArray, to: NDArray, normal: NDArray, color: NDArray, side: f
     return np.concatenate(parts, axis=2, dtype=np.float32)
 
 
-def _normals(cloud: Cloud) -> Array:
+def _normals(cloud: ColoredCloud) -> Array:
     """Normals, zeros where the cloud has none."""
     return np.zeros_like(cloud.points) if cloud.normals is None else cloud.normals
 

@@ -23,9 +23,10 @@ class Selector(nn.Module):
     """Scores of the candidates of objects.
 
     A batch is a table of tensors, for b objects of k candidates: `clouds` (b, k, n, 6), `scan` (b, n, 6), `is_candidate` (b, k),
-    `evidence` (b, k, e), `residuals` (b, k, m, c), `sizes` (b, k, 3) and `scan_size` (b, 3) as logarithms [m], `image` (b, 3, side, side)
-    or as the frozen encoder gave it (b, e), `has_image` (b,), `text` (b, t) tokens or (b, e), and in training `starts` (b, k + 1), where
-    groups begin. `others` (b, m) are places among all candidates of the batch, object by object, -1 for none. What a model does not use may be missing.
+    `evidence` (b, k, e), `residuals` (b, k, m, c), `sizes` (b, k, 3) and `scan_size` (b, 3) as logarithms [m], `image`
+    (b, 3, side, side) or as the frozen encoder gave it (b, e), `has_image` (b,), `text` (b, t) tokens or (b, e), and in training
+    `starts` (b, k + 1), where groups begin. `others` (b, m) are places among all candidates of the batch, object by object, -1 for none.
+    What a model does not use may be missing.
 
     `image_width`, `text_width`: lengths of what frozen encoders give; 0 without one.
     """
@@ -100,10 +101,10 @@ class Selector(nn.Module):
         too few; `names`: how categories name the scanned points, (b, c)."""
         made = {}
         if "others" in batch and not vectors.keys().isdisjoint(("points", "image", "text")):
-            candidates, choice, others = vectors["candidates"], batch["choice"], batch["others"]
+            candidates, choice, rivals = vectors["candidates"], batch["choice"], batch["others"]
             right = candidates[torch.arange(len(choice), device=choice.device), choice][:, None]
-            group = torch.cat([right, candidates.flatten(0, 1)[others.clamp(min=0)]], dim=1)
-            missing = torch.cat([torch.zeros_like(others[:, :1]), others], dim=1) < 0
+            group = torch.cat([right, candidates.flatten(0, 1)[rivals.clamp(min=0)]], dim=1)
+            missing = torch.cat([torch.zeros_like(rivals[:, :1]), rivals], dim=1) < 0
             made["strangers"] = self.compared(group, vectors).masked_fill(missing, -torch.inf)
         if "words" in batch and "points" in vectors and self.text_encoder is not None:
             texts = functional.normalize(self.text_encoder(batch["words"]), dim=-1)
