@@ -14,7 +14,7 @@ import dataclasses
 import json
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,10 @@ from bench.selection.lineups import LineupSettings, Offered, candidate_rows, lin
 from bench.selection.rooms import (
     DATASET,
     MOST_OFF_M,
-    ScannedRoom,
     TrueModel,
     allowed,
     held_out,
+    is_hard,
     room_name,
     scan_room,
     split_of_room,
@@ -44,6 +44,7 @@ from schemas.navigation import Split
 from schemas.tables import TABLES
 from tasks import captions
 from tasks.annotation.simulation import AnnotatorRule, Difference, Shown, dissimilarity
+from tasks.candidates.library import LibraryIndex
 from tasks.candidates.request import CandidateRequest
 from tasks.capture import scenes as capture
 from tasks.capture.formats import find_scans
@@ -136,18 +137,40 @@ def make_room(lake: Lake, index: int, settings: DataSettings) -> dict[str, Any]:
         scan = find_scans(Path(folder) / room_name(index), dataset=DATASET)[0][0]
         with _timed(seconds, "capture"):
             captured = capture.run(scan=scan, context=Context(scan.scene_id, "capture", settings.seed, Blobs()), config=CAPTURE)
-    return _worked(lake, index, scan.scene_id, room, captured.rows, captured.blobs, settings, seconds)
+    scene = dataclasses.replace(captured.rows["scenes"][0], scan_path=room_name(index))
+    split, offers = split_of_room(index), allowed(index, settings.seed)
+
+    def offer(model: TrueModel, request: CandidateRequest, rng: np.random.Generator) -> list[Offered]:
+        return lineup(model, request, offers, settings.lineup, rng)
+
+    captured.rows["scenes"] = [scene]
+    true = room.true_models(scene, captured.rows["instances"])
+    known = work(lake, captured.rows, captured.blobs, true, offer, split, settings, seconds)
+    rare = held_out(settings.seed)
+    for value in known.values():
+        value["is_held_out"] = value["category"] in rare
+    objects = sum(not row.is_structure for row in captured.rows["instances"])
+    return {
+        "scene_id": scene.scene_id, "room_id": scene.room_id, "index": index, "split": split, "is_hard": is_hard(index),
+        "objects": objects, "instances": known, "cpu_seconds": seconds,
+    }  # fmt: skip
 
 
-def _worked(
-    lake: Lake, index: int, scene_id: str, room: ScannedRoom, captured: Mapping[str, list[Any]], files: Mapping[str, bytes],
-    settings: DataSettings, seconds: dict[str, float],
+Offers = Callable[[TrueModel, CandidateRequest, np.random.Generator], list[Offered]]
+"""Candidates of an instance whose model is known, in the order of their slots."""
+
+
+def work(
+    lake: Lake, captured: Mapping[str, list[Any]], files: Mapping[str, bytes], true: Mapping[str, TrueModel], offer: Offers, split: str,
+    settings: DataSettings, seconds: dict[str, float], library: LibraryIndex | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The stages after the capture, and the rows of all of them staged."""
+    """The stages after the capture, and the rows of all of them staged. Gives the truth of the instances that got candidates: those whose
+    model is known, and lies on the scan."""
     blobs = Blobs()
     blobs.update(files)
     instances: list[Instance] = [dataclasses.replace(row, mesh_blob=None) if row.is_structure else row for row in captured["instances"]]
-    scene = dataclasses.replace(captured["scenes"][0], scan_path=room_name(index))
+    scene = captured["scenes"][0]
+    scene_id = scene.scene_id
     with _timed(seconds, "captions"):
         described = captions.run(
             instances=instances, context=Context(scene_id, "captions", settings.seed, blobs), config=captions.CaptionsConfig()
@@ -158,16 +181,14 @@ def _worked(
     assets: dict[str, Asset] = {}
     known: dict[str, dict[str, Any]] = {}
     objects = [row for row in instances if not row.is_structure]
-    true = room.true_models(scene, instances)
     for row in objects:
         model = true.get(row.instance_id)
         off = distance_of(model, row, blobs, context) if model is not None else np.inf
         if model is None or off > MOST_OFF_M:
             continue
-        rng = context.rng("lineup", row.instance_id)
-        request = CandidateRequest(row, captioned.get(row.instance_id), context, None, objects)
+        request = CandidateRequest(row, captioned.get(row.instance_id), context, library, objects)
         with _timed(seconds, "candidates"):
-            offered = lineup(model, request, allowed(index, settings.seed), settings.lineup, rng)
+            offered = offer(model, request, context.rng("lineup", row.instance_id))
         candidates += candidate_rows(request, offered)
         for one in offered:
             assets.setdefault(one.made.asset.asset_id, one.made.asset)
@@ -181,23 +202,16 @@ def _worked(
             instances=chosen, candidates=candidates, assets=listed, context=Context(scene_id, "selection", settings.seed, blobs),
             config=SelectionConfig(),
         ).rows["selections"]  # fmt: skip
-    split = split_of_room(index)
     with _timed(seconds, "rows"):
+        rows = {name: captured[name] for name in ("scenes", "shells", "rooms", "frames", "masks")} | {"instances": instances}
         stage_all(lake, scene_id, settings, blobs, {
-            "capture": {"scenes": [scene], "shells": captured["shells"], "rooms": captured["rooms"], "instances": instances,
-                        "frames": captured["frames"], "masks": captured["masks"]},
+            "capture": rows,
             "captions": {"captions": described},
             "candidates": {"candidates": candidates, "assets": listed},
             "selection": {"selections": selections},
             "navigation": {"splits": [Split(room_id=scene.room_id, split=split)]},
         })  # fmt: skip
-    rare = held_out(settings.seed)
-    for value in known.values():
-        value["is_held_out"] = value["category"] in rare
-    return {
-        "scene_id": scene_id, "room_id": scene.room_id, "index": index, "split": split, "is_hard": room.is_hard,
-        "objects": len(objects), "instances": known, "cpu_seconds": seconds,
-    }  # fmt: skip
+    return known
 
 
 def truth_of(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.furniture import CATEGORIES, generate, typical_extents
-from tasks.furniture.dwellings import DwellingSettings, dwelling
+from tasks.furniture.dwellings import Dwelling, DwellingSettings, dwelling
 from tasks.furniture.furnishing import Furnishing
 from tasks.furniture.rooms import ROOM_TYPES, FurnishedRoom, furnish
 from tasks.geometry.transforms import inverse, matrix
@@ -88,7 +88,6 @@ class ScannedRoom:
 
     models: dict[str, Furnishing]
     to_true: Array
-    is_hard: bool
 
     def true_models(self, scene: Scene, instances: list[Instance]) -> dict[str, TrueModel]:
         """The models that captured instances show, by instance; those of which nobody can tell, and parts of the building, are left out."""
@@ -122,30 +121,49 @@ def allowed(index: int, seed: int) -> tuple[str, ...]:
     return tuple(name for name in CATEGORIES if name not in kept)
 
 
+def is_hard(index: int) -> bool:
+    """Whether a room is a dwelling, scanned badly."""
+    return index % HARD_EVERY == HARD_EVERY - 1
+
+
+@dataclasses.dataclass(frozen=True)
+class MadeRoom:
+    """A room before it is scanned. home: the dwelling that it is, if it is one. rng: the generator, as furnishing left it."""
+
+    furnished: FurnishedRoom
+    home: Dwelling | None
+    rng: np.random.Generator
+
+
+def made_room(index: int, seed: int) -> MadeRoom:
+    """Room `index` of a seed."""
+    rng = np.random.default_rng([seed, 2, index])
+    home = dwelling((seed, 3, index), HARD_OBJECTS) if is_hard(index) else None
+    if home is not None:
+        room = home.furnished
+    else:
+        clutter = float(rng.uniform(0.0, 0.4))
+        room = furnish(ROOM_TYPES[index % len(ROOM_TYPES)], rng, OBJECTS, clutter)
+    room = dataclasses.replace(room, objects=exchanged(room.objects, allowed(index, seed), held_out(seed), rng))
+    return MadeRoom(room, dataclasses.replace(home, furnished=room) if home is not None else None, rng)
+
+
 def scan_room(index: int, seed: int, folder: Path) -> ScannedRoom:
     """Room `index` of a seed, scanned into `<folder>/<name>`; the same arguments write the same bytes."""
-    rng = np.random.default_rng([seed, 2, index])
-    if index % HARD_EVERY == HARD_EVERY - 1:
-        home = dwelling((seed, 3, index), HARD_OBJECTS)
-        objects = exchanged(home.furnished.objects, allowed(index, seed), held_out(seed), rng)
-        home = dataclasses.replace(home, furnished=dataclasses.replace(home.furnished, objects=objects))
-        config = dataclasses.replace(HARD, depth_width=LIGHT.depth_width, depth_height=LIGHT.depth_height)
-        truth = scan_dwelling(home, folder, room_name(index), HardScanSettings(scanner=config, frames="exported"), rng)
-        by_name = {obj.name: obj for obj in objects}
-        models = {}
-        for instance in truth.instances:
-            name, share = instance.objects[0] if instance.objects else ("", 0.0)
-            if name in by_name and share >= LEAST_SHARE and not (instance.is_merged or instance.is_split):
-                models[str(instance.object_id)] = by_name[name]
-        return ScannedRoom(models, matrix(truth.alignment), True)
-    clutter = float(rng.uniform(0.0, 0.4))
-    room = furnish(ROOM_TYPES[index % len(ROOM_TYPES)], rng, OBJECTS, clutter)
-    objects = exchanged(room.objects, allowed(index, seed), held_out(seed), rng)
-    scanned = scan_scene(FurnishedRoom(room.room_type, room.polygon, room.height, room.structure, objects), folder, room_name(index),
-                         LIGHT, rng)  # fmt: skip
-    by_name = {obj.name: obj for obj in objects}
-    models = {str(row.object_id): by_name[row.name] for row in scanned.objects if row.object_id is not None and row.name in by_name}
-    return ScannedRoom(models, matrix(scanned.alignment), False)
+    made = made_room(index, seed)
+    by_name = {obj.name: obj for obj in made.furnished.objects}
+    if made.home is None:
+        scanned = scan_scene(made.furnished, folder, room_name(index), LIGHT, made.rng)
+        models = {str(row.object_id): by_name[row.name] for row in scanned.objects if row.object_id is not None and row.name in by_name}
+        return ScannedRoom(models, matrix(scanned.alignment))
+    config = dataclasses.replace(HARD, depth_width=LIGHT.depth_width, depth_height=LIGHT.depth_height)
+    truth = scan_dwelling(made.home, folder, room_name(index), HardScanSettings(scanner=config, frames="exported"), made.rng)
+    models = {}
+    for instance in truth.instances:
+        name, share = instance.objects[0] if instance.objects else ("", 0.0)
+        if name in by_name and share >= LEAST_SHARE and not (instance.is_merged or instance.is_split):
+            models[str(instance.object_id)] = by_name[name]
+    return ScannedRoom(models, matrix(truth.alignment))
 
 
 def exchanged(objects: list[Furnishing], categories: tuple[str, ...], rare: frozenset[str], rng: np.random.Generator) -> list[Furnishing]:
