@@ -14,8 +14,9 @@ import dataclasses
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -276,36 +277,53 @@ def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
     seconds[step] = round(seconds.get(step, 0.0) + time.process_time() - clock, 4)
 
 
-def generate(data: SelectionData, rooms: range, minutes: float = np.inf, processes: int = 1) -> Iterator[dict[str, Any] | str]:
+def generate(data: SelectionData, rooms: Iterable[int], minutes: float = np.inf, processes: int = 1) -> Iterator[dict[str, Any] | str]:
     """Make the rooms that are not there, until so many minutes have passed, and commit them; gives the truth of each, or a line that says
     why there is none."""
+    end = time.monotonic() + 60 * minutes
+    data.lake.commit("rooms that were left staged")
+    wanted = (index for index in rooms if not data.truth_file(index).exists() and time.monotonic() < end)
+    for fresh, made in enumerate(_in_turn(data, wanted) if processes == 1 else _spread(data, wanted, processes), start=1):
+        yield made
+        if fresh % ROOMS_PER_COMMIT == 0:
+            data.lake.commit("generated rooms")
+    data.lake.commit("generated rooms")
+
+
+def _in_turn(data: SelectionData, wanted: Iterator[int]) -> Iterator[dict[str, Any] | str]:
+    """Rooms made in this process."""
+    for index in wanted:
+        try:
+            yield data.make(index)
+        except Exception as error:  # one room of hundreds: the next command tries it again
+            yield _failed(index, error)
+
+
+def _spread(data: SelectionData, wanted: Iterator[int], processes: int) -> Iterator[dict[str, Any] | str]:
+    """Rooms made in processes of their own, as they are done."""
     from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
     from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import get_context
 
-    end = time.monotonic() + 60 * minutes
-    data.lake.commit("rooms that were left staged")
-    wanted = iter([index for index in rooms if not data.truth_file(index).exists()])
-    fresh = 0
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         at_work: dict[Future[dict[str, Any]], int] = {}
         while True:
-            while len(at_work) < processes and time.monotonic() < end and (index := next(wanted, None)) is not None:
+            for index in islice(wanted, processes - len(at_work)):
                 at_work[pool.submit(data.make, index)] = index
             if not at_work:
-                break
+                return
             for future in wait(at_work, return_when=FIRST_COMPLETED).done:
-                index, fresh = at_work.pop(future), fresh + 1
+                index = at_work.pop(future)
                 try:
                     yield future.result()
                 except BrokenProcessPool:
                     raise
-                except Exception as error:  # one room of hundreds: the next command tries it again
-                    yield f"{room_name(index)} failed: {type(error).__name__}: {error}"
-            if fresh >= ROOMS_PER_COMMIT:
-                data.lake.commit("generated rooms")
-                fresh = 0
-    data.lake.commit("generated rooms")
+                except Exception as error:
+                    yield _failed(index, error)
+
+
+def _failed(index: int, error: Exception) -> str:
+    return f"{room_name(index)} failed: {type(error).__name__}: {error}"
 
 
 def counts_of(truths: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
