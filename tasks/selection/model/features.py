@@ -22,6 +22,9 @@ RESIDUAL = 17
 """Numbers of a point with its distance: place 3, way to the nearest on the other side 3, distance, its logarithm, signed along the
 surface's normal, difference of colors 3, normal 3, side 1, height above the object's bottom 1."""
 
+SUMMED = 12
+"""Means over the scan's points, then over the candidate's: distance, its logarithm, its size along the normal, of colors by channel."""
+
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 Features = Mapping[str, NDArray]

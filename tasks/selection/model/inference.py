@@ -219,6 +219,9 @@ class Scorer:
             for layer in range(2):
                 hidden = np.maximum(self._linear(f"residual_encoder.layers.{layer}", hidden), 0)
             parts.append(np.concatenate([hidden.mean(axis=1), hidden.max(axis=1)], axis=-1))
+            sides = np.split(np.abs(features["residuals"][..., 6:12]), 2, axis=1)
+            summed = np.concatenate([side.mean(axis=1) for side in sides], axis=-1)
+            parts += [summed, summed - summed.min(axis=0)]
         if config.query_points:
             parts.append(made["candidates"] * made["points"] * np.float32(made["points"].shape[-1] ** 0.5))
         seen = np.concatenate(parts, axis=-1)

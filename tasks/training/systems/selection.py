@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tasks.models import folders_in
+from tasks.selection.metrics.bootstrap import interval
 from tasks.selection.model.batches import BatchConfig, SelectionObjective, predicted
 from tasks.selection.model.collection import READS, Collected, collected
 from tasks.selection.model.config import OwnImage, OwnText, SelectionModel
 from tasks.selection.model.examples import Example, by_room
-from tasks.selection.model.figures import hits, interval
+from tasks.selection.model.figures import hits
 from tasks.selection.model.foreign import begin_with_foreign
 from tasks.selection.model.frozen import is_frozen, seen_by_frozen, widths_of
 from tasks.selection.model.presets import PRESETS
@@ -147,9 +147,9 @@ def figures_of(module: Any, examples: Sequence[Example], clouds: Mapping[str, by
     }
     made = []
     for metric, values in kinds.items():
-        value, low, high = interval(values, rooms, seed)
-        if math.isfinite(value):
-            made.append(Measure("", split, metric, value, low, high, int((values == values).sum())))
+        mean = interval(values, rooms, seed)
+        if mean.examples:
+            made.append(Measure("", split, metric, mean.value, mean.low, mean.high, mean.examples))
     return made
 
 
@@ -159,6 +159,8 @@ def notes_of(data: Collected, config: SelectionTraining) -> list[str]:
     if data.simulated:
         notes.append(f"{data.simulated} of {len(data.train) + len(data.test)} objects were answered for by programs alone")
     notes += [f"{count} objects left out: {reason}" for reason, count in sorted(data.left_out.items())]
+    if config.trains == "last" and not config.foreign:
+        notes.append("most of the encoder and the projection stayed as they were drawn: nobody named foreign weights")
     for name, encoder in (("image", config.model.image), ("text", config.model.text)):
         if isinstance(encoder, OwnImage | OwnText):
             notes.append(f"{name}: an encoder of ours, trained with the rest, stands in for a foreign one; name weights to have that")

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from tasks.selection.model.config import NoQuery, OwnImage, OwnText, PointNet2, SelectionModel, Uni3d
-from tasks.selection.model.features import EVIDENCE, RESIDUAL
+from tasks.selection.model.features import EVIDENCE, RESIDUAL, SUMMED
 from tasks.selection.model.networks.patches import PatchTransformer, PatchVision
 from tasks.selection.model.networks.queries import ImageNet, ResidualNet, WordTable
 from tasks.selection.model.networks.sets import PointNet
@@ -49,7 +49,7 @@ class Selector(nn.Module):
             inside = width + (3 if config.extents else 0) + (2 * len(EVIDENCE) if config.query_evidence else 0)
             if config.residuals:
                 self.residual_encoder = ResidualNet(RESIDUAL, config.residual_widths)
-                inside += 2 * config.residual_widths[1]
+                inside += 2 * config.residual_widths[1] + 2 * SUMMED
             if config.query_points:
                 inside += embedding
             inside *= 2 if config.relative else 1
@@ -142,6 +142,8 @@ class Selector(nn.Module):
         if config.residuals:
             points = batch["residuals"]
             parts.append(self.residual_encoder(points.flatten(0, 1)).view(*points.shape[:2], -1))
+            summed = torch.cat([side[..., 6:12].abs().mean(2) for side in points.chunk(2, dim=2)], dim=-1)
+            parts += [summed, summed - summed.masked_fill(~mask[..., None], torch.inf).amin(1, keepdim=True)]
         if config.query_points:
             parts.append(vectors["candidates"] * vectors["points"][:, None] * vectors["points"].shape[-1] ** 0.5)
         seen = torch.cat(parts, dim=-1)
