@@ -32,6 +32,7 @@ from tasks.selection.methods.model import ModelScores
 from tasks.selection.metrics.bootstrap import difference
 from tasks.selection.metrics.outcomes import figures_of
 from tasks.selection.metrics.rankings import hits
+from tasks.selection.model.config import NoQuery
 from tasks.training.systems.selection import preset
 from warehouse.lake import Lake
 
@@ -50,6 +51,9 @@ ABLATIONS = (
 )  # fmt: skip
 """What the model is worth without each of its parts, and as others have it; with the first seed alone."""
 
+BLIND = "blind"
+"""The model without the scan: it sees the candidates alone. What it finds above one in ten, the lineups give away."""
+
 ELSEWHERE = ("clip", "acdc", "vision_language")
 """Methods that need weights or an endpoint that the user names."""
 
@@ -61,8 +65,8 @@ EXAMPLES = {"train": 2000, "test": 500}
 @dataclasses.dataclass(frozen=True)
 class SelectionBench:
     """What is measured. folder: of data, measured rooms and everything else that the same command goes on from. steps: of each training;
-    0 for the system's own. variants: presets that are trained, of `MODEL`, `LEARNED` and `ABLATIONS`. realdata: folder with the AWS small
-    house and its models, which is measured, too; None for none."""
+    0 for the system's own. variants: presets that are trained, of `MODEL`, `LEARNED`, `ABLATIONS` and `BLIND`. realdata: folder with the
+    AWS small house and its models, which is measured, too; None for none."""
 
     folder: Path
     rooms: int = 130
@@ -70,13 +74,13 @@ class SelectionBench:
     steps: int = 0
     seed: int = 0
     processes: int = 1
-    variants: tuple[str, ...] = (MODEL, *LEARNED, *ABLATIONS)
+    variants: tuple[str, ...] = (MODEL, *LEARNED, *ABLATIONS, BLIND)
     realdata: Path | None = None
 
     @property
     def trainings(self) -> list[tuple[str, int]]:
         """What is trained: preset and seed."""
-        return [(name, seed) for name in self.variants for seed in range(1 if name in ABLATIONS else self.seeds)]
+        return [(name, seed) for name in self.variants for seed in range(1 if name in (*ABLATIONS, BLIND) else self.seeds)]
 
     @property
     def tested(self) -> list[int]:
@@ -152,7 +156,12 @@ def trained(lake: Lake, name: str, seed: int, steps: int) -> LearnedModel:
 
 def settings_of(name: str, seed: int, steps: int) -> Configuration:
     """Settings of a training."""
-    system = preset(name)
+    system = preset(MODEL if name == BLIND else name)
+    if name == BLIND:
+        unasked = dataclasses.replace(
+            system.model, image=NoQuery(), text=NoQuery(), query_points=False, residuals=False, query_evidence=False, frame="canonical"
+        )
+        system = dataclasses.replace(system, model=unasked)
     if steps:
         warmup = min(system.fitting.warmup_steps, steps // 4)
         fitting = dataclasses.replace(system.fitting, steps=steps, warmup_steps=warmup, validate_steps=max(1, steps // 10))
@@ -243,7 +252,7 @@ def goals(
     plain = best_plain(figures)
     own, other = top(figures, MODEL), top(figures, plain)
     wanted = other + min(0.1, 0.5 * (1 - other))
-    others = [name for name in rare if name != MODEL and name not in ABLATIONS]
+    others = [name for name in rare if name != MODEL and name not in (*ABLATIONS, BLIND)]
     rest = max((top(rare, name) for name in others if np.isfinite(top(rare, name))), default=float("nan"))
     longest = max((model.seconds for name, _, model in models if name == MODEL), default=float("nan"))
     return [
@@ -251,6 +260,7 @@ def goals(
         goal(f"top-1 of {MODEL} [%]; {plain} has {100 * other:.1f}", _percent(own), ">=", 100 * wanted),
         goal(f"top-5 of {MODEL} [%]", _percent(top(figures, MODEL, "top_5")), ">=", 95),
         goal(f"top-1 of {MODEL} on held-out categories, above the best of others [%]", _percent(top(rare, MODEL) - rest), ">=", 0),
+        goal(f"top-1 of {BLIND}, which does not see the scan [%]", _percent(top(figures, BLIND)), "<=", 25),
         goal(f"longest training of {MODEL} [min]", None if np.isnan(longest) else longest / 60, "<=", TRAINING_MINUTES),
         goal("hours of this command", sum(seconds.values()) / 3600, "<=", HOURS),
     ]

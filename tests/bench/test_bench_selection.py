@@ -280,13 +280,13 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
     pytest.importorskip("torch")
     monkeypatch.setattr(rooms, "OBJECTS", FEW)
     shutil.copytree(data.folder, tmp_path / "data")
-    config = SelectionBench(tmp_path, rooms=4, seeds=1, steps=2, variants=("small",))
+    config = SelectionBench(tmp_path, rooms=4, seeds=1, steps=2, variants=("small", "blind"))
     told: list[str] = []
     report = run_selection_bench(config, told.append)
     assert len(told) == config.steps_of_progress
-    assert set(report["methods"]) == {*PLAIN, "small"}
-    assert set(report["margin"]) == set(PLAIN)
-    assert [row["name"] for row in report["trainings"]] == ["small"]
+    assert set(report["methods"]) == {*PLAIN, "small", "blind"}
+    assert set(report["margin"]) == {*PLAIN, "blind"}
+    assert [row["name"] for row in report["trainings"]] == ["small", "blind"]
     assert report["counts"]["rooms"]["test"] == len(config.tested)
     again = run_selection_bench(config, lambda text: None)
     assert again["methods"] == report["methods"]
