@@ -371,6 +371,47 @@ def chaos(kills: int, minutes: float, seed: int, kinds: str, folder: Path, as_js
     _measure("kills", kills, partial(run_campaign, campaign), print_campaign, as_json)
 
 
+@command.command("selection")
+@click.option("--rooms", type=click.IntRange(1, 10_000), default=130, show_default=True, help="Generated rooms; a fifth is held out.")
+@click.option("--seeds", type=click.IntRange(1, 100), default=3, show_default=True, help="Seeds of every training but ablations.")
+@click.option("--steps", type=click.IntRange(0), default=0, help="Steps of every training; those of the system where left out.")
+@click.option("--variants", default="", help="Train only these presets, with commas between; `none` trains nothing.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms and lineups.")
+@click.option(
+    "--folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("selection"),
+    show_default=True,
+    help="Where rooms, models and figures are kept: the same command goes on.",
+)
+@click.option(
+    "--realdata",
+    type=click.Path(path_type=Path, file_okay=False),
+    envvar="METASCENES_REALDATA",
+    help="Folder with the AWS small house and its models, which is measured, too.",
+)
+@_processes_option
+@json_option
+def selection(rooms: int, seeds: int, steps: int, variants: str, seed: int, folder: Path, realdata: Path | None, processes: int,
+              as_json: bool) -> None:  # fmt: skip
+    """Measure asset selection where the scanned model is known: ten candidates for each object, of which nine are hard to tell from it.
+
+    Rooms are generated, scanned and answered for by simulated annotators; models are trained on four fifths of them, and every method is
+    measured on the others. A fifth of the generator's categories is never trained on. Intervals are over rooms, 95 %.
+
+    The exit code is 1 when a goal is missed, and else 0.
+
+    Example: metascenes bench selection --rooms 20 --seeds 1 --steps 200 --variants small
+    """
+    from bench.selection.report import SelectionBench, run_selection_bench
+    from bench.selection.tables import print_selection
+
+    known = SelectionBench(folder).variants
+    chosen = () if variants.strip() == "none" else _chosen(variants, known, "--variants")
+    config = SelectionBench(folder, rooms, seeds, steps, seed, processes, chosen, realdata)
+    _measure("measured", config.steps_of_progress, partial(run_selection_bench, config), print_selection, as_json)
+
+
 def _numbers(text: str, option: str) -> tuple[int, ...]:
     """Numbers from 1 with commas between."""
     words = _words(text)

@@ -1,0 +1,282 @@
+"""The benchmark of asset selection from data to figures: rooms, annotations, training, held-out rooms, goals. Resumes at every step."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.goals import goal
+from bench.machine import machine
+from bench.selection.annotations import annotate
+from bench.selection.data import DataSettings, SelectionData, counts_of, generate
+from bench.selection.measures import Scorer, TrueSurface, check_committed, measured_room
+from bench.selection.rooms import made_room, split_of_room
+from flows.run.configuration import Configuration, configure
+from flows.training.models import loaded_model
+from flows.training.training import planned_training, train
+from schemas.errors import InputError
+from schemas.selection import SelectionOutcome
+from schemas.training import LearnedModel
+from tasks.geometry.meshes import surface_of
+from tasks.geometry.transforms import matrix
+from tasks.selection.methods.color_histogram import ColorHistogram
+from tasks.selection.methods.extents import Extents
+from tasks.selection.methods.geometric import Geometric
+from tasks.selection.methods.image_similarity import ImageSimilarity
+from tasks.selection.methods.model import ModelScores
+from tasks.selection.metrics.bootstrap import difference
+from tasks.selection.metrics.outcomes import figures_of
+from tasks.selection.metrics.rankings import hits
+from tasks.selection.model.config import NoQuery
+from tasks.training.systems.selection import preset
+from warehouse.lake import Lake
+
+MODEL = "small"
+"""The model that is held against all others."""
+
+PLAIN = {"geometric": Geometric(), "extents": Extents(), "color_histogram": ColorHistogram(), "image_similarity": ImageSimilarity()}
+"""Methods that learn nothing and need nothing from elsewhere."""
+
+LEARNED = ("pointnet2", "pointbert", "ulip2", "uni3d")
+"""Baselines that learn, at sizes that can be trained here, by name of preset."""
+
+ABLATIONS = (
+    "no_image", "no_text", "no_points", "no_residuals", "no_evidence", "no_quality", "no_ranks", "fixed_temperature", "no_temperature",
+    "as_published", "as_released",
+)  # fmt: skip
+"""What the model is worth without each of its parts, and as others have it; with the first seed alone."""
+
+BLIND = "blind"
+"""The model without the scan: it sees the candidates alone. What it finds above one in ten, the lineups give away."""
+
+ELSEWHERE = ("clip", "acdc", "vision_language")
+"""Methods that need weights or an endpoint that the user names."""
+
+HOURS = 8.0
+TRAINING_MINUTES = 20.0
+EXAMPLES = {"train": 2000, "test": 500}
+
+
+@dataclasses.dataclass(frozen=True)
+class SelectionBench:
+    """What is measured. folder: of data, measured rooms and everything else that the same command goes on from. steps: of each training;
+    0 for the system's own. variants: presets that are trained, of `MODEL`, `LEARNED`, `ABLATIONS` and `BLIND`. realdata: folder with the
+    AWS small house and its models, which is measured, too; None for none."""
+
+    folder: Path
+    rooms: int = 130
+    seeds: int = 3
+    steps: int = 0
+    seed: int = 0
+    processes: int = 1
+    variants: tuple[str, ...] = (MODEL, *LEARNED, *ABLATIONS, BLIND)
+    realdata: Path | None = None
+
+    @property
+    def trainings(self) -> list[tuple[str, int]]:
+        """What is trained: preset and seed."""
+        return [(name, seed) for name in self.variants for seed in range(1 if name in (*ABLATIONS, BLIND) else self.seeds)]
+
+    @property
+    def tested(self) -> list[int]:
+        """Numbers of the rooms that are held out."""
+        return [index for index in range(self.rooms) if split_of_room(index) == "test"]
+
+    @property
+    def steps_of_progress(self) -> int:
+        """How often the benchmark advances."""
+        return self.rooms + len(self.trainings) + len(self.tested)
+
+
+def run_selection_bench(config: SelectionBench, advance: Callable[[str], None]) -> dict[str, Any]:
+    """The report. `advance` is told each room made, each model trained and each room measured.
+
+    Raises:
+        InputError: no room is held out, or the folder holds data of other settings.
+    """
+    if not config.tested:
+        raise InputError("bench selection", "--rooms", f"{config.rooms}: none of these rooms is held out", "ask for 10 or more")
+    clock = time.perf_counter()
+    data = SelectionData(config.folder / "data", DataSettings(config.seed))
+    failed = make_data(config, data, advance)
+    truths = [truth for truth in data.truths() if truth["index"] < config.rooms]
+    made = time.perf_counter() - clock
+    models: list[tuple[str, int, LearnedModel]] = []
+    for name, seed in config.trainings:
+        models.append((name, seed, trained(data.lake, name, seed, config.steps)))
+        advance(f"{name} {seed}")
+    fitted = time.perf_counter() - clock - made
+    scorers = scorers_of(data.lake, models)
+    reader = data.lake.snapshot()
+    check_committed(reader, truths)
+    outcomes: list[SelectionOutcome] = []
+    for truth in (row for row in truths if row["split"] == "test"):
+        surfaces = true_surfaces(truth, config.seed)
+        outcomes += measured_room(data.lake, reader, truth, surfaces, scorers, "held-out rooms", config.folder / "measured", config.seed)
+        advance(truth["scene_id"])
+    foreign, not_measured = _foreign(config, scorers)
+    seconds = {"data": made, "training": fitted, "measuring": time.perf_counter() - clock - made - fitted}
+    counts = counts_of(truths)
+    figures = {name: table_row(rows, config.seed) for name, rows in by_method(outcomes).items()}
+    rare = {name: table_row([r for r in rows if r.is_held_out_category], config.seed) for name, rows in by_method(outcomes).items()}
+    return {
+        "machine": machine(), "seed": config.seed, "processes": config.processes, "counts": counts, "failed_rooms": failed,
+        "methods": figures, "held_out_categories": rare, "house": foreign, "not_measured": not_measured,
+        "trainings": [training_row(name, seed, model) for name, seed, model in models],
+        "seconds": seconds,
+        "margin": margin(outcomes, config.seed),
+        "goals": goals(counts, figures, rare, models, seconds),
+    }  # fmt: skip
+
+
+def make_data(config: SelectionBench, data: SelectionData, advance: Callable[[str], None]) -> list[str]:
+    """Make what rooms are lacking and answer for them; lines on rooms that failed."""
+    failed = []
+    for index in range(config.rooms):
+        if data.truth_file(index).exists():
+            advance(f"room {index}")
+    for made in generate(data, range(config.rooms), processes=config.processes):
+        if isinstance(made, str):
+            failed.append(made)
+        advance("room")
+    for _ in annotate(data.lake, data.truths(), data.settings.rule, data.settings.seed):
+        pass
+    return failed
+
+
+def trained(lake: Lake, name: str, seed: int, steps: int) -> LearnedModel:
+    """A model of a preset, trained on the lake's newest snapshot, or the lake's own where it has it."""
+    return train(lake, planned_training(lake, settings_of(name, seed, steps)))
+
+
+def settings_of(name: str, seed: int, steps: int) -> Configuration:
+    """Settings of a training."""
+    system = preset(MODEL if name == BLIND else name)
+    if name == BLIND:
+        unasked = dataclasses.replace(
+            system.model, image=NoQuery(), text=NoQuery(), query_points=False, residuals=False, query_evidence=False, frame="canonical"
+        )
+        system = dataclasses.replace(system, model=unasked)
+    if steps:
+        warmup = min(system.fitting.warmup_steps, steps // 4)
+        fitting = dataclasses.replace(system.fitting, steps=steps, warmup_steps=warmup, validate_steps=max(1, steps // 10))
+        system = dataclasses.replace(system, fitting=fitting)
+    plain = configure(seed=seed)
+    stages = dict(plain.stages) | {"training": dataclasses.replace(plain.stages["training"], system=system)}
+    return dataclasses.replace(plain, stages=stages)
+
+
+def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]]) -> list[Scorer]:
+    """Every method that is measured."""
+    learned = [Scorer(name, ModelScores(row.model_id), seed, loaded_model(lake, row)) for name, seed, row in models]
+    return [Scorer(name, method) for name, method in PLAIN.items()] + learned
+
+
+def true_surfaces(truth: Mapping[str, Any], seed: int) -> dict[str, TrueSurface]:
+    """The models that a room's instances show, where they stand; rooms are furnished again for that."""
+    models = {obj.name: obj for obj in made_room(truth["index"], seed).furnished.objects}
+    return {
+        instance_id: TrueSurface(surface_of(models[known["model"]].parts), matrix(known["pose"]))
+        for instance_id, known in truth["instances"].items()
+    }
+
+
+def by_method(outcomes: Sequence[SelectionOutcome]) -> dict[str, list[SelectionOutcome]]:
+    """Outcomes by method, in the order of their first."""
+    rows: dict[str, list[SelectionOutcome]] = {}
+    for row in outcomes:
+        rows.setdefault(row.method, []).append(row)
+    return rows
+
+
+def table_row(rows: Sequence[SelectionOutcome], seed: int) -> dict[str, Any]:
+    """Figures of a method as plain values: mean, ends of the interval of 95 % over rooms, and how many instances these are of."""
+    return {
+        "seeds": len({row.seed for row in rows}),
+        "instances": len({(row.scene_id, row.instance_id) for row in rows}),
+        "fallbacks": sum(row.is_fallback for row in rows),
+        "figures": {name: dataclasses.asdict(figure) for name, figure in figures_of(rows, seed).items()},
+    }
+
+
+def best_plain(figures: Mapping[str, Any]) -> str:
+    """The method that learns nothing with the best top-1."""
+    return max((name for name in figures if name in PLAIN), key=lambda name: (top(figures, name), name))
+
+
+def top(figures: Mapping[str, Any], name: str, metric: str = "top_1") -> float:
+    """A figure of a method; NaN where there is none."""
+    row = figures.get(name, {"figures": {}})["figures"].get(metric)
+    return float("nan") if row is None else float(row["value"])
+
+
+def margin(outcomes: Sequence[SelectionOutcome], seed: int) -> dict[str, Any]:
+    """By how much the model's top-1 is above each other method's, of the same instances, over its seeds; intervals over rooms."""
+    rows = by_method(outcomes)
+    means = {name: _mean_hits(of) for name, of in rows.items()}
+    if MODEL not in means:
+        return {}
+    found: dict[str, Any] = {}
+    for name, other in means.items():
+        keys = sorted(set(means[MODEL]) & set(other))
+        if name != MODEL and keys:
+            own, its = [means[MODEL][key] for key in keys], [other[key] for key in keys]
+            found[name] = dataclasses.asdict(difference(own, its, [key[0] for key in keys], seed))
+    return found
+
+
+def _mean_hits(rows: Sequence[SelectionOutcome]) -> dict[tuple[str, str], float]:
+    """Share of the seeds that hit, by room and instance."""
+    values: dict[tuple[str, str], list[float]] = {}
+    for row, hit in zip(rows, hits([row.truth_rank for row in rows], 1), strict=True):
+        values.setdefault((row.room_id, f"{row.scene_id} {row.instance_id}"), []).append(float(hit))
+    return {key: float(np.mean(value)) for key, value in values.items()}
+
+
+def training_row(name: str, seed: int, model: LearnedModel) -> dict[str, Any]:
+    """What a training came to."""
+    return {"name": name, "seed": seed, "model_id": model.model_id, "parameters": model.parameter_count, "bytes": model.weights_bytes,
+            "seconds": model.seconds, "device": model.device, "examples": list(model.examples)}  # fmt: skip
+
+
+def goals(
+    counts: Mapping[str, Any], figures: Mapping[str, Any], rare: Mapping[str, Any], models: Sequence[tuple[str, int, LearnedModel]],
+    seconds: Mapping[str, float],
+) -> list[dict[str, Any]]:  # fmt: skip
+    """What the figures are held against."""
+    plain = best_plain(figures)
+    own, other = top(figures, MODEL), top(figures, plain)
+    wanted = other + min(0.1, 0.5 * (1 - other))
+    others = [name for name in rare if name != MODEL and name not in (*ABLATIONS, BLIND)]
+    rest = max((top(rare, name) for name in others if np.isfinite(top(rare, name))), default=float("nan"))
+    longest = max((model.seconds for name, _, model in models if name == MODEL), default=float("nan"))
+    return [
+        *(goal(f"instances, {split}", counts["instances"][split], ">=", least) for split, least in EXAMPLES.items()),
+        goal(f"top-1 of {MODEL} [%]; {plain} has {100 * other:.1f}", _percent(own), ">=", 100 * wanted),
+        goal(f"top-5 of {MODEL} [%]", _percent(top(figures, MODEL, "top_5")), ">=", 95),
+        goal(f"top-1 of {MODEL} on held-out categories, above the best of others [%]", _percent(top(rare, MODEL) - rest), ">=", 0),
+        goal(f"top-1 of {BLIND}, which does not see the scan [%]", _percent(top(figures, BLIND)), "<=", 25),
+        goal(f"longest training of {MODEL} [min]", None if np.isnan(longest) else longest / 60, "<=", TRAINING_MINUTES),
+        goal("hours of this command", sum(seconds.values()) / 3600, "<=", HOURS),
+    ]
+
+
+def _percent(share: float) -> float | None:
+    return None if np.isnan(share) else 100 * share
+
+
+def _foreign(config: SelectionBench, scorers: Sequence[Scorer]) -> tuple[dict[str, Any], list[str]]:
+    """Figures of the AWS house, and what was not measured, a line each."""
+    from bench.selection.foreign import house_outcomes, lacking
+
+    lines = [f"{name}: needs weights or an endpoint that the user names" for name in ELSEWHERE]
+    lack = lacking(config.realdata)
+    if lack is not None or config.realdata is None:
+        return {}, [*lines, f"the AWS small house: {lack}"]
+    outcomes = house_outcomes(config.realdata, config.folder, scorers, config.seed)
+    return {name: table_row(rows, config.seed) for name, rows in by_method(outcomes).items()}, lines

@@ -1,0 +1,322 @@
+"""Asset selection where the scanned model is known: rooms and their truth, lineups without a leak, simulated annotations, figures."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from bench.selection import lineups, rooms
+from bench.selection.annotations import annotate
+from bench.selection.data import DataSettings, SelectionData, counts_of, generate
+from bench.selection.foreign import made_house, model_of
+from bench.selection.lineups import OF_SCANNED, LineupSettings, Offered, lineup, main_color, recolored
+from bench.selection.measures import Scorer, measured_room
+from bench.selection.report import PLAIN, SelectionBench, margin, run_selection_bench, table_row, true_surfaces
+from bench.selection.rooms import TrueModel, held_out, is_hard, made_room, split_of_room
+from schemas.annotation import Annotation, AnswerVerdict, QualityReview
+from schemas.candidates import Asset, Candidate
+from schemas.capture import Instance, Scene
+from schemas.errors import InputError
+from schemas.navigation import Split
+from schemas.record import rows_to_arrow
+from schemas.selection import Selection
+from tasks.annotation.simulation import AnnotatorRule, order
+from tasks.furniture import generate as furniture
+from tasks.geometry.meshes import read_points, sample_surface, surface_of, surface_of_glb
+from tasks.geometry.transforms import inverse, transform_points
+from warehouse.tables.gate import batch_states
+from warehouse.tables.reviews import standing_answers
+
+TRAIN, TEST = 3, 2
+"""A kitchen to learn from and a living room that is held out."""
+
+FEW = 5
+"""Things in a room that tests scan."""
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> SelectionData:
+    """Two little rooms, answered for."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rooms, "OBJECTS", FEW)
+        made = SelectionData(tmp_path_factory.mktemp("data"), DataSettings())
+        assert [truth["split"] for truth in generate(made, [TEST, TRAIN]) if isinstance(truth, dict)] == ["test", "train"]
+    assert len(list(annotate(made.lake, made.truths(), made.settings.rule, made.settings.seed))) == 1
+    return made
+
+
+def true_model(seed: int = 0) -> TrueModel:
+    model = furniture("chair", (0.5, 0.46, 0.88), np.random.default_rng(seed))
+    return TrueModel("chair_000", "chair", model.parts, np.eye(4), (0.5, 0.46, 0.88))
+
+
+@pytest.fixture
+def drawn_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is made of a scan."""
+    monkeypatch.setattr(lineups, "_of_scan", lambda kind, request: [])
+
+
+def drawn_lineup(seed: int, settings: LineupSettings | None = None) -> list[Offered]:
+    request: Any = None
+    return lineup(
+        true_model(), request, ("chair", "stool", "armchair", "bar stool"), settings or LineupSettings(), np.random.default_rng(seed)
+    )
+
+
+def test_a_fifth_of_the_categories_is_in_no_training_room_and_in_test_rooms() -> None:
+    rare = held_out(0)
+    assert len(rare) == 24
+    splits: dict[str, set[str]] = {"train": set(), "test": set()}
+    for index in range(12):
+        splits[split_of_room(index)] |= {obj.category for obj in made_room(index, 0).furnished.objects} if not is_hard(index) else set()
+    assert not splits["train"] & rare
+    assert len(splits["test"] & rare) >= 3
+
+
+@pytest.mark.whole
+def test_what_is_exchanged_stands_in_the_same_box_and_what_it_carries_stays_on_it() -> None:
+    room = made_room(TRAIN, 0).furnished
+    names = {obj.name for obj in room.objects}
+    assert all(obj.parent in names or obj.parent in ("floor", "wall", "ceiling") for obj in room.objects)
+    for obj in room.objects:
+        assert np.ptp(surface_of(obj.parts).vertices, axis=0) == pytest.approx(obj.extents, abs=1e-6)
+
+
+@pytest.mark.whole
+def test_the_true_model_lies_on_the_scan_of_its_instance(data: SelectionData) -> None:
+    reader = data.lake.snapshot()
+    for truth in data.truths():
+        surfaces = true_surfaces_of(truth)
+        points_of = {row.instance_id: row for row in reader.rows(Instance, truth["scene_id"])}
+        assert len(truth["instances"]) >= 3
+        for name, true in surfaces.items():
+            points, _ = read_points(data.lake.blobs[points_of[name].points_blob])
+            samples = transform_points(sample_surface(true.surface, 20_000, np.random.default_rng(0))[0], true.pose)
+            assert cKDTree(samples).query(points)[0].mean() < 0.03
+
+
+def true_surfaces_of(truth: Any) -> Any:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rooms, "OBJECTS", FEW)
+        return true_surfaces(truth, 0)
+
+
+@pytest.mark.whole
+def test_rows_are_those_of_any_lake_and_ten_candidates_differ(data: SelectionData) -> None:
+    reader = data.lake.snapshot()
+    assets = {row.asset_id: row for row in reader.rows(Asset)}
+    for truth in data.truths():
+        by_instance: dict[str, list[Candidate]] = {}
+        for row in reader.rows(Candidate, truth["scene_id"]):
+            by_instance.setdefault(row.instance_id, []).append(row)
+        selected = Counter(row.instance_id for row in reader.rows(Selection, truth["scene_id"]))
+        assert set(by_instance) == set(truth["instances"]) == set(selected)
+        for name, rows in by_instance.items():
+            slots = truth["instances"][name]["slots"]
+            assert [row.asset_id for row in rows] == [slot["asset_id"] for slot in slots]
+            assert len({row.asset_id for row in rows}) == len(rows) == selected[name] == 10
+            assert sum(slot["kind"] == "scanned" for slot in slots) <= 1
+            assert all(row.asset_id in assets for row in rows)
+    assert {row.room_id: row.split for row in reader.rows(Split)} == {truth["room_id"]: truth["split"] for truth in data.truths()}
+    assert {row.room_id for row in reader.rows(Scene)} == {truth["room_id"] for truth in data.truths()}
+
+
+@pytest.mark.whole
+def test_the_scanned_asset_is_the_scanned_model_and_no_field_of_its_rows_says_so(data: SelectionData) -> None:
+    reader = data.lake.snapshot()
+    assets, found = {row.asset_id: row for row in reader.rows(Asset)}, 0
+    for truth in data.truths():
+        candidates = {(row.instance_id, row.slot): row for row in reader.rows(Candidate, truth["scene_id"])}
+        for name, true in true_surfaces_of(truth).items():
+            kinds = {slot: held["kind"] for slot, held in enumerate(truth["instances"][name]["slots"], start=1)}
+            for slot, kind in kinds.items():
+                row, asset = candidates[name, slot], assets[candidates[name, slot].asset_id or ""]
+                if kind == "scanned":
+                    found += 1
+                    mesh = surface_of_glb(data.lake.blobs[asset.mesh_blob])
+                    assert np.sort(mesh.vertices, axis=0) == pytest.approx(np.sort(true.surface.vertices, axis=0), abs=1e-5)
+                if kind not in ("crop", "parametric"):
+                    said = (row.provider, row.provider_version, row.is_fallback, row.reason, asset.source, asset.license, asset.pieces_blob)
+                    assert said == ("procedural", "2", False, None, "furniture generator", "CC0-1.0", None)
+                    assert asset.name == asset.category
+    assert found >= 3
+
+
+@pytest.mark.usefixtures("drawn_alone")
+def test_no_slot_and_no_middle_of_the_ten_gives_the_scanned_model_away() -> None:
+    places, nearest = Counter(), 0
+    for seed in range(60):
+        offered = drawn_lineup(seed, LineupSettings(scanned_share=1.0))
+        at = [one.kind for one in offered].index("scanned")
+        places[at] += 1
+        sides = np.log(np.array([one.made.asset.extents for one in offered if one.kind in ("scanned", "variant")]))
+        kinds = [one.kind for one in offered if one.kind in ("scanned", "variant")]
+        nearest += kinds[int(np.linalg.norm(sides - np.median(sides, axis=0), axis=1).argmin())] == "scanned"
+    assert len(places) == 10
+    assert max(places.values()) <= 15
+    assert nearest <= 25  # of 60 by chance 12 to 20
+
+
+@pytest.mark.usefixtures("drawn_alone")
+def test_the_scanned_model_is_offered_as_often_as_stated_and_lineups_follow_from_their_seed() -> None:
+    kinds = [[one.kind for one in drawn_lineup(seed)] for seed in range(40)]
+    assert 26 <= sum("scanned" in row for row in kinds) <= 39
+    assert all(row.count("reshaped") == 1 and row.count("other") == 2 and row.count("recolored") + row.count("twin") == 1 for row in kinds)
+    assert [one.made.asset for one in drawn_lineup(5)] == [one.made.asset for one in drawn_lineup(5)]
+
+
+def test_another_color_leaves_the_mesh_and_moves_the_main_color_alone() -> None:
+    parts = true_model().parts
+    main = main_color(parts)
+    moved = recolored(parts, main, (10, 200, 30))
+    assert np.linalg.norm(np.array(main_color(moved)) - (10, 200, 30)) < 20
+    for before, after in zip(parts, moved, strict=True):
+        assert np.array_equal(before.vertices, after.vertices)
+        far = np.linalg.norm(before.visual.vertex_colors[:, :3].astype(float) - main, axis=1) > 60
+        assert np.array_equal(before.visual.vertex_colors[far], after.visual.vertex_colors[far])
+
+
+@pytest.mark.whole
+def test_simulated_answers_pass_the_gate_and_every_row_and_view_calls_them_simulated(data: SelectionData) -> None:
+    reader = data.lake.snapshot()
+    (state,) = batch_states(reader).values()
+    assert (state.state, state.counts, state.origin) == ("accepted", True, "created")
+    instances = {(truth["scene_id"], name) for truth in data.truths() for name in truth["instances"]}
+    answers = reader.rows(Annotation)
+    assert {(row.scene_id, row.instance_id) for row in answers} == instances
+    assert standing_answers(reader).num_rows == len(answers) == len(instances)
+    rows: list[Any] = [*answers, *reader.rows(AnswerVerdict), *reader.rows(QualityReview)]
+    assert all(row.is_simulated for row in rows)
+    assert len(reader.rows(QualityReview)) == 1
+    assert all(len(row.ranking) == 5 and row.ranking[0] == row.choice for row in answers)
+    connection = reader.connect()
+    for view in ("current_answers", "selection_training"):
+        assert connection.execute(f"SELECT DISTINCT is_simulated FROM {view}").fetchall() == [(True,)]
+    assert list(annotate(data.lake, data.truths(), data.settings.rule, 0)) == []
+
+
+@pytest.mark.whole
+def test_choices_are_those_of_the_rule(data: SelectionData) -> None:
+    agree = total = 0
+    chosen = {(row.scene_id, row.instance_id): row.choice for row in data.lake.snapshot().rows(Annotation)}
+    for truth in data.truths():
+        for name, known in truth["instances"].items():
+            best = min(known["slots"], key=lambda slot: slot["total"])
+            agree, total = agree + (chosen[truth["scene_id"], name] == best["asset_id"]), total + 1
+    assert agree / total > 0.6
+
+
+@pytest.mark.whole
+def test_the_same_seed_gives_the_same_rows_blobs_and_truth(data: SelectionData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rooms, "OBJECTS", FEW)
+    other = SelectionData(tmp_path / "again", DataSettings())
+    (truth,) = (row for row in generate(other, [TRAIN]) if isinstance(row, dict))
+    known = next(row for row in data.truths() if row["index"] == TRAIN)
+    assert json.dumps(truth | {"cpu_seconds": 0}) == json.dumps(known | {"cpu_seconds": 0})
+    for record in (Scene, Instance, Candidate, Selection):
+        rows = [made.lake.snapshot().rows(record, truth["scene_id"]) for made in (data, other)]
+        assert rows_to_arrow(rows[0], record).equals(rows_to_arrow(rows[1], record))
+
+
+@pytest.mark.whole
+def test_what_is_there_is_not_made_again_and_other_settings_are_refused(data: SelectionData) -> None:
+    before = data.lake.snapshot().snapshot_id
+    assert list(generate(data, [TRAIN, TEST])) == []
+    assert data.lake.snapshot().snapshot_id == before
+    with pytest.raises(InputError, match="other settings"):
+        SelectionData(data.folder, DataSettings(seed=1))
+    counts = counts_of(data.truths())
+    assert counts["rooms"] == {"train": 1, "test": 1}
+    assert counts["held_out"]["train"] == 0
+
+
+@pytest.mark.whole
+def test_methods_are_measured_where_they_hit_and_what_was_measured_is_remembered(data: SelectionData, tmp_path: Path) -> None:
+    reader = data.lake.snapshot()
+    truth = next(row for row in data.truths() if row["split"] == "test")
+    surfaces = true_surfaces_of(truth)
+    scorers = [Scorer(name, config) for name, config in PLAIN.items()]
+    rows = measured_room(data.lake, reader, truth, surfaces, scorers[:2], "x", tmp_path, 0)
+    assert len(rows) == 2 * len(truth["instances"])
+    ranks = {row.instance_id: row.rank for row in reader.rows(Selection, truth["scene_id"]) if _is_best(truth, row)}
+    for row in rows:
+        if row.method == "geometric":  # the lake's ranks are those of the geometric method, but for what several share
+            assert row.truth_rank == ranks[row.instance_id]
+        assert row.best_chamfer_m is not None
+        assert row.chamfer_m is not None
+        assert row.best_chamfer_m <= row.chamfer_m
+    more = measured_room(data.lake, reader, truth, {}, scorers, "x", tmp_path, 0)
+    assert [row for row in more if row.method in ("geometric", "extents")] == rows
+    assert table_row(rows[: len(truth["instances"])], 0)["instances"] == len(truth["instances"])
+    own = {slot["asset_id"] for known in truth["instances"].values() for slot in known["slots"] if slot["kind"] in OF_SCANNED}
+    assert all(row.is_chosen_own == (row.chosen_asset_id in own) for row in more)
+
+
+def _is_best(truth: Any, row: Selection) -> bool:
+    slots = truth["instances"][row.instance_id]["slots"]
+    return slots[row.slot - 1]["total"] == min(slot["total"] for slot in slots)
+
+
+def test_the_rule_of_answers_is_the_rule_of_truth() -> None:
+    still = dataclasses.replace(AnnotatorRule(), noise=0.0, mistakes=0.0)
+    totals = [0.3, 0.0, 1.0]
+    assert order(totals, still, np.random.default_rng(0))[0][0] == int(np.argmin(totals))
+
+
+@pytest.mark.whole
+@pytest.mark.timeout(900)
+def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
+    data: SelectionData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.setattr(rooms, "OBJECTS", FEW)
+    shutil.copytree(data.folder, tmp_path / "data")
+    config = SelectionBench(tmp_path, rooms=4, seeds=1, steps=2, variants=("small", "blind"))
+    told: list[str] = []
+    report = run_selection_bench(config, told.append)
+    assert len(told) == config.steps_of_progress
+    assert set(report["methods"]) == {*PLAIN, "small", "blind"}
+    assert set(report["margin"]) == {*PLAIN, "blind"}
+    assert [row["name"] for row in report["trainings"]] == ["small", "blind"]
+    assert report["counts"]["rooms"]["test"] == len(config.tested)
+    again = run_selection_bench(config, lambda text: None)
+    assert again["methods"] == report["methods"]
+    assert again["trainings"] == report["trainings"]
+
+
+def test_margins_are_of_the_same_instances() -> None:
+    assert margin([], 0) == {}
+
+
+def test_a_copy_of_a_model_is_called_by_its_number() -> None:
+    assert [model_of(name) for name in ("ChairA_01_003", "PortraitA_01", "FoldingDoor_02_001")] == [
+        "ChairA_01",
+        "PortraitA_01",
+        "FoldingDoor_02",
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.timeout(3600)
+def test_the_house_is_lined_up_against_its_own_models(realdata: Callable[[str], Path], tmp_path: Path) -> None:
+    folder = realdata("scene_aws_small_house").parent
+    realdata("assets")
+    lake, truth = made_house(folder, tmp_path, 0)
+    assert len(truth["instances"]) >= 30
+    for known in truth["instances"].values():
+        assert [slot["kind"] for slot in known["slots"]].count("scanned") == 1
+        assert len(known["slots"]) == 10
+        assert known["scan_distance_m"] < 0.04
+    assert made_house(folder, tmp_path, 0)[1] == truth
+    assert {row.instance_id for row in lake.snapshot().rows(Selection, truth["scene_id"])} == set(truth["instances"])
+    assert inverse(np.array(truth["moved"])).shape == (4, 4)
