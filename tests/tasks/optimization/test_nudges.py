@@ -113,8 +113,8 @@ def test_only_nudges_sleep_early(monkeypatch: pytest.MonkeyPatch) -> None:
         certified(placed, config)
         assert asked == [(tolerance, False), *[(tolerance, True)] * len(NUDGES)] * 2
     never = Mujoco(sleep_m_s=0.0)
-    rows = [certified(placed, CertificateConfig(mujoco=never, nudge_sleep_m_s=speed)) for speed in (0.0, 1.0)]
-    hold_equal(*rows, most_apart_m=0.0)
+    slow, fast = (certified(placed, CertificateConfig(mujoco=never, nudge_sleep_m_s=speed)) for speed in (0.0, 1.0))
+    hold_equal(fast, slow, most_apart_m=0.0)
 
 
 def test_what_was_put_to_sleep_is_woken_by_what_hits_it() -> None:
