@@ -28,10 +28,11 @@ from tasks.optimization.footing import on_their_feet
 from tasks.optimization.interior import Interior, furnish
 from tasks.optimization.misfits import Fitting, fit_together, yielding
 from tasks.optimization.paper import Paper
+from tasks.optimization.parting import part_slight
 from tasks.optimization.proposals import Proposal, propose
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
-from tasks.optimization.search.trace import Resolution, moved_poses, replayed_poses, step_rows, with_falls
+from tasks.optimization.search.trace import Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
 from tasks.optimization.support.resting import DEEP_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config, NonNegative
@@ -186,8 +187,16 @@ def _resolved(interior: Interior, config: OptimizationConfig, context: Context, 
     moved = moved_poses(dict(zip(interior.names, interior.poses, strict=True)), parents, moves)
     poses = np.array([moved[name] for name in interior.names]).reshape(-1, 4, 4)
     colliders = Colliders(interior.solids, interior.shell)
+    before, after = colliders.penetrations(interior.poses), colliders.penetrations(poses)
+    if isinstance(config.method, Default):
+        shifts = part_slight(interior, poses, after, allowed_depths(interior, before), config.method.slop_m)
+        if shifts:
+            resolution = with_shifts(resolution, shifts)
+            moved = moved_poses(dict(zip(interior.names, interior.poses, strict=True)), parents, [*moves, *shifts])
+            poses = np.array([moved[name] for name in interior.names]).reshape(-1, 4, 4)
+            after = colliders.penetrations(poses)
     steps = step_rows(context.scene_id, resolution.start, resolution.steps)
-    return _Resolved(resolution, interior, poses, colliders.penetrations(interior.poses), colliders.penetrations(poses), steps)
+    return _Resolved(resolution, interior, poses, before, after, steps)
 
 
 STAGE = Stage(

@@ -49,6 +49,7 @@ class CertificateConfig(Config):
     newton: Newton = dataclasses.field(default_factory=Newton)  # asked as well when its interpreter is named
     mujoco_defaults: bool = True  # asked as well: MuJoCo as others leave it; where the two differ, a verdict hangs on the solver
     nudge_m_s: NonNegative = 0.05  # a door that falls shut; who balances on an edge falls at 0.03, what stands well withstands 0.1; 0: none
+    nudge_sleep_m_s: NonNegative = 0.001  # after a nudge, what is slower for 10 steps sleeps until it is touched: it would go 2 mm in 2 s
     seconds: Positive = 2.0  # a fall from a table takes 0.4 s; tipping begins slowly and takes longer
 
     @model_validator(mode="after")
@@ -116,10 +117,10 @@ def certify(bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexPar
     order = sorted(range(len(bodies)), key=lambda i: names[i])  # engines depend on it, certificates shall not
     rank = np.argsort(order)
     ordered = [bodies[i] for i in order], poses[order], shell, config.seconds
-    simulations = [mujoco_engine.simulate(*ordered, config.mujoco, config.nudge_m_s)]
+    simulations = [mujoco_engine.simulate(*ordered, config.mujoco, config.nudge_m_s, nudged_sleep=config.nudge_sleep_m_s)]
     if config.mujoco_defaults:
         defaults = dataclasses.replace(config.mujoco, cone="pyramidal", impratio=1.0, integrator="Euler")  # what is not set otherwise
-        simulations.append(mujoco_engine.simulate(*ordered, defaults, config.nudge_m_s, "mujoco_defaults"))
+        simulations.append(mujoco_engine.simulate(*ordered, defaults, config.nudge_m_s, "mujoco_defaults", config.nudge_sleep_m_s))
     if config.newton.python:
         simulations.append(newton_engine.simulate(*ordered, config.newton))
     certified = []

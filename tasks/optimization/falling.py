@@ -13,6 +13,7 @@ from tasks.optimization.certificates import CertificateConfig, Certified, certif
 from tasks.optimization.contacts import Colliders
 from tasks.optimization.default import Default
 from tasks.optimization.interior import Interior
+from tasks.optimization.parting import APART_M
 from tasks.optimization.search.trace import Move, moved_poses
 from tasks.optimization.solids import RigidBody
 from tasks.optimization.support.resting import MOST_LAID_M, lost_supports
@@ -25,9 +26,6 @@ MOST_ROUNDS = 3
 
 MOST_PARTINGS = 40
 """Shifts that may bring a fallen object out of what the engine's soft contacts let it sink into."""
-
-APART_M = 1e-7
-"""How far beyond its depth an overlap is parted [m]: rounding."""
 
 SUNK_M = 0.001
 """Deeper than this no contact at rest is soft [m]: the engine has lost track."""

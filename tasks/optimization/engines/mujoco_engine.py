@@ -74,11 +74,13 @@ class Simulation:
 
 def simulate(
     bodies: Sequence[RigidBody], poses: Array, shell: Sequence[ConvexParts], seconds: float, settings: Mujoco, nudge: float = 0.0,
-    name: str = "mujoco",
+    name: str = "mujoco", nudged_sleep: float = 0.0,
 ) -> Simulation:  # fmt: skip
     """Objects left alone under gravity at `poses` [m], shape (n, 4, 4), in the order given; then again from there, with every free object
     at a speed of `nudge` [m/s] in each direction of `NUDGES`, unless that is 0.
 
+    nudged_sleep: after a nudge objects sleep below this speed [m/s] if it is above `settings.sleep_m_s`; where nothing ever sleeps, it
+    does nothing.
     An object that MuJoCo refuses, or whose state diverges, has a problem: it is left out and stays where it is.
     """
     mujoco = mujoco_module()
@@ -90,9 +92,11 @@ def simulate(
         mujoco.mj_forward(model, data)
         depth = _start_penetration(model, data, len(bodies))
         free = [i for i, body in enumerate(bodies) if not body.is_fixed and problems[i] is None]
-        ends = []
+        ends: list[Array] = []
         for push in pushes:
             mujoco.mj_resetData(model, data)
+            if ends:
+                model.opt.sleep_tolerance = max(settings.sleep_m_s, nudged_sleep)
             data.qvel.reshape(-1, 6)[:, :2] = push
             failed, problem = _run(model, data, round(seconds / settings.timestep_s) if free else 0, settings)
             if failed:

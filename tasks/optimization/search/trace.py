@@ -66,6 +66,13 @@ def with_falls(resolution: Resolution, falls: Sequence[tuple[str, Move]], final:
     return dataclasses.replace(resolution, steps=(*resolution.steps, *steps), problems=problems, final=final)
 
 
+def with_shifts(resolution: Resolution, shifts: Sequence[tuple[str, Move]]) -> Resolution:
+    """A resolution after which objects were shifted out of slight overlaps, by moves in order; the loss does not count those."""
+    smallest = min([step.smallest for step in resolution.steps] + [resolution.final], default=resolution.start)
+    steps = [SearchStep(name, move, resolution.final, smallest, "rested") for name, move in shifts]
+    return dataclasses.replace(resolution, steps=(*resolution.steps, *steps))
+
+
 def step_rows(scene_id: str, start: float, steps: Sequence[SearchStep]) -> list[OptimizationStep]:
     """Step 0 for the proposed state, then a row per step, numbered without a gap where no moves were left out."""
     rows = [
