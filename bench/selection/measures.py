@@ -145,11 +145,11 @@ def _measured(
         for scorer in scorers:
             clock = time.perf_counter()
             scores, _, _, lacks = scored(query, evidence, scorer.config, scorer.model)
-            took = 1000 * (time.perf_counter() - clock)
+            took = time.perf_counter() - clock
             row = outcome_of(
                 known[query.instance.instance_id], scores, slots, method=scorer.name, dataset=dataset, training_id="bench-selection",
                 seed=scorer.seed, model_id=scorer.model.model_id if scorer.model else None, is_fallback=lacks is not None,
-                milliseconds=took,
+                seconds=took,
             )  # fmt: skip
             found[scorer.key].append(dataclasses.asdict(row))
     return found
