@@ -89,7 +89,7 @@ def _plane(points: Array, normals: Array) -> tuple[Array, float]:
 def _distances(points: Array, normal: Array, offset: float, low: float, high: float) -> Array:
     """How far points are, seen from above, from a panel that reaches from low to high along its plane, shape (n, 3) to (n,) [m]."""
     along = points[:, :2] @ np.array([-normal[1], normal[0]])
-    return np.hypot(points[:, :2] @ normal - offset, np.maximum(np.maximum(low - along, along - high), 0.0))
+    return np.asarray(np.hypot(points[:, :2] @ normal - offset, np.maximum(np.maximum(low - along, along - high), 0.0)))
 
 
 def _is_near(points: Array, normal: Array, offset: float) -> Booleans:

@@ -127,7 +127,7 @@ def _own_line(points: Array, wall_ends: Array) -> list[WallLine]:
     if high[2] - low[2] < LEAF_M or wide < LEAF_M or deep > LEAF_DEPTH_M:
         return []
     sides = middle + np.percentile((points[:, :2] - middle) @ along, [1, 99])[:, None] * along
-    hangs = len(wall_ends) and np.linalg.norm(sides[:, None] - wall_ends, axis=2).min() < HINGE_M
+    hangs = bool(len(wall_ends)) and float(np.linalg.norm(sides[:, None] - wall_ends, axis=2).min()) < HINGE_M
     if high[2] < LEAF_TOP_M and not (hangs and wide > LEAST_LEAF_M and low[2] < NEAR_FLOOR_M):
         return []
     # long enough for what was not seen of it
