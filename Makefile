@@ -13,7 +13,7 @@ CHAOS ?= chaos
 CLIENT := flows/view/built/view.js
 RECAST := native/build/libmetascenes_recast.so
 
-.PHONY: help client demo test test-whole test-all chaos fuzz check format golden docs pages native lock clean
+.PHONY: help client demo test test-whole test-all chaos fuzz check format golden docs pages native train lock clean
 
 help:  ## Say what there is to make.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -58,6 +58,8 @@ pages: $(VENV)/.run-ready  ## Write the pages of tables, views, settings and com
 	$(BIN)/python -m warehouse.questions.catalog
 	$(BIN)/python -m flows.documentation
 
+train: $(VENV)/.train-ready  ## Install what training needs besides: torch, for graphics cards where the index has that build.
+
 client: $(CLIENT)  ## Build what browsers get of the viewer, with three.js from npm; Node comes from PyPI where there is none.
 
 $(CLIENT): requirements/client.py requirements/client.lock $(wildcard flows/view/client/* flows/view/client/.npmrc flows/view/client/src/* flows/view/client/src/*/*) | $(VENV)/.made
@@ -84,7 +86,12 @@ $(VENV)/.run-ready: requirements/run.lock pyproject.toml | $(VENV)/.made
 	$(PIP) install -q --no-deps --no-build-isolation -e .
 	touch $@
 
-$(VENV)/.test-ready: requirements/test.lock $(VENV)/.run-ready
+# With what it depends on, in the versions of the lock: a build of torch for graphics cards brings libraries that no lock names.
+$(VENV)/.train-ready: requirements/train.lock $(VENV)/.run-ready
+	$(PIP) install -q -r requirements/train.lock -c requirements/run.lock
+	touch $@
+
+$(VENV)/.test-ready: requirements/test.lock $(VENV)/.train-ready
 	$(PIP) install -q --no-deps -r requirements/test.lock
 	touch $@
 

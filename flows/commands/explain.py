@@ -10,7 +10,7 @@ import click
 from flows.commands.options import chosen_snapshot, existing_lake, json_option, lake_option, snapshot_options
 
 
-@click.command("explain", short_help="Say what an object, a scene, an asset or a file was made from.")
+@click.command("explain", short_help="Say what an object, a scene, an asset, a model or a file was made from.")
 @click.argument("asked", metavar="WHAT")
 @click.option(
     "--picture", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Also draw the graph: FILE.svg or FILE.png."
@@ -24,7 +24,7 @@ def command(
 ) -> None:
     """Say what WHAT was made from, link by link, with the stage runs behind it. Every id on the way is followed.
 
-    WHAT is an object (<scene>/<instance>), a scene, the hash of an asset, the name of a blob, the path of an exported
+    WHAT is an object (<scene>/<instance>), a scene, the hash of an asset or of a model, the name of a blob, the path of an exported
     file, or <path>:<name> of an object in one (in USD its prim path). The exit code is 1 when anything that is named is not
     there, or does not fit what names it.
 

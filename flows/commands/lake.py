@@ -158,7 +158,7 @@ def _tell_erased(done: Erasure, cached: int, drafts: int, dry_run: bool, as_json
         shown: dict[str, Any] = {
             "scene_id": done.scene_id, "dry_run": dry_run, "rows": dict(done.rows), "staged_runs": done.staged_runs, "blobs": done.blobs,
             "snapshots": list(done.snapshots), "releases": list(done.releases), "young_blobs": done.young_blobs, "cached_files": cached,
-            "drafts": drafts,
+            "drafts": drafts, "models": list(done.models),
             "proof": None if done.proof is None else dataclasses.asdict(done.proof),
         }  # fmt: skip
         print(json.dumps(shown))
@@ -175,6 +175,9 @@ def _tell_erased(done: Erasure, cached: int, drafts: int, dry_run: bool, as_json
         print(f"{len(done.snapshots)} snapshots are {'to be ' if dry_run else ''}dropped: {_numbers(done.snapshots)}")
     if done.releases:
         print(f"releases {'to be ' if dry_run else ''}written anew: {', '.join(done.releases)}")
+    if done.models:
+        names = ", ".join(model_id[:12] for model_id in done.models)
+        print(f"trained while it was there, and not unlearned: models {names}; `metascenes models withdraw`, and train anew")
     if done.young_blobs:
         whose = f"{done.young_blobs} blobs that no row names are younger than a day and stay, of whatever scene"
         print(f"not proven: {whose}; give the same command again in a day")

@@ -18,11 +18,13 @@ from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.files import read_file
 from schemas.lineage import Lineage, Place, RunFacts
+from schemas.training import LearnedModel
 from tasks.exports.format import ExportFormat
 from tasks.exports.formats import FORMATS
 from tasks.lineage.places import places, places_of
 from warehouse.lake import Lake
 from warehouse.lineage.files import blob_owners, walk_asset, walk_blob, walk_export, walk_exported
+from warehouse.lineage.models import walk_model
 from warehouse.lineage.nodes import exported_places
 from warehouse.lineage.objects import walk_object
 from warehouse.lineage.scenes import walk_scene
@@ -136,6 +138,8 @@ def _walk(walk: Walk, lake: Lake, target: Target, local: Path | None) -> str:
         if not assets:
             raise InputError(where, "assets", f"snapshot {snapshot} has no asset {target.key}", 'see `metascenes sql "FROM assets"`')
         return walk_asset(walk, assets[0])
+    if target.kind == "model":
+        return walk_model(walk, walk.reader.rows_by_key(LearnedModel, [target.key])[0])
     if target.kind == "blob":
         owners = blob_owners(walk, target.key)
         if not owners:

@@ -279,6 +279,19 @@ def _uses(key: str, facts: Facts) -> list[str]:
     return [f"{', '.join(counts)} in {_plural(facts['scenes'], 'scene')}"]
 
 
+def _model(key: str, facts: Facts) -> list[str]:
+    if facts["origin"] == "elsewhere":
+        return [f"model {key[:12]}, which is not in this lake"]
+    head = f"model {key[:12]} of {facts['kind']}, {facts['architecture']}, {_plural(facts['parameter_count'], 'number')}"
+    state = "withdrawn" if facts["is_withdrawn"] else facts["origin"]
+    more = f"{state} on {facts['device']}, seed {facts['seed']}, license {_text(facts['license'])}"
+    return [head, more, *facts["notes"], *facts["figures"]]
+
+
+def _dataset(key: str, facts: Facts) -> list[str]:
+    return [f"{facts['dataset']}: {_text(facts['examples'])}", f"hash of the runs that wrote it {facts['dataset_fingerprint']}"]
+
+
 def _row(key: str, facts: Facts) -> list[str]:
     return [f"row {key}"]
 
@@ -301,4 +314,5 @@ _WORDS: Mapping[str, Callable[[str, Facts], list[str]]] = {
     "candidate": _candidate,
     "provider": _provider, "asset": _asset, "caption": _caption, "mask": _mask, "frame": _frame, "scene": _scene, "scan": _scan,
     "stage": _stage, "export_format": _export_format, "batch": _batch, "blob": _blob, "uses": _uses, "row": _row,
+    "model": _model, "dataset": _dataset,
 }  # fmt: skip

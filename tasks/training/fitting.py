@@ -190,7 +190,7 @@ class _Run:
         loss, parts = objective.loss(self.module, batch)
         value = float(loss.detach())
         if not math.isfinite(value):
-            raise Diverged(f"training: loss: is {value} in step {self.step}; lower learning_rate, or raise warmup_steps")
+            raise Diverged("training", "loss", f"is {value} in step {self.step}", "lower learning_rate, or raise warmup_steps")
         self.fabric.backward(loss)
         self.fabric.clip_gradients(self.module, self.optimizer, max_norm=self.config.clip_norm, error_if_nonfinite=False)
         self.optimizer.step()

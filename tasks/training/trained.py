@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
-from schemas.errors import LakeError
+from schemas.errors import InputError
 from schemas.selection import SelectionOutcome
 
 
@@ -63,5 +63,5 @@ class Trained:
     outcomes: tuple[SelectionOutcome, ...] = ()
 
 
-class Diverged(LakeError):
+class Diverged(InputError):
     """Training that leads nowhere: a loss that is no finite number."""

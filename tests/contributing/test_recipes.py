@@ -60,7 +60,7 @@ class Copy:
             if (REPOSITORY / name).is_file() and not path.exists():
                 path.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(REPOSITORY / name, path)
-        for name in (".made", ".run-ready", ".test-ready"):
+        for name in (".made", ".run-ready", ".train-ready", ".test-ready"):
             (self.folder / ".venv" / name).touch()
 
     def run(self, text: str, code: int = 0) -> str:

@@ -1,4 +1,4 @@
-"""Targets of a walk: an object, a scene, an asset, a blob, an exported file, or an object in one."""
+"""Targets of a walk: an object, a scene, an asset, a model, a blob, an exported file, or an object in one."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.record import BLOB_PATTERN, INSTANCE_PATTERN, SCENE_PATTERN, arrow_to_rows
+from schemas.training import LearnedModel
 from warehouse.tables.snapshot import Reader
 
-_FORMS = "give <scene>/<instance>, a scene, the hash of an asset, the name of a blob, or the path of an exported file"
+_FORMS = "give <scene>/<instance>, a scene, the hash of an asset or a model, the name of a blob, or the path of an exported file"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Target:
     `files` are the rows of an exported file, one per scene that has it.
     """
 
-    kind: Literal["instance", "scene", "asset", "blob", "export"]
+    kind: Literal["instance", "scene", "asset", "model", "blob", "export"]
     key: str = ""
     scene_id: str = ""
     instance_id: str = ""
@@ -41,7 +42,7 @@ def find_target(reader: Reader, address: str, asked: str) -> Target:
     if re.fullmatch(BLOB_PATTERN, asked):
         return Target("blob", key=asked)
     if re.fullmatch(r"[0-9a-f]{64}", asked):
-        return Target("asset", key=asked)
+        return Target("model" if reader.rows_by_key(LearnedModel, [asked]) else "asset", key=asked)
     scene, _, last = asked.rpartition("/")
     if scene and re.fullmatch(INSTANCE_PATTERN, last):
         full_id = _scenes(reader, address, asked, scene)

@@ -7,28 +7,28 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.model.clouds import Cloud
+from tasks.selection.model.clouds import ColoredCloud
 from tasks.selection.model.config import AugmentationConfig, SelectionModel
-from tasks.selection.model.features import Contender, Scanned, View, plain_view
+from tasks.selection.model.features import CloudView, Contender, Scanned, plain_view
 
 Motion = tuple[NDArray[np.float64], NDArray[np.float64]]
 """A matrix (3, 3), of which every column has one length, and a shift (3,) [m]."""
 
 
-def thinned(cloud: Cloud, most: float, rng: np.random.Generator) -> Cloud:
+def thinned(cloud: ColoredCloud, most: float, rng: np.random.Generator) -> ColoredCloud:
     """A cloud without a share U(0, most) of its points, in the order that they had; whoever needs more takes its first ones again."""
-    keep = max(int(round(len(cloud.points) * (1.0 - rng.uniform(0.0, most)))), 1)
+    keep = max(round(len(cloud.points) * (1.0 - rng.uniform(0.0, most))), 1)
     return taken(cloud, np.sort(rng.permutation(len(cloud.points))[:keep]))
 
 
-def shuffled(cloud: Cloud, rng: np.random.Generator) -> Cloud:
+def shuffled(cloud: ColoredCloud, rng: np.random.Generator) -> ColoredCloud:
     """A cloud in another order."""
     return taken(cloud, rng.permutation(len(cloud.points)))
 
 
-def taken(cloud: Cloud, index: NDArray[np.int64]) -> Cloud:
+def taken(cloud: ColoredCloud, index: NDArray[np.int64]) -> ColoredCloud:
     """The points of these indices."""
-    return Cloud(cloud.points[index], cloud.colors[index], None if cloud.normals is None else cloud.normals[index])
+    return ColoredCloud(cloud.points[index], cloud.colors[index], None if cloud.normals is None else cloud.normals[index])
 
 
 def drawn_motion(config: AugmentationConfig, radius: float, rng: np.random.Generator) -> Motion:
@@ -52,17 +52,17 @@ def about(axis: int, angle: float) -> NDArray[np.float64]:
     return matrix
 
 
-def moved(cloud: Cloud, motion: Motion, middle: NDArray) -> Cloud:
+def moved(cloud: ColoredCloud, motion: Motion, middle: NDArray) -> ColoredCloud:
     """A cloud scaled and turned about a point [m], then shifted."""
     matrix, shift = motion
     points = (cloud.points - middle) @ matrix.T + middle + shift
     normals = None if cloud.normals is None else (cloud.normals @ (matrix / np.linalg.norm(matrix[:, 0])).T).astype(np.float32)
-    return Cloud(points.astype(np.float32), cloud.colors, normals)
+    return ColoredCloud(points.astype(np.float32), cloud.colors, normals)
 
 
 def augmented(
     scanned: Scanned, contenders: Sequence[Contender], model: SelectionModel, config: AugmentationConfig, rng: np.random.Generator
-) -> View:
+) -> CloudView:
     """The clouds of an object changed at random.
 
     What stands in one frame moves as one, since its differences are what is to be learned; in frames of their own each moves by itself.
@@ -81,12 +81,12 @@ def augmented(
             center = cloud.points.mean(axis=0)
             far = float(np.linalg.norm(cloud.points - center, axis=1).max())
             clouds.append(thinned(moved(cloud, drawn_motion(config, far, rng), center), config.dropout, rng))
-    return View(scan, clouds, near, [shuffled(cloud, rng) for cloud in placed])
+    return CloudView(scan, clouds, near, [shuffled(cloud, rng) for cloud in placed])
 
 
 def cropped(image: NDArray[np.uint8], least: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """A window of a picture, shape (h, w, 3), with its share U(least, 1) of the area and its proportions, as it lies."""
     side = np.sqrt(rng.uniform(least, 1.0))
-    height, width = (max(int(round(side * length)), 1) for length in image.shape[:2])
+    height, width = (max(round(side * length), 1) for length in image.shape[:2])
     top, left = int(rng.integers(image.shape[0] - height + 1)), int(rng.integers(image.shape[1] - width + 1))
     return image[top : top + height, left : left + width]

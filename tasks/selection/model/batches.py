@@ -113,7 +113,7 @@ def tensors(batch: Mapping[str, NDArray]) -> dict[str, Tensor]:
 
 @dataclasses.dataclass(frozen=True)
 class SelectionObjective:
-    """What fitting asks for (`tasks.training.fitting.Objective`): batches, the loss, and how good weights are on rooms that were held out."""
+    """What fitting asks for (`tasks.training.fitting.Objective`): batches, the loss, and how good weights are on held-out rooms."""
 
     learning: Sequence[Example]
     held: Sequence[Example]

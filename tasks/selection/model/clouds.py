@@ -17,16 +17,16 @@ POINT_BYTES = 15
 
 
 @dataclasses.dataclass(frozen=True)
-class Cloud:
+class ColoredCloud:
     """Points [m], shape (n, 3), of which every first few lie apart, with colors (n, 3) and, of a surface, unit normals (n, 3)."""
 
     points: Array
     colors: NDArray[np.uint8]
     normals: Array | None = None
 
-    def cut(self, count: int) -> Cloud:
+    def cut(self, count: int) -> ColoredCloud:
         """Its first points alone."""
-        return Cloud(self.points[:count], self.colors[:count], None if self.normals is None else self.normals[:count])
+        return ColoredCloud(self.points[:count], self.colors[:count], None if self.normals is None else self.normals[:count])
 
 
 def farthest_order(points: NDArray[np.floating], count: int, start: int | None = None) -> NDArray[np.int64]:
@@ -42,24 +42,24 @@ def farthest_order(points: NDArray[np.floating], count: int, start: int | None =
 
 def spread_cloud(
     points: NDArray[np.floating], colors: NDArray[np.uint8], count: int, normals: NDArray[np.floating] | None = None
-) -> Cloud:
+) -> ColoredCloud:
     """At most `count` of a cloud's points, those that lie apart first."""
     order = farthest_order(points, count)
     kept = None if normals is None else np.ascontiguousarray(normals[order], dtype=np.float32)
-    return Cloud(np.ascontiguousarray(points[order], dtype=np.float32), np.ascontiguousarray(colors[order]), kept)
+    return ColoredCloud(np.ascontiguousarray(points[order], dtype=np.float32), np.ascontiguousarray(colors[order]), kept)
 
 
-def packed(cloud: Cloud) -> bytes:
+def packed(cloud: ColoredCloud) -> bytes:
     """A cloud with normals in 15 bytes a point; without, in as many."""
     normals = np.zeros_like(cloud.points) if cloud.normals is None else cloud.normals
     return cloud.points.astype("<f2").tobytes() + normals.astype("<f2").tobytes() + cloud.colors.astype(np.uint8).tobytes()
 
 
-def unpacked(data: bytes) -> Cloud:
+def unpacked(data: bytes) -> ColoredCloud:
     """The cloud of `packed`."""
     count = len(data) // POINT_BYTES
     halves = np.frombuffer(data, dtype="<f2", count=6 * count).astype(np.float32).reshape(2, count, 3)
-    return Cloud(halves[0], np.frombuffer(data, dtype=np.uint8, offset=12 * count).reshape(count, 3), halves[1])
+    return ColoredCloud(halves[0], np.frombuffer(data, dtype=np.uint8, offset=12 * count).reshape(count, 3), halves[1])
 
 
 def nearest_both(scan: Array, surfaces: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -23,7 +23,7 @@ from tasks.selection import SelectionConfig
 from tasks.selection.crops import decoded
 from tasks.selection.evidence import instance_frame
 from tasks.selection.model.config import SelectionModel
-from tasks.selection.model.examples import Aligned, Example
+from tasks.selection.model.examples import AlignedCandidate, Example
 from tasks.selection.model.sight import evidence, scanned, surface_cloud
 from tasks.selection.scoring import is_own_geometry
 from tasks.stage import Context
@@ -94,7 +94,9 @@ def collected(dataset: Rows, context: Context, config: SelectionModel, test_shar
     """
     answers, simulated = answers_of(dataset)
     if not answers:
-        raise InputError("train selection", "annotations", "has no choice that counts", "annotate and accept a batch, or simulate annotators")
+        raise InputError(
+            "train selection", "annotations", "has no choice that counts", "annotate and accept a batch, or simulate annotators"
+        )
     rooms, licenses = {}, set()
     for scene in dataset.rows(Scene):
         rooms[scene.scene_id] = scene.room_id
@@ -173,5 +175,5 @@ def _example(
             is_own=is_own_geometry(asset, slots[slot].provider, STAGE_CONFIG.score),
         )  # fmt: skip
         pose, extents = back @ matrix(row.pose), np.array(asset.extents, dtype=np.float32)
-        candidates.append(Aligned(row.asset_id, extents, pose, np.array(row.scale), values))
+        candidates.append(AlignedCandidate(row.asset_id, extents, pose, np.array(row.scale), values))
     return Example(instance.scene_id, room_id, instance.instance_id, seen, tuple(candidates), kept)

@@ -38,7 +38,7 @@ class Small(Patches):
 
 
 @dataclasses.dataclass(frozen=True)
-class Paper(Patches):
+class PaperPatches(Patches):
     """As published: Point-BERT of ULIP-2, 33 M parameters."""
 
     kind: ClassVar[str] = "paper"
@@ -91,11 +91,11 @@ class PointNet2(Config):
     third_widths: Widths = (256, 512, 1024)  # as published, over the whole cloud
     last_widths: Widths = (512, 256)  # as published
     embedding: Count = 256  # the last layer of the recipe
-    head_width: Count = 256  # as Paper
+    head_width: Count = 256  # as PaperPatches
     head_dropout: Share = 0.5  # as published
 
 
-ARCHITECTURES = (Small, Paper, Uni3d, PointNet2)
+ARCHITECTURES = (Small, PaperPatches, Uni3d, PointNet2)
 
 
 @dataclasses.dataclass(frozen=True)

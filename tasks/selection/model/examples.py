@@ -15,7 +15,7 @@ from tasks.selection.model.features import Contender, Scanned
 
 
 @dataclasses.dataclass(frozen=True)
-class Aligned:
+class AlignedCandidate:
     """A candidate of an example: whose cloud, its box [m], and how it stands; see `Contender`."""
 
     asset_id: str
@@ -36,7 +36,7 @@ class Example:
     room_id: str
     instance_id: str
     scanned: Scanned
-    candidates: tuple[Aligned, ...]
+    candidates: tuple[AlignedCandidate, ...]
     rankings: tuple[tuple[int, ...], ...]
 
     @property
@@ -55,5 +55,5 @@ def by_room(examples: Sequence[Example], share: float) -> tuple[list[Example], l
     At least one room is held out where there are two.
     """
     rooms = sorted({example.room_id for example in examples}, key=lambda room: hashlib.sha256(f"validation {room}".encode()).digest())
-    held = set(rooms[: max(int(round(share * len(rooms))), 1)]) if share > 0 and len(rooms) > 1 else set()
+    held = set(rooms[: max(round(share * len(rooms)), 1)]) if share > 0 and len(rooms) > 1 else set()
     return [e for e in examples if e.room_id not in held], [e for e in examples if e.room_id in held]

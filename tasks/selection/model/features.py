@@ -8,19 +8,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.model.clouds import Array, Cloud, filled, nearest_both
+from tasks.selection.model.clouds import Array, ColoredCloud, filled, nearest_both
 from tasks.selection.model.config import NoQuery, OwnImage, OwnText, SelectionModel
 from tasks.selection.model.words import described, tokens_of
 
 EVIDENCE = (
     "coverage", "box_iou", "color_similarity", "foreign_share", "looked", "closeness", "stretch_x", "stretch_y", "stretch_z",
-    "oval", "category", "own", "closed",
+    "oval", "unscaled", "category", "own", "closed",
 )  # fmt: skip
 """Numbers of a candidate beside its shape, each about -1 to 1."""
 
 RESIDUAL = 17
 """Numbers of a point with its distance: place 3, way to the nearest on the other side 3, distance, its logarithm, signed along the
 surface's normal, difference of colors 3, normal 3, side 1, height above the object's bottom 1."""
+
+SUMMED = 12
+"""Means over the scan's points, then over the candidate's: distance, its logarithm, its size along the normal, of colors by channel."""
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
@@ -32,24 +35,24 @@ class Contender:
     """A candidate as a model sees it.
 
     cloud: Of the asset's surface, in its own frame [m], with normals. extents: Of the asset's box [m]. pose: Asset to the instance's frame,
-    (4, 4), rigid. scale: Along the asset's own axes, before the pose. evidence: Values by `EVIDENCE`, shape (13,).
+    (4, 4), rigid. scale: Along the asset's own axes, before the pose. evidence: Values by `EVIDENCE`, shape (14,).
     """
 
-    cloud: Cloud
+    cloud: ColoredCloud
     extents: Array
     pose: NDArray[np.float64]
     scale: NDArray[np.float64]
     evidence: Array
 
-    def placed(self) -> Cloud:
+    def placed(self) -> ColoredCloud:
         """The cloud in the instance's frame [m]."""
         normals = self.cloud.normals
-        turned = None
+        turned: Array | None = None
         if normals is not None:
-            turned = (normals / self.scale) @ self.pose[:3, :3].T
-            turned = (turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)).astype(np.float32)
+            leaning = (normals / self.scale) @ self.pose[:3, :3].T
+            turned = (leaning / np.maximum(np.linalg.norm(leaning, axis=1, keepdims=True), 1e-9)).astype(np.float32)
         points = (self.cloud.points * self.scale) @ self.pose[:3, :3].T + self.pose[:3, 3]
-        return Cloud(points.astype(np.float32), self.cloud.colors, turned)
+        return ColoredCloud(points.astype(np.float32), self.cloud.colors, turned)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Scanned:
     [m]. image: Crop of its best view, (h, w, 3). image_vector, text_vector: What frozen encoders made of view and text.
     """
 
-    cloud: Cloud
+    cloud: ColoredCloud
     extents: Array
     category: str
     caption: str | None = None
@@ -70,27 +73,27 @@ class Scanned:
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class CloudView:
     """An object's clouds as one look at it has them.
 
     scan, clouds: For the encoder, of the instance and of the candidates in the model's frame. near, placed: For distances point by point,
     of the instance and of the candidates as aligned to it.
     """
 
-    scan: Cloud
-    clouds: Sequence[Cloud]
-    near: Cloud
-    placed: Sequence[Cloud]
+    scan: ColoredCloud
+    clouds: Sequence[ColoredCloud]
+    near: ColoredCloud
+    placed: Sequence[ColoredCloud]
 
 
-def plain_view(scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel) -> View:
+def plain_view(scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel) -> CloudView:
     """The clouds as they are."""
     placed = [each.placed() for each in contenders]
-    return View(scanned.cloud, placed if config.frame == "placed" else [each.cloud for each in contenders], scanned.cloud, placed)
+    return CloudView(scanned.cloud, placed if config.frame == "placed" else [each.cloud for each in contenders], scanned.cloud, placed)
 
 
 def features_of(
-    scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel, view: View | None = None
+    scanned: Scanned, contenders: Sequence[Contender], config: SelectionModel, view: CloudView | None = None
 ) -> dict[str, NDArray]:
     """What the network takes of an object, for a batch of one without its first axis (see `Selector`).
 
@@ -125,9 +128,9 @@ def asked(scanned: Scanned, config: SelectionModel) -> dict[str, NDArray]:
             image = square_crop(scanned.image, side).transpose(2, 0, 1).astype(np.float32) / 255.0
             if config.image_normalization == "imagenet":
                 image = (image - np.reshape(IMAGENET_MEAN, (3, 1, 1))) / np.reshape(IMAGENET_STD, (3, 1, 1))
-        made["image"], made["has_image"] = image.astype(np.float32), np.float32(scanned.image is not None)
+        made["image"], made["has_image"] = image.astype(np.float32), np.array(scanned.image is not None, dtype=np.float32)
     elif not isinstance(config.image, NoQuery) and scanned.image_vector is not None:
-        made["image"], made["has_image"] = scanned.image_vector, np.float32(np.any(scanned.image_vector))
+        made["image"], made["has_image"] = scanned.image_vector, np.array(np.any(scanned.image_vector), dtype=np.float32)
     if isinstance(config.text, OwnText):
         made["text"] = tokens_of(described(scanned.category, scanned.caption), config.text.buckets, config.text.tokens)
     elif not isinstance(config.text, NoQuery) and scanned.text_vector is not None:
@@ -145,7 +148,7 @@ def log_sizes(extents: NDArray) -> Array:
     return np.log(np.maximum(extents, 1e-3)).astype(np.float32)
 
 
-def colored(cloud: Cloud, count: int, middle: NDArray | None = None, radius: float | None = None) -> Array:
+def colored(cloud: ColoredCloud, count: int, middle: NDArray | None = None, radius: float | None = None) -> Array:
     """Places and colors, shape (count, 6): about `middle`, in units of `radius`; without these about its mean, in a ball of radius 1."""
     points = filled(cloud.points, count)
     middle = points.mean(axis=0) if middle is None else middle
@@ -156,7 +159,7 @@ def colored(cloud: Cloud, count: int, middle: NDArray | None = None, radius: flo
     return np.concatenate([np.clip(points / radius, -2.0, 2.0), filled(cloud.colors, count) / np.float32(255.0)], axis=1).astype(np.float32)
 
 
-def residuals_of(scan: Cloud, placed: Sequence[Cloud], extents: NDArray, count: int) -> Array:
+def residuals_of(scan: ColoredCloud, placed: Sequence[ColoredCloud], extents: NDArray, count: int) -> Array:
     """Points of the scan and of every candidate with their distances to the other, shape (k, 2 count, 17): first those of the scan.
 
     Lengths are in units of half the box's diagonal. scan, placed: in the instance's frame [m], placed ones with normals.
@@ -188,7 +191,7 @@ def _residual(at: NDArray, to: NDArray, normal: NDArray, color: NDArray, side: f
     return np.concatenate(parts, axis=2, dtype=np.float32)
 
 
-def _normals(cloud: Cloud) -> Array:
+def _normals(cloud: ColoredCloud) -> Array:
     """Normals, zeros where the cloud has none."""
     return np.zeros_like(cloud.points) if cloud.normals is None else cloud.normals
 

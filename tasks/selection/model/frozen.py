@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping, MutableMapping
+from collections.abc import MutableMapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -100,18 +100,18 @@ def seen_by_frozen(scanned: Scanned, config: SelectionModel, memory: MutableMapp
     Raises:
         InputError: a folder holds no such encoder.
     """
-    made: dict[str, Array | None] = {}
+    image_of, text_of = scanned.image_vector, scanned.text_vector
     if isinstance(config.image, Frozen) and scanned.image is not None:
         query, image, imagenet = config.image, scanned.image, config.image_normalization == "imagenet"
         key = f"image {query.kind} {weights_digest(query.weights)} {imagenet} {hashlib.sha256(image.tobytes()).hexdigest()} {image.shape}"
-        made["image_vector"] = remembered(memory, key, lambda: image_vector(query, image, imagenet))
+        image_of = remembered(memory, key, lambda: image_vector(query, image, imagenet))
     elif isinstance(config.image, Frozen):
-        made["image_vector"] = np.zeros(width_of(config.image), dtype=np.float32)
+        image_of = np.zeros(width_of(config.image), dtype=np.float32)
     if isinstance(config.text, Pair):
         text, words = config.text, scanned.caption or TEMPLATE.format(scanned.category)
         key = f"text {text.kind} {weights_digest(text.weights)} {words}"
-        made["text_vector"] = remembered(memory, key, lambda: pair_in(text).text(words))
-    return dataclasses.replace(scanned, **made)
+        text_of = remembered(memory, key, lambda: pair_in(text).text(words))
+    return dataclasses.replace(scanned, image_vector=image_of, text_vector=text_of)
 
 
 def widths_of(config: SelectionModel) -> tuple[int, int]:
@@ -125,9 +125,3 @@ def width_of(query: Frozen) -> int:
     if isinstance(query, Dinov2Query):
         return len(image_vector(query, np.zeros((8, 8, 3), dtype=np.uint8), False))
     return pair_in(query).width
-
-
-def digests_of(config: SelectionModel) -> Mapping[str, str]:
-    """Hashes of the weights of frozen encoders, by query: what a model's scores hang on besides its own weights."""
-    queries = {"image": config.image, "text": config.text}
-    return {name: weights_digest(query.weights) for name, query in queries.items() if isinstance(query, Frozen)}

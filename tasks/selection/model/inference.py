@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.selection.model.clouds import Array, Cloud
-from tasks.selection.model.config import NoQuery, OwnImage, OwnText, Paper, Patches, SelectionModel, Small
+from tasks.selection.model.clouds import Array, ColoredCloud
+from tasks.selection.model.config import NoQuery, OwnImage, OwnText, PaperPatches, Patches, SelectionModel, Small
 from tasks.selection.model.features import EVIDENCE, Contender, Scanned, colored, features_of, log_sizes, radius_of
 from tasks.selection.model.sight import scan_cloud
 from tasks.selection.model.words import tokens_of
@@ -25,7 +25,10 @@ EPSILON = 1e-5
 class CandidateScorer(Protocol):
     """What scores the candidates of an object."""
 
-    config: SelectionModel
+    @property
+    def config(self) -> SelectionModel:
+        """What model it is."""
+        ...
 
     def score(self, scanned: Scanned, contenders: Sequence[Contender]) -> NDArray[np.float64]:
         """Scores, shape (k,), higher is better; only differences mean something."""
@@ -35,7 +38,7 @@ class CandidateScorer(Protocol):
 def is_plain(config: SelectionModel) -> bool:
     """Whether a model is scored without torch: patches and own encoders are, other architectures and frozen encoders are not."""
     own = isinstance(config.image, NoQuery | OwnImage) and isinstance(config.text, NoQuery | OwnText)
-    return own and isinstance(config.architecture, Small | Paper)
+    return own and isinstance(config.architecture, Small | PaperPatches)
 
 
 def load(weights: bytes, config: SelectionModel, file: str = "weights") -> CandidateScorer:
@@ -45,7 +48,7 @@ def load(weights: bytes, config: SelectionModel, file: str = "weights") -> Candi
         InputError: they are no weights of such a model.
     """
     if is_plain(config):
-        return Scorer(config, _fitting(from_safetensors(weights, file), config, file))
+        return Scorer(config, folded(_fitting(from_safetensors(weights, file), config, file)))
     from tasks.selection.model.scoring import torch_scorer
 
     return torch_scorer(weights, config, file)
@@ -53,7 +56,7 @@ def load(weights: bytes, config: SelectionModel, file: str = "weights") -> Candi
 
 @dataclasses.dataclass(frozen=True)
 class Scorer:
-    """A model in NumPy. `weights`: by name, single precision."""
+    """A model in NumPy. `weights`: by name, single precision, as `folded` has them."""
 
     config: SelectionModel
     weights: Mapping[str, Array]
@@ -73,7 +76,7 @@ class Scorer:
         the instance. text: Its category. extents: Of the candidates' boxes and, last, the instance's, (k + 1, 3) [m]. scan: Points and
         colors of the instance.
         """
-        own = Cloud(points[0].astype(np.float32), colors[0]) if scan is None else scan_cloud(*scan, self.config)
+        own = ColoredCloud(points[0].astype(np.float32), colors[0]) if scan is None else scan_cloud(*scan, self.config)
         scanned = Scanned(own, np.asarray(extents[-1], dtype=np.float32), text or "", None, image)
         nothing = np.zeros(len(EVIDENCE), dtype=np.float32)
         clouds = [scan_cloud(p, c, self.config) for p, c in zip(points, colors, strict=True)]
@@ -108,7 +111,7 @@ class Scorer:
             return self.config.fixed_scale
         return min(float(np.exp(self.weights["logit_scale"])), LARGEST_SCALE)
 
-    def named(self, cloud: Cloud, extents: NDArray, categories: Sequence[str], tokens: int) -> NDArray[np.float64]:
+    def named(self, cloud: ColoredCloud, extents: NDArray, categories: Sequence[str], tokens: int) -> NDArray[np.float64]:
         """How well each of some categories names a scanned object, shape (c,): cosines times the scale. `cloud` as in `Scanned`."""
         config = self.config
         if not isinstance(config.text, OwnText) or not config.query_points:
@@ -123,11 +126,6 @@ class Scorer:
         bias = self.weights.get(f"{name}.bias")
         product = values @ self.weights[f"{name}.weight"].reshape(len(self.weights[f"{name}.weight"]), -1).T
         return product if bias is None else product + bias
-
-    def _batch_norm(self, name: str, values: Array) -> Array:
-        w = self.weights
-        factor = w[f"{name}.weight"] / np.sqrt(w[f"{name}.running_var"] + EPSILON)
-        return values * factor + (w[f"{name}.bias"] - w[f"{name}.running_mean"] * factor)
 
     def _layer_norm(self, name: str, values: Array) -> Array:
         middle = values - values.mean(axis=-1, keepdims=True)
@@ -165,15 +163,15 @@ class Scorer:
     def _patches(self, patches: Array) -> Array:
         """`PatchNet`."""
         name = "point_encoder.encoder"
-        points = np.maximum(self._batch_norm(f"{name}.first_conv.1", self._linear(f"{name}.first_conv.0", patches)), 0)
+        points = np.maximum(self._linear(f"{name}.first_conv.0", patches), 0)
         points = self._linear(f"{name}.first_conv.3", points)
         weight, width = self.weights[f"{name}.second_conv.0.weight"][..., 0], points.shape[-1]
         whole = points.max(axis=2, keepdims=True) @ weight[:, :width].T + self.weights[f"{name}.second_conv.0.bias"]
-        mixed = np.maximum(self._batch_norm(f"{name}.second_conv.1", points @ weight[:, width:].T + whole), 0)
+        mixed = np.maximum(points @ weight[:, width:].T + whole, 0)
         return self._linear(f"{name}.second_conv.3", mixed).max(axis=2)
 
     def _block(self, name: str, tokens: Array, heads: int) -> Array:
-        """`Block`."""
+        """`TransformerBlock`."""
         batch, count, dim = tokens.shape
         parts = self._linear(f"{name}.attn.qkv", self._layer_norm(f"{name}.norm1", tokens))
         query, key, value = parts.reshape(batch, count, 3, heads, dim // heads).transpose(2, 0, 3, 1, 4)
@@ -221,12 +219,26 @@ class Scorer:
             for layer in range(2):
                 hidden = np.maximum(self._linear(f"residual_encoder.layers.{layer}", hidden), 0)
             parts.append(np.concatenate([hidden.mean(axis=1), hidden.max(axis=1)], axis=-1))
+            sides = np.split(np.abs(features["residuals"][..., 6:12]), 2, axis=1)
+            summed = np.concatenate([side.mean(axis=1) for side in sides], axis=-1)
+            parts += [summed, summed - summed.min(axis=0)]
         if config.query_points:
             parts.append(made["candidates"] * made["points"] * np.float32(made["points"].shape[-1] ** 0.5))
         seen = np.concatenate(parts, axis=-1)
         if config.relative:
             seen = np.concatenate([seen, seen - seen.mean(axis=0)], axis=-1)
         return self._linear("quality.3", np.maximum(self._linear("quality.0", seen), 0))[:, 0]
+
+
+def folded(weights: Mapping[str, NDArray]) -> dict[str, Array]:
+    """Weights with the batch norms of patches inside of the layers before them, where they cost nothing."""
+    made = dict(weights)
+    for name in ("point_encoder.encoder.first_conv", "point_encoder.encoder.second_conv"):
+        mean, spread = made.pop(f"{name}.1.running_mean"), np.sqrt(made.pop(f"{name}.1.running_var").astype(np.float64) + EPSILON)
+        factor, shift = made.pop(f"{name}.1.weight") / spread, made.pop(f"{name}.1.bias")
+        made[f"{name}.0.weight"] = (made[f"{name}.0.weight"] * factor[:, None, None]).astype(np.float32)
+        made[f"{name}.0.bias"] = ((made[f"{name}.0.bias"] - mean) * factor + shift).astype(np.float32)
+    return made
 
 
 def _unit(values: Array) -> Array:
@@ -250,5 +262,7 @@ def _fitting(arrays: Mapping[str, NDArray], config: SelectionModel, file: str) -
     for name in sorted({*wanted, *arrays}):
         if name not in arrays or name not in wanted or arrays[name].shape != wanted[name]:
             problem = "is missing" if name not in arrays else "is unknown" if name not in wanted else f"has the shape {arrays[name].shape}"
-            raise InputError(file, name, f"{problem}; the model's config wants {wanted.get(name, 'none')}", "take weights and config of one model")
+            raise InputError(
+                file, name, f"{problem}; the model's config wants {wanted.get(name, 'none')}", "take weights and config of one model"
+            )
     return {name: np.asarray(values, dtype=np.float32) for name, values in arrays.items()}

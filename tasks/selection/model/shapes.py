@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tasks.selection.model.config import OwnImage, OwnText, Patches, SelectionModel
-from tasks.selection.model.features import EVIDENCE, RESIDUAL
+from tasks.selection.model.features import EVIDENCE, RESIDUAL, SUMMED
 
 Shape = tuple[int, ...]
 
@@ -35,7 +35,7 @@ def _quality(config: SelectionModel) -> dict[str, Shape]:
     if config.residuals:
         first, second = config.residual_widths
         shapes |= _layer("residual_encoder.layers.0", first, RESIDUAL) | _layer("residual_encoder.layers.1", second, first)
-        inside += 2 * second
+        inside += 2 * second + 2 * SUMMED
     inside = (inside + architecture.embedding * config.query_points) * (2 if config.relative else 1)
     shapes["quality.3.weight"] = (1, architecture.head_width)
     return shapes | _layer("quality.0", architecture.head_width, inside)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from schemas.candidates import Asset
 from schemas.errors import InputError
 from tasks.geometry.meshes import sample_surface, surface_of_glb
-from tasks.selection.model.clouds import Array, Cloud, packed, spread_cloud, unpacked
+from tasks.selection.model.clouds import Array, ColoredCloud, packed, spread_cloud, unpacked
 from tasks.selection.model.config import NoQuery, OwnImage, SelectionModel
 from tasks.selection.model.features import Scanned, square_crop
 from tasks.settings import adapter
@@ -31,7 +31,7 @@ def asset_points(config: SelectionModel) -> int:
     return max(2 * config.architecture.points, LEAST_CLOUD)
 
 
-def scan_cloud(points: NDArray[np.floating], colors: NDArray[np.uint8], config: SelectionModel) -> Cloud:
+def scan_cloud(points: NDArray[np.floating], colors: NDArray[np.uint8], config: SelectionModel) -> ColoredCloud:
     """An instance's cloud, of its points in its frame, shape (n, 3) [m]; of many, evenly drawn ones."""
     count = scan_points(config)
     if len(points) > 4 * count:
@@ -85,8 +85,8 @@ def evidence(
     stretch = np.log(np.maximum(np.asarray(scale, dtype=np.float64), 1e-3))
     values = [
         coverage, box_iou, color, foreign or 0.0, float(foreign is not None), float(np.exp(-chamfer_m / (0.04 * max(diagonal_m, 1e-3)))),
-        *np.clip(stretch, -1.0, 1.0), float(min(np.ptp(stretch), 1.0)), float(category.lower() == asset.category.lower()), float(is_own),
-        float(asset.is_watertight),
+        *np.clip(stretch, -1.0, 1.0), float(min(np.ptp(stretch), 1.0)), float(np.exp(-20.0 * np.abs(stretch).mean())),
+        float(category.lower() == asset.category.lower()), float(is_own), float(asset.is_watertight),
     ]  # fmt: skip
     return np.array(values, dtype=np.float32)
 
@@ -100,4 +100,6 @@ def config_from(text: str) -> SelectionModel:
     try:
         return adapter(SelectionModel).validate_python(json.loads(text)["model"])
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError("model", "config", "is not that of a selection model", "train it again, or import it with its own config") from error
+        raise InputError(
+            "model", "config", "is not that of a selection model", "train it again, or import it with its own config"
+        ) from error

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from tasks.models import folders_in
+from tasks.selection.metrics.bootstrap import interval
 from tasks.selection.model.batches import BatchConfig, SelectionObjective, predicted
 from tasks.selection.model.collection import READS, Collected, collected
 from tasks.selection.model.config import OwnImage, OwnText, SelectionModel
 from tasks.selection.model.examples import Example, by_room
-from tasks.selection.model.figures import hits, interval
+from tasks.selection.model.figures import hits
 from tasks.selection.model.foreign import begin_with_foreign
 from tasks.selection.model.frozen import is_frozen, seen_by_frozen, widths_of
+from tasks.selection.model.presets import PRESETS
 from tasks.selection.model.scoring import begin_with
 from tasks.settings import Config, Share
 from tasks.stage import Context
@@ -46,6 +47,19 @@ class SelectionTraining(Config):
     test_share: Share = 0.2  # of the rooms, where `splits` has no row; as navigation has it
 
 
+def preset(name: str, fitting: FittingConfig | None = None) -> SelectionTraining:
+    """The settings of a preset, with the default budget or another one.
+
+    Raises:
+        KeyError: there is none of that name.
+    """
+    named, plain = PRESETS[name], SelectionTraining()
+    return SelectionTraining(
+        named.model, named.batch, fitting or plain.fitting, trains="last" if named.trains == "last" else "all",
+        validation_share=plain.validation_share if named.validates else 0.0,
+    )  # fmt: skip
+
+
 def train(*, dataset: Dataset, start: bytes | None, context: Context, config: SelectionTraining) -> Trained:
     """A selection model of the choices of a dataset; no room is on two sides, and figures are of the weights as they are kept.
 
@@ -73,7 +87,9 @@ def train(*, dataset: Dataset, start: bytes | None, context: Context, config: Se
     begin_with(module, weights)
     module.cpu()
     splits = {"train": learning, "validation": held, "test": data.test}
-    measures = [figure for split in ("validation", "test") for figure in figures_of(module, splits[split], data.clouds, split, context.seed)]
+    measures = [
+        figure for split in ("validation", "test") for figure in figures_of(module, splits[split], data.clouds, split, context.seed)
+    ]
     return Trained(
         architecture=config.model.architecture.kind,
         weights=weights,
@@ -94,11 +110,10 @@ def with_frozen(data: Collected, context: Context, model: SelectionModel) -> Col
     if not any(map(is_frozen, (model.image, model.text))):
         return data
     memory = context.caches["tasks.selection.model.frozen"]
-    made = {
-        split: [dataclasses.replace(example, scanned=seen_by_frozen(example.scanned, model, memory)) for example in getattr(data, split)]
-        for split in ("train", "test")
-    }
-    return dataclasses.replace(data, **made)
+    train, test = (
+        [dataclasses.replace(e, scanned=seen_by_frozen(e.scanned, model, memory)) for e in part] for part in (data.train, data.test)
+    )
+    return dataclasses.replace(data, train=train, test=test)
 
 
 def network(model: SelectionModel, seed: int, widths: tuple[int, int] = (0, 0)) -> Any:
@@ -125,12 +140,16 @@ def figures_of(module: Any, examples: Sequence[Example], clouds: Mapping[str, by
         return []
     scores = predicted(module, examples, clouds)
     rooms = [example.room_id for example in examples]
-    kinds = {"top_1": hits(examples, scores, 1), "top_5": hits(examples, scores, 5), "top_1_without_own": hits(examples, scores, 1, without_own=True)}
+    kinds = {
+        "top_1": hits(examples, scores, 1),
+        "top_5": hits(examples, scores, 5),
+        "top_1_without_own": hits(examples, scores, 1, without_own=True),
+    }
     made = []
     for metric, values in kinds.items():
-        value, low, high = interval(values, rooms, seed)
-        if math.isfinite(value):
-            made.append(Measure("", split, metric, value, low, high, int((values == values).sum())))
+        mean = interval(values, rooms, seed)
+        if mean.examples:
+            made.append(Measure("", split, metric, mean.value, mean.low, mean.high, mean.examples))
     return made
 
 
@@ -140,6 +159,8 @@ def notes_of(data: Collected, config: SelectionTraining) -> list[str]:
     if data.simulated:
         notes.append(f"{data.simulated} of {len(data.train) + len(data.test)} objects were answered for by programs alone")
     notes += [f"{count} objects left out: {reason}" for reason, count in sorted(data.left_out.items())]
+    if config.trains == "last" and not config.foreign:
+        notes.append("most of the encoder and the projection stayed as they were drawn: nobody named foreign weights")
     for name, encoder in (("image", config.model.image), ("text", config.model.text)):
         if isinstance(encoder, OwnImage | OwnText):
             notes.append(f"{name}: an encoder of ours, trained with the rest, stands in for a foreign one; name weights to have that")

@@ -47,6 +47,7 @@ class Erasure:
     `rows` are the scene's per table in the last snapshot. `snapshots` are those that are no longer kept, `releases` those
     that were written anew. `young_blobs` are blobs that no row names and that somebody put within a day, of whatever scene.
     `traces` are the names that were looked for, `hashes` those of blobs and assets that went. `proof` is None on a dry run.
+    `models` are those that were trained while the scene was there: what they learned of it stays in their weights.
     """
 
     scene_id: str
@@ -59,6 +60,7 @@ class Erasure:
     traces: Traces
     hashes: tuple[str, ...]
     proof: Proof | None
+    models: tuple[str, ...] = ()
 
 
 def erase(
@@ -118,6 +120,7 @@ class _Work:
         self._is_carried_out = False
         self._young = 0
         self.counts = self._count()
+        self._models = _trained_on(lake, scene_id)
         self.plan = self._planned(begun)
         # Nothing but the command line says that there ever was such a scene.
         self.is_unknown = begun is None and not (sum(self.counts.values()) or self._staged or self.plan.blobs or self._is_in_any_file())
@@ -173,6 +176,7 @@ class _Work:
             traces=self.plan.traces,
             hashes=tuple(sorted(self.final_traces.hashes)),
             proof=proof,
+            models=self._models,
         )
 
     def _count(self) -> dict[str, int]:
@@ -322,6 +326,17 @@ class _Work:
                 self._lake.tables.read(TABLES["assets"], files, ["asset_id"], {"asset_id": self.plan.assets}).column(0).to_pylist()
             )
         return staying
+
+
+def _trained_on(lake: Lake, scene_id: str) -> tuple[str, ...]:
+    """Models in use that were trained on a snapshot since the scene's first one: nothing says that they did not learn from it."""
+    reader = lake.snapshot()
+    runs = reader.matching("stage_runs", {"scene_id": [scene_id]}, ["snapshot_id"]).to_pylist()
+    if not runs:
+        return ()
+    first = min(row["snapshot_id"] for row in runs)
+    models = reader.matching("models", {}, ["snapshot_id", "is_withdrawn"]).to_pylist()
+    return tuple(row["model_id"] for row in models if not row["is_withdrawn"] and (row["snapshot_id"] or 0) >= first)
 
 
 def _settle_batches(lake: Lake, lease: Lease, scene_id: str) -> None:

@@ -63,7 +63,9 @@ class Attention(nn.Module):
     def forward(self, tokens: Tensor) -> Tensor:
         """Shape (b, t, dim), the same."""
         batch, count, dim = tokens.shape
-        bias = None if self.q_bias is None else torch.cat([self.q_bias, torch.zeros_like(self.q_bias), self.v_bias])
+        bias = None
+        if self.q_bias is not None and self.v_bias is not None:
+            bias = torch.cat([self.q_bias, torch.zeros_like(self.q_bias), self.v_bias])
         parts = functional.linear(tokens, self.qkv.weight, bias).view(batch, count, 3, self.heads, dim // self.heads)
         query, key, value = parts.permute(2, 0, 3, 1, 4).unbind(0)
         mixed = functional.scaled_dot_product_attention(query, key, value)
@@ -71,7 +73,7 @@ class Attention(nn.Module):
         return result
 
 
-class Block(nn.Module):
+class TransformerBlock(nn.Module):
     """A block of a transformer that normalizes first."""
 
     def __init__(self, dim: int, heads: int, hidden: int, activation: nn.Module, drop: float, *, split_bias: bool = False) -> None:
@@ -92,7 +94,7 @@ def activation_of(name: str) -> nn.Module:
     return nn.GELU() if name == "gelu" else nn.ReLU()
 
 
-def normalized_rows(layer: nn.BatchNorm1d, values: Tensor) -> Tensor:
+def normalized_rows(layer: nn.Module, values: Tensor) -> Tensor:
     """Batch normalization over all but the last axis."""
     result: Tensor = layer(values.reshape(-1, values.shape[-1])).view(values.shape)
     return result

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from tasks.selection.model.config import Patches, Uni3d
-from tasks.selection.model.networks.blocks import Block, Pointwise, activation_of, centers_of, nearest, normalized_rows, taken
+from tasks.selection.model.networks.blocks import Pointwise, TransformerBlock, activation_of, centers_of, nearest, normalized_rows, taken
 
 
 class PatchNet(nn.Module):
@@ -21,15 +21,21 @@ class PatchNet(nn.Module):
 
     def forward(self, patches: Tensor) -> Tensor:
         """Points of patches, shape (b, g, s, c), to vectors (b, g, out)."""
-        enter, norm, act, leave = self.first_conv
-        points = leave(act(normalized_rows(norm, enter(patches))))
-        enter, norm, act, leave = self.second_conv
-        width = points.shape[-1]
+        first, second = self.first_conv, self.second_conv
+        points = first[3](normalized_rows(first[1], first[0](patches)).relu())
+        weight, width = self.mixing.weight[..., 0], points.shape[-1]
         # the layer sees the patch's maximum beside each point; as a product of its own it is computed once for a patch
-        whole = points.amax(2, keepdim=True) @ enter.weight[:, :width, 0].T
-        mixed = points @ enter.weight[:, width:, 0].T + whole + enter.bias
-        result: Tensor = leave(act(normalized_rows(norm, mixed))).amax(2)
+        whole = points.amax(2, keepdim=True) @ weight[:, :width].T
+        mixed = points @ weight[:, width:].T + whole + self.mixing.bias
+        result: Tensor = second[3](normalized_rows(second[1], mixed).relu()).amax(2)
         return result
+
+    @property
+    def mixing(self) -> Pointwise:
+        """The layer in which points first see their patch."""
+        layer = self.second_conv[0]
+        assert isinstance(layer, Pointwise)
+        return layer
 
 
 class BlockList(nn.Module):
@@ -39,7 +45,7 @@ class BlockList(nn.Module):
         super().__init__()
         drops = torch.linspace(0, config.drop_path, config.depth, device="cpu").tolist()
         self.blocks = nn.ModuleList(
-            Block(config.dim, config.heads, 4 * config.dim, activation_of(config.activation), drop) for drop in drops
+            TransformerBlock(config.dim, config.heads, 4 * config.dim, activation_of(config.activation), drop) for drop in drops
         )
 
     def forward(self, tokens: Tensor, places: Tensor) -> Tensor:
@@ -62,7 +68,9 @@ def grouped(clouds: Tensor, groups: int, size: int, starts: Tensor | None) -> tu
 
 def embedded_places(config: Patches) -> nn.Sequential:
     """The network that turns a place, shape (..., 3), into what is added to its token."""
-    return nn.Sequential(nn.Linear(3, config.position_width), activation_of(config.activation), nn.Linear(config.position_width, config.dim))
+    return nn.Sequential(
+        nn.Linear(3, config.position_width), activation_of(config.activation), nn.Linear(config.position_width, config.dim)
+    )
 
 
 class PatchTransformer(nn.Module):
@@ -96,7 +104,8 @@ class Vision(nn.Module):
         super().__init__()
         drops = torch.linspace(0, config.drop_path, config.depth, device="cpu").tolist()
         self.blocks = nn.ModuleList(
-            Block(config.dim, config.heads, config.mlp_width, activation_of(config.activation), drop, split_bias=True) for drop in drops
+            TransformerBlock(config.dim, config.heads, config.mlp_width, activation_of(config.activation), drop, split_bias=True)
+            for drop in drops
         )
         self.fc_norm = nn.LayerNorm(config.dim)
 

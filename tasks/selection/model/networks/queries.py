@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import torch
 from torch import Tensor, nn
 
@@ -14,7 +16,7 @@ class ImageNet(nn.Module):
     def __init__(self, config: OwnImage, embedding: int) -> None:
         super().__init__()
         sizes = [3, *config.widths]
-        self.convolutions = nn.ModuleList(nn.Conv2d(a, b, 3, stride=2, padding=1) for a, b in zip(sizes, sizes[1:], strict=False))
+        self.convolutions = nn.ModuleList(nn.Conv2d(a, b, 3, stride=2, padding=1) for a, b in itertools.pairwise(sizes))
         self.projection = nn.Linear(2 * config.widths[-1], embedding)
 
     def forward(self, images: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from tasks.selection.model.config import NoQuery, OwnImage, OwnText, PointNet2, SelectionModel, Uni3d
-from tasks.selection.model.features import EVIDENCE, RESIDUAL
+from tasks.selection.model.features import EVIDENCE, RESIDUAL, SUMMED
 from tasks.selection.model.networks.patches import PatchTransformer, PatchVision
 from tasks.selection.model.networks.queries import ImageNet, ResidualNet, WordTable
 from tasks.selection.model.networks.sets import PointNet
@@ -23,9 +23,10 @@ class Selector(nn.Module):
     """Scores of the candidates of objects.
 
     A batch is a table of tensors, for b objects of k candidates: `clouds` (b, k, n, 6), `scan` (b, n, 6), `is_candidate` (b, k),
-    `evidence` (b, k, e), `residuals` (b, k, m, c), `sizes` (b, k, 3) and `scan_size` (b, 3) as logarithms [m], `image` (b, 3, side, side)
-    or as the frozen encoder gave it (b, e), `has_image` (b,), `text` (b, t) tokens or (b, e), and in training `starts` (b, k + 1), where
-    groups begin. `others` (b, m) are places among all candidates of the batch, object by object, -1 for none. What a model does not use may be missing.
+    `evidence` (b, k, e), `residuals` (b, k, m, c), `sizes` (b, k, 3) and `scan_size` (b, 3) as logarithms [m], `image`
+    (b, 3, side, side) or as the frozen encoder gave it (b, e), `has_image` (b,), `text` (b, t) tokens or (b, e), and in training
+    `starts` (b, k + 1), where groups begin. `others` (b, m) are places among all candidates of the batch, object by object, -1 for none.
+    What a model does not use may be missing.
 
     `image_width`, `text_width`: lengths of what frozen encoders give; 0 without one.
     """
@@ -48,7 +49,7 @@ class Selector(nn.Module):
             inside = width + (3 if config.extents else 0) + (2 * len(EVIDENCE) if config.query_evidence else 0)
             if config.residuals:
                 self.residual_encoder = ResidualNet(RESIDUAL, config.residual_widths)
-                inside += 2 * config.residual_widths[1]
+                inside += 2 * config.residual_widths[1] + 2 * SUMMED
             if config.query_points:
                 inside += embedding
             inside *= 2 if config.relative else 1
@@ -100,10 +101,10 @@ class Selector(nn.Module):
         too few; `names`: how categories name the scanned points, (b, c)."""
         made = {}
         if "others" in batch and not vectors.keys().isdisjoint(("points", "image", "text")):
-            candidates, choice, others = vectors["candidates"], batch["choice"], batch["others"]
+            candidates, choice, rivals = vectors["candidates"], batch["choice"], batch["others"]
             right = candidates[torch.arange(len(choice), device=choice.device), choice][:, None]
-            group = torch.cat([right, candidates.flatten(0, 1)[others.clamp(min=0)]], dim=1)
-            missing = torch.cat([torch.zeros_like(others[:, :1]), others], dim=1) < 0
+            group = torch.cat([right, candidates.flatten(0, 1)[rivals.clamp(min=0)]], dim=1)
+            missing = torch.cat([torch.zeros_like(rivals[:, :1]), rivals], dim=1) < 0
             made["strangers"] = self.compared(group, vectors).masked_fill(missing, -torch.inf)
         if "words" in batch and "points" in vectors and self.text_encoder is not None:
             texts = functional.normalize(self.text_encoder(batch["words"]), dim=-1)
@@ -141,6 +142,8 @@ class Selector(nn.Module):
         if config.residuals:
             points = batch["residuals"]
             parts.append(self.residual_encoder(points.flatten(0, 1)).view(*points.shape[:2], -1))
+            summed = torch.cat([side[..., 6:12].abs().mean(2) for side in points.chunk(2, dim=2)], dim=-1)
+            parts += [summed, summed - summed.masked_fill(~mask[..., None], torch.inf).amin(1, keepdim=True)]
         if config.query_points:
             parts.append(vectors["candidates"] * vectors["points"][:, None] * vectors["points"].shape[-1] ** 0.5)
         seen = torch.cat(parts, dim=-1)
@@ -167,10 +170,3 @@ def query_of(config: object, width: int, embedding: int) -> nn.Module | None:
     if isinstance(config, OwnText):
         return WordTable(config, embedding)
     return nn.Identity() if width == embedding else nn.Linear(width, embedding)
-
-
-def seeded(config: SelectionModel, seed: int, *, image_width: int = 0, text_width: int = 0) -> Selector:
-    """A network whose first weights follow from a seed; the state of torch's generator is left as it is."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return Selector(config, image_width=image_width, text_width=text_width)

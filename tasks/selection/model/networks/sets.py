@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import torch
@@ -23,13 +24,13 @@ def in_balls(points: Tensor, centers: Tensor, radius: float, count: int) -> Tens
     return torch.where(index == total, index[..., :1], index)
 
 
-class Level(nn.Module):
+class BallLevel(nn.Module):
     """A PointNet of balls, or of whole clouds."""
 
     def __init__(self, inside: int, widths: Sequence[int]) -> None:
         super().__init__()
         sizes = [inside, *widths]
-        self.layers = nn.ModuleList(Pointwise(a, b) for a, b in zip(sizes, sizes[1:], strict=False))
+        self.layers = nn.ModuleList(Pointwise(a, b) for a, b in itertools.pairwise(sizes))
         self.norms = nn.ModuleList(nn.BatchNorm1d(width) for width in widths)
 
     def forward(self, values: Tensor) -> Tensor:
@@ -45,12 +46,12 @@ class PointNet(nn.Module):
     def __init__(self, config: PointNet2) -> None:
         super().__init__()
         self.config, self.width = config, config.last_widths[-1]
-        self.first = Level(6, config.first_widths)
-        self.second = Level(3 + config.first_widths[-1], config.second_widths)
-        self.third = Level(3 + config.second_widths[-1], config.third_widths)
+        self.first = BallLevel(6, config.first_widths)
+        self.second = BallLevel(3 + config.first_widths[-1], config.second_widths)
+        self.third = BallLevel(3 + config.second_widths[-1], config.third_widths)
         sizes = [config.third_widths[-1], *config.last_widths]
         self.last = nn.Sequential()
-        for inside, outside in zip(sizes, sizes[1:], strict=False):
+        for inside, outside in itertools.pairwise(sizes):
             self.last.extend([nn.Linear(inside, outside), nn.BatchNorm1d(outside), nn.ReLU(), nn.Dropout(config.head_dropout)])
 
     def forward(self, clouds: Tensor, starts: Tensor | None = None) -> Tensor:

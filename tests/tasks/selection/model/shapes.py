@@ -1,4 +1,4 @@
-"""The toy problem of specs C.8: boxes, balls, cylinders and tables, stretched along their axes and colored; the candidate that was scanned is
+"""The toy problem of specs C.8: boxes, balls, cylinders and tables, stretched and colored; the one that was scanned is
 among ten that are more or less like it."""
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.selection.model.clouds import packed, spread_cloud
-from tasks.selection.model.examples import Aligned, Example
+from tasks.selection.model.examples import AlignedCandidate, Example
 from tasks.selection.model.features import EVIDENCE, Scanned
 
 KINDS = ("box", "ball", "cylinder", "table")
@@ -67,6 +67,6 @@ def toy(count: int, seed: int, *, points: int = 128, candidates: int = 10) -> tu
             tint = np.broadcast_to(c.astype(np.uint8), (len(at), 3))
             clouds[name] = packed(spread_cloud(at * s, tint, points, normals))
             evidence = np.zeros(len(EVIDENCE), dtype=np.float32)
-            rows.append(Aligned(name, s.astype(np.float32), np.eye(4), np.ones(3), evidence))
+            rows.append(AlignedCandidate(name, s.astype(np.float32), np.eye(4), np.ones(3), evidence))
         examples.append(Example(f"toy/room{number // 10}", f"toy/room{number // 10}", f"{number:04d}", scanned, tuple(rows), (ranking,)))
     return examples, clouds

@@ -10,24 +10,31 @@ import numpy as np
 import pytest
 
 from schemas.errors import InputError
-from tasks.selection.model.config import ClipQuery, Dinov2Query, Paper, SelectionModel, SiglipQuery, Uni3d
+from tasks.selection.model.config import ClipQuery, Dinov2Query, PaperPatches, SelectionModel, SiglipQuery, Uni3d
 from tasks.selection.model.foreign import begin_with_foreign, checkpoint, matched
 from tasks.weights import to_safetensors
 
 torch = pytest.importorskip("torch")
 
 PLAIN = {"query_points": False, "query_evidence": False, "residuals": False, "extents": False, "relative": False, "frame": "canonical"}
-PAPER = SelectionModel(Paper(), **PLAIN)
+PAPER = SelectionModel(PaperPatches(), **PLAIN)
 
 
 def ulip2_shapes() -> dict[str, tuple[int, ...]]:
     """Names and shapes of ULIP-2's point encoder, written out from specs C.2."""
     shapes: dict[str, tuple[int, ...]] = {"logit_scale": (), "pc_projection": (768, 1280)}
     encoder = {
-        "encoder.first_conv.0.weight": (128, 6, 1), "encoder.first_conv.3.weight": (256, 128, 1), "encoder.second_conv.0.weight": (512, 512, 1),
-        "encoder.second_conv.3.weight": (256, 512, 1), "reduce_dim.weight": (384, 256), "pos_embed.0.weight": (128, 3),
-        "pos_embed.2.weight": (384, 128), "norm.weight": (384,), "encoder.first_conv.1.weight": (128,), "encoder.second_conv.1.weight": (512,),
-    }  # fmt: skip
+        "encoder.first_conv.0.weight": (128, 6, 1),
+        "encoder.first_conv.3.weight": (256, 128, 1),
+        "encoder.second_conv.0.weight": (512, 512, 1),
+        "encoder.second_conv.3.weight": (256, 512, 1),
+        "reduce_dim.weight": (384, 256),
+        "pos_embed.0.weight": (128, 3),
+        "pos_embed.2.weight": (384, 128),
+        "norm.weight": (384,),
+        "encoder.first_conv.1.weight": (128,),
+        "encoder.second_conv.1.weight": (512,),
+    }
     for block in range(18):
         name = f"blocks.blocks.{block}"
         encoder |= {f"{name}.norm1.weight": (384,), f"{name}.norm2.weight": (384,), f"{name}.attn.proj.weight": (384, 384)}
@@ -42,7 +49,9 @@ def ulip2_shapes() -> dict[str, tuple[int, ...]]:
 
 def drawn(shapes: dict[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
     generator = torch.Generator().manual_seed(0)
-    return {name: torch.tensor(3) if name.endswith("tracked") else torch.randn(shape, generator=generator) for name, shape in shapes.items()}
+    return {
+        name: torch.tensor(3) if name.endswith("tracked") else torch.randn(shape, generator=generator) for name, shape in shapes.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -105,11 +114,20 @@ def test_uni3d_has_its_names_at_full_shape() -> None:
         network = Selector(dataclasses.replace(PAPER, architecture=Uni3d()))
     shapes = {name: tuple(values.shape) for name, values in network.state_dict().items() if name.startswith("point_encoder.")}
     wanted = {
-        "encoder.first_conv.0.weight": (128, 6, 1), "encoder.second_conv.3.weight": (512, 512, 1), "encoder2trans.weight": (1408, 512),
-        "trans2embed.weight": (1024, 1408), "cls_token": (1, 1, 1408), "cls_pos": (1, 1, 1408), "pos_embed.2.weight": (1408, 128),
-        "visual.blocks.39.attn.qkv.weight": (4224, 1408), "visual.blocks.39.attn.q_bias": (1408,), "visual.blocks.0.attn.v_bias": (1408,),
-        "visual.blocks.0.mlp.fc1.weight": (6144, 1408), "visual.blocks.0.norm2.bias": (1408,), "visual.fc_norm.weight": (1408,),
-    }  # fmt: skip
+        "encoder.first_conv.0.weight": (128, 6, 1),
+        "encoder.second_conv.3.weight": (512, 512, 1),
+        "encoder2trans.weight": (1408, 512),
+        "trans2embed.weight": (1024, 1408),
+        "cls_token": (1, 1, 1408),
+        "cls_pos": (1, 1, 1408),
+        "pos_embed.2.weight": (1408, 128),
+        "visual.blocks.39.attn.qkv.weight": (4224, 1408),
+        "visual.blocks.39.attn.q_bias": (1408,),
+        "visual.blocks.0.attn.v_bias": (1408,),
+        "visual.blocks.0.mlp.fc1.weight": (6144, 1408),
+        "visual.blocks.0.norm2.bias": (1408,),
+        "visual.fc_norm.weight": (1408,),
+    }
     assert {name: shapes[f"point_encoder.{name}"] for name in wanted} == wanted
     assert 0.95e9 < sum(p.numel() for p in network.point_encoder.parameters()) < 1.1e9
     arrays = {name: np.broadcast_to(np.float32(0), shape) for name, shape in shapes.items()}
@@ -125,16 +143,22 @@ def saved_pair(folder: Path, kind: str) -> None:
     words = {word: i for i, word in enumerate(["<pad>", "<unk>", "<end>", *"abcdefghijklmnopqrstuvwxyz."])}
     letters = Tokenizer(models.WordLevel(words, unk_token="<unk>"))
     letters.pre_tokenizer = pre_tokenizers.Split("", "isolated")
-    transformers.PreTrainedTokenizerFast(tokenizer_object=letters, pad_token="<pad>", unk_token="<unk>", eos_token="<end>").save_pretrained(folder)
+    transformers.PreTrainedTokenizerFast(tokenizer_object=letters, pad_token="<pad>", unk_token="<unk>", eos_token="<end>").save_pretrained(
+        folder
+    )
     sizes = {"hidden_size": 16, "intermediate_size": 24, "num_hidden_layers": 2, "num_attention_heads": 2}
     text = {**sizes, "vocab_size": len(words), "max_position_embeddings": 16}
     vision = {**sizes, "image_size": 32, "patch_size": 8}
     torch.manual_seed(0)
     if kind == "clip":
         ends = {"eos_token_id": 2, "bos_token_id": 1, "pad_token_id": 0}
-        transformers.CLIPModel(transformers.CLIPConfig(text_config={**text, **ends}, vision_config=vision, projection_dim=12)).save_pretrained(folder)
+        transformers.CLIPModel(
+            transformers.CLIPConfig(text_config={**text, **ends}, vision_config=vision, projection_dim=12)
+        ).save_pretrained(folder)
     else:
-        transformers.SiglipModel(transformers.SiglipConfig(text_config={**text, "projection_size": 16}, vision_config=vision)).save_pretrained(folder)
+        transformers.SiglipModel(
+            transformers.SiglipConfig(text_config={**text, "projection_size": 16}, vision_config=vision)
+        ).save_pretrained(folder)
 
 
 @pytest.mark.whole

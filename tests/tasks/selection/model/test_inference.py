@@ -11,17 +11,22 @@ import pytest
 
 from schemas.errors import InputError
 from tasks.selection.model.batches import predicted
-from tasks.selection.model.config import NoQuery, OwnImage, OwnText, Paper, SelectionModel, Small
+from tasks.selection.model.config import NoQuery, OwnImage, OwnText, PaperPatches, SelectionModel, Small
 from tasks.selection.model.inference import Scorer, load
 from tasks.selection.model.shapes import shapes_of
+from tasks.selection.model.sight import scan_cloud
 from tasks.weights import to_safetensors
 from tests.conftest import REPOSITORY
 from tests.tasks.selection.model.shapes import toy
 
 SMALL = Small(points=48, groups=8, group_size=6, dim=24, depth=2, heads=4, first_widths=(8, 16), second_widths=(16, 24), position_width=8,
               embedding=20, head_width=16)  # fmt: skip
-PAPER = Paper(points=48, groups=8, group_size=6, dim=24, depth=3, heads=6, first_widths=(8, 16), second_widths=(32, 16), embedding=40)
-FULL = SelectionModel(SMALL, image=OwnImage(widths=(4, 6, 8)), text=OwnText(buckets=64, width=8), residual_points=16, residual_widths=(8, 12))
+PAPER = PaperPatches(
+    points=48, groups=8, group_size=6, dim=24, depth=3, heads=6, first_widths=(8, 16), second_widths=(32, 16), embedding=40
+)
+FULL = SelectionModel(
+    SMALL, image=OwnImage(widths=(4, 6, 8)), text=OwnText(buckets=64, width=8), residual_points=16, residual_widths=(8, 12)
+)
 SWITCHES = {
     "full": {}, "paper": {"architecture": PAPER}, "no image": {"image": NoQuery()}, "no text": {"text": NoQuery()},
     "no points": {"query_points": False}, "no evidence": {"query_evidence": False}, "no residuals": {"residuals": False},
@@ -45,7 +50,10 @@ def random_weights(config: SelectionModel, seed: int = 0):
                 values.copy_((0.5 + torch.rand_like(values) if name.endswith("var") else values + 0.2 * torch.randn_like(values)).half())
             elif values.is_floating_point():
                 values.copy_(values.half())
-    state = {name: values.numpy().astype("<f2") if values.is_floating_point() else values.numpy() for name, values in network.state_dict().items()}
+    state = {
+        name: values.numpy().astype("<f2") if values.is_floating_point() else values.numpy()
+        for name, values in network.state_dict().items()
+    }
     return network, to_safetensors(state)
 
 
@@ -70,7 +78,9 @@ def test_the_networks_as_configured_score_alike() -> None:
     assert len(weights) <= 5_000_000
     examples, clouds = toy(3, 2, points=512)
     for example, expected in zip(examples, predicted(network, examples, clouds), strict=True):
-        assert np.abs(load(weights, config).score(example.scanned, example.contenders(clouds)) - expected).max() <= 1e-5 * max(1.0, np.abs(expected).max())
+        assert np.abs(load(weights, config).score(example.scanned, example.contenders(clouds)) - expected).max() <= 1e-5 * max(
+            1.0, np.abs(expected).max()
+        )
 
 
 @pytest.mark.parametrize("switch", SWITCHES)
@@ -96,7 +106,7 @@ def test_scoring_loads_no_torch() -> None:
         "from tests.tasks.selection.model.shapes import toy; import numpy as np;"
         "c = SelectionModel(); e, clouds = toy(1, 0);"
         "w = {n: np.ones(s, dtype='<f4') for n, s in shapes_of(c).items()};"
-        "Scorer(c, w).score(e[0].scanned, e[0].contenders(clouds)); print('torch' in sys.modules)"
+        "Scorer(c, folded(w)).score(e[0].scanned, e[0].contenders(clouds)); print('torch' in sys.modules)"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=REPOSITORY)
     assert (found.stdout, found.stderr) == ("False\n", "")
@@ -118,4 +128,26 @@ def test_names_are_compared_as_torch_compares_them() -> None:
         expected = network(batch)["names"][0].numpy()
     scorer = load(weights, FULL)
     assert isinstance(scorer, Scorer)
-    assert np.abs(scorer.named(examples[0].scanned.cloud, examples[0].scanned.extents, names, 24) - expected).max() <= 1e-5 * np.abs(expected).max()
+    assert (
+        np.abs(scorer.named(examples[0].scanned.cloud, examples[0].scanned.extents, names, 24) - expected).max()
+        <= 1e-5 * np.abs(expected).max()
+    )
+
+
+def test_clouds_alone_are_scored_without_evidence() -> None:
+    config = dataclasses.replace(FULL, query_evidence=False, residuals=False)
+    _, weights = random_weights(config)
+    scorer = load(weights, config)
+    assert isinstance(scorer, Scorer)
+    examples, clouds = toy(1, 4, points=64)
+    scanned, contenders = examples[0].scanned, examples[0].contenders(clouds)
+    points, colors = np.stack([c.cloud.points for c in contenders]), np.stack([c.cloud.colors for c in contenders])
+    extents = np.stack([*(c.extents for c in contenders), scanned.extents])
+    seen = scanned.cloud.points, scanned.cloud.colors
+    made = scorer.scores(points, colors, scanned.image, scanned.category, extents, seen)
+    ordered = [dataclasses.replace(c, cloud=scan_cloud(c.cloud.points, c.cloud.colors, config)) for c in contenders]
+    whole = dataclasses.replace(scanned, cloud=scan_cloud(*seen, config))
+    assert np.abs(made - scorer.score(whole, ordered)).max() <= 1e-4
+    order = np.random.default_rng(0).permutation(points.shape[1])
+    mixed = scorer.scores(points[:, order], colors[:, order], scanned.image, scanned.category, extents, seen)
+    assert np.abs(made - mixed).max() <= 1e-3

@@ -25,10 +25,25 @@ from tasks.training.fitting import FittingConfig
 from tasks.training.systems.selection import SELECTION, SelectionTraining, network, train
 from tests.tasks.selection.generated import generated_room
 
-SMALL = Small(points=48, groups=8, group_size=6, dim=24, depth=1, heads=2, first_widths=(8, 16), second_widths=(16, 24), position_width=8,
-              embedding=16, head_width=16)  # fmt: skip
-MODEL = SelectionModel(SMALL, image=OwnImage(widths=(4, 6, 8)), text=OwnText(buckets=64, width=8), residual_points=32, residual_widths=(8, 12))
-QUICK = SelectionTraining(MODEL, BatchConfig(objects=4), FittingConfig(steps=4, validate_steps=2, warmup_steps=1, device="cpu"), validation_share=0.3)
+SMALL = Small(
+    points=48,
+    groups=8,
+    group_size=6,
+    dim=24,
+    depth=1,
+    heads=2,
+    first_widths=(8, 16),
+    second_widths=(16, 24),
+    position_width=8,
+    embedding=16,
+    head_width=16,
+)
+MODEL = SelectionModel(
+    SMALL, image=OwnImage(widths=(4, 6, 8)), text=OwnText(buckets=64, width=8), residual_points=32, residual_widths=(8, 12)
+)
+QUICK = SelectionTraining(
+    MODEL, BatchConfig(objects=4), FittingConfig(steps=4, validate_steps=2, warmup_steps=1, device="cpu"), validation_share=0.3
+)
 
 
 def jpeg(seed: int) -> bytes:
@@ -42,10 +57,20 @@ def jpeg(seed: int) -> bytes:
 def answer(instance: Instance, choice: str | None, ranking: tuple[str, ...] = (), **more) -> Annotation:
     values = {"batch_id": "b", "annotator": "ann", "revision": 1, "is_simulated": False, "is_withdrawn": False} | more
     return Annotation(
-        scene_id=instance.scene_id, instance_id=instance.instance_id, answered_at=datetime(2026, 1, 1, tzinfo=UTC), choice=choice, pose=None,
-        scale=None, ranking=ranking, box_pose=instance.box_pose, box_size=instance.box_size, source_file="x.json", seconds=None, tool=None,
+        scene_id=instance.scene_id,
+        instance_id=instance.instance_id,
+        answered_at=datetime(2026, 1, 1, tzinfo=UTC),
+        choice=choice,
+        pose=None,
+        scale=None,
+        ranking=ranking,
+        box_pose=instance.box_pose,
+        box_size=instance.box_size,
+        source_file="x.json",
+        seconds=None,
+        tool=None,
         **values,
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +98,23 @@ def world():
 
 def _scene() -> Scene:
     return Scene(
-        scene_id="test/x", room_id="test/x", dataset="test", scan="x", scan_format="scannet", scan_path="x", alignment=tuple(np.eye(4).ravel()),
-        alignment_source="identity", floor_tilt_radians=None, mesh_blob="0" * 64 + ".glb", vertex_count=3, face_count=1, frame_count=0,
-        instance_count=4, segmentation="file", license="CC-BY-4.0",
-    )  # fmt: skip
+        scene_id="test/x",
+        room_id="test/x",
+        dataset="test",
+        scan="x",
+        scan_format="scannet",
+        scan_path="x",
+        alignment=tuple(np.eye(4).ravel()),
+        alignment_source="identity",
+        floor_tilt_radians=None,
+        mesh_blob="0" * 64 + ".glb",
+        vertex_count=3,
+        face_count=1,
+        frame_count=0,
+        instance_count=4,
+        segmentation="file",
+        license="CC-BY-4.0",
+    )
 
 
 def context(blobs: Blobs, seed: int = 0) -> Context:
@@ -94,11 +132,18 @@ def test_examples_are_split_by_room_and_hold_what_the_rows_say(world) -> None:
     for example in data.train:
         own = sorted((k[2], r) for k, r in selections.items() if k[:2] == (example.scene_id, example.instance_id))
         assert [c.asset_id for c in example.candidates] == [r.asset_id for _, r in own]
-        chosen = next(r for r in rows if isinstance(r, Annotation) and (r.scene_id, r.instance_id) == (example.scene_id, example.instance_id))
+        chosen = next(
+            r for r in rows if isinstance(r, Annotation) and (r.scene_id, r.instance_id) == (example.scene_id, example.instance_id)
+        )
         assert example.candidates[example.choice].asset_id == chosen.choice
         for (_, row), contender in zip(own, example.contenders(data.clouds), strict=True):
-            instance = next(r for r in rows if isinstance(r, Instance) and (r.scene_id, r.instance_id) == (example.scene_id, example.instance_id))
-            world_points = contender.cloud.points.astype(np.float64) * row.scale @ np.reshape(row.pose, (4, 4))[:3, :3].T + np.reshape(row.pose, (4, 4))[:3, 3]
+            instance = next(
+                r for r in rows if isinstance(r, Instance) and (r.scene_id, r.instance_id) == (example.scene_id, example.instance_id)
+            )
+            world_points = (
+                contender.cloud.points.astype(np.float64) * row.scale @ np.reshape(row.pose, (4, 4))[:3, :3].T
+                + np.reshape(row.pose, (4, 4))[:3, 3]
+            )
             box = np.reshape(instance.box_pose, (4, 4))
             local = (world_points - box[:3, 3]) @ box[:3, :3] + [0, 0, 0.5 * instance.box_size[2]]
             assert np.abs(local - contender.placed().points).max() < 2e-3 * max(1.0, np.abs(local).max())
@@ -120,9 +165,14 @@ def test_of_answers_the_last_revision_counts_and_people_before_programs() -> Non
     a, b, c = (f"{i:064x}" for i in range(3))
     one, two, three, four = room.instances[:4]
     rows = [
-        answer(one, a, revision=2), answer(one, b), answer(one, c, annotator="bot", is_simulated=True),
-        answer(two, a, (b, a, c), is_simulated=True), answer(three, None), answer(four, a), answer(four, a, revision=2, is_withdrawn=True),
-    ]  # fmt: skip
+        answer(one, a, revision=2),
+        answer(one, b),
+        answer(one, c, annotator="bot", is_simulated=True),
+        answer(two, a, (b, a, c), is_simulated=True),
+        answer(three, None),
+        answer(four, a),
+        answer(four, a, revision=2, is_withdrawn=True),
+    ]
     answers, simulated = answers_of(RowsInMemory("x", *rows))
     assert answers == {(one.scene_id, one.instance_id): [(a,)], (two.scene_id, two.instance_id): [(a, b, c)]}
     assert simulated == {(two.scene_id, two.instance_id)}
@@ -157,7 +207,11 @@ def test_a_model_is_trained_and_scores_without_torch_what_its_figures_say(world)
     more = train(dataset=RowsInMemory("x", *rows), start=trained.weights, context=context(blobs), config=QUICK)
     assert more.weights != trained.weights
     with pytest.raises(InputError, match="does not fit"):
-        train(dataset=RowsInMemory("x", *rows), start=trained.weights, context=context(blobs),
-              config=dataclasses.replace(QUICK, model=dataclasses.replace(MODEL, extents=False)))  # fmt: skip
+        train(
+            dataset=RowsInMemory("x", *rows),
+            start=trained.weights,
+            context=context(blobs),
+            config=dataclasses.replace(QUICK, model=dataclasses.replace(MODEL, extents=False)),
+        )
     assert SELECTION.config is SelectionTraining
     assert len(predicted(module, data.test, data.clouds)) == 4
