@@ -79,6 +79,7 @@ ELSEWHERE = {
     "flows/commands/ingest.py habitat": "a layout of finished datasets, whose commands differ in what they take",
     "flows/commands/training/models.py model": "a parameter, and the head of a column",
     "flows/commands/watch.py library": "the parameter, a folder",
+    "flows/outputs/explain.py model": "the kind of what is explained",
     "flows/run/configuration.py library": "the parameter, a folder",
     "flows/run/plan.py library": "the outside input of a stage",
     "flows/run/plan.py model": "the outside input of a stage",
@@ -104,6 +105,7 @@ ELSEWHERE = {
     "tasks/ingestion/scene.py habitat": "the name of an agent, which files of that layout do not say",
     "tasks/ingestion/sources.py habitat": "a layout of finished datasets",
     "tasks/lineage/words.py extents": "the size of an object",
+    "tasks/lineage/words.py model": "the kind of what is explained",
     "tasks/scanner/scenery.py model": "a file of a library",
     "tasks/selection/__init__.py model": "the outside input of the stage",
     "tasks/selection/methods/endpoint.py model": "a field of the protocol",
@@ -118,7 +120,9 @@ ELSEWHERE = {
     "tasks/stage.py library": "an outside input of stages",
     "tasks/stage.py model": "an outside input of stages",
     "tasks/training/systems/selection.py model": "as above",
+    "warehouse/lineage/models.py model": "the kind of what is explained",
     "warehouse/lineage/nodes.py extents": "the size of an object",
+    "warehouse/lineage/targets.py model": "the kind of what is explained",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping, MutableMapping
+from collections.abc import MutableMapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -125,9 +125,3 @@ def width_of(query: Frozen) -> int:
     if isinstance(query, Dinov2Query):
         return len(image_vector(query, np.zeros((8, 8, 3), dtype=np.uint8), False))
     return pair_in(query).width
-
-
-def digests_of(config: SelectionModel) -> Mapping[str, str]:
-    """Hashes of the weights of frozen encoders, by query: what a model's scores hang on besides its own weights."""
-    queries = {"image": config.image, "text": config.text}
-    return {name: weights_digest(query.weights) for name, query in queries.items() if isinstance(query, Frozen)}

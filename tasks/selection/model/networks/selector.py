@@ -170,10 +170,3 @@ def query_of(config: object, width: int, embedding: int) -> nn.Module | None:
     if isinstance(config, OwnText):
         return WordTable(config, embedding)
     return nn.Identity() if width == embedding else nn.Linear(width, embedding)
-
-
-def seeded(config: SelectionModel, seed: int, *, image_width: int = 0, text_width: int = 0) -> Selector:
-    """A network whose first weights follow from a seed; the state of torch's generator is left as it is."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return Selector(config, image_width=image_width, text_width=text_width)

@@ -14,6 +14,7 @@ from tasks.selection.model.batches import predicted
 from tasks.selection.model.config import NoQuery, OwnImage, OwnText, PaperPatches, SelectionModel, Small
 from tasks.selection.model.inference import Scorer, load
 from tasks.selection.model.shapes import shapes_of
+from tasks.selection.model.sight import scan_cloud
 from tasks.weights import to_safetensors
 from tests.conftest import REPOSITORY
 from tests.tasks.selection.model.shapes import toy
@@ -131,3 +132,22 @@ def test_names_are_compared_as_torch_compares_them() -> None:
         np.abs(scorer.named(examples[0].scanned.cloud, examples[0].scanned.extents, names, 24) - expected).max()
         <= 1e-5 * np.abs(expected).max()
     )
+
+
+def test_clouds_alone_are_scored_without_evidence() -> None:
+    config = dataclasses.replace(FULL, query_evidence=False, residuals=False)
+    _, weights = random_weights(config)
+    scorer = load(weights, config)
+    assert isinstance(scorer, Scorer)
+    examples, clouds = toy(1, 4, points=64)
+    scanned, contenders = examples[0].scanned, examples[0].contenders(clouds)
+    points, colors = np.stack([c.cloud.points for c in contenders]), np.stack([c.cloud.colors for c in contenders])
+    extents = np.stack([*(c.extents for c in contenders), scanned.extents])
+    seen = scanned.cloud.points, scanned.cloud.colors
+    made = scorer.scores(points, colors, scanned.image, scanned.category, extents, seen)
+    ordered = [dataclasses.replace(c, cloud=scan_cloud(c.cloud.points, c.cloud.colors, config)) for c in contenders]
+    whole = dataclasses.replace(scanned, cloud=scan_cloud(*seen, config))
+    assert np.abs(made - scorer.score(whole, ordered)).max() <= 1e-4
+    order = np.random.default_rng(0).permutation(points.shape[1])
+    mixed = scorer.scores(points[:, order], colors[:, order], scanned.image, scanned.category, extents, seen)
+    assert np.abs(made - mixed).max() <= 1e-3
