@@ -26,7 +26,7 @@ from schemas.tables import TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("schemas", "tasks")
-MECHANISM = ("tasks.settings", "tasks.stage", "schemas.tables", "schemas.record", "schemas.errors", "schemas.files")
+MECHANISM = ("tasks.settings", "tasks.stage", "tasks.training", "schemas.tables", "schemas.record", "schemas.errors", "schemas.files")
 """Modules that carry rows around and compute none: a change there redoes nothing."""
 
 PICTURES = "pictures-"
