@@ -42,7 +42,7 @@ def batch_of(first: str) -> str:
 
 def answers_of(truth: Mapping[str, Any], rule: AnnotatorRule, seed: int, number: int) -> list[dict[str, Any]]:
     """Answers for a room, as a batch file has them. number: of the first in its batch."""
-    found = []
+    found: list[dict[str, Any]] = []
     for instance_id, known in sorted(truth["instances"].items()):
         text = f"{seed}|{truth['scene_id']}|{instance_id}|simulated annotator"
         rng = np.random.default_rng(list(hashlib.sha256(text.encode()).digest()))

@@ -181,12 +181,14 @@ def another_color(color: Color, apart: float, rng: np.random.Generator) -> Color
 
 def recolored(parts: Sequence[trimesh.Trimesh], main: Color, color: Color, reach: float = 60.0) -> list[trimesh.Trimesh]:
     """Parts with what is within `reach` of a color moved to another one; the rest keeps its own."""
+    from trimesh.visual import ColorVisuals
+
     moved = []
     for part in parts:
         part = part.copy()
-        colors = np.asarray(part.visual.vertex_colors).astype(np.float64)
+        colors = np.column_stack([surface_of([part]).colors.astype(np.float64), np.full(len(part.vertices), 255.0)])
         near = np.linalg.norm(colors[:, :3] - main, axis=1) <= reach
         colors[near, :3] += np.array(color, dtype=np.float64) - main
-        part.visual.vertex_colors = np.clip(np.round(colors), 0, 255).astype(np.uint8)
+        part.visual = ColorVisuals(part, vertex_colors=np.clip(np.round(colors), 0, 255).astype(np.uint8))
         moved.append(part)
     return moved

@@ -133,7 +133,7 @@ def _measured(
     known = known_instances(truth, surfaces, reader, lake)
     context = Context(scene, "selection", seed, lake.blobs, caches=ModuleCaches())
     candidates = [row for row in reader.rows(Candidate, scene) if row.instance_id in known]
-    assets = reader.rows_by_key(Asset, {row.asset_id for row in candidates})
+    assets = reader.rows_by_key(Asset, {row.asset_id for row in candidates if row.asset_id is not None})
     instances = [row for row in reader.rows(Instance, scene) if row.is_structure or row.instance_id in known]
     found: dict[str, list[dict[str, Any]]] = {scorer.key: [] for scorer in scorers}
     gathered = gather(

