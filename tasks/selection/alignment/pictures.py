@@ -82,7 +82,7 @@ def loaded(folder: str) -> Any:
 
         model = Dinov2Model.from_pretrained(folder, local_files_only=True, use_safetensors=True)
     except ImportError as error:
-        raise InputError("acdc", "dinov2", "wants the packages torch and transformers", "install them, or leave dinov2 empty") from error
+        raise InputError(folder, "", "wants the packages torch and transformers", "install them, or leave dinov2 empty") from error
     except Exception as error:  # whatever the files lead the loader to
         raise InputError(folder, "model.safetensors", f"is no DINOv2: {error}"[:300], "name a folder of DINOv2") from error
     return model.eval()
