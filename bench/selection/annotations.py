@@ -42,15 +42,15 @@ def batch_of(first: str) -> str:
 
 def answers_of(truth: Mapping[str, Any], rule: AnnotatorRule, seed: int, number: int) -> list[dict[str, Any]]:
     """Answers for a room, as a batch file has them. number: of the first in its batch."""
-    found: list[dict[str, Any]] = []
+    answers: list[dict[str, Any]] = []
     for instance_id, known in sorted(truth["instances"].items()):
         text = f"{seed}|{truth['scene_id']}|{instance_id}|simulated annotator"
         rng = np.random.default_rng(list(hashlib.sha256(text.encode()).digest()))
         annotator = ANNOTATORS[int(rng.integers(len(ANNOTATORS)))]
         ranked, _ = order([slot["total"] for slot in known["slots"]], rule, rng)
         slots = [k + 1 for k in ranked[: rule.ranked]]
-        found.append(answer(truth["scene_id"], instance_id, annotator, slots, number + len(found)))
-    return found
+        answers.append(answer(truth["scene_id"], instance_id, annotator, slots, number + len(answers)))
+    return answers
 
 
 def annotate(lake: Lake, truths: Sequence[Mapping[str, Any]], rule: AnnotatorRule, seed: int) -> Iterator[str]:

@@ -44,7 +44,7 @@ from schemas.files import write_whole
 from schemas.navigation import Split
 from schemas.tables import TABLES
 from tasks import captions
-from tasks.annotation.simulation import AnnotatorRule, Difference, Shown, dissimilarity
+from tasks.annotation.simulation import AnnotatorRule, ModelDifference, ShownModel, dissimilarity
 from tasks.candidates.library import LibraryIndex
 from tasks.candidates.request import CandidateRequest
 from tasks.capture import scenes as capture
@@ -191,9 +191,9 @@ def work(
         with _timed(seconds, "candidates"):
             offered = offer(model, request, context.rng("lineup", row.instance_id))
         candidates += candidate_rows(request, offered)
-        for one in offered:
-            assets.setdefault(one.made.asset.asset_id, one.made.asset)
-            blobs.update(one.made.files)
+        for each in offered:
+            assets.setdefault(each.made.asset.asset_id, each.made.asset)
+            blobs.update(each.made.files)
         with _timed(seconds, "differences"):
             known[row.instance_id] = truth_of(model, offered, off, settings, context, row.instance_id)
     listed = [assets[key] for key in sorted(assets)]
@@ -219,11 +219,11 @@ def truth_of(
     model: TrueModel, offered: Sequence[Offered], off: float, settings: DataSettings, context: Context, instance_id: str
 ) -> dict[str, Any]:
     """What is true of an instance: its model, and what each slot holds and how much it differs."""
-    own = Shown.of(model.category, surface_of(model.parts), context.rng("true", instance_id))
-    differences: list[Difference] = []
-    for number, one in enumerate(offered):
-        surface = surface_of_glb(one.made.files[one.made.asset.mesh_blob], one.made.asset.mesh_blob)
-        other = Shown.of(one.made.asset.category, surface, context.rng("shown", instance_id, number), one.kind == "crop")
+    own = ShownModel.of(model.category, surface_of(model.parts), context.rng("true", instance_id))
+    differences: list[ModelDifference] = []
+    for number, each in enumerate(offered):
+        surface = surface_of_glb(each.made.files[each.made.asset.mesh_blob], each.made.asset.mesh_blob)
+        other = ShownModel.of(each.made.asset.category, surface, context.rng("shown", instance_id, number), each.kind == "crop")
         differences.append(dissimilarity(own, other, settings.rule))
     return {
         "model": model.name,
@@ -232,8 +232,8 @@ def truth_of(
         "extents": list(model.extents),
         "scan_distance_m": off,
         "slots": [
-            {"kind": one.kind, "asset_id": one.made.asset.asset_id, **dataclasses.asdict(difference)}
-            for one, difference in zip(offered, differences, strict=True)
+            {"kind": each.kind, "asset_id": each.made.asset.asset_id, **dataclasses.asdict(difference)}
+            for each, difference in zip(offered, differences, strict=True)
         ],
     }
 

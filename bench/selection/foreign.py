@@ -20,7 +20,7 @@ from bench.dwellings.by_others import BY_OTHERS
 from bench.realdata import HOUSE, HOUSE_VOXEL_M, MODELS
 from bench.selection.data import CAPTURE, DataSettings, work
 from bench.selection.lineups import SLOTS, Offered
-from bench.selection.measures import Scorer, TrueSurface, measured_room
+from bench.selection.measures import MeasuredMethod, TrueSurface, measured_room
 from bench.selection.rooms import LIGHT, TrueModel
 from flows.run.fingerprints import code_fingerprint, digest
 from schemas.budget import BUDGET
@@ -56,7 +56,7 @@ def model_of(node: str) -> str:
     return re.sub(r"_\d{3}$", "", node)
 
 
-def house_outcomes(realdata: Path, folder: Path, scorers: Sequence[Scorer], seed: int) -> list[SelectionOutcome]:
+def house_outcomes(realdata: Path, folder: Path, scorers: Sequence[MeasuredMethod], seed: int) -> list[SelectionOutcome]:
     """Outcomes of every scorer for the objects of the house; the house is scanned once, and remembered in a folder."""
     lake, truth = made_house(realdata, folder / "house", seed)
     surfaces = _surfaces(realdata, truth)

@@ -52,7 +52,7 @@ class LineupSettings:
     size_jitter: float = 0.06  # of each side of a variant, as a standard deviation: catalogs come in sizes
     color_jitter: float = 9.0  # of 255, of each channel of a variant: below what a scan's exposure moves colors by
     reshaped: float = 0.35  # largest change of a side of what has other proportions, as a logarithm
-    others: int = 2  # candidates of other categories
+    other_categories: int = 2  # candidates of other categories
     near_categories: int = 10  # from which these are drawn: those whose usual proportions come nearest
     color_apart: float = 90.0  # of 442, between the color of the scanned model and that in which it is offered again
     twin_share: float = 0.5  # of lineups offer a variant in two colors and not the scanned model: two of one mesh tell nothing
@@ -100,7 +100,7 @@ def lineup(
     if rng.random() < settings.crop_share:
         offered += _of_scan("crop", request)
     offered += _of_scan("parametric", request)
-    known = {one.made.asset.asset_id for one in offered}
+    known = {each.made.asset.asset_id for each in offered}
     while len(offered) < SLOTS:
         made = drawn(variant(), true.category)
         if made.asset.asset_id not in known:
@@ -114,11 +114,11 @@ def candidate_rows(request: CandidateRequest, offered: Sequence[Offered]) -> lis
     version = {"crop": ScanCrop().version, "parametric": Parametric().version}
     return [
         Candidate(
-            scene_id=request.context.scene_id, instance_id=request.instance.instance_id, slot=slot, provider=one.made.asset.provider,
-            provider_version=version.get(one.kind, Procedural().version), is_fallback=False, outcome="filled", reason=None,
-            asset_id=one.made.asset.asset_id,
+            scene_id=request.context.scene_id, instance_id=request.instance.instance_id, slot=slot, provider=each.made.asset.provider,
+            provider_version=version.get(each.kind, Procedural().version), is_fallback=False, outcome="filled", reason=None,
+            asset_id=each.made.asset.asset_id,
         )
-        for slot, one in enumerate(offered, start=1)
+        for slot, each in enumerate(offered, start=1)
     ]  # fmt: skip
 
 
@@ -146,7 +146,7 @@ def _near(true: TrueModel, categories: Sequence[str], settings: LineupSettings, 
         if name != true.category
     }
     nearest = sorted(far, key=lambda name: (far[name], name))[: settings.near_categories]
-    return [nearest[int(k)] for k in rng.permutation(len(nearest))[: settings.others]]
+    return [nearest[int(k)] for k in rng.permutation(len(nearest))[: settings.other_categories]]
 
 
 def scaled(extents: Extents, logarithms: Array) -> Extents:

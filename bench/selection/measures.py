@@ -37,7 +37,7 @@ SAMPLES = 2048
 
 
 @dataclasses.dataclass(frozen=True)
-class Scorer:
+class MeasuredMethod:
     """A method with its settings. name: in tables; seed: that its model was trained with; model: None where it learns nothing."""
 
     name: str
@@ -99,8 +99,8 @@ def nearest(totals: Mapping[int, float]) -> set[int]:
 
 
 def measured_room(
-    lake: Lake, reader: Reader, truth: Mapping[str, Any], surfaces: Mapping[str, TrueSurface], scorers: Sequence[Scorer], dataset: str,
-    folder: Path | None, seed: int,
+    lake: Lake, reader: Reader, truth: Mapping[str, Any], surfaces: Mapping[str, TrueSurface], scorers: Sequence[MeasuredMethod],
+    dataset: str, folder: Path | None, seed: int,
 ) -> list[SelectionOutcome]:  # fmt: skip
     """Outcomes of every scorer for every instance of a room: remembered ones, and those that are new."""
     path = folder / f"{truth['scene_id'].replace('/', '-')}.json" if folder is not None else None
@@ -125,8 +125,8 @@ def remembered(path: Path | None, mark: str) -> dict[str, list[dict[str, Any]]]:
 
 
 def _measured(
-    lake: Lake, reader: Reader, truth: Mapping[str, Any], surfaces: Mapping[str, TrueSurface], scorers: Sequence[Scorer], dataset: str,
-    seed: int,
+    lake: Lake, reader: Reader, truth: Mapping[str, Any], surfaces: Mapping[str, TrueSurface], scorers: Sequence[MeasuredMethod],
+    dataset: str, seed: int,
 ) -> dict[str, list[dict[str, Any]]]:  # fmt: skip
     """Rows of outcomes as plain values, by scorer."""
     scene = truth["scene_id"]
@@ -135,13 +135,13 @@ def _measured(
     candidates = [row for row in reader.rows(Candidate, scene) if row.instance_id in known]
     assets = reader.rows_by_key(Asset, {row.asset_id for row in candidates if row.asset_id is not None})
     instances = [row for row in reader.rows(Instance, scene) if row.is_structure or row.instance_id in known]
-    found: dict[str, list[dict[str, Any]]] = {scorer.key: [] for scorer in scorers}
+    rows: dict[str, list[dict[str, Any]]] = {scorer.key: [] for scorer in scorers}
     gathered = gather(
         instances, candidates, assets, context, SelectionConfig(), [], captions=reader.rows(Caption, scene),
         frames=reader.rows(Frame, scene), masks=reader.rows(Mask, scene),
     )  # fmt: skip
     for query, evidence in gathered:
-        slots = [one.candidate.slot for one in evidence]
+        slots = [each.candidate.slot for each in evidence]
         for scorer in scorers:
             clock = time.perf_counter()
             scores, _, _, lacks = scored(query, evidence, scorer.config, scorer.model)
@@ -151,8 +151,8 @@ def _measured(
                 seed=scorer.seed, model_id=scorer.model.model_id if scorer.model else None, is_fallback=lacks is not None,
                 seconds=took,
             )  # fmt: skip
-            found[scorer.key].append(dataclasses.asdict(row))
-    return found
+            rows[scorer.key].append(dataclasses.asdict(row))
+    return rows
 
 
 def check_committed(reader: Reader, truths: Sequence[Mapping[str, Any]]) -> None:

@@ -14,7 +14,7 @@ from bench.goals import goal
 from bench.machine import machine
 from bench.selection.annotations import annotate
 from bench.selection.data import DataSettings, SelectionData, counts_of, generate
-from bench.selection.measures import Scorer, TrueSurface, check_committed, measured_room
+from bench.selection.measures import MeasuredMethod, TrueSurface, check_committed, measured_room
 from bench.selection.rooms import made_room, split_of_room
 from flows.run.configuration import Configuration, configure
 from flows.training.models import loaded_model
@@ -171,10 +171,10 @@ def settings_of(name: str, seed: int, steps: int) -> Configuration:
     return dataclasses.replace(plain, stages=stages)
 
 
-def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]]) -> list[Scorer]:
+def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]]) -> list[MeasuredMethod]:
     """Every method that is measured."""
-    learned = [Scorer(name, ModelScores(row.model_id), seed, loaded_model(lake, row)) for name, seed, row in models]
-    return [Scorer(name, method) for name, method in PLAIN.items()] + learned
+    learned = [MeasuredMethod(name, ModelScores(row.model_id), seed, loaded_model(lake, row)) for name, seed, row in models]
+    return [MeasuredMethod(name, method) for name, method in PLAIN.items()] + learned
 
 
 def true_surfaces(truth: Mapping[str, Any], seed: int) -> dict[str, TrueSurface]:
@@ -221,13 +221,13 @@ def margin(outcomes: Sequence[SelectionOutcome], seed: int) -> dict[str, Any]:
     means = {name: _mean_hits(of) for name, of in rows.items()}
     if MODEL not in means:
         return {}
-    found: dict[str, Any] = {}
+    margins: dict[str, Any] = {}
     for name, other in means.items():
         keys = sorted(set(means[MODEL]) & set(other))
         if name != MODEL and keys:
             own, its = [means[MODEL][key] for key in keys], [other[key] for key in keys]
-            found[name] = dataclasses.asdict(difference(own, its, [key[0] for key in keys], seed))
-    return found
+            margins[name] = dataclasses.asdict(difference(own, its, [key[0] for key in keys], seed))
+    return margins
 
 
 def _mean_hits(rows: Sequence[SelectionOutcome]) -> dict[tuple[str, str], float]:
@@ -252,8 +252,8 @@ def goals(
     plain = best_plain(figures)
     own, other = top(figures, MODEL), top(figures, plain)
     wanted = other + min(0.1, 0.5 * (1 - other))
-    others = [name for name in rare if name != MODEL and name not in (*ABLATIONS, BLIND)]
-    rest = max((top(rare, name) for name in others if np.isfinite(top(rare, name))), default=float("nan"))
+    rivals = [name for name in rare if name != MODEL and name not in (*ABLATIONS, BLIND)]
+    rest = max((top(rare, name) for name in rivals if np.isfinite(top(rare, name))), default=float("nan"))
     longest = max((model.seconds for name, _, model in models if name == MODEL), default=float("nan"))
     return [
         *(goal(f"instances, {split}", counts["instances"][split], ">=", least) for split, least in EXAMPLES.items()),
@@ -270,7 +270,7 @@ def _percent(share: float) -> float | None:
     return None if np.isnan(share) else 100 * share
 
 
-def _foreign(config: SelectionBench, scorers: Sequence[Scorer]) -> tuple[dict[str, Any], list[str]]:
+def _foreign(config: SelectionBench, scorers: Sequence[MeasuredMethod]) -> tuple[dict[str, Any], list[str]]:
     """Figures of the AWS house, and what was not measured, a line each."""
     from bench.selection.foreign import house_outcomes, lacking
 

@@ -179,11 +179,11 @@ def exchanged(objects: list[Furnishing], categories: tuple[str, ...], rare: froz
         must = obj.category not in categories
         may = obj.name not in carriers and mounting(obj.category).kind != "let_in"
         if must or (may and rng.random() < EXCHANGED):
-            others = alike(obj.category, obj.extents, categories)
+            fitting = alike(obj.category, obj.extents, categories)
             if obj.name in carriers:
-                others = [name for name in others if mounting(name).is_flat_topped]
-            few = [name for name in others if name in rare]
-            chosen = few if few and rng.random() < 0.5 else others
+                fitting = [name for name in fitting if mounting(name).is_flat_topped]
+            few = [name for name in fitting if name in rare]
+            chosen = few if few and rng.random() < 0.5 else fitting
             if chosen:
                 name = chosen[int(rng.integers(len(chosen)))]
                 model = generate(name, obj.extents, rng)

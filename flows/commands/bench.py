@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
-import sys
-from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
+from flows.commands.measurement import chosen_words, listed_numbers, run_measurement
 from flows.commands.options import json_option
 from schemas.errors import InputError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-Show = Callable[[Mapping[str, Any], "Console"], None]
 
 METHODS = ("paper", "default")
 
@@ -68,9 +59,14 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
     from bench.optimization.tables import print_report
 
     config = BenchConfig(
-        methods=_chosen(methods, METHODS, "--methods"), rooms=rooms, seed=seed, lake=address, moves_only=moves_only, processes=processes
+        methods=chosen_words(methods, METHODS, "--methods"),
+        rooms=rooms,
+        seed=seed,
+        lake=address,
+        moves_only=moves_only,
+        processes=processes,
     )
-    _measure("measured", steps_of(config), partial(run_bench, config), print_report, as_json)
+    run_measurement("measured", steps_of(config), partial(run_bench, config), print_report, as_json)
 
 
 @command.command("rooms")
@@ -105,7 +101,7 @@ def rooms(rooms: int, seed: int, folder: Path | None, realdata: Path | None, pro
     if not (rooms or realdata):
         raise click.UsageError("--rooms 0 without --realdata: nothing is left to measure; give one of them")
     config = DwellingsBench(rooms, seed, processes, folder, realdata)
-    _measure("measured", config.steps, partial(run_dwellings_bench, config), print_dwellings, as_json)
+    run_measurement("measured", config.steps, partial(run_dwellings_bench, config), print_dwellings, as_json)
 
 
 @command.command("exports")
@@ -125,7 +121,7 @@ def exports(rooms: int, episodes: int, seed: int, processes: int, as_json: bool)
     """
     from bench.exports import ExportsBench, print_exports, run_exports_bench
 
-    _measure("exported", rooms, partial(run_exports_bench, ExportsBench(rooms, seed, processes, episodes)), print_exports, as_json)
+    run_measurement("exported", rooms, partial(run_exports_bench, ExportsBench(rooms, seed, processes, episodes)), print_exports, as_json)
 
 
 @command.command("engines")
@@ -178,7 +174,7 @@ def engines(named: tuple[str, ...], demo: int, rooms: int, realdata: Path | None
     config = EnginesBench(SceneChoice(folder.resolve(), demo, rooms, realdata, address, seed, processes), interpreters(named))
     with Progress("exported", config.scenes.steps) as progress:
         scenes = scenes_of(config, progress.advance)
-    _measure("simulated", len(scenes) * len(config.setups), partial(run_engines_bench, config, scenes), print_engines, as_json)
+    run_measurement("simulated", len(scenes) * len(config.setups), partial(run_engines_bench, config, scenes), print_engines, as_json)
 
 
 @command.command("navigation")
@@ -197,7 +193,7 @@ def navigation(rooms: int, seed: int, processes: int, as_json: bool) -> None:
     """
     from bench.navigation import NavigationBench, print_navigation, run_navigation_bench
 
-    _measure("measured", rooms, partial(run_navigation_bench, NavigationBench(rooms, seed, processes)), print_navigation, as_json)
+    run_measurement("measured", rooms, partial(run_navigation_bench, NavigationBench(rooms, seed, processes)), print_navigation, as_json)
 
 
 @command.command("colliders")
@@ -215,7 +211,7 @@ def colliders(library: str | None, models: int, seed: int, as_json: bool) -> Non
     from bench.colliders import CollidersBench, print_colliders, run_colliders_bench, steps_of
 
     config = CollidersBench(library, models, seed)
-    _measure("measured", steps_of(config), partial(run_colliders_bench, config), print_colliders, as_json)
+    run_measurement("measured", steps_of(config), partial(run_colliders_bench, config), print_colliders, as_json)
 
 
 @command.command("alignment")
@@ -267,8 +263,8 @@ def warehouse(scenes: int, seed: int, runs: int, parts: str, as_json: bool) -> N
     from bench.warehouse.report import PARTS, WarehouseBench, run_warehouse_bench, steps_of
     from bench.warehouse.tables import print_warehouse
 
-    config = WarehouseBench(scenes=scenes, seed=seed, runs=runs, parts=_chosen(parts, PARTS, "--parts"))
-    _measure("measured", steps_of(config), partial(run_warehouse_bench, config), print_warehouse, as_json)
+    config = WarehouseBench(scenes=scenes, seed=seed, runs=runs, parts=chosen_words(parts, PARTS, "--parts"))
+    run_measurement("measured", steps_of(config), partial(run_warehouse_bench, config), print_warehouse, as_json)
 
 
 @command.command("flows")
@@ -297,11 +293,11 @@ def flows(scenes: str, runners: str, workers: int, seed: int, parts: str, speed_
     from bench.flows.tables import print_flows
 
     config = FlowsBench(
-        scenes=_numbers(scenes, "--scenes"), runners=_chosen(runners, RUNNERS, "--runners"), workers=workers, seed=seed,
-        parts=_chosen(parts, PARTS, "--parts"), speed_scenes=speed_scenes, speed_rooms=speed_rooms,
+        scenes=listed_numbers(scenes, "--scenes"), runners=chosen_words(runners, RUNNERS, "--runners"), workers=workers, seed=seed,
+        parts=chosen_words(parts, PARTS, "--parts"), speed_scenes=speed_scenes, speed_rooms=speed_rooms,
         chaos_scenes=chaos_scenes, kills=kills,
     )  # fmt: skip
-    _measure("measured", steps_of(config), partial(run_flows_bench, config), print_flows, as_json)
+    run_measurement("measured", steps_of(config), partial(run_flows_bench, config), print_flows, as_json)
 
 
 @command.command("scale")
@@ -322,8 +318,8 @@ def scale(objects: str, scenes: str, seed: int, as_json: bool) -> None:
     from bench.flows.scale import ScaleBench, run_scale_bench
     from bench.flows.tables import print_scale
 
-    config = ScaleBench(_numbers(objects, "--objects"), _numbers(scenes, "--scenes"), seed)
-    _measure("measured", len(config.objects) + len(config.scenes), partial(run_scale_bench, config), print_scale, as_json)
+    config = ScaleBench(listed_numbers(objects, "--objects"), listed_numbers(scenes, "--scenes"), seed)
+    run_measurement("measured", len(config.objects) + len(config.scenes), partial(run_scale_bench, config), print_scale, as_json)
 
 
 @command.command("view")
@@ -340,7 +336,7 @@ def view(address: str | None, pages: int, annotate: bool, as_json: bool) -> None
     from bench.viewer import ViewerBench, print_viewer_report, run_viewer_bench
 
     run, show = (run_annotating_bench, print_annotating_report) if annotate else (run_viewer_bench, print_viewer_report)
-    _measure("pages", pages, partial(run, ViewerBench(address, pages=pages)), show, as_json)
+    run_measurement("pages", pages, partial(run, ViewerBench(address, pages=pages)), show, as_json)
 
 
 @command.command("chaos")
@@ -367,8 +363,8 @@ def chaos(kills: int, minutes: float, seed: int, kinds: str, folder: Path, as_js
     from bench.kills.campaign import KINDS, Campaign, run_campaign
     from bench.kills.tables import print_campaign
 
-    campaign = Campaign(folder, kills, minutes, seed, _chosen(kinds, KINDS, "--kinds"))
-    _measure("kills", kills, partial(run_campaign, campaign), print_campaign, as_json)
+    campaign = Campaign(folder, kills, minutes, seed, chosen_words(kinds, KINDS, "--kinds"))
+    run_measurement("kills", kills, partial(run_campaign, campaign), print_campaign, as_json)
 
 
 @command.command("selection")
@@ -407,55 +403,6 @@ def selection(rooms: int, seeds: int, steps: int, variants: str, seed: int, fold
     from bench.selection.tables import print_selection
 
     known = SelectionBench(folder).variants
-    chosen = () if variants.strip() == "none" else _chosen(variants, known, "--variants")
+    chosen = () if variants.strip() == "none" else chosen_words(variants, known, "--variants")
     config = SelectionBench(folder, rooms, seeds, steps, seed, processes, chosen, realdata)
-    _measure("measured", config.steps_of_progress, partial(run_selection_bench, config), print_selection, as_json)
-
-
-def _numbers(text: str, option: str) -> tuple[int, ...]:
-    """Numbers from 1 with commas between."""
-    words = _words(text)
-    if not words or not all(word.isdigit() and int(word) for word in words):
-        raise click.BadParameter(f"{text!r} is no list of numbers from 1", param_hint=option)
-    return tuple(map(int, words))
-
-
-def _words(text: str) -> tuple[str, ...]:
-    """Words with commas between, each once."""
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
-
-
-def _chosen(text: str, known: tuple[str, ...], option: str) -> tuple[str, ...]:
-    """Words with commas between, each of which must be known; all that are known where there are none."""
-    words = _words(text) or known
-    unknown = [word for word in words if word not in known]
-    if unknown:
-        raise click.BadParameter(f"{unknown[0]!r} is none of {', '.join(known)}", param_hint=option)
-    return words
-
-
-def _measure(label: str, steps: int, run: Callable[[Callable[[str], None]], dict[str, Any]], show: Show, as_json: bool) -> None:
-    """Run a benchmark behind a progress bar of so many steps, and print its report; exit code 1 when a goal is missed."""
-    from flows.progress import Progress
-
-    with Progress(label, steps) as progress:
-        report = run(progress.advance)
-    if as_json:
-        print(json.dumps(_finite(report), allow_nan=False))
-    else:
-        from rich.console import Console
-
-        from flows.terminal import drawn
-
-        show(report, Console(file=drawn(sys.stdout), highlight=False, width=None if sys.stdout.isatty() else 120))
-    if any(goal["met"] is False for goal in report["goals"]):
-        click.get_current_context().exit(1)
-
-
-def _finite(value: Any) -> Any:
-    """The same with null for numbers that are none: an object without a certificate moved by nobody knows how much."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    run_measurement("measured", config.steps_of_progress, partial(run_selection_bench, config), print_selection, as_json)

@@ -61,7 +61,7 @@ class AnnotatorRule(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Shown:
+class ShownModel:
     """What an annotator sees of a model. sample: of its surface, in its own frame, bottom center of its box at the origin, +Z up [m];
     is_scan: it is a piece of the scan."""
 
@@ -70,17 +70,17 @@ class Shown:
     is_scan: bool = False
 
     @staticmethod
-    def of(category: str, surface: Surface, rng: np.random.Generator, is_scan: bool = False) -> Shown:
+    def of(category: str, surface: Surface, rng: np.random.Generator, is_scan: bool = False) -> ShownModel:
         """What is seen of a surface in a frame with +Z up [m]."""
         points, colors, normals = sample_surface(surface, SAMPLES, rng)
         low, high = surface.bounds
         shift = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
         area = surface_area(surface.vertices, surface.faces)
-        return Shown(category, Sample(points - shift, normals, colors, np.maximum(high - low, 1e-4), area), is_scan)
+        return ShownModel(category, Sample(points - shift, normals, colors, np.maximum(high - low, 1e-4), area), is_scan)
 
 
 @dataclasses.dataclass(frozen=True)
-class Difference:
+class ModelDifference:
     """How much a candidate differs. chamfer_m: after alignment [m]; color: CIE 1976; category: 0..1; total: by the rule."""
 
     chamfer_m: float
@@ -89,7 +89,7 @@ class Difference:
     total: float
 
 
-def dissimilarity(true: Shown, other: Shown, rule: AnnotatorRule) -> Difference:
+def dissimilarity(true: ShownModel, other: ShownModel, rule: AnnotatorRule) -> ModelDifference:
     """How much a candidate differs from the true model. Distances are to small discs round samples, so that two samples of one surface
     are nearly 0 m apart."""
     from scipy.spatial import cKDTree
@@ -113,7 +113,7 @@ def dissimilarity(true: Shown, other: Shown, rule: AnnotatorRule) -> Difference:
     shades = _least(other_lab, lab[near]) + _least(lab, other_lab[back_near])
     color, category = 0.5 * shades, 1.0 - category_similarity(true.category, other.category)
     total = best / diagonal / rule.shape_unit + color / rule.color_unit + rule.category_weight * category
-    return Difference(best, color, category, total + (rule.scan_penalty if other.is_scan else 0.0))
+    return ModelDifference(best, color, category, total + (rule.scan_penalty if other.is_scan else 0.0))
 
 
 def order(totals: Sequence[float], rule: AnnotatorRule, rng: np.random.Generator) -> tuple[list[int], bool]:
@@ -139,9 +139,9 @@ def answer(scene_id: str, instance_id: str, annotator: str, slots: Sequence[int]
     }
 
 
-def _least(colors: Array, others: Array) -> float:
+def _least(colors: Array, nearby: Array) -> float:
     """Mean of the least difference of each color, shape (n, 3), from several, shape (n, k, 3)."""
-    return float(np.linalg.norm(others - colors[:, None], axis=2).min(axis=1).mean())
+    return float(np.linalg.norm(nearby - colors[:, None], axis=2).min(axis=1).mean())
 
 
 def lab_of(colors: NDArray[np.uint8]) -> Array:

@@ -19,7 +19,7 @@ from bench.selection.annotations import annotate
 from bench.selection.data import DataSettings, SelectionData, counts_of, generate
 from bench.selection.foreign import made_house, model_of
 from bench.selection.lineups import OF_SCANNED, LineupSettings, Offered, lineup, main_color, recolored
-from bench.selection.measures import Scorer, measured_room
+from bench.selection.measures import MeasuredMethod, measured_room
 from bench.selection.report import PLAIN, SelectionBench, margin, run_selection_bench, table_row, true_surfaces
 from bench.selection.rooms import TrueModel, held_out, is_hard, made_room, split_of_room
 from schemas.annotation import Annotation, AnswerVerdict, QualityReview
@@ -246,7 +246,7 @@ def test_methods_are_measured_where_they_hit_and_what_was_measured_is_remembered
     reader = data.lake.snapshot()
     truth = next(row for row in data.truths() if row["split"] == "test")
     surfaces = true_surfaces_of(truth)
-    scorers = [Scorer(name, config) for name, config in PLAIN.items()]
+    scorers = [MeasuredMethod(name, config) for name, config in PLAIN.items()]
     rows = measured_room(data.lake, reader, truth, surfaces, scorers[:2], "x", tmp_path, 0)
     assert len(rows) == 2 * len(truth["instances"])
     ranks = {row.instance_id: row.rank for row in reader.rows(Selection, truth["scene_id"]) if _is_best(truth, row)}

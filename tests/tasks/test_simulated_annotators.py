@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tasks.annotation.batch import read_answers
-from tasks.annotation.simulation import TOOL, AnnotatorRule, Shown, answer, dissimilarity, lab_of, order
+from tasks.annotation.simulation import TOOL, AnnotatorRule, ShownModel, answer, dissimilarity, lab_of, order
 from tasks.furniture import generate
 from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.transforms import transform_points, yaw_pose
@@ -19,8 +19,8 @@ def surface(category: str = "chair", seed: int = 0, color: tuple[int, int, int] 
     return surface_of(generate(category, extents, np.random.default_rng(seed), color=color).parts)
 
 
-def shown(of: Surface, seed: int, category: str = "chair", is_scan: bool = False) -> Shown:
-    return Shown.of(category, of, np.random.default_rng(seed), is_scan)
+def shown(of: Surface, seed: int, category: str = "chair", is_scan: bool = False) -> ShownModel:
+    return ShownModel.of(category, of, np.random.default_rng(seed), is_scan)
 
 
 RULE = AnnotatorRule()
