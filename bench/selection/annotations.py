@@ -59,7 +59,7 @@ def annotate(lake: Lake, truths: Sequence[Mapping[str, Any]], rule: AnnotatorRul
     have = {row.scene_id for row in reader.rows(Assignment)}
     for name, state in batch_states(reader).items():
         if name.startswith("simulated-") and state.state in ("open", "submitted", "in_review"):
-            yield _carried_on(lake, name, truths)
+            yield carried_on(lake, name, truths)
     waiting = [truth for truth in truths if truth["scene_id"] not in have and truth["instances"]]
     for at in range(0, len(waiting), ROOMS_PER_BATCH):
         chosen = waiting[at : at + ROOMS_PER_BATCH]
@@ -67,11 +67,11 @@ def annotate(lake: Lake, truths: Sequence[Mapping[str, Any]], rule: AnnotatorRul
         given: list[dict[str, Any]] = []
         for truth in chosen:
             given += answers_of(truth, rule, seed, len(given))
-        _answer(lake, name, given, seed)
-        yield _carried_on(lake, name, truths)
+        give(lake, name, given, seed)
+        yield carried_on(lake, name, truths)
 
 
-def _answer(lake: Lake, name: str, given: list[dict[str, Any]], seed: int) -> None:
+def give(lake: Lake, name: str, given: list[dict[str, Any]], seed: int) -> None:
     """Create a batch with its assignments and its answers. No figures of them are computed: nobody placed anything."""
     configuration = configure()
     batch = read_answers({"batch_id": name, "tool": TOOL, "annotations": given}, name)
@@ -97,7 +97,7 @@ def _answer(lake: Lake, name: str, given: list[dict[str, Any]], seed: int) -> No
         change.commit(BatchActs((made,), assignments, tuple(rows)), f"annotation batch {name}", configuration)
 
 
-def _carried_on(lake: Lake, name: str, truths: Sequence[Mapping[str, Any]]) -> str:
+def carried_on(lake: Lake, name: str, truths: Sequence[Mapping[str, Any]]) -> str:
     """A batch handed in, reviewed and concluded, from wherever it is."""
     state = batch_states(lake.snapshot(), [name])[name]
     if state.state == "open":
@@ -112,9 +112,12 @@ def _carried_on(lake: Lake, name: str, truths: Sequence[Mapping[str, Any]]) -> s
     for sampled in state.sample:
         row = given[sampled.scene_id, sampled.instance_id, sampled.annotator]
         totals = {slot["asset_id"]: slot["total"] for slot in slots[sampled.scene_id, sampled.instance_id]}
-        passes = row.choice is not None and totals[row.choice] <= min(totals.values()) + TOLERATED
-        verdicts.append({"scene_id": sampled.scene_id, "instance_id": sampled.instance_id, "annotator": sampled.annotator,
-                         "passes": passes, "reviewed_at": FIRST_MOMENT.isoformat()})  # fmt: skip
+        least = min(totals.values())
+        passes = row.choice is not None and totals[row.choice] <= least + TOLERATED
+        verdict = {"scene_id": sampled.scene_id, "instance_id": sampled.instance_id, "annotator": sampled.annotator, "passes": passes,
+                   "reviewed_at": FIRST_MOMENT.isoformat()}  # fmt: skip
+        remark = f"another candidate differs by {least:.2f} from what was scanned"
+        verdicts.append(verdict if passes else verdict | {"remark": remark})
     save_verdicts(lake, {"batch_id": name, "reviewer": REVIEWER, "simulated": True, "verdicts": verdicts}, name)
     summary = conclude(lake, name)
     return f"{name}: {summary['answers']} answers, {summary['passed']} of {summary['sampled']} sampled pass: {summary['verdict']}"

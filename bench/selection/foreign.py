@@ -20,7 +20,7 @@ from bench.dwellings.by_others import BY_OTHERS
 from bench.realdata import HOUSE, HOUSE_VOXEL_M, MODELS
 from bench.selection.data import CAPTURE, DataSettings, work
 from bench.selection.lineups import SLOTS, Offered
-from bench.selection.measures import MeasuredMethod, TrueSurface, measured_room
+from bench.selection.measures import MeasuredMethod, TrueSurface, measured_room, source_digest
 from bench.selection.rooms import LIGHT, TrueModel
 from flows.run.fingerprints import code_fingerprint, digest
 from schemas.budget import BUDGET
@@ -66,7 +66,8 @@ def house_outcomes(realdata: Path, folder: Path, scorers: Sequence[MeasuredMetho
 def made_house(realdata: Path, folder: Path, seed: int) -> tuple[Lake, dict[str, Any]]:
     """A lake with the house and its lineups, and its truth."""
     lake, path = Lake.open(folder / "lake"), folder / "truth.json"
-    mark = digest(BY_OTHERS[0].digest(realdata), code_fingerprint("bench.selection.foreign"), str(seed))
+    code = [code_fingerprint(module) for module in ("tasks.scanner", "tasks.capture.scenes", "tasks.selection")]
+    mark = digest(BY_OTHERS[0].digest(realdata), source_digest("foreign", "data"), *code, str(seed))
     if path.exists() and (held := json.loads(path.read_bytes()))["mark"] == mark:
         return lake, held["truth"]
     with tempfile.TemporaryDirectory(prefix="house-", ignore_cleanup_errors=True) as place:

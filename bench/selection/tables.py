@@ -10,14 +10,16 @@ from bench.tables import add_row, goals_table, headline, table_of
 if TYPE_CHECKING:
     from rich.console import Console
 
-COLUMNS: tuple[tuple[str, str, float, int], ...] = (
+CHOICES: tuple[tuple[str, str, float, int], ...] = (
     ("top_1", "top-1 [%]", 100, 1), ("top_5", "top-5 [%]", 100, 1), ("top_1_without_own", "without own [%]", 100, 1),
-    ("chamfer_m", "CD [mm]", 1000, 1), ("ecd_m", "ECD [mm]", 1000, 1), ("box_iou", "IoU", 1, 3), ("color_kl", "color KL", 1, 3),
-    ("regret_chamfer_m", "regret CD [mm]", 1000, 1), ("milliseconds", "ms", 1, 1),
 )  # fmt: skip
-"""Figures, their headers, what they are multiplied by, and digits."""
+"""Figures of choices, with intervals: headers, what they are multiplied by, and digits."""
 
-WITH_INTERVALS = ("top_1", "top_5", "top_1_without_own")
+SURFACES: tuple[tuple[str, str, float, int], ...] = (
+    ("chamfer_m", "CD [mm]", 1000, 1), ("ecd_m", "ECD [mm]", 1000, 1), ("box_iou", "IoU", 1, 3), ("color_kl", "color KL", 1, 2),
+    ("regret_chamfer_m", "CD above best [mm]", 1000, 1), ("milliseconds", "ms", 1, 1),
+)  # fmt: skip
+"""Figures of what was chosen."""
 
 
 def print_selection(report: Mapping[str, Any], console: Console) -> None:
@@ -27,15 +29,17 @@ def print_selection(report: Mapping[str, Any], console: Console) -> None:
     rooms, instances = counts["rooms"], counts["instances"]
     console.print(
         f"{instances['train']:,} instances of {rooms['train']} rooms to learn from, {instances['test']:,} of {rooms['test']} held-out "
-        f"rooms, {counts['held_out']['test']:,} of these of held-out categories; all annotators are simulated"
+        f"rooms, {counts['held_out']['test']:,} of these of held-out categories; all annotators are simulated",
+        soft_wrap=True,
     )
     cpu = ", ".join(f"{step} {value:.1f}" for step, value in counts["cpu_seconds"].items())
-    console.print(f"processor seconds per room: {cpu}")
+    console.print(f"processor seconds per room: {cpu}", soft_wrap=True)
     for line in report["failed_rooms"]:
         console.print(line, markup=False, soft_wrap=True)
     for key, title in (("methods", "held-out rooms"), ("held_out_categories", "held-out categories"), ("house", "AWS small house")):
         if report[key]:
-            console.print(_figures(title, report[key]))
+            console.print(_choices(title, report[key]))
+            console.print(_surfaces(f"{title}: what was chosen", report[key]))
     margin = table_of("top-1 of the model above others, of the same instances [points]", ("", False), ("above", True), ("95 %", True))
     for name, row in report["margin"].items():
         add_row(margin, name, f"{100 * row['value']:.1f}", f"{100 * row['low']:.1f} to {100 * row['high']:.1f}")
@@ -51,16 +55,26 @@ def print_selection(report: Mapping[str, Any], console: Console) -> None:
     console.print(goals_table(report["goals"]))
 
 
-def _figures(title: str, methods: Mapping[str, Any]) -> Any:
-    """A row for every method."""
-    table = table_of(title, ("", False), ("n", True), ("seeds", True), *((header, True) for _, header, _, _ in COLUMNS))
+def _choices(title: str, methods: Mapping[str, Any]) -> Any:
+    """How often each method finds the truth, with intervals of 95 % over rooms."""
+    table = table_of(title, ("", False), ("instances", True), ("seeds", True), *((header, True) for _, header, _, _ in CHOICES))
     for name, row in methods.items():
-        cells = []
-        for key, _, times, digits in COLUMNS:
-            figure = row["figures"].get(key)
-            text = "n/a" if figure is None else f"{times * figure['value']:.{digits}f}"
-            if figure is not None and key in WITH_INTERVALS:
-                text += f" ({times * figure['low']:.{digits}f}-{times * figure['high']:.{digits}f})"
-            cells.append(text)
-        add_row(table, name, str(row["instances"]), str(row["seeds"]), *cells)
+        add_row(table, name, str(row["instances"]), str(row["seeds"]), *(_cell(row, *column, with_interval=True) for column in CHOICES))
     return table
+
+
+def _surfaces(title: str, methods: Mapping[str, Any]) -> Any:
+    """How far what each method chooses is from the scanned model."""
+    table = table_of(title, ("", False), *((header, True) for _, header, _, _ in SURFACES))
+    for name, row in methods.items():
+        add_row(table, name, *(_cell(row, *column) for column in SURFACES))
+    return table
+
+
+def _cell(row: Mapping[str, Any], key: str, header: str, times: float, digits: int, with_interval: bool = False) -> str:
+    """A figure of a method as text; n/a where there is none."""
+    figure = row["figures"].get(key)
+    if figure is None:
+        return "n/a"
+    value, low, high = (f"{times * figure[end]:.{digits}f}" for end in ("value", "low", "high"))
+    return f"{value} ({low}-{high})" if with_interval else value

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from bench.selection import lineups, rooms
-from bench.selection.annotations import annotate
+from bench.selection import lineups, measures, rooms
+from bench.selection.annotations import annotate, answers_of, batch_of, carried_on, give
 from bench.selection.data import DataSettings, SelectionData, counts_of, generate
 from bench.selection.foreign import made_house, model_of
 from bench.selection.lineups import OF_SCANNED, LineupSettings, Offered, lineup, main_color, recolored
-from bench.selection.measures import MeasuredMethod, measured_room
+from bench.selection.measures import MeasuredMethod, measured_room, source_digest
 from bench.selection.report import PLAIN, SelectionBench, margin, run_selection_bench, table_row, true_surfaces
 from bench.selection.rooms import TrueModel, held_out, is_hard, made_room, split_of_room
 from schemas.annotation import Annotation, AnswerVerdict, QualityReview
@@ -33,6 +33,7 @@ from tasks.annotation.simulation import AnnotatorRule, order
 from tasks.furniture import generate as furniture
 from tasks.geometry.meshes import read_points, sample_surface, surface_of, surface_of_glb
 from tasks.geometry.transforms import inverse, transform_points
+from warehouse.lake import Lake
 from warehouse.tables.gate import batch_states
 from warehouse.tables.reviews import standing_answers
 
@@ -207,6 +208,23 @@ def test_simulated_answers_pass_the_gate_and_every_row_and_view_calls_them_simul
 
 
 @pytest.mark.whole
+def test_answers_by_chance_are_returned_with_remarks_and_count_for_nothing(data: SelectionData, tmp_path: Path) -> None:
+    shutil.copytree(data.folder, tmp_path / "data")
+    lake, kept = Lake.open(tmp_path / "data" / "lake"), data.truths()[:1]
+    lake.remove_scene(data.truths()[1]["scene_id"])
+    name = batch_of(kept[0]["scene_id"]) + "-again"
+    careless = AnnotatorRule(mistakes=1.0)
+    given = [row | {"annotator": "simulated-9"} for row in answers_of(kept[0], careless, 5, 0)]
+    worst = [max(range(10), key=lambda k: known["slots"][k]["total"]) + 1 for _, known in sorted(kept[0]["instances"].items())]
+    give(lake, name, [row | {"choice": slot, "ranking": [slot]} for row, slot in zip(given, worst, strict=True)], 0)
+    assert carried_on(lake, name, kept).endswith("returned")
+    reader = lake.snapshot()
+    assert not batch_states(reader, [name])[name].counts
+    assert all(row.remark for row in reader.rows(AnswerVerdict) if row.batch_id == name and not row.passes)
+    assert "simulated-9" not in standing_answers(reader).column("annotator").to_pylist()
+
+
+@pytest.mark.whole
 def test_choices_are_those_of_the_rule(data: SelectionData) -> None:
     agree = total = 0
     chosen = {(row.scene_id, row.instance_id): row.choice for row in data.lake.snapshot().rows(Annotation)}
@@ -261,6 +279,14 @@ def test_methods_are_measured_where_they_hit_and_what_was_measured_is_remembered
     assert table_row(rows[: len(truth["instances"])], 0)["instances"] == len(truth["instances"])
     own = {slot["asset_id"] for known in truth["instances"].values() for slot in known["slots"] if slot["kind"] in OF_SCANNED}
     assert all(row.is_chosen_own == (row.chosen_asset_id in own) for row in more)
+
+
+def test_what_is_remembered_hangs_on_the_code_that_measured_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = source_digest("measures")
+    assert before != source_digest("foreign")
+    (tmp_path / "measures.py").write_text(Path(measures.__file__).read_text() + "# another\n")
+    monkeypatch.setattr(measures, "__file__", str(tmp_path / "measures.py"))
+    assert source_digest("measures") != before
 
 
 def _is_best(truth: Any, row: Selection) -> bool:
