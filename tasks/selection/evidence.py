@@ -19,9 +19,20 @@ from tasks.geometry.boxes import grown_box, oriented_iou
 from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import inverse, transform_points, translation, yaw_of, yaw_pose
 from tasks.mounting import mounting
-from tasks.selection.alignment import Distances, Fit, Sample, ScannedInstance, align, make_target, sample_asset
+from tasks.selection.alignment import (
+    Distances,
+    Fit,
+    Sample,
+    ScannedInstance,
+    align,
+    by_sight,
+    lacking,
+    make_target,
+    sample_asset,
+    sight_of,
+)  # fmt: skip
 from tasks.selection.coloring import color_histogram, color_similarity
-from tasks.selection.crops import Crop, crop_of
+from tasks.selection.crops import Crop, crop_of, filling
 from tasks.selection.neighbors import Neighborhood, foreign_share
 from tasks.selection.scoring import completeness, is_own_geometry, score_of
 from tasks.stage import Context
@@ -33,6 +44,9 @@ Array = NDArray[np.float64]
 
 LEAST_WITHIN = 0.3
 """A box that holds less than this share of its points is none to go by."""
+
+PICTURE_PIXELS = 224
+"""Of the side of a cut-out crop: about what crops have, and what DINOv2 looks at."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +166,23 @@ def gather(
             instance, described.get(instance.instance_id), context, frame, target, points, colors, views.get(best),
             shown.get((best, instance.instance_id)),
         )  # fmt: skip
+        if by_sight(config.alignment):
+            try:
+                query = dataclasses.replace(query, target=_with_sight(query))
+            except InputError as error:
+                degradations.append(f"{instance.instance_id}: {error}")
+        if lack := lacking(query.target, config.alignment):
+            degradations.append(f"{instance.instance_id}: {lack}")
         yield query, evidence_of(query, usable, by_asset, samples, neighborhood, config)
+
+
+def _with_sight(query: InstanceQuery) -> ScannedInstance:
+    """The scanned instance with how its crop was taken, as far as that is known. Raises as `InstanceQuery.crop` does."""
+    crop = query.crop
+    if crop is None or crop.camera is None:
+        return query.target
+    cut_out = None if crop.silhouette is None else filling(crop.image, crop.silhouette, PICTURE_PIXELS)
+    return dataclasses.replace(query.target, sight=sight_of(crop.camera.pose, query.frame, float(query.target.size[2]), cut_out))
 
 
 def evidence_of(

@@ -23,6 +23,7 @@ __all__ = [
     "ScannedInstance",
     "Sight",
     "align",
+    "by_sight",
     "clamp_scale",
     "lacking",
     "make_target",
@@ -47,3 +48,9 @@ def lacking(target: ScannedInstance, config: AlignmentConfig) -> str | None:
     """What of an instance the config's method wants and does not find, and what it does without; None where all is there."""
     missing = method_of(config.method).lacks(target, config.method)
     return None if missing is None else f"{config.method.kind}: {missing}"
+
+
+def by_sight(config: AlignmentConfig) -> bool:
+    """Whether the config's method goes by how an instance's crop was taken; ours does where it is told to."""
+    method = method_of(config.method)
+    return method.reads_sight and bool(getattr(config.method, "camera", True))

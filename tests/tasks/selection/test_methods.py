@@ -15,6 +15,8 @@ from schemas.families.selection_methods import SELECTION_METHODS
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import matrix, transform_points, yaw_pose
 from tasks.selection import SelectionConfig
+from tasks.selection.alignment import AlignmentConfig
+from tasks.selection.alignment.free_pose import FreePose
 from tasks.selection.crops import Crop, crop_of, filling, resized, scaled, squared
 from tasks.selection.methods.color_histogram import ColorHistogram
 from tasks.selection.methods.extents import Extents, size_agreement
@@ -230,3 +232,26 @@ def test_a_crop_without_camera_is_a_picture_alone() -> None:
     assert (crop.on_white() == crop.image).all()
     assert isinstance(crop.shrunk(10_000), Crop)
     assert crop_of(dataclasses.replace(room.instances[0], view_blob=None), None, None, room.blobs) is None
+
+
+def test_alignment_by_sight_is_told_where_the_crop_was_taken_from() -> None:
+    room = room_of(chair(), [chair(), cabinet()])
+    aligned = SelectionConfig(alignment=AlignmentConfig(method=FreePose()))
+    rows, notes = room.select(aligned)
+    instance = room.instances[0]
+    to_camera = np.array(EYE[:2]) - np.array([instance.box_pose[3], instance.box_pose[7]])
+    for row in rows:
+        front = matrix(row.pose)[:2, 0]
+        assert front @ to_camera / np.linalg.norm(to_camera) == pytest.approx(1.0, abs=1e-6)
+    assert not notes
+    room.frames = [dataclasses.replace(row, pose=None) for row in room.frames]
+    _, notes = room.select(aligned)
+    assert any("free_pose: nobody knows its camera" in note for note in notes)
+
+
+def test_a_broken_crop_is_said_where_alignment_wants_it() -> None:
+    room = room_of(chair(), [chair()])
+    room.instances = [dataclasses.replace(room.instances[0], view_blob=room.blobs.add(b"no picture", "jpg"))]
+    rows, notes = room.select(SelectionConfig(alignment=AlignmentConfig(method=FreePose())))
+    assert len(rows) == 1
+    assert len(notes) == 2, "the picture, and that its camera is unknown"
