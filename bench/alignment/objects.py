@@ -48,7 +48,7 @@ ALIKE_MEAN, ALIKE_MOST = 0.005, 0.02
 
 
 @dataclasses.dataclass(frozen=True)
-class Posed:
+class PosedObject:
     """An object and where it is. surface: The asset, canonical; yaw, offset, scale: asset to world [rad, m]."""
 
     name: str
@@ -76,7 +76,7 @@ class Seen:
     target: ScannedInstance
 
 
-def generated(index: int, seed: int) -> Posed:
+def generated(index: int, seed: int) -> PosedObject:
     """A model of the generator in a random pose; indices go round the categories."""
     category = CATEGORIES[index % len(CATEGORIES)]
     rng = np.random.default_rng([seed, index, zlib.crc32(category.encode())])
@@ -88,38 +88,38 @@ def by_others(folder: Path) -> list[Path]:
     return sorted((folder / MODELS).glob("*.glb"))
 
 
-def of_file(file: Path, seed: int) -> Posed:
+def of_file(file: Path, seed: int) -> PosedObject:
     """A model by others in a random pose."""
     rng = np.random.default_rng([seed, zlib.crc32(file.stem.encode())])
     return in_some_pose(file.stem, surface_of(canonical(load_glb(file.read_bytes(), file.name))), rng)
 
 
-def in_some_pose(name: str, surface: Surface, rng: np.random.Generator) -> Posed:
+def in_some_pose(name: str, surface: Surface, rng: np.random.Generator) -> PosedObject:
     """A surface in a random yaw, place and scale, stretched along its axes."""
     scale = np.exp(rng.uniform(-np.log(STRETCH), np.log(STRETCH), 3))
-    return Posed(name, surface, float(rng.uniform(-np.pi, np.pi)), np.array([*rng.uniform(-3, 3, 2), 0.0]), scale)
+    return PosedObject(name, surface, float(rng.uniform(-np.pi, np.pi)), np.array([*rng.uniform(-3, 3, 2), 0.0]), scale)
 
 
-def scanned(posed: Posed, rng: np.random.Generator, config: AlignmentConfig) -> Seen | None:
+def scanned(posed: PosedObject, rng: np.random.Generator, config: AlignmentConfig) -> Seen | None:
     """The object as three frames from one side saw it; None where they saw next to nothing of it."""
     placed = posed.placed
     scene = RayScene([placed.to_trimesh()])
     middle, sensor = placed.bounds.mean(axis=0), ScannerConfig()
     away = float(np.clip(1.6 * posed.diagonal, 0.7, 0.9 * sensor.max_range_m))
     azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(0.25, 0.7)
-    paint, found, cameras = Paint(scene), [], []
+    paint, clouds, cameras = Paint(scene), [], []
     for turn in (0.0, -ASIDE_RADIANS, ASIDE_RADIANS):
         around = [np.cos(azimuth + turn) * np.cos(elevation), np.sin(azimuth + turn) * np.cos(elevation), np.sin(elevation)]
         camera = look_at(middle + away * np.array(around), middle)
         cameras.append(camera)
-        found.append(_points(shoot(scene, paint, camera, camera, sensor, rng), sensor))
-    points = _thinned(np.concatenate(found), min(sensor.voxel_m, posed.diagonal / 30))
+        clouds.append(_points(shoot(scene, paint, camera, camera, sensor, rng), sensor))
+    points = _thinned(np.concatenate(clouds), min(sensor.voxel_m, posed.diagonal / 30))
     if len(points) < LEAST_POINTS:
         return None
     return instance(points, rng, config, cameras[0])
 
 
-def whole(posed: Posed, rng: np.random.Generator, config: AlignmentConfig) -> Seen:
+def whole(posed: PosedObject, rng: np.random.Generator, config: AlignmentConfig) -> Seen:
     """The object seen from everywhere, without noise."""
     points, _, _ = sample_surface(posed.placed, 20_000, rng)
     return instance(points, rng, config, None, is_noisy=False)
@@ -138,7 +138,7 @@ def instance(points: Array, rng: np.random.Generator, config: AlignmentConfig, c
     return Seen(frame, dataclasses.replace(target, sight=None if camera is None else sight_of(camera, frame, float(extent[2]))))
 
 
-def same_turns(posed: Posed, rng: np.random.Generator) -> tuple[float, ...] | None:
+def same_turns(posed: PosedObject, rng: np.random.Generator) -> tuple[float, ...] | None:
     """Turns about its axis after which the object, with the scale that its box asks for then, is where it was [rad], 0 among them;
     None where nearly all are: it is round.
 
@@ -176,7 +176,7 @@ def same_turns(posed: Posed, rng: np.random.Generator) -> tuple[float, ...] | No
     return tuple(2 * np.pi * index / YAWS for index in sorted(best))
 
 
-def camera_made(posed: Posed, seen: Seen) -> Posed:
+def camera_made(posed: PosedObject, seen: Seen) -> PosedObject:
     """The same object as an image-to-3D model makes it: its front is what the camera saw, its proportions are right, its size is not."""
     assert seen.target.sight is not None
     facing = yaw_of(seen.frame) + seen.target.sight.azimuth
@@ -185,10 +185,10 @@ def camera_made(posed: Posed, seen: Seen) -> Posed:
     low, high = surface.bounds
     shift = np.array([*(0.5 * (low + high)[:2]), low[2]])
     moved = surface.transformed(yaw_pose(0.0, -shift))
-    return Posed(posed.name, moved, facing, posed.offset + size * turned(facing) @ shift, np.full(3, size))
+    return PosedObject(posed.name, moved, facing, posed.offset + size * turned(facing) @ shift, np.full(3, size))
 
 
-def sampled(posed: Posed, config: AlignmentConfig, rng: np.random.Generator) -> Sample:
+def sampled(posed: PosedObject, config: AlignmentConfig, rng: np.random.Generator) -> Sample:
     """Samples of the asset, as selection takes them."""
     return sample_of(posed.surface, config, rng)
 

@@ -13,7 +13,7 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.alignment.objects import Posed, Seen, by_others, camera_made, generated, of_file, same_turns, sampled, scanned, whole
+from bench.alignment.objects import PosedObject, Seen, by_others, camera_made, generated, of_file, same_turns, sampled, scanned, whole
 from bench.goals import goal
 from bench.machine import machine
 from flows.run.pool import WorkerPool
@@ -93,19 +93,19 @@ class Errors:
 
 def variants() -> tuple[Variant, ...]:
     """Every method in all of its forms, and those that go by the camera with and without it."""
-    found = []
+    forms = []
     for method in METHODS:
         fields = method.config.__dataclass_fields__
         for form in get_args(get_type_hints(method.config)["form"]) if "form" in fields else ("",):
             label = " ".join(filter(None, (method.name, form.replace("_", " "))))
-            told = {"form": form} if form else {}
-            config = AlignmentConfig(method=method.config(**told))
+            settings = {"form": form} if form else {}
+            config = AlignmentConfig(method=method.config(**settings))
             if method is not FREE_POSE:
-                found.append(Variant(label, config, False))
+                forms.append(Variant(label, config, False))
             if method.reads_sight:
-                aware = method.config(**told, **({"camera": True} if "camera" in fields else {}))
-                found.append(Variant(f"{label}, camera known", dataclasses.replace(config, method=aware), True))
-    return tuple(found)
+                aware = method.config(**settings, **({"camera": True} if "camera" in fields else {}))
+                forms.append(Variant(f"{label}, camera known", dataclasses.replace(config, method=aware), True))
+    return tuple(forms)
 
 
 def run_alignment_bench(config: AlignmentBench, advance: Callable[[str], None]) -> dict[str, Any]:
@@ -114,10 +114,10 @@ def run_alignment_bench(config: AlignmentBench, advance: Callable[[str], None]) 
     skipped: list[str] = []
     jobs = [*range(config.objects), *config.files]
     with WorkerPool(config.processes) as pool, ThreadPoolExecutor(config.processes) as threads:
-        for name, found in threads.map(partial(pool.call, measured, config), jobs):
+        for name, errors in threads.map(partial(pool.call, measured, config), jobs):
             advance(name)
-            rows += found
-            skipped += [] if found else [name]
+            rows += errors
+            skipped += [] if errors else [name]
     figures = [figures_of(rows, of, label) for of in SETS for label in dict.fromkeys(row.method for row in rows if row.set == of)]
     without = "" if config.files else "models by others: none below --realdata" if config.realdata else "models by others: no --realdata"
     return {
@@ -138,28 +138,32 @@ def measured(config: AlignmentBench, job: int | Path) -> tuple[str, list[Errors]
         return posed.name, []
     rows = errors(SETS[0] if isinstance(job, int) else SETS[1], posed, seen, variants(), rng)
     if isinstance(job, int):
-        ours, sighted = variants()[0], [one for one in variants() if one.knows_camera]
+        ours, sighted = variants()[0], [variant for variant in variants() if variant.knows_camera]
         rows += errors(SETS[2], camera_made(posed, seen), seen, [ours, *sighted], rng)
         scale = float(rng.uniform(Acdc.smallest_scale, Acdc.largest_scale))
         even = dataclasses.replace(posed, scale=np.full(3, scale))
         rows += errors(
-            SETS[3], even, whole(even, rng, AlignmentConfig(points=WHOLE_POINTS)), [one for one in variants() if not one.knows_camera], rng
+            SETS[3],
+            even,
+            whole(even, rng, AlignmentConfig(points=WHOLE_POINTS)),
+            [variant for variant in variants() if not variant.knows_camera],
+            rng,
         )
     return posed.name, rows
 
 
-def errors(of: str, posed: Posed, seen: Seen, chosen: Sequence[Variant], rng: np.random.Generator) -> list[Errors]:
+def errors(of: str, posed: PosedObject, seen: Seen, chosen: Sequence[Variant], rng: np.random.Generator) -> list[Errors]:
     """Errors of methods on an object."""
     turns = same_turns(posed, rng)
     seed = int(rng.integers(2**32))
     dense = sampled(posed, AlignmentConfig(samples=2048), rng)
     truth = dense.placed(Fit(posed.yaw, posed.offset, posed.scale))
-    found = []
-    for one in chosen:
-        sample = sampled(posed, one.config, np.random.default_rng(seed))
-        target = seen.target if one.knows_camera else dataclasses.replace(seen.target, sight=None)
+    errors = []
+    for variant in chosen:
+        sample = sampled(posed, variant.config, np.random.default_rng(seed))
+        target = seen.target if variant.knows_camera else dataclasses.replace(seen.target, sight=None)
         clock = time.process_time()
-        fit, _ = align(dataclasses.replace(target), sample, THRESHOLD_M, one.config)
+        fit, _ = align(dataclasses.replace(target), sample, THRESHOLD_M, variant.config)
         spent = time.process_time() - clock
         world = Fit(fit.yaw + yaw_of(seen.frame), seen.frame[:3, :3] @ fit.offset + seen.frame[:3, 3], fit.scale)
         placed = sampled(posed, AlignmentConfig(samples=2048), np.random.default_rng(seed + 1)).placed(world)
@@ -172,15 +176,15 @@ def errors(of: str, posed: Posed, seen: Seen, chosen: Sequence[Variant], rng: np
         sides = sides[[1, 0, 2]] if quarter else sides
         half = 0.5 * sample.extents * [0.0, 0.0, 1.0]  # from the bottom to the middle
         apart = world.offset + half * world.scale - posed.offset - half * posed.scale
-        found.append(
+        errors.append(
             Errors(
-                of, posed.name, one.label, yaw, float(np.linalg.norm(apart)),
+                of, posed.name, variant.label, yaw, float(np.linalg.norm(apart)),
                 float(np.abs(np.log(sides / wanted)).mean()), abs(float(world.scale[0] - posed.scale[0])),
                 0 if turns is None else len(turns), float(chamfer),
                 float(chamfer / posed.diagonal), 1000 * spent,
             )
         )  # fmt: skip
-    return found
+    return errors
 
 
 def figures_of(rows: Sequence[Errors], of: str, label: str) -> dict[str, Any]:
@@ -200,25 +204,25 @@ def figures_of(rows: Sequence[Errors], of: str, label: str) -> dict[str, Any]:
 def goals(rows: Sequence[Errors], figures: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Ours is the best or as good in yaw and surface, and ACDC does what it promises on what it promises it for."""
     ours = variants()[0].label
-    found = []
+    checks = []
     for of in SETS[:2]:
         own = next((row for row in figures if row["set"] == of and row["method"] == ours), None)
-        others = [row for row in figures if row["set"] == of and not row["method"].startswith(ours)]
+        rivals = [row for row in figures if row["set"] == of and not row["method"].startswith(ours)]
         if own is None:
             continue
         for limit in RIGHT_DEGREES:
-            best = max(row[f"within_{limit:.0f}"] for row in others)
-            found.append(goal(f"{of}: share of yaws of ours within {limit:.0f} degrees", own[f"within_{limit:.0f}"], ">=", best))
-        best = min(row["chamfer_share"] for row in others)
-        found.append(goal(f"{of}: mean distance of surfaces of ours, over the diagonal", own["chamfer_share"], "<=", best))
+            best = max(row[f"within_{limit:.0f}"] for row in rivals)
+            checks.append(goal(f"{of}: share of yaws of ours within {limit:.0f} degrees", own[f"within_{limit:.0f}"], ">=", best))
+        best = min(row["chamfer_share"] for row in rivals)
+        checks.append(goal(f"{of}: mean distance of surfaces of ours, over the diagonal", own["chamfer_share"], "<=", best))
     known = [row for row in rows if row.set == SETS[3] and row.method == ACDC.name]
     if known:
         near = float(np.mean([row.scale_off <= Acdc.scale_step + 1e-9 for row in known]))
         yaws = [row.yaw_degrees for row in known if row.turns == 1 and row.yaw_degrees is not None]
-        found.append(goal(f"whole: share of scales of {ACDC.name} within a step of its grid", near, ">=", PROMISED))
+        checks.append(goal(f"whole: share of scales of {ACDC.name} within a step of its grid", near, ">=", PROMISED))
         right = float(np.mean([yaw < RIGHT_DEGREES[0] for yaw in yaws])) if yaws else None
-        found.append(goal(f"whole: share of yaws of {ACDC.name} below 5 degrees, asymmetric objects", right, ">=", PROMISED))
-    return found
+        checks.append(goal(f"whole: share of yaws of {ACDC.name} below 5 degrees, asymmetric objects", right, ">=", PROMISED))
+    return checks
 
 
 @cache

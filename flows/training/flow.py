@@ -21,7 +21,7 @@ from warehouse.release import releases
 if TYPE_CHECKING:
     System = str
 else:
-    System = Literal[LEARNED_SYSTEMS] if LEARNED_SYSTEMS else str  # the form of a run offers each
+    System = Literal[LEARNED_SYSTEMS]  # the form of a run offers each
 
 HOURS = 24
 """The paper's sizes take most of a day on one graphics card."""

@@ -67,7 +67,7 @@ def _ways(interior: Interior, met: Sequence[Penetration], now: Mapping[tuple[str
         if (p.a, p.b) not in now or p.depth_m > DEEP_M or level < LEVEL:
             continue
         way = (p.depth_m + APART_M) / level**2  # so that the part of it along the direction is the depth
-        for at, sign in sorted(((p.index_a, 1.0), (p.index_b, -1.0)), key=lambda one: (_volume(interior, one[0]), one[0])):
+        for at, sign in sorted(((p.index_a, 1.0), (p.index_b, -1.0)), key=lambda part: (_volume(interior, part[0]), part[0])):
             if at < len(interior.names) and _may_shift(interior, at):
                 shift = (sign * way * p.direction[0], sign * way * p.direction[1], 0.0)
                 ways.append((interior.names[at], (*shift, 0.0, 0.0, 0.0)))

@@ -23,17 +23,14 @@ __all__ = ["STAGE", "SYSTEMS", "TrainingConfig", "run"]
 if TYPE_CHECKING:
     AnySystem = Any
 else:
-    AnySystem = union_of(system.config for system in SYSTEMS) if SYSTEMS else Config
-
-
-_FIRST = SYSTEMS[0].config if SYSTEMS else Config
+    AnySystem = union_of(system.config for system in SYSTEMS)
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig(Config):
     """What is trained, and how."""
 
-    system: AnySystem = dataclasses.field(default_factory=_FIRST)  # the first learned system; `metascenes train` names one
+    system: AnySystem = dataclasses.field(default_factory=SYSTEMS[0].config)  # the first learned system; `metascenes train` names one
 
 
 def run(*, dataset: Dataset, start: Model | None, provenance: Provenance, context: Context, config: TrainingConfig) -> Outcome:

@@ -12,7 +12,7 @@ import trimesh
 from click.testing import CliRunner
 from rich.console import Console
 
-from bench.alignment.objects import Posed, camera_made, generated, same_turns, scanned, whole
+from bench.alignment.objects import PosedObject, camera_made, generated, same_turns, scanned, whole
 from bench.alignment.report import SETS, Variant, errors, variants
 from bench.alignment.tables import print_alignment
 from flows.commands.bench import command
@@ -22,8 +22,8 @@ from tasks.selection.alignment import AlignmentConfig
 from tests.tasks.selection.rooms import cabinet, chair, part
 
 
-def at_rest(surface: Surface, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Posed:
-    return Posed("object", surface, 0.4, np.array([1.0, 2.0, 0.0]), np.array(scale))
+def at_rest(surface: Surface, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> PosedObject:
+    return PosedObject("object", surface, 0.4, np.array([1.0, 2.0, 0.0]), np.array(scale))
 
 
 def round_table() -> list[trimesh.Trimesh]:

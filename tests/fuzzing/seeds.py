@@ -24,6 +24,8 @@ from tasks.families import member
 from tasks.geometry.meshes import dump_glb
 from tasks.geometry.rendering import Camera
 from tasks.geometry.transforms import translation, yaw_pose
+from tasks.models import model_id_of
+from tasks.weights import to_safetensors
 from tests import capture_scans, scans
 from tests.conftest import REPOSITORY
 from tests.fuzzing.cases import Case, read_case
@@ -352,6 +354,19 @@ def library() -> list[Case]:
     index = [{"file": "a.glb", "category": "chair", "license": "CC0", "author": "x", "source": "y"}, {"file": "more/b.glb", "repo": "z"}]
     files = {"a.glb": first["scene.glb"], "more/b.glb": second["scene.glb"], "LICENSE": b"CC BY 4.0\n"}
     return [{**files, "index.json": json.dumps(index).encode()}, files]
+
+
+def model() -> list[Case]:
+    """The folder of a model, as it is exported."""
+    weights = to_safetensors({"bias": np.zeros(3, np.float32), "weight": np.ones((3, 2), np.float16)})
+    config = {"kind": "selection", "half": True}
+    document = {
+        "format": 1, "model_id": model_id_of(weights, json.dumps(config, sort_keys=True, separators=(",", ":"))), "kind": "selection",
+        "architecture": "small", "parameter_count": 9, "config": config, "dataset": "snapshot 1", "dataset_fingerprint": "a" * 64,
+        "examples": {"train": 2}, "seed": 0, "code_fingerprint": "b" * 64, "device": "cpu", "license": "CC0-1.0", "parent_id": None,
+        "is_fallback": False, "notes": [], "measures": [],
+    }  # fmt: skip
+    return [{"model.json": json.dumps(document).encode(), "weights.safetensors": weights}]
 
 
 def annotation_batch() -> list[Case]:

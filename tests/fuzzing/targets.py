@@ -38,7 +38,8 @@ def _outside_inputs() -> list[Target]:
     """What stages declare to come from outside of the lake, but for scans, which have formats."""
     from tasks.pipeline import STAGES
 
-    names = {name for stage in STAGES for name in stage.outside if name not in ("scan", "batch_acts")}  # acts are rows of ours
+    own = ("scan", "batch_acts", "dataset", "start", "provenance")  # scans have formats; the others are rows and models of a lake
+    names = {name for stage in STAGES for name in stage.outside if name not in own}
     names |= {"verdict_batch", "label_studio_batch", "cvat_batch"}  # what acts are made from
     return [Target(name.removesuffix("_batch"), PARSER, getattr(seeds, name), globals()[f"_read_{name}"]) for name in sorted(names)]
 
@@ -99,6 +100,12 @@ def _read_library(folder: Path) -> None:
     for entry in index_library(folder).entries:
         with contextlib.suppress(LakeError, ValueError):  # what the stage takes for "left out"
             library_asset(entry)
+
+
+def _read_model(folder: Path) -> None:
+    from tasks.models import ModelFolder
+
+    assert ModelFolder(folder).model.weights
 
 
 def _read_annotation_batch(folder: Path) -> None:

@@ -107,8 +107,8 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
             if parts and label.category.split(" ")[-1] not in CABINETS:
                 labels[at] = Label(CABINET, CABINET_CLASS, is_known=True)
         elif label.category in SHELVED and float(np.ptp(points[:, 2])) > BOARDS_M:
-            others = [other.vertices for k, other in enumerate(groups) if k != at and not meanings[k].is_structure]
-            beside = world.vertices[np.concatenate([np.zeros(0, dtype=np.int64), *others])]
+            neighbors = [other.vertices for k, other in enumerate(groups) if k != at and not meanings[k].is_structure]
+            beside = world.vertices[np.concatenate([np.zeros(0, dtype=np.int64), *neighbors])]
             parts = [(label.category, group.vertices[own]) for own in _on_other_boards(points, beside)]
         for number, (category, own) in enumerate(parts, start=1):
             is_own = np.isin(world.faces[made[at].faces], own).all(axis=1)
@@ -118,10 +118,10 @@ def set_apart(groups: Sequence[Group], meanings: Sequence[Label], world: Surface
             rest = np.setdiff1d(made[at].vertices, own, assume_unique=True)
             made[at] = dataclasses.replace(made[at], vertices=rest, faces=made[at].faces[~is_own])
             if is_let_in:
-                said = f"is two, of which {name} is the other"
+                relation = f"is two, of which {name} is the other"
             else:
-                said = f"has a {category} {'on another board' if category == label.category else 'on it'}, which is {name} now"
-            notes.append(f"{group.origin or group.source_id}: {group.raw_label!r} {group.source_id} {said}")
+                relation = f"has a {category} {'on another board' if category == label.category else 'on it'}, which is {name} now"
+            notes.append(f"{group.origin or group.source_id}: {group.raw_label!r} {group.source_id} {relation}")
     return tuple(made), labels, notes
 
 
@@ -154,11 +154,11 @@ def _standing_on(points: Array) -> list[Integers]:
     return sorted(standing, key=lambda own: (-len(own), int(own[0])))
 
 
-def _on_other_boards(points: Array, others: Array) -> list[Integers]:
+def _on_other_boards(points: Array, beside_points: Array) -> list[Integers]:
     """Which points of things that were annotated as one are on other boards of a shelf than most of them: those of each board, the largest
-    first; none where nothing is seen between. points: shape (n, 3); others: of all other objects, shape (m, 3) [m]."""
+    first; none where nothing is seen between. points: shape (n, 3); beside_points: of all other objects, shape (m, 3) [m]."""
     low, high = points.min(axis=0), points.max(axis=0)
-    beside = others[((others >= low) & (others <= high)).all(axis=1)]
+    beside = beside_points[((beside_points >= low) & (beside_points <= high)).all(axis=1)]
     clump, _ = clumps(points, STANDS_GAP_M)
     layers: list[Integers] = []  # from below, each with all that no board parts from it
     for own in sorted((np.flatnonzero(clump == k) for k in range(int(clump.max()) + 1)), key=lambda own: float(points[own, 2].min())):
@@ -172,10 +172,10 @@ def _on_other_boards(points: Array, others: Array) -> list[Integers]:
     return [np.sort(own) for own in layers[1:] if len(own) >= STANDS_POINTS]
 
 
-def _is_between(lower: Array, upper: Array, others: Array) -> bool:
-    """Whether others, shape (m, 3) [m], are seen between what is one above the other, in its plan."""
+def _is_between(lower: Array, upper: Array, beside_points: Array) -> bool:
+    """Whether points beside it, shape (m, 3) [m], are seen between what is one above the other, in its plan."""
     top, bottom = float(lower[:, 2].max()), float(upper[:, 2].min())
-    board = others[(others[:, 2] > top + BETWEEN_M) & (others[:, 2] < bottom + BETWEEN_M)]
+    board = beside_points[(beside_points[:, 2] > top + BETWEEN_M) & (beside_points[:, 2] < bottom + BETWEEN_M)]
     plan, under = (set(map(tuple, np.floor(cloud[:, :2] / CELL_M).astype(np.int64).tolist())) for cloud in (upper, board))
     return len(plan & under) >= BETWEEN_SHARE * len(plan)
 

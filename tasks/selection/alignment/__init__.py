@@ -12,7 +12,7 @@ from tasks.selection.alignment.methods import method_of
 from tasks.selection.alignment.refined import clamp_scale, refine
 from tasks.selection.alignment.samples import Fit, Sample
 from tasks.selection.alignment.sampling import sample_asset, sample_of
-from tasks.selection.alignment.targets import HIDDEN_M, ScannedInstance, Sight, make_target, sight_of
+from tasks.selection.alignment.targets import HIDDEN_M, ScannedInstance, Viewpoint, make_target, sight_of
 
 __all__ = [
     "HIDDEN_M",
@@ -21,7 +21,7 @@ __all__ = [
     "Fit",
     "Sample",
     "ScannedInstance",
-    "Sight",
+    "Viewpoint",
     "align",
     "by_sight",
     "clamp_scale",

@@ -72,8 +72,8 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
 
         costs = picture_distances(sight.picture, sample.surface, elevation, own)
     else:
-        found = [np.roll(differences(view, asset, own.depth_weight), -turn) for view, turn in zip(scan, turns, strict=True)]
-        costs = np.sum(found, axis=0)
+        turned = [np.roll(differences(view, asset, own.depth_weight), -turn) for view, turn in zip(scan, turns, strict=True)]
+        costs = np.sum(turned, axis=0)
     best = int(np.argmin(np.round(costs, 9)))
     step = 2 * np.pi / count
     between = np.linspace(-0.5, 0.5, own.between) if own.between > 1 and len(turns) > 1 else np.zeros(1)

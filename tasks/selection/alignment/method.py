@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tasks.selection.alignment.targets import ScannedInstance
 
 
-class MethodConfig(Protocol):
+class AlignmentMethodConfig(Protocol):
     """Settings of a method."""
 
     @property

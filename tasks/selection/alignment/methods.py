@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from schemas.families.alignment_methods import ALIGNMENT_METHODS as NAMES
 from tasks.families import member, members
-from tasks.selection.alignment.method import AlignmentMethod, MethodConfig
+from tasks.selection.alignment.method import AlignmentMethod, AlignmentMethodConfig
 
 METHODS = members("tasks.selection.alignment", NAMES, AlignmentMethod)
 """The first is the default."""
 
 
-def method_of(config: MethodConfig) -> AlignmentMethod:
+def method_of(config: AlignmentMethodConfig) -> AlignmentMethod:
     """The method that a config is one of."""
     return member(METHODS, config.kind)

@@ -22,7 +22,7 @@ WHITE = 255.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Snapshot:
+class OrthographicView:
     """What is seen from a direction. depth: Over the side of the square, shape (side, side), inf where nothing is; color: shape
     (side, side, 3) uint8, white where nothing is. size: Width and height of the box around it in the view, shape (2,) [m]; middle: of
     that box along the view's right and up, shape (2,) [m]."""
@@ -44,15 +44,15 @@ def view_axes(azimuth: float, elevation: float) -> Array:
     return np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce], [ce * ca, ce * sa, se]])
 
 
-def surface_snapshot(surface: Surface, azimuth: float, elevation: float, side: int) -> Snapshot:
+def surface_snapshot(surface: Surface, azimuth: float, elevation: float, side: int) -> OrthographicView:
     """A snapshot of triangles; shaded a little, so that edges show."""
     seen = surface.vertices @ view_axes(azimuth, elevation).T
     at, size, middle = _in_square(seen, side)
     depth, color = _compiled()["_drawn"](at, surface.faces, surface.colors.astype(np.float64), side)
-    return Snapshot(np.asarray(depth) / side, np.asarray(color), size, middle)
+    return OrthographicView(np.asarray(depth) / side, np.asarray(color), size, middle)
 
 
-def points_snapshot(points: Array, gap: float, azimuth: float, elevation: float, side: int) -> Snapshot:
+def points_snapshot(points: Array, gap: float, azimuth: float, elevation: float, side: int) -> OrthographicView:
     """A snapshot of points, shape (n, 3) [m], that lie about `gap` [m] apart: holes between them are closed, and it grows by nothing."""
     from scipy.ndimage import binary_erosion, grey_erosion
 
@@ -66,17 +66,17 @@ def points_snapshot(points: Array, gap: float, azimuth: float, elevation: float,
     inner = slice(reach, reach + side)
     where, near = closed[inner, inner], nearest[inner, inner]
     color = np.where(where[..., None], np.uint8(128), np.uint8(WHITE)) * np.ones(3, dtype=np.uint8)
-    return Snapshot(np.where(where, near / side, np.inf), color, size, middle)
+    return OrthographicView(np.where(where, near / side, np.inf), color, size, middle)
 
 
-def differences(reference: Snapshot, others: list[Snapshot], depth_weight: float) -> Array:
+def differences(reference: OrthographicView, rest: list[OrthographicView], depth_weight: float) -> Array:
     """How much snapshots of one side differ from a reference, shape (n,): what their silhouettes do not share, plus the mean
     difference of their depths, both without their means, where both show something."""
-    silhouettes = np.stack([other.silhouette for other in others])
+    silhouettes = np.stack([other.silhouette for other in rest])
     shared = silhouettes & reference.silhouette
     together = shared.sum(axis=(1, 2))
     union = (silhouettes | reference.silhouette).sum(axis=(1, 2))
-    depths = np.stack([other.depth for other in others])
+    depths = np.stack([other.depth for other in rest])
     with np.errstate(invalid="ignore"):
         apart = np.where(shared, depths - reference.depth, 0.0)
     count = np.maximum(together, 1)

@@ -25,7 +25,7 @@ AWAY = -0.1
 
 
 @dataclasses.dataclass(frozen=True)
-class Sight:
+class Viewpoint:
     """From where the crop of an instance was taken, in the instance's frame. azimuth: About +Z, from +X [rad]; elevation: above the
     horizon [rad]. picture: What the crop shows of it, on white and cut out, shape (h, w, 3) uint8; None where nobody has it."""
 
@@ -40,10 +40,10 @@ class Sight:
         return np.array([flat * np.cos(self.azimuth), flat * np.sin(self.azimuth), np.sin(self.elevation)])
 
 
-def sight_of(camera: Array, frame: Array, height: float, picture: NDArray[np.uint8] | None = None) -> Sight:
+def sight_of(camera: Array, frame: Array, height: float, picture: NDArray[np.uint8] | None = None) -> Viewpoint:
     """How a camera sees an instance. camera, frame: Camera (OpenCV axes) and instance to world, 4x4 [m]; height: of the instance [m]."""
     way = frame[:3, :3].T @ (camera[:3, 3] - frame[:3, 3]) - np.array([0.0, 0.0, 0.5 * height])
-    return Sight(float(np.arctan2(way[1], way[0])), float(np.arctan2(way[2], np.hypot(way[0], way[1]))), picture)
+    return Viewpoint(float(np.arctan2(way[1], way[0])), float(np.arctan2(way[2], np.hypot(way[0], way[1]))), picture)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,7 @@ class ScannedInstance:
     spacing: float
     resolution: float
     seen: Array = dataclasses.field(default_factory=lambda: np.array([[-np.inf] * 3, [np.inf] * 3]))
-    sight: Sight | None = None
+    sight: Viewpoint | None = None
     toward: Array | None = None
     is_square: bool = False
     spans: dict[float, tuple[Array, Array]] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)

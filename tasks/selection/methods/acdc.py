@@ -20,7 +20,7 @@ from tasks.settings import Config, Count, Positive
 
 
 @dataclasses.dataclass(frozen=True)
-class Acdc(Config):
+class AcdcScores(Config):
     """Likeness of DINOv2's patches of the crop and of the nearest of an asset's snapshots. Needs weights that the user names."""
 
     kind: ClassVar[str] = "acdc"
@@ -31,7 +31,7 @@ class Acdc(Config):
     pitch_radians: Positive = 0.35  # furniture lies below the eye
 
 
-def score(query: InstanceQuery, candidates: Sequence[Evidence], config: Acdc, model: Model | None) -> Array:
+def score(query: InstanceQuery, candidates: Sequence[Evidence], config: AcdcScores, model: Model | None) -> Array:
     """Mean cosine of patches at the same place, of the nearest snapshot, shape (k,): -1..1 put into 0.5..1 for the categories that CLIP
     chose, into 0..0.5 for the others.
 
@@ -59,7 +59,7 @@ def nearest(asked: NDArray[np.float32], snapshots: NDArray[np.float32]) -> float
     return float(np.clip(np.einsum("pd,npd->np", asked.astype(np.float64), snapshots.astype(np.float64)).mean(axis=1).max(), -1.0, 1.0))
 
 
-def likely_categories(category: str, offered: Sequence[str], config: Acdc) -> frozenset[str]:
+def likely_categories(category: str, offered: Sequence[str], config: AcdcScores) -> frozenset[str]:
     """The categories among those offered that CLIP's text finds nearest to an instance's; all where no CLIP is named or nothing known."""
     names = sorted(set(offered))
     if not config.clip or not category or len(names) <= config.categories:
@@ -69,7 +69,7 @@ def likely_categories(category: str, offered: Sequence[str], config: Acdc) -> fr
     return frozenset(names[i] for i in order[: config.categories])
 
 
-def _snapshots(query: InstanceQuery, candidate: Evidence, config: Acdc) -> NDArray[np.float32]:
+def _snapshots(query: InstanceQuery, candidate: Evidence, config: AcdcScores) -> NDArray[np.float32]:
     """Patches of an asset's snapshots, shape (n, p, d), remembered by content."""
     encoder, asset = dino_in(config.weights), candidate.asset
 
@@ -80,15 +80,15 @@ def _snapshots(query: InstanceQuery, candidate: Evidence, config: Acdc) -> NDArr
     return remembered(query.context.caches[__name__], key, make, half=True)  # megabytes an asset
 
 
-def label(config: Acdc, model: Model | None) -> str:
+def label(config: AcdcScores, model: Model | None) -> str:
     """Which weights scored."""
     return "+".join(weights_digest(folder)[:12] for folder in (config.weights, config.clip) if folder)
 
 
-def check(config: Acdc) -> None:
+def check(config: AcdcScores) -> None:
     """Raises InputError where a folder of weights is not there."""
     label(config, None)
     weights_digest(config.weights)
 
 
-ACDC = SelectionMethod(name="acdc", config=Acdc, version="1", score=score, needs=("image", "dinov2"), label=label, check=check)
+ACDC = SelectionMethod(name="acdc", config=AcdcScores, version="1", score=score, needs=("image", "dinov2"), label=label, check=check)

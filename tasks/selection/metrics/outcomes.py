@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from schemas.selection import SelectionOutcome
-from tasks.selection.metrics.bootstrap import Interval, interval
+from tasks.selection.metrics.bootstrap import ConfidenceInterval, interval
 from tasks.selection.metrics.rankings import hits, place_of, ranking_of
 from tasks.selection.metrics.surfaces import HIGHER_IS_BETTER, METRICS, Agreement
 
@@ -62,7 +62,7 @@ def outcome_of(
     )  # fmt: skip
 
 
-def figures_of(outcomes: Sequence[SelectionOutcome], seed: int) -> dict[str, Interval]:
+def figures_of(outcomes: Sequence[SelectionOutcome], seed: int) -> dict[str, ConfidenceInterval]:
     """Means over instances by figure (`FIGURES`), with intervals of 95 % over rooms; without those that no instance has.
 
     Rows of one method, dataset and split; those of several seeds count as so many instances of their rooms.

@@ -17,7 +17,7 @@ from tasks.selection.model.foreign import begin_with_foreign
 from tasks.selection.model.frozen import is_frozen, seen_by_frozen, widths_of
 from tasks.selection.model.presets import PRESETS
 from tasks.selection.model.scoring import begin_with
-from tasks.settings import Config, Share
+from tasks.settings import Config, Count, Positive, Share
 from tasks.stage import Context
 from tasks.training.dataset import Dataset
 from tasks.training.fitting import FittingConfig, check_installed, fit, seeded, weights_of
@@ -31,15 +31,22 @@ SHIPPED = Path(__file__).parents[2] / "selection" / "model" / "shipped"
 
 
 @dataclasses.dataclass(frozen=True)
+class SelectionFitting(FittingConfig):
+    """How long and how fast it is fitted."""
+
+    steps: Count = 2000  # 24,000 looks at objects: below 20 minutes on two cores
+    learning_rate: Positive = 2e-3  # the peak; the network is small and trained from scratch
+    validate_steps: Count = 200  # looking at all held-out objects takes as long as some steps
+
+
+@dataclasses.dataclass(frozen=True)
 class SelectionTraining(Config):
     """What is trained, and how."""
 
     kind: ClassVar[str] = "selection"
     model: SelectionModel = dataclasses.field(default_factory=SelectionModel)  # below 2 M parameters; scored without torch
     batch: BatchConfig = dataclasses.field(default_factory=BatchConfig)  # 12 objects a step
-    fitting: FittingConfig = dataclasses.field(
-        default_factory=lambda: FittingConfig(steps=2000, learning_rate=2e-3, validate_steps=200)
-    )  # 24,000 looks at objects: below 20 minutes on two cores
+    fitting: SelectionFitting = dataclasses.field(default_factory=SelectionFitting)  # as networks of this size want it
     trains: Literal["all", "last"] = "all"  # the release trains head, last block and norm alone, and its projection stays as it was drawn
     foreign: str = ""  # file of weights of Point-BERT, ULIP-2 or Uni3D to begin with; none: from scratch
     half: bool = True  # weights are kept at half precision, and figures are of these
@@ -47,7 +54,7 @@ class SelectionTraining(Config):
     test_share: Share = 0.2  # of the rooms, where `splits` has no row; as navigation has it
 
 
-def preset(name: str, fitting: FittingConfig | None = None) -> SelectionTraining:
+def preset(name: str, fitting: SelectionFitting | None = None) -> SelectionTraining:
     """The settings of a preset, with the default budget or another one.
 
     Raises:

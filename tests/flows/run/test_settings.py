@@ -26,7 +26,7 @@ from tasks.navigation.planar import PlanarConfig
 from tasks.navigation.recast import RecastConfig
 from tasks.optimization import Default, OptimizationConfig, Paper
 from tasks.pipeline import STAGES
-from tasks.settings import ByKind, Config, reasons
+from tasks.settings import ByKind, ByWord, Config, reasons
 from tasks.shell import ShellConfig
 from tests.conftest import REPOSITORY
 
@@ -76,8 +76,11 @@ def test_no_field_is_left_out() -> None:
         counted = 0
         for field in dataclasses.fields(config):
             hint, present = get_type_hints(type(config), include_extras=True)[field.name], getattr(config, field.name)
-            if ByKind in map(type, getattr(hint, "__metadata__", ())):
+            marks = set(map(type, getattr(hint, "__metadata__", ())))
+            if ByKind in marks:
                 counted += 1 + sum(count(kind()) for kind in get_args(hint.__origin__))
+            elif ByWord in marks:
+                counted += 1 + count(present)
             elif field.init:
                 counted += count(present) if isinstance(present, Config) else 1
         return counted

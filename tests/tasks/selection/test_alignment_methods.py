@@ -15,12 +15,12 @@ from schemas.errors import InputError
 from tasks.geometry.meshes import Surface, canonical, sample_surface, surface_of
 from tasks.geometry.rendering import RayScene
 from tasks.geometry.transforms import look_at, yaw_pose
-from tasks.selection.alignment import AlignmentConfig, Fit, ScannedInstance, Sight, align, lacking, make_target, sample_of, sight_of
+from tasks.selection.alignment import AlignmentConfig, Fit, ScannedInstance, Viewpoint, align, lacking, make_target, sample_of, sight_of
 from tasks.selection.alignment.acdc import Acdc
 from tasks.selection.alignment.fixed_pose import FixedPose
 from tasks.selection.alignment.free_pose import FreePose
 from tasks.selection.alignment.heuristic import Heuristic
-from tasks.selection.alignment.method import MethodConfig
+from tasks.selection.alignment.method import AlignmentMethodConfig
 from tasks.selection.alignment.methods import METHODS
 from tasks.selection.alignment.refined import Refined
 from tasks.selection.alignment.snapshots import points_snapshot, surface_snapshot, view_axes
@@ -39,7 +39,7 @@ def seen(surface: Surface, yaw: float, scale: tuple[float, float, float], seed: 
     return make_target(points, colors, high - low, AlignmentConfig(points=4096), rng)
 
 
-def found(target: ScannedInstance, surface: Surface, method: MethodConfig) -> Fit:
+def found(target: ScannedInstance, surface: Surface, method: AlignmentMethodConfig) -> Fit:
     config = AlignmentConfig(method=method)
     return align(target, sample_of(surface, config, np.random.default_rng(1)), 0.03, config)[0]
 
@@ -58,7 +58,7 @@ def test_the_default_is_the_first_of_the_family() -> None:
 
 @pytest.mark.parametrize("quarter", range(4))
 @pytest.mark.parametrize("method", WHOLE, ids=lambda m: m.kind)
-def test_every_method_recovers_a_turn_of_quarters(method: MethodConfig, quarter: int) -> None:
+def test_every_method_recovers_a_turn_of_quarters(method: AlignmentMethodConfig, quarter: int) -> None:
     surface = surface_of(canonical(WIDE))
     fit = found(seen(surface, 0.5 * math.pi * quarter, (1, 1, 1)), surface, method)
     assert apart(fit.yaw, 0.5 * math.pi * quarter) < 4.0
@@ -67,7 +67,7 @@ def test_every_method_recovers_a_turn_of_quarters(method: MethodConfig, quarter:
 
 
 @pytest.mark.parametrize("method", WHOLE, ids=lambda m: m.kind)
-def test_a_frame_turned_by_a_quarter_turns_the_pose_and_nothing_else(method: MethodConfig) -> None:
+def test_a_frame_turned_by_a_quarter_turns_the_pose_and_nothing_else(method: AlignmentMethodConfig) -> None:
     surface = surface_of(canonical(WIDE))
     target = seen(surface, 0.3, (1.0, 1.0, 1.0))
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -104,7 +104,7 @@ def test_the_released_fixed_pose_moves_an_asset_to_what_was_seen_and_the_mended_
 @pytest.mark.parametrize("azimuth", [-2.0, 0.4, 3.0])
 def test_free_pose_looks_into_the_camera_and_the_released_one_gets_narrower_by_its_pitch(azimuth: float) -> None:
     surface = surface_of(canonical(WIDE))
-    target = dataclasses.replace(seen(surface, azimuth, (0.8, 0.8, 0.8)), sight=Sight(azimuth, 0.6))
+    target = dataclasses.replace(seen(surface, azimuth, (0.8, 0.8, 0.8)), sight=Viewpoint(azimuth, 0.6))
     fit, released = found(target, surface, FreePose()), found(target, surface, FreePose("as_released"))
     assert apart(fit.yaw, azimuth) < 1e-6
     assert np.allclose(fit.scale, 0.8, atol=0.02)
@@ -118,7 +118,7 @@ def test_what_looks_away_from_the_camera_is_not_missed() -> None:
         canonical([part((0.05, 0.8, 0.8), (0, 0, 0.4)), *[part((0.02, 0.7, 0.06), (0.2, 0, z)) for z in (0.1, 0.3, 0.5, 0.7)]])
     )
     target = seen(surface, 0.0, (1, 1, 1))
-    back = dataclasses.replace(target, points=target.points[target.points[:, 0] < -0.05], sight=Sight(math.pi, 0.0))
+    back = dataclasses.replace(target, points=target.points[target.points[:, 0] < -0.05], sight=Viewpoint(math.pi, 0.0))
     assert apart(found(back, surface, Refined(camera=True)).yaw, 0.0) < 5.0
     blind = dataclasses.replace(back, sight=None)
     assert found(blind, surface, Refined(camera=True)).yaw == found(blind, surface, Refined()).yaw
@@ -203,7 +203,7 @@ def test_the_patches_of_a_photo_find_the_snapshot_that_it_is(weights: Path, step
     method = Acdc(snapshots=20, between=1, picture_pixels=56, dinov2=str(weights))
     yaw = azimuth - 2 * np.pi * step / 20
     photo = surface_snapshot(surface, 2 * np.pi * step / 20, elevation, 112).color
-    target = dataclasses.replace(seen(surface, yaw, (1, 1, 1)), sight=Sight(azimuth, elevation, photo))
+    target = dataclasses.replace(seen(surface, yaw, (1, 1, 1)), sight=Viewpoint(azimuth, elevation, photo))
     assert apart(found(target, surface, method).yaw, yaw) < 1e-6
     assert lacking(target, AlignmentConfig(method=method)) is None
     assert "no photo" in str(lacking(seen(surface, yaw, (1, 1, 1)), AlignmentConfig(method=method)))
@@ -211,6 +211,6 @@ def test_the_patches_of_a_photo_find_the_snapshot_that_it_is(weights: Path, step
 
 def test_a_folder_without_weights_is_named(tmp_path: Path) -> None:
     surface = surface_of(canonical(chair()))
-    target = dataclasses.replace(seen(surface, 0.0, (1, 1, 1)), sight=Sight(0.0, 0.4, np.zeros((8, 8, 3), np.uint8)))
+    target = dataclasses.replace(seen(surface, 0.0, (1, 1, 1)), sight=Viewpoint(0.0, 0.4, np.zeros((8, 8, 3), np.uint8)))
     with pytest.raises(InputError, match=r"config\.json"):
         found(target, surface, Acdc(dinov2=str(tmp_path)))

@@ -15,7 +15,7 @@ from tasks.selection import SelectionConfig
 from tasks.selection.crops import filling
 from tasks.selection.evidence import Evidence, InstanceQuery, gather
 from tasks.selection.methods import acdc, clip
-from tasks.selection.methods.acdc import Acdc
+from tasks.selection.methods.acdc import AcdcScores
 from tasks.selection.methods.clip import Clip
 from tasks.selection.methods.encoders import clip_in, dino_in, remembered, weights_digest
 from tasks.selection.methods.pictures import around, parts_of
@@ -122,7 +122,7 @@ def test_the_caption_is_asked_for_where_there_is_one(room: Room, clip_folder: Pa
 
 
 def test_rows_name_the_weights_and_are_the_same_again(room: Room, clip_folder: Path, dino_folder: Path) -> None:
-    for config in (Clip(weights=str(clip_folder)), Acdc(weights=str(dino_folder), yaws=2)):
+    for config in (Clip(weights=str(clip_folder)), AcdcScores(weights=str(dino_folder), yaws=2)):
         rows, degradations = room.select(SelectionConfig(provider=config))
         assert not degradations
         assert {row.provider for row in rows} == {config.kind}
@@ -138,7 +138,7 @@ def test_acdc_finds_the_snapshot_that_is_the_crop(room: Room, dino_folder: Path)
     from transformers import Dinov2Model
 
     query, candidates = evidence(room)
-    config = Acdc(weights=str(dino_folder), yaws=4)
+    config = AcdcScores(weights=str(dino_folder), yaws=4)
     snapshots = {each.asset.asset_id: around(parts_of(each.asset, room.blobs), 4, (0.35,), 224) for each in candidates}
     model = Dinov2Model.from_pretrained(dino_folder).eval()
     mean, std = (np.array(v).reshape(3, 1, 1) for v in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
@@ -170,7 +170,7 @@ def _crop(picture: np.ndarray):
 
 def test_categories_that_clip_did_not_choose_come_last(room: Room, clip_folder: Path, dino_folder: Path) -> None:
     query, candidates = evidence(room)
-    config = Acdc(weights=str(dino_folder), clip=str(clip_folder), categories=1, yaws=2)
+    config = AcdcScores(weights=str(dino_folder), clip=str(clip_folder), categories=1, yaws=2)
     chosen = acdc.likely_categories("chair", ["table", "chair", "cabinet"], config)
     assert chosen == {"chair"}, "the same text has the cosine 1"
     scores = acdc.score(query, candidates, config, None)

@@ -21,8 +21,7 @@ from tasks.selection.model.inference import load
 from tasks.selection.model.sight import config_from
 from tasks.stage import Blobs, Context
 from tasks.training.dataset import RowsInMemory
-from tasks.training.fitting import FittingConfig
-from tasks.training.systems.selection import SELECTION, SelectionTraining, network, train
+from tasks.training.systems.selection import SELECTION, SelectionFitting, SelectionTraining, network, train
 from tests.tasks.selection.generated import generated_room
 
 SMALL = Small(
@@ -42,7 +41,7 @@ MODEL = SelectionModel(
     SMALL, image=OwnImage(widths=(4, 6, 8)), text=OwnText(buckets=64, width=8), residual_points=32, residual_widths=(8, 12)
 )
 QUICK = SelectionTraining(
-    MODEL, BatchConfig(objects=4), FittingConfig(steps=4, validate_steps=2, warmup_steps=1, device="cpu"), validation_share=0.3
+    MODEL, BatchConfig(objects=4), SelectionFitting(steps=4, validate_steps=2, warmup_steps=1, device="cpu"), validation_share=0.3
 )
 
 

@@ -10,15 +10,12 @@ from pathlib import Path
 import click
 from click.core import ParameterSource
 
-from flows.commands.measurement import chosen_words, listed_numbers, run_measurement
+from flows.commands.bench.matching import alignment, selection
+from flows.commands.bench.measurement import chosen_words, listed_numbers, processes_option, run_measurement
 from flows.commands.options import json_option
 from schemas.errors import InputError
 
 METHODS = ("paper", "default")
-
-_processes_option = click.option(
-    "--processes", type=click.IntRange(1, 256), default=os.cpu_count() or 1, show_default="one per core", help="Worker processes."
-)
 
 _OPTIONS = {"rooms": "--rooms", "address": "--lake", "moves_only": "--moves-only"}
 
@@ -33,13 +30,17 @@ def command() -> None:
         raise InputError("metascenes bench", "", "is not part of the installed package", "run it in a checkout of the project")
 
 
+command.add_command(alignment)
+command.add_command(selection)
+
+
 @command.command("optimization")
 @click.option("--rooms", type=click.IntRange(1, 10_000), default=50, show_default=True, help="Generated rooms, with objects out of place.")
 @click.option("--lake", "address", metavar="ADDRESS", help="Measure the scenes of this lake instead of generated rooms.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms and moves.")
 @click.option("--methods", default=",".join(METHODS), show_default=True, help="Methods, with commas between.")
 @click.option("--moves-only", is_flag=True, help="Time Algorithm 1 per move, and nothing else.")
-@_processes_option
+@processes_option
 @json_option
 def optimization(rooms: int, address: str | None, seed: int, methods: str, moves_only: bool, processes: int, as_json: bool) -> None:
     """Measure the optimization: rooms before and after each method, side by side, and how long it takes.
@@ -81,7 +82,7 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
     envvar="METASCENES_REALDATA",
     help="Folder with the AWS small house, its models and the synthetic living room, which are measured, too.",
 )
-@_processes_option
+@processes_option
 @json_option
 def rooms(rooms: int, seed: int, folder: Path | None, realdata: Path | None, processes: int, as_json: bool) -> None:
     """Measure the pipeline on hard rooms: whole dwellings, scanned badly, from capture to optimization, held against the truth.
@@ -108,7 +109,7 @@ def rooms(rooms: int, seed: int, folder: Path | None, realdata: Path | None, pro
 @click.option("--rooms", type=click.IntRange(1, 10_000), default=20, show_default=True, help="Generated rooms.")
 @click.option("--episodes", type=click.IntRange(1, 1000), default=20, show_default=True, help="Episodes per room, for the gates to replay.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms.")
-@_processes_option
+@processes_option
 @json_option
 def exports(rooms: int, episodes: int, seed: int, processes: int, as_json: bool) -> None:
     """Measure the exports: rooms in every format, through every gate, and simulated by nothing but their files.
@@ -180,7 +181,7 @@ def engines(named: tuple[str, ...], demo: int, rooms: int, realdata: Path | None
 @command.command("navigation")
 @click.option("--rooms", type=click.IntRange(1, 10_000), default=10, show_default=True, help="Generated rooms.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms.")
-@_processes_option
+@processes_option
 @json_option
 def navigation(rooms: int, seed: int, processes: int, as_json: bool) -> None:
     """Measure navigation: path finders against each other, against a plain visibility graph, and episodes replayed.
@@ -212,33 +213,6 @@ def colliders(library: str | None, models: int, seed: int, as_json: bool) -> Non
 
     config = CollidersBench(library, models, seed)
     run_measurement("measured", steps_of(config), partial(run_colliders_bench, config), print_colliders, as_json)
-
-
-@command.command("alignment")
-@click.option("--objects", type=click.IntRange(1, 100_000), default=240, show_default=True, help="Models of the generator, all categories.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same models, poses and scans.")
-@click.option(
-    "--realdata",
-    type=click.Path(path_type=Path, file_okay=False),
-    envvar="METASCENES_REALDATA",
-    help="Folder with models by others, which are measured, too.",
-)
-@_processes_option
-@json_option
-def alignment(objects: int, seed: int, realdata: Path | None, processes: int, as_json: bool) -> None:
-    """Measure the alignment: every method on objects in known poses, seen from one side with a depth sensor's noise.
-
-    Yaws are right modulo turns after which an object is the same, as far as a scan could tell. Milliseconds are processor time.
-
-    The exit code is 1 when a goal is missed, and else 0.
-
-    Example: metascenes bench alignment --objects 20
-    """
-    from bench.alignment.report import AlignmentBench, run_alignment_bench
-    from bench.alignment.tables import print_alignment
-
-    config = AlignmentBench(objects, seed, processes, realdata)
-    _measure("aligned", config.steps, partial(run_alignment_bench, config), print_alignment, as_json)
 
 
 @command.command("warehouse")
@@ -365,44 +339,3 @@ def chaos(kills: int, minutes: float, seed: int, kinds: str, folder: Path, as_js
 
     campaign = Campaign(folder, kills, minutes, seed, chosen_words(kinds, KINDS, "--kinds"))
     run_measurement("kills", kills, partial(run_campaign, campaign), print_campaign, as_json)
-
-
-@command.command("selection")
-@click.option("--rooms", type=click.IntRange(1, 10_000), default=130, show_default=True, help="Generated rooms; a fifth is held out.")
-@click.option("--seeds", type=click.IntRange(1, 100), default=3, show_default=True, help="Seeds of every training but ablations.")
-@click.option("--steps", type=click.IntRange(0), default=0, help="Steps of every training; those of the system where left out.")
-@click.option("--variants", default="", help="Train only these presets, with commas between; `none` trains nothing.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms and lineups.")
-@click.option(
-    "--folder",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("selection"),
-    show_default=True,
-    help="Where rooms, models and figures are kept: the same command goes on.",
-)
-@click.option(
-    "--realdata",
-    type=click.Path(path_type=Path, file_okay=False),
-    envvar="METASCENES_REALDATA",
-    help="Folder with the AWS small house and its models, which is measured, too.",
-)
-@_processes_option
-@json_option
-def selection(rooms: int, seeds: int, steps: int, variants: str, seed: int, folder: Path, realdata: Path | None, processes: int,
-              as_json: bool) -> None:  # fmt: skip
-    """Measure asset selection where the scanned model is known: ten candidates for each object, of which nine are hard to tell from it.
-
-    Rooms are generated, scanned and answered for by simulated annotators; models are trained on four fifths of them, and every method is
-    measured on the others. A fifth of the generator's categories is never trained on. Intervals are over rooms, 95 %.
-
-    The exit code is 1 when a goal is missed, and else 0.
-
-    Example: metascenes bench selection --rooms 20 --seeds 1 --steps 200 --variants small
-    """
-    from bench.selection.report import SelectionBench, run_selection_bench
-    from bench.selection.tables import print_selection
-
-    known = SelectionBench(folder).variants
-    chosen = () if variants.strip() == "none" else chosen_words(variants, known, "--variants")
-    config = SelectionBench(folder, rooms, seeds, steps, seed, processes, chosen, realdata)
-    run_measurement("measured", config.steps_of_progress, partial(run_selection_bench, config), print_selection, as_json)
