@@ -9,9 +9,9 @@ from tasks.selection.alignment.methods import METHODS
 from tasks.settings import Config, Whole, union_of
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.method import AlignmentMethodConfig
+    from tasks.selection.alignment.method import AlignmentMethodConfig as Method
 else:
-    AlignmentMethodConfig = union_of(method.config for method in METHODS)
+    Method = union_of(method.config for method in METHODS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,9 +19,7 @@ class AlignmentConfig(Config):
     """How the pose of an asset on an instance is searched. What stands beside `method` are settings of the first and of measures that all
     share."""
 
-    method: AlignmentMethodConfig = dataclasses.field(
-        default_factory=METHODS[0].config
-    )  # least errors of yaw and surface (docs/alignment.md)
+    method: Method = dataclasses.field(default_factory=METHODS[0].config)  # least errors of yaw and surface (docs/alignment.md)
     yaw_count: Whole = 24  # every 15 degrees: half a step is within reach of the refinement; a multiple of 4 holds the box's own yaws
     hopeless: float = 1.5  # a yaw that costs this many times the best one's stays behind after refinement too
     starts: Whole = 3  # a chair fits nearly as well turned by 90 or 180 degrees: the best three are refined, then compared
