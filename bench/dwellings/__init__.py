@@ -24,7 +24,7 @@ from bench.dwellings.replicas import replica_of
 from bench.goals import goal
 from bench.machine import machine
 from flows.run.configuration import configure
-from flows.run.fingerprints import code_fingerprint
+from flows.run.fingerprints import code_fingerprint, digest
 from flows.run.plan import make_plan
 from flows.run.pool import WorkerLost, WorkerPool, WorkerTimeout
 from flows.run.scene import job_of
@@ -207,7 +207,9 @@ def _measured_by_others(
 
 
 def _code() -> list[str]:
-    return [code_fingerprint("tasks.pipeline"), code_fingerprint("bench.dwellings")]
+    """Hashes of the pipeline, of what makes dwellings and scans, and of this folder, which fingerprints of code do not follow."""
+    own = digest(*(path.read_text() for path in sorted(Path(__file__).parent.glob("*.py"))))
+    return [code_fingerprint("tasks.pipeline"), code_fingerprint("tasks.scanner.dwellings"), own]
 
 
 def _known_or_measured(
