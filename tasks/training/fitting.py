@@ -144,11 +144,14 @@ def fit(
         run = _Run(module, config, seed, fabric)
         mark = f"{identity_json(config)}|{seed}|{fabric.world_size}"
         run.resume(newest(checkpoints, key, mark) if fabric.is_global_zero else None)
+        clock = time.perf_counter()
         for batch in _loader(objective, config, seed, run.step, fabric):
-            run.advance(objective, fabric.to_device(batch))
+            run.advance(objective, fabric.to_device(batch), clock)
+            clock = time.perf_counter()
             is_last = run.step == config.steps
             if run.step % config.validate_steps == 0 or is_last:
                 run.validate(objective)
+                run.seconds, clock = run.seconds + time.perf_counter() - clock, time.perf_counter()
             if (run.step % config.checkpoint_steps == 0 or is_last) and fabric.is_global_zero:
                 keep(checkpoints, key, run.step, run.state(mark))
             report(run.step, config.steps, f"loss {run.losses[-1][0]:.4g}")
@@ -177,11 +180,10 @@ class _Run:
         self.best: dict[str, Tensor] = {}
         self.best_step = 0
 
-    def advance(self, objective: Objective, batch: Any) -> None:
-        """One step on a batch."""
+    def advance(self, objective: Objective, batch: Any, clock: float) -> None:
+        """One step on a batch; `clock`: when the wait for it began."""
         import torch
 
-        clock = time.perf_counter()
         rate = learning_rate_at(self.step, self.config)
         for group in self.optimizer.param_groups:
             group["lr"] = rate

@@ -78,10 +78,13 @@ def answers_of(dataset: Rows) -> tuple[dict[Key, list[tuple[str, ...]]], set[Key
     people: dict[Key, list[tuple[str, ...]]] = defaultdict(list)
     programs: dict[Key, list[tuple[str, ...]]] = defaultdict(list)
     for _, row in sorted(newest.items()):
-        if row.choice is not None and not row.is_withdrawn:
-            order = (row.choice, *(asset for asset in row.ranking if asset != row.choice))
-            (programs if row.is_simulated else people)[row.scene_id, row.instance_id].append(order)
-    return {**programs, **people}, set(programs) - set(people)
+        if row.is_withdrawn:
+            continue
+        answered = (programs if row.is_simulated else people)[row.scene_id, row.instance_id]
+        if row.choice is not None:
+            answered.append((row.choice, *(asset for asset in row.ranking if asset != row.choice)))
+    every = {key: orders for key, orders in {**programs, **people}.items() if orders}
+    return every, set(every) - set(people)
 
 
 def collected(dataset: Rows, context: Context, config: SelectionModel, test_share: float) -> Collected:
@@ -117,6 +120,7 @@ def collected(dataset: Rows, context: Context, config: SelectionModel, test_shar
     licenses |= {assets[asset_id].license for asset_id in clouds}
     made: dict[str, list[Example]] = {"train": [], "test": []}
     left_out: dict[str, int] = defaultdict(int)
+    of_programs = 0
     for number, instance in enumerate(row for row in dataset.rows(Instance) if (row.scene_id, row.instance_id) in answers):
         key = (instance.scene_id, instance.instance_id)
         context_rows = (slots[key], poses[key], assets, captions.get(key))
@@ -126,10 +130,11 @@ def collected(dataset: Rows, context: Context, config: SelectionModel, test_shar
             continue
         split = splits.get(example.room_id) or split_of(example.room_id, test_share)
         made[split].append(example)
+        of_programs += key in simulated
         context.report(number + 1, len(answers), "examples")
     if not made["train"]:
         raise InputError("train selection", "annotations", "has no choice in a training room", "annotate rooms of the split 'train', too")
-    return Collected(made["train"], made["test"], clouds, ", ".join(sorted(licenses)), len(simulated), dict(left_out))
+    return Collected(made["train"], made["test"], clouds, ", ".join(sorted(licenses)), of_programs, dict(left_out))
 
 
 def asset_clouds(assets: Mapping[str, Asset], context: Context, config: SelectionModel) -> dict[str, bytes]:

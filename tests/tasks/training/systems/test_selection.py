@@ -169,6 +169,7 @@ def test_of_answers_the_last_revision_counts_and_people_before_programs() -> Non
         answer(one, c, annotator="bot", is_simulated=True),
         answer(two, a, (b, a, c), is_simulated=True),
         answer(three, None),
+        answer(three, c, annotator="bot", is_simulated=True),
         answer(four, a),
         answer(four, a, revision=2, is_withdrawn=True),
     ]
