@@ -54,7 +54,8 @@ def run(
     config: SelectionConfig,
     model: Model | None = None,
 ) -> Outcome:
-    """Selections: one row per filled slot of every instance, ranked by score; equal scores by slot, and first what several share.
+    """Selections: one row per filled slot of every instance, ranked by score; equal scores by slot, and, where the method
+    is `geometric`, first what several share: `score.look_loss` is a distance of its scores, and says nothing in those of others.
 
     A candidate whose mesh cannot be read is left out, and so is an instance without any candidate; where the method lacks what it needs,
     the geometric score stands in. All of this is said.
@@ -73,8 +74,9 @@ def run(
         if lacks is not None:
             degradations.append(f"{query.instance.instance_id}: {config.provider.kind}: {lacks}; scored by {provider}")
         rankings[query.instance.instance_id] = _ranked(query, evidence, scores, provider, version)
-    categories = {row.instance_id: row.category for row in instances}
-    rankings = shared(rankings, categories, config.score.look_loss)
+    if config.provider.kind == GEOMETRIC.name:
+        categories = {row.instance_id: row.category for row in instances}
+        rankings = shared(rankings, categories, config.score.look_loss)
     return Outcome(selections=[row for rows in rankings.values() for row in rows], degradations=degradations)
 
 

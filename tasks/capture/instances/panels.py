@@ -50,12 +50,17 @@ def panels_of(points: Array, normals: Array) -> list[Integers]:
     left = upright.copy()
     planes: list[tuple[Array, float, float, float]] = []
     while len(planes) < MOST and left.sum() >= LEAST_SHARE * len(points):
-        normal, offset = _plane(points[left], normals[left])
+        plane = _plane(points[left], normals[left])
+        if plane is None:
+            break
+        normal, offset = plane
         own = left & _is_near(points, normal, offset)
         left &= ~own
         if own.sum() < LEAST_SHARE * len(points):
             break
         facing = own & (np.abs(normals[:, :2] @ normal) >= FACING)
+        if not facing.any():
+            break
         if _is_panel(points[facing], normal):
             low, high = np.percentile(points[facing, :2] @ np.array([-normal[1], normal[0]]), [1, 99])
             planes.append((normal, offset, float(low), float(high)))
@@ -69,9 +74,10 @@ def panels_of(points: Array, normals: Array) -> list[Integers]:
     return sorted(parts, key=lambda own: (-len(own), int(own[0])))
 
 
-def _plane(points: Array, normals: Array) -> tuple[Array, float]:
-    """The upright plane that most points lie on and face: its normal, shape (2,), and offset [m]."""
-    best: tuple[int, Array, float] = (-1, np.array([1.0, 0.0]), 0.0)
+def _plane(points: Array, normals: Array) -> tuple[Array, float] | None:
+    """The upright plane that most points lie on and face: its normal, shape (2,), and offset [m]. None where no point faces any: normals
+    are tilted by more than `FACING` allows, or are zero, as those of degenerate triangles."""
+    best: tuple[int, Array, float] | None = None
     for turn in np.pi * np.arange(TURNS) / TURNS:
         normal = np.array([np.cos(turn), np.sin(turn)])
         places = np.sort(points[np.abs(normals[:, :2] @ normal) >= FACING, :2] @ normal)
@@ -80,10 +86,10 @@ def _plane(points: Array, normals: Array) -> tuple[Array, float]:
         middles = np.arange(places[0], places[-1] + STEP_M, STEP_M)
         counts = np.searchsorted(places, middles + THICK_M) - np.searchsorted(places, middles - THICK_M)
         at = int(np.argmax(counts))
-        if counts[at] > best[0]:
+        if best is None or counts[at] > best[0]:
             near = places[np.abs(places - middles[at]) <= THICK_M]
             best = int(counts[at]), normal, float(near.mean())
-    return best[1], best[2]
+    return None if best is None else best[1:]
 
 
 def _distances(points: Array, normal: Array, offset: float, low: float, high: float) -> Array:

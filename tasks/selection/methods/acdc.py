@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tasks.models import Model
 from tasks.selection.crops import filling, squared
 from tasks.selection.evidence import Evidence, InstanceQuery
-from tasks.selection.methods.encoders import clip_in, dino_in, remembered, weights_digest
+from tasks.selection.methods.encoders import check_installed, clip_in, dino_in, remembered, weights_digest
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod
 from tasks.selection.methods.pictures import around, parts_of
 from tasks.settings import Config, Count, Positive
@@ -86,9 +86,10 @@ def label(config: AcdcScores, model: Model | None) -> str:
 
 
 def check(config: AcdcScores) -> None:
-    """Raises InputError where a folder of weights is not there."""
+    """Raises InputError where a folder of weights is not there, or packages are not installed."""
     label(config, None)
     weights_digest(config.weights)
+    check_installed()
 
 
 ACDC = SelectionMethod(name="acdc", config=AcdcScores, version="1", score=score, needs=("image", "dinov2"), label=label, check=check)

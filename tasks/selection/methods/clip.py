@@ -11,7 +11,7 @@ import numpy as np
 from schemas.candidates import Asset
 from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
-from tasks.selection.methods.encoders import ClipEncoder, Vectors, clip_in, remembered, weights_digest
+from tasks.selection.methods.encoders import ClipEncoder, Vectors, check_installed, clip_in, remembered, weights_digest
 from tasks.selection.methods.method import Array, SelectionMethod, chances
 from tasks.selection.methods.pictures import around, parts_of
 from tasks.settings import Config, Count
@@ -63,8 +63,9 @@ def label(config: Clip, model: Model | None) -> str:
 
 
 def check(config: Clip) -> None:
-    """Raises InputError where the folder of weights is not there."""
+    """Raises InputError where the folder of weights is not there, or packages are not installed."""
     weights_digest(config.weights)
+    check_installed()
 
 
 CLIP = SelectionMethod(name="clip", config=Clip, version="1", score=score, needs=("text", "clip"), label=label, check=check)

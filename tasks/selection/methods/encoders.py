@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ class ClipEncoder:
     """CLIP: vectors of length 1 for pictures and texts, whose products say how well they go together."""
 
     def __init__(self, folder: Path) -> None:
+        check_installed()
         from transformers import CLIPModel, CLIPTokenizer
 
         with _opening(folder, "CLIPModel"):
@@ -72,13 +74,15 @@ class DinoEncoder:
     """Pixels of a picture; as its weights were published for."""
 
     def __init__(self, folder: Path) -> None:
+        check_installed()
         from transformers import Dinov2Model
 
         with _opening(folder, "Dinov2Model"):
             self._model = _model_in(Dinov2Model, folder)
+        self.patch = int(self._model.config.patch_size)
 
     def patches(self, pictures: Images) -> Vectors:
-        """Vectors of length 1 of the patches of pictures, shape (n, side, side, 3) to (n, p, d)."""
+        """Vectors of length 1 of the patches of pictures, shape (n, h, h, 3) to (n, p, d). h: `side`, or another multiple of `patch`."""
         import torch
 
         vectors = []
@@ -88,11 +92,22 @@ class DinoEncoder:
         return _unit(np.concatenate(vectors))
 
 
+def check_installed() -> None:
+    """Refuse to encode where the packages for it are not there.
+
+    Raises:
+        InputError: one line that says how they get there.
+    """
+    gone = [name for name in ("torch", "transformers") if find_spec(name) is None]
+    if gone:
+        raise InputError("selection", gone[0], "is not installed", "pip install 'metascenes[encoders]'")
+
+
 def clip_in(folder: str) -> ClipEncoder:
     """The CLIP of a folder, opened once in a process.
 
     Raises:
-        InputError: none is named, it is not there, or holds no such model as safetensors.
+        InputError: none is named, it is not there, or holds no such model as safetensors, or packages are not installed.
     """
     return _clip(folder, weights_digest(folder))
 

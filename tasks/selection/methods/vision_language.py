@@ -17,7 +17,7 @@ from schemas.errors import InputError, check_address
 from tasks.models import Model
 from tasks.selection.crops import squared
 from tasks.selection.evidence import Evidence, InstanceQuery
-from tasks.selection.methods.endpoint import Endpoint, key_in
+from tasks.selection.methods.endpoint import Endpoint, check_hidden, key_in
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod
 from tasks.selection.methods.pictures import around, parts_of
 from tasks.selection.methods.replies import UnreadableReply, ranking_of
@@ -137,13 +137,15 @@ def _picture(image: NDArray[np.uint8]) -> dict[str, Any]:
 
 
 def check(config: VisionLanguage) -> None:
-    """Raises InputError where no endpoint or model is named, the address is none, or the key is not there."""
+    """Raises InputError where no endpoint or model is named, the address is none, or the key is not there or
+    would go in the clear."""
     if not config.model:
         raise InputError("selection.provider", "model", "names no model", "give it as the endpoint calls it")
     if not config.url.startswith(("http://", "https://")):
         raise InputError("selection.provider", "url", "is no address", "give that of an OpenAI-compatible endpoint: https://.../v1")
     check_address(config.url, "selection.provider.url")
-    key_in(config.key_variable)
+    if key_in(config.key_variable):
+        check_hidden(config.url)
 
 
 def label(config: VisionLanguage, model: Model | None) -> str:

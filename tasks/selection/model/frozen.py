@@ -33,6 +33,7 @@ class PairEncoder:
     """CLIP or SigLIP: vectors of length 1 for pictures and texts, in one space."""
 
     def __init__(self, kind: str, folder: Path) -> None:
+        encoders.check_installed()
         import transformers
 
         name = "CLIPModel" if kind == "clip" else "SiglipModel"
@@ -71,7 +72,7 @@ def pair_in(query: Pair) -> PairEncoder:
     """The encoder that a query names, opened once in a process.
 
     Raises:
-        InputError: no folder is named, it is not there, or holds no such model as safetensors.
+        InputError: no folder is named, it is not there, or holds no such model as safetensors, or packages are not installed.
     """
     return _pair(query.kind, query.weights, weights_digest(query.weights))
 

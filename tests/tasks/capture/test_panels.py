@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tasks.capture.instances.merged import set_apart
@@ -66,3 +66,29 @@ def test_panels_are_found_in_any_direction_and_order(yaw: float, seed: int) -> N
     assert (len(first), len(second)) == (900, 700)
     assert (order[first] < 900).all()
     assert (order[second] >= 900).all()
+
+
+@given(tilt=st.floats(0.0, 90.0), turn=st.floats(-3.2, 3.2), zero=st.floats(0.0, 1.0), seed=st.integers(0, 99))
+@example(tilt=22.0, turn=0.0, zero=0.0, seed=0)
+@example(tilt=0.0, turn=0.0, zero=1.0, seed=0)
+@settings(max_examples=30, deadline=None)
+def test_slanted_and_degenerate_windows_lose_no_point(tilt: float, turn: float, zero: float, seed: int) -> None:
+    """Normals tilted by any angle [degrees], a share of them zero: every point is in one part, and what faces nowhere is one."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform([0.0, 0.0, 0.0], [0.05, 1.0, 1.2], (400, 3))  # at x = 0, y = 0
+    up, level = np.sin(np.radians(tilt)), np.cos(np.radians(tilt))
+    normals = np.tile([level * np.cos(turn), level * np.sin(turn), up], (400, 1))
+    normals[: round(zero * 400)] = 0.0
+    parts = panels_of(points, normals)
+    assert np.sort(np.concatenate(parts)).tolist() == list(range(400))
+    if tilt > 20.0 or zero == 1.0:
+        assert len(parts) == 1
+
+
+def test_a_leaf_beside_a_slanted_pane_is_found_as_far_as_it_faces() -> None:
+    """The first plane is taken; what is left faces nowhere and ends the search."""
+    rng = np.random.default_rng(0)
+    upright, slanted = (rng.uniform([x, 0.0, 0.0], [x + 0.01, 1.0, 1.5], (300, 3)) for x in (0.8, 0.0))
+    normals = np.repeat([[1.0, 0.0, 0.0], [np.cos(np.radians(22)), 0.0, np.sin(np.radians(22))]], 300, axis=0)
+    (part,) = panels_of(np.concatenate([upright, slanted]), normals)
+    assert part.tolist() == list(range(600))

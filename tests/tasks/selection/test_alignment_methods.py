@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from tasks.selection.alignment.method import AlignmentMethodConfig
 from tasks.selection.alignment.methods import METHODS
 from tasks.selection.alignment.refined import Refined
 from tasks.selection.alignment.snapshots import points_snapshot, surface_snapshot, view_axes
+from tasks.selection.methods import encoders
 from tests.tasks.selection.rooms import chair, part
 
 WIDE = [part((0.4, 1.2, 0.5), (0, 0, 0.25)), part((0.06, 1.2, 0.4), (-0.17, 0, 0.7)), part((0.3, 0.1, 0.1), (0, 0.55, 0.55))]
@@ -209,8 +211,31 @@ def test_the_patches_of_a_photo_find_the_snapshot_that_it_is(weights: Path, step
     assert "no photo" in str(lacking(seen(surface, yaw, (1, 1, 1)), AlignmentConfig(method=method)))
 
 
-def test_a_folder_without_weights_is_named(tmp_path: Path) -> None:
+def photographed() -> tuple[ScannedInstance, Surface]:
     surface = surface_of(canonical(chair()))
-    target = dataclasses.replace(seen(surface, 0.0, (1, 1, 1)), sight=Viewpoint(0.0, 0.4, np.zeros((8, 8, 3), np.uint8)))
-    with pytest.raises(InputError, match=r"config\.json"):
-        found(target, surface, Acdc(dinov2=str(tmp_path)))
+    return dataclasses.replace(seen(surface, 0.0, (1, 1, 1)), sight=Viewpoint(0.0, 0.4, np.zeros((8, 8, 3), np.uint8))), surface
+
+
+def test_a_folder_without_weights_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds no \*\.safetensors"):
+        found(*photographed(), Acdc(dinov2=str(tmp_path)))
+
+
+def test_weights_that_lack_a_part_are_refused(tmp_path: Path, weights: Path) -> None:
+    """They would be drawn at random, each time others."""
+    from safetensors.torch import load_file, save_file
+
+    for file in weights.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    whole = load_file(tmp_path / "model.safetensors")
+    left = {name: values for name, values in whole.items() if "layer.1" not in name}
+    save_file(left, tmp_path / "model.safetensors", metadata={"format": "pt"})
+    with pytest.raises(InputError, match=f"lacks {len(whole) - len(left)} of its weights"):
+        found(*photographed(), Acdc(dinov2=str(tmp_path), snapshots=4, picture_pixels=56))
+
+
+def test_without_the_packages_a_line_says_how_they_get_there(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    encoders._dino.cache_clear()
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(InputError, match=r"selection: transformers: is not installed; pip install 'metascenes\[encoders\]'"):
+        found(*photographed(), Acdc(dinov2=str(weights), snapshots=4, picture_pixels=56))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,13 @@ from tasks.geometry.transforms import yaw_pose
 from tasks.selection import SelectionConfig
 from tasks.selection.crops import filling
 from tasks.selection.evidence import Evidence, InstanceQuery, gather
-from tasks.selection.methods import acdc, clip
+from tasks.selection.methods import acdc, clip, encoders
 from tasks.selection.methods.acdc import AcdcScores
 from tasks.selection.methods.clip import Clip
 from tasks.selection.methods.encoders import clip_in, dino_in, remembered, weights_digest
 from tasks.selection.methods.pictures import around, parts_of
+from tasks.selection.model import frozen
+from tasks.selection.model.config import ClipQuery
 from tasks.stage import Context
 from tests.samples import sample
 from tests.tasks.selection.rooms import RED, SCENE, Room, cabinet, chair, photographed, scan, table
@@ -200,6 +203,27 @@ def test_folders_that_cannot_be_used_are_refused_by_name(tmp_path: Path, clip_fo
     save_file(weights, lost / "model.safetensors", metadata={"format": "pt"})
     with pytest.raises(InputError, match="lacks 1 of its weights"):
         dino_in(str(lost))
+
+
+@pytest.mark.parametrize("gone", ["torch", "transformers"])
+def test_without_the_packages_a_line_says_how_they_get_there(
+    clip_folder: Path, dino_folder: Path, gone: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before anything is aligned, and wherever an encoder is opened."""
+    encoders._clip.cache_clear()
+    encoders._dino.cache_clear()
+    frozen._pair.cache_clear()
+    monkeypatch.setitem(sys.modules, gone, None)
+    weights = str(clip_folder)
+    for refuse in (
+        lambda: Room().select(SelectionConfig(provider=Clip(weights=weights))),
+        lambda: Room().select(SelectionConfig(provider=AcdcScores(weights=str(dino_folder)))),
+        lambda: clip_in(weights),
+        lambda: dino_in(str(dino_folder)),
+        lambda: frozen.pair_in(ClipQuery(weights)),
+    ):
+        with pytest.raises(InputError, match=rf"selection: {gone}: is not installed; pip install 'metascenes\[encoders\]'"):
+            refuse()
 
 
 def test_other_weights_in_the_same_folder_are_others(tmp_path: Path, dino_folder: Path) -> None:

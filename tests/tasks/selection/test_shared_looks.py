@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.selection import Selection
+from tasks.geometry.transforms import yaw_pose
+from tasks.selection import SelectionConfig
 from tasks.selection.looks import shared
+from tasks.selection.methods.extents import Extents
+from tasks.selection.methods.model import ModelScores
 from tests.samples import sample
+from tests.tasks.selection.rooms import RED, Room, cabinet, chair, scan
 
 ASSETS = [f"{number:064x}" for number in range(5)]
 SCORES = st.dictionaries(st.sampled_from(ASSETS), st.integers(0, 20).map(lambda score: score / 100), min_size=1)
@@ -59,3 +66,30 @@ def test_what_has_no_category_shares_nothing() -> None:
     rankings = {name: ranking(name, {ASSETS[0]: 0.5}) for name in ("0001", "0002")}
     assert shared(rankings, dict.fromkeys(rankings, ""), LOSS) == rankings
     assert {rows[0].look for rows in shared(rankings, dict.fromkeys(rankings, "mug"), LOSS).values()} == {"0001"}
+
+
+@pytest.fixture(scope="module")
+def chairs() -> Room:
+    """Two red chairs, each with three candidates that differ by a millimeter, the best of each another one."""
+    room = Room()
+    names = [room.asset([mesh.copy().apply_scale(1 + 0.002 * k) for mesh in chair(RED)], f"chair {k}") for k in range(3)]
+    for number, order in enumerate(((0, 1, 2), (2, 1, 0))):
+        scale = (1 + 0.004 * number,) * 3
+        instance = room.instance(*scan(chair(RED), yaw_pose(0.4), scale, np.random.default_rng(number)), 0.4, category="chair")
+        for slot, k in enumerate(order, start=1):
+            room.candidate(instance, slot, names[k])
+        room.candidate(instance, 4, room.asset(cabinet(), "cabinet"))
+    return room
+
+
+def test_geometric_scores_alone_are_near_enough_for_one_asset(chairs: Room) -> None:
+    """Every method's scores lie within the loss here: of the geometric ones alone that says something."""
+    plain, _ = chairs.select()
+    assert {row.look for row in plain} == {"0000"}
+    assert len({row.asset_id for row in plain if row.rank == 1}) == 1
+    for provider in (Extents(), ModelScores()):
+        rows, _ = chairs.select(SelectionConfig(provider=provider))
+        assert {row.look for row in rows} == {None}
+        assert rows == sorted(rows, key=lambda row: (row.instance_id, -round(row.score, 9), row.slot))
+        best = [row for row in rows if row.rank <= 2]
+        assert all(a.score - b.score <= LOSS for a, b in zip(best[::2], best[1::2], strict=True)), "the loss would have let them share"
