@@ -46,6 +46,15 @@ OWN = {
     "tasks/geometry/meshes.py read_points": "reads blobs of the lake",
     "tasks/geometry/pieces.py _unpacked": "reads its own cache",
     "tasks/replica.py": "reads blobs of the lake",
+    "tasks/selection/crops.py decoded": "reads blobs of the lake",
+    "tasks/selection/methods/encoders.py": "reads weights that the user names; tests/tasks/selection/test_foreign_methods.py damages them",
+    "tasks/selection/methods/endpoint.py": "reads answers of a server; tests/tasks/selection/test_vision_language.py damages them",
+    "tasks/selection/methods/replies.py": "as above",
+    "tasks/selection/methods/model.py _scorer": "reads models of the lake, which were checked when they came in",
+    "tasks/selection/model/clouds.py unpacked": "reads its own cache",
+    "tasks/selection/model/foreign.py checkpoint": "reads weights that the user names; damaged in tests/tasks/selection/model",
+    "tasks/selection/model/sight.py config_from": "reads models of the lake, which were checked when they came in",
+    "tasks/training/checkpoints.py newest": "reads its own cache",
     "tasks/fidelity/marked_points.py": "reads blobs of the lake",
     **{
         f"tasks/exports/{name}/places.py": "reads what was exported, and of a file at hand in a process with bounds"
