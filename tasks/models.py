@@ -8,15 +8,17 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from schemas.errors import InputError
 from schemas.files import read_file
+from schemas.text import cut
 from tasks.batches import parse_json
-from tasks.settings import Config, fields_of
+from tasks.settings import LARGEST, Config, fields_of, shown
 from tasks.weights import MOST_BYTES, from_safetensors
 
 WEIGHTS, DOCUMENT, CARD = "weights.safetensors", "model.json", "README.md"
@@ -64,6 +66,29 @@ _FIELDS: dict[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 
 
+def _wrong(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Fields whose values cannot be used, and why, of a document whose fields have the types that they should have."""
+    for field in ("parameter_count", "seed"):
+        if not -LARGEST <= document[field] <= LARGEST:
+            yield field, "is too large"
+    for split, count in document["examples"].items():
+        if not re.fullmatch(r"\w[\w .-]*", split):
+            yield "examples", f"{cut(repr(split))} is no name of a split"
+        if type(count) is not int or not 0 <= count <= LARGEST:
+            yield f"examples.{split}", f"must be a whole number of at least 0, is {shown(count)}"
+    for place, note in enumerate(document["notes"]):
+        if not isinstance(note, str):
+            yield "notes", f"line {place + 1} must be a text, is {shown(note)}"
+    seconds = document.get("seconds", 0.0)
+    if type(seconds) not in (int, float) or not 0 <= seconds <= LARGEST:
+        yield "seconds", f"must be a number of at least 0, is {shown(seconds)}"
+    for place, figure in enumerate(document["measures"]):
+        if not isinstance(figure, dict):
+            yield "measures", f"item {place + 1} must be a table, is {shown(figure)}"
+        elif any(type(value) is int and abs(value) > LARGEST for value in figure.values()):
+            yield "measures", f"item {place + 1} has a number that is too large"
+
+
 @dataclasses.dataclass(frozen=True)
 class ModelFolder:
     """A folder with a model. It is read when it is asked for, and never trusted.
@@ -90,6 +115,9 @@ class ModelFolder:
                 raise InputError(name, field, "is missing" if field not in read else f"is {kind.__name__}", "export the model again")
         if read["format"] != FORMAT:
             raise InputError(name, "format", f"is {read['format']}, this version reads {FORMAT}", "export the model again")
+        wrong = next(_wrong(read), None)
+        if wrong is not None:
+            raise InputError(name, *wrong, "export the model again")
         return read
 
     @cached_property
@@ -100,8 +128,11 @@ class ModelFolder:
             InputError: as `document`; or the weights are no safetensors file, or not those that the model's name is made of.
         """
         document, name = self.document, f"{self.folder.name}/{WEIGHTS}"
-        weights = read_file(self.folder / WEIGHTS, name, MOST_BYTES)
-        from_safetensors(weights, name)
+        try:
+            weights = read_file(self.folder / WEIGHTS, name, MOST_BYTES)
+            from_safetensors(weights, name)
+        except MemoryError as error:
+            raise InputError(name, "", "does not fit into memory", "import it on a machine that has more") from error
         config = json.dumps(document["config"], sort_keys=True, separators=(",", ":"))
         if model_id_of(weights, config) != document["model_id"]:
             raise InputError(f"{self.folder.name}/{DOCUMENT}", "model_id", "is not that of its weights and config", "export it again")

@@ -19,7 +19,7 @@ from schemas.errors import InputError
 from schemas.files import write_whole
 from schemas.runs import StageRun
 from schemas.training import LearnedModel, ModelEvaluation
-from tasks.models import CARD, DOCUMENT, FORMAT, WEIGHTS, ModelFolder
+from tasks.models import CARD, DOCUMENT, FORMAT, WEIGHTS, Model, ModelFolder
 from warehouse.lake import Lake
 
 
@@ -117,27 +117,41 @@ def _taken_in(lake: Lake, folder: ModelFolder, name: str, dry_run: bool) -> tupl
     if not is_known(model.kind):
         remedy = f"there are {', '.join(system_names()) or 'none'}"
         raise InputError(f"{name}/{DOCUMENT}", "kind", f"there is no learned system {model.kind!r}", remedy)
-    _check_config(name, model.kind, document["config"])
+    config = _checked_config(name, model.kind, document["config"])
     training_id = f"import-{model.model_id[:16]}"
     row = row_of_document(document, training_id, "imported", f"{hashlib.sha256(model.weights).hexdigest()}.weights", len(model.weights))
     figures = _figures(document, row, name)
     known = {each.model_id: each for each in lake.snapshot().rows(LearnedModel)}.get(row.model_id) if lake.exists else None
     if known is not None and not known.is_withdrawn:
         return known, False
+    if known is None or known.origin != "trained":  # what was trained here fits
+        _check_fit(name, model, config)
+    rows: dict[str, list[Any]] = {"models": [row], "model_evaluations": figures}
+    if known is not None:  # the lake knows more of it than the folder: where it comes from, and what it learned from
+        row = dataclasses.replace(known, is_withdrawn=False)
+        rows = {"models": [row]}
     if not dry_run:
         lake.blobs.put(model.weights, "weights")
         _keep(
             lake,
-            training_id,
-            {"models": [row], "model_evaluations": figures},
+            row.training_id,
+            rows,
             {"import": row.model_id},
             f"import of model {row.model_id[:12]}",
         )
     return row, True
 
 
-def _check_config(name: str, kind: str, config: Any) -> None:
-    """Refuse settings that the learned system does not have: what loads the weights is built by them."""
+def _check_fit(name: str, model: Model, config: Any) -> None:
+    """Refuse weights that are not those of the settings, before a stage takes them for the newest model."""
+    from tasks.families import member
+    from tasks.training.learned_systems import SYSTEMS
+
+    member(SYSTEMS, model.kind).fits(model.weights, config, name)
+
+
+def _checked_config(name: str, kind: str, config: Any) -> Any:
+    """Settings of the learned system; refuses those that it does not have: what loads the weights is built by them."""
     from pydantic import ValidationError
 
     from tasks.families import member
@@ -145,7 +159,7 @@ def _check_config(name: str, kind: str, config: Any) -> None:
     from tasks.training.learned_systems import SYSTEMS
 
     try:
-        adapter(member(SYSTEMS, kind).config).validate_python(config)
+        return adapter(member(SYSTEMS, kind).config).validate_python(config)
     except ValidationError as error:
         path, problem, remedy = first_of(error)
         raise InputError(f"{name}/{DOCUMENT}", ".".join(["config", *path]), problem, remedy or "export it with this version") from error

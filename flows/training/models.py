@@ -160,6 +160,11 @@ def reads_of(kind: str) -> tuple[str, ...]:
     return member(SYSTEMS, kind).reads
 
 
+def paths_of(kind: str, config: Any) -> Mapping[str, str]:
+    """Files and folders that the settings of a learned system name, by field."""
+    return member(SYSTEMS, kind).paths(config)
+
+
 def _sha256(data: bytes) -> str:
     import hashlib
 

@@ -10,8 +10,9 @@ from typing import Any
 
 from flows.run.configuration import Configuration, configure
 from flows.run.fingerprints import ModuleCaches, canonical_json, code_fingerprint, digest
+from flows.training.contents import contents_of
 from flows.training.datasets import LakeDataset, chosen_dataset
-from flows.training.models import found_model, loaded_model, reads_of
+from flows.training.models import found_model, loaded_model, paths_of, reads_of
 from flows.worker import Job, execute, followed
 from schemas.errors import InputError, LakeError
 from schemas.record import arrow_to_rows
@@ -47,7 +48,7 @@ class PlannedTraining:
 
     @property
     def training_id(self) -> str:
-        """Name of the training: of learned system, dataset content, config, seed, code, and the model that it begins with."""
+        """Name of the training: of learned system, dataset content, config, seed, code, model and weights that it begins with."""
         return self.job.scene_id
 
 
@@ -101,6 +102,9 @@ def planned_training(
         "seed": str(configuration.seed),
         "start": begins_with.model_id if begins_with is not None else "none",
     }
+    contents = contents_of(paths_of(system, config.system))
+    if contents:
+        parts["weights"] = digest(*contents)
     fingerprint = digest("training-1", system, *parts.values())
     training_id = f"{system}-{fingerprint[:16]}"
     provenance = Provenance(dataset.snapshot_id, release, parts["dataset"], parts["code"])

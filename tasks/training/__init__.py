@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 else:
     AnySystem = union_of(system.config for system in SYSTEMS)
 
+NOT_COMPARED = "test rooms were not compared with the rooms of the model that training began with, which it may know:"
+"""Said of models that begin with another: splits may have been others then."""
+
 
 @dataclasses.dataclass(frozen=True)
 class TrainingConfig(Config):
@@ -70,7 +73,7 @@ def run(*, dataset: Dataset, start: Model | None, provenance: Provenance, contex
         parent_id=start.model_id if start else None,
         is_fallback=trained.is_fallback,
         is_withdrawn=False,
-        notes=trained.notes,
+        notes=trained.notes if start is None else (*trained.notes, f"{NOT_COMPARED} {start.model_id[:12]}"),
     )
     notes = [f"{system.name}: {note}" for note in trained.notes] if trained.is_fallback else []
     return Outcome(

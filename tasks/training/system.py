@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from tasks.models import Model, ModelFolder
 from tasks.settings import Config
@@ -13,6 +14,15 @@ __all__ = ["LearnedSystem", "Model", "ShippedModel"]
 
 ShippedModel = ModelFolder
 """A model inside the package: a folder as `metascenes models export` writes it."""
+
+
+def no_fit(weights: bytes, config: Any, file: str) -> None:
+    """Of a learned system that holds weights against their config when it opens them."""
+
+
+def no_paths(config: Any) -> Mapping[str, str]:
+    """Of a learned system that reads nothing but the dataset."""
+    return {}
 
 
 def none_shipped() -> Mapping[str, ShippedModel]:
@@ -26,7 +36,9 @@ class LearnedSystem:
 
     config: Its settings, a class whose `kind` is the name. reads: Tables that it learns from. train: `train(*, dataset, start, context,
     config)` gives what came of training on a `Dataset`, from the weights `start` or, where these are None, anew. It is pure: the same
-    rows, config and seed give the same weights on the same device. shipped: Models inside the package, by name.
+    rows, config and seed give the same weights on the same device. shipped: Models inside the package, by name. fits: `fits(weights,
+    config, file)` raises `InputError` where the weights of a model by others are not those of its config; it opens nothing else. paths:
+    Files and folders that a config names, by field: what lies there is a part of a training's name.
     """
 
     name: str
@@ -34,3 +46,5 @@ class LearnedSystem:
     reads: tuple[str, ...]
     train: Callable[..., Trained]
     shipped: Callable[[], Mapping[str, ShippedModel]] = none_shipped
+    fits: Callable[[bytes, Any, str], None] = no_fit
+    paths: Callable[[Any], Mapping[str, str]] = no_paths

@@ -5,28 +5,38 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, ClassVar, Literal
 
-from tasks.settings import LISTED, Config, Count, NonNegative, Positive, Share, union_of
+from pydantic import Field
 
-Widths = Annotated[tuple[Count, ...], LISTED]
+from tasks.settings import LISTED, WHOLE, Config, NonNegative, Positive, Share, union_of
+
+# Most of each: settings come with models of others, and what scores by them is allocated by their word.
+Points = Annotated[int, Field(ge=1, le=65_536), WHOLE]
+Groups = Annotated[int, Field(ge=1, le=4096), WHOLE]
+Width = Annotated[int, Field(ge=1, le=8192), WHOLE]
+Hidden = Annotated[int, Field(ge=1, le=32_768), WHOLE]
+Depth = Annotated[int, Field(ge=1, le=128), WHOLE]
+Heads = Annotated[int, Field(ge=1, le=256), WHOLE]
+Buckets = Annotated[int, Field(ge=1, le=524_288), WHOLE]
+Widths = Annotated[tuple[Width, ...], Field(strict=False, fail_fast=True, max_length=16)]
 
 
 @dataclasses.dataclass(frozen=True)
 class Patches(Config):
     """Point encoder of patches: groups of near points through a small PointNet, then a transformer (Point-BERT; ULIP-2)."""
 
-    points: Count = 192  # of a candidate's cloud: a cup's handle still has a dozen
-    groups: Count = 24  # half of what would cover the cloud once: one step must stay below half a second on two cores
-    group_size: Count = 12  # 24 x 12 points cover 192 of them one and a half times
-    dim: Count = 96  # 2 M parameters are the limit; more did not help where training is short
-    depth: Count = 3  # blocks
-    heads: Count = 4  # 24 channels each
-    first_widths: Annotated[tuple[Count, Count], LISTED] = (32, 64)  # the PointNet's layers before points see their group ...
-    second_widths: Annotated[tuple[Count, Count], LISTED] = (96, 96)  # ... and after
-    position_width: Count = 64  # hidden layer of the embedding of places
+    points: Points = 192  # of a candidate's cloud: a cup's handle still has a dozen
+    groups: Groups = 24  # half of what would cover the cloud once: one step must stay below half a second on two cores
+    group_size: Groups = 12  # 24 x 12 points cover 192 of them one and a half times
+    dim: Width = 96  # 2 M parameters are the limit; more did not help where training is short
+    depth: Depth = 3  # blocks
+    heads: Heads = 4  # 24 channels each
+    first_widths: Annotated[tuple[Width, Width], LISTED] = (32, 64)  # the PointNet's layers before points see their group ...
+    second_widths: Annotated[tuple[Width, Width], LISTED] = (96, 96)  # ... and after
+    position_width: Width = 64  # hidden layer of the embedding of places
     activation: Literal["gelu", "relu"] = "relu"  # half the time of GELU without torch
     drop_path: Share = 0.0  # of the last block, less before: shallow networks lose more than they gain
-    embedding: Count = 96  # length of what clouds and queries are compared by
-    head_width: Count = 128  # hidden layer of the quality head
+    embedding: Width = 96  # length of what clouds and queries are compared by
+    head_width: Width = 128  # hidden layer of the quality head
     head_dropout: Share = 0.2  # a small head forgets little
 
 
@@ -42,19 +52,19 @@ class PaperPatches(Patches):
     """As published: Point-BERT of ULIP-2, 33 M parameters."""
 
     kind: ClassVar[str] = "paper"
-    points: Count = 1024  # as the release's command; the backbone was trained on 10,000
-    groups: Count = 512  # as ULIP-2
-    group_size: Count = 32  # as ULIP-2
-    dim: Count = 384  # as ULIP-2
-    depth: Count = 18  # as ULIP-2
-    heads: Count = 6  # as ULIP-2
-    first_widths: Annotated[tuple[Count, Count], LISTED] = (128, 256)  # as ULIP-2
-    second_widths: Annotated[tuple[Count, Count], LISTED] = (512, 256)  # as ULIP-2
-    position_width: Count = 128  # as ULIP-2
+    points: Points = 1024  # as the release's command; the backbone was trained on 10,000
+    groups: Groups = 512  # as ULIP-2
+    group_size: Groups = 32  # as ULIP-2
+    dim: Width = 384  # as ULIP-2
+    depth: Depth = 18  # as ULIP-2
+    heads: Heads = 6  # as ULIP-2
+    first_widths: Annotated[tuple[Width, Width], LISTED] = (128, 256)  # as ULIP-2
+    second_widths: Annotated[tuple[Width, Width], LISTED] = (512, 256)  # as ULIP-2
+    position_width: Width = 128  # as ULIP-2
     activation: Literal["gelu", "relu"] = "gelu"  # as ULIP-2
     drop_path: Share = 0.1  # as ULIP-2
-    embedding: Count = 1280  # as ViT-bigG-14
-    head_width: Count = 256  # as released
+    embedding: Width = 1280  # as ViT-bigG-14
+    head_width: Width = 256  # as released
     head_dropout: Share = 0.5  # as released
 
 
@@ -63,18 +73,18 @@ class Uni3d(Patches):
     """Shaped as Uni3D: patches into a plain vision transformer whose first token answers (EVA giant by default)."""
 
     kind: ClassVar[str] = "uni3d"
-    points: Count = 8192  # as released
-    groups: Count = 512  # as released
-    group_size: Count = 64  # as released
-    dim: Count = 1408  # EVA giant
-    depth: Count = 40  # EVA giant
-    heads: Count = 16  # EVA giant
-    mlp_width: Count = 6144  # EVA giant
-    first_widths: Annotated[tuple[Count, Count], LISTED] = (128, 256)  # as released
-    second_widths: Annotated[tuple[Count, Count], LISTED] = (512, 512)  # as released
-    position_width: Count = 128  # as released
+    points: Points = 8192  # as released
+    groups: Groups = 512  # as released
+    group_size: Groups = 64  # as released
+    dim: Width = 1408  # EVA giant
+    depth: Depth = 40  # EVA giant
+    heads: Heads = 16  # EVA giant
+    mlp_width: Hidden = 6144  # EVA giant
+    first_widths: Annotated[tuple[Width, Width], LISTED] = (128, 256)  # as released
+    second_widths: Annotated[tuple[Width, Width], LISTED] = (512, 512)  # as released
+    position_width: Width = 128  # as released
     activation: Literal["gelu", "relu"] = "gelu"  # as released
-    embedding: Count = 1024  # as EVA02-E-14-plus
+    embedding: Width = 1024  # as EVA02-E-14-plus
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,16 +92,16 @@ class PointNet2(Config):
     """PointNet++ with single-scale grouping (Qi et al., 2017)."""
 
     kind: ClassVar[str] = "pointnet2"
-    points: Count = 1024  # as published
-    centers: Annotated[tuple[Count, Count], LISTED] = (512, 128)  # as published
+    points: Points = 1024  # as published
+    centers: Annotated[tuple[Groups, Groups], LISTED] = (512, 128)  # as published
     radii: Annotated[tuple[Positive, Positive], LISTED] = (0.2, 0.4)  # as published, of a cloud of radius 1
-    samples: Annotated[tuple[Count, Count], LISTED] = (32, 64)  # as published
+    samples: Annotated[tuple[Groups, Groups], LISTED] = (32, 64)  # as published
     first_widths: Widths = (64, 64, 128)  # as published
     second_widths: Widths = (128, 128, 256)  # as published
     third_widths: Widths = (256, 512, 1024)  # as published, over the whole cloud
     last_widths: Widths = (512, 256)  # as published
-    embedding: Count = 256  # the last layer of the recipe
-    head_width: Count = 256  # as PaperPatches
+    embedding: Width = 256  # the last layer of the recipe
+    head_width: Width = 256  # as PaperPatches
     head_dropout: Share = 0.5  # as published
 
 
@@ -111,7 +121,7 @@ class OwnImage(Config):
 
     kind: ClassVar[str] = "own"
     side: Literal[32, 64] = 64  # pixels; crops of small things have no more
-    widths: Annotated[tuple[Count, Count, Count], LISTED] = (16, 32, 64)  # a stride of 2 each
+    widths: Annotated[tuple[Width, Width, Width], LISTED] = (16, 32, 64)  # a stride of 2 each
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,9 +129,9 @@ class OwnText(Config):
     """Learned vectors of hashed words and their letters: unknown words are near those that are written alike."""
 
     kind: ClassVar[str] = "own"
-    buckets: Count = 4096  # some 1,000 words and their parts collide little
-    width: Count = 32  # half a megabyte at half precision
-    tokens: Count = 64  # of a caption; what is longer is cut
+    buckets: Buckets = 4096  # some 1,000 words and their parts collide little
+    width: Width = 32  # half a megabyte at half precision
+    tokens: Points = 64  # of a caption; what is longer is cut
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,5 +191,5 @@ class SelectionModel(Config):
     temperature: Literal["learned", "fixed", "none"] = "learned"  # without, cosines cannot tell ten candidates apart (specs C.8)
     fixed_scale: Positive = 14.3  # 1 / 0.07
     decides: Literal["trained", "match"] = "trained"  # the release scores without the quality it was trained with
-    residual_points: Count = 128  # of the scan, and as many of the candidate
-    residual_widths: Annotated[tuple[Count, Count], LISTED] = (48, 96)  # layers of the network of single points
+    residual_points: Points = 128  # of the scan, and as many of the candidate
+    residual_widths: Annotated[tuple[Width, Width], LISTED] = (48, 96)  # layers of the network of single points

@@ -39,7 +39,7 @@ class PairEncoder:
         name = "CLIPModel" if kind == "clip" else "SiglipModel"
         with encoders._opening(folder, name):
             self._model: Any = encoders._model_in(getattr(transformers, name), folder)
-            self._tokenizer: Any = transformers.AutoTokenizer.from_pretrained(str(folder), local_files_only=True)
+            self._tokenizer: Any = transformers.AutoTokenizer.from_pretrained(str(folder), local_files_only=True, trust_remote_code=False)
         self.is_clip = kind == "clip"
         self.side = int(self._model.config.vision_config.image_size)
         self.width = int(self._model.config.projection_dim if self.is_clip else self._model.config.text_config.projection_size)

@@ -13,6 +13,7 @@ from schemas.errors import InputError
 from tasks.selection.model.clouds import Array, ColoredCloud
 from tasks.selection.model.config import NoQuery, OwnImage, OwnText, PaperPatches, Patches, SelectionModel, Small
 from tasks.selection.model.features import EVIDENCE, Contender, Scanned, colored, features_of, log_sizes, radius_of
+from tasks.selection.model.shapes import check_shapes, shapes_of
 from tasks.selection.model.sight import scan_cloud
 from tasks.selection.model.words import tokens_of
 from tasks.weights import from_safetensors
@@ -52,6 +53,30 @@ def load(weights: bytes, config: SelectionModel, file: str = "weights") -> Candi
     from tasks.selection.model.scoring import torch_scorer
 
     return torch_scorer(weights, config, file)
+
+
+def check_fit(weights: bytes, config: SelectionModel, file: str = "weights") -> None:
+    """Hold the weights of a model by others against its config; nothing is allocated, and nothing but the weights is opened.
+
+    Raises:
+        InputError: names or shapes are others, the config cannot be scored, or wants an encoder that lies outside of the model.
+    """
+    for field, query in (("image", config.image), ("text", config.text)):
+        if not isinstance(query, NoQuery | OwnImage | OwnText):
+            problem = f"is a frozen encoder ({query.kind}) in a folder of some machine, which is not opened for models of others"
+            raise InputError(file, f"config.model.{field}", problem, "train the model in this lake, on a machine that has the folder")
+    heads, dim = getattr(config.architecture, "heads", 1), getattr(config.architecture, "dim", 1)
+    if dim % heads:
+        raise InputError(file, "config.model.architecture.heads", f"{heads} heads do not share {dim} channels", "export the model again")
+    arrays = from_safetensors(weights, file)
+    if is_plain(config):
+        wanted = shapes_of(config)
+    else:
+        from tasks.selection.model.scoring import check_torch, torch_shapes
+
+        check_torch(config, file)
+        wanted = torch_shapes(config)
+    check_shapes(arrays, wanted, file)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -256,13 +281,5 @@ def _fitting(arrays: Mapping[str, NDArray], config: SelectionModel, file: str) -
     Raises:
         InputError: some are missing, too many or of another shape.
     """
-    from tasks.selection.model.shapes import shapes_of
-
-    wanted = shapes_of(config)
-    for name in sorted({*wanted, *arrays}):
-        if name not in arrays or name not in wanted or arrays[name].shape != wanted[name]:
-            problem = "is missing" if name not in arrays else "is unknown" if name not in wanted else f"has the shape {arrays[name].shape}"
-            raise InputError(
-                file, name, f"{problem}; the model's config wants {wanted.get(name, 'none')}", "take weights and config of one model"
-            )
+    check_shapes(arrays, shapes_of(config), file)
     return {name: np.asarray(values, dtype=np.float32) for name, values in arrays.items()}

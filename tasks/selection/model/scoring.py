@@ -14,6 +14,7 @@ from tasks.selection.model.batches import joined, tensors
 from tasks.selection.model.config import SelectionModel
 from tasks.selection.model.features import Contender, Scanned, features_of
 from tasks.selection.model.frozen import seen_by_frozen, widths_of
+from tasks.selection.model.shapes import check_shapes
 from tasks.weights import from_safetensors
 
 
@@ -46,17 +47,34 @@ def torch_scorer(weights: bytes, config: SelectionModel, file: str) -> TorchScor
     Raises:
         InputError: torch is not installed, or weights do not fit.
     """
+    check_torch(config, file)
+    from tasks.selection.model.networks.selector import Selector
+
+    image, text = widths_of(config)
+    check_shapes(from_safetensors(weights, file), torch_shapes(config, image, text), file)
+    network = Selector(config, image_width=image, text_width=text).eval()
+    begin_with(network, weights, file)
+    return TorchScorer(config, network)
+
+
+def check_torch(config: SelectionModel, file: str) -> None:
+    """Raise `InputError` where torch, which a config needs, is not installed."""
     from importlib.util import find_spec
 
     if find_spec("torch") is None:
         problem = f"an architecture {config.architecture.kind}, or a frozen encoder, needs torch"
         raise InputError(file, "", problem, "pip install 'metascenes[train]', or take a model of the architecture small")
+
+
+def torch_shapes(config: SelectionModel, image_width: int = 0, text_width: int = 0) -> dict[str, tuple[int, ...]]:
+    """Shapes of the network's weights by name; of networks of any size, since none is allocated."""
+    import torch
+
     from tasks.selection.model.networks.selector import Selector
 
-    image, text = widths_of(config)
-    network = Selector(config, image_width=image, text_width=text).eval()
-    begin_with(network, weights, file)
-    return TorchScorer(config, network)
+    with torch.device("meta"):
+        network = Selector(config, image_width=image_width, text_width=text_width)
+    return {name: tuple(values.shape) for name, values in network.state_dict().items()}
 
 
 def begin_with(module: Any, weights: bytes, file: str = "weights") -> None:

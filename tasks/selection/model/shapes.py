@@ -1,7 +1,13 @@
-"""Names and shapes of the weights of a model that is scored without torch."""
+"""Names and shapes of the weights of a model that is scored without torch, and whether given ones are those of a config."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from schemas.errors import InputError
 from tasks.selection.model.config import OwnImage, OwnText, Patches, SelectionModel
 from tasks.selection.model.features import EVIDENCE, RESIDUAL, SUMMED
 
@@ -25,6 +31,20 @@ def shapes_of(config: SelectionModel) -> dict[str, Shape]:
     if config.quality:
         shapes |= _quality(config)
     return shapes
+
+
+def check_shapes(arrays: Mapping[str, NDArray[Any]], wanted: Mapping[str, Shape], file: str) -> None:
+    """Hold names and shapes of weights against those of a config.
+
+    Raises:
+        InputError: some are missing, too many or of another shape.
+    """
+    for name in sorted({*wanted, *arrays}):
+        if name not in arrays or name not in wanted or arrays[name].shape != wanted[name]:
+            problem = "is missing" if name not in arrays else "is unknown" if name not in wanted else f"has the shape {arrays[name].shape}"
+            raise InputError(
+                file, name, f"{problem}; the model's config wants {wanted.get(name, 'none')}", "take weights and config of one model"
+            )
 
 
 def _quality(config: SelectionModel) -> dict[str, Shape]:

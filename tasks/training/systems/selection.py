@@ -15,6 +15,7 @@ from tasks.selection.model.examples import Example, by_room
 from tasks.selection.model.figures import hits
 from tasks.selection.model.foreign import begin_with_foreign
 from tasks.selection.model.frozen import is_frozen, seen_by_frozen, widths_of
+from tasks.selection.model.inference import check_fit
 from tasks.selection.model.presets import PRESETS
 from tasks.selection.model.scoring import begin_with
 from tasks.settings import Config, Count, Positive, Share
@@ -174,10 +175,23 @@ def notes_of(data: Collected, config: SelectionTraining) -> list[str]:
     return notes
 
 
+def fits(weights: bytes, config: SelectionTraining, file: str) -> None:
+    """Hold the weights of a model by others against its config. Raises `InputError` as `check_fit`."""
+    check_fit(weights, config.model, file)
+
+
+def paths(config: SelectionTraining) -> dict[str, str]:
+    """Foreign weights that a config names, by field."""
+    encoders = {f"model.{name}.weights": getattr(getattr(config.model, name), "weights", "") for name in ("image", "text")}
+    return {field: path for field, path in {"foreign": config.foreign, **encoders}.items() if path}
+
+
 SELECTION = LearnedSystem(
     name="selection",
     config=SelectionTraining,
     reads=READS,
     train=train,
     shipped=lambda: folders_in(SHIPPED),
+    fits=fits,
+    paths=paths,
 )

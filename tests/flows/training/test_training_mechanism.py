@@ -125,6 +125,9 @@ def test_one_model_begins_with_another_and_says_so(command: Told, lake: Path) ->
     second = trained(command, lake, "--from", first["model_id"][:10])
     assert second["parent_id"] == first["model_id"]
     assert second["model_id"] != first["model_id"]
+    note = f"test rooms were not compared with the rooms of the model that training began with, which it may know: {first['model_id'][:12]}"
+    assert (first["notes"], second["notes"]) == (["made up"], ["made up", note])
+    assert f"- {note}" in command("models", "show", second["model_id"], "--lake", lake).stdout
     outline = command("explain", second["model_id"], "--lake", lake).stdout
     assert f"model {first['model_id'][:12]} of toy_system" in outline
     assert "snapshot 2: train=12" in outline

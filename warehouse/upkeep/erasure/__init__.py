@@ -329,14 +329,20 @@ class _Work:
 
 
 def _trained_on(lake: Lake, scene_id: str) -> tuple[str, ...]:
-    """Models in use that were trained on a snapshot since the scene's first one: nothing says that they did not learn from it."""
+    """Models in use that were trained on a snapshot since the scene's first one, or began with one that was, withdrawn or not.
+
+    Nothing says that they did not learn from it.
+    """
     reader = lake.snapshot()
     runs = reader.matching("stage_runs", {"scene_id": [scene_id]}, ["snapshot_id"]).to_pylist()
     if not runs:
         return ()
     first = min(row["snapshot_id"] for row in runs)
-    models = reader.matching("models", {}, ["snapshot_id", "is_withdrawn"]).to_pylist()
-    return tuple(row["model_id"] for row in models if not row["is_withdrawn"] and (row["snapshot_id"] or 0) >= first)
+    models = reader.matching("models", {}, ["snapshot_id", "parent_id", "is_withdrawn"]).to_pylist()
+    found = {row["model_id"] for row in models if (row["snapshot_id"] or 0) >= first}
+    while more := {row["model_id"] for row in models if row["parent_id"] in found} - found:
+        found |= more
+    return tuple(row["model_id"] for row in models if not row["is_withdrawn"] and row["model_id"] in found)
 
 
 def _settle_batches(lake: Lake, lease: Lease, scene_id: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import pickle
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -159,6 +160,18 @@ def saved_pair(folder: Path, kind: str) -> None:
         transformers.SiglipModel(
             transformers.SiglipConfig(text_config={**text, "projection_size": 16}, vision_config=vision)
         ).save_pretrained(folder)
+
+
+def test_a_tokenizer_may_run_no_code_of_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    transformers = pytest.importorskip("transformers")
+    from tasks.selection.model import frozen
+
+    told: list[dict[str, object]] = []
+    sizes = SimpleNamespace(vision_config=SimpleNamespace(image_size=8), projection_dim=4)
+    monkeypatch.setattr(frozen.encoders, "_model_in", lambda *_: SimpleNamespace(config=sizes))
+    monkeypatch.setattr(transformers.AutoTokenizer, "from_pretrained", lambda _, **given: told.append(given))
+    frozen.PairEncoder("clip", tmp_path)
+    assert told == [{"local_files_only": True, "trust_remote_code": False}]
 
 
 @pytest.mark.whole
