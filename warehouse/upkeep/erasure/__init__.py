@@ -339,14 +339,14 @@ def _trained_on(lake: Lake, scene_id: str) -> tuple[str, ...]:
         return ()
     first = min(row["snapshot_id"] for row in runs)
     models = reader.matching("models", {}, ["snapshot_id", "parent_id", "is_withdrawn"]).to_pylist()
-    found = {row["model_id"] for row in models if (row["snapshot_id"] or 0) >= first}
-    while more := {row["model_id"] for row in models if row["parent_id"] in found} - found:
-        found |= more
-    return tuple(row["model_id"] for row in models if not row["is_withdrawn"] and row["model_id"] in found)
+    named = {row["model_id"] for row in models if (row["snapshot_id"] or 0) >= first}
+    while more := {row["model_id"] for row in models if row["parent_id"] in named} - named:
+        named |= more
+    return tuple(row["model_id"] for row in models if not row["is_withdrawn"] and row["model_id"] in named)
 
 
 def _settle_batches(lake: Lake, lease: Lease, scene_id: str) -> None:
-    """Commit staged batches that hold rows of the scene, so that their rows are found where all others are."""
+    """Commit staged batches that hold rows of the scene, so that their rows are named where all others are."""
     commit = Commit(lake.tables, lake.staging, lease)
     batches = set()
     for staged_run in commit.remove_adopted():
