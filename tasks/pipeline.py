@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
-from tasks import annotation, candidates, captions, capture, evaluation, exports, fidelity, navigation, optimization, selection, training
+from tasks import (
+    annotation,
+    candidates,
+    captions,
+    capture,
+    evaluation,
+    exports,
+    fidelity,
+    navigation,
+    optimization,
+    selection,
+    training,
+)
 from tasks.stage import Stage
 
 STAGES: tuple[Stage, ...] = (
