@@ -19,12 +19,16 @@ from schemas.files import read_file
 from schemas.text import cut
 from tasks.batches import parse_json
 from tasks.settings import LARGEST, Config, fields_of, shown
-from tasks.weights import MOST_BYTES, from_safetensors
+from tasks.weights import from_safetensors
 
 WEIGHTS, DOCUMENT, CARD = "weights.safetensors", "model.json", "README.md"
 FORMAT = 1
 MOST_DOCUMENT_BYTES = 4 << 20
 """Of `model.json`; a few kilobytes are usual."""
+
+
+MOST_WEIGHT_BYTES = 512 << 20
+"""Of the weights in a folder: four times those of the paper's model; they are read as a whole."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,11 +132,8 @@ class ModelFolder:
             InputError: as `document`; or the weights are no safetensors file, or not those that the model's name is made of.
         """
         document, name = self.document, f"{self.folder.name}/{WEIGHTS}"
-        try:
-            weights = read_file(self.folder / WEIGHTS, name, MOST_BYTES)
-            from_safetensors(weights, name)
-        except MemoryError as error:
-            raise InputError(name, "", "does not fit into memory", "import it on a machine that has more") from error
+        weights = read_file(self.folder / WEIGHTS, name, MOST_WEIGHT_BYTES)
+        from_safetensors(weights, name)
         config = json.dumps(document["config"], sort_keys=True, separators=(",", ":"))
         if model_id_of(weights, config) != document["model_id"]:
             raise InputError(f"{self.folder.name}/{DOCUMENT}", "model_id", "is not that of its weights and config", "export it again")
