@@ -15,6 +15,7 @@ from bench.goals import goal
 from bench.machine import machine
 from bench.selection.annotations import annotate
 from bench.selection.data import DataSettings, SelectionData, counts_of, generate
+from bench.selection.kept import keep
 from bench.selection.measures import MeasuredMethod, TrueSurface, check_committed, measured_room
 from bench.selection.rooms import made_room, split_of_room
 from flows.run.configuration import Configuration, configure
@@ -135,6 +136,7 @@ def run_selection_bench(config: SelectionBench, advance: Callable[[str], None]) 
         surfaces = true_surfaces(truth, config.seed)
         outcomes += measured_room(data.lake, reader, truth, surfaces, scorers, "held-out rooms", config.folder / "measured", config.seed)
         advance(truth["scene_id"])
+    keep(data.lake, outcomes, config.seed)
     foreign, not_measured = _foreign(config, scorers)
     spent = {"data": made, "training": fitted, "measuring": time.perf_counter() - clock - made - fitted}
     seconds = with_earlier(config.folder / "seconds.json", spent)

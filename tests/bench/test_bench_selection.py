@@ -300,6 +300,12 @@ def test_the_rule_of_answers_is_the_rule_of_truth() -> None:
     assert order(totals, still, np.random.default_rng(0))[0][0] == int(np.argmin(totals))
 
 
+def asked(lake: Path, question: str) -> list[dict[str, Any]]:
+    with Lake.open(lake).snapshot().connect() as connection:
+        rows: list[dict[str, Any]] = connection.sql(question).to_arrow_table().to_pylist()
+    return rows
+
+
 @pytest.mark.whole
 @pytest.mark.timeout(900)
 def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
@@ -316,9 +322,20 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
     assert set(report["margin"]) == {*PLAIN, "blind"}
     assert [row["name"] for row in report["trainings"]] == ["small", "blind"]
     assert report["counts"]["rooms"]["test"] == len(config.tested)
+    shown = asked(tmp_path / "data" / "lake", "FROM selection_methods WHERE training_id = 'bench-selection'")
+    assert {row["method"] for row in shown} == set(report["methods"])
+    for row in shown:
+        figures = report["methods"][row["method"]]["figures"]
+        for name in ("top_1", "top_5", "chamfer_m", "ecd_m", "box_iou", "color_kl", "regret_chamfer_m"):
+            assert row[name] == figures[name]["value"]
+        assert (row["top_1_low"], row["top_1_high"]) == (figures["top_1"]["low"], figures["top_1"]["high"])
     again = run_selection_bench(config, lambda text: None)
     assert again["methods"] == report["methods"]
     assert again["trainings"] == report["trainings"]
+    assert asked(tmp_path / "data" / "lake", "FROM selection_methods WHERE training_id = 'bench-selection'") == shown
+    (counted,) = asked(tmp_path / "data" / "lake", "SELECT count(*) AS rows, count(DISTINCT method) AS methods FROM selection_outcomes")
+    assert counted["methods"] == len(report["methods"])
+    assert counted["rows"] == sum(row["instances"] * row["seeds"] for row in report["methods"].values())
 
 
 def test_margins_are_of_the_same_instances() -> None:
