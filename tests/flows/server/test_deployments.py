@@ -51,6 +51,7 @@ NAMES = (
     "watch/watch-lake",
     "statistics/statistics-lake",
     "release/release-lake",
+    "train/train-lake",
     "export/export-lake",
     "upkeep/upkeep-lake",
 )
@@ -234,18 +235,17 @@ def test_deploying_again_changes_what_is_different_and_prefects_own_command_sets
     assert {changes.pop(name) for name in ("metascenes-gpu", "metascenes-vlm", "metascenes")} == {"changed"}
     assert deployed.ask("v2/concurrency_limits/metascenes-gpu").json()["limit"] == 3
     assert deployed.ask("work_pools/metascenes").json()["concurrency_limit"] == 2
-    assert {changes.pop(name) for name in ("replicate/nightly-lake", "replicate/backfill-lake")} == {"changed"}, (
-        "an older slot is taken away"
-    )
+    nightly = ("replicate/nightly-lake", "train/train-lake")
+    assert {changes.pop(name) for name in (*nightly, "replicate/backfill-lake")} == {"changed"}, "an older slot is taken away"
     assert set(changes.values()) == {"unchanged"}
     after = deployed.facts()
-    assert [schedule["cron"] for _, _, schedule in after["replicate/nightly-lake"]["schedules"]] == ["30 2 * * 1-5"]
-    assert {name: facts for name, facts in after.items() if name != "replicate/nightly-lake"} == {
-        name: facts for name, facts in before.items() if name != "replicate/nightly-lake"
-    }
+    for name in nightly:
+        assert [schedule["cron"] for _, _, schedule in after.pop(name)["schedules"]] == ["30 2 * * 1-5"]
+    assert after == {name: facts for name, facts in before.items() if name not in nightly}
     assert len(deployed.ask("deployments/filter", {}).json()) == len(NAMES)
     automations = [each["name"] for each in deployed.ask("automations/filter", {}).json()]
-    assert sorted(automations) == ["metascenes-failures", "metascenes-lost-runs", "metascenes-statistics-after-nightly-lake"]
+    after_runs = ["metascenes-statistics-after-nightly-lake", "metascenes-train-after-release-lake"]
+    assert sorted(automations) == ["metascenes-failures", "metascenes-lost-runs", *after_runs]
     schedule = Schedule(str(deployed.scans), str(deployed.lake), str(deployed.out), timezone="Europe/Berlin")
     done = deployed.run([sys.executable, "-m", "prefect", "--no-prompt", "deploy", "--all"], **schedule.environment())
     assert done.returncode == 0, done.stdout + done.stderr

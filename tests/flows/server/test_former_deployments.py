@@ -152,7 +152,7 @@ def test_deploying_another_lake_leaves_them_and_deploying_theirs_replaces_them(p
     assert [each["active"] for each in prefect.deployment("watch/watch-lake")["schedules"]] == [False], "what was paused stays so"
     assert [each["active"] for each in prefect.deployment("replicate/nightly-lake")["schedules"]] == [True]
     automations = [each["name"] for each in prefect.ask("automations/filter", {}).json()]
-    asking = [f"metascenes-statistics-after-nightly-{lake}" for lake in lakes]
+    asking = [f"metascenes-{asked}-{lake}" for asked in ("statistics-after-nightly", "train-after-release") for lake in lakes]
     assert sorted(automations) == sorted(["metascenes-failures", "metascenes-lost-runs", *asking])
 
     for lake in ("lake", "other"):

@@ -1,0 +1,35 @@
+-- Each part of the lake was trained on once; three methods chose for the objects of one test room in ten.
+SELECT
+    'selection-' || part AS training_id,
+    CASE method WHEN 'learned' THEN digest('model', part) END AS model_id,
+    method,
+    0 AS seed,
+    'lake' AS dataset,
+    split,
+    scene_id,
+    room_id,
+    instance_id,
+    chosen.category AS category,
+    below(object, 'held out', 8) = 0 AS is_held_out_category,
+    filled AS candidate_count,
+    asset_of(object, slot, library.asset_id) AS chosen_asset_id,
+    slot = 5 AS is_chosen_own,
+    FALSE AS is_fallback,
+    1 + below(object, 'truth ' || method, filled) AS truth_rank,
+    CASE WHEN filled > 1 THEN 1 + below(object, 'other truth ' || method, filled - 1) END AS truth_rank_without_own,
+    0.01 + best AS chamfer_m,
+    0.0001 + best ** 2 AS chamfer_m2,
+    0.03 + best AS ecd_m,
+    0.5 + 0.3 * u(object, 'box ' || method) AS box_iou,
+    0.6 + 0.3 * u(object, 'turned box ' || method) AS oriented_iou,
+    1 + u(object, 'color ' || method) AS color_kl,
+    best AS best_chamfer_m,
+    best ** 2 AS best_chamfer_m2,
+    0.02 + best AS best_ecd_m,
+    0.9 AS best_box_iou,
+    0.95 AS best_oriented_iou,
+    0.5 AS best_color_kl,
+    0.01 * (1 + u(object, 'seconds ' || method)) AS seconds
+FROM (SELECT *, 0.02 * u(object, 'best') AS best, unnest(['geometric', 'random', 'learned']) AS method FROM slots_now) AS chosen
+LEFT JOIN library ON library.library_index = chosen.library_index
+WHERE rank = 1 AND split = 'test' AND scene % 10 = 3
