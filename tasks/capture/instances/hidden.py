@@ -60,6 +60,9 @@ OVER_SHARE = 0.5
 CARRIED_SHARE = 0.2
 """Of the cells below furniture, in which something else ends right below it, from which on that carries it."""
 
+FRONTS_SHARE, SLAB_M = 0.5, 0.2
+"""Along so much of a slab, no thicker [m], cabinets end right below it, of which the scan saw the fronts alone: they carry it."""
+
 ENDS_M = 0.03
 """What ends no farther above the bottom of furniture carries it; what reaches higher stands beside or on it."""
 
@@ -84,11 +87,12 @@ RAISED = ("platform", "stage", "step", "steps", "stairs")
 
 @dataclasses.dataclass(frozen=True)
 class _Seen:
-    """Points of all objects [m], shape (n, 3), whose each is, shape (n,), and of the floor, shape (m, 2)."""
+    """Points of all objects [m], shape (n, 3), whose each is, shape (n,), of the floor, shape (m, 2), and which objects are boxes."""
 
     points: Array
     owners: NDArray[np.int64]
     floor: Array
+    boxes: Booleans
 
 
 def with_hidden_parts(
@@ -101,6 +105,7 @@ def with_hidden_parts(
         np.concatenate([np.zeros((0, 3)), *(points[i] for i in movable)]),
         np.concatenate([np.zeros(0, dtype=np.int64), *(np.full(len(points[i]), i) for i in movable)]),
         floor,
+        np.array([mounting(row.category).is_boxy for row in rows], dtype=np.bool_),
     )
     raised = np.array([row.category.split(" ")[-1] in RAISED for row in rows], dtype=np.bool_)
     passed = raised | np.array([mounting(row.category).kind == "covering" for row in rows], dtype=np.bool_)
@@ -182,6 +187,10 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mappi
     cells = max(float(np.prod(np.maximum(size[:2] / CELL_M, 1.0))), 1.0)
     near = inside & (seen.points[:, 2] > bottom - 0.12) & ends_below[seen.owners]
     if _filled(local[near, :2]) > CARRIED_SHARE * cells:
+        return 0.0
+    side = int(np.argmax(size[:2]))
+    fronts = len(np.unique(np.floor(local[near & seen.boxes[seen.owners], side] / CELL_M)))
+    if kind.is_flat_topped and size[2] <= SLAB_M and fronts > FRONTS_SHARE * size[side] / CELL_M:
         return 0.0
     tops = [_top(cloud[:, :2], cloud[:, 2]) for k in _under(row, stages) if len(cloud := seen.points[seen.owners == k])]
     lost = bottom - max((top for top in tops if top < bottom + 0.05), default=0.0)

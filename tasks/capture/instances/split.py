@@ -25,7 +25,8 @@ NEAR_M, LEAST_NEAR = 0.05, 0.04
 """Of the points of one of them, so many are this near to points of the other [m]: what was parted touches where it was parted."""
 
 LEAST_NEAR_OF_TABLES, LEAST_NEAR_OF_MODULES = 0.15, 0.35
-"""The same of tables and of cabinets: what stands in the bend of one is in its box, and may touch it along two sides."""
+"""The same of tables and of cabinets: what stands in the bend of one is in its box, and may touch it along two sides. Tables that are
+together as large as one have no bend: `LEAST_NEAR`."""
 
 MODULES = ("cabinet", "counter", "cupboard", "worktop", "countertop")
 """Last words of what stands side by side, one on the other and around corners, each of its own."""
@@ -118,7 +119,8 @@ def _are_parts(category: str, part: _Part, other: _Part) -> bool:
         return False
     is_module = category.split(" ")[-1] in MODULES
     is_table = mounting(category).is_flat_topped and not mounting(category).is_boxy
-    least = LEAST_NEAR_OF_MODULES if is_module else LEAST_NEAR_OF_TABLES if is_table else LEAST_NEAR
+    is_bent = is_table and not _is_plan_of_whole(category, part, other)
+    least = LEAST_NEAR_OF_MODULES if is_module else LEAST_NEAR_OF_TABLES if is_bent else LEAST_NEAR
     if near >= least and oriented_overlap(*part.box, *other.box) >= LEAST_SHARED * volume:
         return True
     return not is_module and (_is_upper_end(category, part, other) or _is_large_whole(category, part, other))
@@ -140,6 +142,13 @@ def _is_large_whole(category: str, part: _Part, other: _Part) -> bool:
     if not is_known(category) or max(usual) < LARGE_M or (is_of_size(part.box[1], usual) and is_of_size(other.box[1], usual)):
         return False
     return is_of_size(oriented_box(np.concatenate([part.points, other.points]), is_noisy=True)[1], usual)
+
+
+def _is_plan_of_whole(category: str, part: _Part, other: _Part) -> bool:
+    """Whether two parts are together as long and as deep as one object of their category: of a table's legs, a scan may show none."""
+    usual = typical_extents(category)
+    size = oriented_box(np.concatenate([part.points, other.points]), is_noisy=True)[1]
+    return is_known(category) and is_of_size(np.array([*size[:2], usual[2]]), usual)
 
 
 def _is_whole_by_itself(category: str) -> bool:

@@ -354,3 +354,14 @@ def test_the_floor_in_the_bend_of_a_sofa_is_not_below_it() -> None:
     assert low[2] == pytest.approx(0.0)
     ((low, _),) = whole(("sofa", bent), floor=np.concatenate([floor, grid((0.5, 0.5, 0.0), (1.4, 2.3, 0.0))[:, :2]]))
     assert low[2] == pytest.approx(0.12), "a sofa on feet, with the floor seen below it"
+
+
+@pytest.mark.parametrize("category", ["kitchen island", "table"])
+def test_a_worktop_lies_on_the_cabinets_of_which_the_fronts_alone_were_seen(category: str) -> None:
+    """By whichever name; over one front of four it stands by itself, as over stools of which the same was seen."""
+    slab, floor = grid((0.0, 0.5, 0.84), (0.62, 2.9, 0.88)), floor_without((-0.1, 0.4), (0.62, 3.0))
+    fronts = [grid((0.55, 0.5 + 0.6 * i, 0.1), (0.6, 1.1 + 0.6 * i, 0.83)) for i in range(4)]
+    for carriers, count, lowest in (("kitchen cabinet", 4, 0.84), ("kitchen cabinet", 1, 0.0), ("stool", 4, 0.0)):
+        low, high = whole((category, slab), *((carriers, front) for front in fronts[:count]), floor=floor)[0]
+        assert low == pytest.approx([0.0, 0.5, lowest], abs=1e-9), (carriers, count)
+        assert high == pytest.approx([0.62, 2.9, 0.88])

@@ -59,6 +59,28 @@ def test_a_table_whose_top_is_in_two_parts_is_one() -> None:
     assert (len(groups), len(notes)) == (1, 1)
 
 
+@pytest.mark.parametrize("slope", [0.5, 1.0, -0.7])
+def test_a_table_that_is_cut_askew_is_one(slope: float) -> None:
+    table = np.concatenate(
+        [
+            box((0.0, 0.0, 0.72), (1.6, 0.9, 0.76), 0.02),
+            *(box((x, y, 0.0), (x + 0.05, y + 0.05, 0.72)) for x in (0, 1.55) for y in (0, 0.85)),
+        ]
+    )
+    is_left = table[:, 0] < 0.8 + slope * (table[:, 1] - 0.45)
+    groups, _, notes = rejoined(*scan_of(("dining table", table[is_left]), ("table", table[~is_left])))
+    assert (len(groups), len(notes)) == (1, 1)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 0.8])
+def test_tables_that_are_pushed_together_stay_several(turn: float) -> None:
+    table = box((0.0, 0.0, 0.72), (1.2, 0.8, 0.76), 0.02)
+    cos, sin = np.cos(turn), np.sin(turn)
+    turned = table @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    turned[:, 0] += 1.21 - turned[:, 0].min()
+    assert len(rejoined(*scan_of(("desk", table), ("desk", turned)))[0]) == 2
+
+
 def test_what_fits_into_the_bend_of_a_desk_stays_apart_though_it_touches_it() -> None:
     bent = np.concatenate([box((0.0, 0.0, 0.0), (2.0, 0.6, 0.75)), box((0.0, 0.6, 0.0), (0.6, 2.0, 0.75))])
     assert len(rejoined(*scan_of(("desk", bent), ("desk", box((0.63, 0.63, 0.0), (1.9, 1.5, 0.75)))))[0]) == 2
