@@ -6,6 +6,7 @@ import dataclasses
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,8 @@ from bench.selection.data import DataSettings, SelectionData, counts_of, generat
 from bench.selection.kept import keep
 from bench.selection.measures import MeasuredMethod, TrueSurface, check_committed, measured_room
 from bench.selection.rooms import made_room, split_of_room
-from flows.run.configuration import Configuration, configure
+from bench.selection.trainings import ABLATIONS, BLIND, LEARNED, MODEL, mapped, train_all, training_row
 from flows.training.models import loaded_model
-from flows.training.training import planned_training, train
 from schemas.errors import InputError
 from schemas.files import write_whole
 from schemas.selection import SelectionOutcome
@@ -35,27 +35,10 @@ from tasks.selection.methods.model import ModelScores
 from tasks.selection.metrics.bootstrap import difference
 from tasks.selection.metrics.outcomes import figures_of
 from tasks.selection.metrics.rankings import hits
-from tasks.selection.model.config import NoQuery
-from tasks.training.systems.selection import preset
 from warehouse.lake import Lake
-
-MODEL = "small"
-"""The model that is held against all others."""
 
 PLAIN = {"geometric": Geometric(), "extents": Extents(), "color_histogram": ColorHistogram(), "image_similarity": ImageSimilarity()}
 """Methods that learn nothing and need nothing from elsewhere."""
-
-LEARNED = ("pointnet2", "pointbert", "ulip2", "uni3d")
-"""Baselines that learn, at sizes that can be trained here, by name of preset."""
-
-ABLATIONS = (
-    "no_image", "no_text", "no_points", "no_residuals", "no_evidence", "no_quality", "no_ranks", "fixed_temperature", "no_temperature",
-    "as_published", "as_released",
-)  # fmt: skip
-"""What the model is worth without each of its parts, and as others have it; with the first seed alone."""
-
-BLIND = "blind"
-"""The model without the scan: it sees the candidates alone. What it finds above one in ten, the lineups give away."""
 
 ELSEWHERE = ("clip", "acdc", "vision_language")
 """Methods that need weights or an endpoint that the user names."""
@@ -123,19 +106,15 @@ def run_selection_bench(config: SelectionBench, advance: Callable[[str], None]) 
         problem = f"{config.rooms}: {config.folder / 'data'} has {beyond} more, on which models would be trained, too"
         raise InputError("bench selection", "--rooms", problem, "ask for as many as it has, or name another folder")
     made = time.perf_counter() - clock
-    models: list[tuple[str, int, LearnedModel]] = []
-    for name, seed in config.trainings:
-        models.append((name, seed, trained(data.lake, name, seed, config.steps)))
-        advance(f"{name} {seed}")
+    models = train_all(data.lake, config.trainings, config.steps, config.processes, advance)
     fitted = time.perf_counter() - clock - made
     scorers = scorers_of(data.lake, models)
-    reader = data.lake.snapshot()
-    check_committed(reader, truths)
+    check_committed(data.lake.snapshot(), truths)
     outcomes: list[SelectionOutcome] = []
-    for truth in (row for row in truths if row["split"] == "test"):
-        surfaces = true_surfaces(truth, config.seed)
-        outcomes += measured_room(data.lake, reader, truth, surfaces, scorers, "held-out rooms", config.folder / "measured", config.seed)
-        advance(truth["scene_id"])
+    with mapped(config.processes) as spread:
+        for found in spread(partial(_measured_room, config, scorers), [row for row in truths if row["split"] == "test"]):
+            outcomes += found
+            advance(found[0].scene_id if found else "room")
     keep(data.lake, outcomes, config.seed)
     foreign, not_measured = _foreign(config, scorers)
     spent = {"data": made, "training": fitted, "measuring": time.perf_counter() - clock - made - fitted}
@@ -168,26 +147,11 @@ def make_data(config: SelectionBench, data: SelectionData, advance: Callable[[st
     return failed
 
 
-def trained(lake: Lake, name: str, seed: int, steps: int) -> LearnedModel:
-    """A model of a preset, trained on the lake's newest snapshot, or the lake's own where it has it."""
-    return train(lake, planned_training(lake, settings_of(name, seed, steps)))
-
-
-def settings_of(name: str, seed: int, steps: int) -> Configuration:
-    """Settings of a training."""
-    system = preset(MODEL if name == BLIND else name)
-    if name == BLIND:
-        unasked = dataclasses.replace(
-            system.model, image=NoQuery(), text=NoQuery(), query_points=False, residuals=False, query_evidence=False, frame="canonical"
-        )
-        system = dataclasses.replace(system, model=unasked)
-    if steps:
-        warmup = min(system.fitting.warmup_steps, steps // 4)
-        fitting = dataclasses.replace(system.fitting, steps=steps, warmup_steps=warmup, validate_steps=max(1, steps // 10))
-        system = dataclasses.replace(system, fitting=fitting)
-    plain = configure(seed=seed)
-    stages = dict(plain.stages) | {"training": dataclasses.replace(plain.stages["training"], system=system)}
-    return dataclasses.replace(plain, stages=stages)
+def _measured_room(config: SelectionBench, scorers: Sequence[MeasuredMethod], truth: Mapping[str, Any]) -> list[SelectionOutcome]:
+    """Outcomes of a held-out room."""
+    lake = SelectionData(config.folder / "data", DataSettings(config.seed)).lake
+    surfaces, folder = true_surfaces(truth, config.seed), config.folder / "measured"
+    return measured_room(lake, lake.snapshot(), truth, surfaces, scorers, "held-out rooms", folder, config.seed)
 
 
 def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]]) -> list[MeasuredMethod]:
@@ -255,12 +219,6 @@ def _mean_hits(rows: Sequence[SelectionOutcome]) -> dict[tuple[str, str], float]
     for row, hit in zip(rows, hits([row.truth_rank for row in rows], 1), strict=True):
         values.setdefault((row.room_id, f"{row.scene_id} {row.instance_id}"), []).append(float(hit))
     return {key: float(np.mean(value)) for key, value in values.items()}
-
-
-def training_row(name: str, seed: int, model: LearnedModel) -> dict[str, Any]:
-    """What a training came to."""
-    return {"name": name, "seed": seed, "model_id": model.model_id, "parameters": model.parameter_count, "bytes": model.weights_bytes,
-            "seconds": model.seconds, "device": model.device, "examples": list(model.examples)}  # fmt: skip
 
 
 def goals(

@@ -35,6 +35,9 @@ POLE_WIDTH_M = 0.3
 MOST_BEHIND_M = 0.75
 """Farther from a wall than this, furniture does not stand against it."""
 
+PLINTH_M = 0.15
+"""Nobody hangs a cabinet this low [m]: the scan lost its feet, or a plinth that stands back, whatever floor was seen below it."""
+
 FRONT_M = 0.12
 """Of a body that is no deeper the front alone was seen [m], whose plinth stands back by some centimetres: the floor that is seen before
 it says nothing, that behind it would."""
@@ -195,7 +198,8 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mappi
     tops = [_top(cloud[:, :2], cloud[:, 2]) for k in _under(row, stages) if len(cloud := seen.points[seen.owners == k])]
     lost = bottom - max((top for top in tops if top < bottom + 0.05), default=0.0)
     is_front = kind.is_boxy and size[:2].min() <= FRONT_M and _behind(index, row, lost * np.eye(6)[4], seen, walls).any()
-    if kind.base == "body" and not is_front:
+    is_low = kind.kind == "either" and bottom <= PLINTH_M
+    if kind.base == "body" and not is_front and not is_low:
         on_floor = transform_points(np.column_stack([seen.floor, np.full(len(seen.floor), pose[2, 3])]), inverse(pose))
         on_floor = on_floor[(np.abs(on_floor[:, :2]) < 0.5 * size[:2]).all(axis=1)]
         if len(_cells(on_floor[:, :2]) & _cells(local[seen.owners == index, :2])) > FLOOR_SHARE * cells:  # not in its bend
