@@ -18,6 +18,7 @@ from bench.selection.annotations import annotate
 from bench.selection.data import DataSettings, SelectionData, counts_of, generate
 from bench.selection.kept import keep
 from bench.selection.measures import MeasuredMethod, TrueSurface, check_committed, measured_room
+from bench.selection.naming import naming_report, namings_of
 from bench.selection.rooms import made_room, split_of_room
 from bench.selection.trainings import ABLATIONS, BLIND, LEARNED, MODEL, mapped, train_all, training_row
 from flows.training.models import loaded_model
@@ -116,6 +117,7 @@ def run_selection_bench(config: SelectionBench, advance: Callable[[str], None]) 
             outcomes += found
             advance(found[0].scene_id if found else "room")
     keep(data.lake, outcomes, config.seed)
+    named = naming_of(data.lake, truths, scorers, config.seed)
     foreign, not_measured = _foreign(config, scorers)
     spent = {"data": made, "training": fitted, "measuring": time.perf_counter() - clock - made - fitted}
     seconds = with_earlier(config.folder / "seconds.json", spent)
@@ -124,7 +126,7 @@ def run_selection_bench(config: SelectionBench, advance: Callable[[str], None]) 
     rare = {name: table_row([r for r in rows if r.is_held_out_category], config.seed) for name, rows in by_method(outcomes).items()}
     return {
         "machine": machine(), "seed": config.seed, "processes": config.processes, "counts": counts, "failed_rooms": failed,
-        "methods": figures, "held_out_categories": rare, "house": foreign, "not_measured": not_measured,
+        "methods": figures, "held_out_categories": rare, "naming": named, "house": foreign, "not_measured": not_measured,
         "trainings": [training_row(name, seed, model) for name, seed, model in models],
         "seconds": seconds,
         "margin": margin(outcomes, config.seed),
@@ -158,6 +160,12 @@ def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]]) -> l
     """Every method that is measured."""
     learned = [MeasuredMethod(name, ModelScores(row.model_id), seed, loaded_model(lake, row)) for name, seed, row in models]
     return [MeasuredMethod(name, method) for name, method in PLAIN.items()] + learned
+
+
+def naming_of(lake: Lake, truths: Sequence[Mapping[str, Any]], scorers: Sequence[MeasuredMethod], seed: int) -> dict[str, Any]:
+    """How the model names scans, with its first seed; nothing where it was not trained."""
+    models = [scorer.model for scorer in scorers if scorer.name == MODEL and scorer.model is not None]
+    return naming_report(namings_of(lake, truths, models[0], seed), seed) if models else {}
 
 
 def true_surfaces(truth: Mapping[str, Any], seed: int) -> dict[str, TrueSurface]:

@@ -22,6 +22,10 @@ SURFACES: tuple[tuple[str, str, float, int], ...] = (
 """Figures of what was chosen."""
 
 
+MOST_NAMES = 6
+"""Of what a category is called, so many are shown."""
+
+
 def print_selection(report: Mapping[str, Any], console: Console) -> None:
     """Print figures of all methods on held-out rooms, on held-out categories and of the house, what training took, and goals."""
     console.print(headline(report["machine"], report["seed"], report["processes"]))
@@ -44,6 +48,9 @@ def print_selection(report: Mapping[str, Any], console: Console) -> None:
     for name, row in report["margin"].items():
         add_row(margin, name, f"{100 * row['value']:.1f}", f"{100 * row['low']:.1f} to {100 * row['high']:.1f}")
     console.print(margin)
+    if report["naming"]:
+        console.print(_names(report["naming"]["shares"]))
+        console.print(_confusion(report["naming"]["confusion"]))
     trainings = table_of("trainings", ("", False), ("seed", True), ("parameters", True), ("kB", True), ("seconds", True), ("device", False))
     for row in report["trainings"]:
         add_row(trainings, row["name"], str(row["seed"]), f"{row['parameters']:,}", f"{row['bytes'] / 1000:.0f}", f"{row['seconds']:.0f}",
@@ -53,6 +60,25 @@ def print_selection(report: Mapping[str, Any], console: Console) -> None:
         console.print(f"not measured: {line}", markup=False, soft_wrap=True)
     console.print("hours: " + ", ".join(f"{step} {value / 3600:.2f}" for step, value in report["seconds"].items()))
     console.print(goals_table(report["goals"]))
+
+
+def _names(shares: Mapping[str, Any]) -> Any:
+    """How often instances are called what they are."""
+    table = table_of("right names, by points alone [%]", ("", False), ("instances", True), ("rules of sizes", True), ("model", True))
+    titles = {"all": "all", "learned": "of categories that were learned", "ruled": "of categories that the rules name"}
+    for group, row in shares.items():
+        cells = (f"{100 * who['value']:.1f} ({100 * who['low']:.1f}-{100 * who['high']:.1f})" for who in (row["by_rules"], row["by_model"]))
+        add_row(table, titles[group], str(row["by_model"]["examples"]), *cells)
+    return table
+
+
+def _confusion(counts: Mapping[str, Mapping[str, int]]) -> Any:
+    """What the model takes the most frequent categories for."""
+    table = table_of("what the model calls them", ("", False), ("instances", True), ("called", False))
+    for category, names in counts.items():
+        shown = [f"{name} {count}" for name, count in list(names.items())[:MOST_NAMES]]
+        add_row(table, category, str(sum(names.values())), ", ".join(shown + ["..."] * (len(names) > MOST_NAMES)))
+    return table
 
 
 def _choices(title: str, methods: Mapping[str, Any]) -> Any:

@@ -20,6 +20,7 @@ from bench.selection.data import DataSettings, SelectionData, counts_of, generat
 from bench.selection.foreign import made_house, model_of
 from bench.selection.lineups import OF_SCANNED, LineupSettings, Offered, lineup, main_color, recolored
 from bench.selection.measures import MeasuredMethod, measured_room, source_digest
+from bench.selection.naming import Naming, naming_report
 from bench.selection.report import PLAIN, SelectionBench, margin, run_selection_bench, table_row, true_surfaces
 from bench.selection.rooms import TrueModel, held_out, is_hard, made_room, split_of_room
 from schemas.annotation import Annotation, AnswerVerdict, QualityReview
@@ -322,6 +323,7 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
     assert set(report["margin"]) == {*PLAIN, "blind"}
     assert [row["name"] for row in report["trainings"]] == ["small", "blind"]
     assert report["counts"]["rooms"]["test"] == len(config.tested)
+    assert 0 < report["naming"]["shares"]["all"]["by_model"]["examples"] <= report["counts"]["instances"]["test"]
     shown = asked(tmp_path / "data" / "lake", "FROM selection_methods WHERE training_id = 'bench-selection'")
     assert {row["method"] for row in shown} == set(report["methods"])
     for row in shown:
@@ -336,6 +338,17 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
     (counted,) = asked(tmp_path / "data" / "lake", "SELECT count(*) AS rows, count(DISTINCT method) AS methods FROM selection_outcomes")
     assert counted["methods"] == len(report["methods"])
     assert counted["rows"] == sum(row["instances"] * row["seeds"] for row in report["methods"].values())
+
+
+def test_names_count_by_whichever_word_and_the_confusion_is_of_what_was_learned() -> None:
+    rows = [
+        Naming("a", "sofa", False, "couch", "sofa"), Naming("a", "sofa", False, "bed", "sofa"), Naming("b", "table", False, "kitchen table", "vase"),
+        Naming("b", "keyboard", True, "object", "book"),
+    ]  # fmt: skip
+    report = naming_report(rows, 0)
+    shares = {group: [report["shares"][group][who]["value"] for who in ("by_rules", "by_model")] for group in report["shares"]}
+    assert shares == {"all": [0.5, 0.5], "learned": pytest.approx([2 / 3, 2 / 3]), "ruled": pytest.approx([2 / 3, 2 / 3])}
+    assert report["confusion"] == {"sofa": {"sofa": 2}, "table": {"vase": 1}}
 
 
 def test_margins_are_of_the_same_instances() -> None:

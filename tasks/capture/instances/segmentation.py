@@ -97,6 +97,9 @@ _RULES = (
 )
 """Sizes of furniture as shops sell it, with room for parts that no camera saw. The first rule that fits decides."""
 
+RULED = tuple(dict.fromkeys(rule.category for rule in _RULES))
+"""Categories that are guessed."""
+
 
 def geometry_groups(world: Surface) -> tuple[tuple[Group, ...], list[str]]:
     """Instances of an aligned scan (floor at z = 0): floor, walls, ceiling, objects and the items on them; and a note."""
