@@ -53,7 +53,7 @@ EXAMPLES = {"train": 2000, "test": 500}
 class SelectionBench:
     """What is measured. folder: of data, measured rooms and everything else that the same command goes on from. steps: of each training;
     0 for the system's own. variants: presets that are trained, of `MODEL`, `LEARNED`, `ABLATIONS` and `BLIND`. realdata: folder with the
-    AWS small house and its models, which is measured, too; None for none."""
+    AWS small house and its models, which is measured, too; None for none. methods: settings of methods of `ELSEWHERE`."""
 
     folder: Path
     rooms: int = 130
@@ -63,6 +63,7 @@ class SelectionBench:
     processes: int = 1
     variants: tuple[str, ...] = (MODEL, *LEARNED, *ABLATIONS, BLIND)
     realdata: Path | None = None
+    methods: tuple[Any, ...] = ()
 
     @property
     def trainings(self) -> list[tuple[str, int]]:
@@ -109,7 +110,7 @@ def run_selection_bench(config: SelectionBench, advance: Callable[[str], None]) 
     made = time.perf_counter() - clock
     models = train_all(data.lake, config.trainings, config.steps, config.processes, advance)
     fitted = time.perf_counter() - clock - made
-    scorers = scorers_of(data.lake, models)
+    scorers = scorers_of(data.lake, models, config.methods)
     check_committed(data.lake.snapshot(), truths)
     outcomes: list[SelectionOutcome] = []
     with mapped(config.processes) as spread:
@@ -156,10 +157,10 @@ def _measured_room(config: SelectionBench, scorers: Sequence[MeasuredMethod], tr
     return measured_room(lake, lake.snapshot(), truth, surfaces, scorers, "held-out rooms", folder, config.seed)
 
 
-def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]]) -> list[MeasuredMethod]:
-    """Every method that is measured."""
+def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]], methods: Sequence[Any] = ()) -> list[MeasuredMethod]:
+    """Every method that is measured. methods: settings of those that the user named."""
     learned = [MeasuredMethod(name, ModelScores(row.model_id), seed, loaded_model(lake, row)) for name, seed, row in models]
-    return [MeasuredMethod(name, method) for name, method in PLAIN.items()] + learned
+    return [MeasuredMethod(name, method) for name, method in (*PLAIN.items(), *((method.kind, method) for method in methods))] + learned
 
 
 def naming_of(lake: Lake, truths: Sequence[Mapping[str, Any]], scorers: Sequence[MeasuredMethod], seed: int) -> dict[str, Any]:
@@ -196,8 +197,8 @@ def table_row(rows: Sequence[SelectionOutcome], seed: int) -> dict[str, Any]:
 
 
 def best_plain(figures: Mapping[str, Any]) -> str:
-    """The method that learns nothing with the best top-1."""
-    return max((name for name in figures if name in PLAIN), key=lambda name: (top(figures, name), name))
+    """The method that learns nothing from these rooms with the best top-1."""
+    return max((name for name in figures if name in (*PLAIN, *ELSEWHERE)), key=lambda name: (top(figures, name), name))
 
 
 def top(figures: Mapping[str, Any], name: str, metric: str = "top_1") -> float:
@@ -259,7 +260,8 @@ def _foreign(config: SelectionBench, scorers: Sequence[MeasuredMethod]) -> tuple
     """Figures of the AWS house, and what was not measured, a line each."""
     from bench.selection.foreign import house_outcomes, lacking
 
-    lines = [f"{name}: needs weights or an endpoint that the user names" for name in ELSEWHERE]
+    measured = {method.kind for method in config.methods}
+    lines = [f"{name}: needs weights or an endpoint that the user names (--method)" for name in ELSEWHERE if name not in measured]
     lack = lacking(config.realdata)
     if lack is not None or config.realdata is None:
         return {}, [*lines, f"the AWS small house: {lack}"]

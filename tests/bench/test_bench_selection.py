@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
 from bench.selection import lineups, measures, rooms
@@ -23,6 +24,7 @@ from bench.selection.measures import MeasuredMethod, measured_room, source_diges
 from bench.selection.naming import Naming, naming_report
 from bench.selection.report import PLAIN, SelectionBench, margin, run_selection_bench, table_row, true_surfaces
 from bench.selection.rooms import TrueModel, held_out, is_hard, made_room, split_of_room
+from flows.cli import cli
 from schemas.annotation import Annotation, AnswerVerdict, QualityReview
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene
@@ -342,13 +344,29 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
 
 def test_names_count_by_whichever_word_and_the_confusion_is_of_what_was_learned() -> None:
     rows = [
-        Naming("a", "sofa", False, "couch", "sofa"), Naming("a", "sofa", False, "bed", "sofa"), Naming("b", "table", False, "kitchen table", "vase"),
-        Naming("b", "keyboard", True, "object", "book"),
+        Naming("a", "sofa", False, "couch", "sofa"), Naming("a", "sofa", False, "bed", "sofa"),
+        Naming("b", "table", False, "kitchen table", "vase"), Naming("b", "keyboard", True, "object", "book"),
     ]  # fmt: skip
     report = naming_report(rows, 0)
     shares = {group: [report["shares"][group][who]["value"] for who in ("by_rules", "by_model")] for group in report["shares"]}
     assert shares == {"all": [0.5, 0.5], "learned": pytest.approx([2 / 3, 2 / 3]), "ruled": pytest.approx([2 / 3, 2 / 3])}
     assert report["confusion"] == {"sofa": {"sofa": 2}, "table": {"vase": 1}}
+
+
+@pytest.mark.parametrize(
+    ("methods", "named"),
+    [
+        (["geometric"], "geometric is none of clip, acdc, vision_language"),
+        (['{kind="clip", weights="a"}', '{kind="clip", weights="b"}'], "clip is named twice"),
+        (['{kind="clip", weight="a"}'], "selection.provider.weight"),
+    ],
+)
+def test_a_method_that_cannot_be_measured_too_is_refused(methods: list[str], named: str, tmp_path: Path) -> None:
+    told = [part for method in methods for part in ("--method", method)]
+    done = CliRunner().invoke(cli, ["bench", "selection", "--folder", str(tmp_path / "selection"), *told])
+    assert done.exit_code
+    assert named in " ".join(done.output.split()) or named in str(done.exception)
+    assert not (tmp_path / "selection").exists()
 
 
 def test_margins_are_of_the_same_instances() -> None:

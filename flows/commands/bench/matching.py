@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -57,10 +59,17 @@ def alignment(objects: int, seed: int, realdata: Path | None, processes: int, as
     envvar="METASCENES_REALDATA",
     help="Folder with the AWS small house and its models, which is measured, too.",
 )
+@click.option(
+    "--method",
+    "methods",
+    multiple=True,
+    metavar="PROVIDER",
+    help="Measure this method, too, given as selection.provider takes it; for those that need weights or an endpoint. May be repeated.",
+)
 @processes_option
 @json_option
-def selection(rooms: int, seeds: int, steps: int, variants: str, seed: int, folder: Path, realdata: Path | None, processes: int,
-              as_json: bool) -> None:  # fmt: skip
+def selection(rooms: int, seeds: int, steps: int, variants: str, seed: int, folder: Path, realdata: Path | None,
+              methods: tuple[str, ...], processes: int, as_json: bool) -> None:  # fmt: skip
     """Measure asset selection where the scanned model is known: ten candidates for each object, of which nine are hard to tell from it.
 
     Rooms are generated, scanned and answered for by simulated annotators; models are trained on four fifths of them, and every method is
@@ -68,12 +77,31 @@ def selection(rooms: int, seeds: int, steps: int, variants: str, seed: int, fold
 
     The exit code is 1 when a goal is missed, and else 0.
 
-    Example: metascenes bench selection --rooms 20 --seeds 1 --steps 200 --variants small
+    Example: metascenes bench selection --rooms 20 --seeds 1 --steps 200 --variants small --method '{kind="clip", weights="clip-vit-b-32"}'
     """
     from bench.selection.report import SelectionBench, run_selection_bench
     from bench.selection.tables import print_selection
 
     known = SelectionBench(folder).variants
     chosen = () if variants.strip() == "none" else chosen_words(variants, known, "--variants")
-    config = SelectionBench(folder, rooms, seeds, steps, seed, processes, chosen, realdata)
+    config = SelectionBench(folder, rooms, seeds, steps, seed, processes, chosen, realdata, tuple(_named_methods(methods)))
     run_measurement("measured", config.steps_of_progress, partial(run_selection_bench, config), print_selection, as_json)
+
+
+def _named_methods(texts: Iterable[str]) -> Iterator[Any]:
+    """Settings of methods that need something from elsewhere, each once."""
+    from bench.selection.report import ELSEWHERE
+    from flows.run.configuration import configure
+    from schemas.errors import InputError
+
+    kinds: set[str] = set()
+    for text in texts:
+        try:
+            method = configure(settings=[f"selection.provider={text}"]).stages["selection"].provider
+        except InputError as error:
+            raise InputError("--method", error.field, error.problem, error.remedy) from error
+        if method.kind not in ELSEWHERE or method.kind in kinds:
+            problem = "is named twice" if method.kind in kinds else f"is none of {', '.join(ELSEWHERE)}"
+            raise click.BadParameter(f"{method.kind} {problem}", param_hint="--method")
+        kinds.add(method.kind)
+        yield method
