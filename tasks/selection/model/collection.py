@@ -15,6 +15,7 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
+from schemas.licenses import of_asset, stated
 from schemas.navigation import Split
 from schemas.selection import Selection
 from tasks.geometry.transforms import inverse, matrix
@@ -100,10 +101,9 @@ def collected(dataset: Rows, context: Context, config: SelectionModel, test_shar
         raise InputError(
             "train selection", "annotations", "has no choice that counts", "annotate and accept a batch, or simulate annotators"
         )
-    rooms, licenses = {}, set()
-    for scene in dataset.rows(Scene):
-        rooms[scene.scene_id] = scene.room_id
-        licenses.add(scene.license or "unknown")
+    scenes = {scene.scene_id: scene for scene in dataset.rows(Scene)}
+    rooms = {scene_id: scene.room_id for scene_id, scene in scenes.items()}
+    scans = {scene_id: scene.license for scene_id, scene in scenes.items()}
     splits = {row.room_id: row.split for row in dataset.rows(Split)}
     captions = {key: row.sentence for row in dataset.rows(Caption) if (key := (row.scene_id, row.instance_id)) in answers}
     slots: dict[Key, dict[int, Candidate]] = defaultdict(dict)
@@ -117,7 +117,8 @@ def collected(dataset: Rows, context: Context, config: SelectionModel, test_shar
     wanted = {row.asset_id for rows in poses.values() for row in rows.values()}
     assets = {asset.asset_id: asset for asset in dataset.rows(Asset) if asset.asset_id in wanted}
     clouds = asset_clouds(assets, context, config)
-    licenses |= {assets[asset_id].license for asset_id in clouds}
+    licenses = {stated(license_) for license_ in scans.values()}
+    licenses |= {of_asset(assets[asset_id].license, assets[asset_id].source, scans) for asset_id in clouds}
     made: dict[str, list[Example]] = {"train": [], "test": []}
     left_out: dict[str, int] = defaultdict(int)
     of_programs = 0

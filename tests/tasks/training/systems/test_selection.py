@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from schemas.annotation import Annotation
+from schemas.candidates import Asset
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
 from schemas.navigation import Split
@@ -147,6 +148,16 @@ def test_examples_are_split_by_room_and_hold_what_the_rows_say(world) -> None:
             local = (world_points - box[:3, 3]) @ box[:3, :3] + [0, 0, 0.5 * instance.box_size[2]]
             assert np.abs(local - contender.placed().points).max() < 2e-3 * max(1.0, np.abs(local).max())
     assert (data.train[1].scanned.image is None) == (data.train[1].instance_id == "0001")
+
+
+def test_what_was_cut_from_a_scan_has_the_license_of_that_scan(world) -> None:
+    rows, blobs = world
+    crops = [
+        dataclasses.replace(row, license="LicenseRef-scan", source="scan test/room1") if isinstance(row, Asset) else row for row in rows
+    ]
+    assert collected(RowsInMemory("a", *crops), context(blobs), MODEL, 0.2).license == "CC-BY-4.0"
+    bare = [dataclasses.replace(row, license=None) if isinstance(row, Scene) and row.scene_id == "test/room1" else row for row in crops]
+    assert collected(RowsInMemory("a", *bare), context(blobs), MODEL, 0.2).license == "CC-BY-4.0, unknown"
 
 
 def test_point_clouds_are_made_once_for_each_content(world) -> None:
