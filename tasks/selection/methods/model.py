@@ -14,7 +14,7 @@ from tasks.geometry.transforms import yaw_pose
 from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod, chances
-from tasks.settings import Config
+from tasks.settings import Config, Share
 from tasks.stage import WantedModel
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ class ModelScores(Config):
 
     kind: ClassVar[str] = "model"
     model_id: str = ""  # or how it begins; without, the newest that was not withdrawn, else the one that ships
+    within: Share = 1.0  # it chooses among candidates whose geometric score is this near to the best one: 1 among all, 0 among equals
 
 
 def wanted(config: Any) -> WantedModel | None:
@@ -41,6 +42,9 @@ def wanted(config: Any) -> WantedModel | None:
 def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelScores, model: Model | None) -> Array:
     """Chances of the candidates, shape (k,): the softmax of the model's scores, as it was trained to.
 
+    Where some fit the scan too badly to compete, those that do share the upper half of the scores by their chances, and the others the
+    lower half by their geometric ones.
+
     Raises:
         Lacking: there is no model.
         InputError: the model cannot be used.
@@ -48,7 +52,10 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelSco
     if model is None:
         raise Lacking("no model")
     scorer = _scorer(model.model_id, model.weights, model.config)
-    return chances(scorer.score(scanned_of(query, scorer.config), contenders_of(query, candidates, scorer.config)))
+    scores = chances(scorer.score(scanned_of(query, scorer.config), contenders_of(query, candidates, scorer.config)))
+    fit = np.array([each.geometric for each in candidates])
+    competes = fit >= fit.max(initial=0.0) - config.within
+    return scores if competes.all() else np.where(competes, 0.5 + 0.5 * scores, 0.5 * fit)
 
 
 def scanned_of(query: InstanceQuery, config: SelectionModel) -> Scanned:
@@ -92,8 +99,9 @@ def _scorer(model_id: str, weights: bytes, config: str) -> Any:
 
 
 def label(config: ModelScores, model: Model | None) -> str:
-    """Which model scored."""
-    return "" if model is None else model.model_id[:12]
+    """Which model scored, and among which."""
+    limit = "" if config.within >= 1.0 else f":{config.within:g}"
+    return "" if model is None else model.model_id[:12] + limit
 
 
 MODEL = SelectionMethod(name="model", config=ModelScores, version="1", score=score, needs=("model",), label=label)
