@@ -36,7 +36,7 @@ class Naming:
 
     room_id: str
     category: str
-    is_held_out: bool
+    is_learned: bool
     by_rules: str
     by_model: str
 
@@ -46,7 +46,8 @@ def namings_of(lake: Lake, truths: Sequence[Mapping[str, Any]], model: Model, se
     categories of the rooms that it learned from.
 
     Raises:
-        InputError: the model was not trained to name scans.
+        InputError: the model is none of the architecture small.
+        ValueError: it was not trained to name scans.
     """
     scorer = load(model.weights, config_from(model.config), f"model {model.model_id[:12]}")
     if not isinstance(scorer, Scorer):
@@ -64,7 +65,7 @@ def namings_of(lake: Lake, truths: Sequence[Mapping[str, Any]], model: Model, se
             _, target, points, colors = instance_frame(row, context, SelectionConfig())
             seen = scanned(points, colors, target.size, "", None, None, scorer.config)
             by_model = learned[int(np.argmax(scorer.named(seen.cloud, seen.extents, learned, NAME_TOKENS)))]
-            named.append(Naming(truth["room_id"], known["category"], known["is_held_out"], by_rules, by_model))
+            named.append(Naming(truth["room_id"], known["category"], known["category"] in learned, by_rules, by_model))
     return named
 
 
@@ -75,7 +76,7 @@ def naming_report(namings: Sequence[Naming], seed: int) -> dict[str, Any]:
     """
     groups = {
         "all": list(namings),
-        "learned": [row for row in namings if not row.is_held_out],
+        "learned": [row for row in namings if row.is_learned],
         "ruled": [row for row in namings if usual(row.category) in {usual(name) for name in RULED}],
     }
     shares = {

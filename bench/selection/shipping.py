@@ -31,7 +31,6 @@ LIMITS = (
     "One of ten candidates was nearly always the scanned model or a close variant of it. Where none is, it takes what looks like the "
     "object and passes over pieces of the scan; a replica then covers less of the scan than with the geometric score (docs/selection.md).",
     "Crops were rendered from the scans' own cameras; photographs of real rooms were never seen.",
-    "Its names for what a scan shows are worse than the rules of sizes that capture has, and are not used.",
 )
 
 
@@ -54,7 +53,7 @@ def ship(folder: Path, report: Mapping[str, Any], out: Path) -> Path:
 
 
 def measured(report: Mapping[str, Any]) -> Iterator[str]:
-    """What the benchmark found of the model and of the best method that learns nothing, and what the model cannot do, as Markdown."""
+    """What the benchmark found of the model and of the best method that learns nothing from its rooms, and limits, as Markdown."""
     counts, other = report["counts"], best_plain(report["methods"])
     yield from ("", "## Data", "")
     rooms, instances = counts["rooms"], counts["instances"]
@@ -66,7 +65,7 @@ def measured(report: Mapping[str, Any]) -> Iterator[str]:
         "those below of what their rule says without noise."
     )
     columns = (*CHOICES, *SURFACES)
-    yield from ("", "## Held against the geometric score", "")
+    yield from ("", f"## Held against `{other}`", "")
     yield "| on | method | instances | " + " | ".join(header for _, header, _, _ in columns) + " |"
     yield "|" + "---|" * (3 + len(columns))
     for group, title in GROUPS.items():
@@ -76,7 +75,18 @@ def measured(report: Mapping[str, Any]) -> Iterator[str]:
                 cells = (_cell(row["figures"].get(key), times, digits) for key, _, times, digits in columns)
                 yield f"| {title} | {name} | {row['instances']:,} | " + " | ".join(cells) + " |"
     yield from ("", "## Limits", "")
-    yield from (f"- {line}" for line in LIMITS)
+    yield from (f"- {line}" for line in (*LIMITS, *_naming(report["naming"])))
+
+
+def _naming(naming: Mapping[str, Any]) -> Iterator[str]:
+    """How well the encoder names what a scan shows, by its points alone."""
+    if naming:
+        rows = [naming["shares"][group] for group in ("ruled", "all")]
+        rules, model = ([f"{100 * row[who]['value']:.1f}" for row in rows] for who in ("by_rules", "by_model"))
+        yield (
+            f"Its encoder names {model[0]} % of the scans of categories that the rules of sizes of capture know, and {model[1]} % of all; "
+            f"the rules {rules[0]} and {rules[1]} %. Capture goes by the rules."
+        )
 
 
 def _cell(figure: Mapping[str, Any] | None, times: float, digits: int) -> str:

@@ -57,7 +57,7 @@ def mapped(processes: int) -> Iterator[Callable[[Callable[[Any], Any], Sequence[
     if processes == 1:
         yield map
         return
-    with WorkerPool(processes) as pool, ThreadPoolExecutor(processes) as threads:
+    with ThreadPoolExecutor(processes) as threads, WorkerPool(processes) as pool:  # left first, it lets go of who waits for it
         yield lambda function, items: threads.map(partial(pool.call, function), items)
 
 

@@ -48,10 +48,9 @@ def _files(lake: Lake | None, reader: Any, row: LearnedModel, name: str) -> dict
     """Files of a model by name; `model.json` last, so that a folder without it is none."""
     if row.origin == "shipped":
         folder = dict(shipped_models(row.kind))[name]
-        document, weights = dict(folder.document), folder.model.weights
-    else:
-        assert lake is not None
-        document, weights = document_of(row, evaluations_of_model(reader, row)), loaded_model(lake, row).weights
+        return {WEIGHTS: folder.model.weights, **{each: (folder.folder / each).read_bytes() for each in (CARD, DOCUMENT)}}
+    assert lake is not None
+    document, weights = document_of(row, evaluations_of_model(reader, row)), loaded_model(lake, row).weights
     text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     return {WEIGHTS: weights, CARD: card_of(document, len(weights)).encode(), DOCUMENT: text.encode()}
 

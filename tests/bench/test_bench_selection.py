@@ -344,13 +344,13 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
 
 def test_names_count_by_whichever_word_and_the_confusion_is_of_what_was_learned() -> None:
     rows = [
-        Naming("a", "sofa", False, "couch", "sofa"), Naming("a", "sofa", False, "bed", "sofa"),
-        Naming("b", "table", False, "kitchen table", "vase"), Naming("b", "keyboard", True, "object", "book"),
+        Naming("a", "sofa", True, "couch", "sofa"), Naming("a", "sofa", True, "bed", "sofa"), Naming("b", "plate", True, "object", "plate"),
+        Naming("b", "table", True, "kitchen table", "vase"), Naming("b", "keyboard", False, "object", "book"),
     ]  # fmt: skip
     report = naming_report(rows, 0)
     shares = {group: [report["shares"][group][who]["value"] for who in ("by_rules", "by_model")] for group in report["shares"]}
-    assert shares == {"all": [0.5, 0.5], "learned": pytest.approx([2 / 3, 2 / 3]), "ruled": pytest.approx([2 / 3, 2 / 3])}
-    assert report["confusion"] == {"sofa": {"sofa": 2}, "table": {"vase": 1}}
+    assert shares == {"all": [0.4, 0.6], "learned": [0.5, 0.75], "ruled": pytest.approx([2 / 3, 2 / 3])}
+    assert report["confusion"] == {"sofa": {"sofa": 2}, "plate": {"plate": 1}, "table": {"vase": 1}}
 
 
 @pytest.mark.parametrize(
@@ -359,6 +359,7 @@ def test_names_count_by_whichever_word_and_the_confusion_is_of_what_was_learned(
         (["geometric"], "geometric is none of clip, acdc, vision_language"),
         (['{kind="clip", weights="a"}', '{kind="clip", weights="b"}'], "clip is named twice"),
         (['{kind="clip", weight="a"}'], "selection.provider.weight"),
+        (["clip"], "names no folder"),
     ],
 )
 def test_a_method_that_cannot_be_measured_too_is_refused(methods: list[str], named: str, tmp_path: Path) -> None:

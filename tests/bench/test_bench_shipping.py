@@ -11,6 +11,7 @@ from bench.selection import shipping
 from bench.selection.shipping import GROUPS, MODEL, measured, ship
 from bench.selection.tables import CHOICES, SURFACES
 from schemas.errors import InputError
+from tasks.models import CARD
 
 COLUMNS = (*CHOICES, *SURFACES)
 
@@ -26,6 +27,7 @@ def report(**training: Any) -> dict[str, Any]:
         "methods": {"extents": row(0.1), "geometric": row(0.4), MODEL: row(0.8), "blind": row(0.9)},
         "held_out_categories": {"extents": row(0.1), "geometric": row(0.3), MODEL: row(0.7)},
         "house": {},
+        "naming": {"shares": {group: {"by_rules": {"value": 0.6}, "by_model": {"value": 0.2}} for group in ("all", "ruled")}},
         "trainings": [{"name": MODEL, "seed": 0, "model_id": "a" * 64, "bytes": 1000} | training],
     }
 
@@ -40,7 +42,22 @@ def test_the_card_holds_the_model_against_the_best_that_learns_nothing() -> None
         assert [cell[3 + at] for cell in cells[1:]] == [f"{times * value:.{digits}f}" for value in (0.4, 0.8, 0.3, 0.7)]
     assert {cell[-1] for cell in cells[1:]} == {"n/a"}
     assert {len(cell) for cell in cells} == {3 + len(COLUMNS)}
-    assert "2,000 instances of 8 generated rooms" in "\n".join(lines)
+    text = "\n".join(lines)
+    assert "2,000 instances of 8 generated rooms" in text
+    assert "## Held against `geometric`" in text
+    assert "names 20.0 % of the scans" in text
+
+
+def test_the_card_of_what_ships_has_both_the_models_and_the_benchmarks_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def export(lake: Any, wanted: str, out: Path, force: bool) -> None:
+        out.mkdir(parents=True)
+        (out / CARD).write_text(f"# model {wanted}\n")
+
+    monkeypatch.setattr(shipping, "export_model", export)
+    place = ship(tmp_path / "selection", report(), tmp_path / "out")
+    assert place == tmp_path / "out" / MODEL
+    card = (place / CARD).read_text().splitlines()
+    assert card == [f"# model {'a' * 64}", *measured(report())]
 
 
 @pytest.mark.parametrize(

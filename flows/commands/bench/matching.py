@@ -93,15 +93,19 @@ def _named_methods(texts: Iterable[str]) -> Iterator[Any]:
     from bench.selection.report import ELSEWHERE
     from flows.run.configuration import configure
     from schemas.errors import InputError
+    from tasks.selection.methods.members import method_of
 
-    kinds: set[str] = set()
+    methods: dict[str, Any] = {}
     for text in texts:
         try:
             method = configure(settings=[f"selection.provider={text}"]).stages["selection"].provider
         except InputError as error:
             raise InputError("--method", error.field, error.problem, error.remedy) from error
-        if method.kind not in ELSEWHERE or method.kind in kinds:
-            problem = "is named twice" if method.kind in kinds else f"is none of {', '.join(ELSEWHERE)}"
+        if method.kind not in ELSEWHERE or method.kind in methods:
+            problem = "is named twice" if method.kind in methods else f"is none of {', '.join(ELSEWHERE)}"
             raise click.BadParameter(f"{method.kind} {problem}", param_hint="--method")
-        kinds.add(method.kind)
+        methods[method.kind] = method
+    for method in methods.values():  # hours before it is asked
+        if (check := method_of(method).check) is not None:
+            check(method)
         yield method

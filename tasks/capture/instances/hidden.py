@@ -36,7 +36,7 @@ MOST_BEHIND_M = 0.75
 """Farther from a wall than this, furniture does not stand against it."""
 
 PLINTH_M = 0.15
-"""Nobody hangs a cabinet this low [m]: the scan lost its feet, or a plinth that stands back, whatever floor was seen below it."""
+"""Nobody hangs a cabinet or a shelf this low [m]: the scan lost its feet, or a plinth that stands back, whatever floor was seen below."""
 
 FRONT_M = 0.12
 """Of a body that is no deeper the front alone was seen [m], whose plinth stands back by some centimetres: the floor that is seen before
@@ -64,7 +64,11 @@ CARRIED_SHARE = 0.2
 """Of the cells below furniture, in which something else ends right below it, from which on that carries it."""
 
 FRONTS_SHARE, SLAB_M = 0.5, 0.2
-"""Along so much of a slab, no thicker [m], cabinets end right below it, of which the scan saw the fronts alone: they carry it."""
+"""Along so much of a slab, no thicker [m], and at both of its ends, cabinets end right below it, of which the scan saw the fronts alone:
+they carry it."""
+
+BELOW_M, UPPER_QUANTILE = 0.04, 0.98
+"""So near below a slab ends what carries it [m], by its uppermost points but for noise."""
 
 ENDS_M = 0.03
 """What ends no farther above the bottom of furniture carries it; what reaches higher stands beside or on it."""
@@ -191,14 +195,12 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mappi
     near = inside & (seen.points[:, 2] > bottom - 0.12) & ends_below[seen.owners]
     if _filled(local[near, :2]) > CARRIED_SHARE * cells:
         return 0.0
-    side = int(np.argmax(size[:2]))
-    fronts = len(np.unique(np.floor(local[near & seen.boxes[seen.owners], side] / CELL_M)))
-    if kind.is_flat_topped and size[2] <= SLAB_M and fronts > FRONTS_SHARE * size[side] / CELL_M:
+    if kind.is_flat_topped and size[2] <= SLAB_M and _has_fronts(local, inside & ends_below[seen.owners], size, seen):
         return 0.0
     tops = [_top(cloud[:, :2], cloud[:, 2]) for k in _under(row, stages) if len(cloud := seen.points[seen.owners == k])]
     lost = bottom - max((top for top in tops if top < bottom + 0.05), default=0.0)
     is_front = kind.is_boxy and size[:2].min() <= FRONT_M and _behind(index, row, lost * np.eye(6)[4], seen, walls).any()
-    is_low = kind.kind == "either" and bottom <= PLINTH_M
+    is_low = kind.kind == "either" and lost <= PLINTH_M
     if kind.base == "body" and not is_front and not is_low:
         on_floor = transform_points(np.column_stack([seen.floor, np.full(len(seen.floor), pose[2, 3])]), inverse(pose))
         on_floor = on_floor[(np.abs(on_floor[:, :2]) < 0.5 * size[:2]).all(axis=1)]
@@ -208,6 +210,21 @@ def _below(index: int, row: Instance, kind: Mounting, seen: _Seen, stages: Mappi
     is_lid = kind.is_boxy and size[2] <= LID_M and bottom + size[2] <= EYES_M
     most = MOST_BELOW_STANDING_M if (kind.kind == "stands" or is_lid) and not is_let_in else MOST_BELOW_M
     return lost if SEEN_M < lost <= most[kind.base] else 0.0
+
+
+def _has_fronts(local: Array, below: Booleans, size: Array, seen: _Seen) -> bool:
+    """Whether boxes below a slab carry it, of which the scan saw the fronts. local: all points in its frame, shape (n, 3) [m]. below: which
+    lie in its plan and are of what ends below it, shape (n,)."""
+    axis = int(np.argmax(size[:2]))
+    cells: set[int] = set()
+    for k in np.unique(seen.owners[below]).tolist():
+        own = seen.owners == k
+        is_under = bool(seen.boxes[k]) and below[own].mean() > 0.5  # what stands beside it is not
+        if is_under and np.quantile(local[own, 2], UPPER_QUANTILE) >= -0.5 * size[2] - BELOW_M:
+            cells |= set(np.floor(local[own & below, axis] / CELL_M).astype(int).tolist())
+    half = 0.5 * size[axis]
+    reaches = bool(cells) and min(cells) * CELL_M < -0.5 * half and max(cells) * CELL_M > 0.5 * half
+    return reaches and len(cells) > FRONTS_SHARE * size[axis] / CELL_M
 
 
 def _behind(index: int, row: Instance, sides: Array, seen: _Seen, walls: Array) -> Array:

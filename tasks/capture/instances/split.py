@@ -25,8 +25,12 @@ NEAR_M, LEAST_NEAR = 0.05, 0.04
 """Of the points of one of them, so many are this near to points of the other [m]: what was parted touches where it was parted."""
 
 LEAST_NEAR_OF_TABLES, LEAST_NEAR_OF_MODULES = 0.15, 0.35
-"""The same of tables and of cabinets: what stands in the bend of one is in its box, and may touch it along two sides. Tables that are
-together as large as one have no bend: `LEAST_NEAR`."""
+"""The same of tables and of cabinets: what stands in the bend of one is in its box, and may touch it along two sides. Tables that were
+parted along a line have no bend, however little they touch: `LEAST_NEAR`."""
+
+MOST_BEYOND = 0.13
+"""Of the points of two parts, so many may lie on the wrong side of the line between them: islands of one in the other. Of a table around
+a corner, and what stands in its bend, more do."""
 
 MODULES = ("cabinet", "counter", "cupboard", "worktop", "countertop")
 """Last words of what stands side by side, one on the other and around corners, each of its own."""
@@ -119,7 +123,7 @@ def _are_parts(category: str, part: _Part, other: _Part) -> bool:
         return False
     is_module = category.split(" ")[-1] in MODULES
     is_table = mounting(category).is_flat_topped and not mounting(category).is_boxy
-    is_bent = is_table and not _is_plan_of_whole(category, part, other)
+    is_bent = is_table and not (_is_parted_by_line(part, other) and _is_plan_of_whole(category, part, other))
     least = LEAST_NEAR_OF_MODULES if is_module else LEAST_NEAR_OF_TABLES if is_bent else LEAST_NEAR
     if near >= least and oriented_overlap(*part.box, *other.box) >= LEAST_SHARED * volume:
         return True
@@ -142,6 +146,17 @@ def _is_large_whole(category: str, part: _Part, other: _Part) -> bool:
     if not is_known(category) or max(usual) < LARGE_M or (is_of_size(part.box[1], usual) and is_of_size(other.box[1], usual)):
         return False
     return is_of_size(oriented_box(np.concatenate([part.points, other.points]), is_noisy=True)[1], usual)
+
+
+def _is_parted_by_line(part: _Part, other: _Part) -> bool:
+    """Whether a straight line in plan has one part on its one side and the other on its other: the line of least squares, which weighs
+    both alike."""
+    plans = [points[:, :2] for points in (part.points, other.points)]
+    rows = np.concatenate([np.column_stack([plan, np.ones(len(plan))]) / np.sqrt(len(plan)) for plan in plans])
+    sides = np.concatenate([np.full(len(plan), sign / np.sqrt(len(plan))) for plan, sign in zip(plans, (-1.0, 1.0), strict=True)])
+    line = np.linalg.lstsq(rows, sides, rcond=None)[0]
+    beyond = [float((sign * (plan @ line[:2] + line[2]) < 0.0).mean()) for plan, sign in zip(plans, (-1.0, 1.0), strict=True)]
+    return max(beyond) <= MOST_BEYOND
 
 
 def _is_plan_of_whole(category: str, part: _Part, other: _Part) -> bool:

@@ -42,8 +42,8 @@ def wanted(config: Any) -> WantedModel | None:
 def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelScores, model: Model | None) -> Array:
     """Chances of the candidates, shape (k,): the softmax of the model's scores, as it was trained to.
 
-    Where some fit the scan too badly to compete, those that do share the upper half of the scores by their chances, and the others the
-    lower half by their geometric ones.
+    Where some fit the scan too badly to compete, those that do have the upper half of the scores by their chances among each other, and
+    the others the lower half by their geometric scores.
 
     Raises:
         Lacking: there is no model.
@@ -52,9 +52,10 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelSco
     if model is None:
         raise Lacking("no model")
     scorer = _scorer(model.model_id, model.weights, model.config)
-    scores = chances(scorer.score(scanned_of(query, scorer.config), contenders_of(query, candidates, scorer.config)))
+    logits = scorer.score(scanned_of(query, scorer.config), contenders_of(query, candidates, scorer.config))
     fit = np.array([each.geometric for each in candidates])
     competes = fit >= fit.max(initial=0.0) - config.within
+    scores = chances(np.where(competes, logits, -np.inf))
     return scores if competes.all() else np.where(competes, 0.5 + 0.5 * scores, 0.5 * fit)
 
 

@@ -367,3 +367,24 @@ def test_a_worktop_lies_on_the_cabinets_of_which_the_fronts_alone_were_seen(cate
         low, high = whole((category, slab), *((carriers, front) for front in fronts[:count]), floor=floor)[0]
         assert low == pytest.approx([0.0, 0.5, lowest], abs=1e-9), (carriers, count)
         assert high == pytest.approx([0.62, 2.9, 0.88])
+
+
+@pytest.mark.parametrize(
+    "neighbors",
+    [
+        [("dresser", grid((1.29, 0.5, 0.0), (1.8, 1.9, 0.72)))],  # beside it, a little in its box
+        [("washing machine", grid((1.2, 0.5, 0.0), (1.25, 1.1, 0.69)))],  # below one half of it
+        [("file cabinet", grid((1.2, 0.5 + at, 0.0), (1.25, 0.9 + at, 0.63))) for at in (0.0, 1.0)],  # rolled under it, apart from it
+    ],
+)
+def test_a_table_keeps_its_legs_beside_and_over_what_does_not_carry_it(neighbors: list[tuple[str, Array]]) -> None:
+    slab = grid((0.5, 0.5, 0.7), (1.3, 1.9, 0.74))
+    low, _ = whole(("table", slab), *neighbors, floor=floor_without((0.4, 0.4), (1.4, 2.0)))[0]
+    assert low[2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_cabinet_is_low_over_what_it_stands_on() -> None:
+    stage = grid((0.0, 0.0, 0.0), (2.0, 3.0, 0.18))
+    front = grid((0.52, 1.0, 0.3), (0.58, 2.2, 1.0))
+    (low, _), _ = whole(("kitchen cabinet", front), ("platform", stage))
+    assert low[2] == pytest.approx(0.18, abs=0.02)

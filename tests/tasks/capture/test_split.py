@@ -72,13 +72,14 @@ def test_a_table_that_is_cut_askew_is_one(slope: float) -> None:
     assert (len(groups), len(notes)) == (1, 1)
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.3, 0.8])
-def test_tables_that_are_pushed_together_stay_several(turn: float) -> None:
-    table = box((0.0, 0.0, 0.72), (1.2, 0.8, 0.76), 0.02)
-    cos, sin = np.cos(turn), np.sin(turn)
-    turned = table @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    turned[:, 0] += 1.21 - turned[:, 0].min()
-    assert len(rejoined(*scan_of(("desk", table), ("desk", turned)))[0]) == 2
+@pytest.mark.parametrize("gap", [0.01, 0.03, 0.045])
+@pytest.mark.parametrize(("width", "depth", "arm"), [(1.6, 1.1, 0.5), (2.0, 1.1, 0.6), (1.4, 1.2, 0.5)])
+def test_what_stands_in_the_bend_of_a_small_table_stays_apart(gap: float, width: float, depth: float, arm: float) -> None:
+    """Both are together as large as one, and no line parts them."""
+    bent = np.concatenate([box((0.0, 0.0, 0.72), (width, arm, 0.76), 0.02), box((0.0, arm, 0.72), (arm, depth, 0.76), 0.02)])
+    inside = box((arm + gap, arm + gap, 0.72), (width, depth, 0.76), 0.02)
+    for category, other in (("desk", "desk"), ("table", "side table")):
+        assert len(rejoined(*scan_of((category, bent), (other, inside)))[0]) == 2, category
 
 
 def test_what_fits_into_the_bend_of_a_desk_stays_apart_though_it_touches_it() -> None:

@@ -81,7 +81,8 @@ def test_rows_say_which_model_scored_and_scores_are_its_chances(room: Room) -> N
 
 
 def test_what_fits_badly_does_not_compete_with_what_fits(room: Room) -> None:
-    """At every limit: the nearest to the best geometric score share the upper half by their chances, the rest keep their order below."""
+    """At every limit: the nearest to the best geometric score have the upper half by their chances among each other, the rest their order
+    below."""
     model = drawn_model()
     fits = {row.slot: row.score for row in room.select()[0]}
     chances = {row.slot: row.score for row in room.select(by_model(), model=model)[0]}
@@ -91,7 +92,8 @@ def test_what_fits_badly_does_not_compete_with_what_fits(room: Room) -> None:
         rows, _ = room.select(SelectionConfig(provider=ModelScores(within=limit)), model=model)
         competes = {slot for slot, fit in fits.items() if fit >= best - limit}
         everyone = len(competes) == len(fits)
-        wanted = {s: chances[s] if everyone else 0.5 + 0.5 * chances[s] if s in competes else 0.5 * fits[s] for s in fits}
+        total = sum(chances[slot] for slot in competes)
+        wanted = {s: chances[s] if everyone else 0.5 + 0.5 * chances[s] / total if s in competes else 0.5 * fits[s] for s in fits}
         assert {row.slot: row.score for row in rows} == pytest.approx(wanted)
         assert rows[0].slot == max(competes, key=lambda slot: chances[slot])
         assert {row.provider_version for row in rows} == {f"1:{model.model_id[:12]}:{limit:g}"}
