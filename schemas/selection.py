@@ -39,7 +39,9 @@ class Selection:
         pattern=INSTANCE_PATTERN,
     )
     provider: str = column("Method that scored; geometric where the one that was asked for lacked what it needs")
-    provider_version: str = column("Version of the method, and behind colons which weights or model scored, and among which, where it has any")
+    provider_version: str = column(
+        "Version of the method, and behind colons which weights or model scored, and among which, where it has any"
+    )
 
 
 @record(
