@@ -114,9 +114,9 @@ def run_selection_bench(config: SelectionBench, advance: Callable[[str], None]) 
     check_committed(data.lake.snapshot(), truths)
     outcomes: list[SelectionOutcome] = []
     with mapped(config.processes) as spread:
-        for found in spread(partial(_measured_room, config, scorers), [row for row in truths if row["split"] == "test"]):
-            outcomes += found
-            advance(found[0].scene_id if found else "room")
+        for measured in spread(partial(_measured_room, config, scorers), [row for row in truths if row["split"] == "test"]):
+            outcomes += measured
+            advance(measured[0].scene_id if measured else "room")
     keep(data.lake, outcomes, config.seed)
     named = naming_of(data.lake, truths, scorers, config.seed)
     foreign, not_measured = _foreign(config, scorers)

@@ -64,7 +64,7 @@ def print_selection(report: Mapping[str, Any], console: Console) -> None:
 
 def _names(shares: Mapping[str, Any]) -> Any:
     """How often instances are called what they are."""
-    table = table_of("right names, by points alone [%]", ("", False), ("instances", True), ("rules of sizes", True), ("model", True))
+    table = table_of("right names, by points alone [%]", ("", False), ("instances", True), ("rules of sizes", True), ("encoder", True))
     titles = {"all": "all", "learned": "of categories that were learned", "ruled": "of categories that the rules name"}
     for group, row in shares.items():
         cells = (f"{100 * who['value']:.1f} ({100 * who['low']:.1f}-{100 * who['high']:.1f})" for who in (row["by_rules"], row["by_model"]))

@@ -16,10 +16,10 @@ from typing import Any
 from flows.run.fingerprints import digest
 from flows.training.models import evaluations_of_model, found_model, is_known, loaded_model, row_of_document, shipped_models, system_names
 from schemas.errors import InputError
-from schemas.files import write_whole
+from schemas.files import read_file, write_whole
 from schemas.runs import StageRun
 from schemas.training import LearnedModel, ModelEvaluation
-from tasks.models import CARD, DOCUMENT, FORMAT, WEIGHTS, Model, ModelFolder
+from tasks.models import CARD, DOCUMENT, FORMAT, MOST_DOCUMENT_BYTES, WEIGHTS, Model, ModelFolder
 from warehouse.lake import Lake
 
 
@@ -48,7 +48,10 @@ def _files(lake: Lake | None, reader: Any, row: LearnedModel, name: str) -> dict
     """Files of a model by name; `model.json` last, so that a folder without it is none."""
     if row.origin == "shipped":
         folder = dict(shipped_models(row.kind))[name]
-        return {WEIGHTS: folder.model.weights, **{each: (folder.folder / each).read_bytes() for each in (CARD, DOCUMENT)}}
+        return {
+            WEIGHTS: folder.model.weights,
+            **{each: read_file(folder.folder / each, each, MOST_DOCUMENT_BYTES) for each in (CARD, DOCUMENT)},
+        }
     assert lake is not None
     document, weights = document_of(row, evaluations_of_model(reader, row)), loaded_model(lake, row).weights
     text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"

@@ -1,7 +1,7 @@
 -- Each part of the lake was trained on once; three methods chose for the objects of one test room in ten.
 SELECT
     'selection-' || part AS training_id,
-    CASE method WHEN 'learned' THEN digest('model', part) END AS model_id,
+    CASE method WHEN 'learned' THEN digest('learned', part) END AS model_id,
     method,
     0 AS seed,
     'lake' AS dataset,
@@ -30,6 +30,6 @@ SELECT
     0.95 AS best_oriented_iou,
     0.5 AS best_color_kl,
     0.01 * (1 + u(object, 'seconds ' || method)) AS seconds
-FROM (SELECT *, 0.02 * u(object, 'best') AS best, unnest(['geometric', 'random', 'learned']) AS method FROM slots_now) AS chosen
+FROM (SELECT *, 0.02 * u(object, 'best') AS best, unnest(['plain', 'chance', 'learned']) AS method FROM slots_now) AS chosen
 LEFT JOIN library ON library.library_index = chosen.library_index
 WHERE rank = 1 AND split = 'test' AND scene % 10 = 3
