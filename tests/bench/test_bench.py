@@ -313,7 +313,9 @@ def test_judging_twice_gives_the_same_but_for_the_times() -> None:
 
 @pytest.fixture(scope="module")
 def report() -> dict[str, Any]:
-    done = metascenes({**os.environ, "OMP_NUM_THREADS": "1"}, "bench", "optimization", "--rooms", "1", "--json", "--processes", "2")
+    done = metascenes(
+        {**os.environ, "OMP_NUM_THREADS": "1"}, "bench", "optimization", "--rooms", "1", "--json", "--processes", "2", timeout=1500
+    )
     found = dict(json.loads(done.stdout))
     assert done.returncode == any(goal["met"] is False for goal in found["goals"]), done.stderr
     return found
