@@ -77,7 +77,7 @@ def selection(rooms: int, seeds: int, steps: int, variants: str, seed: int, fold
 
     The exit code is 1 when a goal is missed, and else 0.
 
-    Example: metascenes bench selection --rooms 20 --seeds 1 --steps 200 --variants small --method '{kind="clip", weights="clip-vit-b-32"}'
+    Example: metascenes bench selection --rooms 20 --seeds 1 --steps 200 --variants small
     """
     from bench.selection.report import SelectionBench, run_selection_bench
     from bench.selection.tables import print_selection

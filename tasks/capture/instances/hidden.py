@@ -64,8 +64,8 @@ CARRIED_SHARE = 0.2
 """Of the cells below furniture, in which something else ends right below it, from which on that carries it."""
 
 FRONTS_SHARE, SLAB_M = 0.5, 0.2
-"""Along so much of a slab, no thicker [m], and at both of its ends, cabinets end right below it, of which the scan saw the fronts alone:
-they carry it."""
+"""Along so much of a slab, no thicker [m], and in its first and last quarter, cabinets end right below it, of which the scan saw the
+fronts alone: they carry it."""
 
 BELOW_M, UPPER_QUANTILE = 0.04, 0.98
 """So near below a slab ends what carries it [m], by its uppermost points but for noise."""
@@ -222,8 +222,8 @@ def _has_fronts(local: Array, below: Booleans, size: Array, seen: _Seen) -> bool
         is_under = bool(seen.boxes[k]) and below[own].mean() > 0.5  # what stands beside it is not
         if is_under and np.quantile(local[own, 2], UPPER_QUANTILE) >= -0.5 * size[2] - BELOW_M:
             cells |= set(np.floor(local[own & below, axis] / CELL_M).astype(int).tolist())
-    half = 0.5 * size[axis]
-    reaches = bool(cells) and min(cells) * CELL_M < -0.5 * half and max(cells) * CELL_M > 0.5 * half
+    quarter = 0.25 * size[axis]
+    reaches = bool(cells) and min(cells) * CELL_M < -quarter and max(cells) * CELL_M > quarter
     return reaches and len(cells) > FRONTS_SHARE * size[axis] / CELL_M
 
 

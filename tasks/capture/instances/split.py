@@ -32,8 +32,8 @@ MOST_BEYOND = 0.11
 """Of the points of two parts, so many may lie on the wrong side of the line between them: islands of one in the other. Of a table around
 a corner, and what stands in its bend, more do (12 to 16 %)."""
 
-NEWTON_STEPS, RIDGE = 20, 1e-4
-"""The line is found by then; where it parts them wholly, the ridge keeps it from growing without end."""
+RIDGE = 1e-4
+"""Where a line parts them wholly, this keeps its regression from growing without end."""
 
 MODULES = ("cabinet", "counter", "cupboard", "worktop", "countertop")
 """Last words of what stands side by side, one on the other and around corners, each of its own."""
@@ -154,18 +154,18 @@ def _is_large_whole(category: str, part: _Part, other: _Part) -> bool:
 def _is_parted_by_line(part: _Part, other: _Part) -> bool:
     """Whether a straight line in plan has one part on its one side and the other on its other: that of a logistic regression, which weighs
     both alike."""
+    from scipy.optimize import minimize
+
     plans = [points[:, :2] for points in (part.points, other.points)]
-    joined = np.concatenate(plans)
+    joined, counts = np.concatenate(plans), [len(plan) for plan in plans]
     rows = np.column_stack([(joined - joined.mean(axis=0)) / max(float(joined.std()), 1e-9), np.ones(len(joined))])
-    is_other = np.repeat([0.0, 1.0], [len(plan) for plan in plans])
-    weights = np.repeat([0.5 / len(plan) for plan in plans], [len(plan) for plan in plans])
-    line = np.zeros(3)
-    for _ in range(NEWTON_STEPS):
-        chances = 1.0 / (1.0 + np.exp(-np.clip(rows @ line, -30.0, 30.0)))
-        slope = rows.T @ (weights * (chances - is_other)) + RIDGE * line
-        line = line - np.linalg.solve((rows * (weights * chances * (1.0 - chances))[:, None]).T @ rows + RIDGE * np.eye(3), slope)
-    is_beyond = (rows @ line > 0.0) != (is_other > 0.0)
-    return max(float(is_beyond[is_other == side].mean()) for side in (0.0, 1.0)) <= MOST_BEYOND
+    signs, weights = np.repeat([-1.0, 1.0], counts), np.repeat([0.5 / count for count in counts], counts)
+
+    def loss(line: Array) -> float:
+        return float(weights @ np.logaddexp(0.0, -signs * (rows @ line)) + 0.5 * RIDGE * line @ line)
+
+    is_beyond = signs * (rows @ minimize(loss, np.zeros(3)).x) <= 0.0
+    return max(float(is_beyond[signs == side].mean()) for side in (-1.0, 1.0)) <= MOST_BEYOND
 
 
 def _is_plan_of_whole(category: str, part: _Part, other: _Part) -> bool:
