@@ -9,7 +9,7 @@ import math
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -50,8 +50,8 @@ OTHERS_SECONDS = 7200.0
 @dataclasses.dataclass(frozen=True)
 class DwellingsBench:
     """What is measured. folder: where finished rooms are remembered, so that the same command goes on; nowhere if None. realdata: folder
-    of scans by others, which are measured, too; None for none. warms_up: a room that is not
-    in the table goes first, so that the seconds of the others are without compiling."""
+    of scans by others, which are measured, too; None for none. warms_up: a room that is not in the table goes first, so that the seconds
+    of the others are without compiling. settings: what the stages are told, as `--set` takes it."""
 
     rooms: int = 30
     seed: int = 0
@@ -59,6 +59,7 @@ class DwellingsBench:
     folder: Path | None = None
     realdata: Path | None = None
     warms_up: bool = True
+    settings: tuple[str, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -75,6 +76,7 @@ class DwellingJob:
     seed: int
     folder: str
     cores: int = 1
+    settings: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +88,7 @@ class OthersJob:
     realdata: str
     folder: str
     cores: int = 1
+    settings: tuple[str, ...] = ()
 
 
 def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) -> dict[str, Any]:
@@ -93,8 +96,9 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
     room done.
 
     Raises:
-        InputError: a folder of real data is named, and holds none of the scans.
+        InputError: a folder of real data is named, and holds none of the scans, or a setting is none.
     """
+    configure(settings=config.settings)
     held, absent = held_by(config.realdata)
     with tempfile.TemporaryDirectory(prefix="rooms-", ignore_cleanup_errors=True) as temporary:
         work = Path(temporary)
@@ -104,14 +108,14 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
         warming: float | None = None
         with WorkerPool(config.processes) as pool, ThreadPoolExecutor(config.processes) as threads:
             if config.warms_up and any(
-                _remembered(_room_file(config.folder, config.seed, i), _mark(config.seed, i)) is None for i in range(config.rooms)
+                _remembered(_room_file(config.folder, config.seed, i), _mark(config, i)) is None for i in range(config.rooms)
             ):
                 warming = _warmed_up(pool, config, work, cores)
-            for room in threads.map(partial(_measured, pool, config.seed, config.folder, work, cores), range(config.rooms)):
+            for room in threads.map(partial(_measured, pool, config, work, cores), range(config.rooms)):
                 advance(str(room["room"]))
                 rooms.append(room)
             if config.realdata is not None:
-                for figures in threads.map(partial(_measured_by_others, pool, config.realdata, config.folder, work, cores), held):
+                for figures in threads.map(partial(_measured_by_others, pool, config, config.realdata, work, cores), held):
                     advance(str(figures["room"]))
                     foreign.append(figures)
     groups = {"with frames": [r for r in rooms if r["has_frames"]], "mesh only": [r for r in rooms if not r["has_frames"]], "all": rooms}
@@ -120,6 +124,7 @@ def run_dwellings_bench(config: DwellingsBench, advance: Callable[[str], None]) 
         "machine": machine(),
         "seed": config.seed,
         "processes": config.processes,
+        "settings": list(config.settings),
         "warm_up_seconds": warming,
         "figures": [key for key, _, _ in FIGURES],
         "rooms": rooms,
@@ -163,23 +168,24 @@ def make_scan(folder: Path, index: int, seed: int) -> DwellingTruth:
     return scan_dwelling(dwelling((seed, index)), folder, f"scene{index:04d}_00", settings, np.random.default_rng([seed, index, 1]))
 
 
-def _measured(pool: WorkerPool, seed: int, folder: Path | None, work: Path, cores: int, index: int) -> dict[str, Any]:
+def _measured(pool: WorkerPool, config: DwellingsBench, work: Path, cores: int, index: int) -> dict[str, Any]:
     """A room's figures, remembered or measured."""
+    seed = config.seed
 
     def measure(place: str) -> dict[str, Any]:
-        return pool.call(measure_room, DwellingJob(index, seed, place, cores), timeout=SECONDS)
+        return pool.call(measure_room, DwellingJob(index, seed, place, cores, config.settings), timeout=SECONDS)
 
     def lost(error: str) -> dict[str, Any]:
         return lost_room(index, has_frames(index), dwelling((seed, index)), "worker", error)
 
-    return _known_or_measured(_room_file(folder, seed, index), _mark(seed, index), work, measure, lost)
+    return _known_or_measured(_room_file(config.folder, seed, index), _mark(config, index), work, measure, lost)
 
 
 def _warmed_up(pool: WorkerPool, config: DwellingsBench, work: Path, cores: int) -> float:
     """Seconds that the room after the last takes [s], of which nothing is kept but what its stages compiled."""
     clock = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="room_", dir=work, ignore_cleanup_errors=True) as place, suppress(WorkerLost, WorkerTimeout):
-        pool.call(measure_room, DwellingJob(config.rooms, config.seed, place, cores), timeout=SECONDS)
+        pool.call(measure_room, DwellingJob(config.rooms, config.seed, place, cores, config.settings), timeout=SECONDS)
     return time.perf_counter() - clock
 
 
@@ -188,21 +194,21 @@ def _room_file(folder: Path | None, seed: int, index: int) -> Path | None:
     return folder / f"room_{seed}_{index:04d}.json" if folder is not None else None
 
 
-def _mark(seed: int, index: int) -> dict[str, Any]:
+def _mark(config: DwellingsBench, index: int) -> dict[str, Any]:
     """What a room's figures hang on."""
-    return {"code": _code(), "seed": seed, "index": index}
+    return {"code": _code(), "seed": config.seed, "index": index, "settings": list(config.settings)}
 
 
 def _measured_by_others(
-    pool: WorkerPool, realdata: Path, folder: Path | None, work: Path, cores: int, scan: ScanByOthers
+    pool: WorkerPool, config: DwellingsBench, realdata: Path, work: Path, cores: int, scan: ScanByOthers
 ) -> dict[str, Any]:
     """Figures of a scan by others, remembered or measured, like a room's."""
-    mark = {"code": _code(), "files": scan.digest(realdata)}
+    mark = {"code": _code(), "files": scan.digest(realdata), "settings": list(config.settings)}
 
     def measure(place: str) -> dict[str, Any]:
-        return pool.call(measure_by_others, OthersJob(scan, str(realdata), place, cores), timeout=OTHERS_SECONDS)
+        return pool.call(measure_by_others, OthersJob(scan, str(realdata), place, cores, config.settings), timeout=OTHERS_SECONDS)
 
-    path = folder / f"{scan.name}.json" if folder is not None else None
+    path = config.folder / f"{scan.name}.json" if config.folder is not None else None
     return _known_or_measured(path, mark, work, measure, lambda error: nothing_known(scan, "worker", error))
 
 
@@ -251,7 +257,7 @@ def measure_room(job: DwellingJob) -> dict[str, Any]:
     truth = make_scan(place / "scans", job.index, job.seed)
     scanned = time.perf_counter() - clock
     lake = Lake.open(place / "lake")
-    seconds, stage, error = _run(lake, place / "scans", cores=job.cores)
+    seconds, stage, error = _run(lake, place / "scans", None, job.cores, job.settings)
     if error is not None:
         return lost_room(job.index, has_frames(job.index), home, stage, error, truth, seconds) | {"scan_seconds": scanned}
     try:
@@ -266,7 +272,7 @@ def measure_by_others(job: OthersJob) -> dict[str, Any]:
     place, realdata, scan = Path(job.folder), Path(job.realdata), job.scan
     scans, truth = scan_of(scan, realdata, place / "scans")
     lake = Lake.open(place / "lake")
-    seconds, stage, error = _run(lake, scans, realdata / scan.library if scan.library is not None else None, job.cores)
+    seconds, stage, error = _run(lake, scans, realdata / scan.library if scan.library is not None else None, job.cores, job.settings)
     if error is not None:
         return nothing_known(scan, stage, error, seconds)
     try:
@@ -281,9 +287,9 @@ def _where(problem: Exception) -> str:
     return f"{type(problem).__name__}: {problem} ({Path(where.filename).name}:{where.lineno})"
 
 
-def _run(lake: Lake, scans: Path, library: Path | None = None, cores: int = 1) -> tuple[dict[str, float], str, str | None]:
+def _run(lake: Lake, scans: Path, library: Path | None, cores: int, settings: Sequence[str]) -> tuple[dict[str, float], str, str | None]:
     """The stages of `STEPS` on the one scan of a folder, over some cores: seconds by stage, and the stage that failed, with its error."""
-    configuration = configure(library=library)
+    configuration = configure(settings=settings, library=library)
     scan_list, unusable = find_scans(scans)
     plan = make_plan(lake, scan_list, unusable, configuration)
     seconds: dict[str, float] = {}

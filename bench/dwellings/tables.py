@@ -25,6 +25,8 @@ BY_ROOM: tuple[tuple[str, str, str], ...] = (
 def print_dwellings(report: Mapping[str, Any], console: Console) -> None:
     """Print the figures of all rooms and of scans by others, of each room, what failed, and goals."""
     console.print(headline(report["machine"], report["seed"], report["processes"]))
+    if report["settings"]:
+        console.print(f"told otherwise: {', '.join(report['settings'])}", markup=False, soft_wrap=True)
     if report["warm_up_seconds"] is not None:
         console.print(f"one more room went first, so that nothing is compiled below: {report['warm_up_seconds']:.0f} s")
     groups, foreign = report["groups"], report["others"]

@@ -21,21 +21,23 @@ from bench.selection.measures import MeasuredMethod, TrueSurface, check_committe
 from bench.selection.naming import naming_report, namings_of
 from bench.selection.rooms import made_room, split_of_room
 from bench.selection.trainings import ABLATIONS, BLIND, LEARNED, MODEL, mapped, train_all, training_row
-from flows.training.models import loaded_model
+from flows.training.models import loaded_model, wanted_model
 from schemas.errors import InputError
 from schemas.files import write_whole
 from schemas.selection import SelectionOutcome
 from schemas.training import LearnedModel
 from tasks.geometry.meshes import surface_of
 from tasks.geometry.transforms import matrix
+from tasks.models import Model
 from tasks.selection.methods.color_histogram import ColorHistogram
 from tasks.selection.methods.extents import Extents
 from tasks.selection.methods.geometric import Geometric
 from tasks.selection.methods.image_similarity import ImageSimilarity
-from tasks.selection.methods.model import ModelScores
+from tasks.selection.methods.model import ModelScores, wanted
 from tasks.selection.metrics.bootstrap import difference
 from tasks.selection.metrics.outcomes import figures_of
 from tasks.selection.metrics.rankings import hits
+from tasks.stage import WantedModel
 from warehouse.lake import Lake
 
 PLAIN = {"geometric": Geometric(), "extents": Extents(), "color_histogram": ColorHistogram(), "image_similarity": ImageSimilarity()}
@@ -43,6 +45,9 @@ PLAIN = {"geometric": Geometric(), "extents": Extents(), "color_histogram": Colo
 
 ELSEWHERE = ("clip", "acdc", "vision_language")
 """Methods that need weights or an endpoint that the user names."""
+
+TAUGHT = ModelScores.kind
+"""A model that is there already, of the lake or the package, by settings of its own."""
 
 HOURS = 8.0
 TRAINING_MINUTES = 20.0
@@ -53,7 +58,8 @@ EXAMPLES = {"train": 2000, "test": 500}
 class SelectionBench:
     """What is measured. folder: of data, measured rooms and everything else that the same command goes on from. steps: of each training;
     0 for the system's own. variants: presets that are trained, of `MODEL`, `LEARNED`, `ABLATIONS` and `BLIND`. realdata: folder with the
-    AWS small house and its models, which is measured, too; None for none. methods: settings of methods of `ELSEWHERE`."""
+    AWS small house and its models, which is measured, too; None for none. methods: settings of methods of `ELSEWHERE`, and of
+    `TAUGHT`."""
 
     folder: Path
     rooms: int = 130
@@ -160,7 +166,15 @@ def _measured_room(config: SelectionBench, scorers: Sequence[MeasuredMethod], tr
 def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]], methods: Sequence[Any] = ()) -> list[MeasuredMethod]:
     """Every method that is measured. methods: settings of those that the user named."""
     learned = [MeasuredMethod(name, ModelScores(row.model_id), seed, loaded_model(lake, row)) for name, seed, row in models]
-    return [MeasuredMethod(name, method) for name, method in (*PLAIN.items(), *((method.kind, method) for method in methods))] + learned
+    named = [
+        MeasuredMethod(method.kind, method, 0, None if (asked := wanted(method)) is None else held_model(lake, asked)) for method in methods
+    ]
+    return [*(MeasuredMethod(name, method) for name, method in PLAIN.items()), *named, *learned]
+
+
+def held_model(lake: Lake, asked: WantedModel) -> Model:
+    """The model that a method's settings mean, of the lake, or the one that ships."""
+    return loaded_model(lake, wanted_model(lake.snapshot(), asked))
 
 
 def naming_of(lake: Lake, truths: Sequence[Mapping[str, Any]], scorers: Sequence[MeasuredMethod], seed: int) -> dict[str, Any]:
@@ -238,7 +252,7 @@ def goals(
     plain = best_plain(figures)
     own, other = top(figures, MODEL), top(figures, plain)
     wanted = other + min(0.1, 0.5 * (1 - other))
-    rivals = [name for name in rare if name != MODEL and name not in (*ABLATIONS, BLIND)]
+    rivals = [name for name in rare if name not in (MODEL, TAUGHT, *ABLATIONS, BLIND)]
     rest = max((top(rare, name) for name in rivals if np.isfinite(top(rare, name))), default=float("nan"))
     longest = max((model.seconds for name, _, model in models if name == MODEL), default=float("nan"))
     return [

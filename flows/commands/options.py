@@ -68,8 +68,13 @@ workers_option = click.option(
 )
 """`--workers N`: worker processes."""
 
+set_option = click.option(
+    "--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="One value of a stage's config; may be repeated."
+)
+"""`--set STAGE.FIELD=VALUE`, as `settings`."""
+
 settings_options = grouped(
-    click.option("--set", "settings", multiple=True, metavar="STAGE.FIELD=VALUE", help="One value of a stage's config; may be repeated."),
+    set_option,
     click.option("--config", "config_file", type=click.Path(path_type=Path, dir_okay=False), help="TOML file with a table per stage."),
 )
 """`--config` and `--set`, as `config_file` and `settings`."""

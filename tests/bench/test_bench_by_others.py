@@ -122,7 +122,7 @@ def test_a_turned_world_is_no_distance_from_the_truth() -> None:
 def report_of(others: list[dict], absent: list[str]) -> dict:
     return {
         "machine": {"processor": "p", "cores": 1, "system": "s", "python": "3", "versions": {}}, "seed": 0, "processes": 1, "rooms": [],
-        "warm_up_seconds": None,
+        "settings": [], "warm_up_seconds": None,
         "groups": {}, "others": others, "not_measured": absent, "errors": [], "goals": [],
     }  # fmt: skip
 

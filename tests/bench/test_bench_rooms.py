@@ -8,6 +8,7 @@ import math
 from functools import cache
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from flows.commands.bench import rooms
 from flows.run.pool import WorkerLost, WorkerTimeout
 from schemas.candidates import Asset
 from schemas.capture import Instance, Room, Scene
+from schemas.errors import InputError
 from schemas.fidelity import SceneFidelity
 from schemas.optimization import Certificate, Optimization, Placement, Support
 from tasks.furniture.dwellings import Dwelling, dwelling
@@ -254,7 +256,7 @@ def test_a_failed_room_counts_all_its_objects_and_is_named() -> None:
         assert math.isnan(summed([lost, lost])[key]), key
     report = {
         "machine": {"processor": "p", "cores": 1, "system": "s", "python": "3", "versions": {}}, "seed": 0, "processes": 1,
-        "warm_up_seconds": 41.6,
+        "warm_up_seconds": 41.6, "settings": ["selection.look=0.1"],
         "rooms": [lost, good], "groups": {"all": both}, "others": [], "not_measured": [],
         "errors": [{"room": "room_0003", "stage": "selection", "error": "ValueError: no"}],
         "goals": goals(both),
@@ -265,6 +267,7 @@ def test_a_failed_room_counts_all_its_objects_and_is_named() -> None:
     assert "ValueError: no" in text.getvalue()
     assert "MISSED" in text.getvalue()
     assert "compiled below: 42 s" in text.getvalue()
+    assert "told otherwise: selection.look=0.1" in text.getvalue()
     for _, words, _ in FIGURES:
         assert words in text.getvalue()
 
@@ -272,7 +275,10 @@ def test_a_failed_room_counts_all_its_objects_and_is_named() -> None:
 @pytest.fixture
 def pool(monkeypatch: pytest.MonkeyPatch) -> type[NoPool]:
     class Pool(NoPool):
+        told: list[tuple[str, ...]] = []  # noqa: RUF012
+
         def answer(self, function: object, job: DwellingJob) -> dict:
+            self.told.append(job.settings)
             (Path(job.folder) / "scans").mkdir()
             return lost_room(job.index, job.index % 2 == 0, home(), "capture", "a test")
 
@@ -294,6 +300,21 @@ def test_rooms_that_are_remembered_are_not_measured_again(tmp_path: Path, pool: 
     assert math.isnan(again["groups"]["all"]["categories_right"])
     assert len(again["errors"]) == 3
     assert {path.name for path in tmp_path.iterdir()} == {f"room_0_{k:04d}.json" for k in range(3)}
+
+
+@pytest.mark.whole
+def test_rooms_are_measured_again_where_the_stages_are_told_otherwise(tmp_path: Path, pool: Any) -> None:
+    told = ("selection.provider=extents", "optimization.misfit_m=0.01")
+    config = DwellingsBench(2, 0, 1, tmp_path, warms_up=False, settings=told)
+    plain = measured(tmp_path, 2)
+    assert (plain["settings"], run_dwellings_bench(config, lambda _: None)["settings"]) == ([], list(told))
+    assert pool.calls == 4
+    run_dwellings_bench(config, lambda _: None)
+    assert pool.calls == 4
+    assert pool.told == [(), (), told, told]
+    with pytest.raises(InputError, match=r"selection\.provider"):
+        run_dwellings_bench(dataclasses.replace(config, settings=("selection.provider=nobody",)), lambda _: None)
+    assert pool.calls == 4
 
 
 @pytest.mark.whole

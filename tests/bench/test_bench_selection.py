@@ -22,7 +22,7 @@ from bench.selection.foreign import made_house, model_of
 from bench.selection.lineups import OF_SCANNED, LineupSettings, Offered, lineup, main_color, recolored
 from bench.selection.measures import MeasuredMethod, measured_room, source_digest
 from bench.selection.naming import Naming, naming_report
-from bench.selection.report import PLAIN, SelectionBench, margin, run_selection_bench, table_row, true_surfaces
+from bench.selection.report import PLAIN, TAUGHT, SelectionBench, margin, run_selection_bench, table_row, top, true_surfaces
 from bench.selection.rooms import TrueModel, held_out, is_hard, made_room, split_of_room
 from flows.cli import cli
 from schemas.annotation import Annotation, AnswerVerdict, QualityReview
@@ -36,6 +36,7 @@ from tasks.annotation.simulation import AnnotatorRule, order
 from tasks.furniture import generate as furniture
 from tasks.geometry.meshes import read_points, sample_surface, surface_of, surface_of_glb
 from tasks.geometry.transforms import inverse, transform_points
+from tasks.selection.methods.model import ModelScores
 from warehouse.lake import Lake
 from warehouse.tables.gate import batch_states
 from warehouse.tables.reviews import standing_answers
@@ -317,12 +318,13 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
     pytest.importorskip("torch")
     monkeypatch.setattr(rooms, "OBJECTS", FEW)
     shutil.copytree(data.folder, tmp_path / "data")
-    config = SelectionBench(tmp_path, rooms=4, seeds=1, steps=2, variants=("small", "blind"))
+    config = SelectionBench(tmp_path, rooms=4, seeds=1, steps=2, variants=("small", "blind"), methods=(ModelScores("small", 0.0),))
     told: list[str] = []
     report = run_selection_bench(config, told.append)
     assert len(told) == config.steps_of_progress
-    assert set(report["methods"]) == {*PLAIN, "small", "blind"}
-    assert set(report["margin"]) == {*PLAIN, "blind"}
+    assert set(report["methods"]) == {*PLAIN, TAUGHT, "small", "blind"}
+    assert set(report["margin"]) == {*PLAIN, TAUGHT, "blind"}
+    assert top(report["methods"], TAUGHT) == top(report["methods"], "geometric"), "it chooses among the best alone"
     assert [row["name"] for row in report["trainings"]] == ["small", "blind"]
     assert report["counts"]["rooms"]["test"] == len(config.tested)
     assert 0 < report["naming"]["shares"]["all"]["by_model"]["examples"] <= report["counts"]["instances"]["test"]
@@ -356,7 +358,7 @@ def test_names_count_by_whichever_word_and_the_confusion_is_of_what_was_learned(
 @pytest.mark.parametrize(
     ("methods", "named"),
     [
-        (["geometric"], "geometric is none of clip, acdc, vision_language"),
+        (["geometric"], "geometric is none of clip, acdc, vision_language, model"),
         (['{kind="clip", weights="a"}', '{kind="clip", weights="b"}'], "clip is named twice"),
         (['{kind="clip", weight="a"}'], "selection.provider.weight"),
         (["clip"], "names no folder"),

@@ -12,7 +12,7 @@ from click.core import ParameterSource
 
 from flows.commands.bench.matching import alignment, selection
 from flows.commands.bench.measurement import chosen_words, listed_numbers, processes_option, run_measurement
-from flows.commands.options import json_option
+from flows.commands.options import json_option, set_option
 from schemas.errors import InputError
 
 METHODS = ("paper", "default")
@@ -82,9 +82,12 @@ def optimization(rooms: int, address: str | None, seed: int, methods: str, moves
     envvar="METASCENES_REALDATA",
     help="Folder with the AWS small house, its models and the synthetic living room, which are measured, too.",
 )
+@set_option
 @processes_option
 @json_option
-def rooms(rooms: int, seed: int, folder: Path | None, realdata: Path | None, processes: int, as_json: bool) -> None:
+def rooms(
+    rooms: int, seed: int, folder: Path | None, realdata: Path | None, settings: tuple[str, ...], processes: int, as_json: bool
+) -> None:
     """Measure the pipeline on hard rooms: whole dwellings, scanned badly, from capture to optimization, held against the truth.
 
     Dwellings have 40 to 80 objects in several rooms, fitted kitchens, seats round tables, slopes and steps; a third of what could be
@@ -101,7 +104,7 @@ def rooms(rooms: int, seed: int, folder: Path | None, realdata: Path | None, pro
 
     if not (rooms or realdata):
         raise click.UsageError("--rooms 0 without --realdata: nothing is left to measure; give one of them")
-    config = DwellingsBench(rooms, seed, processes, folder, realdata)
+    config = DwellingsBench(rooms, seed, processes, folder, realdata, settings=settings)
     run_measurement("measured", config.steps, partial(run_dwellings_bench, config), print_dwellings, as_json)
 
 

@@ -64,7 +64,7 @@ def alignment(objects: int, seed: int, realdata: Path | None, processes: int, as
     "methods",
     multiple=True,
     metavar="PROVIDER",
-    help="Measure this method, too, given as selection.provider takes it; for those that need weights or an endpoint. May be repeated.",
+    help="Measure this method, too, given as selection.provider takes it: one that needs weights or an endpoint, or a model that is there. May be repeated.",
 )
 @processes_option
 @json_option
@@ -89,8 +89,8 @@ def selection(rooms: int, seeds: int, steps: int, variants: str, seed: int, fold
 
 
 def _named_methods(texts: Iterable[str]) -> Iterator[Any]:
-    """Settings of methods that need something from elsewhere, each once."""
-    from bench.selection.report import ELSEWHERE
+    """Settings of methods that need something from elsewhere, or a model that is there, each once."""
+    from bench.selection.report import ELSEWHERE, TAUGHT
     from flows.run.configuration import configure
     from schemas.errors import InputError
     from tasks.selection.methods.members import method_of
@@ -101,8 +101,8 @@ def _named_methods(texts: Iterable[str]) -> Iterator[Any]:
             method = configure(settings=[f"selection.provider={text}"]).stages["selection"].provider
         except InputError as error:
             raise InputError("--method", error.field, error.problem, error.remedy) from error
-        if method.kind not in ELSEWHERE or method.kind in methods:
-            problem = "is named twice" if method.kind in methods else f"is none of {', '.join(ELSEWHERE)}"
+        if method.kind not in (*ELSEWHERE, TAUGHT) or method.kind in methods:
+            problem = "is named twice" if method.kind in methods else f"is none of {', '.join((*ELSEWHERE, TAUGHT))}"
             raise click.BadParameter(f"{method.kind} {problem}", param_hint="--method")
         methods[method.kind] = method
     for method in methods.values():  # hours before it is asked
