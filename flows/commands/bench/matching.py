@@ -64,7 +64,7 @@ def alignment(objects: int, seed: int, realdata: Path | None, processes: int, as
     "methods",
     multiple=True,
     metavar="PROVIDER",
-    help="Measure this method, too, given as selection.provider takes it: one that needs weights or an endpoint, or a model that is there. May be repeated.",
+    help="Measure this method, too, given as selection.provider takes it: by weights, an endpoint or a model. May be repeated.",
 )
 @processes_option
 @json_option
