@@ -55,6 +55,7 @@ from tasks.geometry.proximity import closest_points
 from tasks.geometry.transforms import flat, inverse, transform_points
 from tasks.selection import SelectionConfig
 from tasks.selection import run as select
+from tasks.selection.methods.geometric import Geometric
 from tasks.stage import Blobs, Context
 from warehouse.lake import Lake
 
@@ -201,7 +202,7 @@ def work(
     with _timed(seconds, "selection"):
         selections = select(
             instances=chosen, candidates=candidates, assets=listed, context=Context(scene_id, "selection", settings.seed, blobs),
-            config=SelectionConfig(),
+            config=SelectionConfig(provider=Geometric()),  # the rows of other methods are measured from the same poses
         ).rows["selections"]  # fmt: skip
     with _timed(seconds, "rows"):
         rows = {name: captured[name] for name in ("scenes", "shells", "rooms", "frames", "masks")} | {"instances": instances}

@@ -165,7 +165,7 @@ def _measured_room(config: SelectionBench, scorers: Sequence[MeasuredMethod], tr
 
 def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]], methods: Sequence[Any] = ()) -> list[MeasuredMethod]:
     """Every method that is measured. methods: settings of those that the user named."""
-    learned = [MeasuredMethod(name, ModelScores(row.model_id), seed, loaded_model(lake, row)) for name, seed, row in models]
+    learned = [MeasuredMethod(name, ModelScores(row.model_id, within=1.0), seed, loaded_model(lake, row)) for name, seed, row in models]
     named = [
         MeasuredMethod(method.kind, method, 0, None if (asked := wanted(method)) is None else held_model(lake, asked)) for method in methods
     ]

@@ -52,10 +52,12 @@ def shipped_rows() -> dict[str, LearnedModel]:
 
 
 def listed_models(reader: Reader | None) -> list[tuple[LearnedModel, str]]:
-    """All models, with the names of those that have one: of a lake the newest first, then the shipped ones that it does not have."""
-    rows: list[tuple[LearnedModel, str]] = [(row, "") for row in (_newest_first(reader) if reader is not None else ())]
+    """All models, with the names of those that ship: of a lake the newest first, then the shipped ones that it does not have."""
+    shipped = shipped_rows()
+    names = {row.model_id: name for name, row in shipped.items()}
+    rows = [(row, names.get(row.model_id, "")) for row in (_newest_first(reader) if reader is not None else ())]
     known = {row.model_id for row, _ in rows}
-    return rows + [(row, name) for name, row in shipped_rows().items() if row.model_id not in known]
+    return rows + [(row, name) for name, row in shipped.items() if row.model_id not in known]
 
 
 def _newest_first(reader: Reader) -> list[LearnedModel]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 SELECTION_METHODS = (
+    "model",
     "geometric",
     "extents",
     "color_histogram",
@@ -10,6 +11,5 @@ SELECTION_METHODS = (
     "clip",
     "acdc",
     "vision_language",
-    "model",
 )
-"""The first is the default, and stands in where another one lacks what it needs."""
+"""The first is the default; `geometric` stands in where another one lacks what it needs."""

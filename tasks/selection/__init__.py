@@ -18,7 +18,7 @@ from tasks.selection.looks import shared
 from tasks.selection.methods.geometric import GEOMETRIC, Geometric
 from tasks.selection.methods.members import METHODS, method_of
 from tasks.selection.methods.method import Array, Lacking, MethodConfig, missing
-from tasks.selection.methods.model import wanted
+from tasks.selection.methods.model import ModelScores, wanted
 from tasks.selection.scoring import ScoreConfig, completeness, is_own_geometry, score_of
 from tasks.settings import Config, union_of
 from tasks.stage import Context, Outcome, Stage
@@ -30,13 +30,16 @@ if TYPE_CHECKING:
 else:
     Provider = union_of(method.config for method in METHODS)
 
+SHIPPED = ModelScores("small")
+"""The model inside the package, whatever a lake has trained: what is chosen changes when somebody says so."""
+
 
 @dataclasses.dataclass(frozen=True)
 class SelectionConfig(Config):
     """How candidates are aligned and scored."""
 
     alignment: AlignmentConfig = dataclasses.field(default_factory=AlignmentConfig)
-    provider: Provider = dataclasses.field(default_factory=Geometric)  # needs neither weights nor pictures
+    provider: Provider = dataclasses.field(default_factory=lambda: SHIPPED)  # it wins on rooms that were held out, and needs no torch
     score: ScoreConfig = dataclasses.field(default_factory=ScoreConfig)
     beside_m: float = 0.05  # points farther out of the instance's box than its own noise are another object's
     floor_snap_m: float = 0.05  # scans bleed: what ends this near the floor stands on it
@@ -55,7 +58,7 @@ def run(
     model: Model | None = None,
 ) -> Outcome:
     """Selections: one row per filled slot of every instance, ranked by score; equal scores by slot, and, where the method
-    is `geometric`, first what several share: `score.look_loss` is a distance of its scores, and says nothing in those of others.
+    scores by fit, first what several share: `score.look_loss` is a distance of geometric scores, and says nothing in those of others.
 
     A candidate whose mesh cannot be read is left out, and so is an instance without any candidate; where the method lacks what it needs,
     the geometric score stands in. All of this is said.
@@ -74,7 +77,7 @@ def run(
         if lacks is not None:
             degradations.append(f"{query.instance.instance_id}: {config.provider.kind}: {lacks}; scored by {provider}")
         rankings[query.instance.instance_id] = _ranked(query, evidence, scores, provider, version)
-    if config.provider.kind == GEOMETRIC.name:
+    if method_of(config.provider).is_geometric(config.provider):
         categories = {row.instance_id: row.category for row in instances}
         rankings = shared(rankings, categories, config.score.look_loss)
     return Outcome(selections=[row for rows in rankings.values() for row in rows], degradations=degradations)

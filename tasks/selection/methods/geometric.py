@@ -1,4 +1,4 @@
-"""The default: how well a candidate fits the scanned points, in shape, size and color (`tasks.selection.scoring`)."""
+"""How well a candidate fits the scanned points, in shape, size and color (`tasks.selection.scoring`)."""
 
 from __future__ import annotations
 
@@ -26,4 +26,4 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: Geometri
     return np.array([each.geometric for each in candidates])
 
 
-GEOMETRIC = SelectionMethod(name="geometric", config=Geometric, version="5", score=score)
+GEOMETRIC = SelectionMethod(name="geometric", config=Geometric, version="5", score=score, is_geometric=lambda config: True)

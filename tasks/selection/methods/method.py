@@ -41,7 +41,8 @@ class SelectionMethod:
     config: What it can be told. version: Goes up when the same evidence would get other scores. score: Of an instance and its candidates,
     as a config says, with the model where it needs one: shape (k,), in 0..1, higher is better; Lacking where it cannot. needs: What must be
     there. An instance without image, text or model is not scored by it. label: Its version in rows, where that hangs on its config too.
-    check: Raises an InputError where a config does not name what the method needs; asked before anything is aligned.
+    check: Raises an InputError where a config does not name what the method needs; asked before anything is aligned. is_geometric:
+    Whether a config's scores are geometric ones or near to them: what loses little of them fits nearly as well, whoever chose.
     """
 
     name: str
@@ -51,6 +52,7 @@ class SelectionMethod:
     needs: tuple[Need, ...] = ()
     label: Callable[[Any, Model | None], str] | None = None
     check: Callable[[Any], None] | None = None
+    is_geometric: Callable[[Any], bool] = lambda config: False
 
     def row_version(self, config: MethodConfig, model: Model | None) -> str:
         """The version as rows have it: with what else the scores follow from."""

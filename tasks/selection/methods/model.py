@@ -30,8 +30,8 @@ class ModelScores(Config):
     """The scores of a learned model: of the lake's newest, else the one that ships, or of the one that is named."""
 
     kind: ClassVar[str] = "model"
-    model_id: str = ""  # or how it begins; without, the newest that was not withdrawn, else the one that ships
-    within: Share = 1.0  # it chooses among candidates whose geometric score is this near to the best one: 1 among all, 0 among equals
+    model_id: str = ""  # or how it begins, or the name of one that ships; without, the newest not withdrawn, else the first that ships
+    within: Share = 0.05  # it chooses among candidates whose geometric score is this near to the best one: 1 among all, 0 among equals
 
 
 def wanted(config: Any) -> WantedModel | None:
@@ -40,10 +40,11 @@ def wanted(config: Any) -> WantedModel | None:
 
 
 def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelScores, model: Model | None) -> Array:
-    """Chances of the candidates, shape (k,): the softmax of the model's scores, as it was trained to.
+    """Scores of the candidates, shape (k,).
 
-    Where some fit the scan too badly to compete, those that do have the upper half of the scores by their chances among each other, and
-    the others the lower half by their geometric scores.
+    Among all: their chances, the softmax of the model's scores, as it was trained to. Among those that fit nearly as well as the best one:
+    the best geometric score less `within`, and as much of that as they have of the chances among each other; the others keep their own
+    geometric scores, which are less. So a score is never farther from the geometric one than `within`, and compares with it.
 
     Raises:
         Lacking: there is no model.
@@ -53,10 +54,17 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelSco
         raise Lacking("no model")
     scorer = _scorer(model.model_id, model.weights, model.config)
     logits = scorer.score(scanned_of(query, scorer.config), contenders_of(query, candidates, scorer.config))
+    if not is_geometric(config):
+        return chances(logits)
     fit = np.array([each.geometric for each in candidates])
-    competes = fit >= fit.max(initial=0.0) - config.within
-    scores = chances(np.where(competes, logits, -np.inf))
-    return scores if competes.all() else np.where(competes, 0.5 + 0.5 * scores, 0.5 * fit)
+    least = fit.max(initial=0.0) - config.within
+    competes = fit >= least
+    return np.where(competes, least + config.within * chances(np.where(competes, logits, -np.inf)), fit)
+
+
+def is_geometric(config: ModelScores) -> bool:
+    """Whether scores are at most `within` from geometric ones: not where the model chooses among all."""
+    return config.within < 1.0
 
 
 def scanned_of(query: InstanceQuery, config: SelectionModel) -> Scanned:
@@ -105,4 +113,6 @@ def label(config: ModelScores, model: Model | None) -> str:
     return "" if model is None else model.model_id[:12] + limit
 
 
-MODEL = SelectionMethod(name="model", config=ModelScores, version="1", score=score, needs=("model",), label=label)
+MODEL = SelectionMethod(
+    name="model", config=ModelScores, version="2", score=score, needs=("model",), label=label, is_geometric=is_geometric
+)

@@ -117,6 +117,15 @@ def test_a_model_is_meant_by_its_id_its_beginning_or_its_name(lake: Lake, shippe
         found_model(lake.snapshot(), start)
 
 
+def test_a_shipped_model_keeps_its_name_in_a_lake_that_has_it(lake: Lake, shipped: str) -> None:
+    """Trained or imported there, too."""
+    row = kept(lake, 5, at=1, model_id=shipped)
+    reader = lake.snapshot()
+    assert found_model(reader, "small") == (row, "small")
+    assert listed_models(reader) == [(row, "small")]
+    assert wanted_model(reader, WantedModel(KIND, "small")) == row
+
+
 def test_weights_that_are_gone_or_of_another_model_are_refused(lake: Lake, shipped: str) -> None:
     row = kept(lake, 1, at=1)
     with pytest.raises(InputError, match="is not the model of its weights and config"):

@@ -28,6 +28,7 @@ from tasks.candidates.provider import NothingToOffer
 from tasks.candidates.request import CandidateRequest
 from tasks.geometry.meshes import dump_points, load_glb, sample_surface, surface_of
 from tasks.geometry.transforms import flat, transform_points, yaw_pose
+from tasks.selection.methods.geometric import Geometric
 from tasks.stage import Blobs, Context
 from tests.samples import sample
 from tests.tasks.candidates.crops import candidates_of, crop_of_parts, scanned
@@ -466,7 +467,11 @@ def test_it_is_selected_before_slabs_and_crops(category: str, boxes: list[Bounds
     assert [(row.provider, row.outcome) for row in rows if row.provider == "parametric"] == [("parametric", "filled")]
     context = Context("test/room", "selection", 3, blobs)
     chosen = selection.run(
-        instances=[instance], candidates=rows, assets=outcome.rows["assets"], context=context, config=selection.SelectionConfig()
+        instances=[instance],
+        candidates=rows,
+        assets=outcome.rows["assets"],
+        context=context,
+        config=selection.SelectionConfig(provider=Geometric()),
     )
     best = chosen.rows["selections"][0]
     assert best.rank == 1

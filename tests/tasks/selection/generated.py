@@ -17,8 +17,10 @@ from tasks.furniture.rooms import furnish
 from tasks.geometry.meshes import dump_points, sample_surface, surface_of
 from tasks.geometry.transforms import flat, transform_points, translation
 from tasks.selection import SelectionConfig, run
+from tasks.selection.methods.geometric import Geometric
 from tasks.stage import Blobs, Context, Outcome
 
+GEOMETRIC = SelectionConfig(provider=Geometric())
 SCENE = "test/generated"
 POINTS = 1500
 NOISE_M = 0.006
@@ -40,7 +42,7 @@ class GeneratedRoom:
     def select(self, config: SelectionConfig | None = None, **more: Any) -> Outcome:
         return run(
             instances=self.instances, candidates=self.candidates, assets=self.assets, context=self.context(),
-            config=config or SelectionConfig(), **more,
+            config=config or GEOMETRIC, **more,
         )  # fmt: skip
 
     def selections(self, config: SelectionConfig | None = None, **more: Any) -> list[Selection]:

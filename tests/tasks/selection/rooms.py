@@ -20,8 +20,10 @@ from tasks.geometry.meshes import canonical, dump_glb, dump_points, sample_surfa
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import flat, look_at, transform_points, yaw_of, yaw_pose
 from tasks.selection import SelectionConfig, run
+from tasks.selection.methods.geometric import Geometric
 from tasks.stage import Blobs, Context
 
+GEOMETRIC = SelectionConfig(provider=Geometric())
 SCENE = "test/room"
 WOOD, GRAY, RED = (150, 105, 60), (120, 120, 125), (190, 40, 40)
 
@@ -109,7 +111,7 @@ class Room:
         context = more.pop("context", None) or Context(scene_id=SCENE, stage="selection", seed=seed, blobs=self.blobs)
         outcome = run(
             instances=self.instances, candidates=self.candidates, assets=list(self.assets.values()), captions=self.captions,
-            frames=self.frames, masks=self.masks, context=context, config=config or SelectionConfig(), **more,
+            frames=self.frames, masks=self.masks, context=context, config=config or GEOMETRIC, **more,
         )  # fmt: skip
         rows = outcome.rows["selections"]
         check(rows, Selection)

@@ -13,12 +13,11 @@ from schemas.selection import Selection
 from tasks.geometry.boxes import oriented_iou
 from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import flat, inverse, matrix, transform_points, yaw_of, yaw_pose
-from tasks.selection import SelectionConfig
 from tasks.selection.alignment import align, make_target, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.looks import shared
 from tasks.selection.neighbors import Neighborhood, foreign_share
-from tests.tasks.selection.generated import generated_room
+from tests.tasks.selection.generated import GEOMETRIC, generated_room
 
 BEFORE = "203f00c4cee1af2f2205627bb744251457946b2c1a7389fa6470de6e874e8af6"
 """Of commit b2a2867, the last without methods."""
@@ -46,7 +45,7 @@ def test_rows_are_those_of_the_code_before() -> None:
 @pytest.mark.whole
 def test_rows_are_those_of_a_second_computation() -> None:
     """Every number anew from the parts that measure, in one loop and in plain arithmetic; equal to the last bit."""
-    room, config = generated_room(), SelectionConfig()
+    room, config = generated_room(), GEOMETRIC
     context, weights = room.context(), config.score
     nearby = Neighborhood.of(room.instances, room.blobs)
     assets = {asset.asset_id: asset for asset in room.assets}

@@ -49,7 +49,7 @@ def room_of(parts: list, offered: list[list], turn: float = 0.4, view: float | N
 def test_every_method_is_a_choice_of_the_setting_and_the_first_is_the_default() -> None:
     kinds = [method.name for method in METHODS]
     assert kinds == list(SELECTION_METHODS)
-    assert SelectionConfig() == SelectionConfig(provider=Geometric())
+    assert SelectionConfig() == SelectionConfig(provider=ModelScores("small", within=0.05))
     assert SelectionConfig().provider.kind == kinds[0]
     plain = [name for name in kinds if not {"clip", "dinov2", "endpoint"} & set(METHODS[kinds.index(name)].needs)]
     for name in plain:
@@ -236,7 +236,7 @@ def test_a_crop_without_camera_is_a_picture_alone() -> None:
 
 def test_alignment_by_sight_is_told_where_the_crop_was_taken_from() -> None:
     room = room_of(chair(), [chair(), cabinet()])
-    aligned = SelectionConfig(alignment=AlignmentConfig(method=FreePose()))
+    aligned = SelectionConfig(alignment=AlignmentConfig(method=FreePose()), provider=Geometric())
     rows, notes = room.select(aligned)
     instance = room.instances[0]
     to_camera = np.array(EYE[:2]) - np.array([instance.box_pose[3], instance.box_pose[7]])
@@ -252,6 +252,6 @@ def test_alignment_by_sight_is_told_where_the_crop_was_taken_from() -> None:
 def test_a_broken_crop_is_said_where_alignment_wants_it() -> None:
     room = room_of(chair(), [chair()])
     room.instances = [dataclasses.replace(room.instances[0], view_blob=room.blobs.add(b"no picture", "jpg"))]
-    rows, notes = room.select(SelectionConfig(alignment=AlignmentConfig(method=FreePose())))
+    rows, notes = room.select(SelectionConfig(alignment=AlignmentConfig(method=FreePose()), provider=Geometric()))
     assert len(rows) == 1
     assert len(notes) == 2, "the picture, and that its camera is unknown"

@@ -14,39 +14,18 @@ from schemas.captions import Caption
 from schemas.capture import Scene
 from schemas.errors import InputError
 from tasks.geometry.transforms import yaw_pose
-from tasks.models import Model, model_id_of
 from tasks.selection import STAGE, SelectionConfig
 from tasks.selection.evidence import gather
 from tasks.selection.methods.geometric import Geometric
 from tasks.selection.methods.model import ModelScores, contenders_of, scanned_of
 from tasks.selection.model.collection import collected
-from tasks.selection.model.config import OwnImage, OwnText, SelectionModel, Small
 from tasks.selection.model.inference import load
-from tasks.selection.model.shapes import shapes_of
 from tasks.settings import plain
 from tasks.stage import Context, WantedModel
 from tasks.training.dataset import RowsInMemory
-from tasks.weights import to_safetensors
 from tests.samples import sample
+from tests.tasks.selection.drawn import CONFIG, drawn_model
 from tests.tasks.selection.rooms import RED, SCENE, Room, cabinet, chair, photographed, scan, shelf, table
-
-SMALL = Small(points=48, groups=8, group_size=6, dim=24, depth=2, heads=4, first_widths=(8, 16), second_widths=(16, 24), position_width=8,
-              embedding=20, head_width=16)  # fmt: skip
-CONFIG = SelectionModel(
-    SMALL, image=OwnImage(widths=(4, 6, 8)), text=OwnText(buckets=64, width=8), residual_points=16, residual_widths=(8, 12)
-)
-
-
-def drawn_model(seed: int = 0) -> Model:
-    """A model whose weights were drawn."""
-    rng = np.random.default_rng(seed)
-    arrays = {}
-    for name, shape in sorted(shapes_of(CONFIG).items()):
-        values = rng.normal(0, 0.3, shape)
-        arrays[name] = np.asarray(0.5 + np.abs(values) if name.endswith("running_var") else values, dtype="<f2")
-    weights = to_safetensors(arrays)
-    config = json.dumps({"model": plain(CONFIG)})
-    return Model(model_id_of(weights, config), "selection", "small", config, weights)
 
 
 @pytest.fixture(scope="module")
@@ -63,14 +42,14 @@ def room() -> Room:
 
 
 def by_model() -> SelectionConfig:
-    return SelectionConfig(provider=ModelScores())
+    return SelectionConfig(provider=ModelScores(within=1.0))
 
 
 def test_rows_say_which_model_scored_and_scores_are_its_chances(room: Room) -> None:
     model = drawn_model()
     rows, degradations = room.select(by_model(), model=model)
     assert degradations == ()
-    assert {(row.provider, row.provider_version) for row in rows} == {("model", f"1:{model.model_id[:12]}")}
+    assert {(row.provider, row.provider_version) for row in rows} == {("model", f"2:{model.model_id[:12]}")}
     assert sum(row.score for row in rows) == pytest.approx(1.0)
     query, candidates = _gathered(room)
     logits = load(model.weights, CONFIG).score(scanned_of(query, CONFIG), contenders_of(query, candidates, CONFIG))
@@ -81,8 +60,8 @@ def test_rows_say_which_model_scored_and_scores_are_its_chances(room: Room) -> N
 
 
 def test_what_fits_badly_does_not_compete_with_what_fits(room: Room) -> None:
-    """At every limit: the nearest to the best geometric score have the upper half by their chances among each other, the rest their order
-    below."""
+    """At every limit: those that near to the best geometric score share out what lies between by their chances among each other, and the
+    rest keep their scores: none is farther from its own than the limit."""
     model = drawn_model()
     fits = {row.slot: row.score for row in room.select()[0]}
     chances = {row.slot: row.score for row in room.select(by_model(), model=model)[0]}
@@ -91,12 +70,13 @@ def test_what_fits_badly_does_not_compete_with_what_fits(room: Room) -> None:
     for limit in (0.0, *sorted(best - fit + 1e-9 for fit in fits.values()), 0.999):
         rows, _ = room.select(SelectionConfig(provider=ModelScores(within=limit)), model=model)
         competes = {slot for slot, fit in fits.items() if fit >= best - limit}
-        everyone = len(competes) == len(fits)
         total = sum(chances[slot] for slot in competes)
-        wanted = {s: chances[s] if everyone else 0.5 + 0.5 * chances[s] / total if s in competes else 0.5 * fits[s] for s in fits}
+        wanted = {slot: best - limit + limit * chances[slot] / total if slot in competes else fit for slot, fit in fits.items()}
         assert {row.slot: row.score for row in rows} == pytest.approx(wanted)
-        assert rows[0].slot == max(competes, key=lambda slot: chances[slot])
-        assert {row.provider_version for row in rows} == {f"1:{model.model_id[:12]}:{limit:g}"}
+        if limit:
+            assert rows[0].slot == max(competes, key=lambda slot: chances[slot])
+        assert all(abs(row.score - fits[row.slot]) <= limit + 1e-9 for row in rows)
+        assert {row.provider_version for row in rows} == {f"2:{model.model_id[:12]}:{limit:g}"}
 
 
 def test_another_model_scores_otherwise_and_geometry_stays_as_it_was(room: Room) -> None:
@@ -162,7 +142,8 @@ def test_weights_that_do_not_fit_their_config_are_refused(room: Room) -> None:
 def test_the_stage_says_which_model_it_wants() -> None:
     assert STAGE.outside == ("model",)
     assert STAGE.model_wanted is not None
-    assert STAGE.model_wanted(SelectionConfig()) is None
+    assert STAGE.model_wanted(SelectionConfig(provider=Geometric())) is None
+    assert STAGE.model_wanted(SelectionConfig()) == WantedModel("selection", "small")
     assert STAGE.model_wanted(by_model()) == WantedModel("selection", "")
     assert STAGE.model_wanted(SelectionConfig(provider=ModelScores(model_id="ab12"))) == WantedModel("selection", "ab12")
 

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from schemas.selection import Selection
 from tasks.geometry.transforms import yaw_pose
-from tasks.selection import SelectionConfig
+from tasks.selection import ScoreConfig, SelectionConfig
 from tasks.selection.looks import shared
 from tasks.selection.methods.extents import Extents
 from tasks.selection.methods.model import ModelScores
 from tests.samples import sample
+from tests.tasks.selection.drawn import drawn_model
 from tests.tasks.selection.rooms import RED, Room, cabinet, chair, scan
 
 ASSETS = [f"{number:064x}" for number in range(5)]
@@ -82,14 +83,16 @@ def chairs() -> Room:
     return room
 
 
-def test_geometric_scores_alone_are_near_enough_for_one_asset(chairs: Room) -> None:
-    """Every method's scores lie within the loss here: of the geometric ones alone that says something."""
+def test_scores_of_fit_alone_are_near_enough_for_one_asset(chairs: Room) -> None:
+    """All lie within the loss here: of geometric scores, and those near to them, alone that says something."""
     plain, _ = chairs.select()
     assert {row.look for row in plain} == {"0000"}
     assert len({row.asset_id for row in plain if row.rank == 1}) == 1
-    for provider in (Extents(), ModelScores()):
-        rows, _ = chairs.select(SelectionConfig(provider=provider))
+    model = drawn_model()
+    near, _ = chairs.select(SelectionConfig(provider=ModelScores(within=LOSS)), model=model)
+    assert {(row.provider, row.look) for row in near} == {("model", "0000")}
+    assert len({row.asset_id for row in near if row.rank == 1}) == 1
+    for provider, scorer in ((Extents(), None), (ModelScores(within=1.0), model)):
+        rows, _ = chairs.select(SelectionConfig(provider=provider, score=ScoreConfig(look_loss=1.0)), model=scorer)
         assert {row.look for row in rows} == {None}
         assert rows == sorted(rows, key=lambda row: (row.instance_id, -round(row.score, 9), row.slot))
-        best = [row for row in rows if row.rank <= 2]
-        assert all(a.score - b.score <= LOSS for a, b in zip(best[::2], best[1::2], strict=True)), "the loss would have let them share"
