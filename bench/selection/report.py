@@ -29,6 +29,7 @@ from schemas.training import LearnedModel
 from tasks.geometry.meshes import surface_of
 from tasks.geometry.transforms import matrix
 from tasks.models import Model
+from tasks.selection import SelectionConfig
 from tasks.selection.methods.color_histogram import ColorHistogram
 from tasks.selection.methods.extents import Extents
 from tasks.selection.methods.geometric import Geometric
@@ -47,7 +48,7 @@ ELSEWHERE = ("clip", "acdc", "vision_language")
 """Methods that need weights or an endpoint that the user names."""
 
 TAUGHT = ModelScores.kind
-"""A model that is there already, of the lake or the package, by settings of its own."""
+"""A model that is there already, of the lake or the package, by settings of its own: those of the default where none are given."""
 
 HOURS = 8.0
 TRAINING_MINUTES = 20.0
@@ -164,7 +165,9 @@ def _measured_room(config: SelectionBench, scorers: Sequence[MeasuredMethod], tr
 
 
 def scorers_of(lake: Lake, models: Sequence[tuple[str, int, LearnedModel]], methods: Sequence[Any] = ()) -> list[MeasuredMethod]:
-    """Every method that is measured. methods: settings of those that the user named."""
+    """Every method that is measured. methods: settings of those that the user named; the default is measured, too."""
+    if all(method.kind != TAUGHT for method in methods):
+        methods = (SelectionConfig().provider, *methods)
     learned = [MeasuredMethod(name, ModelScores(row.model_id, within=1.0), seed, loaded_model(lake, row)) for name, seed, row in models]
     named = [
         MeasuredMethod(method.kind, method, 0, None if (asked := wanted(method)) is None else held_model(lake, asked)) for method in methods
@@ -258,6 +261,7 @@ def goals(
     return [
         *(goal(f"instances, {split}", counts["instances"][split], ">=", least) for split, least in EXAMPLES.items()),
         goal(f"top-1 of {MODEL} [%]; {plain} has {100 * other:.1f}", _percent(own), ">=", 100 * wanted),
+        goal(f"top-1 of {TAUGHT}, the default, above that of {plain} [%]", _percent(top(figures, TAUGHT) - other), ">=", 0),
         goal(f"top-5 of {MODEL} [%]", _percent(top(figures, MODEL, "top_5")), ">=", 95),
         goal(f"top-1 of {MODEL} on held-out categories, above the best of others [%]", _percent(top(rare, MODEL) - rest), ">=", 0),
         goal(f"top-1 of {BLIND}, which does not see the scan [%]", _percent(top(figures, BLIND)), "<=", 25),

@@ -29,7 +29,7 @@ GROUPS = {"methods": "held-out rooms", "held_out_categories": "held-out categori
 LIMITS = (
     "It learned from what programs chose by a stated rule (`tasks/annotation/simulation.py`), not from people, in generated rooms alone.",
     "One of ten candidates was nearly always the scanned model or a close variant of it. Where none is, it takes what looks like the "
-    "object and passes over pieces of the scan; a replica then covers less of the scan than by the default (docs/selection.md).",
+    "object and passes over pieces of the scan; so by default it chooses among what fits nearly as well as the best (docs/selection.md).",
     "Crops were rendered from the scans' own cameras; photographs of real rooms were never seen.",
 )
 

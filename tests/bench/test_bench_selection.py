@@ -318,7 +318,7 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
     pytest.importorskip("torch")
     monkeypatch.setattr(rooms, "OBJECTS", FEW)
     shutil.copytree(data.folder, tmp_path / "data")
-    config = SelectionBench(tmp_path, rooms=4, seeds=1, steps=2, variants=("small", "blind"), methods=(ModelScores("small", 0.0),))
+    config = SelectionBench(tmp_path, rooms=4, seeds=1, steps=2, variants=("small", "blind"), methods=(ModelScores("small", within=0.0),))
     told: list[str] = []
     report = run_selection_bench(config, told.append)
     assert len(told) == config.steps_of_progress
