@@ -37,7 +37,7 @@ def stages_schema() -> Schema:
 
 class Form(GenerateJsonSchema):
     """Schemas with fields in the order of the configs, and defaults as people tell them: of a table nothing, of one of several
-    configs its kind.
+    configs its kind, with what differs from that kind's own defaults.
     """
 
     def sort(self, value: Schema, parent_key: str | None = None) -> Schema:
@@ -54,7 +54,9 @@ class Form(GenerateJsonSchema):
             return {**made, "default": {}}
         words, *tables = made["anyOf"]
         tables[words["enum"].index(default.kind)].pop("required", None)  # a table that names no kind is of the one that is there
-        return {**made, "default": default.kind}
+        usual = plain(type(default)())
+        changed = {name: value for name, value in plain(default).items() if value != usual[name]}
+        return {**made, "default": {"kind": default.kind, **changed} if changed else default.kind}
 
 
 def _table(config: type) -> Schema:

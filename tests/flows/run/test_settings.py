@@ -97,7 +97,8 @@ def test_a_default_given_back_changes_nothing_wherever_it_is_given(
     assert configs_with(before, table_of(path, value)) == before
     if value is None or (isinstance(value, list) and isinstance(value[0], dict)):  # TOML has no null; slots come below
         return
-    setting = f"{'.'.join(path)}={json.dumps(value)}"
+    items = [f"{name} = {json.dumps(held)}" for name, held in value.items()] if isinstance(value, dict) else []
+    setting = f"{'.'.join(path)}={'{' + ', '.join(items) + '}' if items else json.dumps(value)}"
     assert configure(None, [*kinds, setting]).stages == before
     file = tmp_path / "settings.toml"
     file.write_text("\n".join([*(re.sub("=(.*)", r".kind='\1'", kind) for kind in kinds), setting]))
