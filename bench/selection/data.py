@@ -35,7 +35,7 @@ from bench.selection.rooms import (
     scan_room,
     split_of_room,
 )
-from flows.run.fingerprints import ModuleCaches, canonical_json, digest
+from flows.run.fingerprints import ModuleCaches, canonical_json, code_fingerprint, digest
 from flows.worker import Job, lost_run
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance
@@ -91,6 +91,12 @@ class DataSettings:
         return digest("bench.selection", VERSION, canonical_json(self))
 
 
+def code() -> str:
+    """What the rooms of a data set follow from, beside its settings: hash of the code that makes, scans, captures and aligns."""
+    modules = ("tasks.furniture.rooms", "tasks.scanner", "tasks.capture.scenes", "tasks.captions", "tasks.selection.evidence")
+    return digest(*(code_fingerprint(module) for module in modules))
+
+
 @dataclasses.dataclass(frozen=True)
 class SelectionData:
     """A data set in a folder.
@@ -106,9 +112,20 @@ class SelectionData:
         mark = self.folder / "settings.json"
         if not mark.exists():
             (self.folder / "truth").mkdir(parents=True, exist_ok=True)
-            write_whole(mark, json.dumps({"mark": self.settings.mark, "settings": json.loads(canonical_json(self.settings))}).encode())
-        if json.loads(mark.read_bytes())["mark"] != self.settings.mark:
-            raise InputError(str(mark), "mark", "is of data with other settings, or of other code", "name another folder")
+            document = {"mark": self.settings.mark, "code": code(), "settings": json.loads(canonical_json(self.settings))}
+            write_whole(mark, json.dumps(document).encode())
+        if self._written["mark"] != self.settings.mark:
+            raise InputError(str(mark), "mark", "is of data with other settings", "name another folder")
+
+    @property
+    def _written(self) -> dict[str, Any]:
+        document: dict[str, Any] = json.loads((self.folder / "settings.json").read_bytes())
+        return document
+
+    @property
+    def is_of_this_code(self) -> bool:
+        """Whether the folder was begun by the code that would make its rooms now."""
+        return self._written.get("code") == code()
 
     @property
     def lake(self) -> Lake:

@@ -129,6 +129,8 @@ def run_selection_bench(config: SelectionBench, advance: Callable[[str], None]) 
     foreign, not_measured = _foreign(config, scorers)
     spent = {"data": made, "training": fitted, "measuring": time.perf_counter() - clock - made - fitted}
     seconds = with_earlier(config.folder / "seconds.json", spent)
+    if not data.is_of_this_code:
+        not_measured.append(f"rooms of this code: those in {data.folder} are of another state of it; another --folder has them made again")
     counts = counts_of(truths)
     figures = {name: table_row(rows, config.seed) for name, rows in by_method(outcomes).items()}
     rare = {name: table_row([r for r in rows if r.is_held_out_category], config.seed) for name, rows in by_method(outcomes).items()}

@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
+from bench.selection import data as data_module
 from bench.selection import lineups, measures, rooms
 from bench.selection.annotations import annotate, answers_of, batch_of, carried_on, give
 from bench.selection.data import DataSettings, SelectionData, counts_of, generate
@@ -296,6 +297,14 @@ def test_what_is_remembered_hangs_on_the_code_that_measured_it(tmp_path: Path, m
 def _is_best(truth: Any, row: Selection) -> bool:
     slots = truth["instances"][row.instance_id]["slots"]
     return slots[row.slot - 1]["total"] == min(slot["total"] for slot in slots)
+
+
+def test_rooms_of_other_code_are_known_as_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = SelectionData(tmp_path)
+    assert data.is_of_this_code
+    monkeypatch.setattr(data_module, "code_fingerprint", lambda module: f"another {module}")
+    assert not SelectionData(tmp_path).is_of_this_code
+    assert SelectionData(tmp_path / "new").is_of_this_code
 
 
 def test_the_rule_of_answers_is_the_rule_of_truth() -> None:
