@@ -28,6 +28,9 @@ LEAST_NEAR_OF_TABLES, LEAST_NEAR_OF_MODULES = 0.15, 0.35
 """The same of tables and of cabinets: what stands in the bend of one is in its box, and may touch it along two sides. Tables that were
 parted along a line have no bend, however little they touch: `LEAST_NEAR`."""
 
+LEAST_NEAR_OF_RUGS = 0.015
+"""The same of rugs, which touch along one side of several metres' worth of points."""
+
 MOST_BEYOND = 0.11
 """Of the points of two parts, so many may lie on the wrong side of the line between them: islands of one in the other. Of a table around
 a corner, and what stands in its bend, more do (12 to 16 %)."""
@@ -64,6 +67,9 @@ STACKED_M = 0.1
 
 LARGE_M = 1.4
 """Of categories whose longest side is usually larger [m], two parts that touch are told by the size of the whole."""
+
+LEAST_FILLED = 0.85
+"""Of a rug in two parts, that much of the rectangle around both is theirs: rugs that overlap leave its corners bare."""
 
 LEVEL_M = 0.04
 """Tops of parts of one table are no farther apart [m]: one of them may hold what stands on it, a nest of tables is of several heights."""
@@ -124,6 +130,8 @@ def _are_parts(category: str, part: _Part, other: _Part) -> bool:
     near = max(_near_share(part.points, other.points), _near_share(other.points, part.points))
     if volume <= 0.0 or near == 0.0:
         return False
+    if _is_rug(category):
+        return near >= LEAST_NEAR_OF_RUGS and _is_parted_by_line(part, other) and _is_rectangle(part, other)
     is_module = category.split(" ")[-1] in MODULES
     is_table = mounting(category).is_flat_topped and not mounting(category).is_boxy
     is_bent = is_table and not (_is_parted_by_line(part, other) and _is_plan_of_whole(category, part, other))
@@ -175,8 +183,27 @@ def _is_plan_of_whole(category: str, part: _Part, other: _Part) -> bool:
     return is_known(category) and is_of_size(np.array([*size[:2], usual[2]]), usual)
 
 
+def _is_rectangle(part: _Part, other: _Part) -> bool:
+    """Whether two parts fill the rectangle around them in plan."""
+    (pose, size), (other_pose, other_size) = (_flat(box) for box in (part.box, other.box))
+    shared = oriented_overlap(pose, size, other_pose, other_size)
+    around = oriented_box(np.concatenate([part.points, other.points]), is_noisy=True)[1]
+    return float(np.prod(size) + np.prod(other_size) - shared) >= LEAST_FILLED * float(around[0] * around[1])
+
+
+def _flat(box: Box) -> Box:
+    """The plan of a box, as a box of unit height about the ground."""
+    pose, size = box[0].copy(), box[1].copy()
+    pose[2, 3], size[2] = 0.0, 1.0
+    return pose, size
+
+
+def _is_rug(category: str) -> bool:
+    return canonical_category(category) == "rug"
+
+
 def _is_whole_by_itself(category: str) -> bool:
-    return mounting(category).is_boxy or mounting(category).is_flat_topped or _is_named(category, SINGLE)
+    return _is_rug(category) or mounting(category).is_boxy or mounting(category).is_flat_topped or _is_named(category, SINGLE)
 
 
 def _is_named(category: str, names: Sequence[str]) -> bool:

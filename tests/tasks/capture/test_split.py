@@ -87,6 +87,32 @@ def test_what_fits_into_the_bend_of_a_desk_stays_apart_though_it_touches_it() ->
     assert len(rejoined(*scan_of(("desk", bent), ("desk", box((0.63, 0.63, 0.0), (1.9, 1.5, 0.75)))))[0]) == 2
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.3, -0.6])
+@pytest.mark.parametrize("word", ["rug", "carpet", "mat"])
+def test_a_rug_in_two_parts_is_one(slope: float, word: str) -> None:
+    """Their boxes overlap where it was cut askew; stacked, one would lift what stands on the other."""
+    whole = box((0.0, 0.0, 0.0), (2.9, 1.7, 0.02), 0.04)
+    is_left = whole[:, 0] <= 1.2 + slope * (whole[:, 1] - 0.85)
+    groups, _, notes = rejoined(
+        *scan_of((word, whole[is_left]), ("rug", whole[~is_left]), ("table", box((0.5, 0.5, 0.7), (2.0, 1.2, 0.74))))
+    )
+    assert (len(groups), len(notes)) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        box((0.5, 0.4, 0.02), (1.5, 1.2, 0.04)),  # on the other
+        box((1.6, 0.9, 0.02), (2.8, 2.6, 0.04)),  # over its corner
+        box((2.02, 0.6, 0.0), (2.6, 1.0, 0.02)),  # a doormat before it
+        box((2.4, 0.0, 0.0), (3.6, 1.7, 0.02)),  # apart
+    ],
+)
+def test_two_rugs_stay_two(points: Array) -> None:
+    groups, _, _ = rejoined(*scan_of(("rug", box((0.0, 0.0, 0.0), (2.0, 1.7, 0.02))), ("rug", points)))
+    assert len(groups) == 2
+
+
 def test_two_parts_of_a_table_are_one_and_a_nest_of_tables_is_several() -> None:
     top, apron = box((1.0, 1.0, 0.755), (2.3, 1.8, 0.805), 0.02), box((1.1, 1.0, 0.535), (2.2, 1.75, 0.805))
     groups, _, notes = rejoined(*scan_of(("table", apron), ("dining table", top), ("mug", box((1.2, 1.2, 0.8), (1.3, 1.3, 0.9)))))
