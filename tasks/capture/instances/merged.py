@@ -70,6 +70,9 @@ CELL_M = 0.05
 THICK_M = 0.06
 """Rugs and cloths are thinner."""
 
+PILE_M = 0.01
+"""Above the middle of a rug's points: what is higher is noise, and would make it as thick as a step."""
+
 LEVEL_M = 0.025
 """Points this near to a top's height are of it: the noise of a room scan."""
 
@@ -228,7 +231,9 @@ def own_part(points: Array, category: str) -> Booleans:
     if kind.kind == "covering":
         low = float(np.quantile(heights, 0.05))
         flat = heights <= low + THICK_M
-        return np.asarray(flat if flat.mean() >= TOP_SHARE else np.ones(len(points), dtype=np.bool_))
+        if flat.mean() < TOP_SHARE:
+            return np.ones(len(points), dtype=np.bool_)
+        return np.asarray(heights <= float(np.median(heights[flat])) + PILE_M)
     if kind.is_flat_topped:
         _, cell = np.unique(np.floor(points[:, :2] / CELL_M).astype(np.int64), axis=0, return_inverse=True)
         highest = np.full(int(cell.max()) + 1, -np.inf)
