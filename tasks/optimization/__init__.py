@@ -19,6 +19,7 @@ from tasks.geometry.pieces import PieceConfig
 from tasks.optimization import default, paper
 from tasks.optimization.bodies import BodyConfig, bodies_of
 from tasks.optimization.certificates import CertificateConfig, certificate_rows, certify
+from tasks.optimization.clearance import keep_clear
 from tasks.optimization.contacts import Colliders, Penetration
 from tasks.optimization.coverings import cut_at_walls
 from tasks.optimization.default import Default
@@ -32,7 +33,7 @@ from tasks.optimization.parting import part_slight
 from tasks.optimization.proposals import Proposal, propose
 from tasks.optimization.rows import allowed_depths, contact_rows, optimization_row, placement_rows, remains_of, set_down, support_rows
 from tasks.optimization.search.collisions import MOVES, OUTCOMES
-from tasks.optimization.search.trace import Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
+from tasks.optimization.search.trace import Move, Resolution, moved_poses, replayed_poses, step_rows, with_falls, with_shifts
 from tasks.optimization.support.resting import DEEP_M, lost_supports
 from tasks.optimization.support.supports import SupportConfig
 from tasks.settings import ByKind, Config, NonNegative
@@ -182,21 +183,26 @@ def _resolved(interior: Interior, config: OptimizationConfig, context: Context, 
         case Default() as method:
             resolution = default.resolve(interior, method, config.supports, context.rng, context.spread, anywhere=anywhere)
     interior = resolution.interior or interior
-    parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
     moves = [(step.name, step.move) for step in resolution.steps if step.outcome in APPLIED]
-    moved = moved_poses(dict(zip(interior.names, interior.poses, strict=True)), parents, moves)
-    poses = np.array([moved[name] for name in interior.names]).reshape(-1, 4, 4)
+    poses = _moved(interior, moves)
     colliders = Colliders(interior.solids, interior.shell)
     before, after = colliders.penetrations(interior.poses), colliders.penetrations(poses)
     if isinstance(config.method, Default):
-        shifts = part_slight(interior, poses, after, allowed_depths(interior, before), config.method.slop_m)
-        if shifts:
-            resolution = with_shifts(resolution, shifts)
-            moved = moved_poses(dict(zip(interior.names, interior.poses, strict=True)), parents, [*moves, *shifts])
-            poses = np.array([moved[name] for name in interior.names]).reshape(-1, 4, 4)
-            after = colliders.penetrations(poses)
+        parted = part_slight(interior, poses, after, allowed_depths(interior, before), config.method.slop_m)
+        for shifts in (parted, keep_clear(interior, _moved(interior, [*moves, *parted]), config.method.slop_m)):
+            if shifts:
+                resolution, moves = with_shifts(resolution, shifts), [*moves, *shifts]
+                poses = _moved(interior, moves)
+                after = colliders.penetrations(poses)
     steps = step_rows(context.scene_id, resolution.start, resolution.steps)
     return _Resolved(resolution, interior, poses, before, after, steps)
+
+
+def _moved(interior: Interior, moves: Sequence[tuple[str, Move]]) -> NDArray[np.float64]:
+    """Poses [m], shape (n, 4, 4), after moves from where things were proposed."""
+    parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
+    moved = moved_poses(dict(zip(interior.names, interior.poses, strict=True)), parents, moves)
+    return np.array([moved[name] for name in interior.names]).reshape(-1, 4, 4)
 
 
 STAGE = Stage(

@@ -1,0 +1,133 @@
+"""What stands beside something keeps a little clear of it: engines that inflate shapes push apart what touches.
+
+Bullet adds a millimeter to every hull that it reads, so that neighbors without a gap start two millimeters in each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.mounting import LEANS
+from tasks.optimization.default import WALL_M
+from tasks.optimization.interior import Interior
+from tasks.optimization.search.trace import Move
+from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
+from tasks.optimization.solids import shell_solids
+from tasks.optimization.support.resting import KEPT_M, gap_to_carrier, shift
+from tasks.optimization.support.tipping import compiled
+
+Array = NDArray[np.float64]
+
+CLEAR_M = 0.002
+"""Gap between neighbors [m]: a millimeter of each."""
+
+UPRIGHT_COSINE = math.cos(math.radians(1.0))
+"""What is tilted by more leans on something, and touches it."""
+
+DIRECTIONS = tuple((math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)) for k in range(8))
+"""Level ways to look for neighbors, and to go."""
+
+WAYS_M = (CLEAR_M, 1.5 * CLEAR_M)
+"""How far an object goes [m]: the longer one leaves a corner along both of its sides."""
+
+ROUNDING_M = 1e-5
+"""Depths that differ by less are the same [m]."""
+
+
+def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str, Move]]:
+    """Level shifts of standing objects, each with all it carries, after which fewer of their neighbors are nearer than `CLEAR_M` at
+    `poses` [m], shape (n, 4, 4). Smaller ones go first; what leans stays where it leans, and what it may lean on beside it; nobody
+    leaves what carries them, or goes deeper than `slop` [m] into anything.
+    """
+    walls = shell_solids(interior.room, WALL_M) if interior.room is not None else ()
+    every = np.concatenate([poses, np.tile(np.eye(4), (len(walls), 1, 1))])
+    shapes = shapes_of((*interior.solids, *walls), every)
+    stand = stand_of(shapes, every[:, :3, 3])
+    groups, moves = interior.groups(), []
+    leans = np.array([_leans(interior, poses, i) for i in range(len(interior.names))], dtype=np.bool_)
+    for at in sorted(range(len(interior.names)), key=lambda i: (_size(interior, i), i)):
+        if leans[at] or not _may_go(interior, at):
+            continue
+        near = _neighbors(interior, stand, groups[at], at, leans)
+        if not near:
+            continue
+        now = _met(shapes, stand, groups[at], near, slop)
+        if not any(now):
+            continue
+        way = _way_out(interior, shapes, stand, groups[at], at, near, now, slop)
+        if way is not None:
+            shift(shapes, stand, groups[at], (*way, 0.0))
+            moves.append((interior.names[at], (*way, 0.0, 0.0, 0.0, 0.0)))
+    return moves
+
+
+def _way_out(
+    interior: Interior, shapes: Shapes, stand: Stand, group: Sequence[int], at: int, near: Sequence[int], now: Sequence[bool], slop: float
+) -> tuple[float, float] | None:
+    """The shift [m] after which the fewest directions are met, the shortest of these; None where none is better than to stay."""
+    depth, is_carried = _depth(shapes, stand, group, near, slop), _is_carried(interior, shapes, stand, at)
+    best, fewest = None, sum(now)
+    for length in WAYS_M:
+        for (x, y), is_met in zip(DIRECTIONS, now, strict=True):
+            if is_met:
+                continue
+            shift(shapes, stand, group, (length * x, length * y, 0.0))
+            is_free = _depth(shapes, stand, group, near, slop) <= depth + ROUNDING_M
+            if is_free and (not is_carried or _is_carried(interior, shapes, stand, at)):
+                met = sum(_met(shapes, stand, group, near, slop))
+                if met < fewest:
+                    best, fewest = (length * x, length * y), met
+            shift(shapes, stand, group, (-length * x, -length * y, 0.0))
+    return best
+
+
+def _met(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[int], slop: float) -> list[bool]:
+    """By direction whether something is nearer than `CLEAR_M`."""
+    depth, met = _depth(shapes, stand, group, near, slop), []
+    for x, y in DIRECTIONS:
+        shift(shapes, stand, group, (CLEAR_M * x, CLEAR_M * y, 0.0))
+        met.append(_depth(shapes, stand, group, near, slop) > depth + ROUNDING_M)
+        shift(shapes, stand, group, (-CLEAR_M * x, -CLEAR_M * y, 0.0))
+    return met
+
+
+def _depth(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[int], slop: float) -> float:
+    """Sum of the depths beyond `slop` of a group in its neighbors [m]."""
+    pair_depth = compiled()["pair_depth"]
+    return float(sum(pair_depth(shapes, stand, body, other, slop)[0] for body in group for other in near))
+
+
+def _neighbors(interior: Interior, stand: Stand, group: Sequence[int], at: int, leans: NDArray[np.bool_]) -> list[int]:
+    """Bodies whose boxes are near enough to be met, but for the group, what carries it, rugs, and what may lean on the group."""
+    low, high = stand.low[list(group)].min(axis=0), stand.high[list(group)].max(axis=0)
+    reach = np.array([3.0 * CLEAR_M, 3.0 * CLEAR_M, 0.0])
+    is_near = ((stand.low <= high + reach) & (stand.high >= low - reach)).all(axis=1)
+    is_near[list(group)] = False
+    is_near[: len(interior.names)] &= ~(interior.covering | leans)
+    if interior.parent[at] >= 0 and interior.carriers[at].relation != "inside":
+        is_near[interior.parent[at]] = False
+    return [int(i) for i in np.flatnonzero(is_near)]
+
+
+def _is_carried(interior: Interior, shapes: Shapes, stand: Stand, at: int) -> bool:
+    """Whether an object stands on what carries it."""
+    return min(map(abs, gap_to_carrier(interior, shapes, stand, at))) <= KEPT_M
+
+
+def _may_go(interior: Interior, at: int) -> bool:
+    """Whether an object stands free."""
+    return interior.carriers[at].relation in ("floor", "on", "inside") and not interior.fixed[at] and not interior.covering[at]
+
+
+def _leans(interior: Interior, poses: Array, at: int) -> bool:
+    """Whether an object may lean on what is beside it: it is tilted, or one of those that lean."""
+    return float(poses[at][2, 2]) < UPRIGHT_COSINE or interior.objects[at].category in LEANS
+
+
+def _size(interior: Interior, at: int) -> float:
+    """Volume of an object's box [m3]."""
+    return float(np.prod(interior.objects[at].high - interior.objects[at].low))

@@ -1,0 +1,83 @@
+"""Neighbors keep two millimeters clear of each other, at no cost: nothing is lost, deeper, or moved that had no need."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tasks.geometry.transforms import yaw_pose
+from tasks.optimization.clearance import CLEAR_M, keep_clear
+from tasks.optimization.contacts import Colliders
+from tasks.optimization.default import Default
+from tasks.optimization.interior import Interior
+from tasks.optimization.search.trace import Move, moved_poses
+from tasks.optimization.support.resting import lost_supports
+from tests.tasks.optimization.interiors import Object, block, interior_of
+
+SLOP = Default().slop_m
+SQUARE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
+
+
+def cleared(interior: Interior) -> tuple[list[tuple[str, Move]], np.ndarray]:
+    """The moves, and the poses after them."""
+    moves = keep_clear(interior, interior.poses, SLOP)
+    parents = {name: carrier.parent_id for name, carrier in zip(interior.names, interior.carriers, strict=True)}
+    moved = moved_poses(dict(zip(interior.names, interior.poses, strict=True)), parents, moves)
+    return moves, np.array([moved[name] for name in interior.names])
+
+
+def depth(interior: Interior, poses: np.ndarray) -> float:
+    return max((p.depth_m for p in Colliders(interior.solids, interior.shell).penetrations(poses)), default=0.0)
+
+
+@given(gap=st.floats(0.0, 0.0019), yaw=st.floats(-3.0, 3.0))
+@settings(max_examples=25, deadline=None)
+def test_the_smaller_of_two_steps_aside_once(gap: float, yaw: float) -> None:
+    turn = yaw_pose(yaw)
+    monitor: Object = ("monitor", [block((0.2, 0.6, 0.4))], turn @ yaw_pose(0.0, [0.0, 0.0, 0.7]))
+    candle: Object = ("candle", [block((0.06, 0.06, 0.1))], turn @ yaw_pose(0.0, [0.13 + gap, 0.0, 0.7]))
+    interior = interior_of([("desk", [block((1.2, 0.8, 0.7))], turn), monitor, candle])
+    moves, poses = cleared(interior)
+    assert [name for name, _ in moves] == ["0002"]
+    way = np.linalg.inv(turn[:3, :3]) @ (poses[2][:3, 3] - interior.poses[2][:3, 3])
+    assert gap + way[0] >= 0.7 * CLEAR_M  # the way may be askew by half of the angle between two directions
+    assert np.linalg.norm(way) <= 1.5 * CLEAR_M + 1e-12
+    assert way[2] == 0.0
+    assert depth(interior, poses) <= SLOP
+    assert lost_supports(interior, poses) == lost_supports(interior, interior.poses)
+    np.testing.assert_array_equal(poses[:2], interior.poses[:2])
+
+
+def test_from_a_corner_it_goes_along_both_sides() -> None:
+    """And with all that it carries; a second time there is nothing to do."""
+    table: Object = ("table", [block((0.6, 0.6, 0.7))], yaw_pose(0.0, [1.7, 1.7, 0.0]))
+    box: Object = ("box", [block((0.1, 0.1, 0.1))], yaw_pose(0.0, [1.7, 1.7, 0.7]))
+    interior = interior_of([table, box], SQUARE)
+    moves, poses = cleared(interior)
+    assert [name for name, _ in moves] == ["0000"]
+    assert (poses[:, :2, 3] <= 1.7 - CLEAR_M).all()
+    np.testing.assert_allclose(poses[0, :3, 3] - interior.poses[0, :3, 3], poses[1, :3, 3] - interior.poses[1, :3, 3], atol=1e-12)
+    assert keep_clear(interior, poses, SLOP) == []
+
+
+CABINET: Object = ("cabinet", [block((0.5, 0.5, 0.9))], yaw_pose(0.0))
+APART: list[Object] = [("cabinet", [block((0.5, 0.5, 0.9))], yaw_pose(0.0, [x, 0.0, 0.0])) for x in (-0.5 - CLEAR_M, 0.0, 0.5 + CLEAR_M)]
+ON_IT: Object = ("box", [block((0.1, 0.1, 0.1))], yaw_pose(0.0, [0.0, 0.0, 0.9]))
+LEANING: Object = ("book", [block((0.02, 0.2, 0.3))], yaw_pose(0.0, [0.26, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("objects", [APART, [CABINET, ON_IT], [CABINET, LEANING]], ids=["clear", "on it", "leans"])
+def test_nobody_goes_without_need(objects: list[Object]) -> None:
+    interior = interior_of(objects)
+    assert keep_clear(interior, interior.poses, SLOP) == []
+
+
+def test_who_is_wedged_stays_to_the_bit() -> None:
+    walls: list[Object] = [("cabinet", [block((1.0, 0.6, 0.9))], yaw_pose(0.0, [x, 0.0, 0.0])) for x in (-1.0005, 1.0005)]
+    box: Object = ("box", [block((1.0, 0.3, 0.3))], yaw_pose(0.0))
+    fixed = interior_of([*walls, box])
+    moves, poses = cleared(fixed)
+    assert depth(fixed, poses) <= SLOP
+    assert "0002" not in dict(moves)
