@@ -1,6 +1,7 @@
 """What stands beside something keeps a little clear of it: engines that inflate shapes push apart what touches.
 
-Bullet adds a millimeter to every hull that it reads, so that neighbors without a gap start two millimeters in each other.
+Bullet adds a millimeter to every hull that it reads, so that neighbors without a gap start two millimeters in each other. Furniture that
+touches a wall stays at it: a wall goes nowhere, and holds what Bullet lets drift.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from tasks.optimization.support.resting import KEPT_M, gap_to_carrier, shift
 from tasks.optimization.support.tipping import compiled
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
 
 CLEAR_M = 0.002
 """Gap between neighbors [m]: a millimeter of each."""
@@ -28,8 +30,11 @@ CLEAR_M = 0.002
 UPRIGHT_COSINE = math.cos(math.radians(1.0))
 """What is tilted by more leans on something, and touches it."""
 
-DIRECTIONS = tuple((math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)) for k in range(8))
+DIRECTIONS = tuple((math.cos(k * math.pi / 4), math.sin(k * math.pi / 4), 0.0) for k in range(8))
 """Level ways to look for neighbors, and to go."""
+
+UP = (0.0, 0.0, 1.0)
+"""A way to look, not to go: what is below the edge of something touches it as well."""
 
 WAYS_M = (CLEAR_M, 1.5 * CLEAR_M)
 """How far an object goes [m]: the longer one leaves a corner along both of its sides."""
@@ -52,47 +57,53 @@ def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str,
     for at in sorted(range(len(interior.names)), key=lambda i: (_size(interior, i), i)):
         if leans[at] or not _may_go(interior, at):
             continue
-        near = _neighbors(interior, stand, groups[at], at, leans)
-        if not near:
-            continue
-        now = _met(shapes, stand, groups[at], near, slop)
-        if not any(now):
-            continue
-        way = _way_out(interior, shapes, stand, groups[at], at, near, now, slop)
+        near = _neighbors(interior, stand, groups[at], at)
+        free = [other for other in near if other < len(leans) and not leans[other]]
+        now = _met(shapes, stand, groups[at], free, slop)
+        way = _way_out(interior, shapes, stand, groups[at], at, near, free, now, slop) if any(now) else None
         if way is not None:
-            shift(shapes, stand, groups[at], (*way, 0.0))
-            moves.append((interior.names[at], (*way, 0.0, 0.0, 0.0, 0.0)))
+            shift(shapes, stand, groups[at], way)
+            moves.append((interior.names[at], (*way, 0.0, 0.0, 0.0)))
     return moves
 
 
 def _way_out(
-    interior: Interior, shapes: Shapes, stand: Stand, group: Sequence[int], at: int, near: Sequence[int], now: Sequence[bool], slop: float
-) -> tuple[float, float] | None:
-    """The shift [m] after which the fewest directions are met, the shortest of these; None where none is better than to stay."""
+    interior: Interior, shapes: Shapes, stand: Stand, group: Sequence[int], at: int, near: Sequence[int], free: Sequence[int],
+    now: Sequence[bool], slop: float,
+) -> Vector | None:  # fmt: skip
+    """The shift [m] after which something of `free` is met in the fewest directions, the shortest of these; None where none is better than
+    to stay, or free of what is `near`."""
     depth, is_carried = _depth(shapes, stand, group, near, slop), _is_carried(interior, shapes, stand, at)
     best, fewest = None, sum(now)
     for length in WAYS_M:
-        for (x, y), is_met in zip(DIRECTIONS, now, strict=True):
-            if is_met:
-                continue
-            shift(shapes, stand, group, (length * x, length * y, 0.0))
+        for direction in DIRECTIONS:
+            way = _scaled(direction, length)
+            shift(shapes, stand, group, way)
             is_free = _depth(shapes, stand, group, near, slop) <= depth + ROUNDING_M
             if is_free and (not is_carried or _is_carried(interior, shapes, stand, at)):
-                met = sum(_met(shapes, stand, group, near, slop))
+                met = sum(_met(shapes, stand, group, free, slop))
                 if met < fewest:
-                    best, fewest = (length * x, length * y), met
-            shift(shapes, stand, group, (-length * x, -length * y, 0.0))
+                    best, fewest = way, met
+            shift(shapes, stand, group, _scaled(way, -1.0))
     return best
 
 
 def _met(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[int], slop: float) -> list[bool]:
     """By direction whether something is nearer than `CLEAR_M`."""
+    if not near:
+        return []
     depth, met = _depth(shapes, stand, group, near, slop), []
-    for x, y in DIRECTIONS:
-        shift(shapes, stand, group, (CLEAR_M * x, CLEAR_M * y, 0.0))
+    for direction in (*DIRECTIONS, UP):
+        way = _scaled(direction, CLEAR_M)
+        shift(shapes, stand, group, way)
         met.append(_depth(shapes, stand, group, near, slop) > depth + ROUNDING_M)
-        shift(shapes, stand, group, (-CLEAR_M * x, -CLEAR_M * y, 0.0))
+        shift(shapes, stand, group, _scaled(way, -1.0))
     return met
+
+
+def _scaled(way: Vector, factor: float) -> Vector:
+    x, y, z = way
+    return factor * x, factor * y, factor * z
 
 
 def _depth(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[int], slop: float) -> float:
@@ -101,13 +112,13 @@ def _depth(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[in
     return float(sum(pair_depth(shapes, stand, body, other, slop)[0] for body in group for other in near))
 
 
-def _neighbors(interior: Interior, stand: Stand, group: Sequence[int], at: int, leans: NDArray[np.bool_]) -> list[int]:
-    """Bodies whose boxes are near enough to be met, but for the group, what carries it, rugs, and what may lean on the group."""
+def _neighbors(interior: Interior, stand: Stand, group: Sequence[int], at: int) -> list[int]:
+    """Bodies whose boxes are near enough to be met, but for the group, what carries it, and rugs."""
     low, high = stand.low[list(group)].min(axis=0), stand.high[list(group)].max(axis=0)
-    reach = np.array([3.0 * CLEAR_M, 3.0 * CLEAR_M, 0.0])
+    reach = 3.0 * CLEAR_M
     is_near = ((stand.low <= high + reach) & (stand.high >= low - reach)).all(axis=1)
     is_near[list(group)] = False
-    is_near[: len(interior.names)] &= ~(interior.covering | leans)
+    is_near[: len(interior.names)] &= ~interior.covering
     if interior.parent[at] >= 0 and interior.carriers[at].relation != "inside":
         is_near[interior.parent[at]] = False
     return [int(i) for i in np.flatnonzero(is_near)]
