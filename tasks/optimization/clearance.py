@@ -34,10 +34,16 @@ DIRECTIONS = tuple((math.cos(k * math.pi / 4), math.sin(k * math.pi / 4), 0.0) f
 """Level ways to look for neighbors, and to go."""
 
 UP = (0.0, 0.0, 1.0)
-"""A way to look, not to go: what is below the edge of something touches it as well."""
+"""A way to look, not to go: what is right below the edge of something is pinched as soon as that gives way."""
+
+LOOKS = (UP, *DIRECTIONS, *((x, y, 1.0) for x, y, _ in DIRECTIONS))
+"""Where neighbors are looked for: above, beside, and beside what is above."""
 
 WAYS_M = (CLEAR_M, 1.5 * CLEAR_M)
 """How far an object goes [m]: the longer one leaves a corner along both of its sides."""
+
+FROM_BELOW_M = (0.005, 0.01, 0.02, 0.04)
+"""How far it goes as well [m] if something is right above it."""
 
 ROUNDING_M = 1e-5
 """Depths that differ by less are the same [m]."""
@@ -46,7 +52,7 @@ ROUNDING_M = 1e-5
 def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str, Move]]:
     """Level shifts of standing objects, each with all it carries, after which fewer of their neighbors are nearer than `CLEAR_M` at
     `poses` [m], shape (n, 4, 4). Smaller ones go first; what leans stays where it leans, and what it may lean on beside it; nobody
-    leaves what carries them, or goes deeper than `slop` [m] into anything.
+    leaves what carries them, or goes deeper than `slop` [m] into anything. What is right below something goes farther, up to 4 cm.
     """
     walls = shell_solids(interior.room, WALL_M) if interior.room is not None else ()
     every = np.concatenate([poses, np.tile(np.eye(4), (len(walls), 1, 1))])
@@ -57,7 +63,10 @@ def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str,
     for at in sorted(range(len(interior.names)), key=lambda i: (_size(interior, i), i)):
         if leans[at] or not _may_go(interior, at):
             continue
-        near = _neighbors(interior, stand, groups[at], at)
+        near = _neighbors(interior, stand, groups[at], at, CLEAR_M)
+        if not near:
+            continue
+        near = _neighbors(interior, stand, groups[at], at, FROM_BELOW_M[-1] + CLEAR_M)
         free = [other for other in near if other < len(leans) and not leans[other]]
         now = _met(shapes, stand, groups[at], free, slop)
         way = _way_out(interior, shapes, stand, groups[at], at, near, free, now, slop) if any(now) else None
@@ -75,7 +84,7 @@ def _way_out(
     to stay, or free of what is `near`."""
     depth, is_carried = _depth(shapes, stand, group, near, slop), _is_carried(interior, shapes, stand, at)
     best, fewest = None, sum(now)
-    for length in WAYS_M:
+    for length in (*WAYS_M, *(FROM_BELOW_M if now[0] else ())):
         for direction in DIRECTIONS:
             way = _scaled(direction, length)
             shift(shapes, stand, group, way)
@@ -89,11 +98,11 @@ def _way_out(
 
 
 def _met(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[int], slop: float) -> list[bool]:
-    """By direction whether something is nearer than `CLEAR_M`."""
+    """Whether something is nearer than `CLEAR_M`, by direction of `LOOKS`."""
     if not near:
         return []
     depth, met = _depth(shapes, stand, group, near, slop), []
-    for direction in (*DIRECTIONS, UP):
+    for direction in LOOKS:
         way = _scaled(direction, CLEAR_M)
         shift(shapes, stand, group, way)
         met.append(_depth(shapes, stand, group, near, slop) > depth + ROUNDING_M)
@@ -112,10 +121,9 @@ def _depth(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[in
     return float(sum(pair_depth(shapes, stand, body, other, slop)[0] for body in group for other in near))
 
 
-def _neighbors(interior: Interior, stand: Stand, group: Sequence[int], at: int) -> list[int]:
-    """Bodies whose boxes are near enough to be met, but for the group, what carries it, and rugs."""
+def _neighbors(interior: Interior, stand: Stand, group: Sequence[int], at: int, reach: float) -> list[int]:
+    """Bodies whose boxes are within `reach` [m] of a group's, but for the group, what carries it, and rugs."""
     low, high = stand.low[list(group)].min(axis=0), stand.high[list(group)].max(axis=0)
-    reach = 3.0 * CLEAR_M
     is_near = ((stand.low <= high + reach) & (stand.high >= low - reach)).all(axis=1)
     is_near[list(group)] = False
     is_near[: len(interior.names)] &= ~interior.covering

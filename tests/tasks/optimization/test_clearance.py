@@ -79,6 +79,21 @@ def test_nobody_goes_below_the_edge_of_something() -> None:
     assert poses[2][0, 3] + 0.03 <= -0.05
 
 
+@pytest.mark.parametrize("inward", [0.001, 0.01, 0.03])
+def test_what_is_right_below_an_edge_comes_out(inward: float) -> None:
+    """A monitor that gives way by rounding would pinch it."""
+    monitor: Object = (
+        "monitor", [block((0.2, 0.2, 0.1)), block((0.2, 0.6, 0.3)).apply_translation([0.0, 0.0, 0.1])], yaw_pose(0.0, [0.0, 0.0, 0.7])
+    )  # fmt: skip
+    candle: Object = ("candle", [block((0.06, 0.06, 0.09999))], yaw_pose(0.0, [0.13 - inward, 0.2, 0.7]))
+    interior = interior_of([("desk", [block((1.2, 0.8, 0.7))], yaw_pose(0.0)), monitor, candle])
+    moves, poses = cleared(interior)
+    assert [name for name, _ in moves] == ["0002"]
+    assert poses[2][0, 3] - 0.03 >= 0.1 + CLEAR_M - 1e-9
+    assert np.linalg.norm(poses[2][:3, 3] - interior.poses[2][:3, 3]) <= 0.04 + 1e-12
+    assert depth(interior, poses) <= SLOP
+
+
 def test_furniture_stays_at_its_wall() -> None:
     bed: Object = ("bed", [block((1.6, 1.4, 0.5))], yaw_pose(0.0, [1.2, 0.0, 0.0]))
     interior = interior_of([bed], SQUARE)
