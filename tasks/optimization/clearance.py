@@ -1,7 +1,7 @@
 """What stands beside something keeps a little clear of it: engines that inflate shapes push apart what touches.
 
-Bullet adds a millimeter to every hull that it reads, so that neighbors without a gap start two millimeters in each other. Furniture that
-touches a wall stays at it: a wall goes nowhere, and holds what Bullet lets drift.
+Bullet adds a millimeter to every hull that it reads, so that neighbors without a gap start two millimeters in each other. What stands at
+a wall stays at it: a wall goes nowhere, and holds what Bullet lets drift.
 """
 
 from __future__ import annotations
@@ -43,16 +43,22 @@ WAYS_M = (CLEAR_M, 1.5 * CLEAR_M)
 """How far an object goes [m]: the longer one leaves a corner along both of its sides."""
 
 FROM_BELOW_M = (0.005, 0.01, 0.02, 0.04)
-"""How far it goes as well [m] if something is right above it."""
+"""How far it goes as well [m] if something that stands beside it is right above it."""
+
+SAME_LEVEL_M = 0.01
+"""What stands beside an object begins this near to its own height [m]; what begins higher may lie on it."""
 
 ROUNDING_M = 1e-5
 """Depths that differ by less are the same [m]."""
 
 
 def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str, Move]]:
-    """Level shifts of standing objects, each with all it carries, after which fewer of their neighbors are nearer than `CLEAR_M` at
-    `poses` [m], shape (n, 4, 4). Smaller ones go first; what leans stays where it leans, and what it may lean on beside it; nobody
-    leaves what carries them, or goes deeper than `slop` [m] into anything. What is right below something goes farther, up to 4 cm.
+    """Level shifts of standing objects, each with all it carries, after which they have others within `CLEAR_M` in fewer directions, at
+    `poses` [m], shape (n, 4, 4).
+
+    Smaller ones go first. What leans stays where it leans, and what it may lean on beside it; what stands at a wall stays at that; nobody
+    leaves what carries them, and no pair gets deeper into each other by that than `slop` [m], or than it was. What is right below
+    something that stands beside it goes farther, up to 4 cm, if it stays within the outline of what carries it.
     """
     walls = shell_solids(interior.room, WALL_M) if interior.room is not None else ()
     every = np.concatenate([poses, np.tile(np.eye(4), (len(walls), 1, 1))])
@@ -61,15 +67,9 @@ def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str,
     groups, moves = interior.groups(), []
     leans = np.array([_leans(interior, poses, i) for i in range(len(interior.names))], dtype=np.bool_)
     for at in sorted(range(len(interior.names)), key=lambda i: (_size(interior, i), i)):
-        if leans[at] or not _may_go(interior, at):
+        if leans[at] or not _may_go(interior, at) or not _beside(interior, stand, groups[at], at, leans, CLEAR_M):
             continue
-        near = _neighbors(interior, stand, groups[at], at, CLEAR_M)
-        if not near:
-            continue
-        near = _neighbors(interior, stand, groups[at], at, FROM_BELOW_M[-1] + CLEAR_M)
-        free = [other for other in near if other < len(leans) and not leans[other]]
-        now = _met(shapes, stand, groups[at], free, slop)
-        way = _way_out(interior, shapes, stand, groups[at], at, near, free, now, slop) if any(now) else None
+        way = _way_out(interior, shapes, stand, groups[at], at, leans, slop)
         if way is not None:
             shift(shapes, stand, groups[at], way)
             moves.append((interior.names[at], (*way, 0.0, 0.0, 0.0)))
@@ -77,36 +77,46 @@ def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str,
 
 
 def _way_out(
-    interior: Interior, shapes: Shapes, stand: Stand, group: Sequence[int], at: int, near: Sequence[int], free: Sequence[int],
-    now: Sequence[bool], slop: float,
-) -> Vector | None:  # fmt: skip
-    """The shift [m] after which something of `free` is met in the fewest directions, the shortest of these; None where none is better than
-    to stay, or free of what is `near`."""
-    depth, is_carried = _depth(shapes, stand, group, near, slop), _is_carried(interior, shapes, stand, at)
-    best, fewest = None, sum(now)
+    interior: Interior, shapes: Shapes, stand: Stand, group: Sequence[int], at: int, leans: NDArray[np.bool_], slop: float
+) -> Vector | None:
+    """The shift [m] after which something is met in the fewest directions, the shortest of these; None where it is best to stay."""
+    reach = FROM_BELOW_M[-1] + CLEAR_M
+    near, beside = _near(stand, group, reach), _beside(interior, stand, group, at, leans, reach)
+    walls = [other for other in near if other >= len(interior.names)]
+    now, at_walls = _met(shapes, stand, group, beside, at, slop), _met(shapes, stand, group, walls, at, slop)
+    if not now.any():
+        return None
+    depths, is_carried = _depths(shapes, stand, group, near, slop), _is_carried(interior, shapes, stand, at)
+    was_within = _is_within(interior, stand, at)
+    best, fewest = None, int(now.sum())
     for length in (*WAYS_M, *(FROM_BELOW_M if now[0] else ())):
         for direction in DIRECTIONS:
             way = _scaled(direction, length)
             shift(shapes, stand, group, way)
-            is_free = _depth(shapes, stand, group, near, slop) <= depth + ROUNDING_M
-            if is_free and (not is_carried or _is_carried(interior, shapes, stand, at)):
-                met = sum(_met(shapes, stand, group, free, slop))
+            is_free = bool((_depths(shapes, stand, group, near, slop) <= depths + ROUNDING_M).all())
+            stays = not is_carried or _is_carried(interior, shapes, stand, at)
+            stays = stays and (length <= WAYS_M[-1] or not was_within or _is_within(interior, stand, at))
+            if is_free and stays and bool((_met(shapes, stand, group, walls, at, slop) >= at_walls).all()):
+                met = int(_met(shapes, stand, group, beside, at, slop).sum())
                 if met < fewest:
                     best, fewest = way, met
             shift(shapes, stand, group, _scaled(way, -1.0))
     return best
 
 
-def _met(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[int], slop: float) -> list[bool]:
-    """Whether something is nearer than `CLEAR_M`, by direction of `LOOKS`."""
-    if not near:
-        return []
-    depth, met = _depth(shapes, stand, group, near, slop), []
-    for direction in LOOKS:
-        way = _scaled(direction, CLEAR_M)
-        shift(shapes, stand, group, way)
-        met.append(_depth(shapes, stand, group, near, slop) > depth + ROUNDING_M)
-        shift(shapes, stand, group, _scaled(way, -1.0))
+def _met(shapes: Shapes, stand: Stand, group: Sequence[int], others: Sequence[int], at: int, slop: float) -> NDArray[np.bool_]:
+    """Whether one of some bodies is nearer than `CLEAR_M`, by direction of `LOOKS`; above only what begins at the object's own height."""
+    met = np.zeros(len(LOOKS), dtype=np.bool_)
+    level = [other for other in others if abs(float(stand.low[other, 2] - stand.low[at, 2])) <= SAME_LEVEL_M]
+    for sides, looks in ((others, range(1, 1 + len(DIRECTIONS))), (level, (0, *range(1 + len(DIRECTIONS), len(LOOKS))))):
+        if not sides:
+            continue
+        depths = _depths(shapes, stand, group, sides, slop)
+        for look in looks:
+            way = _scaled(LOOKS[look], CLEAR_M)
+            shift(shapes, stand, group, way)
+            met[look] = bool((_depths(shapes, stand, group, sides, slop) > depths + ROUNDING_M).any())
+            shift(shapes, stand, group, _scaled(way, -1.0))
     return met
 
 
@@ -115,21 +125,31 @@ def _scaled(way: Vector, factor: float) -> Vector:
     return factor * x, factor * y, factor * z
 
 
-def _depth(shapes: Shapes, stand: Stand, group: Sequence[int], near: Sequence[int], slop: float) -> float:
-    """Sum of the depths beyond `slop` of a group in its neighbors [m]."""
+def _depths(shapes: Shapes, stand: Stand, group: Sequence[int], others: Sequence[int], slop: float) -> Array:
+    """Depths beyond `slop` of the bodies of a group in others [m], shape (group, others)."""
     pair_depth = compiled()["pair_depth"]
-    return float(sum(pair_depth(shapes, stand, body, other, slop)[0] for body in group for other in near))
+    return np.array([[pair_depth(shapes, stand, body, other, slop)[1] for other in others] for body in group]).reshape(len(group), -1)
 
 
-def _neighbors(interior: Interior, stand: Stand, group: Sequence[int], at: int, reach: float) -> list[int]:
-    """Bodies whose boxes are within `reach` [m] of a group's, but for the group, what carries it, and rugs."""
+def _near(stand: Stand, group: Sequence[int], reach: float) -> list[int]:
+    """Bodies, but for the group, whose boxes are within `reach` [m] of its own."""
     low, high = stand.low[list(group)].min(axis=0), stand.high[list(group)].max(axis=0)
     is_near = ((stand.low <= high + reach) & (stand.high >= low - reach)).all(axis=1)
     is_near[list(group)] = False
-    is_near[: len(interior.names)] &= ~interior.covering
-    if interior.parent[at] >= 0 and interior.carriers[at].relation != "inside":
-        is_near[interior.parent[at]] = False
     return [int(i) for i in np.flatnonzero(is_near)]
+
+
+def _beside(interior: Interior, stand: Stand, group: Sequence[int], at: int, leans: NDArray[np.bool_], reach: float) -> list[int]:
+    """What a group is to keep clear of: objects near by, but for rugs, what carries it, and what may lean on it."""
+    carrier = int(interior.parent[at]) if interior.carriers[at].relation != "inside" else -1
+    return [i for i in _near(stand, group, reach) if i < len(leans) and i != carrier and not leans[i] and not interior.covering[i]]
+
+
+def _is_within(interior: Interior, stand: Stand, at: int) -> bool:
+    """Whether the outline of an object lies within that of what carries it; the floor carries everywhere."""
+    carrier = int(interior.parent[at])
+    low, high = stand.low[at, :2], stand.high[at, :2]
+    return carrier < 0 or bool((low >= stand.low[carrier, :2]).all() and (high <= stand.high[carrier, :2]).all())
 
 
 def _is_carried(interior: Interior, shapes: Shapes, stand: Stand, at: int) -> bool:

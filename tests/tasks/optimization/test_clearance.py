@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -119,3 +121,85 @@ def test_who_is_wedged_stays_to_the_bit() -> None:
     moves, poses = cleared(fixed)
     assert depth(fixed, poses) <= SLOP
     assert "0002" not in dict(moves)
+
+
+def test_what_carries_it_has_a_back_that_nobody_goes_into() -> None:
+    """A box at the back of a bench, before it something that touches it: it has no room, and a book holder beside it gives way along."""
+    bench: Object = ("bench", [block((0.6, 1.4, 0.4)), block((0.1, 1.4, 0.4), (0.25, 0.0, 0.4))], yaw_pose(0.0))
+    box: Object = ("box", [block((0.1, 0.1, 0.1))], yaw_pose(0.0, [0.15, 0.0, 0.4]))
+    front: Object = ("vase", [block((0.2, 0.2, 0.2))], yaw_pose(0.0, [0.0, 0.0, 0.4]))
+    interior = interior_of([bench, box, front])
+    before = depth(interior, interior.poses)
+    moves, poses = cleared(interior)
+    assert moves
+    assert depth(interior, poses) <= max(before, SLOP) + 1e-5
+    assert (poses[1:, 0, 3] <= interior.poses[1:, 0, 3] + 1e-12).all()
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.001])
+def test_nobody_goes_into_a_rug(gap: float) -> None:
+    rug: Object = ("rug", [block((1.0, 1.0, 0.012))], yaw_pose(0.0, [0.5505, 0.0, 0.0]))
+    box: Object = ("box", [block((0.1, 0.1, 0.1))], yaw_pose(0.0))
+    cabinet: Object = ("cabinet", [block((0.5, 0.5, 0.9))], yaw_pose(0.0, [-0.3 - gap, 0.0, 0.0]))
+    interior = interior_of([rug, box, cabinet])
+    moves, poses = cleared(interior)
+    assert depth(interior, poses) <= max(depth(interior, interior.poses), SLOP) + 1e-5
+    assert "0000" not in dict(moves)
+
+
+def test_who_stands_at_a_wall_goes_along_it() -> None:
+    stand: Object = ("nightstand", [block((0.4, 0.4, 0.5))], yaw_pose(0.0, [1.8, -0.9, 0.0]))
+    bed: Object = ("bed", [block((1.6, 1.4, 0.5))], yaw_pose(0.0, [1.2, 0.0, 0.0]))
+    interior = interior_of([stand, bed], SQUARE)
+    interior = dataclasses.replace(interior, fixed=np.zeros(2, dtype=np.bool_))
+    moves, poses = cleared(interior)
+    assert [name for name, _ in moves] == ["0000"]
+    assert poses[0][0, 3] == pytest.approx(1.8, abs=1e-12)
+    assert poses[0][1, 3] <= -0.9 - CLEAR_M + 1e-12
+
+
+def test_what_is_fixed_stays() -> None:
+    box: Object = ("box", [block((0.1, 0.1, 0.1))], yaw_pose(0.0))
+    cabinet: Object = ("cabinet", [block((0.5, 0.5, 0.9))], yaw_pose(0.0, [-0.3, 0.0, 0.0]))
+    interior = interior_of([box, cabinet])
+    for fixed in ((True, True), (True, False), (False, True)):
+        moves, _ = cleared(dataclasses.replace(interior, fixed=np.array(fixed)))
+        assert [name for name, _ in moves] == [name for name, is_fixed in zip(interior.names, fixed, strict=True) if not is_fixed]
+
+
+def test_nobody_walks_out_from_under_what_lies_on_it() -> None:
+    """A board on two boxes, of which the second holds but its end, beside a third that touches it."""
+    boxes: list[Object] = [("box", [block((0.3, 0.3, 0.4))], yaw_pose(0.0, [x, 0.0, 0.0])) for x in (-0.5, 0.5, 0.8)]
+    board: Object = ("board", [block((1.06, 0.3, 0.04))], yaw_pose(0.0, [-0.15, 0.0, 0.4]))
+    interior = interior_of([*boxes, board])
+    _, poses = cleared(interior)
+    assert np.abs(poses[:, :2, 3] - interior.poses[:, :2, 3]).max() <= 0.003 + 1e-12
+
+
+def test_nobody_stands_beyond_the_edge_of_what_carries_it() -> None:
+    """A candle below the edge of a monitor, at the edge of the desk: it comes out along the desk, or not at all."""
+    monitor: Object = (
+        "monitor", [block((0.2, 0.2, 0.1)), block((0.2, 0.6, 0.3)).apply_translation([0.0, 0.0, 0.1])], yaw_pose(0.0, [0.47, 0.0, 0.7])
+    )  # fmt: skip
+    candle: Object = ("candle", [block((0.06, 0.06, 0.09999))], yaw_pose(0.0, [0.565, 0.15, 0.7]))
+    desk: Object = ("desk", [block((1.2, 0.8, 0.7))], yaw_pose(0.0))
+    interior = interior_of([desk, monitor, candle])
+    _, poses = cleared(interior)
+    assert poses[2][0, 3] + 0.03 <= 0.6 + 0.003
+
+
+@given(seed=st.integers(0, 400))
+@settings(max_examples=40, deadline=None)
+def test_no_pair_gets_deeper(seed: int) -> None:
+    """Whatever overlaps already."""
+    rng = np.random.default_rng(seed)
+    objects: list[Object] = [
+        ("box", [block(rng.uniform(0.1, 0.4, 3))], yaw_pose(float(rng.uniform(-3, 3)), [*rng.uniform(-0.4, 0.4, 2), 0.0])) for _ in range(6)
+    ]
+    interior = interior_of(objects)
+    _, poses = cleared(interior)
+    before, after = (
+        {(p.a, p.b): p.depth_m for p in Colliders(interior.solids, interior.shell).penetrations(where)} for where in (interior.poses, poses)
+    )
+    for pair, deep in after.items():
+        assert deep <= max(before.get(pair, 0.0), SLOP) + 5e-5
