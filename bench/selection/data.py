@@ -24,6 +24,7 @@ import numpy as np
 
 from bench.selection.annotations import annotate
 from bench.selection.lineups import LineupSettings, Offered, candidate_rows, lineup
+from bench.selection.measures import source_digest
 from bench.selection.rooms import (
     DATASET,
     MOST_OFF_M,
@@ -92,9 +93,12 @@ class DataSettings:
 
 
 def code() -> str:
-    """What the rooms of a data set follow from, beside its settings: hash of the code that makes, scans, captures and aligns."""
-    modules = ("tasks.furniture.rooms", "tasks.scanner", "tasks.capture.scenes", "tasks.captions", "tasks.selection.evidence")
-    return digest(*(code_fingerprint(module) for module in modules))
+    """What the rooms of a data set follow from, beside its settings: hash of the code that makes, scans, captures, offers and aligns."""
+    modules = (
+        "tasks.furniture.rooms", "tasks.furniture.dwellings", "tasks.scanner", "tasks.scanner.dwellings", "tasks.capture.scenes",
+        "tasks.captions", "tasks.candidates", "tasks.selection.evidence",
+    )  # fmt: skip
+    return digest(*(code_fingerprint(module) for module in modules), source_digest("data", "lineups", "rooms"))
 
 
 @dataclasses.dataclass(frozen=True)

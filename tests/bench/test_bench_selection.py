@@ -23,9 +23,10 @@ from bench.selection.foreign import made_house, model_of
 from bench.selection.lineups import OF_SCANNED, LineupSettings, Offered, lineup, main_color, recolored
 from bench.selection.measures import MeasuredMethod, measured_room, source_digest
 from bench.selection.naming import Naming, naming_report
-from bench.selection.report import PLAIN, TAUGHT, SelectionBench, margin, run_selection_bench, table_row, top, true_surfaces
+from bench.selection.report import DEFAULT, PLAIN, TAUGHT, SelectionBench, margin, run_selection_bench, table_row, top, true_surfaces
 from bench.selection.rooms import TrueModel, held_out, is_hard, made_room, split_of_room
 from flows.cli import cli
+from flows.run.fingerprints import code_fingerprint
 from schemas.annotation import Annotation, AnswerVerdict, QualityReview
 from schemas.candidates import Asset, Candidate
 from schemas.capture import Instance, Scene
@@ -302,7 +303,13 @@ def _is_best(truth: Any, row: Selection) -> bool:
 def test_rooms_of_other_code_are_known_as_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = SelectionData(tmp_path)
     assert data.is_of_this_code
-    monkeypatch.setattr(data_module, "code_fingerprint", lambda module: f"another {module}")
+    for changed in ("tasks.scanner.dwellings", "tasks.candidates", "tasks.selection.evidence"):
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                data_module, "code_fingerprint", lambda module, changed=changed: code_fingerprint(module) + (module == changed) * "x"
+            )
+            assert not SelectionData(tmp_path).is_of_this_code
+    monkeypatch.setattr(data_module, "source_digest", lambda *modules: "another")
     assert not SelectionData(tmp_path).is_of_this_code
     assert SelectionData(tmp_path / "new").is_of_this_code
 
@@ -331,8 +338,8 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
     told: list[str] = []
     report = run_selection_bench(config, told.append)
     assert len(told) == config.steps_of_progress
-    assert set(report["methods"]) == {*PLAIN, TAUGHT, "small", "blind"}
-    assert set(report["margin"]) == {*PLAIN, TAUGHT, "blind"}
+    assert set(report["methods"]) == {*PLAIN, DEFAULT, TAUGHT, "small", "blind"}
+    assert set(report["margin"]) == {*PLAIN, DEFAULT, TAUGHT, "blind"}
     assert top(report["methods"], TAUGHT) == top(report["methods"], "geometric"), "it chooses among the best alone"
     assert [row["name"] for row in report["trainings"]] == ["small", "blind"]
     assert report["counts"]["rooms"]["test"] == len(config.tested)

@@ -70,8 +70,14 @@ CELL_M = 0.05
 THICK_M = 0.06
 """Rugs and cloths are thinner."""
 
+ROUND_M = 0.25
+"""Cell of a rug [m]: it may lie on something, or on a slope, but is flat in here."""
+
 PILE_M = 0.01
 """Above the middle of a rug's points: what is higher is noise, and would make it as thick as a step."""
+
+LEAST_LOW = 0.1
+"""Of a rug's points in a cell: where fewer are as low as that, it lies on something, and is as high there as the middle of the cell."""
 
 LEVEL_M = 0.025
 """Points this near to a top's height are of it: the noise of a room scan."""
@@ -218,6 +224,15 @@ def _worktop(points: Array, normals: Array, rest: Array) -> Booleans:
     return np.asarray((heights >= top - SLAB_M) & is_over)
 
 
+def _medians(values: Array, counted: Booleans, cell: Integers) -> Array:
+    """Median of the values that count, by cell; without end where none does. values: shape (n,), cell: of each, shape (n,)."""
+    medians = np.full(int(cell.max()) + 1, np.inf)
+    order = np.flatnonzero(counted)[np.lexsort((values[counted], cell[counted]))]
+    cells, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
+    medians[cells] = values[order[first + counts // 2]]
+    return medians
+
+
 def own_size(points: Array, category: str) -> Array:
     """Extents along the world's axes [m], shape (3,), of what is an object's own if it is of a category. points: shape (n, 3) [m]."""
     own = points[own_part(points, category)] if len(points) else points
@@ -233,7 +248,11 @@ def own_part(points: Array, category: str) -> Booleans:
         flat = heights <= low + THICK_M
         if flat.mean() < TOP_SHARE:
             return np.ones(len(points), dtype=np.bool_)
-        return np.asarray(heights <= float(np.median(heights[flat])) + PILE_M)
+        _, cell = np.unique(np.floor(points[:, :2] / ROUND_M).astype(np.int64), axis=0, return_inverse=True)
+        is_low = flat & (heights <= float(np.median(heights[flat])) + PILE_M)
+        is_lost = np.bincount(cell.ravel(), is_low) < LEAST_LOW * np.bincount(cell.ravel(), flat)
+        medians = _medians(heights, flat, cell.ravel())
+        return np.asarray(is_low | (flat & (is_lost & np.isfinite(medians))[cell.ravel()] & (heights <= medians[cell.ravel()] + PILE_M)))
     if kind.is_flat_topped:
         _, cell = np.unique(np.floor(points[:, :2] / CELL_M).astype(np.int64), axis=0, return_inverse=True)
         highest = np.full(int(cell.max()) + 1, -np.inf)

@@ -28,8 +28,8 @@ LEAST_NEAR_OF_TABLES, LEAST_NEAR_OF_MODULES = 0.15, 0.35
 """The same of tables and of cabinets: what stands in the bend of one is in its box, and may touch it along two sides. Tables that were
 parted along a line have no bend, however little they touch: `LEAST_NEAR`."""
 
-LEAST_NEAR_OF_RUGS = 0.015
-"""The same of rugs, which touch along one side of several metres' worth of points."""
+LEAST_SIDE = 0.5
+"""Along so much of the shorter side of either, two parts of a rug touch."""
 
 MOST_BEYOND = 0.11
 """Of the points of two parts, so many may lie on the wrong side of the line between them: islands of one in the other. Of a table around
@@ -117,21 +117,26 @@ def rejoined(
 
 def _near_share(points: Array, another: Array) -> float:
     """Share of points, shape (n, 3), with one of another such, shape (m, 3), near by [m]."""
+    return float(_is_near(points, another).mean())
+
+
+def _is_near(points: Array, another: Array) -> NDArray[np.bool_]:
+    """Which points, shape (n, 3), have one of another such, shape (m, 3), near by [m], shape (n,)."""
     from scipy.spatial import cKDTree
 
     distances, _ = cKDTree(another).query(points, distance_upper_bound=NEAR_M)
-    return float(np.isfinite(distances).mean())
+    return np.isfinite(distances)
 
 
 def _are_parts(category: str, part: _Part, other: _Part) -> bool:
     """Whether two alike objects of a category are parts of one: in each other's place, one the upper end of the other, or together as
     large as one usually is where one of them is not."""
+    if _is_rug(category):
+        return _touch_along(part, other) and _is_parted_by_line(part, other) and _is_rectangle(part, other)
     volume = min(float(np.prod(part.box[1])), float(np.prod(other.box[1])))
     near = max(_near_share(part.points, other.points), _near_share(other.points, part.points))
     if volume <= 0.0 or near == 0.0:
         return False
-    if _is_rug(category):
-        return near >= LEAST_NEAR_OF_RUGS and _is_parted_by_line(part, other) and _is_rectangle(part, other)
     is_module = category.split(" ")[-1] in MODULES
     is_table = mounting(category).is_flat_topped and not mounting(category).is_boxy
     is_bent = is_table and not (_is_parted_by_line(part, other) and _is_plan_of_whole(category, part, other))
@@ -181,6 +186,15 @@ def _is_plan_of_whole(category: str, part: _Part, other: _Part) -> bool:
     usual = typical_extents(category)
     size = oriented_box(np.concatenate([part.points, other.points]), is_noisy=True)[1]
     return is_known(category) and is_of_size(np.array([*size[:2], usual[2]]), usual)
+
+
+def _touch_along(part: _Part, other: _Part) -> bool:
+    """Whether two parts touch along a good part of a side, however large they are."""
+    near = part.points[_is_near(part.points, other.points)][:, :2]
+    if not len(near):
+        return False
+    length = float(np.hypot(*np.ptp(near, axis=0)))
+    return length >= LEAST_SIDE * min(float(box[1][:2].min()) for box in (part.box, other.box))
 
 
 def _is_rectangle(part: _Part, other: _Part) -> bool:

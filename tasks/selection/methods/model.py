@@ -31,7 +31,7 @@ class ModelScores(Config):
 
     kind: ClassVar[str] = "model"
     model_id: str = ""  # or how it begins, or the name of one that ships; without, the newest not withdrawn, else the first that ships
-    within: Share = 0.05  # it chooses among candidates whose geometric score is this near to the best one: 1 among all, 0 among equals
+    within: Share = 0.05  # it chooses among candidates whose geometric score is this near to the best one: 1 among all, 0 as `geometric`
 
 
 def wanted(config: Any) -> WantedModel | None:
@@ -43,8 +43,8 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelSco
     """Scores of the candidates, shape (k,).
 
     Among all: their chances, the softmax of the model's scores, as it was trained to. Among those that fit nearly as well as the best one:
-    the best geometric score less `within`, and as much of that as they have of the chances among each other; the others keep their own
-    geometric scores, which are less. So a score is never farther from the geometric one than `within`, and compares with it.
+    the best geometric score less `within`, 0 at least, and of the rest as much as they have of the chances among each other; the others
+    keep their own geometric scores, which are less. So a score is never farther from the geometric one than `within`, and compares with it.
 
     Raises:
         Lacking: there is no model.
@@ -54,17 +54,22 @@ def score(query: InstanceQuery, candidates: Sequence[Evidence], config: ModelSco
         raise Lacking("no model")
     scorer = _scorer(model.model_id, model.weights, model.config)
     logits = scorer.score(scanned_of(query, scorer.config), contenders_of(query, candidates, scorer.config))
-    if not is_geometric(config):
+    if config.within == 1.0:
         return chances(logits)
     fit = np.array([each.geometric for each in candidates])
-    least = fit.max(initial=0.0) - config.within
+    best = fit.max(initial=0.0)
+    least = max(best - config.within, 0.0)
     competes = fit >= least
-    return np.where(competes, least + config.within * chances(np.where(competes, logits, -np.inf)), fit)
+    return np.where(competes, least + (best - least) * chances(np.where(competes, logits, -np.inf)), fit)
+
+
+MOST_WITHIN = 0.1
+"""Scores that are farther from geometric ones say nothing of fit by their differences."""
 
 
 def is_geometric(config: ModelScores) -> bool:
-    """Whether scores are at most `within` from geometric ones: not where the model chooses among all."""
-    return config.within < 1.0
+    """Whether scores are so near to geometric ones that what loses little of them fits nearly as well."""
+    return config.within <= MOST_WITHIN
 
 
 def scanned_of(query: InstanceQuery, config: SelectionModel) -> Scanned:
@@ -109,7 +114,7 @@ def _scorer(model_id: str, weights: bytes, config: str) -> Any:
 
 def label(config: ModelScores, model: Model | None) -> str:
     """Which model scored, and among which."""
-    limit = "" if config.within >= 1.0 else f":{config.within:g}"
+    limit = "" if config.within >= 1.0 else f":{config.within!r}"
     return "" if model is None else model.model_id[:12] + limit
 
 

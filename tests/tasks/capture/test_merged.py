@@ -22,7 +22,8 @@ def test_a_rug_is_flat_whatever_was_annotated_with_it(height: float, noise: floa
     rug = rug + rng.normal(0.0, noise, rug.shape)
     sofa = grid((0.2, 0.2, height + 0.1), (0.2 + side, 0.2 + side, height + 0.5), 0.05)
     own = own_part(np.concatenate([rug, sofa]), "rug")
-    assert own[: len(rug)][rug[:, 2] <= height + 0.01].all()
+    assert own[: len(rug)].mean() >= 0.9
+    assert np.ptp(rug[own[: len(rug)]][:, :2], axis=0) == pytest.approx(np.ptp(rug[:, :2], axis=0), abs=0.05)
     assert not own[len(rug) :].any()
 
 
@@ -33,7 +34,7 @@ def test_noise_makes_no_rug_thicker(noise: float, seed: int) -> None:
     rug = rug + np.random.default_rng(seed).normal(0.0, noise, rug.shape)
     own = rug[own_part(rug, "rug")]
     assert len(own) > 0.6 * len(rug)
-    assert own[:, 2].max() <= 0.035
+    assert np.quantile(own[:, 2], 0.99) <= 0.035  # boxes leave out as much
     assert np.ptp(own[:, :2], axis=0) == pytest.approx(np.ptp(rug[:, :2], axis=0), abs=0.06)
 
 
@@ -59,6 +60,21 @@ def test_what_belongs_above_a_top_stays() -> None:
 def test_a_rolled_carpet_is_no_flat_one() -> None:
     roll = grid((0.0, 0.0, 0.0), (0.2, 0.2, 1.6))
     assert own_part(roll, "carpet").all()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.4, 0.45])
+@pytest.mark.parametrize("raised", [0.02, 0.03])
+def test_a_rug_that_lies_on_something_keeps_its_plan(share: float, raised: float) -> None:
+    rug = grid((0.0, 0.0, 0.0), (2.0, 1.4, 0.01))
+    rug[rug[:, 0] > 2.0 * (1 - share), 2] += raised
+    assert np.ptp(rug[own_part(rug, "rug")][:, :2], axis=0) == pytest.approx([2.0, 1.4])
+
+
+@pytest.mark.parametrize("degrees", [0.5, 1.0])
+def test_a_rug_on_a_slope_keeps_its_plan(degrees: float) -> None:
+    rug = grid((0.0, 0.0, 0.0), (3.0, 1.4, 0.01))
+    rug[:, 2] += np.tan(np.radians(degrees)) * rug[:, 0]
+    assert np.ptp(rug[own_part(rug, "rug")][:, :2], axis=0) == pytest.approx([3.0, 1.4], abs=0.06)
 
 
 def scan_of(*objects: tuple[str, list[trimesh.Trimesh]]) -> tuple[list[Group], list[Label], Surface]:

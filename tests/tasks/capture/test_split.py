@@ -99,6 +99,13 @@ def test_a_rug_in_two_parts_is_one(slope: float, word: str) -> None:
     assert (len(groups), len(notes)) == (2, 1)
 
 
+@pytest.mark.parametrize(("step", "height"), [(0.03, 0.02), (0.04, 0.02), (0.04, 0.0)])
+def test_a_large_rug_in_halves_is_one_however_coarse_or_flat(step: float, height: float) -> None:
+    whole = box((0.0, 0.0, 0.0), (4.0, 3.0, height), step)
+    is_left = whole[:, 0] <= 2.0
+    assert len(rejoined(*scan_of(("rug", whole[is_left]), ("rug", whole[~is_left])))[0]) == 1
+
+
 @pytest.mark.parametrize(
     "points",
     [

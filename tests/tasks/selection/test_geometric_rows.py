@@ -1,4 +1,4 @@
-"""The default method's rows on a generated room: those of the code before there were methods, and those of a second computation."""
+"""The geometric method's rows on a generated room: those of the code before there were methods, and those of a second computation."""
 
 from __future__ import annotations
 

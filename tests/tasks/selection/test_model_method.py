@@ -14,10 +14,10 @@ from schemas.captions import Caption
 from schemas.capture import Scene
 from schemas.errors import InputError
 from tasks.geometry.transforms import yaw_pose
-from tasks.selection import STAGE, SelectionConfig
+from tasks.selection import STAGE, ScoreConfig, SelectionConfig
 from tasks.selection.evidence import gather
 from tasks.selection.methods.geometric import Geometric
-from tasks.selection.methods.model import ModelScores, contenders_of, scanned_of
+from tasks.selection.methods.model import ModelScores, contenders_of, scanned_of, score
 from tasks.selection.model.collection import collected
 from tasks.selection.model.inference import load
 from tasks.settings import plain
@@ -71,12 +71,31 @@ def test_what_fits_badly_does_not_compete_with_what_fits(room: Room) -> None:
         rows, _ = room.select(SelectionConfig(provider=ModelScores(within=limit)), model=model)
         competes = {slot for slot, fit in fits.items() if fit >= best - limit}
         total = sum(chances[slot] for slot in competes)
-        wanted = {slot: best - limit + limit * chances[slot] / total if slot in competes else fit for slot, fit in fits.items()}
+        least = max(best - limit, 0.0)
+        wanted = {slot: least + (best - least) * chances[slot] / total if slot in competes else fit for slot, fit in fits.items()}
         assert {row.slot: row.score for row in rows} == pytest.approx(wanted)
         if limit:
             assert rows[0].slot == max(competes, key=lambda slot: chances[slot])
         assert all(abs(row.score - fits[row.slot]) <= limit + 1e-9 for row in rows)
-        assert {row.provider_version for row in rows} == {f"2:{model.model_id[:12]}:{limit:g}"}
+        assert {row.provider_version for row in rows} == {f"2:{model.model_id[:12]}:{limit!r}"}
+
+
+@pytest.mark.parametrize("within", [0.05, 0.5, 0.999])
+def test_scores_of_what_hardly_fits_are_none_below_zero(within: float) -> None:
+    """A cabinet's scan, of which the candidates are a chair and a table of its size: rows are sound, and so is a score of nothing."""
+    made = Room()
+    points, colors = scan(cabinet(), yaw_pose(0.4), (1, 1, 1), np.random.default_rng(0))
+    instance = made.instance(points, colors, 0.4, category="cabinet")
+    for slot, parts in enumerate((chair(RED), table(), shelf()), start=1):
+        made.candidate(instance, slot, made.asset(parts, f"model {slot}"))
+    model = drawn_model()
+    rows, _ = made.select(SelectionConfig(provider=ModelScores(within=within), score=ScoreConfig(falloff=0.001)), model=model)
+    assert all(0.0 <= row.score <= 1.0 for row in rows)
+    fits = [row.score for row in made.select(SelectionConfig(provider=Geometric(), score=ScoreConfig(falloff=0.001)))[0]]
+    assert max(fits) < 0.999
+    query, candidates = _gathered(made)
+    poor = [dataclasses.replace(each, geometric=0.02) for each in candidates]
+    assert (score(query, poor, ModelScores(within=within), model) >= 0.0).all()
 
 
 def test_another_model_scores_otherwise_and_geometry_stays_as_it_was(room: Room) -> None:
