@@ -16,7 +16,8 @@ class Selection:
     slot: int = column("Slot of the candidate", minimum=1, maximum=10)
     asset_id: str = column("Asset", pattern=r"[0-9a-f]{64}")
     score: float = column(
-        "Score by the provider, higher is better: agreement of 0 to 1, or the chance of a candidate among those of its instance",
+        "Score by the provider, higher is better: agreement of 0 to 1, the same up to a stated distance from it, by which a model chooses, "
+        "or the chance of a candidate among those of its instance",
         minimum=0,
         maximum=1,
     )
