@@ -104,11 +104,11 @@ def _way_out(
     return best
 
 
-def _met(shapes: Shapes, stand: Stand, group: Sequence[int], others: Sequence[int], at: int, slop: float) -> NDArray[np.bool_]:
+def _met(shapes: Shapes, stand: Stand, group: Sequence[int], neighbors: Sequence[int], at: int, slop: float) -> NDArray[np.bool_]:
     """Whether one of some bodies is nearer than `CLEAR_M`, by direction of `LOOKS`; above only what begins at the object's own height."""
     met = np.zeros(len(LOOKS), dtype=np.bool_)
-    level = [other for other in others if abs(float(stand.low[other, 2] - stand.low[at, 2])) <= SAME_LEVEL_M]
-    for sides, looks in ((others, range(1, 1 + len(DIRECTIONS))), (level, (0, *range(1 + len(DIRECTIONS), len(LOOKS))))):
+    level = [other for other in neighbors if abs(float(stand.low[other, 2] - stand.low[at, 2])) <= SAME_LEVEL_M]
+    for sides, looks in ((neighbors, range(1, 1 + len(DIRECTIONS))), (level, (0, *range(1 + len(DIRECTIONS), len(LOOKS))))):
         if not sides:
             continue
         depths = _depths(shapes, stand, group, sides, slop)
@@ -125,10 +125,10 @@ def _scaled(way: Vector, factor: float) -> Vector:
     return factor * x, factor * y, factor * z
 
 
-def _depths(shapes: Shapes, stand: Stand, group: Sequence[int], others: Sequence[int], slop: float) -> Array:
+def _depths(shapes: Shapes, stand: Stand, group: Sequence[int], neighbors: Sequence[int], slop: float) -> Array:
     """Depths beyond `slop` of the bodies of a group in others [m], shape (group, others)."""
     pair_depth = compiled()["pair_depth"]
-    return np.array([[pair_depth(shapes, stand, body, other, slop)[1] for other in others] for body in group]).reshape(len(group), -1)
+    return np.array([[pair_depth(shapes, stand, body, other, slop)[1] for other in neighbors] for body in group]).reshape(len(group), -1)
 
 
 def _near(stand: Stand, group: Sequence[int], reach: float) -> list[int]:

@@ -136,7 +136,8 @@ def import_(source: Path, dry_run: bool, address: str, as_json: bool) -> None:
 @lake_option
 @json_option
 def withdraw(model: str, reason: str, dry_run: bool, address: str, as_json: bool) -> None:
-    """Let a model be used no more: where settings name none, the newest one before it takes its place; runs whose settings name it are refused. What was made with it stays, and says so.
+    """Let a model be used no more: where settings name none, the newest one before it takes its place; runs whose settings name it are
+    refused. What was made with it stays, and says so.
 
     Example: metascenes models withdraw 3f9a1c --reason "trained on scans that were erased" --lake ./lake
     """
