@@ -126,7 +126,7 @@ def _scaled(way: Vector, factor: float) -> Vector:
 
 
 def _depths(shapes: Shapes, stand: Stand, group: Sequence[int], neighbors: Sequence[int], slop: float) -> Array:
-    """Depths beyond `slop` of the bodies of a group in others [m], shape (group, others)."""
+    """Depths beyond `slop` of the bodies of a group in its neighbors [m], shape (bodies, neighbors)."""
     pair_depth = compiled()["pair_depth"]
     return np.array([[pair_depth(shapes, stand, body, other, slop)[1] for other in neighbors] for body in group]).reshape(len(group), -1)
 
