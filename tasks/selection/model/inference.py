@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from functools import cache
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from schemas.errors import InputError
 from tasks.selection.model.clouds import Array, ColoredCloud
@@ -79,6 +81,12 @@ def check_fit(weights: bytes, config: SelectionModel, file: str = "weights") -> 
     check_shapes(arrays, wanted, file)
 
 
+@cache
+def _libraries() -> Any:
+    """The libraries of this process that compute matrix products."""
+    return ThreadpoolController()
+
+
 @dataclasses.dataclass(frozen=True)
 class Scorer:
     """A model in NumPy. `weights`: by name, single precision, as `folded` has them."""
@@ -87,8 +95,9 @@ class Scorer:
     weights: Mapping[str, Array]
 
     def score(self, scanned: Scanned, contenders: Sequence[Contender]) -> NDArray[np.float64]:
-        """Scores, shape (k,)."""
-        made = self.forward(features_of(scanned, contenders, self.config))
+        """Scores, shape (k,): the same to the last bit however many threads this process has for matrix products."""
+        with _libraries().limit(limits=1, user_api="blas"):
+            made = self.forward(features_of(scanned, contenders, self.config))
         return made["match" if self.config.decides == "match" else "scores"].astype(np.float64)
 
     def scores(

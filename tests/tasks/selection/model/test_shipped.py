@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from schemas.licenses import OF_THE_SCAN, is_unknown
 from tasks.models import CARD, model_id_of
@@ -60,6 +61,31 @@ def test_it_prefers_what_was_scanned_to_what_has_another_shape_and_color(name: s
         scan = Scanned(shape, size.astype(np.float32), "cabinet", None, None)
         wins += int(np.argmax(scorer.score(scan, contenders)))
     assert wins >= 18
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_its_scores_are_the_same_bytes_with_any_number_of_threads(name: str) -> None:
+    """A run in one process has all cores for matrix products, a worker one."""
+    model = SHIPPED[name].model
+    scorer, answers = load(model.weights, config_from(model.config)), {}
+    for threads in (1, 2, 4):
+        rng = np.random.default_rng(0)
+        with threadpool_limits(threads, user_api="blas"):
+            answers[threads] = [scorer.score(*drawn_question(rng, count)).tobytes() for count in (*range(2, 11), *range(2, 11))]
+    assert answers[1] == answers[2] == answers[4]
+
+
+def drawn_question(rng: np.random.Generator, count: int) -> tuple[Scanned, list[Contender]]:
+    """A box that was scanned and photographed, and boxes to choose from."""
+    sizes = rng.uniform(0.2, 1.0, (count, 3))
+    contenders = [
+        Contender(box_cloud(rng, size, rng.integers(0, 255, 3)), size.astype(np.float32), np.eye(4), np.ones(3), evidence_of(*share))
+        for size, share in zip(sizes, rng.uniform(0.3, 1.0, (count, 4)), strict=True)
+    ]
+    image = rng.integers(0, 255, (64, 64, 3), dtype=np.uint8)
+    return Scanned(
+        box_cloud(rng, sizes[0], rng.integers(0, 255, 3)), sizes[0].astype(np.float32), "cabinet", "A cabinet.", image
+    ), contenders
 
 
 def test_something_ships_and_answers_without_torch() -> None:
