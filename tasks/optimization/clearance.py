@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tasks.mounting import LEANS
 from tasks.optimization.default import WALL_M
 from tasks.optimization.interior import Interior
+from tasks.optimization.parting import may_shift
 from tasks.optimization.search.trace import Move
 from tasks.optimization.shapes import Shapes, Stand, shapes_of, stand_of
 from tasks.optimization.solids import shell_solids
@@ -46,7 +47,7 @@ FROM_BELOW_M = (0.005, 0.01, 0.02, 0.04)
 """How far it goes as well [m] if something that stands beside it is right above it."""
 
 SAME_LEVEL_M = 0.01
-"""What stands beside an object begins this near to its own height [m]; what begins higher may lie on it."""
+"""What stands beside an object begins this near to its own height [m]; what stands and begins higher may lie on it."""
 
 ROUNDING_M = 1e-5
 """Depths that differ by less are the same [m]."""
@@ -66,8 +67,8 @@ def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str,
     stand = stand_of(shapes, every[:, :3, 3])
     groups, moves = interior.groups(), []
     leans = np.array([_leans(interior, poses, i) for i in range(len(interior.names))], dtype=np.bool_)
-    for at in sorted(range(len(interior.names)), key=lambda i: (_size(interior, i), i)):
-        if leans[at] or not _may_go(interior, at) or not _beside(interior, stand, groups[at], at, leans, CLEAR_M):
+    for at in sorted(range(len(interior.names)), key=lambda i: (interior.volume(i), i)):
+        if leans[at] or not may_shift(interior, at) or not _beside(interior, stand, groups[at], at, leans, CLEAR_M):
             continue
         way = _way_out(interior, shapes, stand, groups[at], at, leans, slop)
         if way is not None:
@@ -79,11 +80,12 @@ def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str,
 def _way_out(
     interior: Interior, shapes: Shapes, stand: Stand, group: Sequence[int], at: int, leans: NDArray[np.bool_], slop: float
 ) -> Vector | None:
-    """The shift [m] after which something is met in the fewest directions, the shortest of these; None where it is best to stay."""
+    """The shift [m] after which nothing is met above and something beside in the fewest directions, the shortest of these; None where it is
+    best to stay."""
     reach = FROM_BELOW_M[-1] + CLEAR_M
     near, beside = _near(stand, group, reach), _beside(interior, stand, group, at, leans, reach)
     walls = [other for other in near if other >= len(interior.names)]
-    now, at_walls = _met(shapes, stand, group, beside, at, slop), _met(shapes, stand, group, walls, at, slop)
+    now, at_walls = _met(interior, shapes, stand, group, beside, slop), _met(interior, shapes, stand, group, walls, slop)
     if not now.any():
         return None
     depths, is_carried = _depths(shapes, stand, group, near, slop), _is_carried(interior, shapes, stand, at)
@@ -96,19 +98,21 @@ def _way_out(
             is_free = bool((_depths(shapes, stand, group, near, slop) <= depths + ROUNDING_M).all())
             stays = not is_carried or _is_carried(interior, shapes, stand, at)
             stays = stays and (length <= WAYS_M[-1] or not was_within or _is_within(interior, stand, at))
-            if is_free and stays and bool((_met(shapes, stand, group, walls, at, slop) >= at_walls).all()):
-                met = int(_met(shapes, stand, group, beside, at, slop).sum())
-                if met < fewest:
-                    best, fewest = way, met
+            if is_free and stays and bool((_met(interior, shapes, stand, group, walls, slop) >= at_walls).all()):
+                met = _met(interior, shapes, stand, group, beside, slop)
+                if not met[0] and met.sum() < fewest:
+                    best, fewest = way, int(met.sum())
             shift(shapes, stand, group, _scaled(way, -1.0))
     return best
 
 
-def _met(shapes: Shapes, stand: Stand, group: Sequence[int], neighbors: Sequence[int], at: int, slop: float) -> NDArray[np.bool_]:
-    """Whether one of some bodies is nearer than `CLEAR_M`, by direction of `LOOKS`; above only what begins at the object's own height."""
+def _met(
+    interior: Interior, shapes: Shapes, stand: Stand, group: Sequence[int], neighbors: Sequence[int], slop: float
+) -> NDArray[np.bool_]:
+    """Whether one of some bodies is nearer than `CLEAR_M`, by direction of `LOOKS`; above only what does not lie on the group."""
     met = np.zeros(len(LOOKS), dtype=np.bool_)
-    level = [other for other in neighbors if abs(float(stand.low[other, 2] - stand.low[at, 2])) <= SAME_LEVEL_M]
-    for sides, looks in ((neighbors, range(1, 1 + len(DIRECTIONS))), (level, (0, *range(1 + len(DIRECTIONS), len(LOOKS))))):
+    above = [other for other in neighbors if not _may_lie_on(interior, stand, other, group[0])]
+    for sides, looks in ((neighbors, range(1, 1 + len(DIRECTIONS))), (above, (0, *range(1 + len(DIRECTIONS), len(LOOKS))))):
         if not sides:
             continue
         depths = _depths(shapes, stand, group, sides, slop)
@@ -118,6 +122,12 @@ def _met(shapes: Shapes, stand: Stand, group: Sequence[int], neighbors: Sequence
             met[look] = bool((_depths(shapes, stand, group, sides, slop) > depths + ROUNDING_M).any())
             shift(shapes, stand, group, _scaled(way, -1.0))
     return met
+
+
+def _may_lie_on(interior: Interior, stand: Stand, other: int, at: int) -> bool:
+    """Whether a body may have an object below it as a second support: it stands, and begins above where that begins."""
+    stands = other < len(interior.names) and interior.carriers[other].relation in ("floor", "on", "inside")
+    return stands and float(stand.low[other, 2] - stand.low[at, 2]) > SAME_LEVEL_M
 
 
 def _scaled(way: Vector, factor: float) -> Vector:
@@ -157,16 +167,6 @@ def _is_carried(interior: Interior, shapes: Shapes, stand: Stand, at: int) -> bo
     return min(map(abs, gap_to_carrier(interior, shapes, stand, at))) <= KEPT_M
 
 
-def _may_go(interior: Interior, at: int) -> bool:
-    """Whether an object stands free."""
-    return interior.carriers[at].relation in ("floor", "on", "inside") and not interior.fixed[at] and not interior.covering[at]
-
-
 def _leans(interior: Interior, poses: Array, at: int) -> bool:
     """Whether an object may lean on what is beside it: it is tilted, or one of those that lean."""
     return float(poses[at][2, 2]) < UPRIGHT_COSINE or interior.objects[at].category in LEANS
-
-
-def _size(interior: Interior, at: int) -> float:
-    """Volume of an object's box [m3]."""
-    return float(np.prod(interior.objects[at].high - interior.objects[at].low))

@@ -49,6 +49,10 @@ class Interior:
         """Instance ids."""
         return [obj.instance_id for obj in self.objects]
 
+    def volume(self, obj: int) -> float:
+        """Of an object's box as proposed [m3]: what orders objects by size."""
+        return float(np.prod(self.objects[obj].high - self.objects[obj].low))
+
     def groups(self) -> list[list[int]]:
         """Every object with all it carries, carriers first, as indices."""
         groups: list[list[int]] = [[i] for i in range(len(self.objects))]

@@ -146,7 +146,7 @@ def _giving_way(
     carriers = {carrier.parent_id for carrier in interior.carriers}
 
     def volume(name: str) -> float:
-        return float(np.prod(interior.objects[index[name]].high - interior.objects[index[name]].low))
+        return interior.volume(index[name])
 
     rugs = {
         name for name, is_rug in zip(interior.names, interior.covering, strict=True) if is_rug

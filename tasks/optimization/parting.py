@@ -68,13 +68,13 @@ def _ways(interior: Interior, met: Sequence[Penetration], now: Mapping[tuple[str
             continue
         way = (p.depth_m + APART_M) / level**2  # so that the part of it along the direction is the depth
         for at, sign in sorted(((p.index_a, 1.0), (p.index_b, -1.0)), key=lambda part: (_volume(interior, part[0]), part[0])):
-            if at < len(interior.names) and _may_shift(interior, at):
+            if at < len(interior.names) and may_shift(interior, at):
                 shift = (sign * way * p.direction[0], sign * way * p.direction[1], 0.0)
                 ways.append((interior.names[at], (*shift, 0.0, 0.0, 0.0)))
     return ways
 
 
-def _may_shift(interior: Interior, at: int) -> bool:
+def may_shift(interior: Interior, at: int) -> bool:
     """Whether an object stands free: what hangs stays at its wall, and what is built in or lies under others where it is."""
     stands = interior.carriers[at].relation in ("floor", "on", "inside")
     return stands and not interior.fixed[at] and not interior.covering[at]
@@ -82,4 +82,4 @@ def _may_shift(interior: Interior, at: int) -> bool:
 
 def _volume(interior: Interior, at: int) -> float:
     """Of an object's box [m3]; without end for a part of the room."""
-    return float(np.prod(interior.objects[at].high - interior.objects[at].low)) if at < len(interior.objects) else math.inf
+    return interior.volume(at) if at < len(interior.objects) else math.inf

@@ -198,7 +198,7 @@ def _vertices(shapes: Shapes, stand: Stand, body: int) -> Array:
 
 def _size(interior: Interior, obj: int) -> tuple[float, int]:
     """What orders objects by size: the volume of the box."""
-    return float(np.prod(interior.objects[obj].high - interior.objects[obj].low)), obj
+    return interior.volume(obj), obj
 
 
 def _put_elsewhere(

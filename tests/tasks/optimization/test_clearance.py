@@ -203,3 +203,28 @@ def test_no_pair_gets_deeper(seed: int) -> None:
     )
     for pair, deep in after.items():
         assert deep <= max(before.get(pair, 0.0), SLOP) + 5e-5
+
+
+def test_what_is_below_something_that_hangs_comes_out_too() -> None:
+    """It begins above the candle, and does not lie on it: its wall holds it."""
+    screen: Object = ("monitor", [block((0.2, 0.6, 0.3))], yaw_pose(0.0, [0.0, 0.0, 0.8]))
+    candle: Object = ("candle", [block((0.06, 0.06, 0.09999))], yaw_pose(0.0, [0.12, 0.2, 0.7]))
+    standing = interior_of([("desk", [block((1.2, 0.8, 0.7))], yaw_pose(0.0)), screen, candle])
+    for relation, goes in (("on", False), ("wall", True)):
+        carriers = tuple(
+            dataclasses.replace(carrier, relation=relation) if name == "0001" else carrier
+            for name, carrier in zip(standing.names, standing.carriers, strict=True)
+        )
+        moves, poses = cleared(dataclasses.replace(standing, carriers=carriers))
+        assert [name for name, _ in moves] == ["0002"] * goes
+        assert not goes or poses[2][0, 3] - 0.03 >= 0.1
+
+
+def test_who_cannot_come_out_from_below_stays() -> None:
+    """Under the middle of a screen, at its foot: a step aside would leave it pinched, and no longer held."""
+    monitor: Object = (
+        "monitor", [block((0.2, 0.2, 0.1)), block((0.6, 0.6, 0.3)).apply_translation([0.0, 0.0, 0.1])], yaw_pose(0.0, [0.0, 0.0, 0.7])
+    )  # fmt: skip
+    candle: Object = ("candle", [block((0.06, 0.06, 0.09999))], yaw_pose(0.0, [0.13, 0.0, 0.7]))
+    interior = interior_of([("desk", [block((1.2, 0.8, 0.7))], yaw_pose(0.0)), monitor, candle])
+    assert keep_clear(interior, interior.poses, SLOP) == []
