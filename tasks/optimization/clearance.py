@@ -34,11 +34,11 @@ UPRIGHT_COSINE = math.cos(math.radians(1.0))
 DIRECTIONS = tuple((math.cos(k * math.pi / 4), math.sin(k * math.pi / 4), 0.0) for k in range(8))
 """Level ways to look for neighbors, and to go."""
 
-UP = (0.0, 0.0, 1.0)
-"""A way to look, not to go: what is right below the edge of something is pinched as soon as that gives way."""
+UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+"""Ways to look, not to go: what is right below the edge of something is pinched as soon as that gives way, and has to be held."""
 
-LOOKS = (UP, *DIRECTIONS, *((x, y, 1.0) for x, y, _ in DIRECTIONS))
-"""Where neighbors are looked for: above, beside, and beside what is above."""
+LOOKS = (UP, DOWN, *DIRECTIONS, *((x, y, 1.0) for x, y, _ in DIRECTIONS))
+"""Where neighbors are looked for: above, below, beside, and beside what is above."""
 
 WAYS_M = (CLEAR_M, 1.5 * CLEAR_M)
 """How far an object goes [m]: the longer one leaves a corner along both of its sides."""
@@ -80,8 +80,8 @@ def keep_clear(interior: Interior, poses: Array, slop: float) -> list[tuple[str,
 def _way_out(
     interior: Interior, shapes: Shapes, stand: Stand, group: Sequence[int], at: int, leans: NDArray[np.bool_], slop: float
 ) -> Vector | None:
-    """The shift [m] after which nothing is met above and something beside in the fewest directions, the shortest of these; None where it is
-    best to stay."""
+    """The shift [m] after which nothing is met above or below and something beside in the fewest directions, the shortest of these; None
+    where it is best to stay."""
     reach = FROM_BELOW_M[-1] + CLEAR_M
     near, beside = _near(stand, group, reach), _beside(interior, stand, group, at, leans, reach)
     walls = [other for other in near if other >= len(interior.names)]
@@ -100,7 +100,7 @@ def _way_out(
             stays = stays and (length <= WAYS_M[-1] or not was_within or _is_within(interior, stand, at))
             if is_free and stays and bool((_met(interior, shapes, stand, group, walls, slop) >= at_walls).all()):
                 met = _met(interior, shapes, stand, group, beside, slop)
-                if not met[0] and met.sum() < fewest:
+                if not met[:2].any() and met.sum() < fewest:
                     best, fewest = way, int(met.sum())
             shift(shapes, stand, group, _scaled(way, -1.0))
     return best
@@ -112,7 +112,8 @@ def _met(
     """Whether one of some bodies is nearer than `CLEAR_M`, by direction of `LOOKS`; above only what does not lie on the group."""
     met = np.zeros(len(LOOKS), dtype=np.bool_)
     above = [other for other in neighbors if not _may_lie_on(interior, stand, other, group[0])]
-    for sides, looks in ((neighbors, range(1, 1 + len(DIRECTIONS))), (above, (0, *range(1 + len(DIRECTIONS), len(LOOKS))))):
+    last = 2 + len(DIRECTIONS)
+    for sides, looks in ((neighbors, range(1, last)), (above, (0, *range(last, len(LOOKS))))):
         if not sides:
             continue
         depths = _depths(shapes, stand, group, sides, slop)

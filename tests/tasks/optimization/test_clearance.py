@@ -221,7 +221,7 @@ def test_what_is_below_something_that_hangs_comes_out_too() -> None:
 
 
 def test_who_cannot_come_out_from_below_stays() -> None:
-    """Under the middle of a screen, at its foot: a step aside would leave it pinched, and no longer held."""
+    """Under the middle of a screen, at its foot: a step aside, of either, would leave it pinched, and no longer held."""
     monitor: Object = (
         "monitor", [block((0.2, 0.2, 0.1)), block((0.6, 0.6, 0.3)).apply_translation([0.0, 0.0, 0.1])], yaw_pose(0.0, [0.0, 0.0, 0.7])
     )  # fmt: skip
