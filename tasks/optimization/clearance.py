@@ -47,7 +47,7 @@ FROM_BELOW_M = (0.005, 0.01, 0.02, 0.04)
 """How far it goes as well [m] if something that stands beside it is right above it."""
 
 SAME_LEVEL_M = 0.01
-"""What stands beside an object begins this near to its own height [m]; what stands and begins higher may lie on it."""
+"""What stands beside an object begins this near to its own height [m]; what begins higher may lie on it."""
 
 ROUNDING_M = 1e-5
 """Depths that differ by less are the same [m]."""
@@ -111,7 +111,7 @@ def _met(
 ) -> NDArray[np.bool_]:
     """Whether one of some bodies is nearer than `CLEAR_M`, by direction of `LOOKS`; above only what does not lie on the group."""
     met = np.zeros(len(LOOKS), dtype=np.bool_)
-    above = [other for other in neighbors if not _may_lie_on(interior, stand, other, group[0])]
+    above = [other for other in neighbors if not _may_lie_on(interior, shapes, stand, other, group[0])]
     last = 2 + len(DIRECTIONS)
     for sides, looks in ((neighbors, range(1, last)), (above, (0, *range(last, len(LOOKS))))):
         if not sides:
@@ -125,10 +125,15 @@ def _met(
     return met
 
 
-def _may_lie_on(interior: Interior, stand: Stand, other: int, at: int) -> bool:
-    """Whether a body may have an object below it as a second support: it stands, and begins above where that begins."""
-    stands = other < len(interior.names) and interior.carriers[other].relation in ("floor", "on", "inside")
-    return stands and float(stand.low[other, 2] - stand.low[at, 2]) > SAME_LEVEL_M
+def _may_lie_on(interior: Interior, shapes: Shapes, stand: Stand, other: int, at: int) -> bool:
+    """Whether a body may need an object below it as a second support: it begins above where that begins, neither hangs nor stands with its
+    middle over what carries it."""
+    if other >= len(interior.names) or interior.carriers[other].relation not in ("floor", "on", "inside"):
+        return False
+    carrier, middle = int(interior.parent[other]), 0.5 * (stand.low[other, :2] + stand.high[other, :2])
+    is_borne = carrier >= 0 and bool((stand.low[carrier, :2] <= middle).all() and (middle <= stand.high[carrier, :2]).all())
+    is_borne = is_borne and _is_carried(interior, shapes, stand, other)
+    return not is_borne and float(stand.low[other, 2] - stand.low[at, 2]) > SAME_LEVEL_M
 
 
 def _scaled(way: Vector, factor: float) -> Vector:

@@ -168,7 +168,7 @@ def test_what_is_fixed_stays() -> None:
 
 
 def test_nobody_walks_out_from_under_what_lies_on_it() -> None:
-    """A board on two boxes, of which the second holds but its end, beside a third that touches it."""
+    """A board on two boxes, its middle over neither, beside a third that touches the second."""
     boxes: list[Object] = [("box", [block((0.3, 0.3, 0.4))], yaw_pose(0.0, [x, 0.0, 0.0])) for x in (-0.5, 0.5, 0.8)]
     board: Object = ("board", [block((1.06, 0.3, 0.04))], yaw_pose(0.0, [-0.15, 0.0, 0.4]))
     interior = interior_of([*boxes, board])
