@@ -126,14 +126,13 @@ def _met(
 
 
 def _may_lie_on(interior: Interior, shapes: Shapes, stand: Stand, other: int, at: int) -> bool:
-    """Whether a body may need an object below it as a second support: it begins above where that begins, neither hangs nor stands with its
-    middle over what carries it."""
-    if other >= len(interior.names) or interior.carriers[other].relation not in ("floor", "on", "inside"):
+    """Whether a body may need an object below it as a second support: it begins above where that begins, and stands on what carries it,
+    but not with its middle. What hangs does not need it, and what is off its own carrier was propped up by mistake."""
+    if other >= len(interior.names) or float(stand.low[other, 2] - stand.low[at, 2]) <= SAME_LEVEL_M:
         return False
     carrier, middle = int(interior.parent[other]), 0.5 * (stand.low[other, :2] + stand.high[other, :2])
-    is_borne = carrier >= 0 and bool((stand.low[carrier, :2] <= middle).all() and (middle <= stand.high[carrier, :2]).all())
-    is_borne = is_borne and _is_carried(interior, shapes, stand, other)
-    return not is_borne and float(stand.low[other, 2] - stand.low[at, 2]) > SAME_LEVEL_M
+    is_off = carrier >= 0 and bool((middle < stand.low[carrier, :2]).any() or (middle > stand.high[carrier, :2]).any())
+    return is_off and interior.carriers[other].relation in ("on", "inside") and _is_carried(interior, shapes, stand, other)
 
 
 def _scaled(way: Vector, factor: float) -> Vector:
