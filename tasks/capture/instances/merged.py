@@ -224,15 +224,6 @@ def _worktop(points: Array, normals: Array, rest: Array) -> Booleans:
     return np.asarray((heights >= top - SLAB_M) & is_over)
 
 
-def _medians(values: Array, counted: Booleans, cell: Integers) -> Array:
-    """Median of the values that count, by cell; without end where none does. values: shape (n,), cell: of each, shape (n,)."""
-    medians = np.full(int(cell.max()) + 1, np.inf)
-    order = np.flatnonzero(counted)[np.lexsort((values[counted], cell[counted]))]
-    cells, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
-    medians[cells] = values[order[first + counts // 2]]
-    return medians
-
-
 def own_size(points: Array, category: str) -> Array:
     """Extents along the world's axes [m], shape (3,), of what is an object's own if it is of a category. points: shape (n, 3) [m]."""
     own = points[own_part(points, category)] if len(points) else points
@@ -248,11 +239,14 @@ def own_part(points: Array, category: str) -> Booleans:
         flat = heights <= low + THICK_M
         if flat.mean() < TOP_SHARE:
             return np.ones(len(points), dtype=np.bool_)
+        from scipy.ndimage import median
+
         _, cell = np.unique(np.floor(points[:, :2] / ROUND_M).astype(np.int64), axis=0, return_inverse=True)
-        is_low = flat & (heights <= float(np.median(heights[flat])) + PILE_M)
-        is_lost = np.bincount(cell.ravel(), is_low) < LEAST_LOW * np.bincount(cell.ravel(), flat)
-        medians = _medians(heights, flat, cell.ravel())
-        return np.asarray(is_low | (flat & (is_lost & np.isfinite(medians))[cell.ravel()] & (heights <= medians[cell.ravel()] + PILE_M)))
+        cell, is_low = cell.ravel(), flat & (heights <= float(np.median(heights[flat])) + PILE_M)
+        counts = np.bincount(cell, flat)
+        is_lost = np.bincount(cell, is_low) < LEAST_LOW * counts
+        middles = median(heights[flat], cell[flat], np.arange(len(counts)))
+        return np.asarray(is_low | (flat & is_lost[cell] & (heights <= middles[cell] + PILE_M)))
     if kind.is_flat_topped:
         _, cell = np.unique(np.floor(points[:, :2] / CELL_M).astype(np.int64), axis=0, return_inverse=True)
         highest = np.full(int(cell.max()) + 1, -np.inf)
