@@ -60,7 +60,7 @@ class FittingConfig(Config):
 
 
 class Objective(Protocol):
-    """What a network is asked to be good at. With several devices it is copied to each of them, with `fork`."""
+    """What a network is asked to be good at. Picklable: devices and processes that load get copies of it."""
 
     def batch(self, step: int) -> Any:
         """Examples of a step, from 0: picklable CPU tensors, in tuples, lists or dictionaries; a pure function of (seed, step).
@@ -309,6 +309,6 @@ def _loader(objective: Objective, config: FittingConfig, seed: int, first: int, 
         batch_size=None,
         sampler=steps,
         num_workers=min(config.workers, len(steps)),
-        multiprocessing_context="fork" if config.workers and steps else None,  # what the objective holds is shared, not copied
+        multiprocessing_context="spawn" if config.workers and steps else None,  # a fork inherits threads' locks, but not the threads
         generator=torch.Generator().manual_seed(seed_of(seed, "loader")),
     )
