@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -176,6 +177,8 @@ def test_the_same_seed_gives_the_same_weights_and_batches_that_follow_from_the_s
     assert first.keys() == again.keys()
     assert all(torch.equal(first[name], again[name]) for name in first)
     assert not torch.equal(first["clouds"], objective.batch(6)["clouds"])
+    sent = pickle.loads(pickle.dumps(objective)).batch(5)  # as another process makes it
+    assert all(torch.equal(first[name], sent[name]) for name in first)
     kept = []
     for _ in range(2):
         torch.rand(3)
