@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from bench.selection.annotations import annotate
+from bench.selection.catalog import Catalog, made_catalog, read_catalog
 from bench.selection.lineups import LineupSettings, Offered, candidate_rows, lineup
 from bench.selection.measures import source_digest
 from bench.selection.rooms import (
@@ -36,6 +37,7 @@ from bench.selection.rooms import (
     scan_room,
     split_of_room,
 )
+from bench.selection.trainings import mapped
 from flows.run.fingerprints import ModuleCaches, canonical_json, code_fingerprint, digest
 from flows.worker import Job, lost_run
 from schemas.candidates import Asset, Candidate
@@ -74,7 +76,7 @@ POINTS = 384
 ROOMS_PER_COMMIT = 8
 """A commit takes one to two seconds, whatever it holds."""
 
-VERSION = "1"
+VERSION = "2"
 """Goes up when the same seed and number would give another room or lineup."""
 
 
@@ -98,7 +100,7 @@ def code() -> str:
         "tasks.furniture.rooms", "tasks.furniture.dwellings", "tasks.scanner", "tasks.scanner.dwellings", "tasks.capture.scenes",
         "tasks.captions", "tasks.candidates", "tasks.selection.evidence",
     )  # fmt: skip
-    return digest(*(code_fingerprint(module) for module in modules), source_digest("data", "lineups", "rooms"))
+    return digest(*(code_fingerprint(module) for module in modules), source_digest("catalog", "data", "lineups", "rooms"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,6 +138,11 @@ class SelectionData:
         """Where the rows are."""
         return Lake.open(self.folder / "lake")
 
+    @property
+    def catalog_file(self) -> Path:
+        """Where the models lie out of which lineups are made."""
+        return self.folder / "catalog.json"
+
     def truth_file(self, index: int) -> Path:
         """Where the truth of a room lies, once it is made."""
         return self.folder / "truth" / f"{room_name(index)}.json"
@@ -146,12 +153,13 @@ class SelectionData:
 
     def make(self, index: int) -> dict[str, Any]:
         """Make a room: rows staged, truth written last. Returns the truth."""
-        truth = make_room(self.lake, index, self.settings)
+        made_catalog(self.catalog_file, self.settings.seed)
+        truth = make_room(self.lake, index, self.settings, read_catalog(self.catalog_file))
         write_whole(self.truth_file(index), json.dumps(truth).encode())
         return truth
 
 
-def make_room(lake: Lake, index: int, settings: DataSettings) -> dict[str, Any]:
+def make_room(lake: Lake, index: int, settings: DataSettings, catalog: Catalog) -> dict[str, Any]:
     """Scan a room, capture it, line candidates up and select among them; its rows are left staged. Returns its truth."""
     seconds: dict[str, float] = {}
     with tempfile.TemporaryDirectory(prefix="selection-", ignore_cleanup_errors=True) as folder:
@@ -164,7 +172,7 @@ def make_room(lake: Lake, index: int, settings: DataSettings) -> dict[str, Any]:
     split, offers = split_of_room(index), allowed(index, settings.seed)
 
     def offer(model: TrueModel, request: CandidateRequest, rng: np.random.Generator) -> list[Offered]:
-        return lineup(model, request, offers, settings.lineup, rng)
+        return lineup(model, request, offers, catalog, settings.lineup, rng)
 
     captured.rows["scenes"] = [scene]
     true = room.true_models(scene, captured.rows["instances"])
@@ -304,6 +312,8 @@ def generate(data: SelectionData, rooms: Iterable[int], minutes: float = np.inf,
     why there is none."""
     end = time.monotonic() + 60 * minutes
     data.lake.commit("rooms that were left staged")
+    with mapped(processes) as spread:
+        made_catalog(data.catalog_file, data.settings.seed, spread)
     wanted = (index for index in rooms if not data.truth_file(index).exists() and time.monotonic() < end)
     for fresh, made in enumerate(_in_turn(data, wanted) if processes == 1 else _spread(data, wanted, processes), start=1):
         yield made

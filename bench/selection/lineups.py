@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.selection.catalog import Catalog, Color, Extents, cell, features, main_color
 from bench.selection.rooms import TrueModel
 from schemas.candidates import Candidate
 from tasks.candidates.assets import MadeAsset, make_asset
@@ -23,17 +24,14 @@ from tasks.candidates.request import CandidateRequest
 from tasks.candidates.scan_crop import SCAN_CROP, ScanCrop
 from tasks.furniture import generate, typical_extents
 from tasks.geometry.meshes import surface_of
-from tasks.geometry.triangles import face_crosses
 
 if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
-Color = tuple[int, int, int]
-Extents = tuple[float, float, float]
 
 Kind = Literal["scanned", "recolored", "reshaped", "variant", "twin", "other", "crop", "parametric"]
-"""What a candidate is: the scanned model; the same in another color; its category and color in other proportions; its category, near in
+"""What a candidate is: the scanned model; the same in another color; one of its category in other proportions; one of its category, near in
 size and color; one of these in another color; another category in the same box; the scan's own surface, closed; a template fitted to the
 scan."""
 
@@ -49,13 +47,12 @@ class LineupSettings:
 
     scanned_share: float = 0.85  # of instances have their own model among the ten; a library holds no more than that
     crop_share: float = 0.3  # of instances have the scan's own crop: in the product all have, and it is the dearest to make
-    size_jitter: float = 0.06  # of each side of a variant, as a standard deviation: catalogs come in sizes
-    color_jitter: float = 9.0  # of 255, of each channel of a variant: below what a scan's exposure moves colors by
+    size_jitter: float = 0.06  # of each side of another category's model, as a standard deviation
+    color_jitter: float = 18.0  # of 255, of each channel of its color: what a scan's exposure moves colors by
     reshaped: float = 0.35  # largest change of a side of what has other proportions, as a logarithm
-    other_categories: int = 2  # candidates of other categories
+    other_categories: int = 2  # candidates of other categories, and more where the catalog has few of the scanned one's
     near_categories: int = 10  # from which these are drawn: those whose usual proportions come nearest
-    color_apart: float = 90.0  # of 442, between the color of the scanned model and that in which it is offered again
-    twin_share: float = 0.5  # of lineups offer a variant in two colors and not the scanned model: two of one mesh tell nothing
+    color_apart: float = 90.0  # of 442, between the color of a model and that in which it is offered again
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,46 +64,49 @@ class Offered:
 
 
 def lineup(
-    true: TrueModel, request: CandidateRequest, categories: Sequence[str], settings: LineupSettings, rng: np.random.Generator
-) -> list[Offered]:
-    """Ten candidates of an instance in the order of their slots. categories: that may be offered."""
-    main = main_color(true.parts)
-    # What is drawn lies round a size and color that are a little off, or the scanned model would be the mean of all that is offered.
-    around = jittered(main, settings.color_jitter, rng)
-    middle = rng.normal(0.0, settings.size_jitter, 3)
+    true: TrueModel, request: CandidateRequest, categories: Sequence[str], catalog: Catalog, settings: LineupSettings,
+    rng: np.random.Generator,
+) -> list[Offered]:  # fmt: skip
+    """Ten candidates of an instance in the order of their slots. categories: that may be offered.
 
-    def near(category: str, spread: Array, color_spread: float) -> list[trimesh.Trimesh]:
-        sides = scaled(true.extents, middle + spread)
-        return generate(category, sides, rng, color=jittered(around, color_spread, rng)).parts
-
-    def variant() -> list[trimesh.Trimesh]:
-        return near(true.category, rng.normal(0.0, settings.size_jitter, 3), settings.color_jitter)
-
-    offered: list[Offered] = []
-    if rng.random() < settings.scanned_share:
-        offered.append(Offered("scanned", drawn(true.parts, true.category)))
-    other = another_color(main, settings.color_apart, rng)
-    if rng.random() < settings.twin_share:
-        parts = variant()
-        offered.append(Offered("variant", drawn(parts, true.category)))
-        offered.append(Offered("twin", drawn(recolored(parts, main_color(parts), other), true.category)))
-    else:
-        offered.append(Offered("recolored", drawn(recolored(true.parts, main, other), true.category)))
-    reshaped = near(true.category, rng.uniform(-settings.reshaped, settings.reshaped, 3), 0.0)
-    offered.append(Offered("reshaped", drawn(reshaped, true.category)))
-    for name in _near(true, categories, settings, rng):
-        parts = near(name, rng.normal(0.0, settings.size_jitter, 3), 2 * settings.color_jitter)
-        offered.append(Offered("other", drawn(parts, name)))
-    if rng.random() < settings.crop_share:
-        offered += _of_scan("crop", request)
-    offered += _of_scan("parametric", request)
+    Where the scanned model is offered, all that is drawn follows from the models that lie in its cell of the catalog, any of which may be
+    the one; only what the product itself makes of the scan tells more.
+    """
+    of_scan = _of_scan("crop", request) if rng.random() < settings.crop_share else []
+    of_scan += _of_scan("parametric", request)
+    has_scanned = bool(rng.random() < settings.scanned_share)
+    models = near_models(true, catalog, SLOTS - 2 - settings.other_categories - len(of_scan), has_scanned, rng)
+    offered = [Offered(kind, drawn(parts, true.category)) for kind, parts in models]
+    kind, parts = models[int(rng.integers(len(models)))]
+    main = main_color(parts)
+    other = drawn(recolored(parts, main, another_color(main, settings.color_apart, rng)), true.category)
+    offered.append(Offered("recolored" if kind == "scanned" else "twin", other))
+    around = models[int(rng.integers(len(models)))][1]
+    sides, color = scaled(extents_of(around), rng.uniform(-settings.reshaped, settings.reshaped, 3)), main_color(around)
+    offered.append(Offered("reshaped", drawn(generate(true.category, sides, rng, color=color).parts, true.category)))
+    around = models[int(rng.integers(len(models)))][1]
+    sides, color = extents_of(around), main_color(around)
+    offered += of_scan
     known = {each.made.asset.asset_id for each in offered}
-    while len(offered) < SLOTS:
-        made = drawn(variant(), true.category)
-        if made.asset.asset_id not in known:
-            known.add(made.asset.asset_id)
-            offered.append(Offered("variant", made))
-    return [offered[int(k)] for k in rng.permutation(SLOTS)]
+    if len(known) < len(offered):  # two of the catalog are one model: what is twice tells nothing, and goes
+        offered = list({each.made.asset.asset_id: each for each in offered}.values())
+    for name in _near(true.category, sides, categories, settings, rng)[: SLOTS - len(offered)]:
+        box = scaled(sides, rng.normal(0.0, settings.size_jitter, 3))
+        model = generate(name, box, rng, color=jittered(color, settings.color_jitter, rng))
+        offered.append(Offered("other", drawn(model.parts, name)))
+    return [offered[int(k)] for k in rng.permutation(len(offered))]
+
+
+def near_models(
+    true: TrueModel, catalog: Catalog, count: int, has_scanned: bool, rng: np.random.Generator
+) -> list[tuple[Kind, list[trimesh.Trimesh]]]:
+    """Models of the scanned one's cell, so many at most, in no order; it is one of them, or was, and is exchanged for another."""
+    listed = catalog.get(true.category, ())
+    values = features([true.extents, *(m.extents for m in listed)], [main_color(true.parts), *(m.color for m in listed)])
+    rows = cell(values, 0, count if has_scanned else count + 1, rng)
+    if not has_scanned and len(rows) > 1:
+        rows.remove(0)
+    return [("scanned", true.parts) if row == 0 else ("variant", listed[row - 1].parts()) for row in rows]
 
 
 def candidate_rows(request: CandidateRequest, offered: Sequence[Offered]) -> list[Candidate]:
@@ -138,31 +138,24 @@ def _of_scan(kind: Literal["crop", "parametric"], request: CandidateRequest) -> 
     return [Offered(kind, made)]
 
 
-def _near(true: TrueModel, categories: Sequence[str], settings: LineupSettings, rng: np.random.Generator) -> list[str]:
-    """Other categories of about the same proportions."""
-    far = {
-        name: float(np.abs(np.log(np.array(typical_extents(name)) / np.array(true.extents))).sum())
-        for name in categories
-        if name != true.category
-    }
+def _near(category: str, extents: Extents, categories: Sequence[str], settings: LineupSettings, rng: np.random.Generator) -> list[str]:
+    """Other categories of about these proportions, in no order."""
+    usual = {name: np.array(typical_extents(name)) for name in categories if name != category}
+    far = {name: float(np.abs(np.log(sides / np.array(extents))).sum()) for name, sides in usual.items()}
     nearest = sorted(far, key=lambda name: (far[name], name))[: settings.near_categories]
-    return [nearest[int(k)] for k in rng.permutation(len(nearest))[: settings.other_categories]]
+    return [nearest[int(k)] for k in rng.permutation(len(nearest))]
+
+
+def extents_of(parts: Sequence[trimesh.Trimesh]) -> Extents:
+    """Sides of a model's box [m]."""
+    x, y, z = np.ptp(surface_of(parts).vertices, axis=0).tolist()
+    return x, y, z
 
 
 def scaled(extents: Extents, logarithms: Array) -> Extents:
     """Sides times the exponentials of three numbers, none thinner than 5 mm [m]."""
     x, y, z = np.maximum(np.array(extents) * np.exp(logarithms), 0.005).tolist()
     return x, y, z
-
-
-def main_color(parts: Sequence[trimesh.Trimesh]) -> Color:
-    """The color of most of a model's surface."""
-    surface = surface_of(parts)
-    area = 0.5 * np.linalg.norm(face_crosses(surface.vertices, surface.faces), axis=1)
-    colors, which = np.unique(surface.colors[surface.faces[:, 0]] // 12, axis=0, return_inverse=True)
-    best = int(np.bincount(which.reshape(-1), area, minlength=len(colors)).argmax())
-    r, g, b = np.round(np.average(surface.colors[surface.faces[which.reshape(-1) == best, 0]], axis=0)).astype(int).tolist()
-    return r, g, b
 
 
 def jittered(color: Color, spread: float, rng: np.random.Generator) -> Color:
