@@ -15,16 +15,16 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
+from bench.selection import catalog, measures, rooms
 from bench.selection import data as data_module
-from bench.selection import lineups, measures, rooms
 from bench.selection.annotations import annotate, answers_of, batch_of, carried_on, give
 from bench.selection.data import DataSettings, SelectionData, counts_of, generate
 from bench.selection.foreign import made_house, model_of
-from bench.selection.lineups import OF_SCANNED, LineupSettings, Offered, lineup, main_color, recolored
+from bench.selection.lineups import OF_SCANNED
 from bench.selection.measures import MeasuredMethod, measured_room, source_digest
 from bench.selection.naming import Naming, naming_report
 from bench.selection.report import DEFAULT, PLAIN, TAUGHT, SelectionBench, margin, run_selection_bench, table_row, top, true_surfaces
-from bench.selection.rooms import TrueModel, held_out, is_hard, made_room, split_of_room
+from bench.selection.rooms import held_out, is_hard, made_room, split_of_room
 from flows.cli import cli
 from flows.run.fingerprints import code_fingerprint
 from schemas.annotation import Annotation, AnswerVerdict, QualityReview
@@ -35,7 +35,6 @@ from schemas.navigation import Split
 from schemas.record import rows_to_arrow
 from schemas.selection import Selection
 from tasks.annotation.simulation import AnnotatorRule, order
-from tasks.furniture import generate as furniture
 from tasks.geometry.meshes import read_points, sample_surface, surface_of, surface_of_glb
 from tasks.geometry.transforms import inverse, transform_points
 from tasks.selection.methods.model import ModelScores
@@ -55,28 +54,11 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> SelectionData:
     """Two little rooms, answered for."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rooms, "OBJECTS", FEW)
+        patch.setattr(catalog, "ROOMS", 24)
         made = SelectionData(tmp_path_factory.mktemp("data"), DataSettings())
         assert [truth["split"] for truth in generate(made, [TEST, TRAIN]) if isinstance(truth, dict)] == ["test", "train"]
     assert len(list(annotate(made.lake, made.truths(), made.settings.rule, made.settings.seed))) == 1
     return made
-
-
-def true_model(seed: int = 0) -> TrueModel:
-    model = furniture("chair", (0.5, 0.46, 0.88), np.random.default_rng(seed))
-    return TrueModel("chair_000", "chair", model.parts, np.eye(4), (0.5, 0.46, 0.88))
-
-
-@pytest.fixture
-def drawn_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is made of a scan."""
-    monkeypatch.setattr(lineups, "_of_scan", lambda kind, request: [])
-
-
-def drawn_lineup(seed: int, settings: LineupSettings | None = None) -> list[Offered]:
-    request: Any = None
-    return lineup(
-        true_model(), request, ("chair", "stool", "armchair", "bar stool"), settings or LineupSettings(), np.random.default_rng(seed)
-    )
 
 
 def test_a_fifth_of_the_categories_is_in_no_training_room_and_in_test_rooms() -> None:
@@ -158,42 +140,6 @@ def test_the_scanned_asset_is_the_scanned_model_and_no_field_of_its_rows_says_so
     assert found >= 3
 
 
-@pytest.mark.usefixtures("drawn_alone")
-def test_no_slot_and_no_middle_of_the_ten_gives_the_scanned_model_away() -> None:
-    places: Counter[int] = Counter()
-    nearest = 0
-    for seed in range(60):
-        offered = drawn_lineup(seed, LineupSettings(scanned_share=1.0))
-        at = [one.kind for one in offered].index("scanned")
-        places[at] += 1
-        sides = np.log(np.array([one.made.asset.extents for one in offered if one.kind in ("scanned", "variant")]))
-        kinds = [one.kind for one in offered if one.kind in ("scanned", "variant")]
-        nearest += kinds[int(np.linalg.norm(sides - np.median(sides, axis=0), axis=1).argmin())] == "scanned"
-    assert len(places) == 10
-    assert max(places.values()) <= 15
-    assert nearest <= 25  # of 60 by chance 12 to 20
-
-
-@pytest.mark.usefixtures("drawn_alone")
-def test_the_scanned_model_is_offered_as_often_as_stated_and_lineups_follow_from_their_seed() -> None:
-    kinds = [[one.kind for one in drawn_lineup(seed)] for seed in range(40)]
-    assert 26 <= sum("scanned" in row for row in kinds) <= 39
-    assert all(row.count("reshaped") == 1 and row.count("other") == 2 and row.count("recolored") + row.count("twin") == 1 for row in kinds)
-    assert [one.made.asset for one in drawn_lineup(5)] == [one.made.asset for one in drawn_lineup(5)]
-
-
-def test_another_color_leaves_the_mesh_and_moves_the_main_color_alone() -> None:
-    parts = true_model().parts
-    main = main_color(parts)
-    moved = recolored(parts, main, (10, 200, 30))
-    assert np.linalg.norm(np.array(main_color(moved)) - (10, 200, 30)) < 20
-    for before, after in zip(parts, moved, strict=True):
-        assert np.array_equal(before.vertices, after.vertices)
-        old, new = surface_of([before]).colors, surface_of([after]).colors
-        far = np.linalg.norm(old.astype(np.float64) - main, axis=1) > 60
-        assert np.array_equal(old[far], new[far])
-
-
 @pytest.mark.whole
 def test_simulated_answers_pass_the_gate_and_every_row_and_view_calls_them_simulated(data: SelectionData) -> None:
     reader = data.lake.snapshot()
@@ -244,6 +190,7 @@ def test_choices_are_those_of_the_rule(data: SelectionData) -> None:
 @pytest.mark.whole
 def test_the_same_seed_gives_the_same_rows_blobs_and_truth(data: SelectionData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rooms, "OBJECTS", FEW)
+    monkeypatch.setattr(catalog, "ROOMS", 24)
     other = SelectionData(tmp_path / "again", DataSettings())
     (truth,) = (row for row in generate(other, [TRAIN]) if isinstance(row, dict))
     known = next(row for row in data.truths() if row["index"] == TRAIN)
@@ -333,6 +280,7 @@ def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(
 ) -> None:
     pytest.importorskip("torch")
     monkeypatch.setattr(rooms, "OBJECTS", FEW)
+    monkeypatch.setattr(catalog, "ROOMS", 24)
     shutil.copytree(data.folder, tmp_path / "data")
     config = SelectionBench(tmp_path, rooms=4, seeds=1, steps=2, variants=("small", "blind"), methods=(ModelScores("small", within=0.0),))
     told: list[str] = []

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from bench.selection import rooms
+from bench.selection import catalog, rooms
 from bench.selection.annotations import annotate
 from bench.selection.data import DataSettings, SelectionData, generate
 from schemas.training import LearnedModel, TrainingStep
@@ -35,6 +35,7 @@ FITTING = {"steps": 48, "warmup_steps": 12, "checkpoint_steps": 4, "validate_ste
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SelectionData:
     """Two little rooms, answered for."""
     monkeypatch.setattr(rooms, "OBJECTS", FEW)
+    monkeypatch.setattr(catalog, "ROOMS", 24)
     made = SelectionData(tmp_path / "data", DataSettings())
     assert all(isinstance(truth, dict) for truth in generate(made, ROOMS))
     for _ in annotate(made.lake, made.truths(), made.settings.rule, made.settings.seed):
