@@ -2,7 +2,8 @@
 
 Distractors that are drawn round the scanned model give it away to whoever sees the ten alone: sides that are equal stop being so, colors
 leave their palette, and most of the ten have something in common. So lineups take models of other rooms, of the same generator, sizes and
-palettes, and of these a cell in which the scanned one may be anywhere: `cell` never asks which of its models that is but to go on.
+palettes, and of these a cell in which the scanned one may be anywhere: `cell` uses the scanned one to choose which
+half to keep, and for nothing else.
 """
 
 from __future__ import annotations
@@ -91,7 +92,8 @@ def features(extents: Sequence[Extents], colors: Sequence[Color]) -> Array:
 
 def cell(values: Array, at: int, count: int, rng: np.random.Generator) -> list[int]:
     """Rows near row `at`, `count` of them with it where there are so many, in no order: all are halved at the middle of what varies most
-    while `count` remain, and of what remains any are taken. Each of these has the same cell, so none of it is likelier to be `at`.
+    while `count` remain, and of what remains any are taken. With the same `rng` each of these has the same cell, so
+    none of it is likelier to be `at`.
     """
     rows = rng.permutation(len(values))
     while len(rows) // 2 >= count:

@@ -310,11 +310,13 @@ def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
 def generate(data: SelectionData, rooms: Iterable[int], minutes: float = np.inf, processes: int = 1) -> Iterator[dict[str, Any] | str]:
     """Make the rooms that are not there, until so many minutes have passed, and commit them; gives the truth of each, or a line that says
     why there is none."""
-    end = time.monotonic() + 60 * minutes
     data.lake.commit("rooms that were left staged")
-    with mapped(processes) as spread:
-        made_catalog(data.catalog_file, data.settings.seed, spread)
-    wanted = (index for index in rooms if not data.truth_file(index).exists() and time.monotonic() < end)
+    lacking = [index for index in rooms if not data.truth_file(index).exists()]
+    if lacking:
+        with mapped(processes) as spread:
+            made_catalog(data.catalog_file, data.settings.seed, spread)
+    end = time.monotonic() + 60 * minutes
+    wanted = (index for index in lacking if time.monotonic() < end)
     for fresh, made in enumerate(_in_turn(data, wanted) if processes == 1 else _spread(data, wanted, processes), start=1):
         yield made
         if fresh % ROOMS_PER_COMMIT == 0:

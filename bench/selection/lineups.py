@@ -69,8 +69,9 @@ def lineup(
 ) -> list[Offered]:  # fmt: skip
     """Ten candidates of an instance in the order of their slots. categories: that may be offered.
 
-    Where the scanned model is offered, all that is drawn follows from the models that lie in its cell of the catalog, any of which may be
-    the one; only what the product itself makes of the scan tells more.
+    Where the scanned model is offered, all that is drawn follows from the models in its cell of the catalog, any of which is about as
+    likely to be the one. Crop and template, which are made of the scan, are the exception, and so is what a dwelling draws with its
+    room (kitchen units, sofas and desks round a corner): the catalog has their category and size, drawn in the usual form.
     """
     of_scan = _of_scan("crop", request) if rng.random() < settings.crop_share else []
     of_scan += _of_scan("parametric", request)
@@ -89,7 +90,8 @@ def lineup(
     offered += of_scan
     known = {each.made.asset.asset_id for each in offered}
     if len(known) < len(offered):  # two of the catalog are one model: what is twice tells nothing, and goes
-        offered = list({each.made.asset.asset_id: each for each in offered}.values())
+        own_last = sorted(offered, key=lambda each: each.kind in OF_SCANNED)
+        offered = list({each.made.asset.asset_id: each for each in own_last}.values())
     for name in _near(true.category, sides, categories, settings, rng)[: SLOTS - len(offered)]:
         box = scaled(sides, rng.normal(0.0, settings.size_jitter, 3))
         model = generate(name, box, rng, color=jittered(color, settings.color_jitter, rng))
