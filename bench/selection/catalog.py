@@ -2,8 +2,8 @@
 
 Distractors that are drawn round the scanned model give it away to whoever sees the ten alone: sides that are equal stop being so, colors
 leave their palette, and most of the ten have something in common. So lineups take models of other rooms, of the same generator, sizes and
-palettes, and of these a cell in which the scanned one may be anywhere: `cell` uses the scanned one to choose which
-half to keep, and for nothing else.
+palettes, and of these a cell in which the scanned one may be anywhere: `cell` uses the scanned one to choose which half to keep, and for
+nothing else.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ SIZE, COLOR = 0.06, 12.0
 
 @dataclasses.dataclass(frozen=True)
 class CatalogModel:
-    """A model that can be drawn. extents [m], shape (3,); color: RGB 0..255 of most of its surface."""
+    """A model that can be drawn. extents: Sides of its box in its own frame [m], shape (3,). color: RGB 0..255 of most of its surface.
+    seed: Of the generator that draws it."""
 
     category: str
     extents: Extents
@@ -86,14 +87,15 @@ def read_catalog(path: Path) -> Catalog:
 
 
 def features(extents: Sequence[Extents], colors: Sequence[Color]) -> Array:
-    """What models are near by, shape (n, 6), in units that count as much."""
+    """What models are near by, shape (n, 6): logarithms of their sides [m] in steps of `SIZE`, and channels of 255 in steps of `COLOR`."""
     return np.column_stack([np.log(np.array(extents, dtype=np.float64)) / SIZE, np.array(colors, dtype=np.float64) / COLOR])
 
 
 def cell(values: Array, at: int, count: int, rng: np.random.Generator) -> list[int]:
-    """Rows near row `at`, `count` of them with it where there are so many, in no order: all are halved at the middle of what varies most
-    while `count` remain, and of what remains any are taken. With the same `rng` each of these has the same cell, so
-    none of it is likelier to be `at`.
+    """Rows near row `at`, `count` of them with it where there are so many, in no order. values: Features of models, shape (n, d).
+
+    All rows are halved at the middle of what varies most while `count` remain, and of what remains any are taken. With the same `rng` each
+    of these has the same cell, so none of it is likelier to be `at`.
     """
     rows = rng.permutation(len(values))
     while len(rows) // 2 >= count:
@@ -105,7 +107,7 @@ def cell(values: Array, at: int, count: int, rng: np.random.Generator) -> list[i
 
 
 def main_color(parts: Sequence[trimesh.Trimesh]) -> Color:
-    """The color of most of a model's surface."""
+    """The color of most of a model's surface, RGB 0..255."""
     surface = surface_of(parts)
     area = 0.5 * np.linalg.norm(face_crosses(surface.vertices, surface.faces), axis=1)
     colors, which = np.unique(surface.colors[surface.faces[:, 0]] // 12, axis=0, return_inverse=True)

@@ -152,8 +152,7 @@ class SelectionData:
         return [json.loads(path.read_bytes()) for path in sorted((self.folder / "truth").glob("scene*.json"))]
 
     def make(self, index: int) -> dict[str, Any]:
-        """Make a room: rows staged, truth written last. Returns the truth."""
-        made_catalog(self.catalog_file, self.settings.seed)
+        """Make a room out of the catalog that lies in the folder: rows staged, truth written last. Returns the truth."""
         truth = make_room(self.lake, index, self.settings, read_catalog(self.catalog_file))
         write_whole(self.truth_file(index), json.dumps(truth).encode())
         return truth

@@ -102,7 +102,8 @@ def lineup(
 def near_models(
     true: TrueModel, catalog: Catalog, count: int, has_scanned: bool, rng: np.random.Generator
 ) -> list[tuple[Kind, list[trimesh.Trimesh]]]:
-    """Models of the scanned one's cell, so many at most, in no order; it is one of them, or was, and is exchanged for another."""
+    """Models of the scanned one's cell, so many at most, in no order; it is one of them; or was, and is exchanged for another,
+    where the catalog has one."""
     listed = catalog.get(true.category, ())
     values = features([true.extents, *(m.extents for m in listed)], [main_color(true.parts), *(m.color for m in listed)])
     rows = cell(values, 0, count if has_scanned else count + 1, rng)

@@ -42,10 +42,12 @@ def drawn_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lineups, "_of_scan", lambda kind, request: [])
 
 
-def drawn_lineup(seed: int, models: catalog.Catalog, settings: LineupSettings | None = None) -> list[Offered]:
+def drawn_lineup(
+    seed: int, models: catalog.Catalog, settings: LineupSettings | None = None, true: TrueModel | None = None
+) -> list[Offered]:
     request: Any = None
     return lineup(
-        true_model(), request, ("chair", "stool", "armchair", "bar stool", "bench", "ottoman", "table"), models,
+        true or true_model(), request, ("chair", "stool", "armchair", "bar stool", "bench", "ottoman", "table"), models,
         settings or LineupSettings(), np.random.default_rng(seed),
     )  # fmt: skip
 
@@ -89,19 +91,23 @@ def test_a_catalog_is_drawn_again_as_it_was_and_once(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.usefixtures("drawn_alone")
-def test_no_slot_and_no_middle_of_the_ten_gives_the_scanned_model_away(chairs: catalog.Catalog) -> None:
+def test_no_slot_no_middle_and_no_even_sides_give_the_scanned_model_away(chairs: catalog.Catalog) -> None:
     places: Counter[int] = Counter()
-    nearest = 0
-    for seed in range(60):
-        offered = drawn_lineup(seed, chairs, LineupSettings(scanned_share=1.0))
-        at = [one.kind for one in offered].index("scanned")
-        places[at] += 1
-        sides = np.log(np.array([one.made.asset.extents for one in offered if one.kind in ("scanned", "variant")]))
-        kinds = [one.kind for one in offered if one.kind in ("scanned", "variant")]
-        nearest += kinds[int(np.linalg.norm(sides - np.median(sides, axis=0), axis=1).argmin())] == "scanned"
+    firsts: Counter[str] = Counter()
+    for seed, chosen in enumerate(chairs["chair"]):  # each is the scanned one once, and the others are the catalog
+        true = TrueModel("chair_000", "chair", chosen.parts(), np.eye(4), chosen.extents)
+        others = {"chair": [model for model in chairs["chair"] if model is not chosen]}
+        offered = drawn_lineup(seed, others, LineupSettings(scanned_share=1.0), true)
+        places[[one.kind for one in offered].index("scanned")] += 1
+        alike = [one for one in offered if one.kind in ("scanned", "variant")]
+        sides = np.log(np.array([one.made.asset.extents for one in alike]))
+        middle = np.linalg.norm(sides - np.median(sides, axis=0), axis=1)
+        for rule, values in (("middle", middle), ("even", np.abs(sides[:, 0] - sides[:, 1])), ("largest", -sides.sum(axis=1))):
+            firsts[rule] += alike[int(values.argmin())].kind == "scanned"
     assert len(places) == 10
     assert max(places.values()) <= 15
-    assert nearest <= 20  # of 60 by chance 10
+    assert set(firsts) == {"middle", "even", "largest"}
+    assert all(2 <= count <= 20 for count in firsts.values()), "of 60 by chance 10"
 
 
 @pytest.mark.usefixtures("drawn_alone")
