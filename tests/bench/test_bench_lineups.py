@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.selection import catalog, lineups
-from bench.selection.catalog import CatalogModel, cell, made_catalog, main_color, models_of_room, read_catalog
-from bench.selection.lineups import LineupSettings, Offered, extents_of, lineup, recolored
+from bench.selection.catalog import CatalogModel, cell, features, made_catalog, main_color, models_of_room, read_catalog
+from bench.selection.lineups import LineupSettings, Offered, extents_of, lineup, near_models, recolored
 from bench.selection.rooms import TrueModel
 from tasks.furniture import generate as furniture
 from tasks.geometry.meshes import surface_of
@@ -99,11 +99,11 @@ def test_no_slot_no_middle_and_no_even_sides_give_the_scanned_model_away(chairs:
         others = {"chair": [model for model in chairs["chair"] if model is not chosen]}
         offered = drawn_lineup(seed, others, LineupSettings(scanned_share=1.0), true)
         places[[one.kind for one in offered].index("scanned")] += 1
-        alike = [one for one in offered if one.kind in ("scanned", "variant")]
-        sides = np.log(np.array([one.made.asset.extents for one in alike]))
-        middle = np.linalg.norm(sides - np.median(sides, axis=0), axis=1)
-        for rule, values in (("middle", middle), ("even", np.abs(sides[:, 0] - sides[:, 1])), ("largest", -sides.sum(axis=1))):
-            firsts[rule] += alike[int(values.argmin())].kind == "scanned"
+        models = near_models(true, others, 6, True, np.random.default_rng(seed))
+        near = features([extents_of(parts) for _, parts in models], [main_color(parts) for _, parts in models])
+        middle = np.linalg.norm(near - near.mean(axis=0), axis=1)
+        for rule, values in (("middle", middle), ("even", np.abs(near[:, 0] - near[:, 1])), ("largest", -near[:, :3].sum(axis=1))):
+            firsts[rule] += models[int(values.argmin())][0] == "scanned"
     assert len(places) == 10
     assert max(places.values()) <= 15
     assert set(firsts) == {"middle", "even", "largest"}
