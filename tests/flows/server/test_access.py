@@ -225,7 +225,7 @@ class Address:
             headers["Authorization"] = f"Basic {base64.b64encode(token.encode()).decode()}"
         told = {name.replace("_", "-"): value for name, value in headers.items()}
         method = "GET" if body is None else "POST"
-        return httpx.request(method, f"{self.url}/{path}", json=body, headers=told, timeout=120)
+        return httpx.request(method, f"{self.url}/{path}", json=body, headers=told, timeout=None)
 
 
 @pytest.fixture(scope="module")

@@ -37,8 +37,8 @@ from warehouse.lake import Lake
 
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(900)]
 
-WAIT_SECONDS = 300
-"""Machines may be busy; nothing here takes a tenth of it on an idle one."""
+WAIT_SECONDS = 600
+"""Only what hangs takes as long; nothing here takes a tenth of it on an idle machine."""
 
 FAST = {
     **SERVER,
@@ -117,7 +117,8 @@ class Prefect:
     def ask(self, path: str, body: Mapping[str, Any] | None = None, method: str = "") -> httpx.Response:
         method = method or ("GET" if body is None else "POST")
         for _ in range(20):
-            answer = httpx.request(method, f"{self.server.url}/{path}", json=body, headers=self.server.header, timeout=60)
+            # No limit but the test's own: a server beside a run that has both cores answers when it gets one.
+            answer = httpx.request(method, f"{self.server.url}/{path}", json=body, headers=self.server.header, timeout=None)
             if answer.status_code != 503:  # its SQLite is locked for the moment: Prefect's own client asks again, too
                 break
             time.sleep(0.5)
@@ -188,12 +189,10 @@ def deployed(prefect: Prefect, hook: str) -> Prefect:
 
 def eventually(found: Callable[[], Any], what: str) -> Any:
     give_up = time.monotonic() + WAIT_SECONDS
-    while time.monotonic() < give_up:
-        value = found()
-        if value:
-            return value
+    while not (value := found()):
+        assert time.monotonic() < give_up, f"{what}: not within {WAIT_SECONDS} s"
         time.sleep(0.5)
-    raise AssertionError(f"{what}: not within {WAIT_SECONDS} s")
+    return value
 
 
 def test_schedules_pool_limits_and_parameters_are_what_was_asked_for(deployed: Prefect) -> None:
@@ -575,8 +574,8 @@ def test_a_server_and_worker_of_ones_own_listen_on_this_machine_alone_and_end_wi
         listening = [address.laddr for each in below for address in each.net_connections() if address.status == psutil.CONN_LISTEN]
         assert port in {address.port for address in listening}
         assert {address.ip for address in listening} == {"127.0.0.1"}
-        assert httpx.get(f"http://127.0.0.1:{port}/", follow_redirects=True).status_code == 200, "the UI"
-        assert httpx.get(f"http://127.0.0.1:{port}/api/admin/version").status_code == 401
+        assert httpx.get(f"http://127.0.0.1:{port}/", follow_redirects=True, timeout=None).status_code == 200, "the UI"
+        assert httpx.get(f"http://127.0.0.1:{port}/api/admin/version", timeout=None).status_code == 401
         token_file = tmp_path / "home" / f"metascenes-{port}.token"
         assert {stat.S_IMODE(path.stat().st_mode) & 0o077 for path in (tmp_path / "home").iterdir()} == {0}
         token = token_file.read_text()
