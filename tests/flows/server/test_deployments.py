@@ -6,8 +6,6 @@ import contextlib
 import http.server
 import json
 import os
-import signal
-import stat
 import subprocess
 import sys
 import threading
@@ -21,18 +19,14 @@ from typing import Any
 import httpx
 import psutil
 import pytest
-import yaml
 
 from bench.flows.small_scenes import SETTINGS, write_small_scans
-from flows.server import deployments
-from flows.server.deployments import FILE_VARIABLES, RUNS_AT_ONCE, Schedule, closed, deployment_file, lake_name, planned
+from flows.server.deployments import RUNS_AT_ONCE, Schedule, closed
 from flows.server.services import SERVER
-from schemas.errors import InputError
 from schemas.runs import StageRun
 from tasks.pipeline import SCENE_STAGES
 from tests.conftest import REPOSITORY
-from tests.scans import write_scan
-from tests.services import PrefectServer, free_port, have_been_started, prefect_server_process
+from tests.services import PrefectServer, prefect_server_process
 from warehouse.lake import Lake
 
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(900)]
@@ -462,204 +456,3 @@ def test_a_run_that_sends_no_sign_of_life_is_called_crashed(deployed: Prefect) -
     assert (state(ended), state(others)) == ("Completed", "Running")
     code = "from flows.server.notifications import find_lost_runs; print(find_lost_runs().change, find_lost_runs().change)"
     assert deployed.run([sys.executable, "-c", code]).stdout.split() == ["changed", "unchanged"]
-
-
-def test_every_variable_of_the_file_is_one_that_the_command_sets_and_every_flow_can_be_loaded() -> None:
-    from prefect.flows import load_flow_from_entrypoint
-
-    assert set(Schedule("s", "l", "o").environment()) == FILE_VARIABLES
-    assert {line.split("$")[1].split(" ")[0] for line in deployment_file().read_text().splitlines() if "{{ $" in line} == FILE_VARIABLES
-    for entry in planned(Schedule("s", "l", "o")):
-        flow: Any = load_flow_from_entrypoint(entry["entrypoint"])
-        assert entry["parameters"].keys() <= flow.parameters.properties.keys(), entry["name"]
-        assert "metascenes" in entry["tags"]
-    assert {entry["name"] for entry in planned(Schedule("s", "lake", "o"))} == {name.split("/")[1] for name in NAMES}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--timezone", "Mars/Olympus"], "Mars/Olympus"),
-        (["--nightly", "at one"], "at one"),
-        (["--weekly", "99 * * * *"], "99 * * * *"),
-        (["--pool", ""], "--pool"),
-    ],
-)
-def test_what_cannot_be_scheduled_is_one_line_and_exit_code_2(arguments: list[str], named: str) -> None:
-    command = [sys.executable, "-m", "flows.cli", "deploy", "--scans", "s", "--lake", "l", "--dry-run", *arguments]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
-    assert named in done.stderr
-
-
-def test_without_a_server_or_a_webhook_the_command_says_which_is_missing(tmp_path: Path) -> None:
-    plain = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")} | {"PREFECT_HOME": str(tmp_path)}
-    command = [sys.executable, "-m", "flows.cli", "deploy", "--scans", "s", "--lake", "l"]
-    done = subprocess.run(command, cwd=REPOSITORY, env=plain, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "PREFECT_API_URL" in done.stderr
-    assert "--local" in done.stderr
-
-
-def test_a_server_that_does_not_answer_is_one_line(tmp_path: Path) -> None:
-    environment = {**os.environ, "PREFECT_API_URL": f"http://somebody:secret@127.0.0.1:{free_port()}/api", "PREFECT_HOME": str(tmp_path)}
-    command = [sys.executable, "-m", "flows.cli", "deploy", "--scans", "s", "--lake", "l"]
-    done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
-    assert "no Prefect server answers" in done.stderr
-    assert "secret" not in done.stderr
-
-
-def test_folders_may_have_any_name() -> None:
-    entries = {entry["name"].removesuffix("-lake"): entry for entry in planned(Schedule('/scans of "May"\\n: #1', "/lake\t'", "{out}"))}
-    assert entries["nightly"]["parameters"]["scans"] == '/scans of "May"\\n: #1'
-    assert entries["export"]["parameters"] == {"lake": "/lake\t'", "out": "{out}/exports"}
-
-
-def test_an_export_into_a_store_is_refused_and_not_written_into_a_folder_of_that_name(tmp_path: Path) -> None:
-    from flows.exporting import export
-
-    with pytest.raises(InputError, match="is no folder"):
-        export.fn(str(tmp_path / "lake"), "s3://bucket/exports")
-
-
-def test_a_dry_run_says_what_and_when_and_asks_no_server(tmp_path: Path) -> None:
-    environment = {**os.environ, "PREFECT_API_URL": f"http://127.0.0.1:{free_port()}/api", "PREFECT_HOME": str(tmp_path)}
-    command = [sys.executable, "-m", "flows.cli", "deploy", "--scans", "s3://b/scans", "--lake", "lake", "--dry-run", "--json"]
-    done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=True)
-    entries = {entry["name"].removesuffix("-lake"): entry for entry in json.loads(done.stdout)["deployments"]}
-    assert entries["nightly"]["parameters"]["scans"] == "s3://b/scans"
-    assert entries["nightly"]["parameters"]["lake"] == str(REPOSITORY / "lake"), "workers run in another folder"
-
-
-PARENT = """
-import os, sys, time
-from flows.server.services import guarded
-code = "import subprocess, time; subprocess.Popen(['sleep', '600'], start_new_session=True); time.sleep(600)"
-with guarded([sys.executable, "-c", code], os.environ) as process:
-    print(process.pid, flush=True)
-    time.sleep(600)
-"""
-
-
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_what_a_service_started_ends_with_us_however_we_end(how: signal.Signals) -> None:
-    parent = subprocess.Popen([sys.executable, "-c", PARENT], cwd=REPOSITORY, stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    guard = psutil.Process(int(parent.stdout.readline()))
-    below = eventually(lambda: len(found := guard.children(recursive=True)) == 2 and found, "service and its child")
-    parent.send_signal(how)
-    parent.wait()
-    eventually(
-        lambda: not any(process.is_running() and process.status() != psutil.STATUS_ZOMBIE for process in [guard, *below]), "the end of all"
-    )
-
-
-@pytest.mark.slow
-def test_a_server_and_worker_of_ones_own_listen_on_this_machine_alone_and_end_with_the_command(tmp_path: Path) -> None:
-    port = free_port()
-    write_scan(tmp_path / "scans", "scene0000_00")
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")} | {
-        "PREFECT_HOME": str(tmp_path / "home")
-    }
-    command = [sys.executable, "-m", "flows.cli", "deploy", "--local", "--port", str(port), "--json", "--scans", str(tmp_path / "scans")]
-    command += ["--lake", str(tmp_path / "lake"), "--out", str(tmp_path / "out"), "--watch", "0 0 1 1 *"]
-    with (tmp_path / "said").open("w") as said:
-        process = subprocess.Popen(command, cwd=REPOSITORY, env=environment, stdout=subprocess.PIPE, stderr=said, text=True)
-    try:
-        assert process.stdout is not None
-        items = json.loads(process.stdout.readline())["items"]
-        assert {item["change"] for item in items} == {"created"}
-        below = psutil.Process(process.pid).children(recursive=True)
-        listening = [address.laddr for each in below for address in each.net_connections() if address.status == psutil.CONN_LISTEN]
-        assert port in {address.port for address in listening}
-        assert {address.ip for address in listening} == {"127.0.0.1"}
-        assert httpx.get(f"http://127.0.0.1:{port}/", follow_redirects=True, timeout=None).status_code == 200, "the UI"
-        assert httpx.get(f"http://127.0.0.1:{port}/api/admin/version", timeout=None).status_code == 401
-        token_file = tmp_path / "home" / f"metascenes-{port}.token"
-        assert {stat.S_IMODE(path.stat().st_mode) & 0o077 for path in (tmp_path / "home").iterdir()} == {0}
-        token = token_file.read_text()
-        everyone = [psutil.Process(process.pid), *below]
-        assert not [each for each in everyone if token in " ".join(each.cmdline())], "everybody on the machine can read arguments"
-        command = [sys.executable, "-m", "prefect", "deployment", "run", "replicate/nightly-lake", "--param", "settle_seconds=0", "--watch"]
-        environment |= {"PREFECT_API_URL": f"http://127.0.0.1:{port}/api", "PREFECT_API_AUTH_STRING": token}
-        run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=WAIT_SECONDS)
-        assert run.returncode == 0, run.stdout + run.stderr
-        rows = Lake.open(str(tmp_path / "lake")).snapshot().rows(StageRun)
-        assert {(row.stage, row.outcome) for row in rows} == {(stage.name, "done") for stage in SCENE_STAGES}
-        below = psutil.Process(process.pid).children(recursive=True)
-    finally:
-        process.send_signal(signal.SIGINT)
-        code = process.wait(60)
-    assert code == 130
-    words = (tmp_path / "said").read_text()
-    assert str(token_file) in words
-    assert token not in words
-    eventually(lambda: not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in below), "the end of all")
-
-
-def test_a_server_of_ones_own_that_dies_ends_the_command_which_says_so(tmp_path: Path) -> None:
-    port = free_port()
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")} | {
-        "PREFECT_HOME": str(have_been_started(tmp_path / "home"))
-    }
-    command = [sys.executable, "-m", "flows.cli", "deploy", "--local", "--port", str(port), "--json", "--scans", str(tmp_path / "scans")]
-    command += ["--lake", str(tmp_path / "lake"), "--out", str(tmp_path / "out")]
-    with (tmp_path / "said").open("w") as said:
-        process = subprocess.Popen(command, cwd=REPOSITORY, env=environment, stdout=subprocess.PIPE, stderr=said, text=True)
-    assert process.stdout is not None
-    try:
-        assert json.loads(process.stdout.readline())["items"]
-        below = psutil.Process(process.pid).children(recursive=True)
-
-        def listens(each: psutil.Process) -> bool:
-            return any(one.laddr.port == port for one in each.net_connections() if one.status == psutil.CONN_LISTEN)
-
-        servers = [each for each in below if listens(each)]
-        assert servers
-        for server in servers:
-            server.kill()
-        assert process.wait(WAIT_SECONDS) == 1
-    finally:
-        process.kill()
-        process.wait()
-    assert "metascenes: the Prefect server ended" in (tmp_path / "said").read_text()
-    eventually(lambda: not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in below), "the end of all")
-
-
-def test_an_installed_package_has_the_file(tmp_path: Path) -> None:
-    """The wheel carries it where `deployment_file` looks; in the checkout the root's is used."""
-    assert deployment_file() == REPOSITORY / "prefect.yaml"
-    import tomllib
-
-    included = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
-    assert included == {"prefect.yaml": "flows/prefect.yaml"}
-    assert yaml.safe_load(deployment_file().read_text())["deployments"]
-
-
-@pytest.mark.parametrize(
-    ("address", "name"),
-    [
-        ("/data/Kitchens", "kitchens"),
-        ("s3://bucket/my lake/", "my-lake"),
-        ("/data/Küche", "kuche-a9ec872e"),
-        ("/data/会议室", "hui_yi_shi-423bba6b"),
-        ("/data/+", "lake"),
-    ],
-)
-def test_a_lake_in_any_script_has_a_name_of_its_own(address: str, name: str) -> None:
-    assert Schedule("/scans", address, "/out").name == lake_name(address) == name
-
-
-def test_lakes_whose_names_end_alike_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    lakes = {"nightly-lake": "/lake", "nightly-my-lake": "/my-lake", "nightly-elsewhere": "/elsewhere"}
-    there = {f"replicate/{name}": {"facts": {"parameters": {"lake": lake}}} for name, lake in lakes.items()}
-    monkeypatch.setattr("prefect.client.orchestration.get_client", lambda **_: contextlib.nullcontext())
-    monkeypatch.setattr(deployments, "_deployments", lambda client: there)
-    found = deployments.foreign(Schedule("/scans", "/lake", "/out"))
-    assert found == {"/my-lake": ["replicate/nightly-my-lake"], "/elsewhere": ["replicate/nightly-elsewhere"]}
-
-
-def test_a_name_with_a_placeholder_is_refused() -> None:
-    with pytest.raises(InputError, match="--scans"):
-        Schedule("{{ prefect.blocks.secret.x }}", "lake", "out")
