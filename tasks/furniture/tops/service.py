@@ -1,0 +1,195 @@
+"""Rules of what stands on tops in kitchens, dining rooms and bathrooms."""
+
+from __future__ import annotations
+
+from tasks.furniture.tops.laws import Beside, Rule, either, rule_of, some
+from tasks.furniture.tops.zones import (
+    ANYWHERE,
+    BACK,
+    BACK_LEFT,
+    BACK_MIDDLE,
+    BACK_RIGHT,
+    CENTER,
+    FRONT,
+    FRONT_LEFT,
+    FRONT_MIDDLE,
+    FRONT_RIGHT,
+    LEFT,
+    LOW,
+    MIDDLE,
+    RIGHT,
+    SEATS,
+)
+
+BOOKS = ("book", "book stack")
+DRINK = Beside("plate", (-1, 1), (0.0, 0.03), 0.02, ANYWHERE)
+"""Where a diner's glass stands: beyond the plate, to the right."""
+
+KITCHEN: dict[str, Rule] = {
+    "kitchen counter": rule_of((
+        either((0.5, some("microwave", 1.0, BACK_LEFT)), (0.3, some("coffee maker", 1.0, BACK_LEFT))),
+        some("kettle", 0.65, BACK_RIGHT),
+        some("toaster", 0.45, BACK),
+        some("cutting board", 0.5, FRONT_MIDDLE),
+        some("kitchen utensils", 0.5, BACK),
+        some("jar", (0.35, 0.25, 0.2, 0.2), BACK),
+        some("bottle", (0.5, 0.3, 0.2), BACK),
+        either((0.3, some("bowl", 1.0, FRONT, ("tray",), 0.3)), (0.3, some("plate", 1.0, FRONT))),
+        either((0.25, some("soap dispenser", 1.0, RIGHT)), (0.2, some("tray", 1.0, FRONT_RIGHT)), (0.1, some("blender", 1.0, BACK_RIGHT))),
+    )),
+    "table": rule_of((
+        some("plate", (0.4, 0.35, 0.25), SEATS),
+        some("cup", (0.3, 0.3, 0.3, 0.1), DRINK),
+        either((0.5, some("kettle", 1.0, CENTER)), (0.2, some("pot", 1.0, CENTER, ("cutting board",), 0.4))),
+        either((0.35, some("cutting board", 1.0, FRONT)), (0.2, some("tray", 1.0, CENTER))),
+        some("jar", (0.4, 0.35, 0.25), CENTER),
+        some("bowl", (0.45, 0.55), ANYWHERE, ("tray", "cutting board"), 0.3),
+        either((0.35, some("toaster", 1.0, BACK)), (0.2, some("coffee maker", 1.0, BACK))),
+    )),
+    "cabinet": rule_of((
+        either((0.45, some("microwave", 1.0, BACK_LEFT)), (0.3, some("toaster", 1.0, BACK_RIGHT))),
+        some("jar", (0.25, 0.4, 0.35), BACK),
+        some("pot", 0.45, ANYWHERE),
+        some("kitchen utensils", 0.4, BACK_RIGHT),
+        some("can", (0.4, 0.3, 0.3), FRONT),
+        some("bowl", (0.5, 0.3, 0.2), FRONT, ("plate", "pot"), 0.4),
+        some("plate", (0.6, 0.4), FRONT),
+        some("kettle", 0.3, ANYWHERE),
+    )),
+    "desk": rule_of((
+        some("telephone", 0.5, BACK_LEFT),
+        some("book", (0.25, 0.35, 0.4), ANYWHERE, BOOKS, 0.4),
+        either((0.35, some("coffee maker", 1.0, BACK_RIGHT)), (0.25, some("toaster", 1.0, BACK_RIGHT))),
+        some("mug", (0.4, 0.35, 0.25), FRONT_RIGHT, ("book",), 0.25),
+        some("jar", (0.4, 0.35, 0.25), BACK),
+        some("tablet", 0.45, FRONT_MIDDLE),
+        some("bowl", (0.55, 0.45), ANYWHERE),
+        some("paper", 0.35, FRONT, ("book",), 0.3),
+        some("kettle", 0.25, BACK_RIGHT),
+    )),
+    "side table": rule_of((
+        either((0.4, some("kettle", 1.0, BACK_RIGHT)), (0.3, some("coffee maker", 1.0, BACK_LEFT, size=(0.22, 0.16, 0.3)))),
+        some("cup", (0.3, 0.35, 0.35), FRONT),
+        some("jar", (0.35, 0.35, 0.3), BACK),
+        some("can", (0.5, 0.3, 0.2), ANYWHERE),
+        some("bowl", 0.5, ANYWHERE),
+        some("bottle", (0.55, 0.45), BACK),
+    )),
+    "bookshelf": rule_of((
+        some("jar", (0.15, 0.35, 0.5), MIDDLE),
+        some("pot", (0.35, 0.4, 0.25), LOW, size=(0.25, 0.2, 0.15)),
+        some("plate", (0.4, 0.35, 0.25), MIDDLE),
+        some("bowl", (0.35, 0.35, 0.3), ANYWHERE, ("plate",), 0.4),
+        some("book stack", 0.5, LOW, size=(0.19, 0.28, 0.22)),
+        some("basket", 0.45, LOW),
+        some("can", (0.5, 0.3, 0.2), ANYWHERE),
+    )),
+    "washing machine": rule_of((
+        some("bottle", (0.2, 0.4, 0.4), BACK),
+        some("basket", 0.55, CENTER),
+        some("clothes", 0.4, FRONT),
+        either((0.35, some("towel", 1.0, LEFT)), (0.25, some("iron", 1.0, FRONT))),
+        some("box", (0.5, 0.4, 0.1), BACK),
+        some("can", (0.6, 0.4), BACK),
+        some("jar", 0.4, BACK),
+    )),
+}  # fmt: skip
+
+DINING_ROOM: dict[str, Rule] = {
+    "table": rule_of((
+        some("plate", (0.05, 0.05, 0.35, 0.25, 0.3), SEATS),
+        some("wine glass", (0.25, 0.15, 0.35, 0.25), DRINK),
+        either((0.45, some("vase", 1.0, CENTER)), (0.3, some("bowl", 1.0, CENTER))),
+        some("candle", (0.5, 0.2, 0.3), CENTER),
+        some("bottle", (0.5, 0.5), CENTER, ("tray",), 0.3),
+    )),
+    "cabinet": rule_of((
+        some("wine glass", (0.3, 0.2, 0.2, 0.3), FRONT, ("tray",), 0.2),
+        some("bottle", (0.3, 0.3, 0.2, 0.2), BACK, ("tray",), 0.2),
+        some("tray", 0.45, LEFT),
+        either((0.4, some("vase", 1.0, BACK_MIDDLE)), (0.25, some("table lamp", 1.0, BACK_RIGHT))),
+        some("plate", (0.6, 0.4), RIGHT),
+        some("candle", (0.5, 0.2, 0.3), ANYWHERE),
+        some("bowl", 0.35, ANYWHERE, ("plate", "tray"), 0.4),
+    )),
+    "desk": rule_of((
+        some("bottle", (0.35, 0.3, 0.35), BACK),
+        some("wine glass", (0.3, 0.3, 0.4), ANYWHERE, ("tray",), 0.3),
+        some("tray", 0.5, FRONT_MIDDLE),
+        some("candle", (0.4, 0.3, 0.3), BACK),
+        either((0.4, some("vase", 1.0, BACK_LEFT)), (0.3, some("table lamp", 1.0, BACK_LEFT))),
+        some("plate", (0.6, 0.4), RIGHT),
+        some("picture", (0.55, 0.45), BACK),
+    )),
+    "side table": rule_of((
+        some("vase", 0.5, BACK),
+        some("wine glass", (0.35, 0.35, 0.3), FRONT, ("tray",), 0.3),
+        some("bottle", (0.35, 0.4, 0.25), BACK),
+        some("candle", (0.4, 0.35, 0.25), ANYWHERE),
+        some("picture", 0.4, BACK),
+        either((0.35, some("bowl", 1.0, FRONT)), (0.25, some("plate", 1.0, FRONT))),
+    )),
+    "bookshelf": rule_of((
+        some("plate", (0.3, 0.35, 0.35), MIDDLE),
+        some("wine glass", (0.25, 0.2, 0.3, 0.25), MIDDLE),
+        some("bottle", (0.35, 0.35, 0.3), LOW, size=(0.075, 0.075, 0.235)),
+        some("vase", 0.5, ANYWHERE, size=(0.12, 0.12, 0.22)),
+        some("bowl", (0.4, 0.4, 0.2), ANYWHERE, ("plate",), 0.4),
+        some("candle", (0.6, 0.4), ANYWHERE),
+    )),
+}  # fmt: skip
+
+BATHROOM: dict[str, Rule] = {
+    "cabinet": rule_of((
+        some("towel", (0.3, 0.4, 0.3), BACK, ("towel",), 0.6),
+        some("soap dispenser", 0.65, FRONT_RIGHT),
+        some("bottle", (0.25, 0.3, 0.25, 0.2), BACK),
+        some("toilet paper", (0.45, 0.3, 0.25), ANYWHERE),
+        either((0.35, some("basket", 1.0, ANYWHERE)), (0.3, some("tissue box", 1.0, FRONT))),
+        some("cup", 0.4, FRONT),
+        some("mirror", 0.3, BACK_MIDDLE),
+    )),
+    "washing machine": rule_of((
+        some("towel", (0.3, 0.5, 0.2), ANYWHERE, ("towel",), 0.8),
+        some("bottle", (0.25, 0.4, 0.35), BACK),
+        either((0.4, some("basket", 1.0, RIGHT)), (0.25, some("clothes", 1.0, FRONT))),
+        some("toilet paper", (0.5, 0.5), BACK, ("towel",), 0.3),
+        some("soap dispenser", 0.45, FRONT),
+        some("box", 0.35, BACK),
+        some("can", 0.3, BACK),
+    )),
+    "table": rule_of((
+        some("towel", (0.15, 0.35, 0.3, 0.2), BACK, ("towel",), 0.5),
+        some("soap dispenser", (0.3, 0.55, 0.15), FRONT),
+        some("bottle", (0.25, 0.3, 0.25, 0.2), BACK),
+        some("toilet paper", (0.4, 0.3, 0.3), ANYWHERE),
+        some("basket", 0.45, LEFT),
+        some("candle", 0.5, ANYWHERE),
+    )),
+    "desk": rule_of((
+        some("mirror", 0.65, BACK_MIDDLE),
+        some("soap dispenser", 0.6, RIGHT),
+        some("towel", (0.35, 0.4, 0.25), FRONT_LEFT, ("towel",), 0.6),
+        some("bottle", (0.25, 0.25, 0.25, 0.25), BACK),
+        some("tissue box", 0.4, ANYWHERE),
+        some("basket", 0.35, BACK_LEFT),
+        some("cup", 0.4, FRONT_RIGHT),
+        some("toilet paper", 0.35, BACK),
+    )),
+    "side table": rule_of((
+        some("towel", (0.3, 0.5, 0.2), LEFT, ("towel",), 0.9),
+        some("soap dispenser", 0.6, RIGHT),
+        some("toilet paper", (0.35, 0.4, 0.25), ANYWHERE, ("towel",), 0.3),
+        some("candle", (0.5, 0.3, 0.2), ANYWHERE),
+        some("bottle", (0.35, 0.35, 0.3), BACK),
+        some("cup", 0.3, FRONT),
+    )),
+    "dresser": rule_of((
+        some("towel", (0.2, 0.3, 0.3, 0.2), ANYWHERE, ("towel",), 0.6),
+        some("mirror", 0.4, BACK_MIDDLE),
+        some("soap dispenser", 0.5, FRONT_RIGHT),
+        some("bottle", (0.3, 0.3, 0.4), BACK),
+        some("basket", 0.4, LEFT),
+        some("toilet paper", (0.4, 0.3, 0.3), BACK),
+    )),
+}  # fmt: skip
