@@ -120,9 +120,10 @@ def _rows(lake: Lake, table: Table, scene: str, tag: object, room: str, assets: 
     if table.name == "scenes":
         given |= {"dataset": scene.partition("/")[0], "scan": scene.partition("/")[2]}
     many = INSTANCES if "instance_id" in table.key else INSTANCES[:1]
+    must_be_carried = any(column.name == "parent_id" and not column.nullable for column in table.columns)
     rows = []
     for index, instance in enumerate(many):
-        values = given | {"instance_id": instance, "instance_a": instance, "parent_id": INSTANCES[0] if index else None}
+        values = given | {"instance_id": instance, "instance_a": instance, "parent_id": INSTANCES[0] if index or must_be_carried else None}
         values |= {"asset_id": assets[index]} if table.name in ("candidates", "selections", "placements") else {}
         rows.append(sample(table.record, **{name: value for name, value in values.items() if name in known}))
     return rows

@@ -27,6 +27,7 @@ COMMANDS = {
     "evaluate": "Measure how well agents navigate the episodes.",
     "train": "Train a learned system on a snapshot or release of the lake.",
     "models": "List, show, export, import and withdraw models.",
+    "synthesize": "Draw what stands on a table, and make scenes of it that simulators load.",
     "status": "Say what is done, running, failed and stale, from the lake alone.",
     "deploy": "Schedule runs on a Prefect server, or start one with a worker.",
     "lake": "Compact, vacuum, back up, restore the lake, or erase a scene from it.",

@@ -12,6 +12,9 @@ DatasetLayout = Literal["metascenes", "habitat"]
 DATASET_LAYOUTS: tuple[DatasetLayout, ...] = get_args(DatasetLayout)
 """Layouts of finished datasets that are read."""
 
+SYNTHESIS = "synthesis"
+"""Format of scenes that no scan shows: a model drew them."""
+
 
 SURFACE_PATTERN = r"floor|ceiling|(wall|inner)_[0-9]{2,}"
 """A part of the room's shell, with all pieces that openings cut it into."""
@@ -26,8 +29,9 @@ class Scene:
     dataset: str = column("Dataset that the scan belongs to")
     scan: str = column("Name of the scan in its dataset")
     scan_format: str = column(
-        "Format that the scan was read from; metascenes and habitat are finished datasets, whose own objects stand for the scan",
-        values=(*SCAN_FORMATS, *DATASET_LAYOUTS),
+        "Format that the scan was read from; metascenes and habitat are finished datasets, whose own objects stand for the scan; synthesis "
+        "is no scan: a model drew what is there",
+        values=(*SCAN_FORMATS, *DATASET_LAYOUTS, SYNTHESIS),
     )
     scan_path: str = column("Folder or file of the scan when it was read", volatile=True)
     alignment: tuple[float, ...] = column("Scan frame to world frame, 4x4 row by row", unit="m", length=16)

@@ -22,8 +22,8 @@ class Placement:
     instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
     asset_id: str = column("Asset", pattern=r"[0-9a-f]{64}")
     origin: str = column(
-        "Who proposed it; imported is a finished dataset that does not say whether a person did",
-        values=("annotation", "selection", "imported"),
+        "Who proposed it; imported is a finished dataset that does not say whether a person did, synthesis a model that drew it",
+        values=("annotation", "selection", "imported", "synthesis"),
     )
     annotator: str | None = column("Annotator whose answer won")
     annotation_match: str | None = column("How the annotation was matched to the instance", values=("same_box", "box_iou"))

@@ -15,6 +15,7 @@ from schemas.capture import Instance, Room, Scene, Shell
 from schemas.exports import ExportCheck, ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
 from schemas.fidelity import Fidelity, SceneFidelity
+from schemas.micro_scenes import MicroScene, MicroSceneObject
 from schemas.navigation import Episode, Navmesh, UnreachableTarget
 from schemas.optimization import Certificate, Contact, Optimization, OptimizationStep, Placement, Support
 from schemas.selection import Selection
@@ -28,7 +29,7 @@ from tasks.shell import room_shell
 from tests.samples import fingerprint, sample, stage_run
 from warehouse.lake import Lake
 
-STAGES = ("capture", "captions", "candidates", "selection", "optimization", "navigation", "fidelity", "exports")
+STAGES = ("capture", "captions", "candidates", "selection", "optimization", "micro_scenes", "navigation", "fidelity", "exports")
 HEIGHT = 2.6
 CATEGORIES = ("chair", "table", "lamp", "book", "box", "plant", "mug & <saucer>")
 
@@ -120,6 +121,7 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
             ],
             "certificates": rows["certificates"],
         },
+        "micro_scenes": _micro_scene(scene_id, objects),
         "navigation": {
             "navmeshes": [
                 sample(
@@ -165,6 +167,26 @@ def _stage_scene(lake: Lake, scene_id: str, number: int, objects: int) -> None:
             started_at=datetime(2026, 1, 1, tzinfo=UTC) + timedelta(minutes=place), host="secret-host:1",
         )  # fmt: skip
         lake.stage_rows(run, outputs[stage])
+
+
+def _micro_scene(scene_id: str, objects: int) -> dict[str, list[Any]]:
+    """A table with a lamp, and a book under a plant, as far as there are so many objects."""
+    of = {"scene_id": scene_id, "large_id": "0001", "parent_id": "0001", "relation": "on", "depth": 1}
+    small = [
+        sample(MicroSceneObject, **{**of, "instance_id": f"{index:04d}", "category": CATEGORIES[index]} | carried)
+        for index, carried in ((2, {}), (3, {}), (5, {"parent_id": "0003", "depth": 2}))
+        if index < objects
+    ]
+    large = sample(
+        MicroScene,
+        scene_id=scene_id,
+        instance_id="0001",
+        room_id=scene_id,
+        room_type="office",
+        category="table",
+        object_count=len(small) or 1,
+    )
+    return {"micro_scenes": [large] if small else [], "micro_scene_objects": small}
 
 
 def _stage_object(lake: Lake, rows: dict[str, list[Any]], scene_id: str, index: int, rng: np.random.Generator) -> list[trimesh.Trimesh]:

@@ -27,12 +27,13 @@ ROOMS = {
 }
 PRODUCT = tuple(room for room in ROOMS if room != "bench")
 """What is in the wheel."""
-DOORS = {("flows/commands/bench/__init__.py", "bench"), ("flows/commands/bench/matching.py", "bench")}
+DOORS = {(f"flows/commands/bench/{name}.py", "bench") for name in ("__init__", "drawing", "matching")}
 """Modules that import what their room does not, where a command asks for it."""
 WIDEST = 20
 """Modules of a folder, besides its `__init__`."""
 HEAVY = {
     "torch",
+    "diffusers",
     "open3d",
     "pxr",
     "transformers",

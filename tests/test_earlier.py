@@ -99,7 +99,8 @@ def test_it_opens_and_every_view_answers_as_it_did(lake: Lake) -> None:
     empty = {"unreachable_targets", "quality_reviews"}
     assert {name for name in CATALOG if name in TABLES and not query(reader, f'FROM "{name}"').num_rows} <= empty
     answered = {view.name: query(reader, f'FROM "{view.name}"').num_rows for view in views()}
-    assert sum(count > 0 for count in answered.values()) > len(answered) * 0.8, answered
+    had = [count for name, count in answered.items() if name in CATALOG]  # others ask of what that version did not compute
+    assert sum(count > 0 for count in had) > len(had) * 0.8, answered
     before = query(lake.snapshot(1), "FROM scenes")
     assert before.num_rows == len(SCENES), "an older snapshot"
     assert query(reader, "SELECT sum(wrong) AS n FROM quality_reviews").to_pylist() == [{"n": 0}]

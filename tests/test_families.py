@@ -74,6 +74,9 @@ ELSEWHERE = {
     "bench/selection/report.py image_similarity": "as above",
     "bench/selection/report.py model": "as above",
     "bench/selection/report.py vision_language": "as above",
+    "bench/synthesis/house.py library": "the parameter, a folder",
+    "bench/synthesis/rooms.py glb": "a row of a scene that was never scanned",
+    "bench/synthesis/rooms.py procedural": "generated rooms hold models of that provider's generator",
     "bench/warehouse/contention.py glb": "a row of a scene that was never scanned",
     "bench/warehouse/library.sql library": "rows of a generated lake, in shares that are like those of real ones",
     "bench/warehouse/library.sql procedural": "as above",
@@ -91,6 +94,8 @@ ELSEWHERE = {
     "flows/commands/ingest.py habitat": "a layout of finished datasets, whose commands differ in what they take",
     "flows/commands/training/models.py model": "a parameter, and the head of a column",
     "flows/commands/watch.py library": "the parameter, a folder",
+    "flows/inputs/synthesis/batches.py model": "what draws layouts, in their facts and fingerprints",
+    "flows/inputs/synthesis/models.py model": "as above",
     "flows/outputs/explain.py model": "the kind of what is explained",
     "flows/run/configuration.py library": "the parameter, a folder",
     "flows/run/plan.py library": "the outside input of a stage",
@@ -135,6 +140,11 @@ ELSEWHERE = {
     "warehouse/lineage/models.py model": "the kind of what is explained",
     "warehouse/lineage/nodes.py extents": "the size of an object",
     "warehouse/lineage/targets.py model": "the kind of what is explained",
+    "tasks/synthesis/model/config.py clip": "the text encoder of a synthesis model",
+    "tasks/synthesis/model/config.py model": "a field of settings",
+    "tasks/synthesis/model/text.py model": "as above",
+    "tasks/training/systems/synthesis.py model": "as above",
+    "warehouse/lineage/nodes.py model": "the kind of a node",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""
 

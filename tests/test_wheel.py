@@ -76,7 +76,7 @@ def test_it_holds_the_product_and_nothing_else(wheel: Path) -> None:
     assert held == ours | {"flows/prefect.yaml"}
     if is_built():
         assert {f"flows/view/built/{name}" for name in ("view.html", "view.js", "view.css", "three.LICENSE")} <= held
-    for name in ("tasks/capture/labels.csv", "tasks/annotation/batch.schema.json", "schemas/lineage.schema.json"):
+    for name in ("tasks/capture/labels.csv", "tasks/annotation/batch.schema.json", "schemas/lineage/lineage.schema.json"):
         assert name in held
     assert {Path(name).suffix for name in held} >= {".py", ".sql", ".csv", ".json", ".jinja", ".yaml", ".typed"}
 

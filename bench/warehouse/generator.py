@@ -64,6 +64,7 @@ _SECONDS = {
     "candidates": 9.0,
     "selection": 7.0,
     "optimization": 40.0,
+    "micro_scenes": 0.1,
     "navigation": 8.0,
     "fidelity": 3.0,
     "exports": 7.0,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from flows.commands.options import grouped, json_option, lake_option, workers_option
+from flows.commands.options import end_with_failures, grouped, json_option, lake_option, workers_option
 
 if TYPE_CHECKING:
     from flows.inputs.ingestion import DatasetImport
@@ -77,11 +76,7 @@ def _run(
         Lake.open(address), kind, folder, dataset, labels=labels, seed=seed, workers=workers, dry_run=dry_run, retry_failed=retry_failed
     )
     print(json.dumps(_as_json(result, dry_run)) if as_json else _as_text(result, dry_run))
-    if not as_json:
-        for scene in result.failed:
-            print(f"{scene.scene_id}: {scene.error}", file=sys.stderr)
-    if result.failed:
-        raise click.exceptions.Exit(1)
+    end_with_failures({} if as_json else {scene.scene_id: scene.error for scene in result.failed}, bool(result.failed))
 
 
 def _as_json(result: DatasetImport, dry_run: bool) -> dict[str, Any]:

@@ -127,12 +127,14 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     Only releases and the last snapshot stay, without the scene. There is no way back but a backup from before. Exit
     code 1 says that something of the scene was found, or that blobs which no row names are too young to be removed: a
     vacuum of the same day may have left them of this scene. The same command again goes on where this one was stopped.
+    Scenes that `metascenes synthesize` made of it show what it showed, and are erased before it.
 
     Example: metascenes lake erase scannet/scene0001_00 --dry-run --lake ./lake
     """
     from flows.scans.erasure import erase_from_caches
     from flows.view.annotating.drafts import erase_drafts
     from warehouse.upkeep.erasure import erase as run
+    from warehouse.upkeep.erasure.dependents import furnished_anew
 
     cached: list[int] = []
     drafts: list[int] = []
@@ -142,28 +144,34 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
         drafts.append(erase_drafts(lake, traces))
 
     lake = existing_lake(address)
-    if not (yes or dry_run) and not (sys.stdin.isatty() and click.confirm(f"Erase {scene} from {lake.address} for good?", err=True)):
+    also = furnished_anew(lake, scene)
+    asked = f"Erase {', '.join([scene, *also])} from {lake.address} for good?"
+    if not (yes or dry_run) and not (sys.stdin.isatty() and click.confirm(asked, err=True)):
         raise click.UsageError(f"{scene} is erased for good: give --yes to say that you mean it, or --dry-run to see what would go")
     with Progress("erasing", sum(1 for _ in lake.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
+        for name in () if dry_run else also:
+            run(lake, name, advance=progress.advance, elsewhere=forget)
         done = run(lake, scene, dry_run=dry_run, advance=progress.advance, elsewhere=forget)
     if dry_run:
         drafts.append(erase_drafts(lake, done.traces, dry_run=True))
-    _tell_erased(done, sum(cached), sum(drafts), dry_run, as_json)
+    _tell_erased(done, also, sum(cached), sum(drafts), dry_run, as_json)
     if done.proof is not None and (done.proof.hits or done.young_blobs):
         raise click.exceptions.Exit(1)
 
 
-def _tell_erased(done: Erasure, cached: int, drafts: int, dry_run: bool, as_json: bool) -> None:
+def _tell_erased(done: Erasure, also: tuple[str, ...], cached: int, drafts: int, dry_run: bool, as_json: bool) -> None:
     if as_json:
         shown: dict[str, Any] = {
             "scene_id": done.scene_id, "dry_run": dry_run, "rows": dict(done.rows), "staged_runs": done.staged_runs, "blobs": done.blobs,
             "snapshots": list(done.snapshots), "releases": list(done.releases), "young_blobs": done.young_blobs, "cached_files": cached,
-            "drafts": drafts, "models": list(done.models),
+            "drafts": drafts, "models": list(done.models), "also": list(also),
             "proof": None if done.proof is None else dataclasses.asdict(done.proof),
         }  # fmt: skip
         print(json.dumps(shown))
         return
     verb = "would go" if dry_run else "erased"
+    for name in also:
+        print(f"{name:<22} all of it {verb}: it was made of {done.scene_id}")
     for table, count in done.rows.items():
         print(f"{table:<22} {count} rows {verb}")
     if not (sum(done.rows.values()) or done.staged_runs or done.blobs or done.releases or drafts):

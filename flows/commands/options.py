@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -110,3 +111,11 @@ def chosen_snapshot(lake: Lake, snapshot_id: int | None, release: str | None) ->
     from warehouse.release import snapshot_of
 
     return snapshot_of(lake, release, snapshot_id)
+
+
+def end_with_failures(errors: Mapping[str, object], has_failed: bool) -> None:
+    """A line on standard error for each scene that failed, by scene id, and exit code 1 where one did."""
+    for scene_id, error in errors.items():
+        print(f"{scene_id}: {error}", file=sys.stderr)
+    if has_failed:
+        raise click.exceptions.Exit(1)

@@ -40,6 +40,7 @@ _READS: Mapping[str, tuple[str, ...]] = {
     "captions": ("capture",),
     "candidates": ("capture",),
     "optimization": ("capture", "candidates"),
+    "micro_scenes": ("capture", "candidates", "optimization"),
     "navigation": ("capture", "candidates", "optimization"),
 }
 """Stages that an import can stand for, in order, and those whose rows theirs name."""

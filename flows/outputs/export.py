@@ -18,7 +18,7 @@ from schemas.capture import Scene
 from schemas.errors import InputError
 from schemas.exports import ExportCheck, ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
-from schemas.licenses import OF_THE_SCAN
+from schemas.lineage.licenses import OF_THE_SCAN
 from warehouse.lake import Lake
 from warehouse.release import snapshot_of
 from warehouse.release.licenses import Allowed

@@ -12,7 +12,7 @@ from typing import Any
 
 from schemas.capture import Instance
 from schemas.exports import ExportCheck, ExportFile
-from schemas.licenses import UNKNOWN, of_asset, scan_of, stated
+from schemas.lineage.licenses import UNKNOWN, of_asset, scan_of, stated
 from schemas.navigation import Episode
 from schemas.optimization import Placement, Support
 from warehouse.lake import Lake

@@ -29,6 +29,9 @@ ROOMS = ("schemas", "tasks")
 MECHANISM = ("tasks.settings", "tasks.stage", "tasks.training", "schemas.tables", "schemas.record", "schemas.errors", "schemas.files")
 """Modules that carry rows around and compute none: a change there redoes nothing."""
 
+DATA = (".csv", ".json", ".yaml")
+"""Suffixes of data files that count as code."""
+
 PICTURES = "pictures-"
 """Folders of the cache with drawn pictures begin with it; a hash of the code follows. Charts name scenes that never had a blob."""
 
@@ -80,7 +83,7 @@ def code_fingerprint(module: str) -> str:
 
     The members of an open family count as imported where `tasks.families.members` makes their tuple.
 
-    Data files (CSV, JSON) in the folders of those modules count as code. Parsing them all takes seconds, so what was found
+    Data files (CSV, JSON, YAML) in the folders of those modules count as code. Parsing them all takes seconds, so what was found
     for exactly these contents is remembered between processes.
     """
     store = FileCache(cache_folder())
@@ -108,7 +111,7 @@ def _remembered(store: Mapping[str, bytes]) -> dict[str, str]:
 @cache
 def _contents_of_rooms() -> str:
     """Hash of all that fingerprints of code are made of: every file that may count, Python's grammar, and how it is done."""
-    paths = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.suffix in (".py", ".csv", ".json")]
+    paths = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.suffix in (".py", *DATA)]
     parts = [f"{path.relative_to(ROOT).as_posix()}={hashlib.sha256(path.read_bytes()).hexdigest()}" for path in sorted(paths)]
     return digest(sys.version, hashlib.sha256(Path(__file__).read_bytes()).hexdigest(), *parts)
 
@@ -125,7 +128,7 @@ def _fingerprint_of(module: str) -> str:
         seen[name] = path
         queue.extend(_imports(path, name))
     folders = sorted({path.parent for path in seen.values() if path.parent.parent != ROOT})
-    data = [p for folder in folders for p in sorted(folder.iterdir()) if p.suffix in (".csv", ".json")]
+    data = [p for folder in folders for p in sorted(folder.iterdir()) if p.suffix in DATA]
     parts = [f"{name}={_code_hash(path)}" for name, path in sorted(seen.items())]
     parts += [f"{p.relative_to(ROOT)}={hashlib.sha256(p.read_bytes()).hexdigest()}" for p in data]
     return digest(*parts)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
+from tasks.micro_scenes import charts as micro_scenes
 from tasks.stats import counts, timelines, volumes, words
 from tasks.stats.columns import GRIDS
 from tasks.stats.grids import OBJECT_LIMIT, ROW_LIMIT
@@ -110,6 +111,9 @@ def report_queries(scenes: ShownScenes) -> dict[str, str]:
         "SELECT category, room_type, objects FROM category_by_room_type WHERE category IN "
         f"(SELECT category FROM category_counts ORDER BY objects DESC, category LIMIT {counts.CATEGORY_LIMIT}) ORDER BY ALL"
     )
+    queries["micro_scene_pairs"] = "SELECT large_category, category, objects FROM micro_scene_pairs ORDER BY ALL"
+    queries["micro_scene_by_room_type"] = "SELECT room_type, large_category, category, objects FROM micro_scene_by_room_type ORDER BY ALL"
+    queries["synthesis_layouts"] = _drawn_layouts()
     for prefix, column in (("", "box_volume_m3"), ("solid_", "solid_volume_m3")):
         queries |= _volumes(f"{prefix}volume_by_category", f"{prefix}volume_outliers", column)
     queries["candidate_wins"] = "SELECT slot, provider, filled, wins FROM candidate_wins ORDER BY slot, provider"
@@ -153,6 +157,18 @@ def _volumes(view: str, outliers: str, column: str) -> dict[str, str]:
     # Of all categories: to ask which are the most frequent would cost more than the few places of the others.
     strays = f"SELECT category, {place} AS volume_m3, count(*) AS objects FROM {outliers} GROUP BY ALL ORDER BY ALL"
     return {view: boxes, outliers: strays}
+
+
+def _drawn_layouts() -> str:
+    """Drawn objects of the first scenes on the large object that most scenes were drawn on, where there are two of them."""
+    alike = "model_id, large_category, room_type, large_size_m"
+    return f"""WITH most AS (
+    SELECT DISTINCT {alike}, alike_scenes FROM synthesis_layouts WHERE alike_scenes > 1
+    ORDER BY alike_scenes DESC, large_category, room_type, large_size_m, model_id LIMIT 1
+)
+SELECT large_category, room_type, large_size_m, scene_id, instance_id, category, box_center_m, box_size_m, yaw_degrees
+FROM synthesis_layouts JOIN most USING ({alike})
+QUALIFY dense_rank() OVER (ORDER BY scene_id) <= {micro_scenes.LAYOUT_LIMIT} ORDER BY scene_id, instance_id"""
 
 
 def _timeline() -> dict[str, str]:
@@ -240,6 +256,10 @@ _ORDERS: Mapping[str, str] = {
     "density_check": "implausible DESC, objects DESC, category",
     "scene_fidelity_overview": "object_f_5cm NULLS LAST, scene_id",
     "fidelity_by_category": "mean_f_5cm NULLS LAST, category",
+    "micro_scene_overview": "room_type = 'all' DESC, micro_scenes DESC, category, room_type",
+    "micro_scene_splits": "split NULLS LAST",
+    "synthesis_figures": "dataset, model_kind, model_id",
+    "synthesis_evaluations": "dataset, split, metric, method, architecture NULLS FIRST, value",
     "navigability": "navigable_share, scene_id, agent",
     "navigation_metrics": "policy, run_name, agent, split, success_distance_m",
     "unreachable_objects": "scene_id, instance_id",

@@ -131,6 +131,7 @@ def _stage_timing(reader: Reader) -> pa.Table:
 def draw_charts(answers: Answers, rasters: bool = True) -> list[Picture]:
     """All charts that have something to show, in the order of the report; without `rasters`, as SVG alone."""
     from flows.stats.pictures import remembered
+    from tasks.micro_scenes import charts as micro_scenes
     from tasks.stats import charts, counts, timelines, volumes, words
     from tasks.stats.style import only_vectors
 
@@ -146,6 +147,9 @@ def draw_charts(answers: Answers, rasters: bool = True) -> list[Picture]:
         (words.word_cloud, (dict(zip(names, frequent["objects"].to_pylist(), strict=True)),)),
         (counts.category_bars, (frequent, categories)),
         (counts.room_map, (rows["category_by_room_type"],)),
+        (micro_scenes.pair_map, (rows["micro_scene_pairs"],)),
+        (micro_scenes.room_type_map, (rows["micro_scene_by_room_type"],)),
+        (micro_scenes.drawn_layouts, (rows["synthesis_layouts"],)),
         (volumes.volume_boxes, (rows["volume_by_category"], rows["volume_outliers"])),
         (volumes.volume_boxes, (rows["solid_volume_by_category"], rows["solid_volume_outliers"], "solid", "solid_volume_by_category")),
         (charts.candidate_bars, (rows["candidate_wins"],)),

@@ -11,7 +11,7 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Instance
 from schemas.fidelity import Fidelity
-from schemas.licenses import of_asset
+from schemas.lineage.licenses import of_asset
 from schemas.optimization import Certificate, Placement, Support
 from schemas.selection import Selection
 from tasks.lineage.words import UNRECORDED, number, scaled

@@ -10,7 +10,7 @@ from tasks.stage import Stage
 STAGE = Stage(
     name="capture",
     reads=(),
-    writes=("scenes", "shells", "rooms", "surfaces", "frames", "instances", "masks"),
+    writes=("scenes", "shells", "rooms", "surfaces", "frames", "instances", "masks", "syntheses", "synthesis_objects"),
     config=CaptureConfig,
     run=run,
     outside=("scan",),

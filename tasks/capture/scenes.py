@@ -142,8 +142,8 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
     )
     frames = [_frame_row(frame, context.scene_id, alignment) for frame in reading.frames]
     return Outcome(
-        scenes=[scene], shells=[shell], rooms=rooms, surfaces=surfaces, frames=frames, instances=rows, masks=masks, blobs=blobs,
-        degradations=[*notes, *mesh_notes],
+        scenes=[scene], shells=[shell], rooms=rooms, surfaces=surfaces, frames=frames, instances=rows, masks=masks,
+        syntheses=[], synthesis_objects=[], blobs=blobs, degradations=[*notes, *mesh_notes],
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from schemas.candidates import Asset
 from schemas.captions import Caption
 from schemas.capture import Instance, RoomSurface, Scene, Shell
 from schemas.errors import InputError
-from schemas.licenses import of_asset, stated
+from schemas.lineage.licenses import of_asset, stated
 from schemas.optimization import Placement, Support
 from tasks.exports.config import ExportsConfig
 from tasks.geometry.mass import MassProperties

@@ -11,7 +11,7 @@ import numpy as np
 from schemas.errors import InputError
 from schemas.files import stays_in
 from tasks.capture.files.documents import name_of
-from tasks.ingestion.scene import Array, FinishedObject, Layout
+from tasks.ingestion.scene import Array, FinishedObject, FloorLayout
 from tasks.ingestion.values import json_document
 
 _CEILING_M = 0.5
@@ -21,7 +21,7 @@ _SHARE_INSIDE = 0.5
 """A layout around fewer of the scene's objects than this is another frame's, or another room's."""
 
 
-def read_layout(files: Sequence[Path], root: Path, objects: Sequence[FinishedObject]) -> tuple[Layout | None, list[str]]:
+def read_layout(files: Sequence[Path], root: Path, objects: Sequence[FinishedObject]) -> tuple[FloorLayout | None, list[str]]:
     """The first of the layouts around the scene's objects, None when none is; and why others were passed over, a line each.
 
     Raises:
@@ -44,7 +44,7 @@ def read_layout(files: Sequence[Path], root: Path, objects: Sequence[FinishedObj
     return None, notes
 
 
-def _layout(file: Path, root: Path, name: str) -> tuple[Layout | None, str]:
+def _layout(file: Path, root: Path, name: str) -> tuple[FloorLayout | None, str]:
     """The floor of a layout file, or why it has none that can be used."""
     import shapely
     from shapely.geometry.polygon import orient
@@ -71,7 +71,7 @@ def _layout(file: Path, root: Path, name: str) -> tuple[Layout | None, str]:
     polygon = shapely.Polygon(floor[:, :2])
     if not polygon.is_valid or polygon.area < 0.1:
         return None, "its floor crosses itself or has no area"
-    return Layout(np.asarray(orient(polygon).exterior.coords)[:-1], height), ""
+    return FloorLayout(np.asarray(orient(polygon).exterior.coords)[:-1], height), ""
 
 
 def _corners(value: Any, name: str, key: str) -> Array:

@@ -160,7 +160,8 @@ def instance_ids(names: list[str]) -> dict[str, str]:
         taken.setdefault(number, name)
     ids = {name: f"{number:04d}" for number, name in taken.items()}
     following = max(taken, default=-1) + 1
-    for name in sorted(set(names) - set(ids), key=lambda name: [int(n) if n.isdigit() else -1 for n in re.split(r"\D+", name)] + [0]):
+    in_numbers = {name: [int(n) if n.isdigit() else -1 for n in re.split(r"\D+", name)] + [0] for name in set(names) - set(ids)}
+    for name in sorted(in_numbers, key=lambda name: (in_numbers[name], name)):
         ids[name] = f"{following:04d}"
         following += 1
     return ids

@@ -8,6 +8,8 @@ from tasks.ingestion.habitat import read_habitat
 from tasks.ingestion.metascenes import read_metascenes
 from tasks.ingestion.rows import scene_rows
 from tasks.ingestion.scene import IngestionConfig, Source
+from tasks.micro_scenes import STAGE as MICRO_SCENES
+from tasks.micro_scenes import MicroScenesConfig
 from tasks.stage import Context, Outcome
 
 
@@ -23,4 +25,8 @@ def ingest(source: Source, context: Context, config: IngestionConfig) -> dict[st
     scene = read_habitat(source, labels) if source.kind == "habitat" else read_metascenes(source, labels)
     if not scene.objects and not scene.stage:
         raise InputError(source.scan, "objects", "there is nothing in the scene", "is it the right folder?")
-    return scene_rows(scene, source, context, config)
+    rows = scene_rows(scene, source, context, config)
+    made = {table: values for outcome in rows.values() for table, values in outcome.rows.items()}
+    reads = {table: made[table] for table in MICRO_SCENES.reads}
+    rows[MICRO_SCENES.name] = MICRO_SCENES.run(**reads, context=context, config=MicroScenesConfig())
+    return rows

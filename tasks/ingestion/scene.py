@@ -104,7 +104,7 @@ class FinishedObject:
 
 
 @dataclasses.dataclass(frozen=True)
-class Layout:
+class FloorLayout:
     """A floor that the dataset states: corners in the world frame, counter-clockwise [m], shape (n, 2), and height [m]."""
 
     polygon: Array
@@ -122,7 +122,7 @@ class FinishedScene:
 
     objects: tuple[FinishedObject, ...]
     stage: tuple[tuple[trimesh.Trimesh, Label], ...]
-    layout: Layout | None
+    layout: FloorLayout | None
     alignment: Array
     room_type: str
     license: str | None

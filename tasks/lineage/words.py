@@ -80,7 +80,8 @@ def _plural(count: Any, singular: str, many: str = "") -> str:
 
 
 def _instance(key: str, facts: Facts) -> list[str]:
-    names = f"labeled {facts['raw_label']!r} in the scan, NYU40 {facts['nyu40_label']}"
+    labeled = "drawn by a model" if facts.get("is_drawn") else f"labeled {facts['raw_label']!r} in the scan"
+    names = f"{labeled}, NYU40 {facts['nyu40_label']}"
     size = f"box {_size(facts['box_size'])}, {number(facts['box_volume_m3'])} m3, {_plural(facts['point_count'], 'point')}"
     return [f"{facts['category']} {key}{' (part of the room)' if facts['is_structure'] else ''}", names, size]
 
@@ -113,7 +114,7 @@ def _proposer(facts: Facts) -> str:
     """Who chose an asset; an imported dataset says at most that people did."""
     if facts["origin"] == "annotation":
         return f"annotator {facts['annotator']}" if facts["annotator"] is not None else "annotators of the imported dataset"
-    return "the imported dataset" if facts["origin"] == "imported" else "selection"
+    return {"imported": "the imported dataset", "synthesis": "the model that drew it"}.get(facts["origin"], "selection")
 
 
 def _placement(key: str, facts: Facts) -> list[str]:
@@ -248,6 +249,23 @@ def _scan(key: str, facts: Facts) -> list[str]:
     ]
 
 
+def _synthesis(key: str, facts: Facts) -> list[str]:
+    share = facts["stable_share"]
+    stable = f", {scaled(share, 100, 0)} % of them stable as drawn" if share is not None else ""
+    which = f"layout {facts['number']} of seed {facts['seed']}, by {facts['model_kind']}"
+    return [
+        f"{facts['category']} of {_size(facts['box_size'])}, room type {facts['room_type']}; {which}",
+        f"{_plural(facts['object_count'], 'object')}, {facts['colliding_count']} in others, {facts['off_support_count']} off{stable}",
+    ]
+
+
+def _drawing(key: str, facts: Facts) -> list[str]:
+    where = f"box {_size(facts['box_size'])} at {point(facts['box_center'])} m of the large object's frame"
+    faults = [text for name, text in (("is_colliding", "in another one"), ("is_off_support", "off its support")) if facts[name]]
+    stays = {None: f"whether it stays is {UNRECORDED}", True: "it would stay there", False: "it would not stay there"}[facts["is_stable"]]
+    return [f"a {facts['category'].replace('_', ' ')}, {where}", "; ".join([*faults, stays])]
+
+
 def _stage(key: str, facts: Facts) -> list[str]:
     head = f"{facts['stage']}: {facts['outcome']}"
     error = f"error: {facts['error']}" if facts.get("error") else ""
@@ -314,5 +332,5 @@ _WORDS: Mapping[str, Callable[[str, Facts], list[str]]] = {
     "candidate": _candidate,
     "provider": _provider, "asset": _asset, "caption": _caption, "mask": _mask, "frame": _frame, "scene": _scene, "scan": _scan,
     "stage": _stage, "export_format": _export_format, "batch": _batch, "blob": _blob, "uses": _uses, "row": _row,
-    "model": _model, "dataset": _dataset,
+    "model": _model, "dataset": _dataset, "synthesis": _synthesis, "drawing": _drawing,
 }  # fmt: skip

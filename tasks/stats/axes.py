@@ -1,4 +1,4 @@
-"""Axes that several charts share: bars with their numbers, labels down the side, plain numbers on logarithmic axes."""
+"""Axes that several charts share: bars with their numbers, cells of heat maps, labels down the side, plain numbers on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tasks.stats.style import PAPER
+from tasks.stats.style import INK, PAPER, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +35,32 @@ def category_axis(axes: Axes, labels: Sequence[str]) -> None:
     axes.set_yticks(np.arange(len(labels)), [short(label) for label in labels])
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(labels) - 0.4, -0.6)
+
+
+def heat_cells(axes: Axes, lines: Sequence[str], columns: Sequence[str], share: Any, texts: Sequence[Sequence[str]]) -> None:
+    """Cells of a heat map: `lines` from top to bottom, `columns` from left to right.
+
+    share: How strong each cell's color is beside the strongest, shape (lines, columns). texts: What stands in each cell; one without a
+    text has no color either.
+    """
+    for line, row in enumerate(texts):
+        for column, text in enumerate(row):
+            if text:
+                strength = 0.06 + 0.42 * share[line, column] / share.max()  # the text on it stays legible on light and on dark ground
+                axes.barh(line, 1.0, left=column - 0.5, height=1.0, color=SERIES[0].light, alpha=strength, linewidth=0)
+                axes.text(column, line, text, ha="center", va="center", fontsize=6.5, color=INK.light)
+    category_axis(axes, [short(name, 22) for name in lines])
+    axes.tick_params(axis="y", labelsize=8)
+    axes.set_ylim(len(lines) - 0.5, -0.5)
+    axes.set_xlim(-0.5, len(columns) - 0.5)
+    few = len(columns) <= 3
+    names = [short(name, 16) for name in columns]
+    axes.set_xticks(np.arange(len(columns)), names, rotation=0 if few else 35, ha="center" if few else "right", rotation_mode="anchor")
+    axes.tick_params(axis="x", labelsize=8)
+    axes.tick_params(axis="x", length=0)
+    axes.grid(visible=False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_visible(False)
 
 
 def short(label: str, length: int = 28) -> str:

@@ -14,6 +14,7 @@ from tasks.stats.grids import (
     as_percent,
     as_share,
     as_size,
+    as_start,
     as_text,
     as_yes,
     grid,
@@ -225,6 +226,34 @@ _COLUMNS: Mapping[str, tuple[str, Format]] = {
     "mean_seen_empty_share": ("In seen-empty space", as_share),
     "mean_in_others_share": ("In others", as_share),
     "mean_color_difference": ("CIEDE2000", as_number),
+    "micro_scenes": ("Micro-scenes", as_count),
+    "room_type": ("Room", as_text),
+    "rooms": ("Rooms", as_count),
+    "mean_objects": ("Each, mean", as_number),
+    "median_objects": ("Median", as_number),
+    "max_objects": ("Most", as_count),
+    "chained_share": ("On small ones", as_percent),
+    "inside_share": ("Inside", as_percent),
+    "leaning_share": ("Leaning", as_percent),
+    "micro_scene_share": ("Of all", as_share),
+    "room_share": ("Of the rooms", as_share),
+    "model_kind": ("Architecture", as_text),
+    "model_id": ("Model", as_start),
+    "category_kl_nat": ("CKL [nat]", as_number),
+    "colliding_share": ("Collide", as_share),
+    "colliding_scene_share": ("Scenes that do", as_share),
+    "off_support_share": ("Off their support", as_share),
+    "drawn_stable_scene_share": ("Scenes stable as drawn", as_share),
+    "settled_stable_scene_share": ("and as settled", as_share),
+    "median_move_m": ("Moved, median [m]", as_number),
+    "p95_move_m": ("95 % below [m]", as_number),
+    "seconds_per_scene": ("Per scene [s]", as_number),
+    "architecture": ("Architecture", as_text),
+    "metric": ("Figure", as_text),
+    "value": ("is", as_number),
+    "low": ("from", as_number),
+    "high": ("to", as_number),
+    "examples": ("Layouts", as_count),
 }
 """Header of a column and how it is written, by its name: the same in every view, but for those that are named with their view."""
 
@@ -321,6 +350,20 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
         "Assets against what was scanned of their objects, means by category",
         "category objects placed unseen mean_f_2cm mean_f_5cm mean_f_10cm least_f_5cm mean_completeness_5cm mean_accuracy_5cm "
         "mean_seen_empty_share mean_in_others_share mean_color_difference",
+    ),
+    "micro_scene_overview": (
+        "Large objects with what belongs to them",
+        "category room_type micro_scenes rooms objects mean_objects median_objects max_objects chained_share inside_share leaning_share",
+    ),
+    "micro_scene_splits": ("Micro-scenes by split", "split micro_scenes rooms objects micro_scene_share room_share"),
+    "synthesis_figures": (
+        "Scenes that models drew",
+        "dataset model_kind model_id scenes objects category_kl_nat colliding_share colliding_scene_share off_support_share "
+        "drawn_stable_scene_share settled_stable_scene_share median_move_m p95_move_m seconds_per_scene",
+    ),
+    "synthesis_evaluations": (
+        "Models on large objects that they did not learn from",
+        "dataset split metric method architecture value low high examples",
     ),
     "navigability": (
         "Navigable floor, the least first",

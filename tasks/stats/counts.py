@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from tasks.stats.axes import bars, category_axis, integer_bins, short
+from tasks.stats.axes import bars, category_axis, heat_cells, integer_bins, short
 from tasks.stats.style import GRID, INK, MUTED, SERIES, Picture, canvas, chart, in_style, panels, picture
 
 SCENE_LIMIT = 20
@@ -120,23 +120,7 @@ def room_map(cells: pa.Table) -> Picture | None:
             objects[place[row["category"]], kept.index(row["room_type"]) if row["room_type"] in kept else -1] += row["objects"]
     axes = canvas(1.5 + 0.185 * len(categories))
     share = objects / objects.sum(axis=1, keepdims=True)
-    for (line, column), count in np.ndenumerate(objects):
-        if count:
-            strength = 0.06 + 0.42 * share[line, column] / share.max()  # the number on it stays legible on light and on dark ground
-            axes.barh(line, 1.0, left=column - 0.5, height=1.0, color=_BLUE, alpha=strength, linewidth=0)
-            axes.text(column, line, thousands(int(count)), ha="center", va="center", fontsize=6.5, color=INK.light)
-    category_axis(axes, [short(name, 22) for name in categories])
-    axes.tick_params(axis="y", labelsize=8)
-    axes.set_ylim(len(categories) - 0.5, -0.5)
-    axes.set_xlim(-0.5, len(columns) - 0.5)
-    few = len(columns) <= 3
-    names = [short(name, 16) for name in columns]
-    axes.set_xticks(np.arange(len(columns)), names, rotation=0 if few else 35, ha="center" if few else "right", rotation_mode="anchor")
-    axes.tick_params(axis="x", labelsize=8)
-    axes.tick_params(axis="x", length=0)
-    axes.grid(visible=False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_visible(False)
+    heat_cells(axes, categories, columns, share, [[thousands(int(count)) if count else "" for count in row] for row in objects])
     title = "Categories by room type"
     axes.figure.supxlabel(
         f"Color: share of the category's objects, at most {share.max():.0%}. Number: objects.", fontsize=8, color=MUTED.light

@@ -110,6 +110,11 @@ def as_text(value: Any) -> str:
     return portable(str(value))
 
 
+def as_start(value: Any) -> str:
+    """The first digits of a hash, enough to tell one from another."""
+    return str(value)[:12]
+
+
 def as_yes(value: Any) -> str:
     """A verdict."""
     return "yes" if value else "no"

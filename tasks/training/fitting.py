@@ -9,12 +9,13 @@ whether training was killed or not, and whoever loaded the batches.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field
@@ -33,7 +34,8 @@ __all__ = [
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-Betas = Annotated[tuple[Annotated[float, Field(ge=0, lt=1)], Annotated[float, Field(ge=0, lt=1)]], LISTED]
+Decay = Annotated[float, Field(ge=0, lt=1)]
+Betas = Annotated[tuple[Decay, Decay], LISTED]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +50,7 @@ class FittingConfig(Config):
     betas: Betas = (0.9, 0.98)  # a second moment over some fifty steps follows the short schedules here
     eps: Positive = 1e-8  # AdamW's own
     clip_norm: Positive = 1.0  # of the gradients; one odd batch does not undo many steps
+    averaging: Decay = 0.0  # how much of the mean of weights stays in a step; 0: no mean, as a falling step size averages, too
     checkpoint_steps: Count = 100  # a kill costs at most these; changes no weight
     validate_steps: Count = 100  # how often held-out examples are looked at, to keep the best weights
     record_steps: Count = 10  # a point of the loss curve is the mean of these
@@ -80,7 +83,8 @@ class Objective(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:
-    """What came of fitting. state_dict: The best weights, of the step `best_step`, on the CPU. seconds: Of all beginnings [s].
+    """What came of fitting. state_dict: The best weights, of the step `best_step`, on the CPU; with `averaging` those of the mean, which
+    are also what is validated. seconds: Of all beginnings [s].
 
     validation: What the best weights reached; None where nobody looked, so that the last are the best.
     """
@@ -113,6 +117,11 @@ def learning_rate_at(step: int, config: FittingConfig) -> float:
     share = (step + 1 - config.warmup_steps) / max(config.steps - config.warmup_steps, 1)
     low, high = min(config.final_learning_rate, config.learning_rate), config.learning_rate
     return low + (high - low) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
+
+
+def decay_at(step: int, decay: float) -> float:
+    """How much of the mean of weights stays after a step, from 0: less at first, so that what was drawn is soon forgotten."""
+    return min(decay, (1.0 + step) / (10.0 + step))
 
 
 def fit(
@@ -179,6 +188,7 @@ class _Run:
         self.validations: dict[int, float] = {}
         self.best: dict[str, Tensor] = {}
         self.best_step = 0
+        self.mean: dict[str, Tensor] = self._learned() if config.averaging else {}
 
     def advance(self, objective: Objective, batch: Any, clock: float) -> None:
         """One step on a batch; `clock`: when the wait for it began."""
@@ -197,6 +207,7 @@ class _Run:
         self.fabric.clip_gradients(self.module, self.optimizer, max_norm=self.config.clip_norm, error_if_nonfinite=False)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
+        self._average()
         seconds = time.perf_counter() - clock
         self.losses.append((value, {name: float(part) for name, part in parts.items()}, rate, seconds))
         self.seconds += seconds
@@ -208,11 +219,11 @@ class _Run:
 
         clock = time.perf_counter()
         self.plain.eval()
-        with torch.no_grad(), seeded(self.seed, "validation"):
+        with torch.no_grad(), seeded(self.seed, "validation"), self._averaged():
             value = objective.validate(self.plain)
         if value is not None and math.isfinite(value):
             if value > max(self.validations.values(), default=-math.inf):
-                self.best, self.best_step = self._weights(), self.step
+                self.best, self.best_step = self._result(), self.step
             self.validations[self.step] = float(value)
         self.seconds += time.perf_counter() - clock
 
@@ -225,7 +236,7 @@ class _Run:
             "best_step": self.best_step, "seconds": self.seconds,
         }  # fmt: skip
         file = io.BytesIO()
-        tensors = {"weights": self._weights(), "best": self.best, "optimizer": self.optimizer.state_dict()}
+        tensors = {"weights": self._weights(), "mean": self.mean, "best": self.best, "optimizer": self.optimizer.state_dict()}
         torch.save({"facts": json.dumps(facts), **tensors}, file)
         return file.getvalue()
 
@@ -237,6 +248,7 @@ class _Run:
         facts, tensors = read
         self.plain.load_state_dict({**self._frozen(), **tensors["weights"]})
         self.optimizer.load_state_dict(tensors["optimizer"])
+        self.mean = {name: tensor.to(self.fabric.device) for name, tensor in tensors["mean"].items()}
         self.best, self.best_step = tensors["best"], facts["best_step"]
         self.step, self.seconds = facts["step"], facts["seconds"]
         self.losses = [(loss, parts, rate, seconds) for loss, parts, rate, seconds in facts["losses"]]
@@ -244,11 +256,39 @@ class _Run:
 
     def fitted(self, device: str) -> Fitted:
         """What came of it."""
-        weights = self.best if self.validations else self._weights()
+        weights = self.best if self.validations else self._result()
         best_step = self.best_step if self.validations else self.step
         state = {name: tensor.detach().cpu().clone() for name, tensor in {**self._frozen(), **weights}.items()}
         ordered = {name: state[name] for name in self.plain.state_dict()}
         return Fitted(ordered, self._curve(), best_step, self.validations.get(best_step), device, self.seconds)
+
+    def _average(self) -> None:
+        """Take the weights of a step into their mean; what is counted is taken as it is."""
+        import torch
+
+        decay = decay_at(self.step, self.config.averaging)
+        with torch.no_grad():
+            for name, tensor in self._learned().items() if self.mean else ():
+                mean = self.mean[name]
+                mean.copy_(decay * mean + (1.0 - decay) * tensor if mean.is_floating_point() else tensor)
+
+    @contextlib.contextmanager
+    def _averaged(self) -> Iterator[None]:
+        """The network has the mean of its weights inside, where there is one."""
+        last = self._learned() if self.mean else {}
+        self.plain.load_state_dict(self.mean, strict=False)
+        try:
+            yield
+        finally:
+            self.plain.load_state_dict(last, strict=False)
+
+    def _learned(self) -> dict[str, Tensor]:
+        """A copy of all that is learned or counted, where it is."""
+        return {name: tensor.detach().clone() for name, tensor in self.plain.state_dict().items() if name not in self.frozen}
+
+    def _result(self) -> dict[str, Tensor]:
+        """Weights that are validated and given back, on the CPU."""
+        return {name: tensor.cpu().clone() for name, tensor in self.mean.items()} if self.mean else self._weights()
 
     def _weights(self) -> dict[str, Tensor]:
         """A copy of all that is learned or counted, on the CPU."""

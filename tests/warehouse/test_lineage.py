@@ -38,7 +38,7 @@ from warehouse.release import make_release
 pytestmark = pytest.mark.whole
 
 SCENE = "scannet/scene0000_00"
-SCHEMA = json.loads((REPOSITORY / "schemas" / "lineage.schema.json").read_text())
+SCHEMA = json.loads((REPOSITORY / "schemas" / "lineage" / "lineage.schema.json").read_text())
 
 
 @dataclasses.dataclass(frozen=True)

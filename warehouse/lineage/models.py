@@ -14,7 +14,7 @@ MOST_PARENTS = 100
 
 def walk_model(walk: Walk, model: LearnedModel) -> str:
     """Walk a model, and those that it began with; the id of its node."""
-    root = _model_node(walk, model)
+    root = model_node(walk, model)
     walk.line(0, "", root)
     node, row = root, model
     for depth in range(1, MOST_PARENTS):
@@ -25,13 +25,13 @@ def walk_model(walk: Walk, model: LearnedModel) -> str:
         if not parents:  # it ships inside the package, or was another lake's
             walk.leads(depth, node, walk.node("model", row.parent_id, {"origin": "elsewhere"}), "began with")
             break
-        parent = _model_node(walk, parents[0])
+        parent = model_node(walk, parents[0])
         walk.leads(depth, node, parent, "began with")
         node, row = parent, parents[0]
     return root
 
 
-def _model_node(walk: Walk, model: LearnedModel) -> str:
+def model_node(walk: Walk, model: LearnedModel) -> str:
     """The node of a model, with its figures."""
     figures = arrow_to_rows(walk.reader.matching("model_evaluations", {"model_id": [model.model_id]}), ModelEvaluation)
     facts = {

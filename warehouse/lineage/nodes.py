@@ -10,9 +10,12 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Instance, Scene
 from schemas.exports import ExportCheck, ExportFile
-from schemas.licenses import OF_THE_SCAN, of_asset, scan_of
 from schemas.lineage import Place
+from schemas.lineage.licenses import OF_THE_SCAN, of_asset, scan_of
 from schemas.optimization import Contact, Placement
+from schemas.synthesis import Synthesis, SynthesisObject
+from schemas.training import LearnedModel
+from warehouse.lineage.models import model_node
 from warehouse.lineage.walk import Walk, picked, position
 
 
@@ -22,6 +25,10 @@ def instance_node(walk: Walk, instance: Instance) -> str:
         instance, "category", "raw_label", "nyu40_label", "is_structure", "source_id", "box_size", "box_volume_m3", "point_count",
         "points_blob", "mesh_blob", "view_blob",
     )  # fmt: skip
+    drawn = walk.row(Synthesis, instance.scene_id)
+    drawn_object = walk.row(SynthesisObject, instance.scene_id, instance_id=instance.instance_id)
+    if drawn is not None and (drawn.based_on is None or drawn_object is not None):
+        facts["is_drawn"] = True
     node = walk.node("instance", f"{instance.scene_id}/{instance.instance_id}", facts, walk.run(instance.scene_id, "capture"))
     walk.check_blobs(node, (instance.points_blob, instance.mesh_blob, instance.view_blob))
     return node
@@ -51,11 +58,31 @@ def scene_node(walk: Walk, source: str, scene_id: str, role: str) -> str:
     return node
 
 
-def follow_scan(walk: Walk, scene: str, scene_id: str, depth: int) -> None:
-    """The scan that a scene was read from, where the scene is there."""
+def follow_scan(walk: Walk, scene: str, scene_id: str, depth: int, role: str = "read from") -> None:
+    """The scan that a scene was read from, or the model that drew it and the scene that it drew it into, where the scene is there."""
+    drawn = walk.row(Synthesis, scene_id)
+    if drawn is not None:
+        _follow_drawing(walk, scene, drawn, depth)
+        return
     scan = scan_node(walk, scene_id)
     if scan is not None:
-        walk.leads(depth, scene, scan, "read from")
+        walk.edge(scene, scan, role)
+        walk.line(depth, "read from", scan)
+
+
+def _follow_drawing(walk: Walk, source: str, row: Synthesis, depth: int) -> None:
+    facts = picked(
+        row, "category", "room_type", "box_size", "seed", "number", "model_kind", "object_count", "colliding_count", "off_support_count",
+        "stable_share",
+    )  # fmt: skip
+    node = walk.node("synthesis", row.scene_id, facts, walk.run(row.scene_id, "capture"))
+    walk.leads(depth, source, node, "drawn on")
+    models = walk.reader.rows_by_key(LearnedModel, [row.model_id])
+    elsewhere = {"origin": "elsewhere"}  # it ships inside the package
+    model = model_node(walk, models[0]) if models else walk.node("model", row.model_id, elsewhere)
+    walk.leads(depth + 1, node, model, "drawn by")
+    if row.based_on is not None and row.based_on_instance is not None:
+        walk.line(depth + 1, "instead of what was on", follow_instance(walk, node, row.based_on, row.based_on_instance, "furnishes anew"))
 
 
 def scan_node(walk: Walk, scene_id: str) -> str | None:

@@ -11,6 +11,7 @@ from schemas.fidelity import Fidelity
 from schemas.navigation import Episode, UnreachableTarget
 from schemas.optimization import APPLIED, Certificate, OptimizationStep, Placement, Support
 from schemas.selection import Selection
+from schemas.synthesis import Synthesis, SynthesisObject
 from warehouse.lineage.nodes import (
     add_annotation,
     answer_key,
@@ -42,10 +43,20 @@ def walk_object(walk: Walk, instance: Instance, depth: int = 0, role: str = "") 
         _offered(walk, instance, root, depth + 1)
     _caption(walk, instance, root, depth + 1)
     _views(walk, instance, root, depth + 1)
+    _drawn(walk, instance, root, depth + 1)
     scene = scene_node(walk, root, scene_id, "cut from")
-    walk.line(depth + 1, "cut from", scene)
+    walk.line(depth + 1, "cut from" if walk.row(Synthesis, scene_id) is None else "in", scene)
     follow_scan(walk, scene, scene_id, depth + 2)
     return root
+
+
+def _drawn(walk: Walk, instance: Instance, root: str, depth: int) -> None:
+    """Where a model drew an object, before anything was moved."""
+    row = walk.row(SynthesisObject, instance.scene_id, instance_id=instance.instance_id)
+    if row is not None:
+        facts = picked(row, "category", "box_center", "box_size", "yaw_radians", "is_colliding", "is_off_support", "is_stable")
+        key = f"{instance.scene_id}/{instance.instance_id}"
+        walk.leads(depth, root, walk.node("drawing", key, facts, walk.run(instance.scene_id, "capture")), "drawn as")
 
 
 def _layout(walk: Walk, row: Placement, depth: int) -> None:

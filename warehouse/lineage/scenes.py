@@ -17,7 +17,7 @@ from schemas.optimization import Certificate, Optimization, OptimizationStep, Pl
 from schemas.record import table_of
 from schemas.selection import Selection
 from schemas.tables import TABLES
-from warehouse.lineage.nodes import exported_places, scan_node, verdict
+from warehouse.lineage.nodes import exported_places, follow_scan, verdict
 from warehouse.lineage.walk import Walk, lost, picked
 
 STAGES = tuple(dict.fromkeys(table.stage for table in TABLES.values() if table.stage and table.grain == "scene"))
@@ -48,10 +48,7 @@ def walk_scene(walk: Walk, scene: Scene) -> str:
         if stage == "optimization":
             _batches(walk, scene_id, node)
         if stage == "capture":
-            scan = scan_node(walk, scene_id)
-            if scan is not None:
-                walk.edge(node, scan, "read")
-                walk.line(2, "read from", scan)
+            follow_scan(walk, node, scene_id, 2, "read")
     _follow(walk, scene_id, root)
     return root
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from schemas.licenses import UNKNOWN, is_unknown, of_asset, stated
+from schemas.lineage.licenses import UNKNOWN, is_unknown, of_asset, stated
 from warehouse.release.licenses import duties
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from schemas.licenses import is_unknown
+from schemas.lineage.licenses import is_unknown
 from schemas.runs import Release
 from schemas.tables import TABLES
 from warehouse.release.attribution import Attribution, cell

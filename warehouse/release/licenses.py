@@ -14,7 +14,7 @@ from pathlib import Path
 from schemas.candidates import Asset
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.licenses import OF_THE_SCAN, is_unknown, of_asset, scan_of
+from schemas.lineage.licenses import OF_THE_SCAN, is_unknown, of_asset, scan_of
 from warehouse.tables.snapshot import Reader
 
 MAX_LIST_BYTES = 2**20

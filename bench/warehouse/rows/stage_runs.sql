@@ -32,6 +32,9 @@ SELECT
             'placements=' || objects, 'supports=' || objects, 'contacts=' || contacts, 'optimization_steps=100', 'optimizations=1',
             'certificates=' || CASE WHEN is_annotated(scene) THEN 3 * objects ELSE 2 * objects END
         ]
+        WHEN stage = 'micro_scenes' THEN [
+            'micro_scenes=' || (objects + 6) // 8, 'micro_scene_objects=' || (objects // 8 * 3 + greatest(0, least(objects % 8 - 1, 3)))
+        ]
         WHEN stage = 'navigation' THEN ['navmeshes=1', 'episodes=10', 'unreachable_targets=' || unreachable, 'splits=1']
         WHEN stage = 'fidelity' THEN ['fidelity=' || objects, 'scene_fidelity=1']
         WHEN stage = 'exports' THEN ['export_files=' || 8 * len(getvariable('formats')), 'export_checks=' || len(getvariable('rules'))]

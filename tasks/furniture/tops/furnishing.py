@@ -114,15 +114,15 @@ def _hang_door(furnisher: Furnisher, opening: Opening) -> None:
 def _place_larges(furnisher: Furnisher, room_type: str, count: int) -> list[Furnishing]:
     """The first piece of the kind of room, and others by chance in their order until there are `count`."""
     pieces, rng = PIECES[room_type], furnisher.rng
-    others = 1 + np.sort(rng.permutation(len(pieces) - 1)[: count - 1])
+    neighbors = 1 + np.sort(rng.permutation(len(pieces) - 1)[: count - 1])
     placed: list[Furnishing] = []
-    for index in (0, *others.tolist(), *(i for i in range(1, len(pieces)) if i not in others)):
+    for index in (0, *neighbors.tolist(), *(i for i in range(1, len(pieces)) if i not in neighbors)):
         if len(placed) == count:
             break
         how, word = pieces[index]
-        found = _place(furnisher, how, word, typical_size(word, rng))
-        if found is not None:
-            placed.append(found)
+        matches = _place(furnisher, how, word, typical_size(word, rng))
+        if matches is not None:
+            placed.append(matches)
     return placed
 
 
@@ -134,9 +134,9 @@ def _place(furnisher: Furnisher, how: str, word: str, size: Extents) -> Furnishi
         return furnisher.centered(word, size)
     side, _, of = how.partition(" ")
     for anchor in furnisher.all_of(of):
-        found = furnisher.beside(anchor, word, size=size) if side == "beside" else furnisher.before(anchor, word, 0.35)
-        if found is not None:
-            return found
+        matches = furnisher.beside(anchor, word, size=size) if side == "beside" else furnisher.before(anchor, word, 0.35)
+        if matches is not None:
+            return matches
     return None
 
 

@@ -47,7 +47,7 @@ Place = Zone | Beside | Seats
 
 
 @dataclasses.dataclass(frozen=True)
-class Item:
+class TopItem:
     """Some objects of one word.
 
     counts: Probabilities that there are 0, 1, 2, ... of them. carriers: Words of objects that it may stand on, each of which carries one
@@ -76,14 +76,14 @@ class Item:
 class Choice:
     """At most one of several sets of items. options: Probability of each set; nothing for what they leave over."""
 
-    options: tuple[tuple[float, tuple[Item, ...]], ...]
+    options: tuple[tuple[float, tuple[TopItem, ...]], ...]
 
     def __post_init__(self) -> None:
         total = sum(share for share, _ in self.options)
         if total > 1.0 + 1e-9 or min(share for share, _ in self.options) < 0:
             raise ValueError(f"options must be probabilities of at most 1 together, are {total}")
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Iterator[TopItem]:
         """Items of all options."""
         for _, items in self.options:
             yield from items
@@ -95,18 +95,18 @@ class Rule:
 
     choices: tuple[Choice, ...]
 
-    def items(self) -> tuple[Item, ...]:
+    def items(self) -> tuple[TopItem, ...]:
         """Items of all choices, in the order of placing."""
         return tuple(item for choice in self.choices for item in choice.items())
 
     def means(self) -> dict[str, float]:
         """Expected number of objects by word before empty draws are discarded, which scales them all alike."""
-        found: dict[str, float] = {}
+        matches: dict[str, float] = {}
         for choice in self.choices:
             for share, items in choice.options:
                 for item in items:
-                    found[item.word] = found.get(item.word, 0.0) + share * item.mean
-        return {word: mean for word, mean in sorted(found.items()) if mean > 0}
+                    matches[item.word] = matches.get(item.word, 0.0) + share * item.mean
+        return {word: mean for word, mean in sorted(matches.items()) if mean > 0}
 
     def count_law(self) -> Array:
         """Probabilities that there are 0, 1, 2, ... objects, none of 0, shape (most + 1,)."""
@@ -116,9 +116,9 @@ class Rule:
         law[0] = 0.0
         return np.trim_zeros(law, "b") / law.sum()
 
-    def draw(self, rng: np.random.Generator) -> list[Item]:
+    def draw(self, rng: np.random.Generator) -> list[TopItem]:
         """Items of a top, as often as they occur on it, in the order of placing; at least one."""
-        drawn: list[Item] = []
+        drawn: list[TopItem] = []
         while not drawn:
             for choice in self.choices:
                 at = rng.random()
@@ -131,7 +131,7 @@ class Rule:
         return drawn
 
 
-def _drawn_count(item: Item, rng: np.random.Generator) -> int:
+def _drawn_count(item: TopItem, rng: np.random.Generator) -> int:
     """How many of an item there are."""
     at, last = rng.random(), len(item.counts) - 1
     for number, share in enumerate(item.counts):
@@ -155,7 +155,7 @@ def _choice_law(choice: Choice) -> Array:
     return total
 
 
-def rule_of(parts: Iterable[Item | Choice]) -> Rule:
+def rule_of(parts: Iterable[TopItem | Choice]) -> Rule:
     """A rule of independent items and choices."""
     return Rule(tuple(part if isinstance(part, Choice) else Choice(((1.0, (part,)),)) for part in parts))
 
@@ -167,12 +167,12 @@ def some(
     on: tuple[str, ...] = (),
     carried: float = 0.6,
     size: Extents | None = None,
-) -> Item:
+) -> TopItem:
     """An item; `counts` may be the probability that there is one."""
     law = (1.0 - counts, counts) if isinstance(counts, float) else counts
-    return Item(word, law, place, on, carried if on else 0.0, size)
+    return TopItem(word, law, place, on, carried if on else 0.0, size)
 
 
-def either(*options: tuple[float, Item | tuple[Item, ...]]) -> Choice:
+def either(*options: tuple[float, TopItem | tuple[TopItem, ...]]) -> Choice:
     """At most one of several sets of items, each with its probability."""
-    return Choice(tuple((share, (items,) if isinstance(items, Item) else items) for share, items in options))
+    return Choice(tuple((share, (items,) if isinstance(items, TopItem) else items) for share, items in options))

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tasks.furniture.tops.laws import Beside, Extents, Item, Seats, Zone
-from tasks.furniture.tops.sizes import COMMON, OWN, SMALL, Surface
+from tasks.furniture.tops.laws import Beside, Extents, Seats, TopItem, Zone
+from tasks.furniture.tops.sizes import COMMON, OWN, SMALL, TopSurface
 
 CLEARANCE_M = 0.006
 """Least distance between neighbors; a millimetre more than is promised, for rounding."""
@@ -45,13 +45,13 @@ _WIDE = Zone()
 
 
 @dataclasses.dataclass
-class Body:
+class PlacedBox:
     """A small object while it is placed, in the frame of what it stands on: the large object, or its carrier.
 
     size: Extents [m]. x, y: Middle [m]. bottom: Height [m]. yaw: [rad]. carrier: Index among the bodies, -1 for the large object.
     """
 
-    item: Item
+    item: TopItem
     size: Extents
     rank: int  # number among the objects of its item
     carrier: int = -1
@@ -85,9 +85,9 @@ class _Side:
     """A side of an object that is placed already."""
 
     law: Beside
-    anchor: Body
+    anchor: PlacedBox
 
-    def middle(self, body: Body, a: float, b: float) -> tuple[float, float]:
+    def middle(self, body: PlacedBox, a: float, b: float) -> tuple[float, float]:
         """The middle of a turned object there, by two numbers of 0 to 1 [m]."""
         c, s = math.cos(self.anchor.yaw), math.sin(self.anchor.yaw)
         across, along = _reach(body.size, body.yaw - self.anchor.yaw)
@@ -105,16 +105,16 @@ Rectangle = tuple[float, float, float, float, float, float, float]
 """Middle, cosine and sine of the yaw, half extents, radius [m]."""
 
 
-def bodies_of(items: Sequence[Item], top: Surface, rng: np.random.Generator) -> list[Body]:
+def bodies_of(items: Sequence[TopItem], top: TopSurface, rng: np.random.Generator) -> list[PlacedBox]:
     """Objects with sizes, some of them on others, not yet placed on the large one. A carrier comes before its load."""
     factors = rng.uniform(*OWN, (len(items), 3)) * rng.uniform(*COMMON, (len(items), 1))
-    bodies: list[Body] = []
+    bodies: list[PlacedBox] = []
     seen: dict[str, int] = {}
     for item, (a, b, c) in zip(items, factors.tolist(), strict=True):
         x, y, z = item.size or SMALL[item.word].extents
         rank = seen.get(item.word, 0)
         seen[item.word] = rank + 1
-        bodies.append(Body(item, (x * a, y * b, z * c), rank))
+        bodies.append(PlacedBox(item, (x * a, y * b, z * c), rank))
     least = min(clearance for _, clearance in top.levels)
     wishes = rng.random(len(bodies))
     for index, body in enumerate(bodies):
@@ -127,7 +127,7 @@ def bodies_of(items: Sequence[Item], top: Surface, rng: np.random.Generator) -> 
     return [bodies[old] for old in order]
 
 
-def _set_on_another(bodies: list[Body], index: int, clearance: float, rng: np.random.Generator) -> None:
+def _set_on_another(bodies: list[PlacedBox], index: int, clearance: float, rng: np.random.Generator) -> None:
     """Put an object on the first carrier of its kinds that is free, stands on the large object and is large enough."""
     body = bodies[index]
     for other, carrier in enumerate(bodies):
@@ -146,7 +146,7 @@ def _set_on_another(bodies: list[Body], index: int, clearance: float, rng: np.ra
                 return
 
 
-def place(bodies: list[Body], top: Surface, rng: np.random.Generator) -> None:
+def place(bodies: list[PlacedBox], top: TopSurface, rng: np.random.Generator) -> None:
     """Place those that stand on the large object itself; those on others go with them. Always succeeds."""
     roots = [index for index, body in enumerate(bodies) if body.carrier < 0]
     for number in range(ROUNDS):
@@ -158,7 +158,7 @@ def place(bodies: list[Body], top: Surface, rng: np.random.Generator) -> None:
     _loosen(bodies, roots, top, rng)
 
 
-def _by_size(bodies: list[Body], roots: list[int]) -> list[int]:
+def _by_size(bodies: list[PlacedBox], roots: list[int]) -> list[int]:
     """The largest first, each followed by what belongs beside it."""
     areas = {index: bodies[index].size[0] * bodies[index].size[1] for index in roots}
     largest: dict[str, float] = {}
@@ -173,10 +173,10 @@ def _by_size(bodies: list[Body], roots: list[int]) -> list[int]:
     return sorted(roots, key=lambda index: (-areas[index], index))
 
 
-def _place_once(bodies: list[Body], roots: list[int], top: Surface, rng: np.random.Generator, tries: int) -> bool:
+def _place_once(bodies: list[PlacedBox], roots: list[int], top: TopSurface, rng: np.random.Generator, tries: int) -> bool:
     """Draw a place for each object after the other, after `TRIES` anywhere; False when one finds none."""
     taken: list[list[Rectangle]] = [[] for _ in top.levels]
-    placed: dict[str, list[Body]] = {}
+    placed: dict[str, list[PlacedBox]] = {}
     seats = _seats(top, rng) if any(isinstance(bodies[index].item.place, Seats) for index in roots) else []
     for index in roots:
         body = bodies[index]
@@ -214,7 +214,7 @@ def _level(spot: Spot, count: int, share: float) -> int:
     return first + min(int(share * (last - first + 1)), last - first)
 
 
-def _turn(item: Item, base: float, share: float) -> float:
+def _turn(item: TopItem, base: float, share: float) -> float:
     """A turn by the law of its word, from two numbers of 0 to 1 [rad]."""
     kind = SMALL[item.word]
     return kind.bases[int(base * len(kind.bases))] + (2 * share - 1) * kind.spread
@@ -226,7 +226,7 @@ def _reach(size: Extents, yaw: float) -> tuple[float, float]:
     return 0.5 * (size[0] * c + size[1] * s), 0.5 * (size[0] * s + size[1] * c)
 
 
-def _settle(body: Body, spot: Spot, top: Surface, draws: tuple[float, float, float, float]) -> bool:
+def _settle(body: PlacedBox, spot: Spot, top: TopSurface, draws: tuple[float, float, float, float]) -> bool:
     """Put an object at a spot by four numbers of 0 to 1; False when it would reach over the edge."""
     a, b, c, d = draws
     body.yaw = _turn(body.item, c, d)
@@ -253,7 +253,7 @@ def _settle(body: Body, spot: Spot, top: Surface, draws: tuple[float, float, flo
     return low_x <= body.x <= high_x and low_y <= body.y <= high_y
 
 
-def _seats(top: Surface, rng: np.random.Generator) -> list[_Seat]:
+def _seats(top: TopSurface, rng: np.random.Generator) -> list[_Seat]:
     """Seats round a top, the last taken first: in a drawn order, the long sides before the ends."""
     x, y = 0.5 * (top.x[0] + top.x[1]), 0.5 * (top.y[0] + top.y[1])
     deep, wide = top.x[1] - top.x[0], top.y[1] - top.y[0]
@@ -264,14 +264,14 @@ def _seats(top: Surface, rng: np.random.Generator) -> list[_Seat]:
     return [ends[i] for i in rng.permutation(2).tolist()] + [sides[i] for i in rng.permutation(2 * count).tolist()]
 
 
-def _rectangle(body: Body) -> Rectangle:
+def _rectangle(body: PlacedBox) -> Rectangle:
     half_x, half_y = 0.5 * body.size[0], 0.5 * body.size[1]
     return body.x, body.y, math.cos(body.yaw), math.sin(body.yaw), half_x, half_y, math.hypot(half_x, half_y)
 
 
-def _meet(one: Rectangle, other: Rectangle) -> bool:
+def _meet(entry: Rectangle, other: Rectangle) -> bool:
     """Whether two rectangles come nearer than the clearance, by the axes of their sides."""
-    x0, y0, c0, s0, a0, b0, r0 = one
+    x0, y0, c0, s0, a0, b0, r0 = entry
     x1, y1, c1, s1, a1, b1, r1 = other
     dx, dy, reach = x1 - x0, y1 - y0, r0 + r1 + CLEARANCE_M
     if dx * dx + dy * dy > reach * reach:
@@ -285,7 +285,7 @@ def _meet(one: Rectangle, other: Rectangle) -> bool:
     )
 
 
-def _pack(bodies: list[Body], roots: list[int], top: Surface) -> None:
+def _pack(bodies: list[PlacedBox], roots: list[int], top: TopSurface) -> None:
     """Set all straight and against each other or the edges, the largest first, each as near to its zone as it can; smaller and smaller
     until they fit."""
     order = sorted(roots, key=lambda index: (-bodies[index].size[0] * bodies[index].size[1], index))
@@ -298,7 +298,7 @@ def _pack(bodies: list[Body], roots: list[int], top: Surface) -> None:
                 _keep_within(body, bodies[body.carrier])
 
 
-def _keep_within(body: Body, carrier: Body) -> None:
+def _keep_within(body: PlacedBox, carrier: PlacedBox) -> None:
     """Keep what stands on another object within its edges, after both became smaller; their margin does not."""
     across, along = _reach(body.size, body.yaw)
     free_x, free_y = 0.5 * carrier.size[0] - MARGIN_M, 0.5 * carrier.size[1] - MARGIN_M
@@ -308,13 +308,13 @@ def _keep_within(body: Body, carrier: Body) -> None:
     body.x, body.y, body.bottom = min(max(body.x, -free_x), free_x), min(max(body.y, -free_y), free_y), carrier.size[2]
 
 
-def _loosen(bodies: list[Body], roots: list[int], top: Surface, rng: np.random.Generator) -> None:
+def _loosen(bodies: list[PlacedBox], roots: list[int], top: TopSurface, rng: np.random.Generator) -> None:
     """Draw places again for packed objects, one by one, where another one than the packed is free."""
     first = {bodies[index].item.word: bodies[index] for index in reversed(roots)}
     for _ in range(SWEEPS):
         for index in roots:
             body = bodies[index]
-            others = [_rectangle(bodies[other]) for other in roots if other != index and bodies[other].bottom == body.bottom]
+            rest = [_rectangle(bodies[other]) for other in roots if other != index and bodies[other].bottom == body.bottom]
             packed = body.x, body.y, body.yaw
             law = body.item.place
             own: Spot = law if isinstance(law, Zone) else _WIDE
@@ -322,12 +322,12 @@ def _loosen(bodies: list[Body], roots: list[int], top: Surface, rng: np.random.G
                 own = _Side(law, first[law.anchor])
             for number, draws in enumerate(rng.random((TRIES, 4)).tolist()):
                 spot = own if 2 * number < TRIES else _WIDE
-                if _settle(body, spot, top, draws) and not any(_meet(_rectangle(body), other) for other in others):
+                if _settle(body, spot, top, draws) and not any(_meet(_rectangle(body), other) for other in rest):
                     break
                 body.x, body.y, body.yaw = packed
 
 
-def _pack_once(bodies: list[Body], order: list[int], top: Surface) -> bool:
+def _pack_once(bodies: list[PlacedBox], order: list[int], top: TopSurface) -> bool:
     """One attempt; False when not all fit."""
     taken: list[list[Rectangle]] = [[] for _ in top.levels]
     for index in order:
@@ -352,7 +352,7 @@ def _pack_once(bodies: list[Body], order: list[int], top: Surface) -> bool:
     return True
 
 
-def _corners(body: Body, yaw: float, taken: list[Rectangle], top: Surface) -> list[tuple[float, float]]:
+def _corners(body: PlacedBox, yaw: float, taken: list[Rectangle], top: TopSurface) -> list[tuple[float, float]]:
     """Middles at which an object touches, along each axis, an edge of the top or an object that stands there [m]."""
     ways = []
     for axis, (half, (low, high)) in enumerate(zip(_reach(body.size, yaw), (top.x, top.y), strict=True)):

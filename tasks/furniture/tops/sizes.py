@@ -24,7 +24,7 @@ OWN = (0.97, 1.03)
 
 
 @dataclasses.dataclass(frozen=True)
-class Small:
+class SmallSize:
     """A small object. extents: Usual ones [m]: depth (x), width (y), height (z). bases: Turns that occur alike often, from the front of
     the large object, the anchor or towards the seat, give or take up to `spread` [rad]."""
 
@@ -33,74 +33,74 @@ class Small:
     spread: float = 0.1
 
 
-def _round(x: float, y: float, z: float) -> Small:
-    return Small((x, y, z), (0.0,), ANY)
+def _round(x: float, y: float, z: float) -> SmallSize:
+    return SmallSize((x, y, z), (0.0,), ANY)
 
 
-def _loose(x: float, y: float, z: float) -> Small:
-    return Small((x, y, z), _QUARTERS, 0.3)
+def _loose(x: float, y: float, z: float) -> SmallSize:
+    return SmallSize((x, y, z), _QUARTERS, 0.3)
 
 
-SMALL: dict[str, Small] = {
-    "backpack": Small((0.2, 0.3, 0.42), (0.0,), 0.3),
+SMALL: dict[str, SmallSize] = {
+    "backpack": SmallSize((0.2, 0.3, 0.42), (0.0,), 0.3),
     "bag": _loose(0.15, 0.32, 0.28),
     "ball": _round(0.2, 0.2, 0.2),
     "basket": _round(0.2, 0.2, 0.15),
-    "blanket": Small((0.45, 0.62, 0.09), (0.0,), 0.15),
+    "blanket": SmallSize((0.45, 0.62, 0.09), (0.0,), 0.15),
     "blender": _round(0.16, 0.16, 0.36),
     "book": _loose(0.2, 0.14, 0.03),
-    "book stack": Small((0.21, 0.155, 0.135), _QUARTERS, 0.2),
+    "book stack": SmallSize((0.21, 0.155, 0.135), _QUARTERS, 0.2),
     "bottle": _round(0.075, 0.075, 0.24),
     "bowl": _round(0.15, 0.15, 0.07),
-    "box": Small((0.13, 0.18, 0.1), _QUARTERS, 0.12),
-    "camera": Small((0.11, 0.12, 0.085), (0.0,), 0.8),
+    "box": SmallSize((0.13, 0.18, 0.1), _QUARTERS, 0.12),
+    "camera": SmallSize((0.11, 0.12, 0.085), (0.0,), 0.8),
     "can": _round(0.066, 0.066, 0.12),
     "candle": _round(0.065, 0.065, 0.11),
     "cell phone": _loose(0.15, 0.075, 0.01),
-    "clock": Small((0.05, 0.11, 0.11), (0.0,), 0.25),
+    "clock": SmallSize((0.05, 0.11, 0.11), (0.0,), 0.25),
     "clothes": _loose(0.28, 0.23, 0.08),
-    "coffee maker": Small((0.25, 0.18, 0.32), (0.0,), 0.08),
-    "computer tower": Small((0.38, 0.18, 0.38), (0.0,), 0.04),
+    "coffee maker": SmallSize((0.25, 0.18, 0.32), (0.0,), 0.08),
+    "computer tower": SmallSize((0.38, 0.18, 0.38), (0.0,), 0.04),
     "cup": _round(0.08, 0.08, 0.09),
-    "cutting board": Small((0.25, 0.35, 0.02), (0.0, 0.0, 0.5 * math.pi), 0.12),
-    "desk lamp": Small((0.32, 0.16, 0.42), (0.0,), 0.5),
-    "desk organizer": Small((0.11, 0.2, 0.11), (0.0,), 0.15),
+    "cutting board": SmallSize((0.25, 0.35, 0.02), (0.0, 0.0, 0.5 * math.pi), 0.12),
+    "desk lamp": SmallSize((0.32, 0.16, 0.42), (0.0,), 0.5),
+    "desk organizer": SmallSize((0.11, 0.2, 0.11), (0.0,), 0.15),
     "headphones": _loose(0.1, 0.16, 0.18),
-    "iron": Small((0.25, 0.11, 0.14), (0.0,), 0.5),
+    "iron": SmallSize((0.25, 0.11, 0.14), (0.0,), 0.5),
     "jar": _round(0.085, 0.085, 0.13),
     "kettle": _round(0.2, 0.15, 0.22),
-    "keyboard": Small((0.135, 0.42, 0.025), (0.0,), 0.05),
+    "keyboard": SmallSize((0.135, 0.42, 0.025), (0.0,), 0.05),
     "kitchen utensils": _round(0.11, 0.11, 0.29),
-    "laptop": Small((0.26, 0.33, 0.22), (0.0,), 0.15),
-    "microwave": Small((0.31, 0.44, 0.26), (0.0,), 0.04),
-    "mirror": Small((0.04, 0.26, 0.36), (0.0,), 0.1),
-    "monitor": Small((0.19, 0.5, 0.42), (0.0,), 0.08),
-    "mouse": Small((0.11, 0.062, 0.038), (0.0,), 0.2),
+    "laptop": SmallSize((0.26, 0.33, 0.22), (0.0,), 0.15),
+    "microwave": SmallSize((0.31, 0.44, 0.26), (0.0,), 0.04),
+    "mirror": SmallSize((0.04, 0.26, 0.36), (0.0,), 0.1),
+    "monitor": SmallSize((0.19, 0.5, 0.42), (0.0,), 0.08),
+    "mouse": SmallSize((0.11, 0.062, 0.038), (0.0,), 0.2),
     "mug": _round(0.11, 0.08, 0.095),
     "pan": _loose(0.4, 0.24, 0.06),
     "paper": _loose(0.295, 0.21, 0.01),
-    "picture": Small((0.03, 0.14, 0.18), (0.0,), 0.3),
-    "pillow": Small((0.16, 0.42, 0.36), (0.0,), 0.12),
+    "picture": SmallSize((0.03, 0.14, 0.18), (0.0,), 0.3),
+    "pillow": SmallSize((0.16, 0.42, 0.36), (0.0,), 0.12),
     "plant": _round(0.15, 0.15, 0.25),
     "plate": _round(0.21, 0.21, 0.022),
     "pot": _loose(0.26, 0.2, 0.15),
-    "printer": Small((0.3, 0.38, 0.22), (0.0,), 0.05),
-    "projector": Small((0.25, 0.3, 0.11), (-0.5 * math.pi, 0.5 * math.pi), 0.1),
+    "printer": SmallSize((0.3, 0.38, 0.22), (0.0,), 0.05),
+    "projector": SmallSize((0.25, 0.3, 0.11), (-0.5 * math.pi, 0.5 * math.pi), 0.1),
     "remote control": _loose(0.18, 0.05, 0.022),
-    "sculpture": Small((0.14, 0.14, 0.25), (0.0,), 0.4),
-    "soap dispenser": Small((0.075, 0.075, 0.17), (0.0,), 0.5),
-    "speaker": Small((0.17, 0.16, 0.26), (0.0,), 0.2),
-    "storage bin": Small((0.24, 0.3, 0.17), (0.0,), 0.08),
-    "stuffed animal": Small((0.18, 0.22, 0.27), (0.0,), 0.5),
+    "sculpture": SmallSize((0.14, 0.14, 0.25), (0.0,), 0.4),
+    "soap dispenser": SmallSize((0.075, 0.075, 0.17), (0.0,), 0.5),
+    "speaker": SmallSize((0.17, 0.16, 0.26), (0.0,), 0.2),
+    "storage bin": SmallSize((0.24, 0.3, 0.17), (0.0,), 0.08),
+    "stuffed animal": SmallSize((0.18, 0.22, 0.27), (0.0,), 0.5),
     "table lamp": _round(0.17, 0.17, 0.36),
     "tablet": _loose(0.17, 0.24, 0.01),
-    "telephone": Small((0.18, 0.16, 0.08), (0.0,), 0.3),
+    "telephone": SmallSize((0.18, 0.16, 0.08), (0.0,), 0.3),
     "tissue box": _loose(0.115, 0.18, 0.09),
-    "toaster": Small((0.16, 0.27, 0.19), (0.0,), 0.1),
+    "toaster": SmallSize((0.16, 0.27, 0.19), (0.0,), 0.1),
     "toilet paper": _round(0.11, 0.11, 0.1),
-    "towel": Small((0.22, 0.28, 0.07), (0.0,), 0.12),
-    "tray": Small((0.28, 0.4, 0.035), (0.0,), 0.12),
-    "tv": Small((0.19, 0.86, 0.53), (0.0,), 0.03),
+    "towel": SmallSize((0.22, 0.28, 0.07), (0.0,), 0.12),
+    "tray": SmallSize((0.28, 0.4, 0.035), (0.0,), 0.12),
+    "tv": SmallSize((0.19, 0.86, 0.53), (0.0,), 0.03),
     "vase": _round(0.12, 0.12, 0.25),
     "wine glass": _round(0.08, 0.08, 0.19),
 }
@@ -125,7 +125,7 @@ LARGE: dict[str, tuple[Span, Span, Span]] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Surface:
+class TopSurface:
     """Where something can stand on a large object, in its frame. x, y: Spans [m]. levels: Heights with the clearance above each [m]."""
 
     x: Span
@@ -139,7 +139,7 @@ def typical_size(word: str, rng: np.random.Generator) -> Extents:
     return x, y, z
 
 
-def surface(word: str, size: Extents) -> Surface:
+def surface(word: str, size: Extents) -> TopSurface:
     """What carries in a large object of these extents [m], shape (3,): its top, its seat, or the boards of a shelf."""
     x, y, z = 0.5 * size[0], 0.5 * size[1], size[2]
     if word == "bookshelf":
@@ -147,10 +147,12 @@ def surface(word: str, size: Extents) -> Surface:
         board = min(BOARD_M, 0.04 * z)
         inset = min(0.035, 0.1 * y)
         boards = tuple((low, high - low - board) for low, high in pairwise(levels))
-        return Surface((-x + min(0.012, 0.05 * x), x - min(0.008, 0.05 * x)), (-y + inset, y - inset), boards)
+        return TopSurface((-x + min(0.012, 0.05 * x), x - min(0.008, 0.05 * x)), (-y + inset, y - inset), boards)
     if word == "bed":
-        return Surface((-x + 0.24 * size[0], x - 0.03 * size[0]), (-0.95 * y, 0.95 * y), ((0.52 * z, math.inf),))
+        return TopSurface((-x + 0.24 * size[0], x - 0.03 * size[0]), (-0.95 * y, 0.95 * y), ((0.52 * z, math.inf),))
     if word == "sofa":
-        return Surface((-x + 0.4 * size[0], x - 0.03 * size[0]), (-y + 0.1 * size[1], y - 0.1 * size[1]), ((0.48 * z, math.inf),))
+        return TopSurface((-x + 0.4 * size[0], x - 0.03 * size[0]), (-y + 0.1 * size[1], y - 0.1 * size[1]), ((0.48 * z, math.inf),))
     # fronts and handles reach a little beyond the board on top
-    return Surface((-x + min(0.01, 0.1 * x), x - min(0.025, 0.1 * x)), (-y + min(0.01, 0.1 * y), y - min(0.01, 0.1 * y)), ((z, math.inf),))
+    return TopSurface(
+        (-x + min(0.01, 0.1 * x), x - min(0.025, 0.1 * x)), (-y + min(0.01, 0.1 * y), y - min(0.01, 0.1 * y)), ((z, math.inf),)
+    )

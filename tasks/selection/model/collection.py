@@ -15,7 +15,7 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
-from schemas.licenses import of_asset, stated
+from schemas.lineage.licenses import of_asset, stated
 from schemas.navigation import Split
 from schemas.selection import Selection
 from tasks.geometry.transforms import inverse, matrix

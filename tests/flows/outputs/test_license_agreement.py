@@ -19,7 +19,7 @@ from flows.run.fingerprints import canonical_json
 from flows.worker import Job, execute
 from schemas.candidates import Candidate
 from schemas.families.export_formats import EXPORT_FORMATS
-from schemas.licenses import OF_THE_SCAN
+from schemas.lineage.licenses import OF_THE_SCAN
 from schemas.optimization import Placement
 from tasks import exports
 from tasks.exports import bodies

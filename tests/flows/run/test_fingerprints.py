@@ -395,3 +395,20 @@ def test_an_unwritable_cache_is_a_mapping_all_the_same(tmp_path: Path) -> None:
     assert (list(cache), len(cache)) == (["a"], 1)
     del cache["a"]
     assert "a" not in cache
+
+
+@pytest.mark.parametrize("kind", ["csv", "json", "yaml"])
+def test_data_beside_a_module_is_a_part_of_its_code(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "tasks" / "toy"
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").write_text("from tasks.toy.words import WORDS\n")
+    (folder / "words.py").write_text("WORDS = 1\n")
+    monkeypatch.setattr(fingerprints, "ROOT", tmp_path)
+    prints = set()
+    for text in (None, "a", "b"):
+        if text is not None:
+            (folder / f"words.{kind}").write_text(text)
+        prints.add((fingerprints._fingerprint_of("tasks.toy"), fingerprints._contents_of_rooms.__wrapped__()))
+    assert [len(set(column)) for column in zip(*prints, strict=True)] == [3, 3]
+    (folder / "words.txt").write_text("no data")
+    assert fingerprints._fingerprint_of("tasks.toy") in {first for first, _ in prints}

@@ -331,8 +331,8 @@ def test_changes_make_scenes_stale_and_say_which(lake: Lake, scans: list[Scan], 
     found = told(lake, "--set", "optimization.method.max_moves=7")
     assert found["counts"]["stale"] == 2
     assert {stage: one["why"] for stage, one in found["todo"][names[0]].items()} == {
-        "optimization": "config changed", "navigation": "optimization will be redone", "fidelity": "optimization will be redone",
-        "exports": "optimization, navigation will be redone",
+        "optimization": "config changed", "micro_scenes": "optimization will be redone", "navigation": "optimization will be redone",
+        "fidelity": "optimization will be redone", "exports": "optimization, navigation will be redone",
     }  # fmt: skip
     file = tmp_path / "config.toml"
     file.write_text("[optimization.method]\nmax_moves = 7\n")

@@ -15,6 +15,8 @@ from flows.stats import queries
 from flows.stats.queries import ShownScenes, report_queries
 from schemas.capture import Instance, Room, Scene
 from schemas.runs import Release
+from schemas.synthesis import Synthesis, SynthesisObject
+from tasks.micro_scenes.charts import LAYOUT_LIMIT
 from tests.samples import START, fingerprint, sample, stage_run
 from tests.warehouse.questions.view_answers import Database
 
@@ -131,3 +133,27 @@ def test_growth_is_in_the_order_of_the_snapshots(database: Database) -> None:
     order = ["early", "v1", "v2", "v2-again"]
     assert [row["name"] for row in database.ask("dataset_growth")] == order
     assert [(row["name"], row["scenes"]) for row in ask(database, "dataset_growth")] == list(zip(order, (2, 4, 20, 20), strict=True))
+
+
+def test_layouts_are_drawn_of_the_large_object_with_the_most_of_them(database: Database) -> None:
+    """Eight layouts on a desk in an office, each with as many objects as its number says, beside fewer on others."""
+    asked = [("desk", "office", 8), ("desk", "kitchen", 3), ("table", "office", 7)]
+    scenes = [
+        sample(
+            Synthesis, scene_id=f"{category}-{room_type}/{n}", category=category, room_type=room_type, box_size=(0.7, 1.4, 0.75), number=n
+        )
+        for category, room_type, count in asked
+        for n in range(count)
+    ]
+    objects = [sample(SynthesisObject, scene_id=row.scene_id, instance_id=f"{n:04d}") for row in scenes for n in range(row.number)]
+    database.fill(*scenes, *objects)
+    found = ask(database, "synthesis_layouts")
+    expected: dict[str, list[str | None]] = {f"desk-office/{n}": [f"{at:04d}" for at in range(n)] for n in range(1, LAYOUT_LIMIT)}
+    expected["desk-office/0"] = [None]
+    by_scene: dict[str, list[str | None]] = defaultdict(list)
+    for row in found:
+        by_scene[row["scene_id"]].append(row["instance_id"])
+        assert (row["large_category"], row["room_type"], row["large_size_m"]) == ("desk", "office", [0.7, 1.4, 0.75])
+    assert by_scene == expected
+    database.fill(scenes[0], scenes[-1])
+    assert ask(database, "synthesis_layouts") == []  # nothing to hold side by side

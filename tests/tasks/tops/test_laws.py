@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tasks.furniture import CATEGORIES, tops
-from tasks.furniture.tops.laws import Choice, Item, Rule
+from tasks.furniture.tops.laws import Choice, Rule, TopItem
 from tasks.furniture.tops.sizes import LARGE, SMALL
 from tasks.micro_scenes.categories import read_categories
 
@@ -34,7 +34,7 @@ def rules(draw) -> Rule:
         options = draw(st.lists(st.lists(st.tuples(st.sampled_from("abc"), counts()), max_size=2), min_size=1, max_size=2))
         shares = np.array([draw(st.integers(1, 4)) for _ in options]) / draw(st.integers(4 * len(options), 10))
         shares = shares / max(1.0, shares.sum())
-        choices.append(Choice(tuple((float(s), tuple(Item(*item) for item in items)) for s, items in zip(shares, options, strict=True))))
+        choices.append(Choice(tuple((float(s), tuple(TopItem(*item) for item in items)) for s, items in zip(shares, options, strict=True))))
     return Rule(tuple(choices))
 
 
@@ -165,4 +165,4 @@ def test_pairs_without_a_rule_are_named(call):
 @pytest.mark.parametrize("shares", [(0.5, 0.4), (1.2, -0.2)])
 def test_counts_that_are_no_probabilities_are_refused(shares):
     with pytest.raises(ValueError, match="probabilities"):
-        Item("mug", shares)
+        TopItem("mug", shares)

@@ -13,13 +13,16 @@ import numpy as np
 import pytest
 
 from tasks.training.checkpoints import names_of
-from tasks.training.fitting import FittingConfig, fit, forget, learning_rate_at, seeded, weights_of
+from tasks.training.fitting import FittingConfig, decay_at, fit, forget, learning_rate_at, seeded, weights_of
 from tasks.training.trained import Diverged
 from tasks.weights import from_safetensors
 
 torch = pytest.importorskip("torch")
 
 QUICK = FittingConfig(steps=23, warmup_steps=3, checkpoint_steps=4, validate_steps=6, record_steps=5)
+
+
+AVERAGED = dataclasses.replace(QUICK, averaging=0.8, learning_rate=0.05)
 
 
 class Interrupted(Exception):
@@ -131,6 +134,53 @@ def test_the_best_weights_are_kept() -> None:
     module = network()
     module.load_state_dict(result.state_dict)
     assert objective.validate(module.eval()) == result.validation
+
+
+@pytest.mark.parametrize("stops", [(1,), (6, 9), (3, 22, 23)])
+def test_the_mean_of_weights_goes_on_after_interruptions(stops: tuple[int, ...]) -> None:
+    kept: dict[str, bytes] = {}
+    for stop in stops:
+        with pytest.raises(Interrupted):
+            fitted(AVERAGED, kept, stop=stop)
+    assert digest(fitted(AVERAGED, kept)) == digest(fitted(AVERAGED))
+
+
+def test_the_mean_is_that_of_the_recursion_and_is_what_is_validated_and_kept() -> None:
+    class Watched(Product):
+        def __init__(self) -> None:
+            super().__init__()
+            self.seen: list[dict[str, Any]] = []
+
+        def loss(self, module: Any, batch: Any) -> Any:
+            self.seen.append({name: tensor.detach().clone() for name, tensor in module.state_dict().items()})
+            return super().loss(module, batch)
+
+    objective, module = Watched(), network()
+    config = dataclasses.replace(AVERAGED, validate_steps=1)
+    result = fitted(config, objective=objective, module=module)
+    last = module.state_dict()
+    # a step sees the weights, before it, but running figures of norms after the steps before alone
+    weights = [*objective.seen[1:], last]
+    expected, scores = objective.seen[0], []
+    plain = fitted(dataclasses.replace(config, averaging=0.0), module=network())
+    for step, state in enumerate(weights):
+        decay = decay_at(step, 0.8)
+        expected = {
+            name: decay * mean + (1 - decay) * state[name] if mean.is_floating_point() else state[name] for name, mean in expected.items()
+        }
+        other = network()
+        other.load_state_dict(expected)
+        scores.append(Product().validate(other.eval()))
+    assert objective.validations == pytest.approx(scores, rel=1e-4)
+    assert plain.validation != pytest.approx(result.validation)
+    mean = fitted(dataclasses.replace(AVERAGED, validate_steps=23))
+    for name, tensor in mean.state_dict.items():
+        torch.testing.assert_close(tensor, expected[name])
+    assert decay_at(0, 0.8) == 0.1
+    assert decay_at(10**6, 0.8) == 0.8
+    for name, tensor in last.items():
+        if tensor.is_floating_point():
+            assert not torch.equal(tensor, expected[name])
 
 
 def test_what_needs_no_gradient_stays_as_it_was_and_is_in_no_checkpoint() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from schemas.licenses import OF_THE_SCAN, is_unknown
+from schemas.lineage.licenses import OF_THE_SCAN, is_unknown
 from tasks.models import CARD, model_id_of
 from tasks.selection.model.clouds import ColoredCloud
 from tasks.selection.model.features import EVIDENCE, Contender, Scanned

@@ -96,7 +96,7 @@ class Lineage:
     outline: tuple[tuple[int, str, str], ...]
 
     def document(self) -> dict[str, Any]:
-        """The graph as plain JSON values, as `schemas/lineage.schema.json` describes them."""
+        """The graph as plain JSON values, as `schemas/lineage/lineage.schema.json` describes them."""
         return {
             "format": FORMAT,
             "target": self.target,

@@ -1,0 +1,1 @@
+"""Networks of synthesis models, in torch."""
