@@ -20,7 +20,7 @@ from schemas.files import read_file
 from schemas.optimization import Placement
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import load_glb
-from tasks.geometry.transforms import flat, matrix, translation
+from tasks.geometry.transforms import flat, translation
 from tasks.micro_scenes import STAGE, MicroScenesConfig
 from tasks.scanner.scenery import STRUCTURE, SceneryObject, scenery_of
 from tasks.stage import Blobs, Context
@@ -85,7 +85,7 @@ def _asset_id(name: str) -> str:
 
 def _instance(name: str, obj: SceneryObject) -> Instance:
     size = _numbers(obj.extents)
-    box = matrix(obj.pose) @ translation([0.0, 0.0, 0.5 * size[2]])
+    box = obj.pose @ translation([0.0, 0.0, 0.5 * size[2]])
     return Instance(
         scene_id=SCENE, instance_id=name, source_id=obj.name, raw_label=obj.category, category=obj.category, nyu40_id=0,
         nyu40_label="unlabeled", is_structure=obj.category in STRUCTURE, room_index=None, box_pose=flat(box), box_size=size,
@@ -95,7 +95,7 @@ def _instance(name: str, obj: SceneryObject) -> Instance:
 
 
 def _placement(name: str, obj: SceneryObject) -> Placement:
-    pose = flat(matrix(obj.pose))
+    pose = flat(obj.pose)
     return Placement(
         scene_id=SCENE, instance_id=name, asset_id=_asset_id(name), origin="imported", annotator=None, annotation_match=None,
         scale=(1.0, 1.0, 1.0), proposed_pose=pose, optimized_pose=pose, settled_pose=None, displacement_m=None, lift_m=None,
@@ -106,7 +106,7 @@ def _placement(name: str, obj: SceneryObject) -> Placement:
 def _asset(name: str, obj: SceneryObject) -> Asset:
     size = _numbers(obj.extents)
     return Asset(
-        asset_id=_asset_id(name), provider="library", name=obj.name, category=obj.category, source="AWS small house", license=None,
+        asset_id=_asset_id(name), provider="library", name=obj.name, category=obj.category, source="AWS small house", license="unknown",
         author=None, mesh_blob=f"{_asset_id(name)}.glb", pieces_blob=None, extents=size, volume_m3=math.prod(size), is_watertight=False,
         vertex_count=8, face_count=12,
     )  # fmt: skip

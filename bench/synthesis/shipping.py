@@ -1,10 +1,6 @@
-"""The models that ship inside the package: trained on generated rooms, with a card that says what was measured.
+"""The models that ship inside the package: trained on generated rooms, with a card that says what they know and do not.
 
 python -m bench.synthesis.shipping --model physcene --out tasks/synthesis/model/shipped
-metascenes bench synthesis --json > synthesis.json
-python -m bench.synthesis.shipping --model physcene --out tasks/synthesis/model/shipped --report synthesis.json
-
-The last line adds what the benchmark found of models trained as this one is to the card.
 """
 
 from __future__ import annotations
@@ -52,7 +48,7 @@ def ship(training: Training, out: Path) -> Path:
     rows = micro_scene_rows(training.rooms.count, training.rooms.seed)
     dataset = RowsInMemory(f"{training.rooms.count} generated rooms of seed {training.rooms.seed}", *(row for part in rows for row in part))
     provenance = Provenance(None, None, training.rooms.mark, code_fingerprint("tasks.training.systems.synthesis"))
-    with Progress("steps", training.config.fitting.steps) as progress:
+    with Progress("steps", training.config.fitting.steps, lines=True) as progress:
         context = Context(
             f"shipped-{training.mark[:16]}", "training", training.seed, Blobs(), caches=ModuleCaches(),
             report=lambda done, of, text: progress.advance(text),
@@ -65,7 +61,8 @@ def ship(training: Training, out: Path) -> Path:
     place = out / training.name
     place.mkdir(parents=True, exist_ok=True)
     write_whole(place / WEIGHTS, outcome.blobs[model.weights_blob])
-    write_whole(place / CARD, card_of(document, model.weights_bytes).encode())
+    limits = ["## Limits", "", *(f"- {line}" for line in LIMITS)]
+    write_whole(place / CARD, (card_of(document, model.weights_bytes).rstrip() + "\n\n" + "\n".join(limits) + "\n").encode())
     write_whole(place / DOCUMENT, (json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode())
     return place
 

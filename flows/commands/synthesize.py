@@ -111,4 +111,5 @@ def _line(scene: SceneSynthesis, dry_run: bool) -> str:
         return f"{scene.scene_id:<48} {scene.action:<7} {scene.why if dry_run or scene.error is None else 'failed'}"
     done = scene.done
     gates = f"{len(done.broken)} rules of gates broken: {', '.join(done.broken[:3])}" if done.broken else "all gates passed"
-    return f"{scene.scene_id:<48} {done.objects} objects, {done.proposed} stable as drawn, {done.settled} settled; {gates}"
+    count = f"{done.objects} {'object' if done.objects == 1 else 'objects'}"
+    return f"{scene.scene_id:<48} {count}, {done.proposed} stable as drawn, {done.settled} settled; {gates}"

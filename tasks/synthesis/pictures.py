@@ -65,7 +65,7 @@ def from_above(layout: Layout, pixels: int = 64, extent_m: float | None = None) 
     depth, width, _ = layout.large.size
     image[(np.abs(x) <= 0.5 * depth) & (np.abs(y) <= 0.5 * width)] = LARGE
     tops = layout.centers[:, 2] + 0.5 * layout.sizes[:, 2]
-    for at in np.lexsort([layout.categories, tops]).tolist() if len(layout) else []:
+    for at in np.lexsort([np.array(layout.categories), tops]).tolist() if len(layout) else []:
         cos, sin = math.cos(layout.yaws[at]), math.sin(layout.yaws[at])
         dx, dy = x - layout.centers[at, 0], y - layout.centers[at, 1]
         along, across = dx * cos + dy * sin, dy * cos - dx * sin
@@ -83,38 +83,36 @@ def figure_of(rows: Sequence[tuple[str, Sequence[Layout]]], title: str) -> Figur
         raise ValueError("a figure needs at least one layout")
     figure = Figure(figsize=(2.4 * columns, 2.6 * len(rows) + 0.9), layout="constrained")
     figure.suptitle(title)
-    axes = figure.subplots(len(rows), columns, squeeze=False)
     used: set[str] = set()
-    for (name, layouts), line in zip(rows, axes, strict=True):
+    for (name, layouts), ax in zip(rows, figure.subplots(len(rows), 1, squeeze=False)[:, 0], strict=True):
         extent = max((seen_m(layout) for layout in layouts), default=1.0)
-        for at, ax in enumerate(line):
-            ax.axis("off")
-            if at < len(layouts):
-                _draw(ax, layouts[at], extent)
-                used |= set(layouts[at].categories)
-                ax.set_title(name if at == 0 else "", fontsize=9, loc="left")
+        ax.set_title(name, fontsize=9, loc="left")
+        ax.axis("off")
+        ax.set_xlim(-0.5 * extent, (columns - 0.5) * extent)
+        ax.set_ylim(-0.5 * extent, 0.5 * extent)
+        ax.set_aspect("equal")
+        for at, layout in enumerate(layouts):
+            _draw(ax, layout, extent, at * extent)
+            used |= set(layout.categories)
     _legend(figure, sorted(used))
     return figure
 
 
-def _draw(ax: Axes, layout: Layout, extent: float) -> None:
-    """The boxes of a layout, with the names of those that are wide enough."""
+def _draw(ax: Axes, layout: Layout, extent: float, across: float) -> None:
+    """The boxes of a layout, so far across [m], with the names of those that are wide enough."""
     from matplotlib.patches import Polygon, Rectangle
 
     depth, width, _ = layout.large.size
-    ax.add_patch(Rectangle((-0.5 * width, -0.5 * depth), width, depth, facecolor=_share(LARGE), edgecolor="0.4"))
+    ax.add_patch(Rectangle((across - 0.5 * width, -0.5 * depth), width, depth, facecolor=_share(LARGE), edgecolor="0.4"))
     tops = layout.centers[:, 2] + 0.5 * layout.sizes[:, 2]
     for at in np.argsort(tops, kind="stable").tolist():
         ring = footprint(layout, at)
         ax.add_patch(
-            Polygon(np.column_stack([-ring[:, 1], ring[:, 0]]), facecolor=_share(color_of(layout.categories[at])), edgecolor="0.2")
+            Polygon(np.column_stack([across - ring[:, 1], ring[:, 0]]), facecolor=_share(color_of(layout.categories[at])), edgecolor="0.2")
         )
         if max(layout.sizes[at, :2]) > 0.12 * extent:
             label = layout.categories[at].replace("_", " ")
-            ax.text(-layout.centers[at, 1], layout.centers[at, 0], label, fontsize=6, ha="center", va="center")
-    ax.set_xlim(-0.5 * extent, 0.5 * extent)
-    ax.set_ylim(-0.5 * extent, 0.5 * extent)
-    ax.set_aspect("equal")
+            ax.text(across - layout.centers[at, 1], layout.centers[at, 0], label, fontsize=6, ha="center", va="center")
 
 
 def _legend(figure: Figure, names: Sequence[str]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +95,12 @@ def test_a_training_is_made_once_and_again_where_anything_it_follows_from_change
 
 def test_figures_are_kept_until_what_they_follow_from_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
-    monkeypatch.setattr(measures, "figures_of", lambda what: calls.append(what.name) or {"ckl": 0.25})
+
+    def figures_of(what: Measurement) -> dict[str, float]:
+        calls.append(what.name)
+        return {"ckl": 0.25}
+
+    monkeypatch.setattr(measures, "figures_of", figures_of)
     what = Measurement(NEAREST, 0, None, ROOMS, 20, 4)
     assert measured(tmp_path, what) == measured(tmp_path, what) == {"name": NEAREST, "seed": 0, "ckl": 0.25}
     for other in (dataclasses.replace(what, scenes=21), dataclasses.replace(what, per_room=5), dataclasses.replace(what, name=TRUTH)):
@@ -205,7 +211,8 @@ def test_scenes_of_true_layouts_are_stable_stay_where_they_are_and_pass_the_gate
 
 @pytest.mark.whole
 def test_a_whole_benchmark_goes_on_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("METASCENES_CACHE", str(tmp_path / "cache"))
+    caches: defaultdict[str, dict[str, bytes]] = defaultdict(dict)
+    monkeypatch.setattr(trainings, "ModuleCaches", lambda: caches)
     monkeypatch.delenv("METASCENES_REALDATA", raising=False)
     words = ["bench", "synthesis", "--rooms", "30", "--seeds", "1", "--steps", "20", "--models", "physcene", "--scenes", "12",
              "--per-room", "2", "--parts", "layouts", "--processes", "1", "--folder", str(tmp_path / "synthesis")]  # fmt: skip

@@ -75,7 +75,7 @@ def depths(layout: Layout) -> Array:
 
 def off_edge(layouts: Sequence[Layout]) -> list[Flags]:
     """Which objects reach over the edge of the large object's box by more than 5 mm, seen from above, shape (n,) per layout."""
-    return [(overhangs(layout) > TOLERANCE_M).any(axis=1) for layout in layouts]
+    return [np.asarray((overhangs(layout) > TOLERANCE_M).any(axis=1)) for layout in layouts]
 
 
 def overhangs(layout: Layout) -> Array:
@@ -107,8 +107,8 @@ def box_figures(layouts: Sequence[Layout]) -> BoxFigures:
     off = [a | b for a, b in zip(flags[1], flags[2], strict=True)]
     return BoxFigures(
         layouts=len(layouts), objects=len(collides), collides=_share(collides), off_edge=_share(over), floats=_share(floats),
-        off_support=_share(over | floats), layouts_collide=_share([part.any() for part in flags[0]]),
-        layouts_off_support=_share([part.any() for part in off]),
+        off_support=_share(over | floats), layouts_collide=_share([bool(part.any()) for part in flags[0]]),
+        layouts_off_support=_share([bool(part.any()) for part in off]),
     )  # fmt: skip
 
 

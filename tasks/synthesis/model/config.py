@@ -99,9 +99,7 @@ class Atiss(SlotModel):
     feedforward: Width = 256  # twice the width of a token; as published
     mixtures: Heads = 10  # logistics of each number; as published
     dropout: Share = 0.0  # short trainings do not overfit
-    prefixes: Literal["even", "published"] = (
-        "even"  # all beginnings of all scenes alike; as published, large scenes count less and all end early
-    )
+    prefixes: Literal["even", "published"] = "even"  # beginnings learned from: as published, large scenes count less and all end early
 
     @property
     def width(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tasks.synthesis.inference.schedule import Schedule
+from tasks.synthesis.inference.schedule import NoiseSchedule
 
 torch = pytest.importorskip("torch")
 
@@ -26,7 +26,7 @@ def samples(step, count=3):
 @pytest.mark.parametrize("target", ["v", "eps"])
 @pytest.mark.parametrize(("steps", "betas"), [(7, (1e-3, 0.3)), (200, BETAS[0]), (1000, BETAS[1])])
 def test_every_step_is_that_of_diffusers(steps: int, betas: tuple[float, float], target: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    schedule, (ddpm, _) = Schedule(steps, *betas, target), schedulers(steps, betas, target)
+    schedule, (ddpm, _) = NoiseSchedule(steps, *betas, target), schedulers(steps, betas, target)
     np.testing.assert_array_equal(schedule.left, ddpm.alphas_cumprod.numpy())
     for step in {*range(0, steps, max(1, steps // 40)), steps - 1}:
         output, sample, noise = samples(step)
@@ -40,7 +40,7 @@ def test_every_step_is_that_of_diffusers(steps: int, betas: tuple[float, float],
 @pytest.mark.parametrize("target", ["v", "eps"])
 @pytest.mark.parametrize(("steps", "count"), [(200, 50), (200, 7), (1000, 20), (10, 10)])
 def test_fewer_steps_are_those_of_diffusers(steps: int, count: int, target: str) -> None:
-    schedule, (_, ddim) = Schedule(steps, *BETAS[0], target), schedulers(steps, BETAS[0], target)
+    schedule, (_, ddim) = NoiseSchedule(steps, *BETAS[0], target), schedulers(steps, BETAS[0], target)
     ddim.set_timesteps(count)
     some = schedule.some(count)
     assert list(some) == ddim.timesteps.tolist()
@@ -54,4 +54,4 @@ def test_fewer_steps_are_those_of_diffusers(steps: int, count: int, target: str)
 @pytest.mark.parametrize("count", [0, 201])
 def test_no_layout_is_drawn_in_no_steps_or_in_more_than_there_are(count: int) -> None:
     with pytest.raises(ValueError, match="1 to 200"):
-        Schedule(200, *BETAS[0], "v").some(count)
+        NoiseSchedule(200, *BETAS[0], "v").some(count)
