@@ -17,6 +17,7 @@ from tasks.stage import Blobs, Context
 from tasks.synthesis.inference.drawer import Drawer, load
 from tasks.synthesis.layout import Layout, layouts_of
 from tasks.training.dataset import RowsInMemory
+from tasks.training.fitting import forget
 from tasks.training.systems.synthesis import SynthesisTraining, collected, held_out, preset, train
 
 PRESETS = ("atiss", "diffuscene", "physcene")
@@ -102,6 +103,7 @@ def trained(folder: Path, training: Training) -> TrainedModel:
         write_whole(file, made.weights)
         known = {"parameters": made.parameter_count, "seconds": made.seconds, "device": made.device, "notes": list(made.notes)}
         write_whole(facts, json.dumps(known).encode())
+        forget(context.caches["tasks.training.fitting"], context.scene_id)
     known = json.loads(facts.read_bytes())
     return TrainedModel(
         training, file, hashlib.sha256(file.read_bytes()).hexdigest(), known["parameters"], known["seconds"], known["device"]

@@ -230,6 +230,8 @@ def test_a_whole_benchmark_goes_on_from_its_folder(tmp_path: Path, monkeypatch: 
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("was made before")
 
+    assert set(caches) == {"tasks.training.fitting"}
+    assert not caches["tasks.training.fitting"]
     for module, name in ((trainings, "train"), (measures, "figures_of"), (measures, "shuffled_figures")):
         monkeypatch.setattr(module, name, refuse)
     again = CliRunner().invoke(cli, words, catch_exceptions=False)
