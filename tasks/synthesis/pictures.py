@@ -81,15 +81,18 @@ def figure_of(rows: Sequence[tuple[str, Sequence[Layout]]], title: str) -> Figur
     columns = max((len(layouts) for _, layouts in rows), default=0)
     if not columns:
         raise ValueError("a figure needs at least one layout")
-    figure = Figure(figsize=(2.4 * columns, 2.6 * len(rows) + 0.9), layout="constrained")
+    seen = [max((seen_m(layout) for layout in layouts), default=1.0) for _, layouts in rows]
+    depths = [MARGIN * max((layout.large.size[0] for layout in layouts), default=1.0) for _, layouts in rows]
+    heights = [2.4 * depth / extent + 0.3 for depth, extent in zip(depths, seen, strict=True)]
+    figure = Figure(figsize=(2.4 * columns, sum(heights) + 1.2), layout="constrained")
     figure.suptitle(title)
     used: set[str] = set()
-    for (name, layouts), ax in zip(rows, figure.subplots(len(rows), 1, squeeze=False)[:, 0], strict=True):
-        extent = max((seen_m(layout) for layout in layouts), default=1.0)
+    axes = figure.subplots(len(rows), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for (name, layouts), ax, extent, depth in zip(rows, axes, seen, depths, strict=True):
         ax.set_title(name, fontsize=9, loc="left")
         ax.axis("off")
         ax.set_xlim(-0.5 * extent, (columns - 0.5) * extent)
-        ax.set_ylim(-0.5 * extent, 0.5 * extent)
+        ax.set_ylim(-0.5 * depth, 0.5 * depth)
         ax.set_aspect("equal")
         for at, layout in enumerate(layouts):
             _draw(ax, layout, extent, at * extent)
