@@ -23,7 +23,8 @@ SELECT
         WHEN version = 2 THEN []
         WHEN stage = 'capture' THEN [
             'scenes=1', 'shells=1', 'rooms=1', 'surfaces=6', 'frames=100', 'instances=' || (structures + objects),
-            'masks=' || 3 * objects
+            'masks=' || 3 * objects, 'syntheses=' || CASE WHEN scene % 40 = 5 THEN 1 ELSE 0 END,
+            'synthesis_objects=' || CASE WHEN scene % 40 = 5 THEN least(3, objects - 1) ELSE 0 END
         ]
         WHEN stage = 'captions' THEN ['captions=' || objects]
         WHEN stage = 'candidates' THEN ['candidates=' || 10 * objects]
