@@ -72,7 +72,12 @@ class PlainDenoiser:
         for level in range(shape.levels):
             hidden, left = self._level(f"body.down.{level}", hidden, context, words, instances, ())
             skips += left
-        hidden = self._attention("body.middle_attention", self._block("body.middle_first", hidden, context), None, linear=False)
+        if instances is not None:
+            hidden = self._block("body.middle_instance", hidden, instances[None, : hidden.shape[1]])
+        hidden = self._block("body.middle_first", hidden, context)
+        if shape.crosses:
+            hidden = self._attention("body.middle_text", hidden, words, linear=True)
+        hidden = self._attention("body.middle_attention", hidden, None, linear=False)
         hidden = self._block("body.middle_second", hidden, context)
         for level in range(shape.levels):
             hidden, _ = self._level(f"body.up.{level}", hidden, context, words, instances, (skips.pop(), skips.pop()))
@@ -119,7 +124,8 @@ class PlainDenoiser:
             made = (softmax(query, axis=-1) * np.float32(query.shape[-1] ** -0.5)) @ context
         else:
             made = attended(query, key, value)
-        return values + layers.linear(f"{name}.out", merged(made))
+        made = layers.linear(f"{name}.out", merged(made))
+        return values + (layers.norm(f"{name}.out_norm", made) if linear else made)
 
 
 def denoiser_of(config: Diffusion, weights: Mapping[str, Values]) -> PlainDenoiser:

@@ -64,7 +64,7 @@ def _denoiser(config: Diffusion, classes: int) -> dict[str, Shape]:
     shapes: dict[str, Shape] = {"null": (text,)}
     shapes |= _layers("step", width, wide, wide) | _layers("condition", text + BOX + classes + 1, wide, wide)
     for name, size in (("box", BOX), ("class", classes + 1)):
-        shapes |= _layers(f"{name}_in", size, *inner, width) | _layers(f"{name}_out", width, *inner, size)
+        shapes |= _layers(f"{name}_in", size, *inner, width) | _layers(f"{name}_out", width, *inner[::-1], size)
     if isinstance(shape, Transformer):
         norm = _layer("body.encoder.norm", width)
         return shapes | {"body.large": (width,)} | norm | _transformer("body.encoder", width, shape.feedforward, shape.layers)
@@ -78,16 +78,19 @@ def _unet(shape: Unet, slots: int, text: int) -> dict[str, Shape]:
     )
     shapes |= _attention("middle_attention", width, inner, width)
     if shape.instance_width:
-        shapes["instances"] = (slots, shape.instance_width)
+        shapes |= {"instances": (slots, shape.instance_width)} | _block("middle_instance", width, width, shape.instance_width)
+    if shape.crosses:
+        shapes |= _attention("middle_text", width, inner, text) | _layer("middle_text.out_norm", width)
     for side, inside in (("down", width), ("up", 2 * width)):
         for level in range(shape.levels):
             name = f"{side}.{level}"
             shapes |= _block(f"{name}.first", inside, width, wide) | _block(f"{name}.second", inside, width, wide)
-            shapes |= _attention(f"{name}.attention", width, inner, width) | _layer(f"{name}.out", width, width)
+            shapes |= _attention(f"{name}.attention", width, inner, width) | _layer(f"{name}.attention.out_norm", width)
+            shapes |= _layer(f"{name}.out", width, width)
             if shape.instance_width:
                 shapes |= _block(f"{name}.instance", width, width, shape.instance_width)
             if shape.crosses:
-                shapes |= _attention(f"{name}.text", width, inner, text)
+                shapes |= _attention(f"{name}.text", width, inner, text) | _layer(f"{name}.text.out_norm", width)
     return shapes
 
 

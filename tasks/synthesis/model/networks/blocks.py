@@ -95,7 +95,8 @@ class ResidualBlock(nn.Module):
 class SlotAttention(nn.Module):
     """Attention among slots, or of slots to other tokens, of what a norm leaves, beside a shortcut.
 
-    linear: Softmax of queries over channels and of keys over tokens, so that the cost is linear in slots; else the usual one.
+    linear: Softmax of queries over channels and of keys over tokens, so that the cost is linear in slots, and one more norm behind it; else
+    the usual one.
     """
 
     def __init__(self, width: int, heads: int, head_width: int, *, linear: bool, tokens: int = 0) -> None:
@@ -106,6 +107,7 @@ class SlotAttention(nn.Module):
         self.query = nn.Linear(width, inner, bias=False)
         self.key_value = nn.Linear(tokens or width, 2 * inner, bias=False)
         self.out = nn.Linear(inner, width)
+        self.out_norm = nn.LayerNorm(width) if linear else nn.Identity()
 
     def forward(self, values: Tensor, tokens: Tensor | None = None) -> Tensor:
         """Values (b, s, c), of the same shape. tokens: Shape (b, t, w); the slots themselves where there are none."""
@@ -118,7 +120,7 @@ class SlotAttention(nn.Module):
         else:
             made = (query @ key.transpose(-1, -2) * self.head_width**-0.5).softmax(dim=-1) @ value
         batch, _, slots, _ = made.shape
-        return values + self.out(made.transpose(1, 2).reshape(batch, slots, -1))
+        return values + self.out_norm(self.out(made.transpose(1, 2).reshape(batch, slots, -1)))
 
     def _split(self, values: Tensor) -> Tensor:
         batch, tokens, _ = values.shape

@@ -32,10 +32,11 @@ class Denoiser(nn.Module):
         shape: Any = config.architecture
         width, wide = shape.width, (shape.width if isinstance(shape, Transformer) else 4 * shape.width)
         inner = (width,) if isinstance(shape, Transformer) else (width, 2 * width)
+        outer = inner[::-1]  # the widest layer in the middle of the network, as published
         self.step = layers(width, wide, wide)
         self.condition = layers(config.text.width + BOX + classes + 1, wide, wide)
         self.box_in, self.class_in = layers(BOX, *inner, width), layers(classes + 1, *inner, width)
-        self.box_out, self.class_out = layers(width, *inner, BOX), layers(width, *inner, classes + 1)
+        self.box_out, self.class_out = layers(width, *outer, BOX), layers(width, *outer, classes + 1)
         betas = torch.linspace(config.noise.beta_low, config.noise.beta_high, config.noise.steps)
         self.register_buffer("left", torch.cumprod(1.0 - betas, dim=0), persistent=False)
         self.body: nn.Module = (
@@ -82,14 +83,19 @@ class TransformerBody(nn.Module):
 
 
 class UnetBody(nn.Module):
-    """Levels down, a middle and levels up, whose layers are of single slots; attention is between them."""
+    """Levels down, a middle and levels up, whose layers are of single slots; attention is between them.
+
+    The middle tells slots apart and looks at the text as levels do, and its attention among slots is the usual one.
+    """
 
     def __init__(self, shape: Unet, slots: int, text: int) -> None:
         super().__init__()
         width, wide = shape.width, 4 * shape.width
         self.instances = nn.Parameter(torch.randn(slots, shape.instance_width)) if shape.instance_width else None
         self.down = nn.ModuleList(UnetLevel(shape, text, skips=False) for _ in range(shape.levels))
+        self.middle_instance = ResidualBlock(width, width, shape.instance_width, shape.groups) if shape.instance_width else None
         self.middle_first = ResidualBlock(width, width, wide, shape.groups)
+        self.middle_text = SlotAttention(width, shape.heads, shape.head_width, linear=True, tokens=text) if shape.crosses else None
         self.middle_attention = SlotAttention(width, shape.heads, shape.head_width, linear=False)
         self.middle_second = ResidualBlock(width, width, wide, shape.groups)
         self.up = nn.ModuleList(UnetLevel(shape, text, skips=True) for _ in range(shape.levels))
@@ -101,7 +107,12 @@ class UnetBody(nn.Module):
         for level in self.down:
             hidden, left = level(hidden, context, text, self.instances, ())
             skips += left
-        hidden = self.middle_second(self.middle_attention(self.middle_first(hidden, context)), context)
+        if self.middle_instance is not None and self.instances is not None:
+            hidden = self.middle_instance(hidden, self.instances[None, : hidden.shape[1]])
+        hidden = self.middle_first(hidden, context)
+        if self.middle_text is not None:
+            hidden = self.middle_text(hidden, text)
+        hidden = self.middle_second(self.middle_attention(hidden), context)
         for level in self.up:
             hidden, _ = level(hidden, context, text, self.instances, (skips.pop(), skips.pop()))
         return self.last(torch.cat([hidden, start], dim=-1), context)

@@ -1,4 +1,4 @@
-"""Weights of ATISS that others trained, by the names in their checkpoints, as a beginning of training; nothing in a file can run.
+"""Weights of ATISS that others trained, by the names in their checkpoints.
 
 | there | here |
 |---|---|
@@ -10,32 +10,20 @@
 | `hidden2output.{centroid_layer,size_layer}_{x,y,z}`, `hidden2output.angle_layer` | `heads.{translation,size}.{0,1,2}`, `heads.angle.0` |
 | `feature_extractor`, `fc_room_f`, `start_token_embedding`, `transformer_encoder.norm` | left out: not in this network |
 
-There +Y is up and the front is +Z: its z, x, y are x, y, z here. Categories are taken to be in the same order. Of DiffuScene and PhyScene
-the networks are not told in enough detail for a table of names.
+There +Y is up and the front is +Z: its z, x, y are x, y, z here. Categories are taken to be in the same order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.errors import InputError
-from schemas.files import read_file
 from tasks.synthesis.model.config import Atiss
-from tasks.weights import MOST_BYTES, from_safetensors
-
-AXES = ("z", "x", "y")
-"""Their axis for each of ours."""
+from tasks.synthesis.model.foreign.names import AXES, Arrays, check_names, turned
 
 LEFT_OUT = ("feature_extractor.", "fc_room_f.", "start_token_embedding", "transformer_encoder.norm.")
-
-SHOWN_NAMES = 5
-
-Arrays = Mapping[str, NDArray[Any]]
 
 
 def their_names(config: Atiss) -> dict[str, str]:
@@ -55,7 +43,7 @@ def their_names(config: Atiss) -> dict[str, str]:
     return names
 
 
-def from_theirs(arrays: Arrays, config: Atiss, file: str) -> dict[str, NDArray[Any]]:
+def from_atiss(arrays: Arrays, config: Atiss, file: str) -> dict[str, NDArray[Any]]:
     """Weights of a checkpoint by the names here, in the frame here.
 
     Raises:
@@ -69,10 +57,7 @@ def from_theirs(arrays: Arrays, config: Atiss, file: str) -> dict[str, NDArray[A
     ]
     names = their_names(config)
     known = {*names.values(), "empty_token_embedding", *(name for *_, parts in attention for name in parts)}
-    for odd, problem in ((sorted(used.keys() - known), "are unknown"), (sorted(known - used.keys()), "are missing")):
-        if odd:
-            shown = ", ".join(odd[:SHOWN_NAMES]) + (f" and {len(odd) - SHOWN_NAMES} more" if len(odd) > SHOWN_NAMES else "")
-            raise InputError(file, odd[0], f"{len(odd)} of its weights {problem}: {shown}", "name a checkpoint of ATISS of this size")
+    check_names(used, known, file, "ATISS")
     made = {here: used[there] for here, there in names.items()}
     for layer, kind, parts in attention:
         made[f"encoder.layers.{layer}.self_attn.in_proj_{kind}"] = np.concatenate([used[name] for name in parts])
@@ -90,42 +75,5 @@ def _turned(weight: NDArray[Any], part: int, triples: tuple[int, ...], skipped: 
     """Weights (o, i) whose columns are parts of one width, after some that are skipped, with three numbers of a triple in our order."""
     columns = np.arange(weight.shape[1] - skipped).reshape(-1, part)
     for first in triples:
-        columns[first : first + 3] = columns[[first + "xyz".index(letter) for letter in AXES]]
+        turned(columns, first)
     return weight[:, np.concatenate([np.arange(skipped), skipped + columns.reshape(-1)])]
-
-
-def begin_with_foreign(module: Any, path: str) -> str:
-    """Give a network of ATISS the weights of a checkpoint; what came of it as a line.
-
-    Raises:
-        InputError: the network is another one, or the file cannot be read, or holds other weights.
-    """
-    import torch
-
-    file = Path(path).name
-    if not isinstance(module.config, Atiss):
-        raise InputError(
-            file, "foreign", f"is not known how to be read into {module.config.kind}", "train from scratch, or take atiss-paper"
-        )
-    made = from_theirs(_checkpoint(Path(path)), module.config, file)
-    state = module.state_dict()
-    for name, array in made.items():
-        if state[name].shape != array.shape:
-            raise InputError(
-                file,
-                name,
-                f"has the shape {array.shape}; the config wants {tuple(state[name].shape)}",
-                "take slots and classes of its size",
-            )
-        state[name] = torch.from_numpy(np.array(array)).to(state[name].dtype)
-    module.load_state_dict(state)
-    return f"{len(made)} weights from {file}; what of it reads a floor plan is left out"
-
-
-def _checkpoint(path: Path) -> Arrays:
-    """Arrays of a file of safetensors, or of one that torch wrote, read as weights alone."""
-    if path.suffix == ".safetensors":
-        return from_safetensors(read_file(path, path.name, MOST_BYTES), path.name)
-    from tasks.selection.model.foreign import checkpoint
-
-    return checkpoint(path)
