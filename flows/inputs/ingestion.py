@@ -19,17 +19,21 @@ from typing import Any, Literal
 
 from flows.progress import Progress
 from flows.run.fingerprints import FileHashes, ModuleCaches, canonical, canonical_json, code_fingerprint, digest
+from flows.run.patience import is_away
 from flows.run.pool import spread_over
+from flows.run.scene import NO_ROOM
 from schemas.errors import InputError, LakeError
 from schemas.record import check
 from schemas.runs import StageRun
 from schemas.tables import TABLES
+from schemas.text import one_line
 from tasks.ingestion.navmeshes import navigation_rows
 from tasks.ingestion.reading import ingest
 from tasks.ingestion.scene import IngestionConfig, Kind, Source
 from tasks.ingestion.sources import find_sources
 from tasks.stage import Context, Outcome
 from warehouse.lake import Lake
+from warehouse.storage.refusals import number_of
 from warehouse.tables.history import Key, StageState
 
 _BATCH = 64
@@ -156,10 +160,11 @@ def import_scene(job: _Job) -> SceneImport:
             outcomes["navigation"] = navigation
         for outcome in outcomes.values():
             _keep(lake, outcome, scene_id)
-    except LakeError as problem:
-        return _failed(lake, job, started, clock, str(problem), "input" if isinstance(problem, InputError) else "defect")
     except Exception as problem:
-        return _failed(lake, job, started, clock, f"{type(problem).__name__}: {' '.join(str(problem).split())[:500]}", "defect")
+        text = str(problem) if isinstance(problem, LakeError) else f"{type(problem).__name__}: {one_line(problem)[:500]}"
+        if is_away(problem) or number_of(problem) in NO_ROOM:  # it passes, and is none of the scene's own
+            return _failed(lake, job, started, clock, text, "lost")
+        return _failed(lake, job, started, clock, text, "input" if isinstance(problem, InputError) else "defect")
     # The first stage last: once it is staged the scene counts as done, so all that belongs to it must be there.
     for stage in reversed([name for name in _READS if name in outcomes]):
         outcome = outcomes[stage]
@@ -187,7 +192,7 @@ def _keep(lake: Lake, outcome: Outcome, scene_id: str) -> None:
 
 def _failed(lake: Lake, job: _Job, started: datetime, clock: float, error: str, kind: str) -> SceneImport:
     run = _run(job, "capture", started, time.perf_counter() - clock)
-    lake.stage_rows(dataclasses.replace(run, outcome="failed", error=error, error_kind=kind), {})
+    lake.stage_rows(dataclasses.replace(run, outcome="lost" if kind == "lost" else "failed", error=error, error_kind=kind), {})
     return SceneImport(job.source.scene_id, "import", "failed", error=error)
 
 

@@ -27,7 +27,8 @@ from tasks.synthesis.scenes.bases import large_box
 from tasks.synthesis.scenes.drawn import BaseScene
 from tasks.synthesis.scenes.words import large_of, words_of
 from warehouse.lake import Lake
-from warehouse.tables.history import fingerprints
+from warehouse.tables.history import fingerprints, states
+from warehouse.tables.snapshot import Reader
 
 ROOM_TYPES = ("bedroom", "office", "living room", "kitchen", "dining room", "bathroom", UNKNOWN_ROOM)
 """Kinds of rooms that can be asked for."""
@@ -144,15 +145,26 @@ def _of_instance(lake: Lake, text: str) -> AskedScene:
         assets=tuple(assets), instance_id=instance_id, belonging=frozenset(),
     )  # fmt: skip
     box = large_box(base)
-    prints = fingerprints(lake.history([scene_id]))
-    if (scene_id, "micro_scenes") in prints:
+    x, y, z = (float(value) for value in box.size)
+    if min(x, y) < LEAST_M or max(x, y, z) > MOST_M:  # a board on a wall may be as thin as it likes
+        sides = " x ".join(f"{value:.2f}" for value in (x, y, z))
+        raise InputError("--instance", text, f"is {sides} m, no size of furniture", f"name one of {LEAST_M:g} to {MOST_M:g} m")
+    content = content_of(reader, scene_id)
+    if any(part.startswith("micro_scenes=") for part in content):
         larges, objects = list(reader.rows(MicroScene, scene_id)), list(reader.rows(MicroSceneObject, scene_id))
     else:
         larges, objects = _extracted(base)
     base, room_type = _with_belonging(base, larges, objects)
-    content = tuple(f"{stage}={print_}" for (_, stage), print_ in sorted(prints.items()) if stage in _READ)
-    x, y, z = (float(value) for value in box.size)
     return AskedScene(instance.category, table.merged(instance.category), room_type, (x, y, z), base, content)
+
+
+def content_of(reader: Reader, scene_id: str) -> tuple[str, ...]:
+    """Fingerprints of the runs that wrote the rows of a base, as `<stage>=<fingerprint>`: of the stages that are read alone, in a snapshot.
+
+    What is staged does not count: rows are read from the snapshot. A run of another stage changes nothing here.
+    """
+    prints = fingerprints(states(reader.matching("stage_runs", {"scene_id": [scene_id]})))
+    return tuple(f"{stage}={print_}" for (_, stage), print_ in sorted(prints.items()) if stage in _READ)
 
 
 def _extracted(base: BaseScene) -> tuple[list[MicroScene], list[MicroSceneObject]]:

@@ -5,23 +5,26 @@ from __future__ import annotations
 import dataclasses
 import re
 import time
+from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from typing import Literal
+from datetime import UTC, datetime
+from typing import Any, Literal
 
-from flows.inputs.synthesis.asking import AskedScene
-from flows.inputs.synthesis.jobs import BACK, FRONT, SceneDone, SynthesisJob, make_scene
+from flows.inputs.synthesis.asking import AskedScene, content_of
+from flows.inputs.synthesis.jobs import BACK, FRONT, SceneDone, SynthesisJob
 from flows.inputs.synthesis.models import DrawingModel
+from flows.inputs.synthesis.workers import Make, makers
 from flows.progress import Progress
 from flows.run.configuration import configure
 from flows.run.fingerprints import Fingerprint, canonical_json, code_fingerprint, digest
 from flows.run.plan import annotation_digests
-from flows.run.pool import spread_over
-from flows.worker import Job
+from flows.worker import Job, lost_run
 from schemas.candidates import Asset
 from schemas.errors import InputError
 from schemas.record import arrow_to_rows
 from tasks.pipeline import MODULES, STAGES, upstream
 from tasks.stage import Stage
+from tasks.synthesis.layout import UNKNOWN_ROOM
 from tasks.synthesis.scenes.assets import MADE_LICENSE, Pool, chosen_assets
 from tasks.synthesis.scenes.drawn import Drawn, usable
 from warehouse.lake import Lake
@@ -30,6 +33,9 @@ from warehouse.tables.history import Key, StageState
 
 BLOCK = 16
 """Scenes that are drawn and committed together: models draw so many side by side, and a commit costs less than a second."""
+
+LOOK_SECONDS = 1.0
+"""How long scenes that another command is at are left alone before they are looked at again."""
 
 MOST = 100_000
 """Scenes of one request."""
@@ -75,7 +81,7 @@ class Synthesized:
 
 @dataclasses.dataclass(frozen=True)
 class _Request:
-    """All that scenes of a request have in common."""
+    """All that scenes of a request have in common. choice: What was said of assets, nothing where nothing was."""
 
     lake: Lake
     asked: AskedScene
@@ -85,11 +91,12 @@ class _Request:
     name: str
     pool: Pool
     license: str | None
+    choice: Mapping[str, Any]
 
     @property
     def facts(self) -> str:
         """The request as JSON text; with the number it decides what is drawn."""
-        return canonical_json({"synthesis": {**self.asked.facts, "model": self.model.model_id, "seed": self.seed}})
+        return canonical_json({"synthesis": {**self.asked.facts, "model": self.model.model_id, "seed": self.seed, **self.choice}})
 
     def scene_id(self, number: int) -> str:
         """Of a layout."""
@@ -98,16 +105,19 @@ class _Request:
 
 def synthesize(
     lake: Lake, wanted: AskedScene, model: DrawingModel, *, count: int, seed: int = 0, dataset: str = DATASET, name: str = "",
-    use_assets: bool = True, licenses: Allowed | None = None, workers: int = 1, dry_run: bool = False, retry_failed: bool = False,
+    use_assets: bool = True, licenses: Allowed | None = None, workers: int = 0, dry_run: bool = False, retry_failed: bool = False,
 ) -> Synthesized:  # fmt: skip
     """Draw layouts 0 to `count` - 1 of a request, and put them through the stages; what is there already is not made again.
 
-    use_assets: Take assets of the lake where they fit; licenses: of these, those that may be taken.
+    use_assets: Take assets of the lake where they fit; licenses: of these, those that may be taken. workers: Processes that make scenes;
+    with 0 this process does, and what takes it along takes all along.
 
     Raises:
         InputError: the model does not know the large object or the kind of room, or the name is that of other scenes.
     """
-    model.drawer.check(wanted.large(seed, 0))
+    # Nobody chose the kind of room of a scene that is there: one that the model does not know is none to it.
+    large = wanted.large(seed, 0)
+    model.drawer.check(large if wanted.base is None else dataclasses.replace(large, room_type=UNKNOWN_ROOM))
     if not 1 <= count <= MOST:
         raise InputError("--count", str(count), "is no number of scenes", f"give 1 to {MOST}")
     if not re.fullmatch(r"[a-z0-9][a-z0-9_.-]{0,63}", dataset):
@@ -115,7 +125,8 @@ def synthesize(
     if name and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
         raise InputError("--name", name, "is no name for scenes", "use up to 64 letters, digits, and _ . - after the first")
     pool = _pool(lake, licenses) if use_assets else Pool()
-    common = _Request(lake, wanted, model, seed, dataset, name, pool, _license(model, wanted))
+    choice = {"assets": "made"} if not use_assets else {"licenses": sorted(licenses.names)} if licenses is not None else {}
+    common = _Request(lake, wanted, model, seed, dataset, name, pool, _license(model, wanted), choice)
     if not name:
         common = dataclasses.replace(common, name=_own_name(common))
     history = lake.history()
@@ -123,35 +134,68 @@ def synthesize(
     planned = {plan.number: (plan, job) for plan, job in _planned(common, history, range(count), retry_failed)}
     if not dry_run:
         staged = {scene for (scene, _), state in history.items() if state.is_staged}
-        for made in _made(common, planned, staged, workers):
+        for made in _made(common, planned, staged, workers, retry_failed):
             planned[made.number] = made, planned[made.number][1]
     return Synthesized(model.model_id, model.kind, seed, tuple(planned[number][0] for number in range(count)))
 
 
 def _made(
-    common: _Request, planned: Mapping[int, tuple[SceneSynthesis, SynthesisJob]], staged: Collection[str], workers: int
+    common: _Request, planned: Mapping[int, tuple[SceneSynthesis, SynthesisJob]], staged: Collection[str], workers: int, retry_failed: bool
 ) -> Iterator[SceneSynthesis]:
-    """Make what is missing, a block at a time; what a killed command staged before is committed too."""
+    """Make what is missing, a block at a time; what a killed command staged before is committed too.
+
+    Scenes are claimed before they are made. Those that another command is at come last, and are looked at again until it gives them back.
+    """
     todo = [number for number, (plan, _) in planned.items() if plan.action in ("draw", "go on")]
     waiting = [plan.scene_id for plan, _ in planned.values() if plan.scene_id in staged and plan.action in ("reuse", "report")]
-    spread, note = spread_over(min(workers, len(todo))), f"synthesis of {common.dataset}/{common.name} by {common.model.kind}"
-    with Progress("scenes", len(todo)) as progress:
-        for block in sorted({number // BLOCK for number in todo}):
-            numbers = [number for number in todo if number // BLOCK == block]
-            jobs, problems = _with_layouts(common, {number: planned[number][1] for number in numbers})
-            for number, problem in problems.items():
-                progress.advance(planned[number][0].scene_id)
-                yield dataclasses.replace(planned[number][0], error=problem)
-            items = list(jobs.items())
-            for first in range(0, len(items), workers):
-                some = items[first : first + workers]
-                for (number, _), done in zip(some, spread(make_scene, [job for _, job in some]), strict=True):
-                    progress.advance(done.scene_id)
-                    yield dataclasses.replace(planned[number][0], done=done, error=done.error)
-            common.lake.commit(note, scenes=[*waiting, *(planned[number][0].scene_id for number in numbers)])
+    note, began = f"synthesis of {common.dataset}/{common.name} by {common.model.kind}", datetime.now(UTC)
+    if not todo:
+        if waiting:
+            common.lake.commit(note, scenes=set(waiting) - common.lake.claimed().keys())
+        return
+    blocks = deque([number for number in todo if number // BLOCK == block] for block in sorted({number // BLOCK for number in todo}))
+    with Progress("scenes", len(todo)) as progress, common.lake.claims() as claims, makers(min(workers, len(todo))) as make:
+        while blocks:
+            numbers = blocks.popleft()
+            ours = [number for number in numbers if claims.claim(common.scene_id(number))]
+            if len(ours) < len(numbers):
+                blocks.append([number for number in numbers if number not in ours])
+            if not ours:
+                time.sleep(LOOK_SECONDS)
+                continue
+            for made in _block(common, ours, make, retry_failed, began):
+                progress.advance(made.scene_id)
+                yield made
+            names = [common.scene_id(number) for number in ours]
+            common.lake.commit(note, scenes=[*(set(waiting) - common.lake.claimed().keys()), *names])
             waiting = []
-    if waiting:
-        common.lake.commit(note, scenes=waiting)
+            for name in names:
+                claims.release(name)
+
+
+def _block(common: _Request, numbers: Collection[int], make: Make, retry_failed: bool, began: datetime) -> Iterator[SceneSynthesis]:
+    """Scenes that are claimed: planned again, as another command may have made them since, then drawn side by side, and made.
+
+    Raises:
+        InputError: the scene that they are based on was changed or erased meanwhile, or another request drew scenes of their names.
+    """
+    base = common.asked.base
+    if base is not None and content_of(common.lake.snapshot(), base.scene.scene_id) != common.asked.content:
+        raise InputError(
+            "--instance", f"{base.scene.scene_id}/{base.instance_id}", "its scene was changed meanwhile", "give the same command again"
+        )
+    history = common.lake.history({common.scene_id(number) for number in numbers})
+    _check_name(history, common)
+    planned = {plan.number: (plan, job) for plan, job in _planned(common, history, numbers, retry_failed, began)}
+    todo = {number: job for number, (plan, job) in planned.items() if plan.action in ("draw", "go on")}
+    yield from (plan for number, (plan, _) in planned.items() if number not in todo)
+    jobs, problems = _with_layouts(common, todo)
+    for number, problem in problems.items():
+        first = todo[number].jobs[0]
+        common.lake.stage_rows(lost_run(first, "input", problem, 0.0), {})
+        yield dataclasses.replace(planned[number][0], error=f"{first.stage}: {problem}")
+    for number, done in zip(jobs, make(list(jobs.values())), strict=True):
+        yield dataclasses.replace(planned[number][0], done=done, error=done.error)
 
 
 def _with_layouts(common: _Request, jobs: Mapping[int, SynthesisJob]) -> tuple[dict[int, SynthesisJob], dict[int, str]]:
@@ -181,9 +225,9 @@ def _with_layouts(common: _Request, jobs: Mapping[int, SynthesisJob]) -> tuple[d
 
 
 def _planned(
-    common: _Request, history: Mapping[Key, StageState], numbers: Iterable[int], retry_failed: bool
+    common: _Request, history: Mapping[Key, StageState], numbers: Iterable[int], retry_failed: bool, began: datetime | None = None
 ) -> Iterator[tuple[SceneSynthesis, SynthesisJob]]:
-    """What to do with every scene, and why; nothing is computed."""
+    """What to do with every scene, and why; nothing is computed. What failed since the command began is not tried again."""
     configs = configure(seed=common.seed).stages
     codes = {name: code_fingerprint(MODULES[name]) for name in BACK}
     front_code = digest(code_fingerprint(_CODE), common.model.code)
@@ -216,7 +260,7 @@ def _planned(
                 print_ = Fingerprint((*beside, *above), text, codes[stage.name], common.seed, facts)
                 fingerprint, parts = print_.value, print_.parts
             jobs[stage.name] = _job(common, scene_id, stage, configs[stage.name], text, fingerprint, parts, above, history)
-        yield _plan(common, scene_id, number, tuple(jobs.values()), history, retry_failed)
+        yield _plan(common, scene_id, number, tuple(jobs.values()), history, retry_failed, began)
 
 
 def _job(
@@ -229,8 +273,9 @@ def _job(
 
 
 def _plan(
-    common: _Request, scene_id: str, number: int, jobs: tuple[Job, ...], history: Mapping[Key, StageState], retry_failed: bool
-) -> tuple[SceneSynthesis, SynthesisJob]:
+    common: _Request, scene_id: str, number: int, jobs: tuple[Job, ...], history: Mapping[Key, StageState], retry_failed: bool,
+    began: datetime | None,
+) -> tuple[SceneSynthesis, SynthesisJob]:  # fmt: skip
     states = {job.stage: history.get((scene_id, job.stage)) for job in jobs}
     todo = [job.stage for job in jobs if not _is_done(states[job.stage], job)]
     if any(name in todo for name in FRONT):
@@ -239,10 +284,10 @@ def _plan(
     if not todo:
         return SceneSynthesis(scene_id, number, "reuse", "unchanged"), made
     failed = next((job for job in jobs if job.stage in todo and _has_failed(states[job.stage], job)), None)
-    if failed is not None and not retry_failed:
-        why, state = "failed before on the same input (--retry-failed makes it again)", states[failed.stage]
-        error = state.last.error if state is not None else None
-        return SceneSynthesis(scene_id, number, "report", why, error=f"{failed.stage}: {error or 'failed'}"), made
+    last = states[failed.stage] if failed is not None else None
+    if failed is not None and last is not None and (not retry_failed or (began is not None and last.last.started_at > began)):
+        why = "failed before on the same input (--retry-failed makes it again)"
+        return SceneSynthesis(scene_id, number, "report", why, error=f"{failed.stage}: {last.last.error or 'failed'}"), made
     action: Action = "draw" if todo[0] in FRONT else "go on"
     return SceneSynthesis(scene_id, number, action, _why(states[todo[0]], next(job for job in jobs if job.stage == todo[0]))), made
 
@@ -269,7 +314,7 @@ def _is_done(state: StageState | None, job: Job) -> bool:
 def _own_name(common: _Request) -> str:
     """A name that says what was asked for; another request has another."""
     base = common.asked.base
-    of = f"{base.scene.scene_id.replace('/', '_')}_{base.instance_id}" if base is not None else common.asked.word.replace(" ", "_")
+    of = f"{base.scene.scan[:28]}_{base.instance_id}" if base is not None else common.asked.word.replace(" ", "_")
     room = "" if common.asked.room_type == "unknown" else f"_{common.asked.room_type.replace(' ', '_')}"
     text = re.sub(r"[^A-Za-z0-9_.-]", "_", f"{of}{'' if base is not None else room}_{common.model.kind}")[:48]
     return f"{text}_{digest(common.facts)[:8]}"
@@ -302,4 +347,6 @@ def _license(model: DrawingModel, wanted: AskedScene) -> str | None:
     if any(license_ is None for license_ in stated):
         return None
     asking = sorted({str(license_) for license_ in stated if duties(license_) != "nothing"})
+    if len(asking) > 1:
+        asking = [f"({license_})" if " OR " in license_.upper() else license_ for license_ in asking]
     return " AND ".join(asking) if asking else MADE_LICENSE

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
 import os
 import resource
 import socket
@@ -14,11 +13,12 @@ from typing import Any
 
 from flows.run.fingerprints import ModuleCaches
 from flows.run.patience import is_away
-from flows.worker import HISTORIES, Job, lost_run
+from flows.run.scene import NO_ROOM
+from flows.worker import Job, RowsGone, history_rows, lost_run
 from schemas.candidates import Asset
 from schemas.capture import SYNTHESIS
 from schemas.errors import InputError, LakeError
-from schemas.record import arrow_to_rows, check
+from schemas.record import check
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from schemas.text import one_line
@@ -29,6 +29,7 @@ from tasks.synthesis.scenes.drawn import BaseScene, Drawn
 from tasks.synthesis.scenes.rows import drawn_rows
 from warehouse.lake import Lake
 from warehouse.release.licenses import with_licenses_of_scans
+from warehouse.storage.refusals import number_of
 
 FRONT = ("capture", "captions", "candidates", "selection")
 """Stages whose rows follow from the layout, made together."""
@@ -85,6 +86,18 @@ def make_scene(job: SynthesisJob) -> SceneDone:
     return scene.done()
 
 
+def left_behind(job: SynthesisJob, kind: str, text: str, seconds: float) -> SceneDone:
+    """What came of a scene whose worker did not come back: the stage that it was at is staged, with a `kind` of error and its text."""
+    lake = Lake.open(job.lake)
+    states = lake.history({job.scene_id})
+    done = {stage: state.done.fingerprint for (_, stage), state in states.items() if state.done is not None}
+    at = next((item for item in job.jobs if item.stage in job.todo and done.get(item.stage) != item.fingerprint), None)
+    if at is None:  # it was lost after its last word to the lake, before its last word to us
+        return _Scene(job).done()
+    lake.stage_rows(lost_run(at, kind, text, seconds), {})
+    return SceneDone(job.scene_id, error=f"{at.stage}: {text}")
+
+
 class _Scene:
     """A scene in the making: its rows by table as far as they are known, read where they are not."""
 
@@ -122,8 +135,7 @@ class _Scene:
             if "assets" in inputs:
                 inputs["assets"] = with_licenses_of_scans(inputs["assets"], self._lake.snapshot, job.scene_id)
             for table in stage.history:
-                matches = HISTORIES[table](self._lake.snapshot(), job.scene_id)
-                inputs[table] = list(arrow_to_rows(matches, TABLES[table].record))
+                inputs[table] = history_rows(self._lake, table, job)
             outcome = stage.run(**inputs, context=self._context(job), config=job.config)
             if stage.name == "optimization":
                 outcome.rows["placements"] = self._with_origins(outcome.rows["placements"])
@@ -169,7 +181,7 @@ class _Scene:
             elif rows is None:
                 rows = self._lake.rows_of(table, scene_id, fingerprint)
             if rows is None:
-                raise InputError(scene_id, table, "was replaced by another run meanwhile", "give the same command again")
+                raise RowsGone(f"{scene_id}: {table}: the rows that this stage reads were replaced by another run; run again")
             self._rows[table] = list(rows)
         return self._rows[table]
 
@@ -191,8 +203,8 @@ class _Scene:
         self._notes += outcome.degradations
 
     def _failed(self, job: Job, error: Exception, started: datetime, seconds: float) -> str:
-        """Leave the row of a failure; what is to be said of it."""
-        passes = is_away(error) or (isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT))
+        """Leave the row of a failure; what is to be said of it. What passes, such as a full disk, is lost, and tried again next time."""
+        passes = isinstance(error, RowsGone) or is_away(error) or number_of(error) in NO_ROOM
         known = isinstance(error, LakeError)
         text = str(error) if known else f"{type(error).__name__}: {one_line(error)[:500]}"
         kind = "lost" if passes else "input" if isinstance(error, InputError) else "defect"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -19,6 +20,7 @@ import trimesh
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from flows.inputs import ingestion
 from flows.inputs.ingestion import DatasetImport, import_dataset
 from flows.stats import write_report
 from schemas.candidates import Asset
@@ -165,6 +167,21 @@ def test_what_was_staged_before_the_commit_was_lost_is_committed_and_not_read_ag
     straight = Lake.open(tmp_path / "straight")
     import_dataset(straight, "habitat", dataset, "other")
     assert digests(lake.snapshot()) == digests(straight.snapshot())
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), ConnectionError("the store is away")], ids=str)
+def test_what_passes_is_no_failure_of_the_scene(error: Exception, dataset: Path, lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ingestion, "ingest", refused)
+        done = import_dataset(lake, "habitat", dataset, "other")
+    assert len(done.failed) == len(done.scenes)
+    assert {(run.outcome, run.error_kind) for run in lake.snapshot().rows(StageRun)} == {("lost", "lost")}
+    again = import_dataset(lake, "habitat", dataset, "other")
+    assert (actions(again), again.failed) == (["import"] * len(again.scenes), ())
+    assert {scene.why for scene in again.scenes} == {"lost before"}
 
 
 @pytest.mark.slow

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import json
+import os
+import signal
 import types
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import mujoco
@@ -14,9 +19,11 @@ from click.testing import CliRunner
 
 from flows.commands.lake import erase
 from flows.commands.synthesize import command
-from flows.inputs.synthesis import DrawingModel, SceneRequest, Synthesized, asked, batches, jobs, synthesize
+from flows.inputs.synthesis import DrawingModel, SceneRequest, Synthesized, asked, asking, batches, jobs, synthesize, workers
 from flows.outputs.explain import explain
+from flows.worker import RowsGone
 from schemas.candidates import Asset
+from schemas.captions import Caption
 from schemas.capture import Instance, Scene
 from schemas.errors import InputError
 from schemas.exports import ExportCheck, ExportFile
@@ -28,14 +35,25 @@ from tasks.furniture import tops
 from tasks.micro_scenes.categories import read_categories
 from tasks.pipeline import upstream
 from tasks.synthesis.layout import Large, Layout
+from tasks.synthesis.scenes.drawn import Drawn
 from tests.furnished import furnished_lake
 from tests.samples import sample
 from warehouse.lake import Lake
 from warehouse.questions.views import views
+from warehouse.release.licenses import Allowed
 from warehouse.tables.digest import digests
 
 CATEGORIES = read_categories()
 WANTED = SceneRequest(large="nightstand", room_type="bedroom")
+
+
+@dataclasses.dataclass(frozen=True)
+class Deadly(Drawn):
+    """A layout that takes along whoever makes a scene of it."""
+
+    def rng(self, *words: object) -> np.random.Generator:
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError
 
 
 class Rules:
@@ -149,8 +167,11 @@ def test_the_same_request_again_does_nothing_and_a_killed_one_is_finished(
         with pytest.raises(KeyboardInterrupt):
             ask(lake)
     assert lake.snapshot().rows(Scene) == []
-    assert actions(ask(lake, dry_run=True)) == ["reuse", "go on"]
+    again = ask(lake, dry_run=True)
+    assert actions(again) == ["reuse", "go on"]
     assert lake.snapshot().rows(Scene) == [], "a dry run writes nothing"
+    with pytest.raises(InputError, match="another request drew"):  # nothing of it is committed yet
+        ask(lake, SceneRequest(large="nightstand"), name=again.scenes[0].scene_id[len("synthetic/") : -len("_0000")])
     assert actions(ask(lake)) == ["reuse", "go on"]
     assert digests(lake.snapshot()) == before[0]
 
@@ -182,6 +203,91 @@ def test_a_failure_stops_no_other_scene_and_is_told_again(tmp_path: Path, monkey
     assert again.failed[0].error == done.failed[0].error
     assert actions(ask(lake, retry_failed=True)) == ["go on", "reuse"]
     assert actions(ask(lake)) == ["reuse", "reuse"]
+
+
+@pytest.mark.whole
+def test_what_passes_is_no_failure_of_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lake, stage, find = Lake.open(tmp_path / "lake"), jobs._stage("navigation"), jobs._stage
+    for error in (OSError(errno.ENOSPC, "No space left on device"), RowsGone("rows: replaced; run again"), ConnectionError("away")):
+
+        def refused(error: Exception = error, **_: object) -> object:
+            raise error
+
+        with monkeypatch.context() as patched:
+            patched.setattr(jobs, "_stage", lambda name: dataclasses.replace(stage, run=refused) if name == "navigation" else find(name))
+            assert len(ask(lake, count=1).failed) == 1
+        last = max((run for run in lake.snapshot().rows(StageRun) if run.stage == "navigation"), key=lambda run: run.started_at)
+        assert (last.outcome, last.error_kind) == ("lost", "lost")
+        assert actions(ask(lake, count=1, dry_run=True)) == ["go on"]
+    assert actions(ask(lake, count=1)) == ["go on"]
+    assert actions(ask(lake, count=1)) == ["reuse"]
+
+
+@pytest.mark.whole
+def test_a_worker_that_dies_takes_one_scene_along(straight: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lake, layouts = Lake.open(tmp_path / "lake"), batches._with_layouts
+
+    def deadly(*arguments: object) -> object:
+        made, problems = layouts(*arguments)  # type: ignore[arg-type]
+        first = made[0]
+        assert first.drawn is not None
+        return made | {0: dataclasses.replace(first, drawn=Deadly(**vars(first.drawn)))}, problems
+
+    with monkeypatch.context() as patched:
+        patched.setattr(batches, "_with_layouts", deadly)
+        done = ask(lake, workers=1)
+    assert [scene.error is None for scene in done.scenes] == [False, True]
+    assert str(done.scenes[0].error).startswith("capture: the worker died")
+    assert {run.outcome for run in lake.snapshot().rows(StageRun) if run.scene_id == done.scenes[0].scene_id} == {"lost"}
+    assert actions(ask(lake)) == ["draw", "reuse"]
+    assert digests(lake.snapshot()).keys() == digests(straight.snapshot()).keys()
+    assert {table: value for table, value in digests(lake.snapshot()).items() if table != "stage_runs"} == {
+        table: value for table, value in digests(straight.snapshot()).items() if table != "stage_runs"
+    }
+
+
+@pytest.mark.whole
+def test_two_commands_at_once_share_the_work(straight: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lake = Lake.open(tmp_path / "lake")
+    first = ask(lake, dry_run=True).scenes[0].scene_id
+    with lake.claims() as claims, monkeypatch.context() as patched:
+        assert claims.claim(first)
+        waited: list[float] = []
+
+        def other(seconds: float) -> None:
+            waited.append(seconds)
+            if len(waited) == 1:
+                return
+            claims.release(first)
+            assert actions(ask(lake, count=1)) == ["draw"]
+
+        patched.setattr(batches.time, "sleep", other)
+        done = ask(lake)
+    assert actions(done) == ["reuse", "draw"]
+    assert len(waited) == 2
+    assert {run.attempt for run in lake.snapshot().rows(StageRun)} == {1}
+    assert digests(lake.snapshot()) == digests(straight.snapshot())
+    assert lake.claimed() == {}
+
+
+def test_layouts_are_drawn_side_by_side_and_one_that_is_none_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lake, drawn = Lake.open(tmp_path / "lake"), []
+
+    class Told(Rules):
+        def draw(self, larges: Sequence[Large], seed: int, numbers: Sequence[int]) -> list[Layout]:
+            drawn.append(list(numbers))
+            layouts = super().draw(larges, seed, numbers)
+            return [dataclasses.replace(one, yaws=one.yaws + (np.nan if n == 3 else 0)) for one, n in zip(layouts, numbers, strict=True)]
+
+    monkeypatch.setattr(workers, "make_scene", lambda job: jobs.SceneDone(job.scene_id))
+    model = dataclasses.replace(MODEL, drawer=Told())
+    done = synthesize(lake, asked(lake, WANTED), model, count=20)
+    assert drawn == [list(range(16)), list(range(16, 20))]
+    assert [scene.number for scene in done.failed] == [3]
+    drawn.clear()
+    again = synthesize(lake, asked(lake, WANTED), model, count=4)
+    assert (again.scenes[3].action, again.scenes[3].error) == ("report", done.scenes[3].error)
+    assert drawn == [[0, 1, 2]], "what failed on the same input is not drawn again"
 
 
 @pytest.fixture(scope="module")
@@ -222,6 +328,8 @@ def test_other_names_and_large_objects_are_refused(rooms: Lake) -> None:
         ask(rooms, name="anew")
     with pytest.raises(InputError, match="is no large object, but a lamp"):
         asked(rooms, SceneRequest(instance="demo/room_0/0002"))
+    with pytest.raises(InputError, match="another request drew"):  # other assets are another request
+        ask(rooms, SceneRequest(instance="demo/room_0/0001"), name="anew", use_assets=False)
     with pytest.raises(InputError, match="is no instance of its scene"):
         asked(rooms, SceneRequest(instance="demo/room_0/0099"))
     with pytest.raises(InputError, match="ask for a nightstand"):
@@ -232,14 +340,82 @@ def test_other_names_and_large_objects_are_refused(rooms: Lake) -> None:
 
 
 @pytest.mark.whole
-def test_who_erases_a_scene_erases_what_was_made_of_it(rooms: Lake) -> None:
+def test_what_a_base_is_asked_for_must_be_there_and_of_a_size(rooms: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    request = SceneRequest(instance="demo/room_0/0001")
+    wanted = asked(rooms, request)
+
+    class Narrow(Rules):
+        def check(self, large: Large) -> None:
+            if large.room_type not in ("bedroom", "unknown"):
+                raise InputError("synthesis", "room", f"{large.room_type} is not known", "ask for a bedroom")
+
+    model = dataclasses.replace(MODEL, drawer=Narrow())
+    hall = dataclasses.replace(wanted, room_type="hall")
+    assert actions(synthesize(rooms, hall, model, count=1, dry_run=True)) == ["draw"], "nobody can choose the kind of a room that is there"
+    with pytest.raises(InputError, match="ask for a bedroom"):
+        synthesize(rooms, dataclasses.replace(hall, base=None), model, count=1, dry_run=True)
+    with monkeypatch.context() as patched:
+        patched.setattr(asking, "MOST_M", 0.3)
+        with pytest.raises(InputError, match="no size of furniture"):
+            asked(rooms, request)
+    with pytest.raises(InputError, match="was changed meanwhile"):
+        synthesize(rooms, dataclasses.replace(wanted, content=("capture=other",)), MODEL, count=1)
+    assert rooms.claimed() == {}
+
+
+@pytest.mark.whole
+def test_a_scene_follows_from_the_rows_of_its_base_that_were_read(rooms: Lake) -> None:
+    request, reader = SceneRequest(instance="demo/room_0/0001"), rooms.snapshot()
+    before = asked(rooms, request).content
+    assert [part.partition("=")[0] for part in before] == sorted(
+        {"capture", "captions", "candidates", "selection", "optimization", "micro_scenes"}
+        & {run.stage for run in reader.rows(StageRun, "demo/room_0")}
+    )
+    run = next(run for run in reader.rows(StageRun, "demo/room_0") if run.stage == "captions")
+    newer = dataclasses.replace(run, fingerprint="f" * 64, started_at=datetime.now(UTC), attempt=1)
+    rooms.stage_rows(newer, {"captions": reader.rows(Caption, "demo/room_0")})
+    try:
+        assert asked(rooms, request).content == before, "rows that are staged were not read"
+    finally:
+        rooms.unstage(newer)
+
+
+def test_other_requests_have_other_names(rooms: Lake) -> None:
+    wanted = asked(rooms, SceneRequest(instance="demo/room_0/0001"))
+    assert wanted.base is not None
+
+    def name(scene_id: str, **options: object) -> str:
+        scene = dataclasses.replace(wanted.base.scene, scene_id=scene_id, scan=scene_id.partition("/")[2])  # type: ignore[union-attr]
+        of = dataclasses.replace(wanted, base=dataclasses.replace(wanted.base, scene=scene))
+        return synthesize(rooms, of, MODEL, count=1, dry_run=True, **options).scenes[0].scene_id  # type: ignore[arg-type]
+
+    scans = ["a.b/c", "a/b.c", "a/b_c", "a_b/c", f"a/{'x' * 60}", f"b/{'x' * 60}", f"a/{'x' * 59}y"]
+    named = [name(scan) for scan in scans]
+    named += [name("a/c", use_assets=False), name("a/c"), name("a/c", licenses=Allowed(("CC0-1.0",))), name("a/c", seed=1)]
+    assert len(set(named)) == len(named)
+    assert all(one.count("_0001_physcene_") == 1 and len(one) < 80 for one in named), "the object and who drew it are named"
+    both = name("a/c", licenses=Allowed(("MIT", "CC0-1.0")))
+    assert both == name("a/c", licenses=Allowed(("CC0-1.0", "MIT")))
+
+
+@pytest.mark.whole
+def test_who_erases_a_scene_erases_what_was_made_of_it(rooms: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Lake, "commit", killed)
+        with pytest.raises(KeyboardInterrupt):
+            ask(rooms, SceneRequest(instance="demo/room_0/0001"), count=1)
+    (staged,) = {run.run.scene_id for run in rooms.staging.runs()}
     runner = CliRunner()
     told = runner.invoke(erase, ["demo/room_0", "--dry-run", "--json", "--lake", rooms.address])
-    assert '"also": ["synthetic/anew_0000"]' in told.output
+    assert set(json.loads(told.output)["also"]) == {"synthetic/anew_0000", staged}
     assert len(rooms.snapshot().rows(Scene)) == 2
     done = runner.invoke(erase, ["demo/room_0", "--yes", "--lake", rooms.address], catch_exceptions=False)
     assert "0 hits" in done.output
     assert rooms.snapshot().rows(Scene) == []
+    assert rooms.staging.runs() == []
 
 
 @pytest.mark.parametrize(
@@ -247,6 +423,7 @@ def test_who_erases_a_scene_erases_what_was_made_of_it(rooms: Lake) -> None:
     [
         ("CC0-1.0", "CC0-1.0", "CC0-1.0"), ("CC-BY-4.0", "CC0-1.0", "CC-BY-4.0"), ("MIT-0", "CC-BY-4.0", "CC-BY-4.0"),
         ("CC-BY-NC-4.0", "CC-BY-4.0", "CC-BY-4.0 AND CC-BY-NC-4.0"), ("CC0-1.0", None, None),
+        ("MIT OR GPL-3.0-only", "CC-BY-4.0", "CC-BY-4.0 AND (MIT OR GPL-3.0-only)"),
     ],
 )  # fmt: skip
 def test_a_scene_has_the_licenses_of_model_and_base(of_model: str, of_base: str | None, license_: str | None) -> None:

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from schemas.synthesis import Synthesis
 from warehouse.lake import Lake
+
+TABLE = "syntheses"
 
 
 def furnished_anew(lake: Lake, scene_id: str) -> tuple[str, ...]:
     """Scenes in which a model furnished an object of a scene anew, and those made of these in turn, the last ones first; in the last
-    snapshot and in releases."""
-    snapshots = {None, *(release.snapshot_id for release in lake.snapshot().releases)}
+    snapshot, in releases, and among what is staged."""
     based: dict[str, set[str]] = {}
-    for snapshot_id in snapshots:
+    for staged in lake.staging.runs():  # first: what is committed meanwhile is in the snapshot then
+        if TABLE not in staged.files:
+            continue
+        with contextlib.suppress(FileNotFoundError):
+            for entry in lake.staging.read(staged.files[TABLE]).select(["scene_id", "based_on"]).to_pylist():
+                based.setdefault(entry["based_on"], set()).add(entry["scene_id"])
+    for snapshot_id in {None, *(release.snapshot_id for release in lake.snapshot().releases)}:
         for row in lake.snapshot(snapshot_id).rows(Synthesis):
             if row.based_on is not None:
                 based.setdefault(row.based_on, set()).add(row.scene_id)
