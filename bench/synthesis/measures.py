@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from bench.synthesis.draws import KeptDraws, Part
 from bench.synthesis.rooms import ROOM_TYPES
 from bench.synthesis.trainings import HELD, TrainedModel, TrainingRooms, held_layouts, learned_layouts
 from flows.run.fingerprints import code_fingerprint, digest
@@ -32,7 +33,10 @@ TRUTH, SHUFFLED, INDEPENDENT, NEAREST = "truth again", "truth, shuffled", "indep
 UNGUIDED = "physcene, unguided"
 """The weights of PhyScene without guidance."""
 
-NO_GUIDANCE = Guidance(share=0.0, settling=0)
+DRAWN, FIGURES = "drawn", "figures"
+"""Folders of what models drew, and of figures."""
+
+NO_GUIDANCE = Guidance(share=0.0, settling=0, tries=1)
 
 TABLE = "table"
 """Word of the large object on which kinds of rooms are told apart: it has a rule in each of them."""
@@ -73,25 +77,14 @@ class Measurement:
         code = [code_fingerprint(module) for module in CODE]
         return digest(own, *code, weights, self.rooms.mark, self.name, str(self.seed), str(self.scenes), str(self.per_room), network)
 
-    def draws(self) -> Draws:
-        """What draws."""
+    def draws(self, folder: Path) -> Draws:
+        """What draws. folder: Of what models drew."""
         if self.model is not None:
-            return _Unguided(self.model) if self.name == UNGUIDED else self.model.drawer()
+            return KeptDraws(folder, self.model, NO_GUIDANCE if self.name == UNGUIDED else None)
         if self.name == TRUTH:
             return _Truth(self.rooms.seed + 2 * HELD)
         learned = learned_layouts(self.rooms)
         return IndependentDraws(learned) if self.name == INDEPENDENT else NearestScene(learned)
-
-
-class _Unguided:
-    """PhyScene's weights without guidance."""
-
-    def __init__(self, model: TrainedModel) -> None:
-        self._drawer = model.drawer()
-
-    def draw(self, larges: Sequence[Large], seed: int) -> list[Layout]:
-        """A layout on each of some large objects."""
-        return self._drawer.draw(larges, seed, guidance=NO_GUIDANCE)
 
 
 class _Truth:
@@ -112,13 +105,23 @@ class _Truth:
         return Layout(large, tuple(map(merged, top.words)), top.centers, top.sizes, top.yaws)
 
 
+def parts(folder: Path, what: Measurement) -> list[Part]:
+    """All that a model draws for a measurement, in parts; nothing for what learns nothing."""
+    draws = what.draws(folder / DRAWN)
+    if not isinstance(draws, KeptDraws):
+        return []
+    larges = [layout.large for layout in held_layouts(what.scenes, what.rooms)]
+    tables = [] if what.name == UNGUIDED else _tables(what.per_room)
+    return [*draws.parts(larges, what.seed), *draws.parts(tables, what.seed + HELD)]
+
+
 def measured(folder: Path, what: Measurement) -> dict[str, Any]:
     """Figures of a measurement as plain values: as the folder holds them, or measured now."""
     mark = what.mark
-    path = folder / f"{what.name.replace(', ', '-').replace(' ', '-')}-{what.seed}-{mark[:16]}.json"
+    path = folder / FIGURES / f"{what.name.replace(', ', '-').replace(' ', '-')}-{what.seed}-{mark[:16]}.json"
     if not path.exists():
-        figures = shuffled_figures(what) if what.name == SHUFFLED else figures_of(what)
-        folder.mkdir(parents=True, exist_ok=True)
+        figures = shuffled_figures(what) if what.name == SHUFFLED else figures_of(folder / DRAWN, what)
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, json.dumps(figures).encode())
     return {"name": what.name, "seed": what.seed, **json.loads(path.read_bytes())}
 
@@ -130,14 +133,14 @@ def shuffled_figures(what: Measurement) -> dict[str, Any]:
     return {"sca": dataclasses.asdict(classifier_accuracy(truth, layouts, what.seed)), **dataclasses.asdict(box_figures(layouts))}
 
 
-def figures_of(what: Measurement) -> dict[str, Any]:
-    """All figures of who draws on the large objects of held-out layouts."""
+def figures_of(folder: Path, what: Measurement) -> dict[str, Any]:
+    """All figures of who draws on the large objects of held-out layouts. folder: Of what models drew."""
     truth, learned = held_layouts(what.scenes, what.rooms), learned_layouts(what.rooms)
-    draws = what.draws()
+    draws = what.draws(folder)
     larges = [layout.large for layout in truth]
     clock = time.perf_counter()
     drawn = draws.draw(larges, what.seed)
-    seconds = time.perf_counter() - clock
+    seconds = draws.seconds(larges, what.seed) if isinstance(draws, KeptDraws) else time.perf_counter() - clock
     features = random_features() if what.inception is None else torchscript_features(what.inception)
     own, true = variety(drawn, what.seed), variety(truth, what.seed)
     return {
@@ -153,7 +156,7 @@ def figures_of(what: Measurement) -> dict[str, Any]:
         "nearest": dataclasses.asdict(nearest_figures(drawn, truth, learned)),
         "pictures": dataclasses.asdict(picture_figures(truth, drawn, features)),
         "seconds_per_1000": 1000.0 * seconds / len(drawn),
-        "rooms": conditioning(draws, what.per_room, what.seed),
+        "rooms": {} if what.name == UNGUIDED else conditioning(draws, what.per_room, what.seed),
     }
 
 
@@ -162,12 +165,16 @@ def table_in(room_type: str) -> Large:
     return Large(read_categories().merged(TABLE), tops.typical_size(TABLE, np.random.default_rng(0)), room_type)
 
 
+def _tables(count: int) -> list[Large]:
+    """The one table, so often in each kind of room."""
+    return [table_in(room_type) for room_type in ROOM_TYPES for _ in range(count)]
+
+
 def conditioning(draws: Draws, count: int, seed: int) -> dict[str, Any]:
     """How far categories on one table are from what is stated for a kind of room, by that: `own`; from what is stated for the others, in
     the mean: `others`; and how far layouts on it are from each other [m]: `variety_m`. Draws are of numbers that no other figure has."""
     stated = {room_type: tops.stated_distribution(TABLE, room_type) for room_type in ROOM_TYPES}
-    larges = [table_in(room_type) for room_type in ROOM_TYPES for _ in range(count)]
-    drawn = draws.draw(larges, seed + HELD)
+    drawn = draws.draw(_tables(count), seed + HELD)
     matches = {}
     for at, room_type in enumerate(ROOM_TYPES):
         own = drawn[at * count : (at + 1) * count]

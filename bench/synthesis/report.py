@@ -14,8 +14,10 @@ import numpy as np
 from bench.goals import goal
 from bench.machine import machine
 from bench.selection.trainings import mapped
+from bench.synthesis.draws import PART, drawn_part
 from bench.synthesis.house import house_figures, house_layouts, lacking
 from bench.synthesis.measures import (
+    DRAWN,
     INDEPENDENT,
     NEAREST,
     SHUFFLED,
@@ -24,6 +26,7 @@ from bench.synthesis.measures import (
     UNGUIDED,
     Measurement,
     measured,
+    parts,
     table_in,
 )
 from bench.synthesis.rooms import ROOM_TYPES
@@ -53,12 +56,12 @@ class SynthesisBench:
     None for an own one, whose figures are not comparable. parts: of `PARTS`. made: scenes that are made of drawn layouts."""
 
     folder: Path
-    rooms: int = 1500
+    rooms: int = 3000
     seeds: int = 3
     steps: int = 0
     models: tuple[str, ...] = PRESETS
     scenes: int = 1000
-    per_room: int = 200
+    per_room: int = 1000
     seed: int = 0
     processes: int = 1
     realdata: Path | None = None
@@ -86,8 +89,9 @@ class SynthesisBench:
     def advances(self) -> int:
         """How often the benchmark advances."""
         drawn = [name for training in self.trainings for name in _names(training.name)] if "layouts" in self.parts else []
+        of_rooms = sum(name != UNGUIDED for name in drawn) * math.ceil(len(ROOM_TYPES) * self.per_room / PART)
         made = self.made if "scenes" in self.parts and self.trainings else 0
-        return len(self.trainings) + len(drawn) + len(self.plain) + made
+        return len(self.trainings) + len(drawn) * (1 + math.ceil(self.scenes / PART)) + of_rooms + len(self.plain) + made
 
     def measurement(self, name: str, seed: int, model: TrainedModel | None) -> Measurement:
         """A measurement with these settings."""
@@ -116,7 +120,12 @@ def run_synthesis_bench(config: SynthesisBench, advance: Callable[[str], None]) 
             models.append(model)
             advance(f"{model.training.name} {model.training.seed}")
         rows: dict[str, list[dict[str, Any]]] = {}
-        for row in spread(partial(measured, config.folder / "figures"), [*config.of_models(models), *config.plain]):
+        measurements = [*config.of_models(models), *config.plain]
+        for part in spread(
+            partial(drawn_part, config.folder / DRAWN), [part for one in measurements for part in parts(config.folder, one)]
+        ):
+            advance(f"{part.model.training.name} {part.model.training.seed}, drawn from {part.first}")
+        for row in spread(partial(measured, config.folder), measurements):
             rows.setdefault(row["name"], []).append(row)
             advance(row["name"])
     scenes = _scenes(config, models, advance)

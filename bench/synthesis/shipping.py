@@ -29,7 +29,7 @@ MOST_BYTES = 5_000_000
 LICENSE = "CC0-1.0"
 """Of generated rooms, and so of what learned from them alone."""
 
-ROOMS = 1000
+ROOMS = 3000
 """That a shipped model learned from."""
 
 LIMITS = (

@@ -48,7 +48,7 @@ def test_models_are_held_against_rooms_that_none_learned_from_of_the_same_rules(
 
 
 def test_the_truth_drawn_again_follows_what_is_stated_and_the_baseline_of_another_room_does_not() -> None:
-    truth = Measurement(TRUTH, 0, None, ROOMS, 100, 100).draws()
+    truth = Measurement(TRUTH, 0, None, ROOMS, 100, 100).draws(Path())
     held = held_layouts(100, ROOMS)
     drawn = truth.draw([layout.large for layout in held], 0)
     assert [layout.large for layout in drawn] == [layout.large for layout in held]
@@ -96,7 +96,7 @@ def test_a_training_is_made_once_and_again_where_anything_it_follows_from_change
 def test_figures_are_kept_until_what_they_follow_from_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
 
-    def figures_of(what: Measurement) -> dict[str, float]:
+    def figures_of(folder: Path, what: Measurement) -> dict[str, float]:
         calls.append(what.name)
         return {"ckl": 0.25}
 
@@ -179,7 +179,7 @@ def test_the_house_is_what_stands_on_its_large_objects() -> None:
 def test_the_bar_has_as_many_steps_as_are_advanced(tmp_path: Path) -> None:
     config = SynthesisBench(tmp_path, seeds=2)
     assert len(config.trainings) == len(PRESETS) * 2
-    assert config.advances == 6 + 8 + 4 + 100
+    assert config.advances == 6 + 8 * (1 + 4) + 6 * 24 + 4 + 100  # trainings, figures and parts that are drawn, tables, plain ones, scenes
     alone = dataclasses.replace(config, parts=("scenes",))
     assert [training.name for training in alone.trainings] == [MODEL]
     assert alone.advances == 1 + 100
@@ -188,7 +188,7 @@ def test_the_bar_has_as_many_steps_as_are_advanced(tmp_path: Path) -> None:
 
 @pytest.mark.whole
 def test_scenes_of_true_layouts_are_stable_stay_where_they_are_and_pass_the_gates(tmp_path: Path) -> None:
-    truth = Measurement(TRUTH, 0, None, ROOMS, 10, 2).draws()
+    truth = Measurement(TRUTH, 0, None, ROOMS, 10, 2).draws(Path())
 
     class Drawer:
         def check(self, large: Large) -> None:

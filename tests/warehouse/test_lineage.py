@@ -280,7 +280,7 @@ def test_the_graph_holds_together_and_is_what_its_schema_says(lake: Lake) -> Non
 def test_a_scene_counts_what_sql_counts(lake: Lake) -> None:
     lineage = explain(lake, SCENE)
     stages = {node.facts["stage"]: node.facts for node in lineage.of_kind("stage")}
-    assert len(stages) == 8
+    assert len(stages) == 9
     for stage, name in (("capture", "masks"), ("captions", "captions"), ("candidates", "candidates"), ("navigation", "episodes")):
         assert stages[stage][name] == sql(lake, f"SELECT count(*) AS n FROM {name}")[0]["n"]
     upstream = sql(lake, "SELECT stage, unnest(upstream) AS part FROM current_runs WHERE scene_id = ?", SCENE)

@@ -12,12 +12,12 @@ from flows.commands.options import json_option
 
 
 @click.command("synthesis")
-@click.option("--rooms", type=click.IntRange(10, 100_000), default=1500, show_default=True, help="Generated rooms; a fifth is held out.")
+@click.option("--rooms", type=click.IntRange(10, 100_000), default=3000, show_default=True, help="Generated rooms; a fifth is held out.")
 @click.option("--seeds", type=click.IntRange(1, 100), default=3, show_default=True, help="Seeds of every training.")
 @click.option("--steps", type=click.IntRange(0), default=0, help="Steps of every training; those of the system where left out.")
 @click.option("--models", default="", help="Train only these, with commas between: atiss, diffuscene, physcene; `none` trains nothing.")
 @click.option("--scenes", type=click.IntRange(10, 100_000), default=1000, show_default=True, help="Held-out layouts that figures are of.")
-@click.option("--per-room", type=click.IntRange(2, 100_000), default=200, show_default=True, help="Layouts of one table per kind of room.")
+@click.option("--per-room", type=click.IntRange(2, 100_000), default=1000, show_default=True, help="Layouts of one table per kind of room.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms and layouts.")
 @click.option(
     "--folder",

@@ -9,7 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.synthesis.inference.layers import EPSILON, Layers, Values, attended, merged, one_thread, silu, softmax, split, step_waves, text
+from tasks.synthesis.inference.layers import (
+    EPSILON,
+    Layers,
+    Values,
+    attended,
+    merged,
+    one_thread,
+    silu,
+    softmax,
+    split,
+    step_waves,
+    text,
+    waves,
+)
 from tasks.synthesis.inference.schedule import NoiseSchedule
 from tasks.synthesis.model.config import Diffusion, Transformer
 from tasks.synthesis.model.encoding import BOX
@@ -44,11 +57,14 @@ class PlainDenoiser:
         noised: Slot 0 is clean. step: Of the diffusion. condition: As `conditions` gives it.
         """
         layers, (known, words) = self.layers, condition
-        hidden = layers.perceptron("box_in", noised[..., :BOX]) + layers.perceptron("class_in", noised[..., BOX:])
-        if isinstance(self.config.architecture, Transformer):
+        box, shape = noised[..., :BOX], self.config.architecture
+        if isinstance(shape, Transformer) and shape.waves:
+            box = np.concatenate([box, waves(box, shape.waves).reshape(*box.shape[:-1], -1)], axis=-1)
+        hidden = layers.perceptron("box_in", box) + layers.perceptron("class_in", noised[..., BOX:])
+        if isinstance(shape, Transformer):
             hidden += known + self.steps[step]
             hidden[:, 0] += layers.weights["body.large"]
-            hidden = layers.encoder("body.encoder", hidden, self.config.architecture.heads, norm_first=True)
+            hidden = layers.encoder("body.encoder", hidden, shape.heads, norm_first=True)
         else:
             hidden = self._levels(hidden, known + self.steps[step], words)
         category = layers.perceptron("class_out", hidden)
@@ -139,4 +155,4 @@ def denoiser_of(config: Diffusion, weights: Mapping[str, Values]) -> PlainDenois
     with one_thread():
         steps = layers.perceptron("step", step_waves(np.arange(config.noise.steps), config.architecture.width))
     noise = config.noise
-    return PlainDenoiser(config, NoiseSchedule(noise.steps, noise.beta_low, noise.beta_high, noise.target), layers, steps)
+    return PlainDenoiser(config, NoiseSchedule(noise.steps, noise.beta_low, noise.beta_high, noise.target, noise.curve), layers, steps)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from schemas.errors import InputError
 from tasks.synthesis.inference.atiss import CHANCES, Next
 from tasks.synthesis.inference.denoiser import PlainDenoiser, denoiser_of
-from tasks.synthesis.inference.guidance import Guidance, guided, settled
+from tasks.synthesis.inference.guidance import Guidance, guided, settled, sound
 from tasks.synthesis.inference.layers import Layers, Values, one_thread
-from tasks.synthesis.layout import Large, Layout
+from tasks.synthesis.layout import Array, Large, Layout
 from tasks.synthesis.model.config import Atiss, Diffusion, PhyScene, Transformer
 from tasks.synthesis.model.encoding import BOUNDS, BOX, VOCABULARY, Encoding
 from tasks.synthesis.model.shapes import check_fit
@@ -67,20 +67,36 @@ class Drawer:
             raise ValueError(f"{len(larges)} layouts cannot have {len(numbers)} numbers")
         conditions = np.array([self.encoding.condition(large) for large in larges], dtype=np.int64).reshape(-1, 2)
         firsts = np.array([self.encoding.large_vector(large) for large in larges]).reshape(-1, self.encoding.width)
-        guide, network = Guidance() if guidance is None and isinstance(self.config, PhyScene) else guidance, self.network
+        guide = Guidance() if guidance is None and isinstance(self.config, PhyScene) else guidance
         made: dict[int, Layout] = {}
-        with one_thread():
-            for places in _groups(numbers):
-                own = list(places.values())
-                rngs = [np.random.default_rng([seed, numbers[at]]) for at in own]
-                group = _Group(places, [larges[at] for at in own], firsts[own], conditions[own], rngs)
-                if isinstance(network, Next):
-                    vectors = _one_after_another(network, self.encoding, group)
-                else:
-                    vectors = _all_at_once(network, self.encoding, group, steps, guide)
-                made |= {at: self.encoding.layout(vectors[place], larges[at]) for place, at in places.items()}
-        layouts = [made[at] for at in range(len(larges))]
-        return layouts if guide is None else settled(layouts, guide)
+        left = list(range(len(larges)))
+        for attempt in range(1 if guide is None else guide.tries):
+            drawn: dict[int, tuple[Layout, Array]] = {}
+            with one_thread():
+                for places in _groups([numbers[at] for at in left]):
+                    own = [left[index] for index in places.values()]
+                    rngs = [np.random.default_rng([seed, numbers[at], *[attempt] * (attempt > 0)]) for at in own]
+                    group = _Group(dict(zip(places, own, strict=True)), [larges[at] for at in own], firsts[own], conditions[own], rngs)
+                    vectors, free = self._vectors(group, steps, guide)
+                    for place, at in group.places.items():
+                        is_there = self.encoding.categories(vectors[place, 1:]) != self.encoding.empty
+                        drawn[at] = self.encoding.layout(vectors[place], larges[at]), free[place, is_there]
+            layouts = [drawn[at][0] for at in left]
+            if guide is not None:
+                layouts = settled(layouts, guide, [drawn[at][1] for at in left])
+            made |= dict(zip(left, layouts, strict=True))
+            left = [at for at, is_sound in zip(left, sound(layouts), strict=True) if not is_sound]
+            if not left:
+                break
+        return [made[at] for at in range(len(larges))]
+
+    def _vectors(self, group: _Group, steps: int | None, guide: Guidance | None) -> tuple[Values, Array]:
+        """Vectors of a group (b, slots, d), and what slots but the first keep free [m], shape (b, slots - 1)."""
+        shape, network = (PLACES, self.config.slots - 1), self.network
+        free = np.zeros(shape) if guide is None else group.placed(np.array([guide.free(rng, shape[1:]) for rng in group.rngs]))
+        if isinstance(network, Next):
+            return _one_after_another(network, self.encoding, group), free
+        return _all_at_once(network, self.encoding, group, steps, guide, free), free
 
 
 def load(weights: bytes, config: Diffusion | Atiss, name: str = "weights") -> Drawer:
@@ -104,10 +120,11 @@ def check_sizes(config: Diffusion | Atiss, name: str = "weights") -> None:
         InputError: heads or groups do not share the channels, or sines and cosines do not.
     """
     shape = config if isinstance(config, Atiss) else config.architecture
-    parts = {"heads": shape.heads} if isinstance(shape, Atiss | Transformer) else {"groups": shape.groups}
-    halves = shape.embedding if isinstance(shape, Atiss) else shape.width
-    for field, count in (parts | {"sines and cosines": 2}).items():
-        channels = halves if field == "sines and cosines" else shape.width
+    shared = [("heads", shape.heads, shape.width)] if isinstance(shape, Atiss | Transformer) else [("groups", shape.groups, shape.width)]
+    shared.append(("sines and cosines", 2, shape.embedding if isinstance(shape, Atiss) else shape.width))
+    if isinstance(shape, Transformer):
+        shared.append(("sines and cosines", 2, shape.waves))
+    for field, count, channels in shared:
         if channels % count:
             raise InputError(name, "config.model", f"{count} {field} do not share {channels} channels", "train the model with other sizes")
 
@@ -150,8 +167,10 @@ def _groups(numbers: Sequence[int]) -> Iterator[dict[int, int]]:
         yield {place: queue[turn] for place, queue in sorted(queues.items()) if turn < len(queue)}
 
 
-def _all_at_once(network: PlainDenoiser, encoding: Encoding, group: _Group, count: int | None, guidance: Guidance | None) -> Values:
-    """Vectors (b, slots, d) out of noise."""
+def _all_at_once(
+    network: PlainDenoiser, encoding: Encoding, group: _Group, count: int | None, guidance: Guidance | None, free: Array
+) -> Values:
+    """Vectors (b, slots, d) out of noise. free: What slots but the first keep free around them [m], shape (b, slots - 1)."""
     config, schedule = network.config, network.schedule
     weight, shape = np.float32(config.guidance), (config.slots, encoding.width)
     first, conditions = group.placed(group.firsts), group.placed(group.conditions)
@@ -167,7 +186,7 @@ def _all_at_once(network: PlainDenoiser, encoding: Encoding, group: _Group, coun
             predicted = null + weight * (predicted - null)
         clean = schedule.denoised(predicted, step, sample)
         if guidance is not None and step < guidance.share * schedule.steps:
-            clean = guided(clean, dict(zip(group.places, group.larges, strict=True)), encoding, guidance)
+            clean = guided(clean, dict(zip(group.places, group.larges, strict=True)), encoding, guidance, free)
         if count is None:
             sample = schedule.ddpm(clean, step, sample, group.normal(*shape) if step else None)
         else:

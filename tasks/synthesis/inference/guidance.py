@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.synthesis.layout import Array, Large, Layout
-from tasks.synthesis.metrics.boxes import WITHOUT_LEVEL
-from tasks.synthesis.model.encoding import BOX, Encoding
+from tasks.synthesis.metrics.boxes import WITHOUT_LEVEL, colliding, floating, off_edge
+from tasks.synthesis.model.encoding import Encoding
 
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 MARGIN_M = 0.002
-"""Left between neighbors, and to the edge: what is just apart is apart in single precision too."""
+"""Left of where objects begin to carry one another: what is just apart is apart in single precision too."""
 
 CONTACT_M = 0.003
 """Objects that share less height than this are on one another, not beside."""
@@ -48,12 +48,20 @@ TURNED = 0.5
 @dataclasses.dataclass(frozen=True)
 class Guidance:
     """How much layouts are guided. share: Of the steps of sampling, the last ones. inner: Descents in each of them. limit_m: The most
-    that a middle moves along an axis in a descent [m]. settling: Descents of the drawn layout, at most."""
+    that a middle moves along an axis in a descent [m]. settling: Descents of the drawn layout, at most. free_m: What an object keeps free
+    around itself, drawn evenly between these for each [m]; two neighbors keep both, and an edge counts as one's like. tries: How often a
+    layout is drawn until nothing in it collides or is off its support, at most."""
 
     share: float = 0.2
     inner: int = 3
     limit_m: float = 0.05
     settling: int = 400
+    free_m: tuple[float, float] = (0.004, 0.01)
+    tries: int = 4
+
+    def free(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+        """What objects keep free around them [m]; what `rng` draws afterwards does not hang on it."""
+        return rng.spawn(1)[0].uniform(*self.free_m, size=shape)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,13 +69,15 @@ class Boxes:
     """Objects of several layouts one after another.
 
     layout: Of each object, shape (n,). centers: [m], shape (n, 3). halves: Half extents [m], shape (n, 3). yaws: [rad], shape (n,).
-    larges: Extents of the layouts' large objects [m], shape (b, 3). has_level: Whether these carry things on their top, shape (b,).
+    free: What they keep free around them [m], shape (n,). larges: Extents of the layouts' large objects [m], shape (b, 3). has_level:
+    Whether these carry things on their top, shape (b,).
     """
 
     layout: Indices
     centers: Array
     halves: Array
     yaws: Array
+    free: Array
     larges: Array
     has_level: Flags
 
@@ -78,8 +88,13 @@ class Boxes:
     def of(self, chosen: Flags) -> Boxes:
         """Some of the objects."""
         return dataclasses.replace(
-            self, layout=self.layout[chosen], centers=self.centers[chosen], halves=self.halves[chosen], yaws=self.yaws[chosen]
-        )
+            self, layout=self.layout[chosen], centers=self.centers[chosen], halves=self.halves[chosen], yaws=self.yaws[chosen],
+            free=self.free[chosen],
+        )  # fmt: skip
+
+    def between(self, first: Indices, second: Indices) -> Array:
+        """What pairs keep free between them [m], shape (p,)."""
+        return self.free[first] + self.free[second]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,13 +109,15 @@ class Contacts:
     levels: Array
 
 
-def boxes_of(layouts: Sequence[Layout]) -> Boxes:
-    """Objects of layouts."""
+def boxes_of(layouts: Sequence[Layout], free: Sequence[Array] | None = None) -> Boxes:
+    """Objects of layouts. free: What they keep free around them [m], shape (n,) per layout; half of `MARGIN_M` without."""
+    kept = [np.full(len(layout), 0.5 * MARGIN_M) for layout in layouts] if free is None else free
     return Boxes(
         layout=np.repeat(np.arange(len(layouts)), [len(layout) for layout in layouts]),
         centers=np.concatenate([np.zeros((0, 3)), *(layout.centers for layout in layouts)]),
         halves=0.5 * np.concatenate([np.zeros((0, 3)), *(layout.sizes for layout in layouts)]),
         yaws=np.concatenate([np.zeros(0), *(layout.yaws for layout in layouts)]),
+        free=np.concatenate([np.zeros(0), *kept]),
         larges=np.array([layout.large.size for layout in layouts]).reshape(-1, 3),
         has_level=has_level([layout.large.category for layout in layouts]),
     )
@@ -133,9 +150,9 @@ def contacts_of(boxes: Boxes) -> Contacts:
     on, under = upper[nearest[nearer]], lower[nearest[nearer]]
     levels[on], carriers[on] = tops[under], under
     apart = np.minimum(tops[first], tops[second]) - np.maximum(bottoms[first], bottoms[second]) > CONTACT_M
-    apart &= (carriers[first] != second) & (carriers[second] != first) & (flat > -MARGIN_M)
+    apart &= (carriers[first] != second) & (carriers[second] != first) & (flat > -boxes.between(first, second))
     first, second, overlaps, axes = first[apart], second[apart], overlaps[:, apart], axes[:, apart]
-    lacking = overlaps + MARGIN_M - _room(boxes, first, -axes) - _room(boxes, second, axes)
+    lacking = overlaps + boxes.between(first, second) - _room(boxes, first, -axes) - _room(boxes, second, axes)
     sides = np.argmin(overlaps + BLOCKED * np.maximum(lacking, 0.0), axis=0)
     return Contacts(first, second, sides, levels)
 
@@ -143,8 +160,8 @@ def contacts_of(boxes: Boxes) -> Contacts:
 def cost(boxes: Boxes, contacts: Contacts) -> Array:
     """Cost of each layout [m^2], shape (b,)."""
     count = len(boxes.larges)
-    deep = np.maximum(_depths(boxes, contacts)[0] + MARGIN_M, 0.0)
-    over = np.maximum(_overhangs(boxes)[0] + MARGIN_M, 0.0)
+    deep = np.maximum(_depths(boxes, contacts)[0] + boxes.between(contacts.first, contacts.second), 0.0)
+    over = np.maximum(_overhangs(boxes)[0] + 2.0 * boxes.free[:, None], 0.0)
     off, sunk = _heights(boxes, contacts)
     single = np.square(over).sum(axis=1) + np.square(off) + np.square(sunk)
     squares = np.bincount(boxes.layout, single, count) + np.bincount(boxes.layout[contacts.first], np.square(deep), count)
@@ -156,13 +173,13 @@ def gradient(boxes: Boxes, contacts: Contacts) -> tuple[Array, Array]:
     count = len(boxes.layout)
     by_center, by_yaw = np.zeros((count, 3)), np.zeros(count)
     depth, axis, turned_first, turned_second = _depths(boxes, contacts)
-    deep = np.maximum(depth + MARGIN_M, 0.0)
+    deep = np.maximum(depth + boxes.between(contacts.first, contacts.second), 0.0)
     for column in range(2):
         push = deep * axis[:, column]
         by_center[:, column] = np.bincount(contacts.first, push, count) - np.bincount(contacts.second, push, count)
     by_yaw += np.bincount(contacts.first, deep * turned_first, count) + np.bincount(contacts.second, deep * turned_second, count)
     overhang, turned = _overhangs(boxes)
-    over = np.maximum(overhang + MARGIN_M, 0.0)
+    over = np.maximum(overhang + 2.0 * boxes.free[:, None], 0.0)
     by_center[:, :2] += over * np.sign(boxes.centers[:, :2])
     by_yaw += (over * turned).sum(axis=1)
     off, sunk = _heights(boxes, contacts)
@@ -181,34 +198,36 @@ def descended(boxes: Boxes, limit_m: float) -> tuple[Boxes, Flags]:
     return boxes.at(boxes.centers + step, boxes.yaws + turn), (np.abs(step) > STILL_M).any(axis=1) | (np.abs(turn) * radius > STILL_M)
 
 
-def guided(clean: NDArray[np.float32], larges: Mapping[int, Large], encoding: Encoding, guidance: Guidance) -> NDArray[np.float32]:
+def guided(
+    clean: NDArray[np.float32], larges: Mapping[int, Large], encoding: Encoding, guidance: Guidance, free: Array
+) -> NDArray[np.float32]:
     """What a denoiser takes layouts for, some descents further, shape (b, slots, d). larges: Large objects of those rows that are
-    layouts. Middles and turns move; slots that show no object stay."""
+    layouts. free: What slots but the first keep free around them [m], shape (b, slots - 1). Middles and turns move; slots that show no
+    object stay."""
     rows = np.array(sorted(larges))
-    index = np.where(encoding.is_small, clean[rows, 1:, BOX:], -np.inf).argmax(axis=-1)
-    layout, slot = np.nonzero(index != encoding.empty)
+    layout, slot = np.nonzero(encoding.categories(clean[rows, 1:]) != encoding.empty)
     at = rows[layout], slot + 1
     vectors = clean[at].astype(np.float64)
-    span = 0.5 * (encoding.high - encoding.low)
-    numbers = (vectors[:, :6] + 1.0) * span + encoding.low
     sizes, levels = np.array([larges[row].size for row in rows]), has_level([larges[row].category for row in rows])
-    before = Boxes(layout, numbers[:, :3], numbers[:, 3:], np.arctan2(vectors[:, 7], vectors[:, 6]), sizes, levels)
+    tops = sizes[layout, 2]
+    middles, halves = encoding.boxes(vectors[:, :6], tops)
+    before = Boxes(layout, middles, halves, np.arctan2(vectors[:, 7], vectors[:, 6]), free[rows[layout], slot], sizes, levels)
     after = before
     for _ in range(guidance.inner):
         after, _ = descended(after, guidance.limit_m)
     turn = after.yaws - before.yaws
     cos, sin = np.cos(turn), np.sin(turn)
-    vectors[:, :3] = np.clip((after.centers - encoding.low[:3]) / span[:3] - 1.0, -1.0, 1.0)
+    vectors[:, :3] = np.clip(encoding.scaled(after.centers, halves, tops)[:, :3], -1.0, 1.0)
     vectors[:, 6], vectors[:, 7] = cos * vectors[:, 6] - sin * vectors[:, 7], sin * vectors[:, 6] + cos * vectors[:, 7]
     made = clean.copy()
     made[at] = vectors
     return made
 
 
-def settled(layouts: Sequence[Layout], guidance: Guidance) -> list[Layout]:
+def settled(layouts: Sequence[Layout], guidance: Guidance, free: Sequence[Array] | None = None) -> list[Layout]:
     """Drawn layouts after descents until nothing in them moves any more: the last part of guided sampling, without noise. What becomes of
-    a layout does not depend on the others."""
-    boxes = boxes_of(layouts)
+    a layout does not depend on the others. free: What their objects keep free around them [m], shape (n,) per layout."""
+    boxes = boxes_of(layouts, free)
     centers, yaws, active = boxes.centers.copy(), boxes.yaws.copy(), np.arange(len(boxes.layout))
     for _ in range(guidance.settling):
         boxes, moved = descended(boxes, guidance.limit_m)
@@ -221,6 +240,12 @@ def settled(layouts: Sequence[Layout], guidance: Guidance) -> list[Layout]:
     yaws = np.where(np.abs(yaws) > math.pi, (yaws + math.pi) % (2.0 * math.pi) - math.pi, yaws)
     parts = zip(layouts, np.split(centers, ends), np.split(yaws, ends), strict=True) if layouts else ()
     return [Layout(layout.large, layout.categories, middles, layout.sizes, turns) for layout, middles, turns in parts]
+
+
+def sound(layouts: Sequence[Layout]) -> list[bool]:
+    """Whether nothing in a layout collides or is off its support, of each."""
+    flags = zip(colliding(layouts), off_edge(layouts), floating(layouts), strict=True)
+    return [not any(bool(part.any()) for part in parts) for parts in flags]
 
 
 def _pairs(layout: Indices) -> tuple[Indices, Indices]:
@@ -236,7 +261,7 @@ def _near(boxes: Boxes, first: Indices, second: Indices) -> tuple[Indices, Indic
     """Those of pairs whose footprints may come nearer than the margin, shape (p,)."""
     radii = np.hypot(boxes.halves[:, 0], boxes.halves[:, 1])
     between = boxes.centers[second, :2] - boxes.centers[first, :2]
-    near = np.hypot(between[:, 0], between[:, 1]) < radii[first] + radii[second] + MARGIN_M
+    near = np.hypot(between[:, 0], between[:, 1]) < radii[first] + radii[second] + MARGIN_M + boxes.between(first, second)
     return first[near], second[near]
 
 

@@ -18,9 +18,10 @@ _LEAST_VARIANCE = np.float32(1e-20)
 
 @dataclasses.dataclass(frozen=True)
 class NoiseSchedule:
-    """Noise added linearly, told by its variances in steps 0 (least) to `steps` - 1. All is in single precision, as in training.
+    """Noise told by its variances in steps 0 (least) to `steps` - 1. All is in single precision, as in training.
 
-    beta_low, beta_high: Variance added in the first and in the last step. target: What the denoiser tells: the noise (eps) or the
+    beta_low, beta_high: Variance added in the first and in the last step. curve: What is evenly apart between them, the variances
+    (`linear`) or their roots (`scaled_linear`). target: What the denoiser tells: the noise (eps) or the
     velocity (v), `sqrt(a) noise - sqrt(1 - a) sample`, where a is the share of the sample's variance that is left.
     """
 
@@ -28,11 +29,12 @@ class NoiseSchedule:
     beta_low: float
     beta_high: float
     target: Literal["v", "eps"]
+    curve: Literal["linear", "scaled_linear"] = "linear"
 
     @property
     def left(self) -> Values:
         """Share of the sample's variance that is left after each step, shape (steps,)."""
-        return _left(self.steps, self.beta_low, self.beta_high)
+        return left_of(self.steps, self.beta_low, self.beta_high, self.curve)
 
     def denoised(self, output: Values, step: int, sample: Values) -> Values:
         """What the denoiser takes the sample for, within -1..1. output, sample: Any shape."""
@@ -79,11 +81,13 @@ class NoiseSchedule:
 
 
 @cache
-def _left(steps: int, low: float, high: float) -> Values:
-    """As torch has it to the last bit: single precision, rounded once after a product and its sum, and after all products."""
-    first, last = np.float32(low), np.float32(high)
+def left_of(steps: int, low: float, high: float, curve: str) -> Values:
+    """As diffusers has it to the last bit: single precision, rounded once after a product and its sum, and after all products."""
+    root = curve == "scaled_linear"
+    first, last = (np.float32(beta**0.5 if root else beta) for beta in (low, high))
     stride, index = np.float64((last - first) / np.float32(steps - 1)), np.arange(steps)
     betas = np.where(index < steps // 2, first + stride * index, last - stride * (steps - 1 - index)).astype(np.float32)
+    betas = betas * betas if root else betas
     left = np.cumprod((_ONE - betas).astype(np.float64)).astype(np.float32)
     left.setflags(write=False)
     return left

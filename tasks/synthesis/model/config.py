@@ -61,6 +61,7 @@ class Transformer(Config):
     layers: Depth = 3  # as specs D.7
     heads: Heads = 4  # 24 channels each
     feedforward: Width = 192  # twice the width: half the usual one loses nothing here and saves a third of the time
+    waves: Part = 8  # of each number of a box, beside the number: attention tells from products of them how far apart things are
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,10 +69,13 @@ class Noise(Config):
     """How layouts are noised, and what the denoiser tells."""
 
     steps: Steps = 200  # as specs D.7; the published 1000 cost five times as much to sample
-    beta_low: Beta = 5e-4  # variance added in the first step; five times the published 1e-4 of five times the steps
-    beta_high: Beta = 0.1  # in the last step; as beta_low: with 0.02 a seventh of the layout's variance would be left in the noisiest state
+    beta_low: Beta = 1e-5  # variance added in the first step: it blurs places by 3 mm to a meter, published are 10 mm
+    beta_high: Beta = 0.1  # in the last step: with 0.02 a seventh of the layout's variance would be left in the noisiest state
     target: Literal["v", "eps"] = "v"  # with the noise itself as target small networks get numbers of objects wrong
     weighting: Literal["none", "snr"] = "none"  # snr / (snr + 1) of v, as published, hardly looks at the steps that decide on categories
+    curve: Literal["scaled_linear", "linear"] = (
+        "scaled_linear"  # even roots of variances: more steps of little noise; published are even ones
+    )
 
 
 ARCHITECTURES = (Transformer, Unet)
@@ -85,6 +89,7 @@ class SlotModel(Config):
     slots: Slots = 13  # the large object and 12: more are rare on one table, and attention costs the square
     classes: Literal["seen", "all"] = "seen"  # categories of the training data alone, or all of the table of categories
     text: union_of(TEXTS) = dataclasses.field(default_factory=LearnedText)  # type: ignore[valid-type]  # CLIP where somebody names weights
+    heights: Literal["bottoms", "middles"] = "bottoms"  # over the large object's top: one number for all on it; published are middles
     unknown_share: Share = 0.1  # of training examples whose room is hidden, so that a room that nobody knows is something learned
 
 

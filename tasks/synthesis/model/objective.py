@@ -202,7 +202,7 @@ def schedule(noise: Noise) -> Any:
 
     target = {"v": "v_prediction", "eps": "epsilon"}[noise.target]
     return DDPMScheduler(
-        num_train_timesteps=noise.steps, beta_start=noise.beta_low, beta_end=noise.beta_high, beta_schedule="linear",
+        num_train_timesteps=noise.steps, beta_start=noise.beta_low, beta_end=noise.beta_high, beta_schedule=noise.curve,
         variance_type="fixed_small", clip_sample=True, prediction_type=target,
     )  # fmt: skip
 
@@ -240,12 +240,14 @@ def diffusion_loss(module: Any, batch: Mapping[str, Tensor], model: Diffusion, e
 def overlaps(boxes: Tensor, is_object: Tensor, encoding: Encoding) -> Tensor:
     """Mean IoU of every two objects of a layout, shape (b,), of boxes as if none were turned; 0 of fewer than two objects.
 
-    boxes: Middle and half extents as encoded, shape (b, s, 6). is_object: Which slots count, shape (b, s).
+    boxes: Places and half extents as encoded, shape (b, s, 6). is_object: Which slots count, shape (b, s).
     """
     import torch
 
     low, high = (torch.from_numpy(bound).to(boxes) for bound in (encoding.low, encoding.high))
     metric = 0.5 * (boxes.clamp(-1.0, 1.0) + 1.0) * (high - low) + low
+    if encoding.heights == "bottoms":
+        metric = torch.cat([metric[..., :2], metric[..., 2:3] + metric[..., 5:], metric[..., 3:]], dim=-1)
     near, far = metric[..., :3] - metric[..., 3:], metric[..., :3] + metric[..., 3:]
     common = (torch.minimum(far[:, :, None], far[:, None]) - torch.maximum(near[:, :, None], near[:, None])).clamp(min=0.0).prod(dim=-1)
     volume = (far - near).prod(dim=-1)

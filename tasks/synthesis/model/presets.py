@@ -25,10 +25,21 @@ PRESETS: Mapping[str, Diffusion | Atiss] = MappingProxyType(
         "atiss": Atiss(),
         "diffuscene-unet": DiffuScene(architecture=Unet()),
         "diffuscene-paper": DiffuScene(
-            PAPER_SLOTS, "all", PAPER_TEXT, 0.0, PAPER_UNET, Noise(1000, *PAPER_BETAS, weighting="snr"), "numbers"
+            PAPER_SLOTS,
+            "all",
+            PAPER_TEXT,
+            "middles",
+            0.0,
+            PAPER_UNET,
+            Noise(1000, *PAPER_BETAS, weighting="snr", curve="linear"),
+            "numbers",
         ),
-        "physcene-paper": PhyScene(PAPER_SLOTS, "all", PAPER_TEXT, 0.0, PAPER_UNET, Noise(1000, *PAPER_BETAS, target="eps"), "numbers"),
-        "atiss-paper": Atiss(PAPER_SLOTS, "all", PAPER_TEXT, 0.0, embedding=64, layers=4, heads=8, feedforward=1024, dropout=0.1),
+        "physcene-paper": PhyScene(
+            PAPER_SLOTS, "all", PAPER_TEXT, "middles", 0.0, PAPER_UNET, Noise(1000, *PAPER_BETAS, target="eps", curve="linear"), "numbers"
+        ),
+        "atiss-paper": Atiss(
+            PAPER_SLOTS, "all", PAPER_TEXT, "middles", 0.0, embedding=64, layers=4, heads=8, feedforward=1024, dropout=0.1
+        ),
     }
 )
 """By name; `-paper`: as published, of the specs D.3 to D.5."""

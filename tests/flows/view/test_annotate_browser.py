@@ -217,6 +217,14 @@ def answer_all(page: Page) -> None:
         page.wait_for_timeout(30)
 
 
+def ask_to_hand_in(page: Page) -> None:
+    """Press the button until the page asks: while an answer arrives, the list is drawn anew and a press may meet a button that is gone."""
+    wait(page, "annotate.state.saved", "saved")
+    while page.locator("dialog[open]").count() == 0:
+        page.get_by_role("button", name="Hand in").click()
+        page.wait_for_timeout(30)
+
+
 def test_an_object_is_chosen_aligned_and_ranked_and_kept(opened: Callable[..., Page], lake: Lake) -> None:
     page = opened("ada")
     show(page, OBJECT)
@@ -326,13 +334,13 @@ def test_a_batch_goes_back_and_comes_again(opened: Callable[..., Page], lake: La
     """Answered, handed in, sampled, reviewed and returned with a remark; corrected, handed in again, and accepted."""
     ada, bob, rita = opened("ada"), opened("bob"), opened("rita")
     answer_all(ada)
-    ada.get_by_role("button", name="Hand in").click()
+    ask_to_hand_in(ada)
     ada.get_by_role("dialog").get_by_role("button", name="Hand in", exact=True).click()
     wait(ada, "document.querySelector('dialog[open] .remains')?.textContent.includes(\"bob's\")", True)
     ada.get_by_role("button", name="Cancel").click()
     for number in (1, 2):
         answer_all(bob)
-        bob.get_by_role("button", name="Hand in").click()
+        ask_to_hand_in(bob)
         bob.get_by_role("dialog").get_by_role("button", name="Hand in", exact=True).click()
         wait(bob, "document.querySelector('.status').textContent", "The batch is handed in.")
         assert bob.locator("[data-field=x]").is_disabled(), "nothing can be changed now"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from schemas.errors import InputError
 from tasks.synthesis.layout import Large, Layout
-from tasks.synthesis.model.encoding import BOUNDS, BOX, VOCABULARY, encoding_in, encoding_of
+from tasks.synthesis.model.encoding import BOUNDS, BOX, VOCABULARY, Heights, encoding_in, encoding_of
 from tasks.weights import from_safetensors, to_safetensors
 from tests.tasks.synthesis.drawn_layouts import layouts
 
@@ -27,10 +27,10 @@ def same(one: Layout, other: Layout) -> None:
     np.testing.assert_allclose(np.exp(1j * one.yaws), np.exp(1j * other.yaws), atol=1e-6)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(0, 3))
-def test_what_was_encoded_comes_back(seed: int, spare: int) -> None:
+@given(st.integers(0, 2**32 - 1), st.integers(0, 3), st.sampled_from(["middles", "bottoms"]))
+def test_what_was_encoded_comes_back(seed: int, spare: int, heights: Heights) -> None:
     given_ = layouts(5, seed)
-    encoding = encoding_of(given_)
+    encoding = encoding_of(given_, heights=heights)
     for layout in given_:
         vectors = encoding.vectors(layout, len(layout) + 1 + spare)
         assert np.abs(vectors).max() <= 1.0 + 1e-6
@@ -58,6 +58,19 @@ def test_an_object_has_the_numbers_of_the_specs_in_their_order() -> None:
     assert ENCODING.classes[vectors[0, BOX:].argmax()] == layout.large.category
 
 
+def test_bottoms_are_told_over_the_top_of_the_large_object_whatever_its_height() -> None:
+    encoding = encoding_of(LEARNED, heights="bottoms")
+    layout = LEARNED[0]
+    lift = np.array([0.0, 0.0, 0.25])
+    depth, width, height = layout.large.size
+    higher = Layout(Large("desk", (depth, width, height + 0.25)), layout.categories, layout.centers + lift, layout.sizes, layout.yaws)
+    np.testing.assert_allclose(encoding.vectors(higher, 8)[1:], encoding.vectors(layout, 8)[1:], atol=1e-6)
+    bottoms = layout.centers[:, 2] - 0.5 * layout.sizes[:, 2] - height
+    wanted = 2 * (bottoms - encoding.low[2]) / (encoding.high - encoding.low)[2] - 1
+    np.testing.assert_allclose(encoding.vectors(layout, 8)[1 : 1 + len(layout), 2], wanted, atol=1e-6)
+    assert np.abs(encoding.vectors(higher, 8)[1:, 2] - ENCODING.vectors(layout, 8)[1:, 2]).max() > 0.01
+
+
 def test_small_objects_are_never_what_only_large_ones_are() -> None:
     vectors = ENCODING.vectors(LEARNED[0], 4)
     vectors[1, BOX + ENCODING.classes.index("desk")] = 9.0
@@ -79,12 +92,15 @@ def test_what_is_outside_of_what_was_learned() -> None:
         encoding_of([])
 
 
-def test_a_models_weights_say_how_it_encodes() -> None:
-    arrays = from_safetensors(to_safetensors(ENCODING.arrays()))
+@pytest.mark.parametrize("heights", ["middles", "bottoms"])
+def test_a_models_weights_say_how_it_encodes(heights: Heights) -> None:
+    encoding = encoding_of(LEARNED, ["kettle"], heights)
+    arrays = from_safetensors(to_safetensors(encoding.arrays()))
     read = encoding_in(arrays)
-    assert (read.classes, read.small, read.large, read.rooms) == (ENCODING.classes, ENCODING.small, ENCODING.large, ENCODING.rooms)
+    for name in ("classes", "small", "large", "rooms", "heights"):
+        assert getattr(read, name) == getattr(encoding, name)
     for name in ("low", "high", "large_low", "large_high"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(ENCODING, name))
+        np.testing.assert_array_equal(getattr(read, name), getattr(encoding, name))
 
 
 def text(**changes: object) -> np.ndarray:
@@ -105,6 +121,7 @@ def text(**changes: object) -> np.ndarray:
         ({VOCABULARY: text(small=["sword"])}, VOCABULARY),
         ({VOCABULARY: text(rooms=["office"])}, VOCABULARY),
         ({VOCABULARY: text(large=[])}, VOCABULARY),
+        ({VOCABULARY: text(heights="feet")}, VOCABULARY),
         ({BOUNDS: np.zeros((4, 6))}, BOUNDS),
         ({BOUNDS: np.full((4, 6), np.nan)}, BOUNDS),
         ({BOUNDS: np.zeros(3)}, BOUNDS),

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.synthesis.rooms import micro_scene_rows
-from tasks.synthesis.inference.guidance import MARGIN_M, Guidance, boxes_of, contacts_of, cost, gradient, guided, settled
+from tasks.synthesis.inference.guidance import MARGIN_M, Guidance, boxes_of, contacts_of, cost, gradient, guided, settled, sound
 from tasks.synthesis.layout import Large, Layout, layouts_of
-from tasks.synthesis.metrics.boxes import box_figures, depths
-from tasks.synthesis.model.encoding import BOX, encoding_of
+from tasks.synthesis.metrics.boxes import box_figures, depths, overhangs
+from tasks.synthesis.model.encoding import BOX, Heights, encoding_of
 from tests.tasks.synthesis.layouts import layout_of
 
 TRUTH = layouts_of(*micro_scene_rows(40, 5))
@@ -116,12 +116,34 @@ def test_what_reaches_over_the_edge_comes_back_onto_it() -> None:
     assert made.centers[0, 0] < 0.45
 
 
-def test_denoised_vectors_change_in_middles_and_turns_of_objects_alone() -> None:
-    encoding = encoding_of(TRUTH)
+def test_what_objects_keep_free_lies_between_them_and_before_edges() -> None:
+    pair = layout_of(("mug", (0.0, 0.0, 0.75), (0.1, 0.1, 0.1), 0.0), ("mug", (0.0, 0.07, 0.75), (0.1, 0.1, 0.1), 0.0))
+    (made,) = settled([pair], Guidance(), [np.array([0.01, 0.02])])
+    assert -depths(made)[0, 1] == pytest.approx(0.03, abs=1e-3)
+    at_edge = layout_of(("mug", (0.45, 0.0, 0.75), (0.1, 0.1, 0.1), 0.0))
+    (made,) = settled([at_edge], Guidance(), [np.array([0.01])])
+    assert overhangs(made).max() == pytest.approx(-0.02, abs=1e-3)
+    free = Guidance(free_m=(0.003, 0.008)).free(np.random.default_rng(0), (500,))
+    assert (0.003 <= free.min() < 0.0032) and (0.0078 < free.max() <= 0.008)
+    first, second = np.random.default_rng(7), np.random.default_rng(7)
+    Guidance().free(first, (3,))
+    np.testing.assert_array_equal(first.random(4), second.random(4))
+
+
+def test_sound_layouts_have_nothing_that_collides_or_is_off_its_support() -> None:
+    assert all(sound(TRUTH))
+    inside = layout_of(("mug", (0.0, 0.0, 0.75), (0.1, 0.1, 0.1), 0.0), ("mug", (0.0, 0.07, 0.75), (0.1, 0.1, 0.1), 0.0))
+    over, above = (layout_of(("mug", middle, (0.1, 0.1, 0.1), 0.0)) for middle in ((0.5, 0.0, 0.75), (0.0, 0.0, 0.9)))
+    assert sound([inside, TRUTH[0], over, above]) == [False, True, False, False]
+
+
+@pytest.mark.parametrize("heights", ["middles", "bottoms"])
+def test_denoised_vectors_change_in_middles_and_turns_of_objects_alone(heights: Heights) -> None:
+    encoding = encoding_of(TRUTH, heights=heights)
     drawn = [layout for layout in disturbed(TRUTH, 0.1) if len(layout) < 12][:6]
     vectors = np.array([encoding.vectors(layout, 13) for layout in drawn])
     larges = {row: layout.large for row, layout in enumerate(drawn) if row != 2}
-    made = guided(vectors, larges, encoding, Guidance(inner=20))
+    made = guided(vectors, larges, encoding, Guidance(inner=20), np.full((len(drawn), 12), 0.5 * MARGIN_M))
     changed = made != vectors
     assert not changed[:, 0].any()
     assert not changed[..., 3:6].any()

@@ -37,6 +37,8 @@ MODELS = {
     "transformer": PhyScene(slots=6, text=TEXT, architecture=PLAIN, noise=dataclasses.replace(BRIEF, target="eps"), guidance=1.5),
     "numbers": PhyScene(slots=6, text=TEXT, architecture=PLAIN, noise=dataclasses.replace(BRIEF, target="eps"), categories="numbers"),
     "clip": PhyScene(slots=6, text=ClipText(width=12), architecture=PLAIN, noise=BRIEF),
+    "waves": PhyScene(slots=6, text=TEXT, architecture=dataclasses.replace(PLAIN, waves=4), noise=BRIEF),
+    "scaled": DiffuScene(slots=6, text=TEXT, architecture=PLAIN, noise=dataclasses.replace(BRIEF, curve="scaled_linear")),
     "atiss": ATISS,
     "default transformer": DiffuScene(),
     "default unet": DiffuScene(architecture=Unet()),
@@ -45,7 +47,7 @@ MODELS = {
 DENOISERS = [name for name in MODELS if "atiss" not in name]
 ENCODING = encoding_of(layouts(30))
 LARGES = [layout.large for layout in layouts(40, seed=1)]
-UNGUIDED = Guidance(share=0.0, settling=0)
+UNGUIDED = Guidance(share=0.0, settling=0, tries=1)
 
 
 def trained(model, seed=0):

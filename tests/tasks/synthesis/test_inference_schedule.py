@@ -12,10 +12,11 @@ torch = pytest.importorskip("torch")
 BETAS = (5e-4, 0.1), (1e-4, 0.02)
 
 
-def schedulers(steps, betas, target):
+def schedulers(steps, betas, target, curve="linear"):
     diffusers = pytest.importorskip("diffusers")
     told = {"v": "v_prediction", "eps": "epsilon"}[target]
     more = {"num_train_timesteps": steps, "beta_start": betas[0], "beta_end": betas[1], "prediction_type": told, "clip_sample": True}
+    more["beta_schedule"] = curve
     return diffusers.DDPMScheduler(variance_type="fixed_small", **more), diffusers.DDIMScheduler(**more)
 
 
@@ -24,9 +25,12 @@ def samples(step, count=3):
 
 
 @pytest.mark.parametrize("target", ["v", "eps"])
-@pytest.mark.parametrize(("steps", "betas"), [(7, (1e-3, 0.3)), (200, BETAS[0]), (1000, BETAS[1])])
-def test_every_step_is_that_of_diffusers(steps: int, betas: tuple[float, float], target: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    schedule, (ddpm, _) = NoiseSchedule(steps, *betas, target), schedulers(steps, betas, target)
+@pytest.mark.parametrize("curve", ["linear", "scaled_linear"])
+@pytest.mark.parametrize(("steps", "betas"), [(7, (1e-3, 0.3)), (200, BETAS[0]), (200, (1e-5, 0.1)), (1000, BETAS[1])])
+def test_every_step_is_that_of_diffusers(
+    steps: int, betas: tuple[float, float], curve: str, target: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    schedule, (ddpm, _) = NoiseSchedule(steps, *betas, target, curve), schedulers(steps, betas, target, curve)
     np.testing.assert_array_equal(schedule.left, ddpm.alphas_cumprod.numpy())
     for step in {*range(0, steps, max(1, steps // 40)), steps - 1}:
         output, sample, noise = samples(step)

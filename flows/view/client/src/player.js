@@ -12,7 +12,8 @@ export class Player {
 
   play() {
     if (this.isRunning) return;
-    if (this.now >= this.end) this.now = 0;
+    // shown at once: until the first frame, the end would be
+    if (this.now >= this.end) this.show((this.now = 0));
     let last = performance.now();
     const step = (time) => {
       // the first frame's time may lie before the moment at which it was asked for

@@ -7,9 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from tasks.synthesis.inference.schedule import left_of
 from tasks.synthesis.model.config import Diffusion, Transformer, Unet
 from tasks.synthesis.model.encoding import BOX
-from tasks.synthesis.model.networks.blocks import ResidualBlock, SlotAttention, Text, encoder, layers, step_waves
+from tasks.synthesis.model.networks.blocks import ResidualBlock, SlotAttention, Text, encoder, layers, step_waves, waves
 
 
 class Denoiser(nn.Module):
@@ -35,10 +36,12 @@ class Denoiser(nn.Module):
         outer = inner[::-1]  # the widest layer in the middle of the network, as published
         self.step = layers(width, wide, wide)
         self.condition = layers(config.text.width + BOX + classes + 1, wide, wide)
-        self.box_in, self.class_in = layers(BOX, *inner, width), layers(classes + 1, *inner, width)
+        self.waves = shape.waves if isinstance(shape, Transformer) else 0
+        self.box_in, self.class_in = layers(BOX * (1 + self.waves), *inner, width), layers(classes + 1, *inner, width)
         self.box_out, self.class_out = layers(width, *outer, BOX), layers(width, *outer, classes + 1)
-        betas = torch.linspace(config.noise.beta_low, config.noise.beta_high, config.noise.steps)
-        self.register_buffer("left", torch.cumprod(1.0 - betas, dim=0), persistent=False)
+        noise = config.noise
+        left = left_of(noise.steps, noise.beta_low, noise.beta_high, noise.curve)
+        self.register_buffer("left", torch.tensor(left), persistent=False)
         self.body: nn.Module = (
             TransformerBody(shape) if isinstance(shape, Transformer) else UnetBody(shape, config.slots, config.text.width)
         )
@@ -53,7 +56,10 @@ class Denoiser(nn.Module):
         if is_null is not None:
             text = torch.where(is_null[:, None], self.null, text)
         context = self.step(step_waves(steps, self.config.architecture.width)) + self.condition(torch.cat([text, noised[:, 0]], dim=-1))
-        hidden = self.box_in(noised[..., :BOX]) + self.class_in(noised[..., BOX:])
+        box = noised[..., :BOX]
+        if self.waves:
+            box = torch.cat([box, waves(box, self.waves).flatten(-2)], dim=-1)
+        hidden = self.box_in(box) + self.class_in(noised[..., BOX:])
         hidden = self.body(hidden, context[:, None], text[:, None])
         box, category = self.box_out(hidden), self.class_out(hidden)
         if self.config.categories == "chances":
