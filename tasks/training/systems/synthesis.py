@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from schemas.capture import Scene
+from schemas.capture import SYNTHESIS, Scene
 from schemas.errors import InputError
 from schemas.lineage.licenses import stated
 from schemas.micro_scenes import MicroScene, MicroSceneObject
@@ -59,7 +59,7 @@ class SynthesisTraining(Config):
     model: SynthesisModel = dataclasses.field(default_factory=DiffuScene)  # the paper's own baseline in shape
     scenes: Count = 64  # of a step; as specs D.7
     fitting: SynthesisFitting = dataclasses.field(default_factory=SynthesisFitting)
-    foreign: str = ""  # file of weights of ATISS or DiffuScene to begin with; none: from scratch
+    foreign: str = ""  # file of weights of ATISS, DiffuScene or PhyScene to begin with; none: from scratch
     half: bool = True  # weights are kept at half precision, and figures are of these
     validation_share: Share = 0.05  # of the training rooms, to see that nothing is learned by heart
     test_share: Share = 0.2  # of the rooms, where `splits` has no row; as navigation has it
@@ -99,15 +99,17 @@ class CollectedLayouts:
 
 
 def collected(dataset: Dataset, test_share: float) -> CollectedLayouts:
-    """The micro-scenes of a dataset by the split of their room.
+    """The micro-scenes of a dataset by the split of their room, but for those of scenes that a model drew.
 
     Raises:
         InputError: there is none in a training room.
     """
-    micro_scenes = list(dataset.rows(MicroScene))
-    layouts = layouts_of(micro_scenes, dataset.rows(MicroSceneObject))
+    scenes = list(dataset.rows(Scene))
+    drawn = {scene.scene_id for scene in scenes if scene.scan_format == SYNTHESIS}  # nobody put these things there
+    micro_scenes = [row for row in dataset.rows(MicroScene) if row.scene_id not in drawn]
+    layouts = layouts_of(micro_scenes, (row for row in dataset.rows(MicroSceneObject) if row.scene_id not in drawn))
     splits = {row.room_id: row.split for row in dataset.rows(Split)}
-    scans = {scene.scene_id: scene.license for scene in dataset.rows(Scene)}
+    scans = {scene.scene_id: scene.license for scene in scenes}
     licenses = {stated(scans.get(row.scene_id)) for row in micro_scenes}
     made: dict[str, list[tuple[str, Layout]]] = {"train": [], "test": []}
     for row, layout in zip(micro_scenes, layouts, strict=True):

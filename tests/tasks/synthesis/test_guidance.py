@@ -124,7 +124,8 @@ def test_what_objects_keep_free_lies_between_them_and_before_edges() -> None:
     (made,) = settled([at_edge], Guidance(), [np.array([0.01])])
     assert overhangs(made).max() == pytest.approx(-0.02, abs=1e-3)
     free = Guidance(free_m=(0.003, 0.008)).free(np.random.default_rng(0), (500,))
-    assert (0.003 <= free.min() < 0.0032) and (0.0078 < free.max() <= 0.008)
+    assert 0.003 <= free.min() < 0.0032
+    assert 0.0078 < free.max() <= 0.008
     first, second = np.random.default_rng(7), np.random.default_rng(7)
     Guidance().free(first, (3,))
     np.testing.assert_array_equal(first.random(4), second.random(4))
