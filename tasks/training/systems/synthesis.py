@@ -10,7 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from schemas.capture import SYNTHESIS, Scene
+from schemas.capture import SYNTHESIS as DRAWN_FORMAT
+from schemas.capture import Scene
 from schemas.errors import InputError
 from schemas.lineage.licenses import stated
 from schemas.micro_scenes import MicroScene, MicroSceneObject
@@ -105,7 +106,7 @@ def collected(dataset: Dataset, test_share: float) -> CollectedLayouts:
         InputError: there is none in a training room.
     """
     scenes = list(dataset.rows(Scene))
-    drawn = {scene.scene_id for scene in scenes if scene.scan_format == SYNTHESIS}  # nobody put these things there
+    drawn = {scene.scene_id for scene in scenes if scene.scan_format == DRAWN_FORMAT}  # nobody put these things there
     micro_scenes = [row for row in dataset.rows(MicroScene) if row.scene_id not in drawn]
     layouts = layouts_of(micro_scenes, (row for row in dataset.rows(MicroSceneObject) if row.scene_id not in drawn))
     splits = {row.room_id: row.split for row in dataset.rows(Split)}
