@@ -60,15 +60,16 @@ def test_an_object_has_the_numbers_of_the_specs_in_their_order() -> None:
 
 def test_bottoms_are_told_over_the_top_of_the_large_object_whatever_its_height() -> None:
     encoding = encoding_of(LEARNED, heights="bottoms")
-    layout = LEARNED[0]
+    layout = next(layout for layout in LEARNED if len(layout) > 2)
     lift = np.array([0.0, 0.0, 0.25])
     depth, width, height = layout.large.size
-    higher = Layout(Large("desk", (depth, width, height + 0.25)), layout.categories, layout.centers + lift, layout.sizes, layout.yaws)
+    higher = Layout(Large(layout.large.category, (depth, width, height + 0.25)), layout.categories, layout.centers + lift, layout.sizes, layout.yaws)
     np.testing.assert_allclose(encoding.vectors(higher, 8)[1:], encoding.vectors(layout, 8)[1:], atol=1e-6)
     bottoms = layout.centers[:, 2] - 0.5 * layout.sizes[:, 2] - height
     wanted = 2 * (bottoms - encoding.low[2]) / (encoding.high - encoding.low)[2] - 1
     np.testing.assert_allclose(encoding.vectors(layout, 8)[1 : 1 + len(layout), 2], wanted, atol=1e-6)
-    assert np.abs(encoding.vectors(higher, 8)[1:, 2] - ENCODING.vectors(layout, 8)[1:, 2]).max() > 0.01
+    middles = encoding_of(LEARNED, heights="middles")
+    assert np.abs(middles.vectors(higher, 8)[1:, 2] - middles.vectors(layout, 8)[1:, 2]).max() > 0.01
 
 
 def test_small_objects_are_never_what_only_large_ones_are() -> None:

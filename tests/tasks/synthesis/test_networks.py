@@ -95,7 +95,7 @@ def test_chances_are_those_of_a_prior_and_of_the_noise(target: str) -> None:
         module.class_out[-1].weight.zero_()
         module.class_out[-1].bias.copy_(torch.from_numpy(np.log(prior)))
     steps = torch.tensor([20, 100, 199])
-    left = np.cumprod(1 - np.linspace(5e-4, 0.1, 200))[steps.numpy()][:, None, None]
+    left = np.cumprod(1 - np.linspace(1e-5**0.5, 0.1**0.5, 200) ** 2)[steps.numpy()][:, None, None]
     one_hot = 2.0 * np.eye(len(prior)) - 1.0
     rng = np.random.default_rng(0)
     noised = np.sqrt(left) * one_hot[rng.integers(len(prior), size=(3, 6))] + np.sqrt(1 - left) * rng.normal(size=(3, 6, len(prior)))

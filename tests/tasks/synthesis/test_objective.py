@@ -109,7 +109,7 @@ def test_a_denoiser_that_knows_the_answer_has_no_loss_but_overlaps(name: str, ta
     model = dataclasses.replace(MODELS[name], noise=Noise(target=target), iou_weight=0.5)
     own = objective(model)
     batch = own.batch(0)
-    left = torch.cumprod(1 - torch.linspace(5e-4, 0.1, 200), 0)[batch["steps"]][:, None, None]
+    left = torch.cumprod(1 - torch.linspace(1e-5**0.5, 0.1**0.5, 200) ** 2, 0)[batch["steps"]][:, None, None]
     answer = batch["noise"] if target == "eps" else left.sqrt() * batch["noise"] - (1 - left).sqrt() * batch["clean"]
     seen = []
 
@@ -178,12 +178,12 @@ def test_what_is_drawn_is_as_what_was_learned(name: str) -> None:
     encoding = encoding_of(learned)
     model = dataclasses.replace(MODELS[name], slots=4)
     if isinstance(model, DiffuScene) or name == "transformer":
-        model = dataclasses.replace(model, noise=Noise(steps=25, beta_low=4e-3, beta_high=0.49), categories="chances")
+        model = dataclasses.replace(model, noise=Noise(steps=25, beta_low=4e-3, beta_high=0.49, curve="linear"), categories="chances")
     if name == "transformer":
         model = dataclasses.replace(model, architecture=dataclasses.replace(PLAIN, width=32))
     own = SynthesisObjective(examples_of(learned, encoding, 4), examples_of(learned[:8], encoding, 4), encoding, model, 32, 0)
     module = network(model, encoding)
-    config = FittingConfig(steps=400, learning_rate=4e-3, averaging=0.98, validate_steps=400, device="cpu")
+    config = FittingConfig(steps=800, learning_rate=4e-3, averaging=0.98, validate_steps=800, device="cpu")
     fitted = fit(module, own, config, seed=0, checkpoints={}, key="k", report=lambda *_: None)
     module.load_state_dict(fitted.state_dict)
     assert fitted.steps[-1].loss < 0.7 * fitted.steps[0].loss
