@@ -1,26 +1,31 @@
-"""A classifier of boxes: a network of relations, the same for any order of the objects, that looks at every object and every two of them.
+"""How well a classifier tells drawn layouts from true ones (SCA): 50 % when they are alike, 100 % when each gives itself away.
 
-It sees what a picture from above does not, such as heights, and knows what is beside what.
+The classifier sees boxes, not pictures: a network of relations, the same for any order of the objects, that looks at every object and
+every two of them. So it sees what a picture from above does not, such as heights, and knows what is beside what.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.metrics.bootstrap import ConfidenceInterval
+from tasks.selection.metrics.bootstrap import ConfidenceInterval, interval
 from tasks.synthesis.layout import Array, Layout
 from tasks.synthesis.metrics.boxes import TOLERANCE_M, depths, overhangs
-from tasks.synthesis.metrics.discrimination.folds import Judge, accuracy, seeded
 
 if TYPE_CHECKING:
     import torch
+
+FOLDS = 5
+"""Classifiers that are trained; each judges the fifth of the layouts that it did not see."""
 
 MOST_OBJECTS = 23
 """Of a layout that are looked at."""
@@ -73,13 +78,41 @@ def classifier_accuracy(
     Equally many of both sides are judged, each once. Layouts on the same large object are judged by the same classifier, so that it
     cannot know from the one what the other is. NaN where a side has fewer than `FOLDS` layouts.
     """
-    settings = classifier or Classifier()
+    count = min(len(truth), len(drawn))
+    if count < FOLDS:
+        return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
+    rng = np.random.default_rng([seed, 2])
+    chosen = [[side[at] for at in sorted(rng.permutation(len(side))[:count].tolist())] for side in (truth, drawn)]
+    layouts = [*chosen[0], *chosen[1]]
+    answers = np.repeat([0, 1], count)
+    inputs, keys = _inputs_of(layouts), [repr(layout.large) for layout in layouts]
+    folds = _folds(keys, seed)
+    hits = np.full(len(layouts), math.nan)
+    for fold in range(FOLDS):
+        held = folds == fold
+        if held.any() and not held.all():
+            hits[held] = _hits(inputs, answers, held, seed * FOLDS + fold, classifier or Classifier())
+    return interval(hits, keys, seed)
 
-    def judge(layouts: Sequence[Layout]) -> Judge:
-        inputs = _inputs_of(layouts)
-        return lambda answers, held, of: _hits(inputs, answers, held, of, settings)
 
-    return accuracy(truth, drawn, seed, judge)
+def shuffled(layouts: Sequence[Layout], seed: int) -> list[Layout]:
+    """Layouts whose objects stand anywhere: footprints inside of the large object's box as far as they fit, at their own heights and
+    turns. What tells true ones from drawn ones has to tell these from true ones, or it tells nothing."""
+    rng = np.random.default_rng([seed, 3])
+    made = []
+    for layout in layouts:
+        centers = layout.centers.copy()
+        room = np.maximum(-(overhangs(layout) - np.abs(layout.centers[:, :2])), 0.0)
+        centers[:, :2] = rng.uniform(-1.0, 1.0, size=(len(layout), 2)) * room
+        made.append(dataclasses.replace(layout, centers=centers))
+    return made
+
+
+def _folds(keys: Sequence[str], seed: int) -> NDArray[np.int64]:
+    """Which classifier judges each layout, shape (n,): equally many large objects each, by chance."""
+    names = sorted(set(keys), key=lambda key: hashlib.sha256(f"{seed}|{key}".encode()).digest())
+    place = {name: at % FOLDS for at, name in enumerate(names)}
+    return np.array([place[key] for key in keys], dtype=np.int64)
 
 
 def _ranges(counts: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -148,7 +181,7 @@ def _hits(inputs: _Inputs, answers: NDArray[np.int64], held: NDArray[np.bool_], 
     target = torch.from_numpy(answers).float()
     learned, judged = np.flatnonzero(~held), np.flatnonzero(held)
     rng = np.random.default_rng([seed, 4])
-    with seeded(seed):
+    with _seeded(seed):
         network = _network(inputs)
         batches = math.ceil(len(learned) / settings.batch)
         optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, fused=True)
@@ -164,6 +197,21 @@ def _hits(inputs: _Inputs, answers: NDArray[np.int64], held: NDArray[np.bool_], 
         with torch.inference_mode():
             scores = network(inputs[judged])
     return np.asarray(((scores > 0) == (target[torch.from_numpy(judged)] > 0.5)).double().numpy())
+
+
+@contextmanager
+def _seeded(seed: int) -> Iterator[None]:
+    """Torch with draws by a seed and one thread, so that sums are in the same order however many there are; as it was afterwards."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _network(inputs: _Inputs) -> Any:
