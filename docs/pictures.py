@@ -1,7 +1,9 @@
-"""The pictures of the README: a scan and its replica from the same camera, wiped over one another (WebP) or side by side (JPEG).
+"""The pictures of the README: a scan and its replica from the same camera, wiped over one another (WebP) or side by side (JPEG); and a
+desk that a model furnishes six times (JPEG).
 
 python docs/pictures.py demo/lake demo/scene0001_00 docs/replica.webp
 python docs/pictures.py hard-room 0 docs/hard_room.jpg
+python docs/pictures.py desk 0 docs/desk.jpg
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from desks import six_desks
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
@@ -66,12 +69,15 @@ def side_by_side(scan: Image.Image, replica: Image.Image) -> bytes:
 
 
 def main() -> None:
-    """Write the picture of a scene of a lake, or of a room of `metascenes bench rooms`, by number."""
+    """Write the picture of a scene of a lake, of a room of `metascenes bench rooms`, by number, or of a desk, by seed."""
     address, scene, out = sys.argv[1:]
-    if address != "hard-room":
+    if address not in ("hard-room", "desk"):
         draw(address, scene, out)
         return
     with tempfile.TemporaryDirectory() as place:
+        if address == "desk":
+            Path(out).write_bytes(six_desks(int(scene), place))
+            return
         figures = measure_room(DwellingJob(int(scene), 0, place))
         if figures["error"] is not None:
             raise SystemExit(f"room {scene}: {figures['stage']}: {figures['error']}")

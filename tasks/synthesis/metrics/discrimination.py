@@ -42,7 +42,7 @@ FARTHEST = 4.0
 class Classifier:
     """How the classifier is trained."""
 
-    epochs: int = 25
+    epochs: int = 40
     batch: int = 128
     learning_rate: float = 3e-3
     weight_decay: float = 0.02
