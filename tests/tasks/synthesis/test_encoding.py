@@ -63,7 +63,9 @@ def test_bottoms_are_told_over_the_top_of_the_large_object_whatever_its_height()
     layout = next(layout for layout in LEARNED if len(layout) > 2)
     lift = np.array([0.0, 0.0, 0.25])
     depth, width, height = layout.large.size
-    higher = Layout(Large(layout.large.category, (depth, width, height + 0.25)), layout.categories, layout.centers + lift, layout.sizes, layout.yaws)
+    higher = Layout(
+        Large(layout.large.category, (depth, width, height + 0.25)), layout.categories, layout.centers + lift, layout.sizes, layout.yaws
+    )
     np.testing.assert_allclose(encoding.vectors(higher, 8)[1:], encoding.vectors(layout, 8)[1:], atol=1e-6)
     bottoms = layout.centers[:, 2] - 0.5 * layout.sizes[:, 2] - height
     wanted = 2 * (bottoms - encoding.low[2]) / (encoding.high - encoding.low)[2] - 1
