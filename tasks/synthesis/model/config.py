@@ -73,9 +73,7 @@ class Noise(Config):
     beta_high: Beta = 0.1  # in the last step: with 0.02 a seventh of the layout's variance would be left in the noisiest state
     target: Literal["v", "eps"] = "v"  # with the noise itself as target small networks get numbers of objects wrong
     weighting: Literal["none", "snr"] = "none"  # snr / (snr + 1) of v, as published, hardly looks at the steps that decide on categories
-    curve: Literal["scaled_linear", "linear"] = (
-        "scaled_linear"  # even roots of variances: more steps of little noise; published are even ones
-    )
+    curve: Literal["scaled_linear", "linear"] = "scaled_linear"  # roots of variances are even: more steps of little noise; published linear
 
 
 ARCHITECTURES = (Transformer, Unet)

@@ -63,8 +63,8 @@ def _denoiser(config: Diffusion, classes: int) -> dict[str, Shape]:
     wide, inner = (width, (width,)) if is_plain else (4 * width, (width, 2 * width))
     shapes: dict[str, Shape] = {"null": (text,)}
     shapes |= _layers("step", width, wide, wide) | _layers("condition", text + BOX + classes + 1, wide, wide)
-    told = BOX * (1 + shape.waves) if isinstance(shape, Transformer) else BOX
-    for name, inside, outside in (("box", told, BOX), ("class", classes + 1, classes + 1)):
+    box_width = BOX * (1 + shape.waves) if isinstance(shape, Transformer) else BOX
+    for name, inside, outside in (("box", box_width, BOX), ("class", classes + 1, classes + 1)):
         shapes |= _layers(f"{name}_in", inside, *inner, width) | _layers(f"{name}_out", width, *inner[::-1], outside)
     if isinstance(shape, Transformer):
         norm = _layer("body.encoder.norm", width)

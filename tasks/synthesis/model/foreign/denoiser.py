@@ -171,7 +171,7 @@ def from_denoiser(
         made[f"box_out.4.{kind}"] = made[f"box_out.4.{kind}"][order]
 
     resting = {name: _resting(name, shape) for name, shape in shapes.items() if name not in made and RESTING.search(name)}
-    parts = [f"left out: {', '.join(what for what, found in out.items() if found)}"] if any(out.values()) else []
+    parts = [f"left out: {', '.join(what for what, is_left in out.items() if is_left)}"] if any(out.values()) else []
     silent = ["what is told of the large object"] + (["attention to texts"] if architecture.crosses and not has_texts else [])
     parts.append(f"without effect at first: {', '.join(silent)}")
     parts += [f"drawn anew, as slots or categories are other ones: {', '.join(anew)}"] if anew else []
