@@ -22,7 +22,7 @@ PART = 256
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
+class DrawnPart:
     """Some of the layouts that a model draws with a seed. larges: Large objects. first: Number of the first one. guidance: By physics; the
     model's own where there is none."""
 
@@ -39,7 +39,7 @@ class Part:
         return digest("drawn-1", code, self.model.weights, repr(self.larges), str(self.first), str(self.seed), repr(self.guidance))
 
 
-def drawn_part(folder: Path, part: Part) -> Part:
+def drawn_part(folder: Path, part: DrawnPart) -> DrawnPart:
     """Draw a part where the folder does not hold it; the part."""
     path = folder / f"{part.mark}.safetensors"
     if not path.exists():
@@ -51,7 +51,7 @@ def drawn_part(folder: Path, part: Part) -> Part:
         folder.mkdir(parents=True, exist_ok=True)
         arrays = {
             "categories": np.frombuffer(names, dtype=np.uint8),
-            "boxes": np.concatenate([np.column_stack([one.centers, one.sizes, one.yaws]) for one in layouts]),
+            "boxes": np.concatenate([np.column_stack([layout.centers, layout.sizes, layout.yaws]) for layout in layouts]),
             "seconds": np.array([seconds]),
         }
         write_whole(path, to_safetensors(arrays))
@@ -60,15 +60,17 @@ def drawn_part(folder: Path, part: Part) -> Part:
 
 @dataclasses.dataclass(frozen=True)
 class KeptDraws:
-    """A model whose layouts a folder keeps. guidance: As in `Part`."""
+    """A model whose layouts a folder keeps. guidance: As in `DrawnPart`."""
 
     folder: Path
     model: TrainedModel
     guidance: Guidance | None = None
 
-    def parts(self, larges: Sequence[Large], seed: int) -> list[Part]:
+    def parts(self, larges: Sequence[Large], seed: int) -> list[DrawnPart]:
         """The parts of a drawing."""
-        return [Part(self.model, tuple(larges[first : first + PART]), first, seed, self.guidance) for first in range(0, len(larges), PART)]
+        return [
+            DrawnPart(self.model, tuple(larges[first : first + PART]), first, seed, self.guidance) for first in range(0, len(larges), PART)
+        ]
 
     def draw(self, larges: Sequence[Large], seed: int) -> list[Layout]:
         """A layout on each of some large objects; what the folder lacks is drawn now."""
@@ -78,10 +80,10 @@ class KeptDraws:
         """Time that drawing took [s], of all parts together."""
         return sum(float(self._arrays(drawn_part(self.folder, part))["seconds"][0]) for part in self.parts(larges, seed))
 
-    def _arrays(self, part: Part) -> dict[str, np.ndarray]:
+    def _arrays(self, part: DrawnPart) -> dict[str, np.ndarray]:
         return dict(from_safetensors((self.folder / f"{part.mark}.safetensors").read_bytes()))
 
-    def _read(self, part: Part) -> Iterator[Layout]:
+    def _read(self, part: DrawnPart) -> Iterator[Layout]:
         arrays, first = self._arrays(part), 0
         for large, names in zip(part.larges, json.loads(arrays["categories"].tobytes()), strict=True):
             box = arrays["boxes"][first : first + len(names)]

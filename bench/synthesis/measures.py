@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bench.synthesis.draws import KeptDraws, Part
+from bench.synthesis.draws import DrawnPart, KeptDraws
 from bench.synthesis.rooms import ROOM_TYPES
 from bench.synthesis.trainings import HELD, TrainedModel, TrainingRooms, held_layouts, learned_layouts
 from flows.run.fingerprints import code_fingerprint, digest
@@ -105,7 +105,7 @@ class _Truth:
         return Layout(large, tuple(map(merged, top.words)), top.centers, top.sizes, top.yaws)
 
 
-def parts(folder: Path, what: Measurement) -> list[Part]:
+def parts(folder: Path, what: Measurement) -> list[DrawnPart]:
     """All that a model draws for a measurement, in parts; nothing for what learns nothing."""
     draws = what.draws(folder / DRAWN)
     if not isinstance(draws, KeptDraws):

@@ -121,9 +121,8 @@ def run_synthesis_bench(config: SynthesisBench, advance: Callable[[str], None]) 
             advance(f"{model.training.name} {model.training.seed}")
         rows: dict[str, list[dict[str, Any]]] = {}
         measurements = [*config.of_models(models), *config.plain]
-        for part in spread(
-            partial(drawn_part, config.folder / DRAWN), [part for one in measurements for part in parts(config.folder, one)]
-        ):
+        drawn = [part for measurement in measurements for part in parts(config.folder, measurement)]
+        for part in spread(partial(drawn_part, config.folder / DRAWN), drawn):
             advance(f"{part.model.training.name} {part.model.training.seed}, drawn from {part.first}")
         for row in spread(partial(measured, config.folder), measurements):
             rows.setdefault(row["name"], []).append(row)
