@@ -169,7 +169,7 @@ def one_kind(count: int) -> list[Layout]:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("name", ["transformer", "unet alike", "atiss"])
+@pytest.mark.parametrize("name", ["transformer", pytest.param("unet alike", marks=pytest.mark.slow), "atiss"])
 def test_what_is_drawn_is_as_what_was_learned(name: str) -> None:
     from tasks.synthesis.model.sampling import drawn
     from tasks.training.fitting import FittingConfig, fit
