@@ -7,7 +7,7 @@ SELECT
     architecture,
     300000 AS parameter_count,
     '{"kind": "' || kind || '"}' AS config,
-    digest(model || ' weights', part) || '.safetensors' AS weights_blob,
+    digest(model || ' weights', part) || '.weights' AS weights_blob,
     600000 AS weights_bytes,
     'snapshot ' || part AS dataset,
     part AS snapshot_id,
