@@ -13,6 +13,7 @@ import numpy as np
 from bench.synthesis.trainings import TrainedModel
 from flows.run.fingerprints import code_fingerprint, digest
 from schemas.files import write_whole
+from tasks.models import identity_json
 from tasks.synthesis.inference.guidance import Guidance
 from tasks.synthesis.layout import Large, Layout
 from tasks.weights import from_safetensors, to_safetensors
@@ -36,7 +37,8 @@ class DrawnPart:
     def mark(self) -> str:
         """What the layouts follow from, code and all."""
         code = code_fingerprint("tasks.synthesis.inference.drawer")
-        return digest("drawn-1", code, self.model.weights, repr(self.larges), str(self.first), str(self.seed), repr(self.guidance))
+        config = identity_json(self.model.training.config.model)
+        return digest("drawn-1", code, config, self.model.weights, repr(self.larges), str(self.first), str(self.seed), repr(self.guidance))
 
 
 def drawn_part(folder: Path, part: DrawnPart) -> DrawnPart:
@@ -44,8 +46,9 @@ def drawn_part(folder: Path, part: DrawnPart) -> DrawnPart:
     path = folder / f"{part.mark}.safetensors"
     if not path.exists():
         numbers = range(part.first, part.first + len(part.larges))
+        drawer = part.model.drawer()
         clock = time.perf_counter()
-        layouts = part.model.drawer().draw(part.larges, part.seed, numbers, guidance=part.guidance)
+        layouts = drawer.draw(part.larges, part.seed, numbers, guidance=part.guidance)
         seconds = time.perf_counter() - clock
         names = json.dumps([layout.categories for layout in layouts]).encode()
         folder.mkdir(parents=True, exist_ok=True)

@@ -148,7 +148,18 @@ def _imported(lake: Lake, jobs: Sequence[_Job], staged: Sequence[str], workers: 
 
 
 def import_scene(job: _Job) -> SceneImport:
-    """Read a scene and stage its rows; a failure is staged as a row too. Runs in a worker process."""
+    """Read a scene and stage its rows; a failure is staged as a row too. Runs in a worker process.
+
+    What the lake has no room for is said and leaves no row: the next command tries it again.
+    """
+    try:
+        return _imported(job)
+    except Exception as error:
+        text = str(error) if isinstance(error, LakeError) else f"{type(error).__name__}: {one_line(error)[:500]}"
+        return SceneImport(job.source.scene_id, "import", "failed", error=text)
+
+
+def _imported(job: _Job) -> SceneImport:
     lake = Lake.open(job.lake)
     started, clock = datetime.now(UTC), time.perf_counter()
     scene_id = job.source.scene_id

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench.synthesis import measures, trainings
+from bench.synthesis import draws, measures, trainings
+from bench.synthesis.draws import KeptDraws
 from bench.synthesis.house import house_figures, lacking, layouts_of_objects
 from bench.synthesis.measures import NEAREST, SHUFFLED, TRUTH, UNGUIDED, Measurement, conditioning, measured, table_in
 from bench.synthesis.report import MODEL, SynthesisBench, goals, scene_goals, summed
@@ -29,6 +30,7 @@ from tasks.scanner.scenery import SceneryObject
 from tasks.synthesis.layout import Large, Layout
 from tasks.synthesis.metrics.boxes import box_figures
 from tasks.synthesis.metrics.distributions import category_kl, category_shares, total_variation
+from tasks.training.systems.synthesis import SYNTHESIS
 from tasks.training.trained import Trained
 
 ROOMS = TrainingRooms(60, 0)
@@ -238,3 +240,26 @@ def test_a_whole_benchmark_goes_on_from_its_folder(tmp_path: Path, monkeypatch: 
     assert again.exit_code == 1, again.output
     assert "AWS small house" in again.stdout
     assert "MISSED" in again.stdout
+
+
+def test_what_was_drawn_in_parts_is_what_is_drawn_at_once_and_is_drawn_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    training = Training("atiss", 0, ROOMS)
+    shipped = SYNTHESIS.shipped()["atiss"].model
+    file = tmp_path / "atiss.safetensors"
+    file.write_bytes(shipped.weights)
+    model = trainings.TrainedModel(training, file, "f" * 64, 1, 1.0, "cpu")
+    monkeypatch.setattr(draws, "PART", 5)
+    larges = [layout.large for layout in held_layouts(13, ROOMS)]
+    kept = KeptDraws(tmp_path / "drawn", model)
+    at_once = model.drawer().draw(larges, 3)
+    for _ in range(2):
+        drawn = kept.draw(larges, 3)
+        assert [layout.categories for layout in drawn] == [layout.categories for layout in at_once]
+        for one, other in zip(drawn, at_once, strict=True):
+            for name in ("centers", "sizes", "yaws"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        assert len(list((tmp_path / "drawn").iterdir())) == 3
+        assert 0 < kept.seconds(larges, 3) < 1000
+        monkeypatch.setattr(draws, "write_whole", None)  # the second time nothing is drawn
+    assert kept.parts(larges, 3)[0].mark != kept.parts(larges, 4)[0].mark
+    assert kept.parts(larges, 3)[0].mark != KeptDraws(tmp_path, model, measures.NO_GUIDANCE).parts(larges, 3)[0].mark

@@ -71,7 +71,18 @@ class SceneDone:
 
 
 def make_scene(job: SynthesisJob) -> SceneDone:
-    """Run what is to be done of a scene and stage it, stage by stage; a failure is staged as a row too. Runs in a worker process."""
+    """Run what is to be done of a scene and stage it, stage by stage; a failure is staged as a row too. Runs in a worker process.
+
+    What fails beside the stages, such as a disk without room for the rows, is said and leaves no row: the next command tries it again.
+    """
+    try:
+        return _made(job)
+    except Exception as error:
+        text = str(error) if isinstance(error, LakeError) else f"{type(error).__name__}: {one_line(error)[:500]}"
+        return SceneDone(job.scene_id, error=text)
+
+
+def _made(job: SynthesisJob) -> SceneDone:
     scene = _Scene(job)
     jobs = {item.stage: item for item in job.jobs}
     if job.drawn is not None:

@@ -70,7 +70,7 @@ class Drawer:
         guide = Guidance() if guidance is None and isinstance(self.config, PhyScene) else guidance
         made: dict[int, Layout] = {}
         left = list(range(len(larges)))
-        for attempt in range(1 if guide is None else guide.tries):
+        for attempt in range(1 if guide is None else max(1, guide.tries)):
             drawn: dict[int, tuple[Layout, Array]] = {}
             with one_thread():
                 for places in _groups([numbers[at] for at in left]):
@@ -85,6 +85,8 @@ class Drawer:
             if guide is not None:
                 layouts = settled(layouts, guide, [drawn[at][1] for at in left])
             made |= dict(zip(left, layouts, strict=True))
+            if guide is None:
+                break
             left = [at for at, is_sound in zip(left, sound(layouts), strict=True) if not is_sound]
             if not left:
                 break

@@ -24,7 +24,7 @@ from tasks.synthesis.layout import UNKNOWN_ROOM, Array, Large, Layout
 Vectors = NDArray[np.float32]
 
 BOX = 8
-"""Numbers of a vector before its category: middle, half extents, cosine and sine."""
+"""Numbers of a vector before its category: place, half extents, cosine and sine."""
 
 Heights = Literal["middles", "bottoms"]
 

@@ -20,6 +20,7 @@ from tasks.models import folders_in
 from tasks.navigation import split_of
 from tasks.settings import Config, Count, Natural, NonNegative, Positive, Share
 from tasks.stage import Context
+from tasks.synthesis.inference.drawer import check_sizes
 from tasks.synthesis.layout import Layout, layouts_of
 from tasks.synthesis.model.config import Atiss, ClipText, DiffuScene, Diffusion, LearnedText, SynthesisModel, Transformer
 from tasks.synthesis.model.encoding import Encoding, encoding_in, encoding_of
@@ -146,10 +147,14 @@ def train(*, dataset: Dataset, start: bytes | None, context: Context, config: Sy
     check_installed()
     check_diffusers(config.model)
     model = config.model
+    check_sizes(model, "train synthesis")
     data = collected(dataset, config.test_share)
     learning, held = held_out(data.train, config.validation_share)
     first = None if start is None else from_safetensors(start)
     encoding = encoding_of(learning, all_classes(model), model.heights) if first is None else encoding_in(first)
+    if encoding.heights != model.heights:
+        problem = f"is {model.heights!r}, but the weights to begin with tell {encoding.heights}"
+        raise InputError("train synthesis", "system.model.heights", problem, f"set it to {encoding.heights}")
     splits = {"train": learning, "validation": held, "test": [layout for _, layout in data.test]}
     known = {split: [layout for layout in rows if is_known(layout, encoding)] for split, rows in splits.items()}
     if not known["train"]:

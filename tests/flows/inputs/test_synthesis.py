@@ -219,6 +219,14 @@ def test_what_passes_is_no_failure_of_the_scene(tmp_path: Path, monkeypatch: pyt
         last = max((run for run in lake.snapshot().rows(StageRun) if run.stage == "navigation"), key=lambda run: run.started_at)
         assert (last.outcome, last.error_kind) == ("lost", "lost")
         assert actions(ask(lake, count=1, dry_run=True)) == ["go on"]
+
+    def full(*_: object) -> object:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:  # not even for the row that says so
+        patched.setattr(Lake, "stage_rows", full)
+        (scene,) = ask(lake, count=1).scenes
+        assert "No space left on device" in str(scene.error)
     assert actions(ask(lake, count=1)) == ["go on"]
     assert actions(ask(lake, count=1)) == ["reuse"]
 

@@ -155,6 +155,18 @@ def test_what_goes_on_keeps_its_vocabulary_and_leaves_out_what_that_lacks() -> N
     assert on.weights != made.weights
 
 
+def test_settings_that_cannot_be_trained_are_refused_before_the_first_step() -> None:
+    made = trained("atiss")
+    config = training("atiss")
+    other = dataclasses.replace(config, model=dataclasses.replace(config.model, heights="middles"))
+    with pytest.raises(InputError, match=r"system\.model\.heights: is 'middles', but the weights to begin with tell bottoms"):
+        train(dataset=RowsInMemory("x", *rows_of()), start=made.weights, context=context(), config=other)
+    config = training("physcene")
+    odd = dataclasses.replace(config.model, architecture=dataclasses.replace(config.model.architecture, waves=3))
+    with pytest.raises(InputError, match="2 sines and cosines do not share 3 channels"):
+        train(dataset=RowsInMemory("x", *rows_of()), start=None, context=context(), config=dataclasses.replace(config, model=odd))
+
+
 def test_weights_and_config_of_two_models_do_not_go_together() -> None:
     made = trained("atiss")
     SYNTHESIS.fits(made.weights, training("atiss"), "file")

@@ -33,7 +33,7 @@ categories are drawn anew where their number is another one; else slots and cate
 
 There +Y is up and the front is +Z: its z, x, y are x, y, z here; extents are halves, and the yaw is its cosine and sine, as here. A file
 has no bounds, by which numbers are scaled, and does not say whether the noise or the velocity is told. Heights there are those of middles
-above the floor: where they are told otherwise here (`heights`), the column of heights is learned anew.
+above the floor: begin with `heights` as `middles`, else what a file says of heights has to be learned anew.
 """
 
 from __future__ import annotations
