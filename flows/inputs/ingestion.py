@@ -153,13 +153,13 @@ def import_scene(job: _Job) -> SceneImport:
     What the lake has no room for is said and leaves no row: the next command tries it again.
     """
     try:
-        return _imported(job)
+        return _read_and_staged(job)
     except Exception as error:
         text = str(error) if isinstance(error, LakeError) else f"{type(error).__name__}: {one_line(error)[:500]}"
         return SceneImport(job.source.scene_id, "import", "failed", error=text)
 
 
-def _imported(job: _Job) -> SceneImport:
+def _read_and_staged(job: _Job) -> SceneImport:
     lake = Lake.open(job.lake)
     started, clock = datetime.now(UTC), time.perf_counter()
     scene_id = job.source.scene_id
