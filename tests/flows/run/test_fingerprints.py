@@ -241,7 +241,7 @@ def changed(code: Path, path: str, modules: tuple[str, ...] = ("tasks.capture", 
     return found
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_members_of_a_family_count_for_the_stage_that_has_them(code: Path) -> None:
     assert changed(code, "tasks/capture/scannet/layout.py") == {"tasks.capture", "tasks.exports"}, "exports read labels of the capture"
     assert changed(code, "tasks/exports/usd/layers.py") == {"tasks.exports"}
