@@ -126,7 +126,8 @@ class Diffusion(SlotModel):
 class DiffuScene(Diffusion):
     """DiffuScene without floor plan (specs D.4).
 
-    The small model deviates: it tells v, each step weighted alike, and chances of categories, as a transformer, in 200 steps.
+    The small model deviates: it tells v, each step weighted alike, chances of categories, and heights over the large object's top, as a
+    transformer that is told boxes as waves, too, in 200 steps of noise whose roots are even.
     """
 
     kind: ClassVar[str] = "diffuscene"
