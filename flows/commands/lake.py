@@ -152,9 +152,13 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
         for name in () if dry_run else also:
             run(lake, name, advance=progress.advance, elsewhere=forget)
         done = run(lake, scene, dry_run=dry_run, advance=progress.advance, elsewhere=forget)
+        # A command that was at work may have added some meanwhile; now that the scene is gone, no commit takes in any more.
+        late = () if dry_run else furnished_anew(lake, scene)
+        for name in late:
+            run(lake, name, advance=progress.advance, elsewhere=forget)
     if dry_run:
         drafts.append(erase_drafts(lake, done.traces, dry_run=True))
-    _tell_erased(done, also, sum(cached), sum(drafts), dry_run, as_json)
+    _tell_erased(done, (*also, *late), sum(cached), sum(drafts), dry_run, as_json)
     if done.proof is not None and (done.proof.hits or done.young_blobs):
         raise click.exceptions.Exit(1)
 

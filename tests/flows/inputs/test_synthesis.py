@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import json
 import os
+import shutil
 import signal
 import types
 from collections.abc import Sequence
@@ -42,6 +43,7 @@ from warehouse.lake import Lake
 from warehouse.questions.views import views
 from warehouse.release.licenses import Allowed
 from warehouse.tables.digest import digests
+from warehouse.upkeep.erasure import erase as erase_rows
 
 CATEGORIES = read_categories()
 WANTED = SceneRequest(large="nightstand", room_type="bedroom")
@@ -300,11 +302,17 @@ def test_layouts_are_drawn_side_by_side_and_one_that_is_none_has_failed(tmp_path
 
 @pytest.fixture(scope="module")
 def rooms(tmp_path_factory: pytest.TempPathFactory) -> Lake:
-    """A furnished room whose table was furnished anew. Changed by the test of erasure, which is the last one."""
+    """A furnished room whose table was furnished anew."""
     lake = furnished_lake(tmp_path_factory.mktemp("rooms") / "lake", scenes=1)
     done = ask(lake, SceneRequest(instance="demo/room_0/0001"), count=1, name="anew")
     assert [scene.error for scene in done.scenes] == [None]
     return lake
+
+
+@pytest.fixture
+def erasable(rooms: Lake, tmp_path: Path) -> Lake:
+    shutil.copytree(rooms.address, tmp_path / "lake")
+    return Lake.open(tmp_path / "lake")
 
 
 @pytest.mark.whole
@@ -407,23 +415,45 @@ def test_other_requests_have_other_names(rooms: Lake) -> None:
 
 
 @pytest.mark.whole
-def test_who_erases_a_scene_erases_what_was_made_of_it(rooms: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_erases_a_scene_erases_what_was_made_of_it(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
         patched.setattr(Lake, "commit", killed)
         with pytest.raises(KeyboardInterrupt):
-            ask(rooms, SceneRequest(instance="demo/room_0/0001"), count=1)
-    (staged,) = {run.run.scene_id for run in rooms.staging.runs()}
+            ask(erasable, SceneRequest(instance="demo/room_0/0001"), count=1)
+    (staged,) = {run.run.scene_id for run in erasable.staging.runs()}
     runner = CliRunner()
-    told = runner.invoke(erase, ["demo/room_0", "--dry-run", "--json", "--lake", rooms.address])
+    told = runner.invoke(erase, ["demo/room_0", "--dry-run", "--json", "--lake", erasable.address])
     assert set(json.loads(told.output)["also"]) == {"synthetic/anew_0000", staged}
-    assert len(rooms.snapshot().rows(Scene)) == 2
-    done = runner.invoke(erase, ["demo/room_0", "--yes", "--lake", rooms.address], catch_exceptions=False)
+    assert len(erasable.snapshot().rows(Scene)) == 2
+    done = runner.invoke(erase, ["demo/room_0", "--yes", "--lake", erasable.address], catch_exceptions=False)
     assert "0 hits" in done.output
-    assert rooms.snapshot().rows(Scene) == []
-    assert rooms.staging.runs() == []
+    assert erasable.snapshot().rows(Scene) == []
+    assert erasable.staging.runs() == []
+
+
+@pytest.mark.whole
+def test_what_is_erased_while_it_is_furnished_anew_comes_back_in_no_snapshot(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    commit, staged = Lake.commit, []
+
+    def late(self: Lake, *words: object, **options: object) -> object:
+        staged.extend(run.run.scene_id for run in self.staging.runs())
+        erase_rows(self, "demo/room_0")  # its dependents were erased before these were staged
+        return commit(self, *words, **options)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Lake, "commit", late)
+        with pytest.raises(InputError, match="was erased meanwhile"):
+            ask(erasable, SceneRequest(instance="demo/room_0/0001"), count=1)
+    (scene,) = set(staged)
+    assert scene.startswith("synthetic/")
+    assert {row.scene_id for row in erasable.snapshot().rows(Scene)} == {"synthetic/anew_0000"}, "committed before: the command looks again"
+    assert erasable.staging.runs() == []
+    again = CliRunner().invoke(erase, ["demo/room_0", "--yes", "--lake", erasable.address])
+    assert "0 hits" in again.output, "blobs of what was not taken in are young, and said to stay for a day"
+    assert erasable.snapshot().rows(Scene) == []
 
 
 @pytest.mark.parametrize(
