@@ -23,7 +23,7 @@ from tasks.navigation.visibility import (
     Corners,
     boundary_of,
     clear,
-    clear_length,
+    clear_lengths,
     contains,
     first_clear,
     joined,
@@ -232,15 +232,36 @@ class PlanarPathFinder(PathFinder):
         """Where a straight move of `offset` from a navigable point ends, shape (2,): short of the first obstacle; no sliding."""
         start = rows(position)[0]
         end = start + rows(offset)[0]
-        if self.is_clear(start, end):
-            return end
-        island = int(self.island_of(start)[0])
+        return end if self.is_clear(start, end) else self.try_steps(position, offset)[0]
+
+    def try_steps(self, positions: ArrayLike, offsets: ArrayLike) -> Array:
+        """Where straight moves from navigable points, each by its own offset, shape (n, 2), end: as `try_step` has each, shape (n, 2)."""
+        starts = rows(positions)
+        ends = starts + rows(offsets)
+        islands = np.zeros(len(starts), dtype=np.int64) if len(self._parts) == 1 else self.island_of(starts)
+        for island in np.unique(islands):
+            mine = np.flatnonzero(islands == island)
+            ends[mine] = self._stops(int(island), starts[mine], ends[mine])
+        return ends
+
+    def _stops(self, island: int, starts: Array, ends: Array) -> Array:
+        """Where moves on one island end, shape (n, 2)."""
         if island < 0:
-            return start
-        length = float(np.hypot(*(end - start)))
-        reach = max(0.0, min(clear_length(self._edges[island], start, end), length) - _SAFETY)
-        stop = start + (end - start) * (reach / length)
-        return stop if self.is_clear(start, stop) else start
+            return starts
+        edges = self._edges[island]
+        # The next move starts at the end, and outside of the polygon nothing would stop it.
+        blocked = np.flatnonzero(~(clear(edges, starts, ends) & contains(edges, ends)))
+        if not len(blocked):
+            return ends
+        ends = ends.copy()
+        # Only the rest asks whether it starts on this island: where there is one alone, nobody has looked.
+        at, to, inside = starts[blocked], ends[blocked], contains(edges, starts[blocked])
+        length = np.hypot(*(to - at).T)
+        reach = np.maximum(0.0, np.minimum(clear_lengths(edges, at, to), length) - _SAFETY)
+        stops = at + (to - at) * (reach / np.maximum(length, 1e-300))[:, None]
+        free = inside & clear(edges, at, stops) & contains(edges, stops)
+        ends[blocked] = np.where(free[:, None], stops, at)
+        return ends
 
     def navmesh(self, settings: Settings) -> NavmeshFile:
         """The free polygon tiled by convex polygons, as habitat-sim stores it, glTF frame.

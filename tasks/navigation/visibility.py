@@ -118,9 +118,10 @@ def clear(boundary: Boundary, starts: Array, ends: Array) -> NDArray[np.bool_]:
     return np.asarray(np.isinf(blocks))
 
 
-def clear_length(boundary: Boundary, start: Array, end: Array) -> float:
-    """How far a straight move from a point of the polygon, shape (2,), stays in it [m]; infinite when it does to its end."""
-    return float(_compiled()["_sights"](start.reshape(1, 2), end.reshape(1, 2), *boundary.corners, False, True)[0])
+def clear_lengths(boundary: Boundary, starts: Array, ends: Array) -> Array:
+    """How far straight moves from points of the polygon stay in it [m], (n, 2) and (n, 2) to (n,); infinite for those that do to the end."""
+    found = _compiled()["_sights"](np.ascontiguousarray(starts), np.ascontiguousarray(ends), *boundary.corners, False, True)
+    return np.asarray(found)
 
 
 def first_clear(boundary: Boundary, start: Array, ends: Array) -> int:

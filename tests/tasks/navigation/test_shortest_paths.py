@@ -460,5 +460,5 @@ def test_sights_by_a_grid_of_edges_are_those_of_looking_at_every_edge(seed: int,
     assert 50 < seen.sum() < 3950
     assert np.array_equal(visibility.clear(grid, starts, ends), seen)
     for start, end in zip(starts[:300], ends[:300], strict=True):
-        assert visibility.clear_length(grid, start, end) == visibility.clear_length(plain, start, end)
+        assert visibility.clear_lengths(grid, start[None], end[None]) == visibility.clear_lengths(plain, start[None], end[None])
         assert visibility.first_clear(grid, start, ends[:40]) == visibility.first_clear(plain, start, ends[:40])
