@@ -65,7 +65,7 @@ def measure(work: SceneAttempts) -> list[Trajectory]:
             finders[agent] = path_finder(work.blobs[agent], f"{episode.scene_id} {work.navmeshes[agent].navmesh_blob[:12]}.navmesh")
         key = (agent, episode.view_points)
         if key not in fields:
-            views, near = _onto(finders[agent], np.array(episode.view_points)[:, :2], work.config.reach_m)
+            views, near = onto(finders[agent], np.array(episode.view_points)[:, :2], work.config.reach_m)
             fields[key] = finders[agent].field(views[near])
         rows.append(_trajectory(attempt, episode, finders[agent], fields[key], work))
     return rows
@@ -74,7 +74,7 @@ def measure(work: SceneAttempts) -> list[Trajectory]:
 def _trajectory(attempt: Attempt, episode: Episode, finder: PathFinder, field: DistanceField, work: SceneAttempts) -> Trajectory:
     """The row of one attempt."""
     config = work.config
-    start, near = _onto(finder, np.array([episode.start_position[:2]]), config.reach_m)
+    start, near = onto(finder, np.array([episode.start_position[:2]]), config.reach_m)
     start_distance = float(field.distances(start)[0]) if near[0] else np.inf
     if not np.isfinite(start_distance):
         why = "starts off the navmesh" if not near[0] else "has no view point with a path from its start"
@@ -113,7 +113,7 @@ def _trajectory(attempt: Attempt, episode: Episode, finder: PathFinder, field: D
 
 def _ending(at: Array, finder: PathFinder, field: DistanceField, config: EvaluationConfig) -> tuple[float | None, str | None]:
     """Distance from the last position to the nearest view point, None without one, and what is odd about the way there."""
-    snapped, near = _onto(finder, at, config.reach_m)
+    snapped, near = onto(finder, at, config.reach_m)
     notes = []
     if not near.all():
         worst = float(np.hypot(*(snapped - at)[~near].T).max())
@@ -128,7 +128,7 @@ def _ending(at: Array, finder: PathFinder, field: DistanceField, config: Evaluat
     return distance, ", ".join(notes) or None
 
 
-def _onto(finder: PathFinder, points: Array, reach: float) -> tuple[Array, NDArray[np.bool_]]:
+def onto(finder: PathFinder, points: Array, reach: float) -> tuple[Array, NDArray[np.bool_]]:
     """The nearest navigable points, shape (n, 2), and whether each lies within `reach` [m] of its point, shape (n,).
 
     Points of the free polygon may lie a rounding error outside a navmesh: it holds 32-bit floats.

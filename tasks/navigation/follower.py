@@ -55,7 +55,7 @@ def replay(actions: Sequence[str], start: ArrayLike, yaw: float, finder: PathFin
     poses = [(position[0], position[1], yaw)]
     for index, action in enumerate(actions):
         if action == FORWARD:
-            moved = finder.try_step(position, offset_after(yaw, turns, motion))
+            moved = finder.try_step(position, _offset(yaw, turns, motion))
             collisions += int(is_short(moved - position, motion))
             position = moved
         elif action in (LEFT, RIGHT):
@@ -83,7 +83,7 @@ def follow(
             return None
         ahead = path.corners[1] - position
         wanted = round(_wrapped(math.atan2(ahead[1], ahead[0]) - yaw - turns * motion.turn_radians) / motion.turn_radians)
-        moved = position + offset_after(yaw, turns + wanted, motion)
+        moved = position + _offset(yaw, turns + wanted, motion)
         onward = field.path(moved) if finder.is_clear(position, moved) else NO_PATH
         if onward.length < path.length:
             actions += [LEFT if wanted > 0 else RIGHT] * abs(wanted) + [FORWARD]
@@ -129,7 +129,7 @@ def _search(
             continue
         seen.add(key(p, k))
         options = [(LEFT, p, k + 1, distance), (RIGHT, p, k - 1, distance)]
-        moved = p + offset_after(yaw, k, motion)
+        moved = p + _offset(yaw, k, motion)
         if finder.is_clear(p, moved):
             options.append((FORWARD, moved, k, float(field.distances(moved)[0])))
         for action, q, heading, left in options:
@@ -144,8 +144,7 @@ def heading_after(yaw: float, turns: int, motion: Motion) -> float:
     return _wrapped(yaw + turns * motion.turn_radians)
 
 
-def offset_after(yaw: float, turns: int, motion: Motion) -> Array:
-    """Where one step forward leads from where the robot stands after a number of turns to the left, shape (2,) [m]."""
+def _offset(yaw: float, turns: int, motion: Motion) -> Array:
     heading = heading_after(yaw, turns, motion)
     return motion.forward_m * np.array([math.cos(heading), math.sin(heading)])
 

@@ -119,7 +119,7 @@ def clear(boundary: Boundary, starts: Array, ends: Array) -> NDArray[np.bool_]:
 
 
 def clear_lengths(boundary: Boundary, starts: Array, ends: Array) -> Array:
-    """How far straight moves from points of the polygon stay in it [m], (n, 2) and (n, 2) to (n,); infinite for those that do to the end."""
+    """How far straight moves from points of the polygon stay in it [m], (n, 2) twice to (n,); infinite for those that do to their ends."""
     found = _compiled()["_sights"](np.ascontiguousarray(starts), np.ascontiguousarray(ends), *boundary.corners, False, True)
     return np.asarray(found)
 
