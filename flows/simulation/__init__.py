@@ -1,0 +1,1 @@
+"""Scenes of a lake to act in, for code that knows nothing of lakes: environments of gymnasium."""
