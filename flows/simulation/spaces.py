@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.simulation.configuration import SimulationConfig
-from tasks.simulation.objectnav import compass, gps, normalized_depth
+from tasks.simulation.objectnav import compass, gps, normalize_depth
 from tasks.simulation.protocol import ACTIONS, NO_OBJECT, Sight
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def observations(
     """What agents observe, one behind another, shape (n, ...) each.
 
     Args:
-        sight: What all see, n by height by width.
+        sight: What all see, n by height by width. Its arrays become those of the observation, the depth normalized in place.
         goals: Categories of their targets by number, shape (n,).
         yaw: Their headings, shape (n,) [rad].
         start_yaw: Those at their starts, shape (n,) [rad].
@@ -60,9 +60,10 @@ def observations(
         direction: Unit vectors of the headings at the start, shape (n, 2).
         config: Of the camera.
     """
+    normalize_depth(sight.depth, config)
     return {
         "rgb": sight.rgb,
-        "depth": normalized_depth(sight, config)[..., None],
+        "depth": sight.depth[..., None],
         "semantic": sight.semantic[..., None],
         "objectgoal": np.array(goals, dtype=np.int64)[:, None],
         "compass": compass(yaw, start_yaw),

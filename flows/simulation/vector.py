@@ -20,6 +20,7 @@ from schemas.errors import InputError
 from schemas.navigation import Episode
 from tasks.simulation.agents import Agents
 from tasks.simulation.objectnav import Course
+from tasks.simulation.protocol import Sight
 from tasks.simulation.world import view_points
 
 Flags = NDArray[np.bool_]
@@ -38,7 +39,7 @@ class ObjectNavVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[np.int6
         self, num_envs: int, lake: str | Path, scenes: str | Sequence[str] = (), split: str | None = "train", *, agent: str | None = None,
         categories: Sequence[str] | None = None, snapshot: int | None = None, release: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP, render_mode: str | None = None,
-        max_episode_steps: int | None = None, **settings: Any,
+        max_episode_steps: int | None = None, copy: bool = True, **settings: Any,
     ) -> None:  # fmt: skip
         """
         Args:
@@ -54,6 +55,7 @@ class ObjectNavVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[np.int6
                 (`NextStep`, whose action does not count), or at once (`SameStep`), or waits for a reset with `reset_mask` (`Disabled`).
             render_mode: `rgb_array`: `render` gives the cameras' pictures.
             max_episode_steps: `max_steps`, as `gymnasium.make_vec` calls it.
+            copy: As of gymnasium's own: without it the pictures of every step are in the same memory, which large ones gain by.
             settings: As there.
 
         Raises:
@@ -82,6 +84,8 @@ class ObjectNavVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[np.int6
         self._fields: list[Any] = [None] * num_envs
         self._targets, self._goals = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=np.int64)
         self._over = np.zeros(num_envs, dtype=np.bool_)
+        self._sight: Sight | None = None
+        self._is_copied = copy
         self._facts = {name: np.full(num_envs, None, dtype=object) for name in ("scene_id", "episode_id", "object_category", "instance_id")}
 
     def reset(
@@ -184,8 +188,11 @@ class ObjectNavVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[np.int6
     def _observed(self, among: NDArray[np.int64] | None = None) -> Observation:
         """What all agents observe, or some of them."""
         agents, some = self._agents, slice(None) if among is None else among
+        sight = agents.render(among, self._sight if among is None else None)
+        if among is None and not self._is_copied:
+            self._sight = sight
         return observations(
-            agents.render(among), self._goals[some], agents.yaw[some], agents.start_yaw[some], agents.position[some], agents.start[some],
+            sight, self._goals[some], agents.yaw[some], agents.start_yaw[some], agents.position[some], agents.start[some],
             agents.start_direction[some], self.config,
         )  # fmt: skip
 

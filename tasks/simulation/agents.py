@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.geometry.rasterizer import Pictures
 from tasks.navigation.follower import heading_after, is_short
 from tasks.simulation.configuration import SimulationConfig
 from tasks.simulation.protocol import ACTIONS, AgentState, Sight
@@ -36,6 +37,7 @@ class Agents:
         self.worlds: list[World | None] = [None] * count
         self._turns = np.zeros(count, dtype=np.int64)
         self._groups: dict[int, Indices] = {}  # by identity of the world
+        self._room = Pictures.empty(count, config.width, config.height)
 
     def __len__(self) -> int:
         return len(self.worlds)
@@ -97,21 +99,22 @@ class Agents:
         x, y = self.position[index].tolist()
         return AgentState(x, y, float(self.yaw[index]), bool(self.collided[index]), bool(self.called_stop[index]))
 
-    def render(self, among: Indices | None = None) -> Sight:
+    def render(self, among: Indices | None = None, into: Sight | None = None) -> Sight:
         """What all agents see, one behind another: rgb is n by height by width by 3, depth and semantic are n by height by width.
-        `among`: what these alone see, ascending."""
+        `among`: what these alone see, ascending. `into`: where to put it; new arrays where it is left out."""
         config = self.config
         shown = np.arange(len(self)) if among is None else among
         size, place = (len(shown), config.height, config.width), np.full(len(self), -1)
         place[shown] = np.arange(len(shown))
-        rgb, depth, semantic = np.empty((*size, 3), np.uint8), np.empty(size, np.float32), np.empty(size, np.int32)
+        sight = into or Sight(np.empty((*size, 3), np.uint8), np.empty(size, np.float32), np.empty(size, np.int32))
+        room = self._room
         for world, group in self.groups():
             mine = group[place[group] >= 0]
             if len(mine):
                 poses = camera_poses(self.position[mine], self.direction[mine], config.camera_height_m)
-                sight, rows = world.look(poses, config.width, config.height, config.hfov), place[mine]
-                rgb[rows], depth[rows], semantic[rows] = sight.rgb, sight.depth, sight.semantic
-        return Sight(rgb, depth, semantic)
+                part = Pictures(room.rgb[: len(mine)], room.depth[: len(mine)], room.part[: len(mine)])
+                world.look(poses, config.hfov, sight, place[mine], part)
+        return sight
 
 
 def camera_poses(position: Array, direction: Array, height: float) -> Array:

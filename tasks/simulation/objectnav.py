@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.kernels import Kernels, compile_kernels
 from tasks.simulation.configuration import SimulationConfig
-from tasks.simulation.protocol import Sight
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -25,13 +27,21 @@ def gps(position: Array, start: Array, direction: Array) -> NDArray[np.float32]:
     return np.stack([c * x + s * y, s * x - c * y], axis=1).astype(np.float32)
 
 
-def normalized_depth(sight: Sight, config: SimulationConfig) -> NDArray[np.float32]:
-    """Depth as Habitat normalizes it: 0 at `min_depth_m`, nearer, and where nothing is, 1 at `max_depth_m` and beyond."""
-    low, high = np.float32(config.min_depth_m), np.float32(config.max_depth_m)
-    depth = np.clip(sight.depth, low, high)
-    depth -= low
-    depth /= high - low
-    return depth
+def normalize_depth(depth: NDArray[np.float32], config: SimulationConfig) -> None:
+    """Turn metres, in place, into what Habitat makes of them: 0 at `min_depth_m`, nearer, and where nothing is, 1 at `max_depth_m` and
+    beyond."""
+    _compiled()["_normalize"](depth.reshape(-1), np.float32(config.min_depth_m), np.float32(config.max_depth_m))
+
+
+@cache
+def _compiled() -> Kernels:
+    return compile_kernels(_normalize)
+
+
+def _normalize(depth: NDArray[np.float32], low: np.float32, high: np.float32) -> None:
+    """In one pass: three of NumPy take twice as long, and more where they ask for memory."""
+    for i in range(len(depth)):
+        depth[i] = (min(max(depth[i], low), high) - low) / (high - low)
 
 
 class Course:
