@@ -35,10 +35,13 @@ class Base:
 
 
 class Commit:
-    """One commit, made while `lease` is held. It reads what it touches, so that its time hardly depends on the lake's size."""
+    """One commit, made while `lease` is held. It reads what it touches, so that its time hardly depends on the lake's size.
 
-    def __init__(self, tables: DeltaTables, staging: Staging, lease: Lease) -> None:
-        self._tables, self._staging, self._lease = tables, staging, lease
+    erased: A scene whose erasure was begun and is not finished.
+    """
+
+    def __init__(self, tables: DeltaTables, staging: Staging, lease: Lease, erased: str | None = None) -> None:
+        self._tables, self._staging, self._lease, self._erased = tables, staging, lease, erased
         self._snapshots = TABLES["snapshots"]
         self._base = self._read_base()
         self._states: dict[Key, StageState] = {}
@@ -114,7 +117,8 @@ class Commit:
             return staged
         table = TABLES["stage_runs"]
         known = self._tables.read(table, self._base_files(table), ["scene_id"], {"scene_id": bases}).column("scene_id").unique().to_pylist()
-        orphans = [staged_run for staged_run in staged if base_of(staged_run.run) not in {None, *known}]
+        gone = bases - (set(known) - {self._erased})
+        orphans = [staged_run for staged_run in staged if base_of(staged_run.run) in gone]
         self._lease.check()
         self._staging.remove(orphans)
         return [staged_run for staged_run in staged if staged_run not in orphans]

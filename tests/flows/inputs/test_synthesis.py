@@ -43,7 +43,9 @@ from warehouse.lake import Lake
 from warehouse.questions.views import views
 from warehouse.release.licenses import Allowed
 from warehouse.tables.digest import digests
+from warehouse.upkeep.erasure import dependents
 from warehouse.upkeep.erasure import erase as erase_rows
+from warehouse.upkeep.erasure.dependents import FurnishedAnewError
 
 CATEGORIES = read_categories()
 WANTED = SceneRequest(large="nightstand", room_type="bedroom")
@@ -436,24 +438,46 @@ def test_who_erases_a_scene_erases_what_was_made_of_it(erasable: Lake, monkeypat
 
 @pytest.mark.whole
 def test_what_is_erased_while_it_is_furnished_anew_comes_back_in_no_snapshot(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
-    commit, staged = Lake.commit, []
+    commit, runner, staged = Lake.commit, CliRunner(), []
 
     def late(self: Lake, *words: object, **options: object) -> object:
-        staged.extend(run.run.scene_id for run in self.staging.runs())
-        erase_rows(self, "demo/room_0")  # its dependents were erased before these were staged
+        monkeypatch.undo()
+        staged.extend(self.staging.runs())
+        with pytest.raises(FurnishedAnewError, match=r"as synthetic/.*erase these first"):
+            erase_rows(self, "demo/room_0")
+        for run in staged:  # not staged yet when the erasure looks
+            self.unstage(run.run)
+        told = json.loads(runner.invoke(erase, ["demo/room_0", "--yes", "--json", "--lake", self.address], catch_exceptions=False).output)
+        assert {hit["path"].partition("/")[0] for hit in told["proof"]["hits"]} <= {"claims", "blobs"}, (
+            "what this command holds and has put"
+        )
+        for run in staged:
+            self.stage_rows(run.run, {})
         return commit(self, *words, **options)  # type: ignore[arg-type]
 
-    with monkeypatch.context() as patched:
-        patched.setattr(Lake, "commit", late)
-        with pytest.raises(InputError, match="was erased meanwhile"):
-            ask(erasable, SceneRequest(instance="demo/room_0/0001"), count=1)
-    (scene,) = set(staged)
-    assert scene.startswith("synthetic/")
-    assert {row.scene_id for row in erasable.snapshot().rows(Scene)} == {"synthetic/anew_0000"}, "committed before: the command looks again"
+    monkeypatch.setattr(Lake, "commit", late)
+    with pytest.raises(InputError, match="was erased meanwhile"):
+        ask(erasable, SceneRequest(instance="demo/room_0/0001"), count=1)
+    assert {run.run.scene_id.partition("/")[0] for run in staged} == {"synthetic"}
     assert erasable.staging.runs() == []
-    again = CliRunner().invoke(erase, ["demo/room_0", "--yes", "--lake", erasable.address])
-    assert "0 hits" in again.output, "blobs of what was not taken in are young, and said to stay for a day"
     assert erasable.snapshot().rows(Scene) == []
+
+
+@pytest.mark.whole
+def test_what_is_furnished_anew_while_its_scene_is_erased_goes_too(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    look = dependents.furnished_anew
+
+    def before(lake: Lake, scene_id: str) -> tuple[str, ...]:
+        monkeypatch.undo()
+        found = look(lake, scene_id)
+        ask(lake, SceneRequest(instance="demo/room_0/0001"), count=2)
+        return found
+
+    monkeypatch.setattr(dependents, "furnished_anew", before)
+    told = CliRunner().invoke(erase, ["demo/room_0", "--yes", "--json", "--lake", erasable.address], catch_exceptions=False)
+    assert len(json.loads(told.output)["also"]) == 3
+    assert erasable.snapshot().rows(Scene) == []
+    assert erasable.staging.runs() == []
 
 
 @pytest.mark.parametrize(
