@@ -21,7 +21,10 @@ from tasks.weights import from_safetensors
 class Network(Protocol):
     """A policy's network, with torch or without."""
 
-    config: PolicyModel
+    @property
+    def config(self) -> PolicyModel:
+        """What it is made of."""
+        ...
 
     def told(self, goals: Indices) -> Values:
         """Tokens (n, g, w) of goals (n,)."""

@@ -1,0 +1,67 @@
+"""How well a policy tells the right actions of walks that it did not learn from."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.evaluation import ACTIONS
+from tasks.policy.actions import FORWARD, START, UNKNOWN
+from tasks.policy.demonstrations import Walk
+from tasks.policy.model.objective import logits_of
+from tasks.policy.model.shapes import Vocabulary
+from tasks.selection.metrics.bootstrap import interval
+from tasks.training.trained import Measure
+
+MAJORITY, REPEAT = "majority", "repeat"
+"""What a policy is held against: the action that is right most often in training, and the last action once more."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Told:
+    """What was told of the steps of walks whose right action is known. rooms: Of the steps (n,). targets, actions, untold: The right
+    action, the policy's, and the policy's where nothing is told of last actions, shape (n,). last: Actions before (n,)."""
+
+    rooms: list[str]
+    targets: NDArray[np.int64]
+    actions: NDArray[np.int64]
+    untold: NDArray[np.int64]
+    last: NDArray[np.int64]
+
+
+def told_of(module: Any, walks: Sequence[Walk], observations: Iterable[NDArray[Any]], vocabulary: Vocabulary) -> Told:
+    """What a network tells of walks by what was seen on them."""
+    rooms: list[str] = []
+    parts: list[tuple[NDArray[np.int64], ...]] = []
+    for walk, seen in zip(walks, observations, strict=True):
+        actions, untold = (logits_of(module, walk, seen, vocabulary, tells_last=tells).argmax(axis=-1) for tells in (True, False))
+        known = walk.targets != UNKNOWN
+        rooms += [walk.room_id] * int(known.sum())
+        parts.append((walk.targets[known], actions[known], untold[known], walk.last[known]))
+    return Told(rooms, *(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def figures_of(told: Told, split: str, majority: int, seed: int) -> list[Measure]:
+    """Shares of right actions, all and by the right action, with intervals over rooms, of the policy and of what it is held against.
+
+    majority: The action that is right most often in training.
+    """
+    right = (told.actions == told.targets).astype(np.float64)
+    repeated = np.where(told.last == START, FORWARD, told.last)
+    kinds: list[tuple[str, str, NDArray[np.float64]]] = [
+        ("", "action_accuracy", right),
+        ("", "action_accuracy_untold", (told.untold == told.targets).astype(np.float64)),
+        (MAJORITY, "action_accuracy", (told.targets == majority).astype(np.float64)),
+        (REPEAT, "action_accuracy", (told.targets == repeated).astype(np.float64)),
+    ]
+    kinds += [("", f"accuracy_{name}", np.where(told.targets == action, right, np.nan)) for action, name in enumerate(ACTIONS)]
+    made = []
+    for method, metric, values in kinds:
+        mean = interval(values, told.rooms, seed)
+        if mean.examples:
+            made.append(Measure("", split, metric, mean.value, mean.low, mean.high, mean.examples, method))
+    return made
