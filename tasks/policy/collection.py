@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from schemas.candidates import Asset
 from schemas.capture import Instance, RoomSurface, Scene, Shell
@@ -19,9 +19,19 @@ from tasks.navigation import split_of
 from tasks.policy.corrections import Course
 from tasks.policy.demonstrations import Walk, WalkConfig, chosen, walk_of
 from tasks.stage import Context
-from tasks.training.dataset import Dataset
 
 READS = ("assets", "episodes", "instances", "navmeshes", "placements", "scenes", "shells", "splits", "surfaces")
+
+
+R = TypeVar("R")
+
+
+class Dataset(Protocol):
+    """A dataset; see `tasks.training.dataset.Dataset`."""
+
+    def rows(self, record: type[R]) -> Iterator[R]:
+        """Rows of a record type, in the order of its key."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +93,7 @@ def collected(dataset: Dataset, context: Context, config: WalkConfig, test_share
             if split == "train" and scene_id not in courses:
                 courses[scene_id] = Course(scene_id, room, tuple(own), finder)
     if not walks["train"]:
-        problem = "has none in a training room" if not left_out else f"has none that can be used: {_said(left_out)}"
+        problem = "has none in a training room" if not +left_out else f"has none that can be used: {_said(+left_out)}"
         raise InputError("train navigation", "episodes", problem, "run the stage navigation on rooms of the split 'train'")
     used = {walk.scene_id for part in walks.values() for walk in part}
     looks, assets = _looks(dataset, used, shells)

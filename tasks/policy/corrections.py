@@ -6,6 +6,7 @@ Who learns from an expert's walks alone has never seen what lies beside them, wh
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 
@@ -14,11 +15,10 @@ import numpy as np
 from schemas.navigation import Episode
 from tasks.navigation.protocol import PathFinder
 from tasks.policy.actions import FORWARD, LEFT, RIGHT, STOP, UNKNOWN
-from tasks.policy.demonstrations import Array, Expert, Walk, WalkConfig, start_of, views_of
+from tasks.policy.demonstrations import Array, Expert, Guide, Walk, WalkConfig, start_of, views_of, walk_of
 from tasks.policy.inference.actor import Actor
 from tasks.policy.store import Render
 from tasks.settings import Config, Count, Natural, Share
-from tasks.training.devices import seed_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,8 +45,8 @@ class Course:
 class _Agent:
     """One agent under way."""
 
-    def __init__(self, episode: Episode, course: Course, expert: Expert, start: Array, rng: np.random.Generator) -> None:
-        self.episode, self.course, self.expert, self.rng = episode, course, expert, rng
+    def __init__(self, episode: Episode, course: Course, guide: Guide, start: Array, rng: np.random.Generator) -> None:
+        self.episode, self.course, self.guide, self.rng = episode, course, guide, rng
         self.position, self.turns = start, 0
         self.poses: list[tuple[float, float, float]] = []
         self.targets: list[int] = []
@@ -61,10 +61,11 @@ class _Agent:
     def step(self, action: int, config: WalkConfig, corrections: CorrectionsConfig) -> int:
         """Carry an action out, or the expert's; what was done. Who stops too early goes on as the expert does."""
         x, y, yaw = self.pose(config)
-        right = self.expert.action((x, y), yaw)
+        right = self.guide.right((x, y), yaw)
         guided = self.rng.random() < corrections.expert_share
         if right != UNKNOWN and (guided or action == STOP):
             action = right
+        self.guide.did(action)
         self.poses.append((x, y, yaw))
         self.targets.append(right)
         self.done.append(action)
@@ -114,21 +115,24 @@ def corrected(
 
 def _begun(course: Course, walks: WalkConfig, config: CorrectionsConfig, number: int, seed: int) -> list[_Agent]:
     """Agents at the starts of some of a scene's episodes, drawn by the round."""
-    order = np.random.default_rng(seed_of(seed, "corrections", number, course.scene_id)).permutation(len(course.episodes))
+    order = _rng(seed, number, course.scene_id).permutation(len(course.episodes))
     agents: list[_Agent] = []
     experts: dict[tuple[tuple[float, ...], ...], Expert] = {}
     for place in order[: config.episodes]:
         episode = course.episodes[int(place)]
-        start = start_of(episode, course.finder)
-        views = views_of(episode, course.finder)
-        if start is None or not len(views):
+        start, shown = start_of(episode, course.finder), walk_of(episode, course.room_id, course.finder, walks)
+        if start is None or shown is None:
             continue
-        key = episode.view_points
-        if key not in experts:
-            experts[key] = Expert(course.finder, views, walks)
-        rng = np.random.default_rng(seed_of(seed, "correction", number, episode.scene_id, episode.episode_id))
-        agents.append(_Agent(episode, course, experts[key], start, rng))
+        if episode.view_points not in experts:
+            experts[episode.view_points] = Expert(course.finder, views_of(episode, course.finder), walks)
+        rng = _rng(seed, number, episode.scene_id, episode.episode_id)
+        agents.append(_Agent(episode, course, Guide(experts[episode.view_points], shown.targets.tolist()), start, rng))
     return agents
+
+
+def _rng(*words: object) -> np.random.Generator:
+    """A generator that follows from words."""
+    return np.random.default_rng(list(hashlib.sha256("\x1f".join(map(str, ("corrections", *words))).encode()).digest()))
 
 
 def agreement(walks: Sequence[Walk]) -> float:

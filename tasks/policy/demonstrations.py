@@ -13,7 +13,6 @@ from pydantic import Field
 
 from schemas.evaluation import ACTIONS
 from schemas.navigation import Episode
-from tasks.navigation import follower
 from tasks.navigation.follower import Motion, follow, replay
 from tasks.navigation.protocol import DistanceField, PathFinder
 from tasks.policy.actions import LEFT, RIGHT, START, STOP, UNKNOWN
@@ -72,7 +71,7 @@ class Walk:
 
 
 class Expert:
-    """Who knows the way to an episode's target from anywhere: the first action of `follow` to the nearest view point.
+    """Who knows the way to an episode's target from anywhere: `follow` to the nearest view point.
 
     finder: Of the scene. views: View points of the target, x, y [m] and yaw towards it [rad], shape (n, 3).
     """
@@ -82,36 +81,49 @@ class Expert:
         self._views = np.asarray(views, dtype=np.float64).reshape(-1, 3)
         self.field: DistanceField = finder.field(self._views[:, :2])
 
-    def action(self, position: ArrayLike, yaw: float) -> int:
-        """What to do at a navigable point, world frame [m], shape (2,), heading `yaw` [rad]; `UNKNOWN` where no way was found.
+    def actions(self, position: ArrayLike, yaw: float) -> list[int]:
+        """What to do from a navigable point, world frame [m], shape (2,), heading `yaw` [rad], to the end; empty where no way was found.
 
-        Turn to the next corner of the shortest path until the heading is off by half a turn at most, then go forward; stop within `stop_m`.
+        Turn to the next corner of the shortest path until the heading is off by half a turn at most, then go forward; stop within `stop_m`,
+        where `facing` says so with the target in view.
         """
-        config, motion = self._config, self._config.motion
-        path = self.field.path(position)
-        if not path.exists:
-            return UNKNOWN
-        if path.length <= config.stop_m:
-            return self._arrived(path.goal, yaw)
-        # Two steps ahead `follow` has decided, and searches as far as from here to the goal.
-        reach = max(config.stop_m, path.length - 2 * motion.forward_m)
-        actions = follow(position, yaw, self.field, self._finder, motion, reach, config.max_steps, config.search_expansions)
-        return ACTIONS.index(actions[0]) if actions else UNKNOWN
+        config = self._config
+        found = follow(
+            position, yaw, self.field, self._finder, config.motion, config.stop_m, config.max_steps, config.search_expansions
+        )  # fmt: skip
+        if found is None:
+            return []
+        actions = [ACTIONS.index(action) for action in found]
+        return actions if not config.facing else self.turned(actions, position, yaw)
 
-    def ending(self, position: ArrayLike, yaw: float) -> list[int]:
-        """What to do at a point within `stop_m` of a view point, to the end."""
-        goal, made = self.field.path(position).goal, [self._arrived(self.field.path(position).goal, yaw)]
-        while made[-1] != STOP:
-            yaw += self._config.motion.turn_radians * (1 if made[-1] == LEFT else -1)
-            made.append(self._arrived(goal, yaw))
-        return made
+    def turned(self, actions: Sequence[int], position: ArrayLike, yaw: float) -> list[int]:
+        """Actions from a point that end with a stop, with turns before it until the target is in view."""
+        end = replay([ACTIONS[action] for action in actions], position, yaw, self._finder, self._config.motion).poses[-1]
+        goal = self.field.path(end[:2]).goal
+        if goal < 0:
+            return list(actions)
+        turn = self._config.motion.turn_radians
+        off = math.remainder(float(self._views[goal, 2]) - float(end[2]), 2 * math.pi)
+        most = max(math.radians(self._config.facing_degrees), 0.5 * turn)
+        count = max(math.ceil((abs(off) - most) / turn - 1e-9), 0)
+        return [*actions[:-1], *[LEFT if off > 0 else RIGHT] * count, actions[-1]]
 
-    def _arrived(self, goal: int, yaw: float) -> int:
-        off = math.remainder(float(self._views[goal, 2]) - yaw, 2 * math.pi)
-        most = max(math.radians(self._config.facing_degrees), 0.5 * self._config.motion.turn_radians + 1e-9)
-        if self._config.facing and abs(off) > most:
-            return LEFT if off > 0 else RIGHT
-        return STOP
+
+class Guide:
+    """What an expert would do at each step of one agent. Whoever does as it says is led on; who does not is led from where that led to."""
+
+    def __init__(self, expert: Expert, plan: Sequence[int] = ()) -> None:
+        self._expert, self._plan = expert, list(plan)
+
+    def right(self, position: ArrayLike, yaw: float) -> int:
+        """The right action at the agent's pose; `UNKNOWN` where no way was found."""
+        if not self._plan:
+            self._plan = self._expert.actions(position, yaw)
+        return self._plan[0] if self._plan else UNKNOWN
+
+    def did(self, action: int) -> None:
+        """What the agent did."""
+        self._plan = self._plan[1:] if self._plan[:1] == [action] else []
 
 
 def views_of(episode: Episode, finder: PathFinder) -> Array:
@@ -135,20 +147,16 @@ def walk_of(episode: Episode, room_id: str, finder: PathFinder, config: WalkConf
     if start is None or not episode.actions:
         return None
     actions = [ACTIONS.index(action) for action in episode.actions]
-    done = replay(episode.actions, start, episode.start_yaw_radians, finder, config.motion)
-    poses = done.poses[:-1]
-    if done.collisions:
-        return None
-    if config.facing and episode.actions[-1] == follower.STOP:
+    if config.facing and actions[-1] == STOP:
         views = views_of(episode, finder)
         if not len(views):
             return None
-        ending = Expert(finder, views, config).ending(poses[-1, :2], float(poses[-1, 2]))
-        actions = [*actions[:-1], *ending]
-        turned = replay([ACTIONS[action] for action in ending], poses[-1, :2], float(poses[-1, 2]), finder, config.motion)
-        poses = np.concatenate([poses[:-1], turned.poses[:-1]])
+        actions = Expert(finder, views, config).turned(actions, start, episode.start_yaw_radians)
+    done = replay([ACTIONS[action] for action in actions], start, episode.start_yaw_radians, finder, config.motion)
+    if done.collisions:
+        return None
     made = np.array(actions, dtype=np.int64)
-    return Walk(episode.scene_id, room_id, episode.episode_id, episode.category, poses, made, made)
+    return Walk(episode.scene_id, room_id, episode.episode_id, episode.category, done.poses[:-1], made, made)
 
 
 def chosen(episodes: Iterable[Episode], count: int) -> list[Episode]:

@@ -14,8 +14,7 @@ from tasks.policy.actions import FORWARD, START, UNKNOWN
 from tasks.policy.demonstrations import Walk
 from tasks.policy.model.objective import logits_of
 from tasks.policy.model.shapes import Vocabulary
-from tasks.selection.metrics.bootstrap import interval
-from tasks.training.trained import Measure
+from tasks.selection.metrics.bootstrap import ConfidenceInterval, interval
 
 MAJORITY, REPEAT = "majority", "repeat"
 """What a policy is held against: the action that is right most often in training, and the last action once more."""
@@ -45,8 +44,8 @@ def told_of(module: Any, walks: Sequence[Walk], observations: Iterable[NDArray[A
     return Told(rooms, *(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def figures_of(told: Told, split: str, majority: int, seed: int) -> list[Measure]:
-    """Shares of right actions, all and by the right action, with intervals over rooms, of the policy and of what it is held against.
+def figures_of(told: Told, majority: int, seed: int) -> list[tuple[str, str, ConfidenceInterval]]:
+    """Shares of right actions, all and by the right action, with intervals over rooms: whose ('' for the policy), metric and share.
 
     majority: The action that is right most often in training.
     """
@@ -59,9 +58,5 @@ def figures_of(told: Told, split: str, majority: int, seed: int) -> list[Measure
         (REPEAT, "action_accuracy", (told.targets == repeated).astype(np.float64)),
     ]
     kinds += [("", f"accuracy_{name}", np.where(told.targets == action, right, np.nan)) for action, name in enumerate(ACTIONS)]
-    made = []
-    for method, metric, values in kinds:
-        mean = interval(values, told.rooms, seed)
-        if mean.examples:
-            made.append(Measure("", split, metric, mean.value, mean.low, mean.high, mean.examples, method))
-    return made
+    made = [(method, metric, interval(values, told.rooms, seed)) for method, metric, values in kinds]
+    return [figure for figure in made if figure[2].examples]

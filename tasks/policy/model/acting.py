@@ -1,4 +1,4 @@
-"""Policies in torch: networks whose first weights follow from a seed, and acting by them where eyes are frozen ones."""
+"""Policies in torch, which act where eyes are frozen ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from tasks.policy.model.networks.policy import PolicyNet
 from tasks.policy.model.shapes import VOCABULARY, check_fit
 from tasks.selection.methods import encoders
 from tasks.synthesis.inference.layers import Values
-from tasks.training.devices import seeded
 from tasks.weights import from_safetensors
 
 
@@ -50,12 +49,6 @@ class TorchPolicy:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.module.fusion.device)
 
 
-def network(config: PolicyModel, goals: int, seed: int) -> PolicyNet:
-    """A network whose first weights follow from the seed."""
-    with seeded(seed, "navigation", "weights"):
-        return PolicyNet(config, goals)
-
-
 def torch_network(arrays: Mapping[str, NDArray[Any]], config: PolicyModel, goals: int) -> TorchPolicy:
     """What acts by a model's arrays, in torch.
 
@@ -65,7 +58,7 @@ def torch_network(arrays: Mapping[str, NDArray[Any]], config: PolicyModel, goals
     if is_frozen(config):
         assert isinstance(config.eyes, SiglipEyes)
         vision_in(config.eyes)
-    module = network(config, goals, 0)
+    module = PolicyNet(config, goals)
     begin_with(module, arrays)
     return TorchPolicy(module)
 
@@ -81,6 +74,6 @@ def begin_with(module: PolicyNet, arrays: Mapping[str, NDArray[Any]]) -> None:
 def opened(weights: bytes, config: PolicyModel, file: str = "weights") -> PolicyNet:
     """The network of a model's weights, in evaluation. Raises `InputError` as `check_fit`."""
     arrays = from_safetensors(weights, file)
-    module = network(config, len(check_fit(arrays, config, file)), 0)
+    module = PolicyNet(config, len(check_fit(arrays, config, file)))
     begin_with(module, arrays)
     return module.eval()

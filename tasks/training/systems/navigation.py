@@ -26,9 +26,9 @@ from tasks.policy.store import Render, Store
 from tasks.settings import Config, Count, Natural, NonNegative, Share
 from tasks.stage import Context
 from tasks.training.dataset import Dataset
-from tasks.training.fitting import Betas, Fitted, FittingConfig, check_installed, fit, seed_of, weights_of
+from tasks.training.fitting import Betas, Fitted, FittingConfig, check_installed, fit, seed_of, seeded, weights_of
 from tasks.training.system import LearnedSystem
-from tasks.training.trained import StepLoss, Trained
+from tasks.training.trained import Measure, StepLoss, Trained
 from tasks.weights import from_safetensors, to_safetensors
 
 SHIPPED = Path(__file__).parents[2] / "policy" / "model" / "shipped"
@@ -154,11 +154,15 @@ def trained_on(data: CollectedWalks, render: Render, start: bytes | None, contex
     weights = kept(fits[-1].state_dict, vocabulary, half=config.half)
     begin_with(module, from_safetensors(weights))
     module.cpu().eval()
-    measures, most = [], majority(learning)
+    measures: list[Measure] = []
+    most = majority(learning)
     for split in ("validation", "test"):
         if splits[split]:
             told = told_of(module, splits[split], seen_on(splits[split], shown), vocabulary)
-            measures += figures_of(told, split, most, context.seed)
+            measures += [
+                Measure("", split, metric, share.value, share.low, share.high, share.examples, method)
+                for method, metric, share in figures_of(told, most, context.seed)
+            ]
     return Trained(
         architecture=model.kind,
         weights=weights,
@@ -182,7 +186,7 @@ def beginning(
     Raises:
         InputError: weights to begin with do not fit, or folders of weights are not there.
     """
-    from tasks.policy.model.acting import begin_with, network
+    from tasks.policy.model.acting import begin_with
 
     model = config.model
     arrays = None if start is None else from_safetensors(start)
@@ -202,6 +206,14 @@ def beginning(
     if isinstance(model.goal, SiglipGoal) and set(vocabulary) - set(known) - {""}:
         begin_with_states(module, vocabulary, model.goal, known)
     return module, vocabulary, notes
+
+
+def network(model: PolicyModel, goals: int, seed: int) -> Any:
+    """A network whose first weights follow from the seed."""
+    from tasks.policy.model.networks.policy import PolicyNet
+
+    with seeded(seed, "navigation", "weights"):
+        return PolicyNet(model, goals)
 
 
 def kept(state: Any, vocabulary: Vocabulary, *, half: bool) -> bytes:
