@@ -25,7 +25,7 @@ SPREAD = 4
 
 
 @dataclasses.dataclass(frozen=True)
-class AugmentationConfig(Config):
+class PictureAugmentation(Config):
     """How far pictures are changed (specs E.1). What is not printed there is ours: how often blur, sharpening and posterizing come."""
 
     brightness: Share = 0.4  # factor of 1 less to 1 more of this; as published
@@ -41,7 +41,7 @@ class AugmentationConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Look:
+class PictureChange:
     """A way to change pictures. matrix, contrast: Colors become matrix @ color, and keep their distance from the mean grey by a factor.
     box: Top, left, height and width of what stays, as shares. sharpness: -1 blurs, 1 sharpens. bits: Of a color that stay."""
 
@@ -52,7 +52,7 @@ class Look:
     bits: int
 
 
-def drawn(config: AugmentationConfig, rng: np.random.Generator) -> Look:
+def drawn(config: PictureAugmentation, rng: np.random.Generator) -> PictureChange:
     """A look, by chance. It draws the same number of times whatever the settings."""
     bright, contrast, saturation, hue, side, top, left, odd, bits = rng.uniform(-1, 1, 9)
     angle, keep = 2.0 * math.pi * config.hue * hue, 1.0 + config.saturation * saturation
@@ -65,10 +65,12 @@ def drawn(config: AugmentationConfig, rng: np.random.Generator) -> Look:
     box = ((1 - share) * (top + 1) / 2, (1 - share) * (left + 1) / 2, share, share)
     odd, bits = (odd + 1) / 2, (bits + 1) / 2
     sharpness = -1.0 if odd < config.blur_share else 1.0 if odd < config.blur_share + config.sharpen_share else 0.0
-    return Look(matrix, 1 + config.contrast * contrast, box, sharpness, config.posterize_bits if bits < config.posterize_share else 8)
+    return PictureChange(
+        matrix, 1 + config.contrast * contrast, box, sharpness, config.posterize_bits if bits < config.posterize_share else 8
+    )
 
 
-def looked(pictures: Pictures, look: Look) -> Pictures:
+def looked(pictures: Pictures, look: PictureChange) -> Pictures:
     """Pictures of a walk (n, h, w, 3), all changed alike."""
     matrix = look.contrast * look.matrix
     grey = float(LUMINANCE @ (look.matrix @ pictures[:, ::SPREAD, ::SPREAD].mean(axis=(0, 1, 2)))) if len(pictures) else 0.0

@@ -16,8 +16,8 @@ from schemas.navigation import Episode, Navmesh, Split
 from schemas.optimization import Placement
 from tasks.evaluation.measures import path_finder
 from tasks.navigation import split_of
-from tasks.policy.corrections import Course
-from tasks.policy.demonstrations import Walk, WalkConfig, chosen, walk_of
+from tasks.policy.corrections import TrainingScene
+from tasks.policy.demonstrations import AgentWalk, WalkConfig, chosen, walk_of
 from tasks.stage import Context
 
 READS = ("assets", "episodes", "instances", "navmeshes", "placements", "scenes", "shells", "splits", "surfaces")
@@ -26,7 +26,7 @@ READS = ("assets", "episodes", "instances", "navmeshes", "placements", "scenes",
 R = TypeVar("R")
 
 
-class Dataset(Protocol):
+class EpisodeDataset(Protocol):
     """A dataset; see `tasks.training.dataset.Dataset`."""
 
     def rows(self, record: type[R]) -> Iterator[R]:
@@ -35,7 +35,7 @@ class Dataset(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class SceneRows:
+class VisibleScene:
     """Rows of a scene that say how it looks."""
 
     shell: Shell
@@ -49,16 +49,16 @@ class CollectedWalks:
     """Walks by split, those of a scene together. looks: Rows of all scenes in use. assets: That these hold, by id. courses: Training
     scenes to act in. license: Of scans and assets, each once. left_out: Episodes that were no walks, by reason."""
 
-    train: list[Walk]
-    test: list[Walk]
-    looks: Mapping[str, SceneRows]
+    train: list[AgentWalk]
+    test: list[AgentWalk]
+    looks: Mapping[str, VisibleScene]
     assets: Mapping[str, Asset]
-    courses: Mapping[str, Course]
+    courses: Mapping[str, TrainingScene]
     license: str
     left_out: Mapping[str, int]
 
 
-def collected(dataset: Dataset, context: Context, config: WalkConfig, test_share: float) -> CollectedWalks:
+def collected(dataset: EpisodeDataset, context: Context, config: WalkConfig, test_share: float) -> CollectedWalks:
     """The episodes of a dataset as walks, by the split of their room.
 
     `test_share`: of the rooms, where the dataset has no row of a room in `splits`.
@@ -70,8 +70,8 @@ def collected(dataset: Dataset, context: Context, config: WalkConfig, test_share
     splits = {row.room_id: row.split for row in dataset.rows(Split)}
     meshes = {(mesh.scene_id, mesh.agent): mesh for mesh in dataset.rows(Navmesh)}
     shells = {shell.scene_id: shell for shell in dataset.rows(Shell)}
-    walks: dict[str, list[Walk]] = {"train": [], "test": []}
-    courses: dict[str, Course] = {}
+    walks: dict[str, list[AgentWalk]] = {"train": [], "test": []}
+    courses: dict[str, TrainingScene] = {}
     left_out: Counter[str] = Counter()
     for scene_id, episodes in _by_scene(dataset.rows(Episode)):
         if scene_id not in scenes or scene_id not in shells:
@@ -91,7 +91,7 @@ def collected(dataset: Dataset, context: Context, config: WalkConfig, test_share
             left_out["their actions lead elsewhere on the navmesh"] += made.count(None)
             walks[split] += [walk for walk in made if walk is not None]
             if split == "train" and scene_id not in courses:
-                courses[scene_id] = Course(scene_id, room, tuple(own), finder)
+                courses[scene_id] = TrainingScene(scene_id, room, tuple(own), finder)
     if not walks["train"]:
         problem = "has none in a training room" if not +left_out else f"has none that can be used: {_said(+left_out)}"
         raise InputError("train navigation", "episodes", problem, "run the stage navigation on rooms of the split 'train'")
@@ -105,7 +105,7 @@ def collected(dataset: Dataset, context: Context, config: WalkConfig, test_share
     )  # fmt: skip
 
 
-def held_out(walks: Sequence[Walk], share: float) -> tuple[list[Walk], list[Walk]]:
+def held_out(walks: Sequence[AgentWalk], share: float) -> tuple[list[AgentWalk], list[AgentWalk]]:
     """Walks to learn from, and those of a share of the rooms, drawn by the rooms' names, to choose the best weights by.
 
     At least one room is held out where there are two.
@@ -116,7 +116,7 @@ def held_out(walks: Sequence[Walk], share: float) -> tuple[list[Walk], list[Walk
     return [walk for walk in walks if walk.room_id not in held], [walk for walk in walks if walk.room_id in held]
 
 
-def spread(walks: Sequence[Walk], count: int) -> list[Walk]:
+def spread(walks: Sequence[AgentWalk], count: int) -> list[AgentWalk]:
     """So many of some walks, evenly spread; all where there are no more."""
     if len(walks) <= count:
         return list(walks)
@@ -136,7 +136,7 @@ def _by_scene(rows: Iterator[Any]) -> Iterator[tuple[str, list[Any]]]:
         yield scene, part
 
 
-def _looks(dataset: Dataset, used: set[str], shells: Mapping[str, Shell]) -> tuple[dict[str, SceneRows], dict[str, Asset]]:
+def _looks(dataset: EpisodeDataset, used: set[str], shells: Mapping[str, Shell]) -> tuple[dict[str, VisibleScene], dict[str, Asset]]:
     """Rows of scenes that say how they look, and the assets in them by id."""
     parts: dict[type, defaultdict[str, list[Any]]] = {}
     records: tuple[type[Any], ...] = (RoomSurface, Placement, Instance)
@@ -145,7 +145,7 @@ def _looks(dataset: Dataset, used: set[str], shells: Mapping[str, Shell]) -> tup
         for row in dataset.rows(record):
             if row.scene_id in used:
                 parts[record][row.scene_id].append(row)
-    looks = {name: SceneRows(shells[name], *(tuple(rows[name]) for rows in parts.values())) for name in sorted(used)}
+    looks = {name: VisibleScene(shells[name], *(tuple(rows[name]) for rows in parts.values())) for name in sorted(used)}
     named = {placement.asset_id for rows in looks.values() for placement in rows.placements}
     return looks, {asset.asset_id: asset for asset in dataset.rows(Asset) if asset.asset_id in named}
 

@@ -15,7 +15,7 @@ import numpy as np
 from schemas.navigation import Episode
 from tasks.navigation.protocol import PathFinder
 from tasks.policy.actions import FORWARD, LEFT, RIGHT, STOP, UNKNOWN
-from tasks.policy.demonstrations import Array, Expert, Guide, Walk, WalkConfig, start_of, views_of, walk_of
+from tasks.policy.demonstrations import AgentWalk, Array, Expert, Guide, WalkConfig, start_of, views_of, walk_of
 from tasks.policy.inference.actor import Actor
 from tasks.policy.store import Render
 from tasks.settings import Config, Count, Natural, Share
@@ -33,7 +33,7 @@ class CorrectionsConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Course:
+class TrainingScene:
     """A scene to act in. episodes: With the name of the room, and what knows where one can go."""
 
     scene_id: str
@@ -45,7 +45,7 @@ class Course:
 class _Agent:
     """One agent under way."""
 
-    def __init__(self, episode: Episode, course: Course, guide: Guide, start: Array, rng: np.random.Generator) -> None:
+    def __init__(self, episode: Episode, course: TrainingScene, guide: Guide, start: Array, rng: np.random.Generator) -> None:
         self.episode, self.course, self.guide, self.rng = episode, course, guide, rng
         self.position, self.turns = start, 0
         self.poses: list[tuple[float, float, float]] = []
@@ -77,18 +77,18 @@ class _Agent:
             self.turns += 1 if action == LEFT else -1
         return action
 
-    def walk(self, number: int) -> Walk:
+    def walk(self, number: int) -> AgentWalk:
         """What came of it."""
         episode = self.episode
-        return Walk(
+        return AgentWalk(
             episode.scene_id, self.course.room_id, f"{episode.episode_id}-{number}", episode.category, np.array(self.poses),
             np.array(self.targets, dtype=np.int64), np.array(self.done, dtype=np.int64),
         )  # fmt: skip
 
 
 def corrected(
-    actor: Actor, courses: Mapping[str, Course], render: Render, walks: WalkConfig, config: CorrectionsConfig, number: int, seed: int
-) -> list[Walk]:
+    actor: Actor, courses: Mapping[str, TrainingScene], render: Render, walks: WalkConfig, config: CorrectionsConfig, number: int, seed: int
+) -> list[AgentWalk]:
     """Walks of a policy in scenes, with what an expert would have done at each step; a function of its weights, the round and the seed.
 
     All agents of a scene act at once. number: Of the round.
@@ -113,7 +113,7 @@ def corrected(
     return made
 
 
-def _begun(course: Course, walks: WalkConfig, config: CorrectionsConfig, number: int, seed: int) -> list[_Agent]:
+def _begun(course: TrainingScene, walks: WalkConfig, config: CorrectionsConfig, number: int, seed: int) -> list[_Agent]:
     """Agents at the starts of some of a scene's episodes, drawn by the round."""
     order = _rng(seed, number, course.scene_id).permutation(len(course.episodes))
     agents: list[_Agent] = []
@@ -135,7 +135,7 @@ def _rng(*words: object) -> np.random.Generator:
     return np.random.default_rng(list(hashlib.sha256("\x1f".join(map(str, ("corrections", *words))).encode()).digest()))
 
 
-def agreement(walks: Sequence[Walk]) -> float:
+def agreement(walks: Sequence[AgentWalk]) -> float:
     """Share of steps in which what was done was right."""
     pairs = [(walk.targets, walk.done) for walk in walks]
     known = sum(int((targets != UNKNOWN).sum()) for targets, _ in pairs)

@@ -46,7 +46,7 @@ class WalkConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Walk:
+class AgentWalk:
     """An agent's way through a scene, step by step.
 
     category: That it was sent to. poses: x, y [m] and yaw [rad] before each action, world frame, shape (n, 3). targets: What should have
@@ -82,18 +82,18 @@ class Expert:
         self.field: DistanceField = finder.field(self._views[:, :2])
 
     def actions(self, position: ArrayLike, yaw: float) -> list[int]:
-        """What to do from a navigable point, world frame [m], shape (2,), heading `yaw` [rad], to the end; empty where no way was found.
+        """What to do from a navigable point, world frame [m], shape (2,), heading `yaw` [rad], to the end; empty where there is no way.
 
         Turn to the next corner of the shortest path until the heading is off by half a turn at most, then go forward; stop within `stop_m`,
         where `facing` says so with the target in view.
         """
         config = self._config
-        found = follow(
+        words = follow(
             position, yaw, self.field, self._finder, config.motion, config.stop_m, config.max_steps, config.search_expansions
         )  # fmt: skip
-        if found is None:
+        if words is None:
             return []
-        actions = [ACTIONS.index(action) for action in found]
+        actions = [ACTIONS.index(action) for action in words]
         return actions if not config.facing else self.turned(actions, position, yaw)
 
     def turned(self, actions: Sequence[int], position: ArrayLike, yaw: float) -> list[int]:
@@ -116,7 +116,7 @@ class Guide:
         self._expert, self._plan = expert, list(plan)
 
     def right(self, position: ArrayLike, yaw: float) -> int:
-        """The right action at the agent's pose; `UNKNOWN` where no way was found."""
+        """The right action at the agent's pose; `UNKNOWN` where there is no way."""
         if not self._plan:
             self._plan = self._expert.actions(position, yaw)
         return self._plan[0] if self._plan else UNKNOWN
@@ -141,7 +141,7 @@ def start_of(episode: Episode, finder: PathFinder) -> Array | None:
     return at if np.hypot(*(at - start)) <= _ON_M else None
 
 
-def walk_of(episode: Episode, room_id: str, finder: PathFinder, config: WalkConfig) -> Walk | None:
+def walk_of(episode: Episode, room_id: str, finder: PathFinder, config: WalkConfig) -> AgentWalk | None:
     """An episode as a walk; None where its actions cannot be carried out on the navmesh as they should."""
     start = start_of(episode, finder)
     if start is None or not episode.actions:
@@ -156,7 +156,7 @@ def walk_of(episode: Episode, room_id: str, finder: PathFinder, config: WalkConf
     if done.collisions:
         return None
     made = np.array(actions, dtype=np.int64)
-    return Walk(episode.scene_id, room_id, episode.episode_id, episode.category, done.poses[:-1], made, made)
+    return AgentWalk(episode.scene_id, room_id, episode.episode_id, episode.category, done.poses[:-1], made, made)
 
 
 def chosen(episodes: Iterable[Episode], count: int) -> list[Episode]:
@@ -183,7 +183,7 @@ def camera_poses(poses: ArrayLike, height: float, pitch: float) -> Array:
     return made
 
 
-def majority(walks: Sequence[Walk]) -> int:
+def majority(walks: Sequence[AgentWalk]) -> int:
     """The action that is right most often; of those that are, the first."""
     counts = sum((np.bincount(walk.targets[walk.targets >= 0], minlength=len(ACTIONS)) for walk in walks), np.zeros(len(ACTIONS)))
     return int(np.argmax(counts))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from schemas.evaluation import ACTIONS
 from tasks.policy.actions import FORWARD, START, UNKNOWN
-from tasks.policy.demonstrations import Walk
+from tasks.policy.demonstrations import AgentWalk
 from tasks.policy.model.objective import logits_of
 from tasks.policy.model.shapes import Vocabulary
 from tasks.selection.metrics.bootstrap import ConfidenceInterval, interval
@@ -21,7 +21,7 @@ MAJORITY, REPEAT = "majority", "repeat"
 
 
 @dataclasses.dataclass(frozen=True)
-class Told:
+class Predictions:
     """What was told of the steps of walks whose right action is known. rooms: Of the steps (n,). targets, actions, untold: The right
     action, the policy's, and the policy's where nothing is told of last actions, shape (n,). last: Actions before (n,)."""
 
@@ -32,7 +32,7 @@ class Told:
     last: NDArray[np.int64]
 
 
-def told_of(module: Any, walks: Sequence[Walk], observations: Iterable[NDArray[Any]], vocabulary: Vocabulary) -> Told:
+def predictions_of(module: Any, walks: Sequence[AgentWalk], observations: Iterable[NDArray[Any]], vocabulary: Vocabulary) -> Predictions:
     """What a network tells of walks by what was seen on them."""
     rooms: list[str] = []
     parts: list[tuple[NDArray[np.int64], ...]] = []
@@ -41,22 +41,22 @@ def told_of(module: Any, walks: Sequence[Walk], observations: Iterable[NDArray[A
         known = walk.targets != UNKNOWN
         rooms += [walk.room_id] * int(known.sum())
         parts.append((walk.targets[known], actions[known], untold[known], walk.last[known]))
-    return Told(rooms, *(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return Predictions(rooms, *(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def figures_of(told: Told, majority: int, seed: int) -> list[tuple[str, str, ConfidenceInterval]]:
+def figures_of(predictions: Predictions, majority: int, seed: int) -> list[tuple[str, str, ConfidenceInterval]]:
     """Shares of right actions, all and by the right action, with intervals over rooms: whose ('' for the policy), metric and share.
 
     majority: The action that is right most often in training.
     """
-    right = (told.actions == told.targets).astype(np.float64)
-    repeated = np.where(told.last == START, FORWARD, told.last)
+    right = (predictions.actions == predictions.targets).astype(np.float64)
+    repeated = np.where(predictions.last == START, FORWARD, predictions.last)
     kinds: list[tuple[str, str, NDArray[np.float64]]] = [
         ("", "action_accuracy", right),
-        ("", "action_accuracy_untold", (told.untold == told.targets).astype(np.float64)),
-        (MAJORITY, "action_accuracy", (told.targets == majority).astype(np.float64)),
-        (REPEAT, "action_accuracy", (told.targets == repeated).astype(np.float64)),
+        ("", "action_accuracy_untold", (predictions.untold == predictions.targets).astype(np.float64)),
+        (MAJORITY, "action_accuracy", (predictions.targets == majority).astype(np.float64)),
+        (REPEAT, "action_accuracy", (predictions.targets == repeated).astype(np.float64)),
     ]
-    kinds += [("", f"accuracy_{name}", np.where(told.targets == action, right, np.nan)) for action, name in enumerate(ACTIONS)]
-    made = [(method, metric, interval(values, told.rooms, seed)) for method, metric, values in kinds]
+    kinds += [("", f"accuracy_{name}", np.where(predictions.targets == action, right, np.nan)) for action, name in enumerate(ACTIONS)]
+    made = [(method, metric, interval(values, predictions.rooms, seed)) for method, metric, values in kinds]
     return [figure for figure in made if figure[2].examples]

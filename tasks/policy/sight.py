@@ -11,18 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.candidates import Asset
-from tasks.policy.collection import SceneRows
+from tasks.policy.collection import VisibleScene
 from tasks.policy.demonstrations import Array, camera_poses
-from tasks.policy.model.config import Camera
+from tasks.policy.model.config import AgentCamera
 
 KEPT = 2
 """Scenes that are ready to be rendered: walks come a scene at a time."""
 
 
-class Sight:
+class SceneRenderer:
     """A `tasks.policy.store.Render`. looks: Rows of scenes. assets: By id. blobs: That the rows name."""
 
-    def __init__(self, looks: Mapping[str, SceneRows], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], camera: Camera) -> None:
+    def __init__(
+        self, looks: Mapping[str, VisibleScene], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], camera: AgentCamera
+    ) -> None:
         self._looks, self._assets, self._blobs, self._camera = looks, assets, blobs, camera
         self._ready: OrderedDict[str, Any] = OrderedDict()
 

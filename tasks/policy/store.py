@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.policy.augmentation import AugmentationConfig, drawn, looked
-from tasks.policy.demonstrations import Array, Walk
+from tasks.policy.augmentation import PictureAugmentation, drawn, looked
+from tasks.policy.demonstrations import AgentWalk, Array
 from tasks.policy.model.config import PolicyModel, SiglipEyes
 from tasks.policy.model.frozen import is_frozen, tokens_of
 
@@ -26,7 +26,7 @@ AT_ONCE = 2048
 """Poses that are rendered in one go."""
 
 
-def pictures_of(walks: Sequence[Walk], render: Render, model: PolicyModel) -> list[NDArray[np.uint8]]:
+def pictures_of(walks: Sequence[AgentWalk], render: Render, model: PolicyModel) -> list[NDArray[np.uint8]]:
     """Pictures of walks of one scene, shape (n, h, w, 3) each; of blind policies with no pixels."""
     if not walks:
         return []
@@ -58,10 +58,10 @@ class Store:
     memory: Of frozen eyes. Of these a walk has `augmentation.versions` versions, else one, which nobody changed.
     """
 
-    walks: Sequence[Walk]
+    walks: Sequence[AgentWalk]
     render: Render
     model: PolicyModel
-    augmentation: AugmentationConfig
+    augmentation: PictureAugmentation
     memory: MutableMapping[str, bytes]
     megabytes: int
     part_steps: int

@@ -26,27 +26,26 @@ class Network(Protocol):
         """What it is made of."""
         ...
 
-    def told(self, goals: Indices) -> Values:
+    def goal_tokens(self, goals: Indices) -> Values:
         """Tokens (n, g, w) of goals (n,)."""
         ...
 
-    def seen(self, pictures: NDArray[np.uint8], told: Values) -> Values:
+    def seen(self, pictures: NDArray[np.uint8], goal_tokens: Values) -> Values:
         """Vectors (n, w) of pictures (n, h, w, 3)."""
         ...
 
-    def decided(self, seen: Values, last: Indices, times: Indices, told: Values) -> Values:
+    def decided(self, seen: Values, last: Indices, times: Indices, goal_tokens: Values) -> Values:
         """Logits (n, t, a) of steps."""
         ...
 
 
 @dataclasses.dataclass
 class _Memory:
-    """What n agents remember. told: Tokens of their goals. seen, last, times: Of their last steps, oldest first; `sizes` of them count.
-
-    done: How many steps each has made. before: What each did last.
+    """What n agents remember. goal_tokens: Of what each is sent to. seen, last, times: Of their last steps, oldest first; `sizes` of them
+    count. done: How many steps each has made. before: What each did last.
     """
 
-    told: Values
+    goal_tokens: Values
     seen: Values
     last: Indices
     times: Indices
@@ -105,14 +104,14 @@ class Actor:
         if not len(pictures):
             return np.zeros((0, 4), dtype=np.float32)
         with one_thread():
-            seen = self.network.seen(pictures, memory.told)
+            seen = self.network.seen(pictures, memory.goal_tokens)
             full = memory.sizes == window
             for held in (memory.seen, memory.last, memory.times):
                 held[full, :-1] = held[full, 1:]
             memory.sizes[:] = np.minimum(memory.sizes + 1, window)
             every, now = np.arange(len(seen)), memory.sizes - 1
             memory.seen[every, now], memory.last[every, now], memory.times[every, now] = seen, memory.before, memory.done
-            made: Any = self.network.decided(memory.seen, memory.last, memory.times, memory.told)[every, now]
+            made: Any = self.network.decided(memory.seen, memory.last, memory.times, memory.goal_tokens)[every, now]
             return np.asarray(made, dtype=np.float32)
 
     def did(self, actions: ArrayLike) -> None:
@@ -124,9 +123,9 @@ class Actor:
         count, window, width = len(goals), self.config.window, self.config.width
         places = np.array([self.vocabulary.place(goal) for goal in goals], dtype=np.int64)
         with one_thread():
-            told = self.network.told(places)
+            goal_tokens = self.network.goal_tokens(places)
         return _Memory(
-            told=told,
+            goal_tokens=goal_tokens,
             seen=np.zeros((count, window, width), dtype=np.float32),
             last=np.full((count, window), START),
             times=np.zeros((count, window), dtype=np.int64),

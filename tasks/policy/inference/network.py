@@ -29,33 +29,33 @@ class PlainPolicy:
     config: PolicyModel
     weights: Mapping[str, Values]
 
-    def told(self, goals: Indices) -> Values:
+    def goal_tokens(self, goals: Indices) -> Values:
         """Tokens (n, g, w) of goals (n,), places in the vocabulary."""
         goals = np.zeros_like(goals) if self.config.goalless else goals
         if isinstance(self.config.goal, OwnGoal):
             return self.weights["goal.vectors.weight"][goals][:, None]
         return self._adapted("goal.adapter", self.weights["goal.states"][goals])
 
-    def seen(self, pictures: NDArray[np.uint8], told: Values) -> Values:
+    def seen(self, pictures: NDArray[np.uint8], goal_tokens: Values) -> Values:
         """Vectors (n, w) of pictures (n, h, w, 3) with the tokens (n, g, w) of what each is seen for."""
-        parts = [np.broadcast_to(self.weights["fusion"], (len(told), 1, self.config.width))]
+        parts = [np.broadcast_to(self.weights["fusion"], (len(goal_tokens), 1, self.config.width))]
         if not self.config.blind:
             parts.append(self._tokens(pictures))
-        tokens = np.concatenate([*parts, told], axis=1)
+        tokens = np.concatenate([*parts, goal_tokens], axis=1)
         for layer in range(self.config.fusion_layers):
             name = f"encoder.layers.{layer}"
             tokens = self._norm(f"{name}.norm1", tokens + self._attention(f"{name}.self_attn", tokens, tokens))
             tokens = self._norm(f"{name}.norm2", tokens + self._forward(name, tokens))
         return tokens[:, 0]
 
-    def decided(self, seen: Values, last: Indices, times: Indices, told: Values) -> Values:
+    def decided(self, seen: Values, last: Indices, times: Indices, goal_tokens: Values) -> Values:
         """Logits (n, t, a) of the actions of steps, each of which sees those before it; see `PolicyNet.decided`."""
         steps = seen + self.weights["last.weight"][last] + sinusoids(times, self.config.width)
         ahead = np.triu(np.full((seen.shape[1],) * 2, -np.inf, dtype=np.float32), 1)
         for layer in range(self.config.decoder_layers):
             name = f"decoder.layers.{layer}"
             steps = self._norm(f"{name}.norm1", steps + self._attention(f"{name}.self_attn", steps, steps, ahead))
-            steps = self._norm(f"{name}.norm2", steps + self._attention(f"{name}.multihead_attn", steps, told))
+            steps = self._norm(f"{name}.norm2", steps + self._attention(f"{name}.multihead_attn", steps, goal_tokens))
             steps = self._norm(f"{name}.norm3", steps + self._forward(name, steps))
         return self._linear("head", steps)
 

@@ -24,7 +24,7 @@ Pitch = Annotated[float, Field(ge=-90, le=90)]
 
 
 @dataclasses.dataclass(frozen=True)
-class Camera(Config):
+class AgentCamera(Config):
     """The agent's camera: a pinhole above its center that looks where it is heading."""
 
     width: Pixels = 64  # a picture costs a tenth of a millisecond, and sixteen patches of it are what one processor learns from (specs E.4)
@@ -84,7 +84,7 @@ GOALS = (OwnGoal, SiglipGoal)
 class PolicyModel(Config):
     """A policy: pictures and goal are fused into one vector a step, and a causal decoder over the last steps tells the next action."""
 
-    camera: Camera = dataclasses.field(default_factory=Camera)  # small enough to render and to learn from on one processor
+    camera: AgentCamera = dataclasses.field(default_factory=AgentCamera)  # small enough to render and to learn from on one processor
     eyes: union_of(EYES) = dataclasses.field(default_factory=OwnEyes)  # type: ignore[valid-type]  # SigLIP where somebody names weights
     goal: union_of(GOALS) = dataclasses.field(default_factory=OwnGoal)  # type: ignore[valid-type]  # SigLIP where somebody names weights
     blind: bool = False  # without pictures: what the goal and the last actions alone tell
@@ -119,18 +119,20 @@ class PolicyModel(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Small(PolicyModel):
+class SmallPolicy(PolicyModel):
     """0.2 M parameters; trained here in minutes, and acts without torch."""
 
     kind: ClassVar[str] = "small"
 
 
 @dataclasses.dataclass(frozen=True)
-class Paper(PolicyModel):
+class PaperPolicy(PolicyModel):
     """As published: SPOC's `siglip_base_3` with one camera (specs E.1)."""
 
     kind: ClassVar[str] = "paper"
-    camera: Camera = dataclasses.field(default_factory=lambda: Camera(384, 224))  # as wide and high as the grid of tokens; as SPOC
+    camera: AgentCamera = dataclasses.field(
+        default_factory=lambda: AgentCamera(384, 224)
+    )  # as wide and high as the grid of tokens; as SPOC
     eyes: union_of(EYES) = dataclasses.field(default_factory=SiglipEyes)  # type: ignore[valid-type]  # as published
     goal: union_of(GOALS) = dataclasses.field(default_factory=SiglipGoal)  # type: ignore[valid-type]  # as published
     width: Width = 512  # as published
@@ -140,7 +142,7 @@ class Paper(PolicyModel):
     feedforward: Width = 2048  # as published
 
 
-MODELS = (Small, Paper)
+MODELS = (SmallPolicy, PaperPolicy)
 AnyPolicy = union_of(MODELS)
 """Type of a field that holds a config of either size."""
 

@@ -118,7 +118,7 @@ def tokens_of(pictures: NDArray[np.uint8], eyes: SiglipEyes, memory: MutableMapp
     for place, picture in enumerate(pictures):
         of_picture = hashlib.sha256(np.ascontiguousarray(picture).tobytes()).hexdigest()
         key = hashlib.sha256(f"eyes {digest} {grid} {picture.shape} {of_picture}".encode()).hexdigest()
-        made[place] = remembered(memory, key, lambda one=picture: vision_in(eyes).tokens(one[None], grid)[0], half=True)  # type: ignore[misc]
+        made[place] = remembered(memory, key, lambda p=picture: vision_in(eyes).tokens(p[None], grid)[0], half=True)  # type: ignore[misc]
     return made
 
 

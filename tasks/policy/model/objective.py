@@ -13,7 +13,7 @@ from pydantic import Field
 from schemas.evaluation import ACTIONS
 from tasks.policy.actions import START, STOP, UNKNOWN, UNTOLD
 from tasks.policy.augmentation import drawn, looked
-from tasks.policy.demonstrations import Walk
+from tasks.policy.demonstrations import AgentWalk
 from tasks.policy.model.config import PolicyModel
 from tasks.policy.model.frozen import is_frozen
 from tasks.policy.model.shapes import Vocabulary
@@ -31,7 +31,7 @@ AT_ONCE = 512
 
 
 @dataclasses.dataclass(frozen=True)
-class BatchConfig(Config):
+class PolicyBatchConfig(Config):
     """What a step of training sees."""
 
     windows: Count = 64  # of a step (specs E.4)
@@ -47,7 +47,7 @@ class BatchConfig(Config):
 class Windows:
     """Windows of walks: so many steps in a row, or what a walk has of these. Each step of a walk is in as many as any other."""
 
-    def __init__(self, walks: Sequence[Walk], size: int) -> None:
+    def __init__(self, walks: Sequence[AgentWalk], size: int) -> None:
         self.walks, self.size = walks, size
         self.ends = np.cumsum([len(walk) + size - 1 for walk in walks])
 
@@ -71,9 +71,9 @@ class PolicyObjective:
 
     shown: Store
     visited: Store
-    held: Sequence[Walk]
+    held: Sequence[AgentWalk]
     model: PolicyModel
-    config: BatchConfig
+    config: PolicyBatchConfig
     vocabulary: Vocabulary
     seed: int
 
@@ -172,7 +172,7 @@ def cross_entropy(logits: Tensor, targets: Tensor, stop_weight: float) -> Tensor
     return functional.cross_entropy(logits.flatten(0, 1), targets.flatten(), weights, ignore_index=UNKNOWN)
 
 
-def seen_on(walks: Sequence[Walk], store: Store) -> Iterator[NDArray[Any]]:
+def seen_on(walks: Sequence[AgentWalk], store: Store) -> Iterator[NDArray[Any]]:
     """Observations of walks, in their order, as a store would make them, unchanged; walks of a scene lie together."""
     first = 0
     while first < len(walks):
@@ -184,7 +184,7 @@ def seen_on(walks: Sequence[Walk], store: Store) -> Iterator[NDArray[Any]]:
         first = end
 
 
-def logits_of(module: Any, walk: Walk, seen: NDArray[Any], vocabulary: Vocabulary, *, tells_last: bool = True) -> NDArray[np.float32]:
+def logits_of(module: Any, walk: AgentWalk, seen: NDArray[Any], vocabulary: Vocabulary, *, tells_last: bool = True) -> NDArray[np.float32]:
     """Logits of the steps of a walk (n, a), each told from the last steps up to it, as in acting; every picture is encoded once.
 
     tells_last: Whether last actions are told.
@@ -193,11 +193,11 @@ def logits_of(module: Any, walk: Walk, seen: NDArray[Any], vocabulary: Vocabular
 
     window, device = module.config.window, module.fusion.device
     with torch.no_grad():
-        told = module.told(torch.tensor([vocabulary.place(walk.category)], device=device))
+        goal_tokens = module.goal_tokens(torch.tensor([vocabulary.place(walk.category)], device=device))
         parts = [torch.from_numpy(seen[first : first + AT_ONCE]).to(device) for first in range(0, len(walk), AT_ONCE)]
-        vectors = torch.cat([module.seen(part, told.expand(len(part), -1, -1)) for part in parts])
+        vectors = torch.cat([module.seen(part, goal_tokens.expand(len(part), -1, -1)) for part in parts])
         rows, sizes = sliding(len(walk), window)
         last = walk.last if tells_last else np.full(len(walk), UNTOLD)
         steps = torch.from_numpy(rows).to(device)
-        logits = module.decided(vectors[steps], torch.from_numpy(last[rows]).to(device), steps, told.expand(len(rows), -1, -1))
+        logits = module.decided(vectors[steps], torch.from_numpy(last[rows]).to(device), steps, goal_tokens.expand(len(rows), -1, -1))
         return np.asarray(logits[torch.arange(len(rows)), torch.from_numpy(sizes - 1)].cpu().numpy())

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from tasks.policy.model.config import Paper, PolicyModel, Small
+from tasks.policy.model.config import PaperPolicy, PolicyModel, SmallPolicy
 
 PRESETS: Mapping[str, PolicyModel] = MappingProxyType(
-    {"small": Small(), "blind": Small(blind=True), "goalless": Small(goalless=True), "paper": Paper()}
+    {"small": SmallPolicy(), "blind": SmallPolicy(blind=True), "goalless": SmallPolicy(goalless=True), "paper": PaperPolicy()}
 )
 """By name; `blind` and `goalless` are the small one without pictures and without goals."""

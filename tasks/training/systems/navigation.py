@@ -9,19 +9,19 @@ from typing import Any, ClassVar
 
 from schemas.errors import InputError
 from tasks.models import folders_in
-from tasks.policy.augmentation import AugmentationConfig
+from tasks.policy.augmentation import PictureAugmentation
 from tasks.policy.collection import READS, CollectedWalks, collected, held_out, spread
 from tasks.policy.corrections import CorrectionsConfig, agreement, corrected
-from tasks.policy.demonstrations import Walk, WalkConfig, majority
-from tasks.policy.figures import figures_of, told_of
+from tasks.policy.demonstrations import AgentWalk, WalkConfig, majority
+from tasks.policy.figures import figures_of, predictions_of
 from tasks.policy.inference.actor import load
-from tasks.policy.model.config import AnyPolicy, OwnEyes, OwnGoal, PolicyModel, SiglipEyes, SiglipGoal, Small
+from tasks.policy.model.config import AnyPolicy, OwnEyes, OwnGoal, PolicyModel, SiglipEyes, SiglipGoal, SmallPolicy
 from tasks.policy.model.foreign import begin_with_foreign
 from tasks.policy.model.frozen import begin_with_states, is_frozen
-from tasks.policy.model.objective import BatchConfig, PolicyObjective, seen_on
+from tasks.policy.model.objective import PolicyBatchConfig, PolicyObjective, seen_on
 from tasks.policy.model.presets import PRESETS
 from tasks.policy.model.shapes import VOCABULARY, Vocabulary, check_fit, vocabulary_in, vocabulary_of
-from tasks.policy.sight import Sight
+from tasks.policy.sight import SceneRenderer
 from tasks.policy.store import Render, Store
 from tasks.settings import Config, Count, Natural, NonNegative, Share
 from tasks.stage import Context
@@ -53,10 +53,10 @@ class NavigationTraining(Config):
     """What is trained, and how."""
 
     kind: ClassVar[str] = "navigation"
-    model: AnyPolicy = dataclasses.field(default_factory=Small)  # trains here, and acts without torch
+    model: AnyPolicy = dataclasses.field(default_factory=SmallPolicy)  # trains here, and acts without torch
     walks: WalkConfig = dataclasses.field(default_factory=WalkConfig)  # the paper's robot and numbers of trajectories
-    batch: BatchConfig = dataclasses.field(default_factory=BatchConfig)  # 64 windows a step
-    augmentation: AugmentationConfig = dataclasses.field(default_factory=AugmentationConfig)  # as published
+    batch: PolicyBatchConfig = dataclasses.field(default_factory=PolicyBatchConfig)  # 64 windows a step
+    augmentation: PictureAugmentation = dataclasses.field(default_factory=PictureAugmentation)  # as published
     corrections: CorrectionsConfig = dataclasses.field(default_factory=CorrectionsConfig)  # none, as published
     fitting: PolicyFitting = dataclasses.field(default_factory=PolicyFitting)
     foreign: str = ""  # file of weights of SPOC to begin with; none: from scratch
@@ -82,11 +82,11 @@ def preset(name: str, fitting: PolicyFitting | None = None) -> NavigationTrainin
         KeyError: there is none of that name.
     """
     model = PRESETS[name]
-    if isinstance(model, Small):
+    if isinstance(model, SmallPolicy):
         return NavigationTraining(model, fitting=fitting or PolicyFitting())
-    batch = BatchConfig(windows=256, last_dropout=0.0, stop_weight=1.0, unknown_share=0.0)
+    batch = PolicyBatchConfig(windows=256, last_dropout=0.0, stop_weight=1.0, unknown_share=0.0)
     return NavigationTraining(
-        model, batch=batch, augmentation=AugmentationConfig(versions=1), fitting=fitting or PAPER_FITTING
+        model, batch=batch, augmentation=PictureAugmentation(versions=1), fitting=fitting or PAPER_FITTING
     )  # fmt: skip
 
 
@@ -107,7 +107,7 @@ def train(*, dataset: Dataset, start: bytes | None, context: Context, config: Na
 
 def sight_of(data: CollectedWalks, context: Context, model: PolicyModel) -> Render:
     """What renders the scenes of a dataset."""
-    return Sight(data.looks, data.assets, context.blobs, model.camera)
+    return SceneRenderer(data.looks, data.assets, context.blobs, model.camera)
 
 
 def trained_on(data: CollectedWalks, render: Render, start: bytes | None, context: Context, config: NavigationTraining) -> Trained:
@@ -121,13 +121,13 @@ def trained_on(data: CollectedWalks, render: Render, start: bytes | None, contex
     notes = [*notes_of(data, splits, vocabulary, config), *notes]
     memory = context.caches[EYES_MEMORY]
 
-    def store(walks: Sequence[Walk], number: int) -> Store:
+    def store(walks: Sequence[AgentWalk], number: int) -> Store:
         seed = seed_of(context.seed, "store", number)
         return Store(walks, render, model, config.augmentation, memory, config.batch.store_mb, config.batch.part_steps, seed)
 
     total = config.fitting.steps + config.corrections.rounds * config.corrections.steps
     fits: list[Fitted] = []
-    visited: list[Walk] = []
+    visited: list[AgentWalk] = []
     shown = store(learning, 0)
     for number in range(config.corrections.rounds + 1):
         fitting, key = config.fitting, context.scene_id
@@ -158,10 +158,10 @@ def trained_on(data: CollectedWalks, render: Render, start: bytes | None, contex
     most = majority(learning)
     for split in ("validation", "test"):
         if splits[split]:
-            told = told_of(module, splits[split], seen_on(splits[split], shown), vocabulary)
+            predictions = predictions_of(module, splits[split], seen_on(splits[split], shown), vocabulary)
             measures += [
                 Measure("", split, metric, share.value, share.low, share.high, share.examples, method)
-                for method, metric, share in figures_of(told, most, context.seed)
+                for method, metric, share in figures_of(predictions, most, context.seed)
             ]
     return Trained(
         architecture=model.kind,
@@ -179,7 +179,7 @@ def trained_on(data: CollectedWalks, render: Render, start: bytes | None, contex
 
 
 def beginning(
-    learning: Sequence[Walk], start: bytes | None, context: Context, config: NavigationTraining
+    learning: Sequence[AgentWalk], start: bytes | None, context: Context, config: NavigationTraining
 ) -> tuple[Any, Vocabulary, list[str]]:
     """The network before its first step, the goals that it knows, and what is said of where its weights come from.
 
@@ -247,7 +247,7 @@ def check_versions(config: NavigationTraining) -> None:
 
 
 def notes_of(
-    data: CollectedWalks, splits: dict[str, list[Walk]], vocabulary: Vocabulary, config: NavigationTraining
+    data: CollectedWalks, splits: dict[str, list[AgentWalk]], vocabulary: Vocabulary, config: NavigationTraining
 ) -> list[str]:  # fmt: skip
     """What must be known of a policy: what was left out, what stands in, and where it is not as published."""
     model = config.model

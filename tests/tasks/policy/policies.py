@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from tasks.policy.model.config import Camera, OwnEyes, PolicyModel, SiglipGoal, Small
+from tasks.policy.model.config import AgentCamera, OwnEyes, PolicyModel, SiglipGoal, SmallPolicy
 from tasks.policy.model.shapes import Vocabulary, vocabulary_of
 
-TINY = Small(
-    camera=Camera(16, 16), eyes=OwnEyes(patch=4, part=2, width=8), width=16, heads=2, feedforward=24, fusion_layers=1, decoder_layers=2,
-    window=4,
+TINY = SmallPolicy(
+    camera=AgentCamera(16, 16), eyes=OwnEyes(patch=4, part=2, width=8), width=16, heads=2, feedforward=24, fusion_layers=1,
+    decoder_layers=2, window=4,
 )  # fmt: skip
 MODELS: dict[str, PolicyModel] = {
     "tiny": TINY,
     "blind": dataclasses.replace(TINY, blind=True),
     "goalless": dataclasses.replace(TINY, goalless=True),
     "states": dataclasses.replace(TINY, goal=SiglipGoal(width=12, tokens=5)),
-    "wide": dataclasses.replace(TINY, camera=Camera(24, 16), eyes=OwnEyes(patch=8, part=4), window=1),
-    "small": Small(),
+    "wide": dataclasses.replace(TINY, camera=AgentCamera(24, 16), eyes=OwnEyes(patch=8, part=4), window=1),
+    "small": SmallPolicy(),
 }
 GOALS = vocabulary_of(["chair", "lamp", "mug"])
 

@@ -75,6 +75,3 @@ class Compass:
         values = np.stack([waves[i % len(waves)] for i in range(cells)], axis=1)
         tiles = (127.5 + 127.0 * values).astype(np.uint8).reshape(len(x), self.side // self.patch, self.side // self.patch, 3)
         return tiles.repeat(self.patch, axis=1).repeat(self.patch, axis=2)
-
-
-

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tasks.policy.augmentation import AugmentationConfig, Look, drawn, looked
+from tasks.policy.augmentation import PictureAugmentation, PictureChange, drawn, looked
 
-SAME = Look(np.eye(3), 1.0, (0.0, 0.0, 1.0, 1.0), 0.0, 8)
-NOTHING = AugmentationConfig(0, 0, 0, 0, 1.0, 0, 0, 0)
+SAME = PictureChange(np.eye(3), 1.0, (0.0, 0.0, 1.0, 1.0), 0.0, 8)
+NOTHING = PictureAugmentation(0, 0, 0, 0, 1.0, 0, 0, 0)
 RNG = np.random.default_rng(0)
 PICTURES = RNG.integers(0, 256, (3, 24, 32, 3), dtype=np.uint8)
 
@@ -24,12 +24,12 @@ def test_nothing_changes_nothing() -> None:
 
 def test_a_walk_is_changed_alike_and_as_drawn() -> None:
     for seed in range(20):
-        look = drawn(AugmentationConfig(), np.random.default_rng(seed))
-        again = drawn(AugmentationConfig(), np.random.default_rng(seed))
+        look = drawn(PictureAugmentation(), np.random.default_rng(seed))
+        again = drawn(PictureAugmentation(), np.random.default_rng(seed))
         assert np.array_equal(look.matrix, again.matrix)
         top, left, height, width = look.box
         assert 0.9 <= height == width <= 1.0
-        assert 0.0 <= min(top, left)
+        assert min(top, left) >= 0.0
         assert max(top, left) + height <= 1.0 + 1e-12
         same = np.repeat(PICTURES[:1], 3, axis=0)
         made = looked(same, look)

@@ -80,7 +80,7 @@ def test_episodes_that_cannot_be_walked_are_left_out_and_counted() -> None:
     assert dict(data.left_out) == {"their actions lead elsewhere on the navmesh": 2, "their navmesh is not in the lake": 6}
     assert {walk.scene_id for walk in data.train} == {"demo/room_00"}
     none = RowsInMemory("x", *(row for row in odd if not isinstance(row, Navmesh)))
-    with pytest.raises(InputError, match="has none that can be used: .* left out: their navmesh"):
+    with pytest.raises(InputError, match=r"has none that can be used: .* left out: their navmesh"):
         collected(none, context(blobs), CONFIG, 0.2)
 
 

@@ -23,7 +23,9 @@ from tests.tasks.policy.policies import TINY, drawn_network
 torch = pytest.importorskip("torch")
 nn = torch.nn
 
-MODEL = dataclasses.replace(TINY, eyes=SiglipEyes(width=12, grid=(2, 3)), goal=SiglipGoal(width=10, tokens=5), feedforward=2048, dropout=0.0)
+MODEL = dataclasses.replace(
+    TINY, eyes=SiglipEyes(width=12, grid=(2, 3)), goal=SiglipGoal(width=10, tokens=5), feedforward=2048, dropout=0.0
+)
 THEIRS = {0: FORWARD, 1: RIGHT, 2: LEFT, 4: STOP}
 """Our actions by their places."""
 
@@ -116,7 +118,7 @@ def test_files_of_other_networks_are_refused(tmp_path: Path) -> None:
     state = {name: tensor.numpy() for name, tensor in theirs(20).state_dict().items()}
     with pytest.raises(InputError, match="1 of its weights are unknown: bbox"):
         from_spoc({**state, "bbox": np.zeros(2)}, MODEL, "file")
-    with pytest.raises(InputError, match="are missing: visual_encoder.fusion_token"):
+    with pytest.raises(InputError, match=r"are missing: visual_encoder\.fusion_token"):
         from_spoc({name: array for name, array in state.items() if name != "visual_encoder.fusion_token"}, MODEL, "file")
     with pytest.raises(InputError, match="has the shape"):
         from_spoc({**state, "action_classifier.weight": np.zeros((7, 16))}, MODEL, "file")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from schemas.errors import InputError
-from tasks.policy.augmentation import AugmentationConfig
+from tasks.policy.augmentation import PictureAugmentation
 from tasks.policy.corrections import CorrectionsConfig
 from tasks.policy.inference.actor import load
 from tasks.policy.model.config import SiglipEyes, SiglipGoal
 from tasks.policy.model.frozen import INSTRUCTION, states_of, tokens_of
-from tasks.policy.model.objective import BatchConfig
+from tasks.policy.model.objective import PolicyBatchConfig
 from tasks.policy.model.shapes import vocabulary_of
 from tasks.stage import Blobs
 from tasks.training.systems.navigation import NavigationTraining, PolicyFitting, train, trained_on
@@ -62,9 +62,9 @@ def test_goals_are_states_of_instructions_and_the_pooled_one(folder: Path) -> No
     text = transformers.SiglipTextModel.from_pretrained(folder).eval()
     read = tokenizer([INSTRUCTION.format("mug")], padding="max_length", truncation=True, max_length=16, return_tensors="pt")
     with torch.no_grad():
-        told = text(input_ids=read["input_ids"])
-    assert np.allclose(states[2, :16], told.last_hidden_state[0], atol=1e-6)
-    assert np.allclose(states[2, 16], told.pooler_output[0], atol=1e-6)
+        goal_tokens = text(input_ids=read["input_ids"])
+    assert np.allclose(states[2, :16], goal_tokens.last_hidden_state[0], atol=1e-6)
+    assert np.allclose(states[2, 16], goal_tokens.pooler_output[0], atol=1e-6)
     assert not states[0].any()
     with pytest.raises(InputError, match="states have the shape"):
         states_of(goals, SiglipGoal(str(folder), 16, 9))
@@ -74,7 +74,7 @@ def test_a_policy_with_frozen_eyes_trains_acts_and_is_corrected(folder: Path) ->
     model = model_of(folder)
     fitting = PolicyFitting(steps=3, warmup_steps=1, validate_steps=2, checkpoint_steps=2, device="cpu")
     config = NavigationTraining(
-        model, batch=BatchConfig(windows=4), augmentation=AugmentationConfig(versions=2), fitting=fitting, validation_share=0.3,
+        model, batch=PolicyBatchConfig(windows=4), augmentation=PictureAugmentation(versions=2), fitting=fitting, validation_share=0.3,
         corrections=CorrectionsConfig(rounds=1, steps=2, episodes=1, max_steps=3),
     )  # fmt: skip
     made = trained_on(walks(3), Compass(), None, context(Blobs()), config)
@@ -85,7 +85,7 @@ def test_a_policy_with_frozen_eyes_trains_acts_and_is_corrected(folder: Path) ->
     actor.reset(2, ["chair", "mug"])
     assert actor.act(drawn_pictures(model, 2)).shape == (2,)
     rows, blobs = dataset(2)
-    odd = dataclasses.replace(config, augmentation=AugmentationConfig())
+    odd = dataclasses.replace(config, augmentation=PictureAugmentation())
     with pytest.raises(InputError, match="frozen eyes would encode every picture anew"):
         train(dataset=rows, start=None, context=context(blobs), config=odd)
     wide = dataclasses.replace(model, eyes=SiglipEyes(str(folder), 12, (3, 2)))

@@ -55,13 +55,13 @@ def test_agents_act_as_in_torch(name: str) -> None:
 @pytest.mark.parametrize("name", ["tiny", "small"])
 def test_acting_is_what_training_tells_of_a_walk(name: str) -> None:
     """An agent that is led along a walk decides as the network does that is given the whole walk."""
-    from tasks.policy.demonstrations import Walk
+    from tasks.policy.demonstrations import AgentWalk
     from tasks.policy.model.objective import logits_of
 
     model, steps = MODELS[name], MODELS[name].window + 5
     pictures = pictures_of(model, steps, 1)
     done = np.random.default_rng(0).integers(0, 3, steps)
-    walk = Walk("a/b", "a/b", "0000", "lamp", np.zeros((steps, 3)), done, done)
+    walk = AgentWalk("a/b", "a/b", "0000", "lamp", np.zeros((steps, 3)), done, done)
     expected = logits_of(drawn_network(model), walk, pictures[:, 0], GOALS)
     actor = load(drawn_weights(model), model)
     actor.reset(1, ["lamp"])

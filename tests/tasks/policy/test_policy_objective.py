@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tasks.policy.actions import START, STOP, UNKNOWN, UNTOLD
-from tasks.policy.augmentation import AugmentationConfig
-from tasks.policy.demonstrations import Walk
-from tasks.policy.model.objective import BatchConfig, PolicyObjective, Windows, cross_entropy, seen_on, together
+from tasks.policy.augmentation import PictureAugmentation
+from tasks.policy.demonstrations import AgentWalk
+from tasks.policy.model.objective import PolicyBatchConfig, PolicyObjective, Windows, cross_entropy, seen_on, together
 from tasks.policy.model.shapes import vocabulary_of
 from tasks.policy.store import Store
 from tests.tasks.policy.policies import MODELS, TINY, drawn_network
@@ -20,7 +20,7 @@ from tests.tasks.policy.rooms import Compass, walks
 
 torch = pytest.importorskip("torch")
 
-PLAIN = AugmentationConfig(0, 0, 0, 0, 1.0, 0, 0, 0)
+PLAIN = PictureAugmentation(0, 0, 0, 0, 1.0, 0, 0, 0)
 DATA = walks()
 GOALS = vocabulary_of(walk.category for walk in DATA.train)
 
@@ -36,12 +36,12 @@ def store(made=None, **changes) -> Store:
 def objective(visited=(), config=None, model=TINY, shown=None, held=None) -> PolicyObjective:
     made = shown or store(model=model)
     rest = store(list(visited), model=model)
-    return PolicyObjective(made, rest, DATA.test if held is None else held, model, config or BatchConfig(windows=32), GOALS, 7)
+    return PolicyObjective(made, rest, DATA.test if held is None else held, model, config or PolicyBatchConfig(windows=32), GOALS, 7)
 
 
 def test_windows_show_what_was_seen_and_what_was_right() -> None:
     """Every step of a batch is found on the walk that it is of: its picture, right action, last action, and the goal."""
-    made = objective(config=BatchConfig(windows=64, last_dropout=0.0, time_shift=0, unknown_share=0.0))
+    made = objective(config=PolicyBatchConfig(windows=64, last_dropout=0.0, time_shift=0, unknown_share=0.0))
     batch = {name: values.numpy() for name, values in made.batch(3).items()}
     compass, found = Compass(), Counter()
     seen = {walk.name: compass("", walk.poses) for walk in DATA.train}
@@ -79,8 +79,8 @@ def test_every_step_is_in_as_many_windows_as_any_other() -> None:
 
 
 def test_a_batch_follows_from_seed_and_step_wherever_it_is_made() -> None:
-    made = objective(shown=store(augmentation=AugmentationConfig()))
-    other = pickle.loads(pickle.dumps(objective(shown=store(augmentation=AugmentationConfig()))))
+    made = objective(shown=store(augmentation=PictureAugmentation()))
+    other = pickle.loads(pickle.dumps(objective(shown=store(augmentation=PictureAugmentation()))))
     for step in (9, 0, 4):
         assert all(torch.equal(values, other.batch(step)[name]) for name, values in made.batch(step).items())
     assert not torch.equal(made.batch(0)["targets"], made.batch(1)["targets"])
@@ -90,15 +90,15 @@ def test_a_batch_follows_from_seed_and_step_wherever_it_is_made() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_so_many_last_actions_are_not_told(share: float) -> None:
-    made = objective(config=BatchConfig(windows=200, last_dropout=share))
+    made = objective(config=PolicyBatchConfig(windows=200, last_dropout=share))
     batch = made.batch(0)
     counts = batch["targets"] >= 0
-    told = (batch["last"] != UNTOLD)[counts].float().mean()
-    assert float(told) == pytest.approx(1 - share, abs=0.06)
+    goal_tokens = (batch["last"] != UNTOLD)[counts].float().mean()
+    assert float(goal_tokens) == pytest.approx(1 - share, abs=0.06)
 
 
 def test_steps_are_counted_from_anywhere_and_some_goals_are_hidden() -> None:
-    batch = objective(config=BatchConfig(windows=300, time_shift=1000, unknown_share=0.3)).batch(0)
+    batch = objective(config=PolicyBatchConfig(windows=300, time_shift=1000, unknown_share=0.3)).batch(0)
     counts = batch["targets"] >= 0
     first = batch["times"][:, 0]
     assert (batch["times"] - first[:, None])[counts].max() == TINY.window - 1
@@ -137,13 +137,13 @@ def test_filled_up_steps_teach_nothing() -> None:
 
 def test_own_walks_have_their_share_once_there_are_some() -> None:
     visited = [dataclasses.replace(walk, category="nowhere") for walk in DATA.train[:6]]
-    made = objective(visited, BatchConfig(windows=40, unknown_share=0.0, corrected_share=0.25))
+    made = objective(visited, PolicyBatchConfig(windows=40, unknown_share=0.0, corrected_share=0.25))
     assert int((made.batch(0)["goals"] == 0).sum()) == 10
-    assert int((objective((), BatchConfig(windows=40, unknown_share=0.0)).batch(0)["goals"] == 0).sum()) == 0
+    assert int((objective((), PolicyBatchConfig(windows=40, unknown_share=0.0)).batch(0)["goals"] == 0).sum()) == 0
 
 
 def test_pictures_in_memory_keep_within_bounds_and_all_scenes_have_their_turn() -> None:
-    long = [Walk(f"a/{n}", f"a/{n}", "0000", "chair", np.zeros((500, 3)), np.zeros(500, int), np.zeros(500, int)) for n in range(7)]
+    long = [AgentWalk(f"a/{n}", f"a/{n}", "0000", "chair", np.zeros((500, 3)), np.zeros(500, int), np.zeros(500, int)) for n in range(7)]
     compass = Compass()
     made = store(long, render=compass, megabytes=1, part_steps=3)  # a scene has 384 kB: two are in a megabyte
     parts = [tuple(made.part(step)) for step in range(24)]

@@ -10,10 +10,10 @@ import pytest
 
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
-from tasks.policy.augmentation import AugmentationConfig
+from tasks.policy.augmentation import PictureAugmentation
 from tasks.policy.corrections import CorrectionsConfig
 from tasks.policy.inference.actor import load
-from tasks.policy.model.objective import BatchConfig
+from tasks.policy.model.objective import PolicyBatchConfig
 from tasks.policy.model.shapes import vocabulary_in
 from tasks.training.systems import navigation
 from tasks.training.systems.navigation import NavigationTraining, PolicyFitting, train
@@ -24,7 +24,7 @@ from tests.tasks.policy.rooms import Compass, context, dataset
 torch = pytest.importorskip("torch")
 
 FITTING = PolicyFitting(steps=6, warmup_steps=1, validate_steps=3, checkpoint_steps=2, record_steps=2, device="cpu")
-CONFIG = NavigationTraining(TINY, batch=BatchConfig(windows=8, part_steps=2), fitting=FITTING, validation_share=0.3)
+CONFIG = NavigationTraining(TINY, batch=PolicyBatchConfig(windows=8, part_steps=2), fitting=FITTING, validation_share=0.3)
 CORRECTED = dataclasses.replace(CONFIG, corrections=CorrectionsConfig(rounds=2, steps=4, episodes=2, max_steps=10))
 ROWS, BLOBS = dataset(rooms=4)
 
@@ -57,7 +57,9 @@ def test_a_policy_is_the_same_bytes_after_interruptions_also_between_rounds(stop
         assert kept
     again = trained(CORRECTED, kept=kept)
     assert again.weights == whole.weights
-    assert [dataclasses.replace(point, seconds=0) for point in again.steps] == [dataclasses.replace(point, seconds=0) for point in whole.steps]
+    assert [dataclasses.replace(point, seconds=0) for point in again.steps] == [
+        dataclasses.replace(point, seconds=0) for point in whole.steps
+    ]
     assert again.notes == whole.notes
 
 
@@ -114,10 +116,10 @@ def test_what_goes_on_keeps_its_goals_and_learns_further_ones() -> None:
 def test_a_few_walks_are_learned_by_heart_and_walked() -> None:
     """On the rooms that it learned from a policy tells every action, and acts as the expert does."""
     rows, blobs = dataset(rooms=1, episodes=4, tests=0)
-    plain = AugmentationConfig(0, 0, 0, 0, 1.0, 0, 0, 0)
+    plain = PictureAugmentation(0, 0, 0, 0, 1.0, 0, 0, 0)
     fitting = PolicyFitting(steps=800, learning_rate=2e-3, warmup_steps=20, validate_steps=800, checkpoint_steps=800, device="cpu")
     model = dataclasses.replace(TINY, width=32, feedforward=64, dropout=0.0)
-    config = NavigationTraining(model, batch=BatchConfig(windows=32), augmentation=plain, fitting=fitting, validation_share=0.0)
+    config = NavigationTraining(model, batch=PolicyBatchConfig(windows=32), augmentation=plain, fitting=fitting, validation_share=0.0)
     made = train(dataset=rows, start=None, context=context(blobs), config=config)
     from tasks.policy.collection import collected
 

@@ -74,31 +74,31 @@ class PolicyNet(nn.Module):
         )
         self.head = nn.Linear(width, len(ACTIONS))
 
-    def told(self, goals: Tensor) -> Tensor:
+    def goal_tokens(self, goals: Tensor) -> Tensor:
         """Tokens (b, g, w) of goals (b,), places in the vocabulary."""
         made: Tensor = self.goal(torch.zeros_like(goals) if self.config.goalless else goals)
         return made
 
-    def seen(self, pictures: Tensor, told: Tensor) -> Tensor:
+    def seen(self, pictures: Tensor, goal_tokens: Tensor) -> Tensor:
         """Vectors (n, w) of pictures with the tokens (n, g, w) of what each is seen for.
 
         pictures: uint8 (n, h, w, 3); of frozen eyes the tokens (n, p, e) that these told; of blind models whatever has n of them.
         """
-        parts = [self.fusion.expand(len(told), 1, -1)]
+        parts = [self.fusion.expand(len(goal_tokens), 1, -1)]
         if not self.config.blind:
             parts.append(self._tokens(pictures))
-        made: Tensor = self.encoder(torch.cat([*parts, told], dim=1))[:, 0]
+        made: Tensor = self.encoder(torch.cat([*parts, goal_tokens], dim=1))[:, 0]
         return made
 
-    def decided(self, seen: Tensor, last: Tensor, times: Tensor, told: Tensor) -> Tensor:
+    def decided(self, seen: Tensor, last: Tensor, times: Tensor, goal_tokens: Tensor) -> Tensor:
         """Logits (b, t, a) of the actions of steps, each of which sees those before it.
 
-        seen: Their vectors (b, t, w). last: Actions before them (b, t). times: Their numbers (b, t). told: The goal's tokens (b, g, w).
+        seen: Their vectors (b, t, w). last: Actions before them (b, t). times: Their numbers (b, t). goal_tokens: Shape (b, g, w).
         """
         waves = torch.from_numpy(sinusoids(times.cpu().numpy(), self.config.width)).to(seen)
         steps = seen + self.last(last) + waves
         ahead = torch.triu(torch.ones(seen.shape[1], seen.shape[1], dtype=torch.bool, device=seen.device), diagonal=1)
-        made: Tensor = self.head(self.decoder(steps, told, tgt_mask=ahead))
+        made: Tensor = self.head(self.decoder(steps, goal_tokens, tgt_mask=ahead))
         return made
 
     def forward(self, batch: Mapping[str, Tensor]) -> Tensor:
@@ -107,9 +107,9 @@ class PolicyNet(nn.Module):
         pictures: Of all steps, window by window (n, ...). owner: Their windows (n,). places: Of the pictures of windows' steps (b, t);
         filled up steps have any. goals (b,), last and times (b, t): As `decided`.
         """
-        told = self.told(batch["goals"])
-        seen = self.seen(batch["pictures"], told[batch["owner"]])
-        return self.decided(seen[batch["places"]], batch["last"], batch["times"], told)
+        goal_tokens = self.goal_tokens(batch["goals"])
+        seen = self.seen(batch["pictures"], goal_tokens[batch["owner"]])
+        return self.decided(seen[batch["places"]], batch["last"], batch["times"], goal_tokens)
 
     def _tokens(self, pictures: Tensor) -> Tensor:
         """Tokens (n, p, w) of pictures."""
