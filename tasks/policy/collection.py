@@ -36,9 +36,9 @@ class EpisodeDataset(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class VisibleScene:
-    """Rows of a scene that say how it looks."""
+    """Rows of a scene that say how it looks. shell: None of an imported scene, whose own objects have floor and walls."""
 
-    shell: Shell
+    shell: Shell | None
     surfaces: tuple[RoomSurface, ...]
     placements: tuple[Placement, ...]
     instances: tuple[Instance, ...]
@@ -74,8 +74,8 @@ def collected(dataset: EpisodeDataset, context: Context, config: WalkConfig, tes
     courses: dict[str, TrainingScene] = {}
     left_out: Counter[str] = Counter()
     for scene_id, episodes in _by_scene(dataset.rows(Episode)):
-        if scene_id not in scenes or scene_id not in shells:
-            left_out["their scene has no shell"] += len(episodes)
+        if scene_id not in scenes:
+            left_out["their scene is not in the lake"] += len(episodes)
             continue
         room = scenes[scene_id].room_id
         split = splits.get(room) or split_of(room, test_share)
@@ -145,7 +145,7 @@ def _looks(dataset: EpisodeDataset, used: set[str], shells: Mapping[str, Shell])
         for row in dataset.rows(record):
             if row.scene_id in used:
                 parts[record][row.scene_id].append(row)
-    looks = {name: VisibleScene(shells[name], *(tuple(rows[name]) for rows in parts.values())) for name in sorted(used)}
+    looks = {name: VisibleScene(shells.get(name), *(tuple(rows[name]) for rows in parts.values())) for name in sorted(used)}
     named = {placement.asset_id for rows in looks.values() for placement in rows.placements}
     return looks, {asset.asset_id: asset for asset in dataset.rows(Asset) if asset.asset_id in named}
 

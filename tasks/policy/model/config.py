@@ -125,14 +125,15 @@ class SmallPolicy(PolicyModel):
     kind: ClassVar[str] = "small"
 
 
+WIDE = AgentCamera(384, 224)
+
+
 @dataclasses.dataclass(frozen=True)
 class PaperPolicy(PolicyModel):
     """As published: SPOC's `siglip_base_3` with one camera (specs E.1)."""
 
     kind: ClassVar[str] = "paper"
-    camera: AgentCamera = dataclasses.field(
-        default_factory=lambda: AgentCamera(384, 224)
-    )  # as wide and high as the grid of tokens; as SPOC
+    camera: AgentCamera = WIDE  # in the shape of the grid; as SPOC
     eyes: union_of(EYES) = dataclasses.field(default_factory=SiglipEyes)  # type: ignore[valid-type]  # as published
     goal: union_of(GOALS) = dataclasses.field(default_factory=SiglipGoal)  # type: ignore[valid-type]  # as published
     width: Width = 512  # as published
