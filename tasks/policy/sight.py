@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from schemas.candidates import Asset
 from tasks.policy.collection import VisibleScene
-from tasks.policy.demonstrations import Array, camera_poses
+from tasks.policy.demonstrations import Array
 from tasks.policy.model.config import AgentCamera
+from tasks.simulation.cameras import camera_poses
 
 KEPT = 2
 """Scenes that are ready to be rendered: walks come a scene at a time."""

@@ -14,8 +14,9 @@ from schemas.navigation import Episode, Navmesh, Split
 from tasks.policy.actions import FORWARD, LEFT, RIGHT, START, STOP
 from tasks.policy.collection import held_out, spread
 from tasks.policy.corrections import CorrectionsConfig, agreement, corrected
-from tasks.policy.demonstrations import Expert, Guide, WalkConfig, camera_poses, majority, views_of
+from tasks.policy.demonstrations import Expert, Guide, WalkConfig, majority, views_of
 from tasks.policy.inference.actor import load
+from tasks.simulation.cameras import camera_poses
 from tasks.training.dataset import RowsInMemory
 from tests.tasks.policy.policies import TINY, drawn_weights
 from tests.tasks.policy.rooms import Compass, context, dataset, navigated, walks
