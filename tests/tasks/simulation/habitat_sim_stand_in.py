@@ -9,7 +9,7 @@ import dataclasses
 import math
 from enum import Enum
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -116,7 +116,7 @@ class Agent:
 class Simulator:
     """Knows the scenes that a test put into `SCENES`, by handle: a path finder and objects. Others load as the real one's do: empty."""
 
-    SCENES: dict[str, tuple[PlanarPathFinder, dict[str, dict[str, Any]]]] = {}
+    SCENES: ClassVar[dict[str, tuple[PlanarPathFinder, dict[str, dict[str, Any]]]]] = {}
     opened = 0
 
     def __init__(self, configuration: Configuration) -> None:
