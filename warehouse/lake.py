@@ -247,8 +247,11 @@ class Lake:
     ) -> Snapshot | None:
         if not self.exists:
             return None
+        from warehouse.upkeep.erasure.plan import read_plan
+
         with self.leased(timeout) as lease:
-            return Commit(self.tables, self.staging, lease).run(note, removed, scenes, runs)
+            begun = read_plan(self.storage)
+            return Commit(self.tables, self.staging, lease, erased=begun.scene_id if begun else None).run(note, removed, scenes, runs)
 
     def _committed(self, reader: Reader, scenes: Collection[str] | None = None) -> dict[Key, StageState]:
         only = None if scenes is None else {"scene_id": scenes}

@@ -134,7 +134,7 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     from flows.scans.erasure import erase_from_caches
     from flows.view.annotating.drafts import erase_drafts
     from warehouse.upkeep.erasure import erase as run
-    from warehouse.upkeep.erasure.dependents import furnished_anew
+    from warehouse.upkeep.erasure.dependents import FurnishedAnewError, furnished_anew
 
     cached: list[int] = []
     drafts: list[int] = []
@@ -149,9 +149,17 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     if not (yes or dry_run) and not (sys.stdin.isatty() and click.confirm(asked, err=True)):
         raise click.UsageError(f"{scene} is erased for good: give --yes to say that you mean it, or --dry-run to see what would go")
     with Progress("erasing", sum(1 for _ in lake.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
-        for name in () if dry_run else also:
-            run(lake, name, advance=progress.advance, elsewhere=forget)
-        done = run(lake, scene, dry_run=dry_run, advance=progress.advance, elsewhere=forget)
+        waiting = [] if dry_run else [*also]
+        while True:
+            try:
+                while waiting:
+                    run(lake, waiting[0], advance=progress.advance, elsewhere=forget)
+                    waiting.pop(0)
+                done = run(lake, scene, dry_run=dry_run, advance=progress.advance, elsewhere=forget)
+                break
+            except FurnishedAnewError as late:  # a command that is at work has added some meanwhile
+                also = (*also, *(name for name in late.scenes if name not in also))
+                waiting = [*late.scenes, *(name for name in waiting if name not in late.scenes)]
     if dry_run:
         drafts.append(erase_drafts(lake, done.traces, dry_run=True))
     _tell_erased(done, also, sum(cached), sum(drafts), dry_run, as_json)

@@ -20,7 +20,7 @@ from warehouse.sharing.lease import Lease
 from warehouse.sharing.writer import this_writer, writer_of
 from warehouse.tables.adoption import CommitPlan, committed_rows, now_utc, plan, without_faults
 from warehouse.tables.delta import DeltaTables, TableWriter, nullable
-from warehouse.tables.history import Key, StageState, states
+from warehouse.tables.history import Key, StageState, base_of, states
 from warehouse.tables.staging import StagedRun, Staging
 
 _ADOPTED = "adopted"
@@ -35,10 +35,13 @@ class Base:
 
 
 class Commit:
-    """One commit, made while `lease` is held. It reads what it touches, so that its time hardly depends on the lake's size."""
+    """One commit, made while `lease` is held. It reads what it touches, so that its time hardly depends on the lake's size.
 
-    def __init__(self, tables: DeltaTables, staging: Staging, lease: Lease) -> None:
-        self._tables, self._staging, self._lease = tables, staging, lease
+    erased: A scene whose erasure was begun and is not finished.
+    """
+
+    def __init__(self, tables: DeltaTables, staging: Staging, lease: Lease, erased: str | None = None) -> None:
+        self._tables, self._staging, self._lease, self._erased = tables, staging, lease, erased
         self._snapshots = TABLES["snapshots"]
         self._base = self._read_base()
         self._states: dict[Key, StageState] = {}
@@ -50,6 +53,7 @@ class Commit:
         """Adopt, replace, withdraw, and append the snapshot; None when there is nothing to do."""
         staged = [staged_run for staged_run in self.remove_adopted() if scenes is None or staged_run.run.scene_id in scenes]
         staged = [staged_run for staged_run in staged if runs is None or staged_run.token in runs]
+        staged = self._without_orphans(staged)
         if not staged and not removed:
             return None
         faults = {
@@ -102,6 +106,22 @@ class Commit:
         self._lease.check()
         self._staging.remove_tokens(set(str(facts.get(_ADOPTED, "")).split()))
         return self._staging.runs()
+
+    def _without_orphans(self, staged: list[StagedRun]) -> list[StagedRun]:
+        """Remove what is staged of scenes that are based on one of which no run is known any more, since it was erased; the others.
+
+        Who computed them began before the erasure and knows nothing of it.
+        """
+        bases = {base for staged_run in staged if (base := base_of(staged_run.run)) is not None}
+        if not bases:
+            return staged
+        table = TABLES["stage_runs"]
+        known = self._tables.read(table, self._base_files(table), ["scene_id"], {"scene_id": bases}).column("scene_id").unique().to_pylist()
+        gone = bases - (set(known) - {self._erased})
+        orphans = [staged_run for staged_run in staged if base_of(staged_run.run) in gone]
+        self._lease.check()
+        self._staging.remove(orphans)
+        return [staged_run for staged_run in staged if staged_run not in orphans]
 
     def _read_base(self) -> Base:
         opened = self._tables.open("snapshots")

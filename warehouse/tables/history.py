@@ -17,6 +17,9 @@ from schemas.runs import StageRun
 Key = tuple[str, str]
 T = TypeVar("T")
 
+BASED_ON = "based_on="
+"""How a reason begins that names the scene on which the run's own is based: when that one is erased, so is this one."""
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class StageState:
@@ -110,3 +113,8 @@ def upstream_of(run: StageRun, stages: Sequence[str]) -> dict[str, str]:
     """Fingerprints of the stages that a run read, by stage. Entries that name no stage are left out."""
     pairs = (entry.split("=", 1) for entry in run.upstream if "=" in entry)
     return {stage: fingerprint for stage, fingerprint in pairs if stage in stages}
+
+
+def base_of(run: StageRun) -> str | None:
+    """Scene that the scene of a run is based on, as its reasons have it; None for all that are not."""
+    return next((reason.removeprefix(BASED_ON) for reason in run.reasons if reason.startswith(BASED_ON)), None)

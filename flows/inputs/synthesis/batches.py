@@ -29,7 +29,7 @@ from tasks.synthesis.scenes.assets import MADE_LICENSE, Pool, chosen_assets
 from tasks.synthesis.scenes.drawn import Drawn, usable
 from warehouse.lake import Lake
 from warehouse.release.licenses import Allowed, duties
-from warehouse.tables.history import Key, StageState
+from warehouse.tables.history import BASED_ON, Key, StageState
 
 BLOCK = 16
 """Scenes that are drawn and committed together: models draw so many side by side, and a commit costs less than a second."""
@@ -168,6 +168,7 @@ def _made(
                 yield made
             names = [common.scene_id(number) for number in ours]
             common.lake.commit(note, scenes=[*(set(waiting) - common.lake.claimed().keys()), *names])
+            _check_base(common, is_erased=True)
             waiting = []
             for name in names:
                 claims.release(name)
@@ -179,11 +180,7 @@ def _block(common: _Request, numbers: Collection[int], make: Make, retry_failed:
     Raises:
         InputError: the scene that they are based on was changed or erased meanwhile, or another request drew scenes of their names.
     """
-    base = common.asked.base
-    if base is not None and content_of(common.lake.snapshot(), base.scene.scene_id) != common.asked.content:
-        raise InputError(
-            "--instance", f"{base.scene.scene_id}/{base.instance_id}", "its scene was changed meanwhile", "give the same command again"
-        )
+    _check_base(common)
     history = common.lake.history({common.scene_id(number) for number in numbers})
     _check_name(history, common)
     planned = {plan.number: (plan, job) for plan, job in _planned(common, history, numbers, retry_failed, began)}
@@ -196,6 +193,20 @@ def _block(common: _Request, numbers: Collection[int], make: Make, retry_failed:
         yield dataclasses.replace(planned[number][0], error=f"{first.stage}: {problem}")
     for number, done in zip(jobs, make(list(jobs.values())), strict=True):
         yield dataclasses.replace(planned[number][0], done=done, error=done.error)
+
+
+def _check_base(common: _Request, *, is_erased: bool = False) -> None:
+    """Refuse to go on where the scene that others are based on was changed; with `is_erased` only where it was erased: what was made of it
+    after that is in no snapshot.
+
+    Raises:
+        InputError: it was.
+    """
+    base = common.asked.base
+    content = content_of(common.lake.snapshot(), base.scene.scene_id) if base is not None else ()
+    if base is not None and (not content if is_erased else content != common.asked.content):
+        what, to_do = ("changed", "give the same command again") if content else ("erased", "furnish another one")
+        raise InputError("--instance", f"{base.scene.scene_id}/{base.instance_id}", f"its scene was {what} meanwhile", to_do)
 
 
 def _with_layouts(common: _Request, jobs: Mapping[int, SynthesisJob]) -> tuple[dict[int, SynthesisJob], dict[int, str]]:
@@ -236,14 +247,15 @@ def _planned(
         canonical_json(configs["optimization"]),
     )  # fmt: skip
     stages = [stage for stage in STAGES if stage.name in (*FRONT, *BACK)]
-    numbers = list(numbers)
+    numbers, base = list(numbers), common.asked.base
+    of = (f"{BASED_ON}{base.scene.scene_id}",) if base is not None else ()
     annotations = annotation_digests(common.lake, {common.scene_id(number) for number in numbers})
     for number in numbers:
         scene_id = common.scene_id(number)
         jobs: dict[str, Job] = {}
         for stage in stages:
             above = tuple(f"{other.name}={jobs[other.name].fingerprint}" for other in upstream(stage) if other.name in jobs)
-            facts = (f"request={digest(common.facts)[:16]}", f"model={common.model.model_id}", f"number={number}")
+            facts = (f"request={digest(common.facts)[:16]}", f"model={common.model.model_id}", f"number={number}", *of)
             if stage.name in FRONT:
                 content = digest(front, str(number))
                 parts: tuple[str, ...] = (

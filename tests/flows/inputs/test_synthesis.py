@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import json
 import os
+import shutil
 import signal
 import types
 from collections.abc import Sequence
@@ -42,6 +43,9 @@ from warehouse.lake import Lake
 from warehouse.questions.views import views
 from warehouse.release.licenses import Allowed
 from warehouse.tables.digest import digests
+from warehouse.upkeep.erasure import dependents
+from warehouse.upkeep.erasure import erase as erase_rows
+from warehouse.upkeep.erasure.dependents import FurnishedAnewError
 
 CATEGORIES = read_categories()
 WANTED = SceneRequest(large="nightstand", room_type="bedroom")
@@ -300,11 +304,17 @@ def test_layouts_are_drawn_side_by_side_and_one_that_is_none_has_failed(tmp_path
 
 @pytest.fixture(scope="module")
 def rooms(tmp_path_factory: pytest.TempPathFactory) -> Lake:
-    """A furnished room whose table was furnished anew. Changed by the test of erasure, which is the last one."""
+    """A furnished room whose table was furnished anew."""
     lake = furnished_lake(tmp_path_factory.mktemp("rooms") / "lake", scenes=1)
     done = ask(lake, SceneRequest(instance="demo/room_0/0001"), count=1, name="anew")
     assert [scene.error for scene in done.scenes] == [None]
     return lake
+
+
+@pytest.fixture
+def erasable(rooms: Lake, tmp_path: Path) -> Lake:
+    shutil.copytree(rooms.address, tmp_path / "lake")
+    return Lake.open(tmp_path / "lake")
 
 
 @pytest.mark.whole
@@ -407,23 +417,67 @@ def test_other_requests_have_other_names(rooms: Lake) -> None:
 
 
 @pytest.mark.whole
-def test_who_erases_a_scene_erases_what_was_made_of_it(rooms: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_erases_a_scene_erases_what_was_made_of_it(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
         patched.setattr(Lake, "commit", killed)
         with pytest.raises(KeyboardInterrupt):
-            ask(rooms, SceneRequest(instance="demo/room_0/0001"), count=1)
-    (staged,) = {run.run.scene_id for run in rooms.staging.runs()}
+            ask(erasable, SceneRequest(instance="demo/room_0/0001"), count=1)
+    (staged,) = {run.run.scene_id for run in erasable.staging.runs()}
     runner = CliRunner()
-    told = runner.invoke(erase, ["demo/room_0", "--dry-run", "--json", "--lake", rooms.address])
+    told = runner.invoke(erase, ["demo/room_0", "--dry-run", "--json", "--lake", erasable.address])
     assert set(json.loads(told.output)["also"]) == {"synthetic/anew_0000", staged}
-    assert len(rooms.snapshot().rows(Scene)) == 2
-    done = runner.invoke(erase, ["demo/room_0", "--yes", "--lake", rooms.address], catch_exceptions=False)
+    assert len(erasable.snapshot().rows(Scene)) == 2
+    done = runner.invoke(erase, ["demo/room_0", "--yes", "--lake", erasable.address], catch_exceptions=False)
     assert "0 hits" in done.output
-    assert rooms.snapshot().rows(Scene) == []
-    assert rooms.staging.runs() == []
+    assert erasable.snapshot().rows(Scene) == []
+    assert erasable.staging.runs() == []
+
+
+@pytest.mark.whole
+def test_what_is_erased_while_it_is_furnished_anew_comes_back_in_no_snapshot(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    commit, runner, staged = Lake.commit, CliRunner(), []
+
+    def late(self: Lake, *words: object, **options: object) -> object:
+        monkeypatch.undo()
+        staged.extend(self.staging.runs())
+        with pytest.raises(FurnishedAnewError, match=r"as synthetic/.*erase these first"):
+            erase_rows(self, "demo/room_0")
+        for run in staged:  # not staged yet when the erasure looks
+            self.unstage(run.run)
+        told = json.loads(runner.invoke(erase, ["demo/room_0", "--yes", "--json", "--lake", self.address], catch_exceptions=False).output)
+        assert {hit["path"].partition("/")[0] for hit in told["proof"]["hits"]} <= {"claims", "blobs"}, (
+            "what this command holds and has put"
+        )
+        for run in staged:
+            self.stage_rows(run.run, {})
+        return commit(self, *words, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Lake, "commit", late)
+    with pytest.raises(InputError, match="was erased meanwhile"):
+        ask(erasable, SceneRequest(instance="demo/room_0/0001"), count=1)
+    assert {run.run.scene_id.partition("/")[0] for run in staged} == {"synthetic"}
+    assert erasable.staging.runs() == []
+    assert erasable.snapshot().rows(Scene) == []
+
+
+@pytest.mark.whole
+def test_what_is_furnished_anew_while_its_scene_is_erased_goes_too(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    look = dependents.furnished_anew
+
+    def before(lake: Lake, scene_id: str) -> tuple[str, ...]:
+        monkeypatch.undo()
+        found = look(lake, scene_id)
+        ask(lake, SceneRequest(instance="demo/room_0/0001"), count=2)
+        return found
+
+    monkeypatch.setattr(dependents, "furnished_anew", before)
+    told = CliRunner().invoke(erase, ["demo/room_0", "--yes", "--json", "--lake", erasable.address], catch_exceptions=False)
+    assert len(json.loads(told.output)["also"]) == 3
+    assert erasable.snapshot().rows(Scene) == []
+    assert erasable.staging.runs() == []
 
 
 @pytest.mark.parametrize(

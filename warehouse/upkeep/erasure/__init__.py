@@ -25,6 +25,7 @@ from warehouse.tables.datafiles import exchange, files_of
 from warehouse.tables.delta import FOLDER as TABLE_FOLDER
 from warehouse.tables.released import released
 from warehouse.tables.staging import quoted_scene
+from warehouse.upkeep.erasure.dependents import FurnishedAnewError, furnished_anew
 from warehouse.upkeep.erasure.plan import PATH as PLAN_PATH
 from warehouse.upkeep.erasure.plan import ErasurePlan, read_plan
 from warehouse.upkeep.erasure.proof import Proof, search, tells
@@ -80,6 +81,7 @@ def erase(
 
     Raises:
         InputError: this is no scene, there is no lake, or the erasure of another scene is not finished.
+        FurnishedAnewError: scenes that were made of it are there; from the first step of an erasure on no commit takes in others.
         LeaseError: another process holds the lake's lease for more than `timeout` seconds.
     """
     if not re.fullmatch(SCENE_PATTERN, scene_id):
@@ -91,6 +93,8 @@ def erase(
         if begun is not None and begun.scene_id != scene_id:
             raise InputError(lake.address, PLAN_PATH, f"the erasure of {begun.scene_id} is not finished", "finish it first")
         if not dry_run:
+            if begun is None and (others := furnished_anew(lake, scene_id)):
+                raise FurnishedAnewError(lake, scene_id, others)
             _settle_batches(lake, lease, scene_id)
         with workspace(lake.storage) as connection:
             work = _Work(lake, scene_id, SceneRows(lake, scene_id, connection), lease, begun)

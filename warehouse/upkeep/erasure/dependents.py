@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import contextlib
 
+from schemas.errors import InputError
 from schemas.synthesis import Synthesis
 from warehouse.lake import Lake
 
 TABLE = "syntheses"
+
+
+class FurnishedAnewError(InputError):
+    """A scene cannot be erased before those that were made of it. `scenes`: These, the last ones first."""
+
+    def __init__(self, lake: Lake, scene_id: str, scenes: tuple[str, ...]) -> None:
+        super().__init__(lake.address, scene_id, f"was furnished anew as {', '.join(scenes)}", "erase these first")
+        self.scenes = scenes
 
 
 def furnished_anew(lake: Lake, scene_id: str) -> tuple[str, ...]:
