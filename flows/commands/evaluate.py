@@ -87,3 +87,18 @@ def _tell(evaluated: list[Evaluated], metrics: list[dict[str, Any]], dry_run: bo
             f"{row['policy']:<{long}}  {row['run_name']:<{width}}  {row['split']:<5} {row['n']:>6}  {row['sr']:.3f}  "
             f"{row['sr_low']:.3f} to {row['sr_high']:.3f}  {row['spl']:.3f}  {row['sel']:.3f}  {row['el']:>6.1f}"
         )
+    _tell_found([row for row in metrics if row["found"] is not None])
+
+
+def _tell_found(metrics: list[dict[str, Any]]) -> None:
+    """Who had the target in view within a meter when it stopped, and who stopped within Habitat's 0.1 m."""
+    if not metrics:
+        return
+    width, long = (max(len(head), *(len(row[name]) for row in metrics)) for head, name in (("run", "run_name"), ("policy", "policy")))
+    print(f"\n{'policy':<{long}}  {'run':<{width}}  split  stopped at 0.1 m  at 1 m in view  95 % interval    SPL")
+    for row in metrics:
+        interval = f"{row['found_low']:.3f} to {row['found_high']:.3f}"
+        print(
+            f"{row['policy']:<{long}}  {row['run_name']:<{width}}  {row['split']:<5} {row['arrived']:>17.3f} {row['found']:>15.3f}  "
+            f"{interval}  {row['found_spl']:.3f}"
+        )

@@ -1,5 +1,5 @@
 -- How well does each policy navigate, by split alone, and by scene or category beside it (column grouped_by)?
--- Version 1.
+-- Version 2.
 -- Of every episode one trajectory of the policy's run counts at every success distance (is_counted); n says how many, outdated of
 -- how many the episode has changed since. Means over trajectories of what the view trajectory_metrics says of each: sr (success
 -- rate), el (episode length: actions, the last one included), sel (success weighted by episode length), spl (success weighted by

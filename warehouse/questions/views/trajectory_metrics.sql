@@ -1,5 +1,5 @@
 -- How well did each trajectory do?
--- Version 1.
+-- Version 2.
 -- success: stop was called and the geodesic distance to the nearest view point of the episode's own target is below
 -- success_distance_m (Anderson et al., On Evaluation of Embodied Navigation Agents, 2018; Habitat's Success; habitat-lab's ObjectNav
 -- takes any other object of the category as well). episode_length: all executed actions, the terminating one included (SPOC's
