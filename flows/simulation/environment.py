@@ -17,7 +17,7 @@ from flows.simulation.spaces import action_space, observation_space, observation
 from schemas.errors import InputError
 from schemas.navigation import Episode
 from tasks.simulation.objectnav import Course
-from tasks.simulation.protocol import AgentState, Sight, Simulator
+from tasks.simulation.protocol import AgentState, AgentView, Simulator
 from tasks.simulation.simulator import WorldSimulator
 from tasks.simulation.world import view_points
 
@@ -119,7 +119,7 @@ class ObjectNavEnv(gymnasium.Env[Any, np.int64]):
         assert self._episode is not None
         sight, at, start = self._sight, self._state, self._start
         batch = observations(
-            Sight(sight.rgb[None].copy(), sight.depth[None].copy(), sight.semantic[None].copy()),
+            AgentView(sight.rgb[None].copy(), sight.depth[None].copy(), sight.semantic[None].copy()),
             [self.episodes.number(self._episode.category)], np.array([at.yaw]), np.array([start.yaw]), _point(at), _point(start),
             np.array([[math.cos(start.yaw), math.sin(start.yaw)]]), self.config,
         )  # fmt: skip

@@ -109,14 +109,14 @@ class EpisodeScenes:
         rows = self._reader.matching("episodes", {}, ["agent", "split", "category"]).to_pylist()
         self.agent = self._agent(selected, {row["agent"] for row in rows})
         rows = [row for row in rows if row["agent"] == self.agent]
-        found = sorted({row["category"] for row in rows})
+        categories = sorted({row["category"] for row in rows})
         chosen = self._chosen(rows, selected)
         self.names: tuple[tuple[str, str], ...] = tuple((row["scene_id"], row["episode_id"]) for row in chosen)
-        self.categories = tuple(dict.fromkeys(selected.categories)) if selected.categories else tuple(found)
+        self.categories = tuple(dict.fromkeys(selected.categories)) if selected.categories else tuple(categories)
         self._number = {category: number for number, category in enumerate(self.categories)}
         unknown = sorted({row["category"] for row in chosen} - self._number.keys())
         if unknown:
-            problem, remedy = f"{unknown[0]!r} is a target and not among them", f"name all of {', '.join(found)}, or leave it out"
+            problem, remedy = f"{unknown[0]!r} is a target and not among them", f"name all of {', '.join(categories)}, or leave it out"
             raise InputError(self.address, "categories", problem, remedy)
         key = (self.address, self.snapshot_id, self.agent, config.reach_m)
         self._worlds = _SHARED.get(key) or Worlds(self._lake, self._reader, self.agent, config.reach_m)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tasks.simulation.configuration import SimulationConfig
 from tasks.simulation.objectnav import compass, gps, normalize_depth
-from tasks.simulation.protocol import ACTIONS, NO_OBJECT, Sight
+from tasks.simulation.protocol import ACTIONS, NO_OBJECT, AgentView
 
 Array = NDArray[np.float64]
 
@@ -45,8 +45,8 @@ def action_space() -> gymnasium.spaces.Discrete:
 
 
 def observations(
-    sight: Sight, goals: Sequence[int] | NDArray[np.int64], yaw: Array, start_yaw: Array, position: Array, start: Array, direction: Array,
-    config: SimulationConfig,
+    sight: AgentView, goals: Sequence[int] | NDArray[np.int64], yaw: Array, start_yaw: Array, position: Array, start: Array,
+    direction: Array, config: SimulationConfig,
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
     """What agents observe, one behind another, shape (n, ...) each.
 

@@ -20,7 +20,7 @@ from schemas.errors import InputError
 from schemas.navigation import Episode
 from tasks.simulation.agents import Agents
 from tasks.simulation.objectnav import Course
-from tasks.simulation.protocol import Sight
+from tasks.simulation.protocol import AgentView
 from tasks.simulation.world import view_points
 
 Flags = NDArray[np.bool_]
@@ -84,7 +84,7 @@ class ObjectNavVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[np.int6
         self._fields: list[Any] = [None] * num_envs
         self._targets, self._goals = np.zeros(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=np.int64)
         self._over = np.zeros(num_envs, dtype=np.bool_)
-        self._sight: Sight | None = None
+        self._sight: AgentView | None = None
         self._is_copied = copy
         self._facts = {name: np.full(num_envs, None, dtype=object) for name in ("scene_id", "episode_id", "object_category", "instance_id")}
 

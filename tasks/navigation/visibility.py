@@ -120,8 +120,8 @@ def clear(boundary: Boundary, starts: Array, ends: Array) -> NDArray[np.bool_]:
 
 def clear_lengths(boundary: Boundary, starts: Array, ends: Array) -> Array:
     """How far straight moves from points of the polygon stay in it [m], (n, 2) twice to (n,); infinite for those that do to their ends."""
-    found = _compiled()["_sights"](np.ascontiguousarray(starts), np.ascontiguousarray(ends), *boundary.corners, False, True)
-    return np.asarray(found)
+    lengths = _compiled()["_sights"](np.ascontiguousarray(starts), np.ascontiguousarray(ends), *boundary.corners, False, True)
+    return np.asarray(lengths)
 
 
 def first_clear(boundary: Boundary, start: Array, ends: Array) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tasks.geometry.rasterizer import Pictures
 from tasks.navigation.follower import heading_after, is_short
 from tasks.simulation.configuration import SimulationConfig
-from tasks.simulation.protocol import ACTIONS, AgentState, Sight
+from tasks.simulation.protocol import ACTIONS, AgentState, AgentView
 from tasks.simulation.world import World
 
 Array = NDArray[np.float64]
@@ -99,14 +99,14 @@ class Agents:
         x, y = self.position[index].tolist()
         return AgentState(x, y, float(self.yaw[index]), bool(self.collided[index]), bool(self.called_stop[index]))
 
-    def render(self, among: Indices | None = None, into: Sight | None = None) -> Sight:
+    def render(self, among: Indices | None = None, into: AgentView | None = None) -> AgentView:
         """What all agents see, one behind another: rgb is n by height by width by 3, depth and semantic are n by height by width.
         `among`: what these alone see, ascending. `into`: where to put it; new arrays where it is left out."""
         config = self.config
         shown = np.arange(len(self)) if among is None else among
         size, place = (len(shown), config.height, config.width), np.full(len(self), -1)
         place[shown] = np.arange(len(shown))
-        sight = into or Sight(np.empty((*size, 3), np.uint8), np.empty(size, np.float32), np.empty(size, np.int32))
+        sight = into or AgentView(np.empty((*size, 3), np.uint8), np.empty(size, np.float32), np.empty(size, np.int32))
         room = self._room
         for world, group in self.groups():
             mine = group[place[group] >= 0]

@@ -16,7 +16,7 @@ from tasks.geometry.transforms import quaternion_xyzw, to_y_up, to_z_up, yaw_of,
 from tasks.navigation.detour import from_above, space
 from tasks.navigation.points import rows
 from tasks.simulation.configuration import SimulationConfig
-from tasks.simulation.protocol import ACTIONS, NO_OBJECT, AgentState, Sight, Simulator
+from tasks.simulation.protocol import ACTIONS, NO_OBJECT, AgentState, AgentView, Simulator
 
 if TYPE_CHECKING:
     from schemas.navigation import Episode
@@ -77,11 +77,11 @@ class HabitatSimulator(Simulator):
         collided = bool(self._agent.act(_NAMES[action])) if action != STOP else False
         return self._state(collided and action == FORWARD, action == STOP)
 
-    def render(self) -> Sight:
+    def render(self) -> AgentView:
         """What the agent sees."""
         seen = self._sim.get_sensor_observations()
         semantic = np.asarray(seen["semantic"]).astype(np.int32) - 1  # as `_open` numbered them; 0 is the room
-        return Sight(
+        return AgentView(
             np.ascontiguousarray(seen["rgb"][..., :3]), np.asarray(seen["depth"], dtype=np.float32), np.maximum(semantic, NO_OBJECT)
         )
 
@@ -94,8 +94,8 @@ class HabitatSimulator(Simulator):
 
     def snap(self, point: ArrayLike) -> NDArray[np.float64]:
         """The point of habitat-sim's navmesh nearest to a point, shape (2,)."""
-        found = self._sim.pathfinder.snap_point(space(rows(point))[0].astype(np.float32))
-        return np.asarray(from_above(np.array([found], dtype=np.float64))[0])
+        nearest = self._sim.pathfinder.snap_point(space(rows(point))[0].astype(np.float32))
+        return np.asarray(from_above(np.array([nearest], dtype=np.float64))[0])
 
     def close(self) -> None:
         """Let go of the scene."""
@@ -135,9 +135,9 @@ class HabitatSimulator(Simulator):
                 str(self._dataset), scene_id, "habitat-sim finds no such scene, or no navmesh of it", "export the dataset again"
             )
         self._scene = scene_id
-        for thing in self._sim.get_rigid_object_manager().get_objects_by_handle_substring("").values():
-            instance = thing.user_attributes.get("instance_id")
-            thing.semantic_id = int(instance) + 1 if instance else 0
+        for item in self._sim.get_rigid_object_manager().get_objects_by_handle_substring("").values():
+            instance = item.user_attributes.get("instance_id")
+            item.semantic_id = int(instance) + 1 if instance else 0
 
     def _sensor(self, uuid: str, kind: str) -> Any:
         config = self._config

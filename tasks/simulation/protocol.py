@@ -36,7 +36,7 @@ class AgentState:
 
 
 @dataclasses.dataclass(frozen=True)
-class Sight:
+class AgentView:
     """What an agent's camera sees.
 
     rgb: Shape (h, w, 3) uint8. depth: Along the camera's axis [m], 0 where nothing is, shape (h, w) float32. semantic: Number of the
@@ -63,7 +63,7 @@ class Simulator(Protocol):
         """Carry out an action, by its number in `ACTIONS`."""
         ...
 
-    def render(self) -> Sight:
+    def render(self) -> AgentView:
         """What the agent sees from where it is."""
         ...
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tasks.simulation.agents import Agents
 from tasks.simulation.configuration import SimulationConfig
-from tasks.simulation.protocol import AgentState, Sight, Simulator
+from tasks.simulation.protocol import AgentState, AgentView, Simulator
 from tasks.simulation.world import World
 
 if TYPE_CHECKING:
@@ -44,11 +44,11 @@ class WorldSimulator(Simulator):
         self._agents.step(np.array([action]))
         return self._agents.state(0)
 
-    def render(self) -> Sight:
+    def render(self) -> AgentView:
         """What the agent sees."""
         _ = self.world
         sight = self._agents.render()
-        return Sight(sight.rgb[0], sight.depth[0], sight.semantic[0])
+        return AgentView(sight.rgb[0], sight.depth[0], sight.semantic[0])
 
     def geodesic(self, points: ArrayLike) -> float:
         """Length of the shortest path to the nearest of some points, shape (n, 2) [m]; infinite without a path."""

@@ -19,7 +19,7 @@ from tasks.evaluation.measures import onto, path_finder
 from tasks.kernels import Kernels, compile_kernels
 from tasks.navigation.planar import PlanarPathFinder
 from tasks.navigation.points import rows
-from tasks.simulation.protocol import NO_OBJECT, Sight
+from tasks.simulation.protocol import NO_OBJECT, AgentView
 
 if TYPE_CHECKING:
     from tasks.geometry.rasterizer import Pictures
@@ -31,7 +31,7 @@ _FIELDS = 256
 """Fields of distances that a scene keeps, one per target: more than objects in all but the largest dwellings, and some 10 kB each."""
 
 
-class Camera(Protocol):
+class SceneCamera(Protocol):
     """What draws a scene (`tasks.geometry.rasterizer.Rasterizer`)."""
 
     def render(self, poses: Array, width: int, height: int, hfov_radians: float, out: Pictures | None = None) -> Pictures:
@@ -46,7 +46,7 @@ class World:
     """
 
     def __init__(
-        self, scene_id: str, finder: PlanarPathFinder, camera: Camera, instance_ids: Sequence[str | None], episodes: Sequence[Episode],
+        self, scene_id: str, finder: PlanarPathFinder, camera: SceneCamera, instance_ids: Sequence[str | None], episodes: Sequence[Episode],
         reach_m: float,
     ) -> None:  # fmt: skip
         """
@@ -91,7 +91,7 @@ class World:
         self._fields.move_to_end(key)
         return self._fields[key]
 
-    def look(self, poses: Array, hfov: float, into: Sight, rows: NDArray[np.int64], room: Pictures) -> None:
+    def look(self, poses: Array, hfov: float, into: AgentView, rows: NDArray[np.int64], room: Pictures) -> None:
         """Put what OpenCV cameras see, camera-to-world, shape (n, 4, 4), into some rows of pictures of many agents.
 
         Args:

@@ -22,7 +22,7 @@ from flows.simulation.vector import ObjectNavVectorEnv
 from schemas.errors import InputError
 from tasks.simulation.protocol import ACTIONS
 from tests.conftest import REPOSITORY
-from tests.simulated import CONFIG, LIVING, STUDY, acted_lake, acted_scene
+from tests.tasks.simulation.acted_scenes import CONFIG, LIVING, STUDY, acted_lake, acted_scene
 from warehouse.lake import Lake
 
 SMALL = {"width": 12, "height": 8}

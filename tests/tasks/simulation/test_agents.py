@@ -26,7 +26,7 @@ from tasks.simulation.protocol import ACTIONS, NO_OBJECT
 from tasks.simulation.simulator import WorldSimulator
 from tasks.simulation.world import World, view_points
 from tests.samples import sample
-from tests.simulated import LIVING, STUDY, acted_scene
+from tests.tasks.simulation.acted_scenes import LIVING, STUDY, acted_scene
 
 CONFIG = SimulationConfig(width=8, height=6)
 quick = settings(max_examples=40)

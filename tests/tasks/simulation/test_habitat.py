@@ -19,8 +19,8 @@ from tasks.simulation.habitat import HabitatSimulator, rotation_of, yaw_from
 from tasks.simulation.protocol import NO_OBJECT
 from tasks.simulation.simulator import WorldSimulator
 from tasks.simulation.world import World, view_points
-from tests.simulated import LIVING, STUDY, acted_scene
 from tests.tasks.simulation import habitat_sim_stand_in as stand_in
+from tests.tasks.simulation.acted_scenes import LIVING, STUDY, acted_scene
 from tests.tasks.simulation.test_agents import StandInCamera
 
 CONFIG = SimulationConfig(width=8, height=6)
