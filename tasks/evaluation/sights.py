@@ -31,7 +31,7 @@ class SceneSights:
     def seen(self, ends: Sequence[tuple[str, Sequence[float]]], config: EvaluationConfig) -> list[bool | None]:
         """Whether each target, by instance, is in the picture from where its agent ended, x, y [m] and yaw [rad], world frame; None of
         targets that were not placed."""
-        from tasks.geometry.rasterizer import Rasterizer
+        from tasks.simulation.rasterizer import Rasterizer
         from tasks.simulation.scenery import scenery
 
         placed = {placement.instance_id for placement in self.placements}

@@ -44,7 +44,7 @@ class SceneRenderer:
         if scene_id in self._ready:
             self._ready.move_to_end(scene_id)
             return self._ready[scene_id]
-        from tasks.geometry.rasterizer import Rasterizer
+        from tasks.simulation.rasterizer import Rasterizer
         from tasks.simulation.scenery import scenery
 
         rows = self._looks[scene_id]
