@@ -48,7 +48,7 @@ class Rasterizer:
     def __init__(self, soup: Soup) -> None:
         self._clusters, order = cluster(soup)
         self._looks = looks_of(soup, order)
-        self._plain = self._looks._replace(texture=np.full_like(self._looks.texture, -1))
+        self._plain = self._looks._replace(texels=self._looks.texels[:0])
 
     def render(
         self, poses: ArrayLike, width: int, height: int, hfov_radians: float, out: Pictures | None = None, *, textured: bool = True

@@ -36,7 +36,7 @@ class Clusters(NamedTuple):
     """p packets of `LANES` triangles each, and s of the spheres around c clusters. World frame [m].
 
     triangles: Shape (p, 13, `LANES`): corners, unit normal, and `SOLID`, `SHEET`, or `GAP` where there is no triangle. A face's index is
-    its packet times `LANES`, and its lane. starts: First packet of each cluster, shape (c + 1,). spheres: Shape (s, 8, `LANES`): center
+    its packet times `LANES`, and its lane; there is none in the first packet, so that 0 is no face. starts: First packet of each cluster, shape (c + 1,). spheres: Shape (s, 8, `LANES`): center
     and radius, mean normal, and sine of the angle within which its normals lie, or `EVERY_WAY`. reach: Largest coordinate.
     """
 
@@ -59,13 +59,14 @@ def cluster(soup: Soup) -> tuple[Clusters, Indices]:
     order = order[np.linalg.norm(normals[order], axis=1) > 0.5]  # the others have no area
     starts = _starts(np.column_stack([soup.part, soup.double_sided, side])[order])
     packets = -(-np.diff(starts) // LANES)
-    firsts = np.concatenate([[0], np.cumsum(packets)]).astype(np.int64)
+    firsts = 1 + np.concatenate([[0], np.cumsum(packets)]).astype(np.int64)
     faces = np.full(int(firsts[-1]) * LANES, -1, dtype=np.int64)
     faces[np.arange(len(order)) + np.repeat(LANES * firsts[:-1] - starts[:-1], np.diff(starts))] = order
     values = np.zeros((len(faces), 13), dtype=np.float32)
     is_there = faces >= 0
     values[is_there, :9], values[is_there, 9:12] = soup.corners[order].reshape(-1, 9), normals[order]
-    values[:, 12] = np.where(is_there, np.where(soup.double_sided[faces], SHEET, SOLID) if len(soup) else GAP, GAP)
+    values[:, 12] = GAP
+    values[is_there, 12] = np.where(soup.double_sided[faces[is_there]], SHEET, SOLID)
     reach = float(np.abs(soup.corners).max(initial=0.0))
     spheres = _spheres(soup.corners[order].astype(np.float64), normals[order], soup.double_sided[order], starts)
     return Clusters(_packed(values), firsts, _packed(spheres), reach), faces

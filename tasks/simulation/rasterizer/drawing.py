@@ -206,12 +206,12 @@ def draw(
     camera: Doubles, focal: float, clusters: Clusters, order: Indices, shows_backs: bool, chosen: NDArray[np.bool_], inverse: Floats,
     face: NDArray[np.int32],
 ) -> bool:  # fmt: skip
-    """The nearest face of each pixel, shape (h, w), -1 for none, and one over its depth [1/m], 0 for none.
+    """The nearest face of each pixel, shape (h, w), and one over its depth [1/m]; 0 for none.
 
     Returns:
         Whether the near plane cuts a solid open, so that it has to be drawn with its backs; the picture is not finished then.
     """
-    inverse[:], face[:] = 0.0, -1
+    inverse[:], face[:] = 0.0, 0
     height, width = face.shape
     cx, cy, slack = 0.5 * (width - 1), 0.5 * (height - 1), slack_of(camera, clusters)
     r00, r01, r02, px = camera[0, 0], camera[0, 1], camera[0, 2], camera[0, 3]
@@ -282,7 +282,7 @@ def fill(
     over_g = 1.0 / ngx if ngx != 0.0 else np.inf
     slope, nearest = nax + nbx + ngx, np.float32(1.0 / NEAR_M)
     begin, finish = float(left), float(right)
-    opens = False
+    opens, index = False, np.int32(t)
     for v in range(top, bottom + 1):
         ea, eb, eg = nay * v + naz, nby * v + nbz, ngy * v + ngz
         ua, ub, ug = -ea * over_a, -eb * over_b, -eg * over_g
@@ -298,7 +298,7 @@ def fill(
         opens |= max(base, base + step * np.float32(last - first)) > nearest
         for u in range(len(near_row)):
             one_over = step * np.float32(u) + base
-            is_nearer = one_over > near_row[u] and one_over <= nearest
+            is_nearer = (one_over > near_row[u]) & (one_over <= nearest)
             near_row[u] = one_over if is_nearer else near_row[u]
-            face_row[u] = t if is_nearer else face_row[u]
+            face_row[u] = index if is_nearer else face_row[u]
     return opens

@@ -32,14 +32,14 @@ class Looks(NamedTuple):
 
 
 def looks_of(soup: Soup, faces: Indices) -> Looks:
-    """Looks of some triangles of a soup, shape (n,); those of -1 are nobody's to see."""
-    if not len(soup):
-        empty = np.zeros(0, np.int32)
-        return Looks(empty, np.zeros((0, 3), np.uint8), np.zeros(0, np.float32), empty, np.zeros((0, 8)), *_packed(()))
-    taken = soup.taken(np.maximum(faces, 0))
-    light = _light(taken.corners)
-    lit = np.clip(np.rint(taken.colors * light[:, None]), 0, 255).astype(np.uint8)
-    return Looks(taken.part, lit, light, taken.texture, _texture_maps(taken), *_packed(taken.textures))
+    """Looks of some triangles of a soup, shape (n,); where there is none, -1, black of no part."""
+    nowhere = faces < 0
+    part, texture = np.full(len(faces), -1, np.int32), np.full(len(faces), -1, np.int32)
+    lit, light, maps = np.zeros((len(faces), 3), np.uint8), np.zeros(len(faces), np.float32), np.zeros((len(faces), 8))
+    taken = soup.taken(faces[~nowhere])
+    part[~nowhere], texture[~nowhere], light[~nowhere], maps[~nowhere] = taken.part, taken.texture, _light(taken.corners), _texture_maps(taken)
+    lit[~nowhere] = np.clip(np.rint(taken.colors * light[~nowhere, None]), 0, 255).astype(np.uint8)
+    return Looks(part, lit, light, texture, maps, *_packed(soup.textures))
 
 
 def _light(corners: Floats) -> Floats:
@@ -69,7 +69,7 @@ def _texture_maps(soup: Soup) -> Doubles:
 def _packed(textures: tuple[NDArray[np.uint8], ...]) -> tuple[Indices, NDArray[np.uint8]]:
     """Tiles and texels of textures, shape (h, w, 3) each."""
     if not textures:
-        return np.zeros((1, 3), np.int64), np.zeros((1, 3), np.uint8)
+        return np.zeros((0, 3), np.int64), np.zeros((0, 3), np.uint8)
     sizes = np.array([image.shape[:2] for image in textures], dtype=np.int64)
     firsts = np.cumsum(sizes.prod(axis=1)) - sizes.prod(axis=1)
     return np.column_stack([firsts, sizes[:, 1], sizes[:, 0]]), np.concatenate([image.reshape(-1, 3) for image in textures])
@@ -78,39 +78,46 @@ def _packed(textures: tuple[NDArray[np.uint8], ...]) -> tuple[Indices, NDArray[n
 @cache
 def compiled() -> Kernels:
     """The functions below as machine code, by name."""
-    return compile_kernels(along_ray, paint)
+    return compile_kernels(along_ray, cover, paint)
 
 
 def paint(
     camera: Doubles, focal: float, looks: Looks, inverse: Floats, face: NDArray[np.int32], rgb: NDArray[np.uint8], depth: Floats,
     parts: NDArray[np.int32],
 ) -> None:  # fmt: skip
-    """Color, depth and part of each pixel of a picture, from one over its depth [1/m] and its face, shape (h, w)."""
+    """Color, depth and part of each pixel of a picture, from one over its depth [1/m], 0 for none, and its face, shape (h, w)."""
+    one, none = np.float32(1.0), np.float32(0.0)
+    over, drawn, far, owner, colors = inverse.reshape(-1), face.reshape(-1), depth.reshape(-1), parts.reshape(-1), rgb.reshape(-1, 3)
+    for i in range(len(over)):
+        far[i] = one / over[i] if over[i] > none else none
+    for i in range(len(drawn)):
+        t = drawn[i]
+        owner[i] = looks.part[t]
+        colors[i, 0], colors[i, 1], colors[i, 2] = looks.lit[t, 0], looks.lit[t, 1], looks.lit[t, 2]
+    if len(looks.texels):
+        cover(camera, focal, looks, face, depth, rgb)
+
+
+def cover(camera: Doubles, focal: float, looks: Looks, face: NDArray[np.int32], depth: Floats, rgb: NDArray[np.uint8]) -> None:
+    """The texels of pixels whose faces, shape (h, w), have a texture, at their depths [m]."""
     height, width = depth.shape
     cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)
     for v in range(height):
         y = (v - cy) / focal
-        last, k, owner = -1, -1, np.int32(-1)
-        red = green = blue = np.uint8(0)
+        last, k = -1, -1
         here_across = ahead_across = aside_across = here_down = ahead_down = aside_down = bright = 0.0
         first, wide, tall = 0, 1, 1
         for u in range(width):
             t = face[v, u]
             if t != last:  # what is the same for all pixels of a face in a row
-                last, k, owner = t, -1, np.int32(-1)
-                red = green = blue = np.uint8(0)
-                if t >= 0:
-                    owner, k, red, green, blue = looks.part[t], looks.texture[t], looks.lit[t, 0], looks.lit[t, 1], looks.lit[t, 2]
+                last, k = t, looks.texture[t]
                 if k >= 0:
                     here_across, aside_across, ahead_across = along_ray(camera, y, looks.maps[t, :4])
                     here_down, aside_down, ahead_down = along_ray(camera, y, looks.maps[t, 4:])
                     first, wide, tall, bright = looks.tiles[k, 0], looks.tiles[k, 1], looks.tiles[k, 2], looks.light[t]
-            d = np.float32(1.0) / inverse[v, u] if t >= 0 else np.float32(0.0)
-            depth[v, u], parts[v, u] = d, owner
             if k < 0:
-                rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2] = red, green, blue
                 continue
-            x = (u - cx) / focal
+            x, d = (u - cx) / focal, depth[v, u]
             across = here_across + d * (ahead_across + aside_across * x)
             down = here_down + d * (ahead_down + aside_down * x)
             column, row = int((across - np.floor(across)) * wide), int((down - np.floor(down)) * tall)
