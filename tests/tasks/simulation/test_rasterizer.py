@@ -87,11 +87,25 @@ def check_as_rays(parts: list[trimesh.Trimesh], poses: Sequence[Array], width: i
 
 @settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 30), st.floats(0, 6.3), st.floats(-1.5, 1.5), st.floats(0, 6.3))
-def test_solids_are_what_rays_meet(seed: int, count: int, yaw: float, pitch: float, roll: float) -> None:
+def test_solids_are_what_rays_meet_from_outside_and_inside(seed: int, count: int, yaw: float, pitch: float, roll: float) -> None:
     parts = solids(seed, count)
-    eye = np.random.default_rng(seed + 1).uniform(-3, 3, 3)
-    outside = [part for part in parts if ((eye - part.triangles[:, 0]) * part.face_normals).sum(axis=1).max() > 0.05]  # they are convex
-    check_as_rays(outside, [looking(eye, yaw, pitch, roll)])
+    eyes = [*np.random.default_rng(seed + 1).uniform(-3, 3, (2, 3)), parts[0].center_mass]
+    check_as_rays(parts, [looking(eye, yaw, pitch, roll) for eye in eyes])
+
+
+@settings(max_examples=30)
+@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(1e-4, 2 * NEAR_M), st.floats(-0.9, 0.9))
+def test_solids_that_the_near_plane_cuts_open_show_their_inside(y: float, z: float, before: float, yaw: float) -> None:
+    box = trimesh.creation.box((1, 1, 1))
+    assert not soup_of([box]).double_sided.any()
+    check_as_rays([box], [looking((-0.5 - before, y, z), yaw)])
+
+
+def test_right_below_a_corner_and_an_edge_a_camera_is_outside() -> None:
+    box = trimesh.creation.box((1, 1, 1)).apply_translation([0, 0, 2])
+    for eye in ((0.5, 0.5, 0), (0.5, 0, 0), (0, 0, 0), (-0.5, -0.5, 0)):
+        for pitch in (-1.4, 0.0):
+            check_as_rays([box], [looking(eye, yaw, pitch) for yaw in (0.1, 2.0, 4.0)])
 
 
 @settings(max_examples=30)
@@ -157,6 +171,9 @@ def test_textures_and_colors_are_those_that_rays_find_times_a_light_that_stands(
     light = 0.6 + 0.25 * seen[..., 2] + 0.15 * seen[..., 0]
     expected = np.where((rays.part >= 0)[..., None], rays.color * light[..., None], 0)
     same = np.abs(expected - pictures.rgb[0]).max(axis=-1) <= 1.5
+    plain = Rasterizer(soup).render([pose], 120, 90, FOV, textured=False)
+    assert (plain.rgb[0] == pictures.rgb[0])[rays.part == 1].all()
+    assert len(np.unique(plain.rgb[0][rays.part == 0], axis=0)) == 2, "a color for each face"
     assert same[rays.part == 1].all(), "colors of vertices"
     assert same[rays.part == 0].mean() > 0.99, "texels, but where a pixel lies on the border of two"
     assert len(np.unique(pictures.rgb[0][rays.part == 0], axis=0)) > 100
