@@ -39,6 +39,9 @@ class Trajectory:
         "Geodesic distance from the last pose to the nearest view point; missing when it lies off the navmesh or has no path there",
         unit="m", minimum=0,
     )  # fmt: skip
+    is_target_seen: bool | None = column(
+        "Whether the target is in a level picture from the last pose; missing where the scene cannot be drawn, or the target is not in it"
+    )
     success_distance_m: float = column("Stopped nearer than this to a view point, the agent has arrived", unit="m", minimum=0)
     expert_actions: int = column("Actions of the episode's expert, stop included", minimum=0)
     path_finder: str = column("Path finder that measured the distances", values=PATH_FINDERS)

@@ -144,6 +144,8 @@ ELSEWHERE = {
     "tasks/synthesis/model/config.py model": "a field of settings",
     "tasks/synthesis/model/text.py model": "as above",
     "tasks/training/systems/synthesis.py model": "as above",
+    "tasks/policy/model/config.py model": "a field of settings",
+    "tasks/training/systems/navigation.py model": "as above",
     "warehouse/lineage/nodes.py model": "the kind of a node",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""

@@ -22,7 +22,10 @@ MAX_NOTES = 20
 
 @click.command("evaluate", short_help="Measure how well agents navigate the episodes.")
 @click.argument("file", required=False, type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--policy", "policies", multiple=True, type=click.Choice(POLICIES), help="Run a built-in policy; may be repeated.")
+@click.option(
+    "--policy", "policies", multiple=True,
+    help=f"Run {', '.join(POLICIES)}, a model by its id, or `navigation`, the newest policy of the lake; may be repeated.",
+)  # fmt: skip
 @lake_option
 @configuration_options
 @click.option("--dry-run", is_flag=True, help="Check the batch against the lake and say what would be measured; write nothing.")
@@ -32,7 +35,8 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
     """Measure how well agents navigate the episodes of a lake.
 
     FILE holds the trajectories of one policy, as JSON or JSON Lines (schema: tasks/evaluation/batch.schema.json). The
-    built-in policies act in all episodes: `expert` takes the actions that come with each, `random` moves by chance. What
+    built-in policies act in all episodes: `expert` takes the actions that come with each, `random` moves by chance, and a
+    model that `metascenes train navigation` made sees what a camera sees from where it got. What
     was done becomes rows of the table `trajectories`; the views `navigation_metrics`, `navigation_metrics_by_scene`,
     `navigation_metrics_by_category` and `trajectory_metrics` say how well. The same batch twice changes nothing.
 
@@ -82,4 +86,19 @@ def _tell(evaluated: list[Evaluated], metrics: list[dict[str, Any]], dry_run: bo
         print(
             f"{row['policy']:<{long}}  {row['run_name']:<{width}}  {row['split']:<5} {row['n']:>6}  {row['sr']:.3f}  "
             f"{row['sr_low']:.3f} to {row['sr_high']:.3f}  {row['spl']:.3f}  {row['sel']:.3f}  {row['el']:>6.1f}"
+        )
+    _tell_found([row for row in metrics if row["found"] is not None])
+
+
+def _tell_found(metrics: list[dict[str, Any]]) -> None:
+    """Who had the target in view within a meter when it stopped, and who stopped within Habitat's 0.1 m."""
+    if not metrics:
+        return
+    width, long = (max(len(head), *(len(row[name]) for row in metrics)) for head, name in (("run", "run_name"), ("policy", "policy")))
+    print(f"\n{'policy':<{long}}  {'run':<{width}}  split  stopped at 0.1 m  at 1 m in view  95 % interval    SPL")
+    for row in metrics:
+        interval = f"{row['found_low']:.3f} to {row['found_high']:.3f}"
+        print(
+            f"{row['policy']:<{long}}  {row['run_name']:<{width}}  {row['split']:<5} {row['arrived']:>17.3f} {row['found']:>15.3f}  "
+            f"{interval}  {row['found_spl']:.3f}"
         )

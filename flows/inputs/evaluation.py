@@ -1,19 +1,24 @@
-"""Trajectories into the lake: the evaluation stage, run here and now on a file or on a built-in policy. Does not import Prefect."""
+"""Trajectories into the lake: the evaluation stage, run here and now on a file, a built-in policy or a model. Does not import Prefect."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from flows.inputs.policies import SYSTEM, TrainedPolicy, trained_policy
 from flows.progress import Progress
 from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json, code_fingerprint, digest
 from flows.worker import Job, execute
+from schemas.candidates import Asset
+from schemas.capture import Instance, RoomSurface, Shell
 from schemas.errors import InputError
+from schemas.families.policies import POLICIES as POLICY_NAMES
 from schemas.navigation import Episode, Navmesh
+from schemas.optimization import Placement
 from tasks import evaluation
 from tasks.evaluation import EvaluationConfig, TrajectoryBatch, check_batch
 from tasks.evaluation.batch import read_batch
@@ -23,6 +28,8 @@ from tasks.stage import Context
 from warehouse.lake import Lake
 from warehouse.tables.history import Key, StageState
 from warehouse.tables.snapshot import Reader
+
+R = TypeVar("R")
 
 STAGE = evaluation.STAGE
 
@@ -66,13 +73,12 @@ def import_trajectories(lake: Lake, file: Path, configuration: Configuration, dr
     notes: tuple[str, ...] = ()
     if held is None:
         reader = lake.snapshot()
-        episodes = [row for scene in batch.scene_ids for row in reader.rows(Episode, scene)]
-        navmeshes = [row for scene in batch.scene_ids for row in reader.rows(Navmesh, scene)]
-        check_batch(batch, episodes, navmeshes, config)
+        rows = _rows(reader, batch.scene_ids)
+        check_batch(batch, rows.episodes, rows.navmeshes, config)
         new = len(batch.attempts)
         if not dry_run:
             with Progress(f"{batch.policy}: scenes", len(batch.scene_ids)) as progress:
-                run = execute(_job(lake, batch, content, episodes, navmeshes, configuration), _advancing(progress))
+                run = execute(_job(lake, batch, content, rows, configuration), _advancing(progress))
             if run.error:
                 raise InputError(file.name, "trajectories", run.error)
             notes = run.degradations
@@ -81,21 +87,27 @@ def import_trajectories(lake: Lake, file: Path, configuration: Configuration, dr
     return Evaluated(batch.policy, batch.run_name, (batch.batch_id,), len(batch.attempts), len(batch.scene_ids), new, notes)
 
 
-def run_policy(lake: Lake, policy: str, configuration: Configuration, dry_run: bool = False) -> Evaluated:
-    """Let a built-in policy act in all episodes of the lake, measure and append what it did: a batch for every scene.
+def run_policy(
+    lake: Lake, policy: str, configuration: Configuration, dry_run: bool = False, only: Collection[str] | None = None
+) -> Evaluated:
+    """Let a built-in policy, or a model, act in all episodes of the lake, measure and append what it did: a batch for every scene.
 
     A batch is named by all that its rows follow from but the code, so only scenes are computed whose episodes, navmesh or
-    settings are new. Newer code measures a batch again, and its rows take the place of those that it had. A scene that
-    fails does not stop the others, and leaves a row in `stage_runs` that says why.
+    settings are new; of a model also whose looks are, or when newer code acts. Newer code measures a batch again, and its
+    rows take the place of those that it had. A scene that fails does not stop the others, and leaves a row in `stage_runs`
+    that says why. What was measured before a kill is not measured again. `only`: in these scenes.
 
     Raises:
-        InputError: the lake has no episodes.
+        InputError: the lake has no episodes, or there is no such policy.
     """
+    trained = trained_policy(lake, policy) if policy not in POLICY_NAMES else None
     reader = lake.snapshot()
     scenes = sorted(set(reader.arrow("episodes").column("scene_id").to_pylist()))
+    scenes = [scene for scene in scenes if only is None or scene in only]
     if not scenes:
         raise InputError(lake.address, "episodes", "the lake has none", "`metascenes run` makes them")
-    run_name = _run_name(policy, configuration)
+    run_name = trained.run_name if trained is not None else _run_name(policy, configuration)
+    policy = SYSTEM if trained is not None else policy
     history = lake.history()
     batches: list[str] = []
     notes: list[str] = []
@@ -103,34 +115,53 @@ def run_policy(lake: Lake, policy: str, configuration: Configuration, dry_run: b
     total = new = 0
     with Progress(f"{policy}: scenes", len(scenes)) as progress:
         for scene in scenes:
-            job, batch = _policy_job(lake, reader, scene, policy, run_name, configuration)
-            state = history.get((batch.batch_id, STAGE.name))
-            is_new = state is None or state.done is None or state.done.fingerprint != job.fingerprint
-            run = execute(job) if is_new and not dry_run else None
-            batches.append(batch.batch_id)
+            rows = _rows(reader, [scene])
+            acting = _acting(lake, reader, scene, policy, run_name, rows, trained, configuration)
+            state = history.get((acting.batch_id, STAGE.name))
+            is_new = state is None or state.done is None or state.done.fingerprint != acting.fingerprint
+            run = execute(acting.job()) if is_new and not dry_run else None
+            batches.append(acting.batch_id)
             progress.advance(scene)
             if run is not None and run.error:
                 failed.append(f"{scene}: {run.error}")
                 continue
-            total += len(batch.attempts)
-            new += len(batch.attempts) * is_new
+            total += len(rows.episodes)
+            new += len(rows.episodes) * is_new
             notes += run.degradations if run is not None else ()
     if not dry_run:
         lake.commit(note=f"trajectories of {policy}", scenes=batches)
     return Evaluated(policy, run_name, tuple(batches), total, len(scenes) - len(failed), new, tuple(notes), tuple(failed))
 
 
-def _policy_job(
-    lake: Lake, reader: Reader, scene: str, policy: str, run_name: str, configuration: Configuration
-) -> tuple[Job, TrajectoryBatch]:
-    """The job that lets a built-in policy act in a scene's episodes, and its batch, named by what its rows follow from."""
+@dataclasses.dataclass(frozen=True)
+class _Acting:
+    """A policy in the episodes of one scene. job: Lets it act, and is what measures that."""
+
+    batch_id: str
+    fingerprint: str
+    job: Callable[[], Job]
+
+
+def _acting(
+    lake: Lake, reader: Reader, scene: str, policy: str, run_name: str, rows: _SceneRows, trained: TrainedPolicy | None,
+    configuration: Configuration,
+) -> _Acting:  # fmt: skip
+    """What a policy is to do in a scene's episodes, its batch named by what its rows follow from. A model acts only when it is asked to."""
     config = _config(configuration)
-    episodes, navmeshes = reader.rows(Episode, scene), reader.rows(Navmesh, scene)
-    context = Context(scene_id=scene, stage=STAGE.name, seed=configuration.seed, blobs=lake.blobs)
-    attempts = member(POLICIES, policy).act(episodes, config, context.rng)
-    content = digest(policy, run_name, canonical_json([attempts, episodes, navmeshes, config]))
-    batch = TrajectoryBatch(f"{policy}-{content[:16]}", policy, run_name, attempts)
-    return _job(lake, batch, content, episodes, navmeshes, configuration), batch
+    if trained is None:
+        context = Context(scene_id=scene, stage=STAGE.name, seed=configuration.seed, blobs=lake.blobs)
+        attempts = member(POLICIES, policy).act(rows.episodes, config, context.rng)
+        content = digest(policy, run_name, canonical_json([attempts, rows.episodes, rows.navmeshes, config]))
+    else:
+        seen = canonical_json([rows.episodes, rows.navmeshes, reader.rows(RoomSurface, scene), config])
+        content = digest(policy, trained.model_id, trained.code, rows.digest, seen)
+    batch_id = f"{policy}-{content[:16]}"
+
+    def job() -> Job:
+        done = attempts if trained is None else trained.act(lake, reader, scene, rows.episodes, config)
+        return _job(lake, TrajectoryBatch(batch_id, policy, run_name, done), content, rows, configuration)
+
+    return _Acting(batch_id, _fingerprint(content, rows, config), job)
 
 
 def _run_name(policy: str, configuration: Configuration) -> str:
@@ -183,18 +214,51 @@ def _held(history: Mapping[Key, StageState], batch_id: str) -> _Held | None:
     return _Held(reasons["trajectory_batch"], float(json.loads(state.done.config)["success_m"]))
 
 
-def _job(
-    lake: Lake,
-    batch: TrajectoryBatch,
-    content: str,
-    episodes: Sequence[Episode],
-    navmeshes: Sequence[Navmesh],
-    configuration: Configuration,
-) -> Job:
-    """The job that measures a batch, on the episodes and navmeshes of its scenes."""
+@dataclasses.dataclass(frozen=True)
+class _SceneRows:
+    """What a batch is measured on: rows of its scenes, by the tables of the stage."""
+
+    episodes: Sequence[Episode]
+    navmeshes: Sequence[Navmesh]
+    shells: Sequence[Shell]
+    instances: Sequence[Instance]
+    assets: Sequence[Asset]
+    placements: Sequence[Placement]
+
+    @property
+    def digest(self) -> str:
+        """Of what there is to see; an asset's id is a hash of it."""
+        return digest(canonical_json([self.shells, self.instances, self.placements]))
+
+
+def _rows(reader: Reader, scenes: Collection[str]) -> _SceneRows:
+    """The rows of scenes."""
+    placements = _of(reader, Placement, scenes)
+    assets = reader.rows_by_key(Asset, sorted({row.asset_id for row in placements}))
+    return _SceneRows(
+        _of(reader, Episode, scenes), _of(reader, Navmesh, scenes), _of(reader, Shell, scenes), _of(reader, Instance, scenes), assets,
+        placements,
+    )  # fmt: skip
+
+
+def _of(reader: Reader, record: type[R], scenes: Collection[str]) -> list[R]:
+    return [row for scene in scenes for row in reader.rows(record, scene)]
+
+
+def _inputs(content: str, rows: _SceneRows) -> dict[str, str]:
+    """Hashes of what a batch's rows follow from."""
+    return {"trajectory_batch": content, "navigation": digest(canonical_json([rows.episodes, rows.navmeshes])), "sights": rows.digest}
+
+
+def _fingerprint(content: str, rows: _SceneRows, config: EvaluationConfig) -> str:
+    return digest("evaluation", *_inputs(content, rows).values(), canonical_json(config), code_fingerprint("tasks.evaluation"))
+
+
+def _job(lake: Lake, batch: TrajectoryBatch, content: str, rows: _SceneRows, configuration: Configuration) -> Job:
+    """The job that measures a batch, on the rows of its scenes."""
     config = _config(configuration)
-    inputs = {"trajectory_batch": content, "navigation": digest(canonical_json([episodes, navmeshes]))}
-    code = code_fingerprint("tasks.evaluation")
+    facts = {**_inputs(content, rows), "code": code_fingerprint("tasks.evaluation")}
+    tables = {field.name: getattr(rows, field.name) for field in dataclasses.fields(rows)}
     return Job(
         lake=lake.address,
         scene_id=batch.batch_id,
@@ -202,11 +266,11 @@ def _job(
         config=config,
         config_json=canonical_json(config),
         seed=configuration.seed,
-        fingerprint=digest("evaluation", *inputs.values(), canonical_json(config), code),
-        reasons=(*(f"{name}={value}" for name, value in inputs.items()), f"code={code}"),
+        fingerprint=_fingerprint(content, rows, config),
+        reasons=tuple(f"{name}={value}" for name, value in facts.items()),
         upstream=(),
         attempt=1,
-        outside=(("trajectory_batch", batch), ("episodes", episodes), ("navmeshes", navmeshes)),
+        outside=(("trajectory_batch", batch), *tables.items()),
     )
 
 

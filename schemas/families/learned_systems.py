@@ -2,4 +2,4 @@
 
 from __future__ import annotations
 
-LEARNED_SYSTEMS = ("selection", "synthesis")
+LEARNED_SYSTEMS = ("selection", "synthesis", "navigation")

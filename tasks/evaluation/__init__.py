@@ -9,13 +9,17 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 
+from schemas.candidates import Asset
+from schemas.capture import Instance, Shell
 from schemas.errors import InputError
 from schemas.evaluation import Trajectory
 from schemas.navigation import Episode, Navmesh
+from schemas.optimization import Placement
 from tasks.evaluation.batch import SCHEMA_FILE, Attempt, TrajectoryBatch, parse_batch, read_batch
 from tasks.evaluation.configuration import EvaluationConfig
 from tasks.evaluation.measures import SceneAttempts, measure
 from tasks.evaluation.policies import POLICIES
+from tasks.evaluation.sights import SceneSights
 from tasks.navigation.follower import FORWARD, LEFT, RIGHT
 from tasks.stage import Context, Outcome, Stage
 
@@ -31,10 +35,14 @@ def run(
     trajectory_batch: TrajectoryBatch,
     episodes: Sequence[Episode],
     navmeshes: Sequence[Navmesh],
+    shells: Sequence[Shell],
+    instances: Sequence[Instance],
+    assets: Sequence[Asset],
+    placements: Sequence[Placement],
     context: Context,
     config: EvaluationConfig,
 ) -> Outcome:
-    """Trajectories of a batch. `episodes` and `navmeshes` are those of all scenes that the batch names.
+    """Trajectories of a batch. All rows are those of all scenes that the batch names.
 
     Actions without poses are replayed on the scene's navmesh. Refused is what cannot be a run of these episodes by this
     robot (`check_batch`). Recorded, with a line in `problem`, is what an agent or its simulator may do wrong: leave the
@@ -58,11 +66,28 @@ def run(
         if gone:
             raise InputError(scene, "navmesh", f"blob {gone[0][:12]} is not in the lake", "run the navigation stage again")
         blobs = {agent: context.blobs[mesh.navmesh_blob] for agent, mesh in meshes.items()}
-        work.append(SceneAttempts(named, tuple(of_scene), meshes, blobs, labels, config))
+        sights = _sights(scene, shells, instances, assets, placements, context)
+        work.append(SceneAttempts(named, tuple(of_scene), meshes, blobs, sights, labels, config))
     rows: list[Trajectory] = [row for part in context.spread(measure, work) for row in part]
     rows.sort(key=lambda row: (row.scene_id, row.episode_id))
     notes = [f"{row.scene_id} {row.episode_id}: {row.problem}" for row in rows if row.problem]
     return Outcome(trajectories=rows, degradations=notes)
+
+
+def _sights(
+    scene: str, shells: Sequence[Shell], instances: Sequence[Instance], assets: Sequence[Asset], placements: Sequence[Placement],
+    context: Context,
+) -> SceneSights:  # fmt: skip
+    """What there is to see in a scene; nothing where a blob of it is not in the lake."""
+    placed = tuple(row for row in placements if row.scene_id == scene)
+    named = {row.asset_id for row in placed}
+    used = tuple(asset for asset in assets if asset.asset_id in named)
+    names = {asset.mesh_blob for asset in used}
+    is_there = named == {asset.asset_id for asset in used} and all(name in context.blobs for name in names)
+    blobs = {name: context.blobs[name] for name in sorted(names)} if is_there else {}
+    shell = next((row for row in shells if row.scene_id == scene), None)
+    owners = tuple(row for row in instances if row.scene_id == scene)
+    return SceneSights(shell, placed if is_there else (), owners, used, blobs)
 
 
 def check_batch(batch: TrajectoryBatch, episodes: Sequence[Episode], navmeshes: Sequence[Navmesh], config: EvaluationConfig) -> None:
@@ -124,7 +149,7 @@ def _check_poses(attempt: Attempt, episode: Episode, file: str, config: Evaluati
 
 STAGE = Stage(
     name="evaluation",
-    reads=("episodes", "navmeshes"),
+    reads=("shells", "instances", "assets", "placements", "navmeshes", "episodes"),
     writes=("trajectories",),
     config=EvaluationConfig,
     run=run,

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.geometry.rasterizer import Pictures
 from tasks.navigation.follower import heading_after, is_short
 from tasks.simulation.configuration import SimulationConfig
 from tasks.simulation.protocol import ACTIONS, AgentState, AgentView
+from tasks.simulation.rasterizer import Pictures
 from tasks.simulation.world import World
 
 Array = NDArray[np.float64]

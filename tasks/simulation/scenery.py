@@ -10,9 +10,9 @@ from schemas.candidates import Asset
 from schemas.capture import Instance, RoomSurface, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
-from tasks.geometry.soups import Soup, soup_of
 from tasks.replica import placed_parts
 from tasks.shell import room_shell
+from tasks.simulation.soups import Soup, soup_of
 from tasks.surfaces import textured
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from tasks.navigation.points import rows
 from tasks.simulation.protocol import NO_OBJECT, AgentView
 
 if TYPE_CHECKING:
-    from tasks.geometry.rasterizer import Pictures
     from tasks.navigation.planar import PlanarField
+    from tasks.simulation.rasterizer import Pictures
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ _FIELDS = 256
 
 
 class SceneCamera(Protocol):
-    """What draws a scene (`tasks.geometry.rasterizer.Rasterizer`)."""
+    """What draws a scene (`tasks.simulation.rasterizer.Rasterizer`)."""
 
     def render(self, poses: Array, width: int, height: int, hfov_radians: float, out: Pictures | None = None) -> Pictures:
         """Pictures from OpenCV cameras, camera-to-world, shape (n, 4, 4); drawn into `out` where it is given."""
@@ -133,7 +133,7 @@ def world_of(
     Raises:
         InputError: a mesh or the navmesh cannot be read.
     """
-    from tasks.geometry.rasterizer import Rasterizer
+    from tasks.simulation.rasterizer import Rasterizer
     from tasks.simulation.scenery import scenery
 
     seen = scenery(shell, surfaces, placements, assets, instances, blobs)

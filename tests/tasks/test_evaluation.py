@@ -309,7 +309,8 @@ def measured(scene: tuple[list[Episode], list[Navmesh], dict[str, bytes]], batch
     episodes, navmeshes, blobs = scene
     context = Context(batch.batch_id, STAGE.name, 0, blobs)
     rows = run(
-        trajectory_batch=batch, episodes=episodes, navmeshes=navmeshes, context=context, config=EvaluationConfig(**values)
+        trajectory_batch=batch, episodes=episodes, navmeshes=navmeshes, shells=(), instances=(), assets=(), placements=(), context=context,
+        config=EvaluationConfig(**values),
     ).rows["trajectories"]  # fmt: skip
     rows_to_arrow(rows, Trajectory)
     return rows

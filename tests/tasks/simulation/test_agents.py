@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from schemas.errors import InputError
 from schemas.navigation import Episode
 from tasks.evaluation.measures import path_finder
-from tasks.geometry.rasterizer import Pictures
 from tasks.geometry.transforms import look_at
 from tasks.navigation.follower import FORWARD, LEFT, RIGHT, replay
 from tasks.navigation.planar import PlanarPathFinder
@@ -23,6 +22,7 @@ from tasks.simulation.agents import Agents, camera_poses
 from tasks.simulation.configuration import SimulationConfig
 from tasks.simulation.objectnav import Course, compass, gps, normalize_depth
 from tasks.simulation.protocol import ACTIONS, NO_OBJECT
+from tasks.simulation.rasterizer import Pictures
 from tasks.simulation.simulator import WorldSimulator
 from tasks.simulation.world import World, view_points
 from tests.samples import sample

@@ -13,9 +13,9 @@ from schemas.candidates import Asset
 from schemas.capture import Instance, RoomSurface, Scene, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
-from tasks.geometry.rasterizer import Rasterizer
 from tasks.replica import placed_parts
 from tasks.shell import room_shell
+from tasks.simulation.rasterizer import Rasterizer
 from tasks.simulation.scenery import scenery
 from tests.furnished import furnished_lake
 

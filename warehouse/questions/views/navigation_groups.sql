@@ -1,9 +1,10 @@
 -- How well does each policy navigate, by split alone, and by scene or category beside it (column grouped_by)?
--- Version 1.
+-- Version 2.
 -- Of every episode one trajectory of the policy's run counts at every success distance (is_counted); n says how many, outdated of
 -- how many the episode has changed since. Means over trajectories of what the view trajectory_metrics says of each: sr (success
 -- rate), el (episode length: actions, the last one included), sel (success weighted by episode length), spl (success weighted by
--- path length), and curvature by two readings [rad/m]. sr_low to sr_high is Wilson's interval of 95 % (Wilson 1927), spl and sel are
+-- path length), arrived and found (shares, as the view trajectory_metrics says; found with found_low to found_high is over the looked_at
+-- trajectories whose target could be in a picture), found_spl, and curvature by two readings [rad/m]. sr_low to sr_high is Wilson's interval of 95 % (Wilson 1927), spl and sel are
 -- plus or minus *_95 (1.96 standard errors; missing for n = 1); all of them take trajectories as independent, which those of one
 -- scene are not quite.
 WITH sums AS (
@@ -23,6 +24,10 @@ WITH sums AS (
         1.96 * stddev_samp(spl) / sqrt(count(*)) AS spl_95,
         avg(sel) AS sel,
         1.96 * stddev_samp(sel) / sqrt(count(*)) AS sel_95,
+        avg(CAST(arrived AS INTEGER)) AS arrived,
+        avg(CAST(found AS INTEGER)) AS found,
+        count(found) AS looked_at,
+        avg(found_spl) AS found_spl,
         avg(episode_length) AS el,
         avg(episode_length) FILTER (success) AS el_success,
         avg(curvature_finite_differences) AS curvature_finite_differences,
@@ -57,6 +62,20 @@ SELECT
     spl_95,
     sel,
     sel_95,
+    arrived,
+    found,
+    CASE
+        WHEN found = 0 THEN 0.0
+        ELSE (found + 1.9208 / looked_at - 1.96 * sqrt(found * (1 - found) / looked_at + 0.9604 / (looked_at * looked_at)))
+            / (1 + 3.8416 / looked_at)
+    END AS found_low,
+    CASE
+        WHEN found = 1 THEN 1.0
+        ELSE (found + 1.9208 / looked_at + 1.96 * sqrt(found * (1 - found) / looked_at + 0.9604 / (looked_at * looked_at)))
+            / (1 + 3.8416 / looked_at)
+    END AS found_high,
+    found_spl,
+    looked_at,
     el,
     el_success,
     curvature_finite_differences,

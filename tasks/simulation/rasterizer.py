@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.geometry.soups import Soup
 from tasks.kernels import Kernels, compile_kernels
+from tasks.simulation.soups import Soup
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tasks.geometry.meshes import load_glb
-from tasks.geometry.rasterizer import NEAR_M, Pictures, Rasterizer
 from tasks.geometry.rendering import Camera, RayScene
-from tasks.geometry.soups import closed, soup_of
+from tasks.simulation.rasterizer import NEAR_M, Pictures, Rasterizer
+from tasks.simulation.soups import closed, soup_of
 
 FOV = math.radians(79)
 Array = NDArray[np.float64]

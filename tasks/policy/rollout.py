@@ -1,0 +1,64 @@
+"""Policies let go: what agents do in the episodes of a scene, each picture drawn from where the last actions led."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.evaluation import ACTIONS
+from schemas.navigation import Episode
+from tasks.evaluation.batch import Attempt
+from tasks.evaluation.configuration import EvaluationConfig
+from tasks.policy.actions import STOP
+from tasks.policy.inference.actor import Actor
+from tasks.simulation import protocol
+from tasks.simulation.agents import Agents
+from tasks.simulation.cameras import camera_poses
+from tasks.simulation.configuration import SimulationConfig
+from tasks.simulation.world import World
+
+_NUMBERS = np.array([protocol.ACTIONS.index(action) for action in ACTIONS], dtype=np.int64)
+"""Actions of a policy as the simulator numbers them."""
+
+
+def rolled_out(world: World, actor: Actor, episodes: Sequence[Episode], config: EvaluationConfig) -> tuple[Attempt, ...]:
+    """What a policy does in episodes of one scene until it stops, `max_steps` at most; each as if it were alone.
+
+    Poses are left out: they follow from the navmesh, on which the agents walk.
+
+    Raises:
+        InputError: an episode starts off the navmesh, or without a path to a view point.
+    """
+    agents = Agents(len(episodes), SimulationConfig(1, 1, forward_m=config.forward_m, turn_degrees=config.turn_degrees))
+    for index, episode in enumerate(episodes):
+        agents.place(index, world, world.start(episode), episode.start_yaw_radians)
+    actor.reset(len(episodes), [episode.category for episode in episodes])
+    camera = actor.config.camera
+    pictures = np.zeros((len(episodes), camera.height, camera.width, 3), dtype=np.uint8)
+    actions: list[list[str]] = [[] for _ in episodes]
+    going = np.arange(len(episodes))
+    for _ in range(config.max_steps):
+        if not len(going):
+            break
+        if not actor.config.blind:
+            poses = camera_poses(
+                np.column_stack([agents.position[going], agents.yaw[going]]), camera.height_m, math.radians(camera.pitch_degrees)
+            )
+            pictures[going] = world.camera.render(poses, camera.width, camera.height, camera.hfov_radians).rgb
+        chosen = actor.act(pictures)
+        for index in going.tolist():
+            actions[index].append(ACTIONS[chosen[index]])
+        agents.step(_NUMBERS[chosen], going)
+        going = _still(going, chosen)
+    return tuple(
+        Attempt(episode.scene_id, episode.episode_id, tuple(done), None, None, f"episode {episode.scene_id} {episode.episode_id}")
+        for episode, done in zip(episodes, actions, strict=True)
+    )
+
+
+def _still(going: NDArray[np.int64], chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Who did not stop."""
+    return going[chosen[going] != STOP]
