@@ -105,7 +105,7 @@ def _texture_maps(soup: Soup) -> Doubles:
     the left, then down it, from the top."""
     corners, uv = soup.corners.astype(np.float64), soup.uv.astype(np.float64)
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    dots = [np.einsum("nd,nd->n", one, other) for one, other in ((first, first), (first, second), (second, second))]
+    dots = [np.einsum("nd,nd->n", left, right) for left, right in ((first, first), (first, second), (second, second))]
     whole = np.maximum(dots[0] * dots[2] - dots[1] ** 2, 1e-300)[:, None]
     # Of a place on the face: its shares of the second and of the third corner, as products with these.
     of_first = (dots[2][:, None] * first - dots[1][:, None] * second) / whole
