@@ -1,1 +1,7 @@
-"""Scenes of a lake to act in, for code that knows nothing of lakes: environments of gymnasium."""
+"""Scenes of a lake to act in, for code that knows nothing of lakes: environments of gymnasium, which knows them once this is imported."""
+
+from __future__ import annotations
+
+from flows.simulation.registration import register
+
+register()

@@ -1,11 +1,10 @@
-"""What gymnasium is told of: it calls `register` when it is imported, by the entry point `gymnasium.envs` of this package."""
+"""What gymnasium is told of. Since version 1 it looks for no plugins: who wants an environment imports the package that has it."""
 
 from __future__ import annotations
 
-NAMESPACE, NAME = "metascenes", "ObjectNav-v0"
-
-ENVIRONMENT = f"{NAMESPACE}/{NAME}"
-"""What `gymnasium.make` and `gymnasium.make_vec` call it."""
+ENVIRONMENT = "metascenes/ObjectNav-v0"
+"""What `gymnasium.make` and `gymnasium.make_vec` call it, once `flows.simulation` is imported; with `flows.simulation:` before it they
+import that themselves."""
 
 
 def register() -> None:

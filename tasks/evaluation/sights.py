@@ -36,9 +36,9 @@ class SceneSights:
 
         placed = {placement.instance_id for placement in self.placements}
         wanted = [index for index, (target, _) in enumerate(ends) if target in placed]
-        found: list[bool | None] = [None] * len(ends)
+        verdicts: list[bool | None] = [None] * len(ends)
         if not wanted:
-            return found
+            return verdicts
         scene = scenery(self.shell, (), self.placements, self.assets, self.instances, self.blobs)
         camera, owners = Rasterizer(scene.soup), np.array([*scene.instance_ids, None], dtype=object)
         for first in range(0, len(wanted), AT_ONCE):
@@ -46,8 +46,8 @@ class SceneSights:
             poses = camera_poses([ends[index][1] for index in some], config.camera_height_m)
             parts = camera.render(poses, config.camera_px, config.camera_px, config.camera_hfov).part
             for index, part in zip(some, parts, strict=True):
-                found[index] = _share(part, owners == ends[index][0]) >= config.seen_share
-        return found
+                verdicts[index] = _share(part, owners == ends[index][0]) >= config.seen_share
+        return verdicts
 
 
 def _share(part: NDArray[np.int32], is_target: NDArray[np.bool_]) -> float:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(frozen=True)
-class Scenery:
+class VisibleParts:
     """The triangles of a scene, world frame, and what each part is.
 
     soup: Triangles. instance_ids: Instance of each part, None for floor, walls and ceiling. categories: Of each part; names of slabs, as
@@ -35,7 +35,7 @@ class Scenery:
 def scenery(
     shell: Shell | None, surfaces: Sequence[RoomSurface], placements: Sequence[Placement], assets: Sequence[Asset],
     instances: Sequence[Instance], blobs: Mapping[str, bytes],
-) -> Scenery:  # fmt: skip
+) -> VisibleParts:  # fmt: skip
     """A scene from its rows in the lake and the blobs that they name; without a shell nothing but its objects.
 
     Raises:
@@ -56,4 +56,4 @@ def scenery(
         placed = placed_parts(placement, blobs[asset.mesh_blob])
         parts += placed
         owners += [(instance.instance_id, instance.category)] * len(placed)
-    return Scenery(soup_of(parts), tuple(owner for owner, _ in owners), tuple(category for _, category in owners))
+    return VisibleParts(soup_of(parts), tuple(owner for owner, _ in owners), tuple(category for _, category in owners))

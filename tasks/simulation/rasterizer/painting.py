@@ -86,10 +86,10 @@ def paint(
     parts: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Color, depth and part of each pixel of a picture, from one over its depth [1/m], 0 for none, and its face, shape (h, w)."""
-    one, none = np.float32(1.0), np.float32(0.0)
+    unit, zero = np.float32(1.0), np.float32(0.0)
     over, drawn, far, owner, colors = inverse.reshape(-1), face.reshape(-1), depth.reshape(-1), parts.reshape(-1), rgb.reshape(-1, 3)
     for i in range(len(over)):
-        far[i] = one / over[i] if over[i] > none else none
+        far[i] = unit / over[i] if over[i] > zero else zero
     for i in range(len(drawn)):
         t = drawn[i]
         owner[i] = looks.part[t]

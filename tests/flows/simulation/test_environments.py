@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
-import tomllib
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from flows.simulation.environment import ObjectNavEnv
-from flows.simulation.registration import ENVIRONMENT, NAME, NAMESPACE, register
+from flows.simulation.registration import ENVIRONMENT, register
 from flows.simulation.scenes import _SHARED
 from flows.simulation.vector import ObjectNavVectorEnv
 from schemas.errors import InputError
@@ -32,12 +32,6 @@ KEYS = {"rgb", "depth", "semantic", "objectgoal", "compass", "gps"}
 @pytest.fixture(scope="module")
 def lake(tmp_path_factory: pytest.TempPathFactory) -> str:
     return acted_lake(tmp_path_factory.mktemp("acted") / "lake").address
-
-
-@pytest.fixture(autouse=True)
-def registered() -> None:
-    register()
-    register()
 
 
 def same(one: Any, other: Any) -> None:
@@ -64,17 +58,20 @@ def actions(seed: int, count: int, agents: int) -> Iterator[np.ndarray]:
     return iter(np.random.default_rng(seed).choice(4, (count, agents), p=(0.1, 0.5, 0.2, 0.2)))
 
 
-def test_gymnasium_finds_it_by_the_package() -> None:
-    points = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["entry-points"]["gymnasium.envs"]
-    assert points == {NAMESPACE: "flows.simulation.registration:register"}
-    module, _, function = points[NAMESPACE].partition(":")
-    known = gymnasium.registry.pop(ENVIRONMENT)
-    try:
-        with gymnasium.envs.registration.namespace(NAMESPACE):  # as gymnasium does for the plugins that it finds
-            getattr(importlib.import_module(module), function)()
-        assert gymnasium.registry[ENVIRONMENT].id == f"{NAMESPACE}/{NAME}"
-    finally:
-        gymnasium.registry[ENVIRONMENT] = known
+@pytest.mark.whole
+def test_gymnasium_knows_it_once_the_package_is_imported(lake: str) -> None:
+    code = (
+        f"import gymnasium; env = gymnasium.make('flows.simulation:metascenes/ObjectNav-v0', lake='{lake}'); print(env.spec.id); "
+        f"print(type(gymnasium.make_vec('metascenes/ObjectNav-v0', num_envs=2, lake='{lake}', max_episode_steps=5)).__name__)"
+    )  # fmt: skip
+    done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True, cwd=REPOSITORY)
+    assert (done.returncode, done.stdout.split()) == (0, [ENVIRONMENT, "ObjectNavVectorEnv"]), done.stderr
+
+
+def test_who_imports_it_twice_does_no_harm() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        register()
 
 
 def test_gymnasiums_checker_has_nothing_to_say(lake: str) -> None:

@@ -93,8 +93,8 @@ def erase(
         if begun is not None and begun.scene_id != scene_id:
             raise InputError(lake.address, PLAN_PATH, f"the erasure of {begun.scene_id} is not finished", "finish it first")
         if not dry_run:
-            if begun is None and (others := furnished_anew(lake, scene_id)):
-                raise FurnishedAnewError(lake, scene_id, others)
+            if begun is None and (dependents := furnished_anew(lake, scene_id)):
+                raise FurnishedAnewError(lake, scene_id, dependents)
             _settle_batches(lake, lease, scene_id)
         with workspace(lake.storage) as connection:
             work = _Work(lake, scene_id, SceneRows(lake, scene_id, connection), lease, begun)
