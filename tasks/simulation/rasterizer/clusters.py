@@ -21,7 +21,7 @@ LANES = 16
 """Triangles, or spheres of clusters, that are looked at at once: as many 32-bit numbers as the widest registers hold."""
 
 SOLID, SHEET, GAP = 0.0, np.inf, -np.inf
-"""How far in front of a triangle's plane a camera may be behind it, and still see it [m]: one with a solid behind it, any other, and none."""
+"""How far behind a triangle's plane a camera may be and see it [m]: one that has a solid behind it, any other one, and none."""
 
 EVERY_WAY = 2.0
 """In the place of the sine of a cone: a cluster that may be seen from behind."""
@@ -35,9 +35,10 @@ _MORTON_BITS = 10
 class Clusters(NamedTuple):
     """p packets of `LANES` triangles each, and s of the spheres around c clusters. World frame [m].
 
-    triangles: Shape (p, 13, `LANES`): corners, unit normal, and `SOLID`, `SHEET`, or `GAP` where there is no triangle. A face's index is
-    its packet times `LANES`, and its lane; there is none in the first packet, so that 0 is no face. starts: First packet of each cluster, shape (c + 1,). spheres: Shape (s, 8, `LANES`): center
-    and radius, mean normal, and sine of the angle within which its normals lie, or `EVERY_WAY`. reach: Largest coordinate.
+    triangles: Shape (p, 13, `LANES`): corners, unit normal, and `SOLID`, `SHEET`, or `GAP` where there is no triangle. The index of a face
+    is its packet times `LANES`, and its lane; the first packet has none, so that 0 is no face. starts: First packet of each cluster, shape
+    (c + 1,). spheres: Shape (s, 8, `LANES`): center and radius, mean normal, and sine of the angle within which normals lie, or
+    `EVERY_WAY`. reach: Largest coordinate.
     """
 
     triangles: Floats
@@ -81,8 +82,8 @@ def _packed(values: Doubles | Floats) -> Floats:
 
 
 def _starts(keys: NDArray[np.int64]) -> Indices:
-    """Where clusters begin, and the last one ends, in sorted triangles, shape (c + 1,): where their keys change, shape (n, k), and when they
-    are full."""
+    """Where clusters begin in sorted triangles, and the last one ends, shape (c + 1,): where keys, shape (n, k), change, and clusters are
+    full."""
     firsts = np.flatnonzero(np.concatenate([np.ones(min(len(keys), 1), dtype=bool), (keys[1:] != keys[:-1]).any(axis=1)]))
     lengths = np.diff(np.append(firsts, len(keys)))
     pieces = -(-lengths // CLUSTER)

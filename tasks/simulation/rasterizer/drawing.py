@@ -37,7 +37,9 @@ SEEN, ABOVE = 1, 2
 @cache
 def compiled() -> Kernels:
     """The functions below and those of `painting` as machine code, by name."""
-    return compile_kernels(slack_of, look, is_left_of, is_inside, in_order, is_hidden, least, sift, fill, draw, render, known=painting.compiled())
+    return compile_kernels(
+        slack_of, look, is_left_of, is_inside, in_order, is_hidden, least, sift, fill, draw, render, known=painting.compiled()
+    )
 
 
 def render(
@@ -77,7 +79,8 @@ def look(
     slack = np.float32(slack_of(camera, clusters))
     wide, tall = np.hypot(focal, 0.5 * width), np.hypot(focal, 0.5 * height)
     # How much a step aside, and one ahead, count towards the planes around what the camera sees.
-    out_x, in_x, out_y, in_y = np.float32(focal / wide), np.float32(0.5 * width / wide), np.float32(focal / tall), np.float32(0.5 * height / tall)
+    out_x, in_x = np.float32(focal / wide), np.float32(0.5 * width / wide)
+    out_y, in_y = np.float32(focal / tall), np.float32(0.5 * height / tall)
     never = np.float32(np.inf if shows_backs else 0.0)
     for s in range(len(clusters.spheres)):
         sphere = clusters.spheres[s]
@@ -180,7 +183,8 @@ def sift(
     r00, r01, r02, px = np.float32(camera[0, 0]), np.float32(camera[0, 1]), np.float32(camera[0, 2]), np.float32(camera[0, 3])
     r10, r11, r12, py = np.float32(camera[1, 0]), np.float32(camera[1, 1]), np.float32(camera[1, 2]), np.float32(camera[1, 3])
     r20, r21, r22, pz = np.float32(camera[2, 0]), np.float32(camera[2, 1]), np.float32(camera[2, 2]), np.float32(camera[2, 3])
-    f, cx, cy, right, bottom = np.float32(focal), np.float32(0.5 * (width - 1)), np.float32(0.5 * (height - 1)), np.float32(width - 1), np.float32(height - 1)
+    f, right, bottom = np.float32(focal), np.float32(width - 1), np.float32(height - 1)
+    cx, cy = np.float32(0.5) * right, np.float32(0.5) * bottom
     nearby, zero = np.float32(NEARBY_M + slack_m), np.float32(0.0)
     wider, behind = np.float32(SLACK_PX + slack_m * focal / NEARBY_M), np.float32(np.inf if shows_backs else slack_m)
     for packet in range(start, end):

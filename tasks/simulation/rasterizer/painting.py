@@ -33,12 +33,12 @@ class Looks(NamedTuple):
 
 def looks_of(soup: Soup, faces: Indices) -> Looks:
     """Looks of some triangles of a soup, shape (n,); where there is none, -1, black of no part."""
-    nowhere = faces < 0
+    where = np.flatnonzero(faces >= 0)
+    taken = soup.taken(faces[where])
     part, texture = np.full(len(faces), -1, np.int32), np.full(len(faces), -1, np.int32)
     lit, light, maps = np.zeros((len(faces), 3), np.uint8), np.zeros(len(faces), np.float32), np.zeros((len(faces), 8))
-    taken = soup.taken(faces[~nowhere])
-    part[~nowhere], texture[~nowhere], light[~nowhere], maps[~nowhere] = taken.part, taken.texture, _light(taken.corners), _texture_maps(taken)
-    lit[~nowhere] = np.clip(np.rint(taken.colors * light[~nowhere, None]), 0, 255).astype(np.uint8)
+    part[where], texture[where], light[where], maps[where] = taken.part, taken.texture, _light(taken.corners), _texture_maps(taken)
+    lit[where] = np.clip(np.rint(taken.colors * light[where, None]), 0, 255).astype(np.uint8)
     return Looks(part, lit, light, texture, maps, *_packed(soup.textures))
 
 
