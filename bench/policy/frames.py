@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -173,15 +174,12 @@ def _measured(scene: BenchedScene, config: FramesBench) -> dict[str, Any]:
     equal = []
     for size in config.sizes:
         room = Pictures.empty(len(poses), size, size)
-        ways = {
-            "rasterizer": lambda room=room, size=size: rasterizer.render(poses, size, size, HFOV, room, textured=False),
-            "rasterizer, textured": lambda room=room, size=size: rasterizer.render(poses, size, size, HFOV, room),
-        }
-        for name, seconds in _best(ways, config.rounds).items():
+        draw = partial(rasterizer.render, poses, size, size, HFOV, room)
+        for name, seconds in _best({"rasterizer": partial(draw, textured=False), "rasterizer, textured": draw}, config.rounds).items():
             rates[name][str(size)] = len(poses) / seconds
         cameras = [Camera.with_fov(pose, size, size, HFOV) for pose in poses]
         few = cameras[:RAYS_POSES]
-        seconds = _best({"rays": lambda few=few: [rays.render(camera) for camera in few]}, max(1, config.rounds // 20))["rays"]
+        seconds = _best({"rays": partial(_each, rays.render, few)}, max(1, config.rounds // 20))["rays"]
         rates["rays"][str(size)] = len(few) / seconds
         for index, camera in enumerate(cameras):
             part, depth = seen_by_rays(rays, camera)
@@ -193,6 +191,11 @@ def _measured(scene: BenchedScene, config: FramesBench) -> dict[str, Any]:
         "prepare_seconds": prepared, "equal_parts": float(parts), "equal_depths": float(depths), "rates": rates | by_mujoco,
         "no_mujoco": reason,
     }  # fmt: skip
+
+
+def _each(render: Callable[[Camera], object], cameras: Sequence[Camera]) -> None:
+    for camera in cameras:
+        render(camera)
 
 
 def _best(ways: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, float]:

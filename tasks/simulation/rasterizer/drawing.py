@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tasks.kernels import Kernels, compile_kernels
 from tasks.simulation.rasterizer import painting
 from tasks.simulation.rasterizer.clusters import CLUSTER, LANES, SOLID, Clusters, Doubles, Floats, Indices
-from tasks.simulation.rasterizer.painting import Looks, paint
+from tasks.simulation.rasterizer.painting import FaceLooks, paint
 
 NEAR_M = 0.01
 """Nothing nearer to the plane of the camera is drawn [m], as in Habitat."""
@@ -43,7 +43,7 @@ def compiled() -> Kernels:
 
 
 def render(
-    cameras: Doubles, focal: float, clusters: Clusters, looks: Looks, rgb: NDArray[np.uint8], depth: Floats, part: NDArray[np.int32]
+    cameras: Doubles, focal: float, clusters: Clusters, looks: FaceLooks, rgb: NDArray[np.uint8], depth: Floats, part: NDArray[np.int32]
 ) -> None:
     """Draw every picture, in memory that stays in the cache for all of them."""
     height, width = depth.shape[1], depth.shape[2]
@@ -299,7 +299,8 @@ def fill(
             continue
         base, step = np.float32(ea + eb + eg + slope * first), np.float32(slope)
         near_row, face_row = inverse[v, first : last + 1], face[v, first : last + 1]
-        opens |= max(base, base + step * np.float32(last - first)) > nearest
+        if max(base, base + step * np.float32(last - first)) > nearest:
+            opens = True
         for u in range(len(near_row)):
             one_over = step * np.float32(u) + base
             is_nearer = (one_over > near_row[u]) & (one_over <= nearest)

@@ -13,7 +13,7 @@ from tasks.simulation.rasterizer.clusters import Doubles, Floats, Indices, unit_
 from tasks.simulation.soups import Soup
 
 
-class Looks(NamedTuple):
+class FaceLooks(NamedTuple):
     """What n faces look like.
 
     part: Number of the part, shape (n,). lit: Color in its light, shape (n, 3). light: From 0 to 1, shape (n,). texture: Number of the
@@ -31,15 +31,15 @@ class Looks(NamedTuple):
     texels: NDArray[np.uint8]
 
 
-def looks_of(soup: Soup, faces: Indices) -> Looks:
-    """Looks of some triangles of a soup, shape (n,); where there is none, -1, black of no part."""
+def looks_of(soup: Soup, faces: Indices) -> FaceLooks:
+    """FaceLooks of some triangles of a soup, shape (n,); where there is none, -1, black of no part."""
     where = np.flatnonzero(faces >= 0)
     taken = soup.taken(faces[where])
     part, texture = np.full(len(faces), -1, np.int32), np.full(len(faces), -1, np.int32)
     lit, light, maps = np.zeros((len(faces), 3), np.uint8), np.zeros(len(faces), np.float32), np.zeros((len(faces), 8))
     part[where], texture[where], light[where], maps[where] = taken.part, taken.texture, _light(taken.corners), _texture_maps(taken)
     lit[where] = np.clip(np.rint(taken.colors * light[where, None]), 0, 255).astype(np.uint8)
-    return Looks(part, lit, light, texture, maps, *_packed(soup.textures))
+    return FaceLooks(part, lit, light, texture, maps, *_packed(soup.textures))
 
 
 def _light(corners: Floats) -> Floats:
@@ -82,7 +82,7 @@ def compiled() -> Kernels:
 
 
 def paint(
-    camera: Doubles, focal: float, looks: Looks, inverse: Floats, face: NDArray[np.int32], rgb: NDArray[np.uint8], depth: Floats,
+    camera: Doubles, focal: float, looks: FaceLooks, inverse: Floats, face: NDArray[np.int32], rgb: NDArray[np.uint8], depth: Floats,
     parts: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Color, depth and part of each pixel of a picture, from one over its depth [1/m], 0 for none, and its face, shape (h, w)."""
@@ -98,7 +98,7 @@ def paint(
         cover(camera, focal, looks, face, depth, rgb)
 
 
-def cover(camera: Doubles, focal: float, looks: Looks, face: NDArray[np.int32], depth: Floats, rgb: NDArray[np.uint8]) -> None:
+def cover(camera: Doubles, focal: float, looks: FaceLooks, face: NDArray[np.int32], depth: Floats, rgb: NDArray[np.uint8]) -> None:
     """The texels of pixels whose faces, shape (h, w), have a texture, at their depths [m]."""
     height, width = depth.shape
     cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)
