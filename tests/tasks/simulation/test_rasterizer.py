@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
+from bench.policy.frames import EQUAL_DEPTHS, EQUAL_PARTS, HFOV, free_cameras, seen_by_rays
 from tasks.geometry.meshes import load_glb
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.simulation.rasterizer import NEAR_M, Pictures, Rasterizer
 from tasks.simulation.soups import closed, soup_of
 
-FOV = math.radians(79)
+FOV = HFOV
 Array = NDArray[np.float64]
 
 
@@ -33,18 +34,10 @@ def looking(eye: Sequence[float], yaw: float, pitch: float = 0.0, roll: float = 
     return pose
 
 
-def seen_by_rays(
-    scene: RayScene, pose: Array, width: int, height: int, aside: float = 0.0
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Part, -1 for none, and depth, 0 for none, of rays through the middle of the pixels, or beside it by a part of a pixel."""
+def seen_beside(scene: RayScene, pose: Array, width: int, height: int, aside: float) -> tuple[NDArray[np.int64], Array]:
+    """Part and depth of rays that pass the middle of the pixels by a part of a pixel."""
     plain = Camera.with_fov(pose, width, height, FOV)
-    camera = Camera(pose, plain.fx, plain.fy, plain.cx - aside, plain.cy - aside, width, height)
-    rays = camera.rays()
-    rays[..., :3] += np.float32(NEAR_M) * rays[..., 3:]  # what is nearer than the near plane is not drawn
-    hits = scene.cast(rays)
-    is_hit = np.isfinite(hits["t_hit"])
-    part = np.where(is_hit, hits["geometry_ids"].astype(np.int64), -1)
-    return part, np.where(is_hit, hits["t_hit"].astype(np.float64) + NEAR_M, 0.0)
+    return seen_by_rays(scene, Camera(pose, plain.fx, plain.fy, plain.cx - aside, plain.cy - aside, width, height))
 
 
 def solids(seed: int, count: int) -> list[trimesh.Trimesh]:
@@ -75,23 +68,46 @@ def check_as_rays(parts: list[trimesh.Trimesh], poses: Sequence[Array], width: i
     """Every pixel is what a ray through it meets; beside the edge of a face, what a ray a hundredth of a pixel aside meets."""
     pictures, rays = Rasterizer(soup_of(parts)).render(np.array(poses), width, height, FOV), RayScene(parts)
     for index, pose in enumerate(poses):
-        part, depth = seen_by_rays(rays, pose, width, height)
+        part, depth = seen_beside(rays, pose, width, height, 0.0)
         is_other = (part != pictures.part[index]) | (np.abs(depth - pictures.depth[index]) > 1e-4 * np.maximum(1.0, depth**2))
         explained = ~is_other
         for aside in (-0.01, 0.01, -0.03, 0.03):
-            near, far = seen_by_rays(rays, pose, width, height, aside)
+            near, far = seen_beside(rays, pose, width, height, aside)
             explained |= (near == pictures.part[index]) & (np.abs(far - pictures.depth[index]) < 0.02 * np.maximum(1.0, far**2))
         assert is_other.mean() < 0.01
         assert explained.all(), f"pose {index}: {np.argwhere(~explained)[:3].tolist()}"
 
 
+def check_as_rays_on_the_whole(parts: list[trimesh.Trimesh], poses: Array) -> None:
+    """Parts and depths of nearly all pixels are those of rays: of all but what lies on edges, to rounding."""
+    pictures, rays = Rasterizer(soup_of(parts)).render(poses, 128, 128, FOV), RayScene(parts)
+    seen = [seen_by_rays(rays, Camera.with_fov(pose, 128, 128, FOV)) for pose in poses]
+    assert np.mean([part == drawn for (part, _), drawn in zip(seen, pictures.part, strict=True)]) >= EQUAL_PARTS
+    assert np.mean([np.abs(depth - drawn) <= 1e-3 for (_, depth), drawn in zip(seen, pictures.depth, strict=True)]) >= EQUAL_DEPTHS
+    assert len(np.unique(pictures.part)) > 5
+
+
 @settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 30), st.floats(0, 6.3), st.floats(-1.5, 1.5), st.floats(0, 6.3))
-def test_solids_are_what_rays_meet(seed: int, count: int, yaw: float, pitch: float, roll: float) -> None:
+def test_solids_are_what_rays_meet_from_outside_and_inside(seed: int, count: int, yaw: float, pitch: float, roll: float) -> None:
     parts = solids(seed, count)
-    eye = np.random.default_rng(seed + 1).uniform(-3, 3, 3)
-    outside = [part for part in parts if ((eye - part.triangles[:, 0]) * part.face_normals).sum(axis=1).max() > 0.05]  # they are convex
-    check_as_rays(outside, [looking(eye, yaw, pitch, roll)])
+    eyes = [*np.random.default_rng(seed + 1).uniform(-3, 3, (2, 3)), parts[0].center_mass]
+    check_as_rays(parts, [looking(eye, yaw, pitch, roll) for eye in eyes])
+
+
+@settings(max_examples=30)
+@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(1e-4, 2 * NEAR_M), st.floats(-0.9, 0.9))
+def test_solids_that_the_near_plane_cuts_open_show_their_inside(y: float, z: float, before: float, yaw: float) -> None:
+    box = trimesh.creation.box((1, 1, 1))
+    assert not soup_of([box]).double_sided.any()
+    check_as_rays([box], [looking((-0.5 - before, y, z), yaw)])
+
+
+def test_right_below_a_corner_and_an_edge_a_camera_is_outside() -> None:
+    box = trimesh.creation.box((1, 1, 1)).apply_translation([0, 0, 2])
+    for eye in ((0.5, 0.5, 0), (0.5, 0, 0), (0, 0, 0), (-0.5, -0.5, 0)):
+        for pitch in (-1.4, 0.0):
+            check_as_rays([box], [looking(eye, yaw, pitch) for yaw in (0.1, 2.0, 4.0)])
 
 
 @settings(max_examples=30)
@@ -157,6 +173,9 @@ def test_textures_and_colors_are_those_that_rays_find_times_a_light_that_stands(
     light = 0.6 + 0.25 * seen[..., 2] + 0.15 * seen[..., 0]
     expected = np.where((rays.part >= 0)[..., None], rays.color * light[..., None], 0)
     same = np.abs(expected - pictures.rgb[0]).max(axis=-1) <= 1.5
+    plain = Rasterizer(soup).render([pose], 120, 90, FOV, textured=False)
+    assert (plain.rgb[0] == pictures.rgb[0])[rays.part == 1].all()
+    assert len(np.unique(plain.rgb[0][rays.part == 0], axis=0)) == 2, "a color for each face"
     assert same[rays.part == 1].all(), "colors of vertices"
     assert same[rays.part == 0].mean() > 0.99, "texels, but where a pixel lies on the border of two"
     assert len(np.unique(pictures.rgb[0][rays.part == 0], axis=0)) > 100
@@ -190,20 +209,4 @@ def test_only_what_has_an_inside_and_shows_its_outside_is_seen_from_one_side() -
 @pytest.mark.realdata
 def test_a_house_by_others_is_what_rays_meet(realdata: Callable[[str], Path]) -> None:
     parts = load_glb((realdata("scene_aws_small_house") / "house.glb").read_bytes())
-    rays, rng = RayScene(parts), np.random.default_rng(0)
-    bounds = np.array([part.bounds for part in parts])
-    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
-    around = np.array([[math.cos(a), math.sin(a), h] for a in np.linspace(0, 6.2, 24) for h in (-1, -0.3, 0, 0.3)], dtype=np.float32)
-    poses: list[Array] = []
-    while len(poses) < 40:
-        eye = np.array([*rng.uniform(low[:2], high[:2]), 0.88])
-        near = rays.cast(np.concatenate([np.tile(eye, (len(around), 1)), around], axis=1).astype(np.float32))["t_hit"]
-        if near.min() > 0.2 and np.isfinite(near).mean() > 0.9:  # a robot fits there, in a room
-            poses.append(looking(eye, rng.uniform(0, 6.3)))
-    soup = soup_of(parts)
-    pictures = Rasterizer(soup).render(np.array(poses), 128, 128, FOV)
-    found = [seen_by_rays(rays, pose, 128, 128) for pose in poses]
-    part, depth = np.array([one[0] for one in found]), np.array([one[1] for one in found])
-    assert (part == pictures.part).mean() >= 0.9999
-    assert (np.abs(depth - pictures.depth) <= 1e-3).mean() >= 0.999
-    assert len(np.unique(part)) > 30
+    check_as_rays_on_the_whole(parts, free_cameras(parts, 40, 0))

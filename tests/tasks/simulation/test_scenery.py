@@ -17,7 +17,9 @@ from tasks.replica import placed_parts
 from tasks.shell import room_shell
 from tasks.simulation.rasterizer import Rasterizer
 from tasks.simulation.scenery import scenery
+from tasks.simulation.soups import soup_of
 from tests.furnished import furnished_lake
+from tests.tasks.simulation.test_rasterizer import check_as_rays_on_the_whole, looking
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +44,18 @@ def test_every_part_is_there_once_and_somebodys(rows: dict) -> None:
     assert list(zip(seen.instance_ids, seen.categories, strict=True)) == [(owner, name) for owner, name, _ in expected]
     for number, (_, _, mesh) in enumerate(expected):
         np.testing.assert_allclose(seen.soup.corners[seen.soup.part == number], mesh.triangles, atol=1e-5)
+
+
+def test_what_is_seen_is_what_rays_meet(rows: dict) -> None:
+    seen, slabs = scenery(**rows), [mesh for _, mesh in room_shell(rows["shell"])]
+    blobs = {asset.asset_id: rows["blobs"][asset.mesh_blob] for asset in rows["assets"]}
+    placed = [placed_parts(row, blobs[row.asset_id]) for row in sorted(rows["placements"], key=lambda row: row.instance_id)]
+    parts = [*slabs, *(mesh for meshes in placed for mesh in meshes)]
+    ring, rng = np.array(rows["shell"].floor_polygon), np.random.default_rng(0)
+    eyes = np.column_stack([rng.uniform(ring.min(axis=0), ring.max(axis=0), (24, 2)), rng.uniform(1.0, 1.5, 24)])  # above all objects
+    poses = np.array([looking(eye, *turn) for eye, turn in zip(eyes, rng.uniform([0, -0.2], [6.3, 0.8], (24, 2)), strict=True)])
+    np.testing.assert_array_equal(soup_of(parts).corners, seen.soup.corners)
+    check_as_rays_on_the_whole(parts, poses)
 
 
 def test_from_above_each_object_is_in_its_place(rows: dict) -> None:
