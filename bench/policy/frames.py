@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -174,8 +175,8 @@ def _measured(scene: BenchedScene, config: FramesBench) -> dict[str, Any]:
     for size in config.sizes:
         room = Pictures.empty(len(poses), size, size)
         ways = {
-            "rasterizer": lambda room=room, size=size: rasterizer.render(poses, size, size, HFOV, room, textured=False),
-            "rasterizer, textured": lambda room=room, size=size: rasterizer.render(poses, size, size, HFOV, room),
+            "rasterizer": partial(rasterizer.render, poses, size, size, HFOV, room, textured=False),
+            "rasterizer, textured": partial(rasterizer.render, poses, size, size, HFOV, room),
         }
         for name, seconds in _best(ways, config.rounds).items():
             rates[name][str(size)] = len(poses) / seconds

@@ -299,7 +299,8 @@ def fill(
             continue
         base, step = np.float32(ea + eb + eg + slope * first), np.float32(slope)
         near_row, face_row = inverse[v, first : last + 1], face[v, first : last + 1]
-        opens |= max(base, base + step * np.float32(last - first)) > nearest
+        if max(base, base + step * np.float32(last - first)) > nearest:
+            opens = True
         for u in range(len(near_row)):
             one_over = step * np.float32(u) + base
             is_nearer = (one_over > near_row[u]) & (one_over <= nearest)
