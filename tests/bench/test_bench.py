@@ -321,6 +321,7 @@ def report() -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1800)  # the whole benchmark of a room, which paper and default are run on
 def test_the_command_prints_every_figure(report: dict[str, Any]) -> None:
     assert list(report["states"]) == ["drawn", "input", "paper", "default"]
@@ -345,6 +346,7 @@ def test_the_command_prints_every_figure(report: dict[str, Any]) -> None:
 
 
 @pytest.mark.timeout(1800)
+@pytest.mark.slow
 def test_the_report_renders_as_tables(report: dict[str, Any]) -> None:
     out = io.StringIO()
     print_report(report, Console(file=out, width=140))

@@ -46,15 +46,32 @@ def lake(made_lake: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made_lake, tmp_path / "lake"))
 
 
+@pytest.fixture(scope="module")
+def learned_lake(made_lake: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The lake with a model, and what its training said."""
+    folder = tmp_path_factory.mktemp("learned")
+    lake = Path(shutil.copytree(made_lake, folder / "lake"))
+    return lake, trained(command_in(folder), lake)
+
+
+@pytest.fixture
+def learned(learned_lake: tuple[Path, dict[str, Any]], tmp_path: Path) -> tuple[Path, dict[str, Any]]:
+    return Path(shutil.copytree(learned_lake[0], tmp_path / "lake")), learned_lake[1]
+
+
 @pytest.fixture
 def command(tmp_path: Path) -> Told:
+    return command_in(tmp_path)
+
+
+def command_in(folder: Path) -> Told:
     """The command line in an interpreter with the learned system `toy_system`; `code` is its exit code."""
 
     def call(*words: Any, code: int = 0, cache: str = "cache", **environment: str) -> subprocess.CompletedProcess[str]:
         path = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests" / "made_up")])
-        around = {**os.environ, "PYTHONPATH": path, "METASCENES_CACHE": str(tmp_path / cache), **environment}
+        around = {**os.environ, "PYTHONPATH": path, "METASCENES_CACHE": str(folder / cache), **environment}
         done = subprocess.run(
-            [sys.executable, "-m", "flows.cli", *map(str, words)], capture_output=True, text=True, env=around, cwd=tmp_path, check=False
+            [sys.executable, "-m", "flows.cli", *map(str, words)], capture_output=True, text=True, env=around, cwd=folder, check=False
         )
         assert done.returncode == code, done.stdout + done.stderr
         return done
@@ -120,8 +137,8 @@ def test_a_killed_training_goes_on_from_its_checkpoint(command: Told, lake: Path
     assert row["model_id"] in done.stdout, "step 28 is not taken again"
 
 
-def test_one_model_begins_with_another_and_says_so(command: Told, lake: Path) -> None:
-    first = trained(command, lake)
+def test_one_model_begins_with_another_and_says_so(command: Told, learned: tuple[Path, dict[str, Any]]) -> None:
+    lake, first = learned
     second = trained(command, lake, "--from", first["model_id"][:10])
     assert second["parent_id"] == first["model_id"]
     assert second["model_id"] != first["model_id"]
@@ -137,8 +154,10 @@ def test_one_model_begins_with_another_and_says_so(command: Told, lake: Path) ->
     assert refused.stderr.strip().endswith("there is no model 'ffffffffffff'; `metascenes models list` names them")
 
 
-def test_a_model_goes_to_another_lake_and_back_and_is_withdrawn(command: Told, lake: Path, tmp_path: Path) -> None:
-    row = trained(command, lake)
+def test_a_model_goes_to_another_lake_and_back_and_is_withdrawn(
+    command: Told, learned: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    lake, row = learned
     out, copied, third = tmp_path / "model", tmp_path / "copied", tmp_path / "third"
     command("models", "export", row["model_id"][:8], "--out", out, "--lake", lake)
     assert sorted(path.name for path in out.iterdir()) == ["README.md", "model.json", "weights.safetensors"]
@@ -160,8 +179,8 @@ def test_a_model_goes_to_another_lake_and_back_and_is_withdrawn(command: Told, l
     assert len(Lake.open(lake).snapshot().rows(TrainingStep)) == 6, "what was measured stays"
 
 
-def test_what_is_no_model_is_refused_in_a_line(command: Told, lake: Path, tmp_path: Path) -> None:
-    row = trained(command, lake)
+def test_what_is_no_model_is_refused_in_a_line(command: Told, learned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    lake, row = learned
     whole = tmp_path / "whole"
     command("models", "export", row["model_id"], "--out", whole, "--lake", lake)
 
@@ -201,8 +220,10 @@ def test_what_is_no_model_is_refused_in_a_line(command: Told, lake: Path, tmp_pa
     assert not Lake.open(tmp_path / "new").exists
 
 
-def test_releases_have_models_and_are_learned_from_and_an_erasure_names_what_learned(command: Told, lake: Path, tmp_path: Path) -> None:
-    row = trained(command, lake)
+def test_releases_have_models_and_are_learned_from_and_an_erasure_names_what_learned(
+    command: Told, learned: tuple[Path, dict[str, Any]]
+) -> None:
+    lake, row = learned
     store = Lake.open(lake)
     make_release(store, "v1")
     assert [model["model_id"] for model in query(store.snapshot(), "FROM models").to_pylist()] == [row["model_id"]]

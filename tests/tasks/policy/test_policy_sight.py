@@ -7,10 +7,10 @@ import pickle
 
 import numpy as np
 
-from tasks.geometry.rasterizer import Rasterizer
-from tasks.policy.demonstrations import camera_poses
 from tasks.policy.model.config import AgentCamera
 from tasks.policy.sight import KEPT, SceneRenderer
+from tasks.simulation.cameras import camera_poses
+from tasks.simulation.rasterizer import Rasterizer
 from tasks.simulation.scenery import scenery
 from tests.tasks.policy.rooms import dataset, navigated, walks
 
