@@ -57,6 +57,7 @@ ELSEWHERE = {
     "bench/engines/setups.py urdf": "as above",
     "bench/engines/setups.py usd": "as above",
     "bench/exports.py mjcf": "the benchmark simulates what is written in two formats, each with a reader of its own",
+    "bench/policy/frames.py mjcf": "what MuJoCo draws is an export of that format",
     "bench/exports.py usd": "as above",
     "bench/navigation.py planar": "the benchmark holds one path finder against another",
     "bench/navigation.py recast": "as above",

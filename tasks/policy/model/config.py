@@ -125,7 +125,12 @@ class SmallPolicy(PolicyModel):
     kind: ClassVar[str] = "small"
 
 
-WIDE = AgentCamera(384, 224)
+@dataclasses.dataclass(frozen=True)
+class WideCamera(AgentCamera):
+    """The camera in the shape of the grid that SPOC's tokens are pooled to."""
+
+    width: Pixels = 384  # as SPOC
+    height: Pixels = 224  # as SPOC
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,7 +138,7 @@ class PaperPolicy(PolicyModel):
     """As published: SPOC's `siglip_base_3` with one camera (specs E.1)."""
 
     kind: ClassVar[str] = "paper"
-    camera: AgentCamera = WIDE  # in the shape of the grid; as SPOC
+    camera: WideCamera = dataclasses.field(default_factory=WideCamera)  # in the shape of the grid; as SPOC
     eyes: union_of(EYES) = dataclasses.field(default_factory=SiglipEyes)  # type: ignore[valid-type]  # as published
     goal: union_of(GOALS) = dataclasses.field(default_factory=SiglipGoal)  # type: ignore[valid-type]  # as published
     width: Width = 512  # as published
