@@ -45,6 +45,7 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
     Example: metascenes evaluate --policy expert --policy random --lake ./lake
     """
     from flows.inputs.evaluation import import_trajectories, metrics_of, run_policy
+    from flows.inputs.policies import trained_policy
     from flows.run.configuration import configure
 
     if (file is None) == (not policies):
@@ -54,7 +55,8 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
     if file is not None:
         evaluated = [import_trajectories(lake, file, configuration, dry_run)]
     else:
-        evaluated = [run_policy(lake, policy, configuration, dry_run) for policy in dict.fromkeys(policies)]
+        acting = [name if name in POLICIES else trained_policy(lake, name) for name in dict.fromkeys(policies)]  # before any of them acts
+        evaluated = [run_policy(lake, policy, configuration, dry_run) for policy in acting]
     metrics = metrics_of(lake.snapshot(), evaluated, configuration)
     if as_json:
         print(json.dumps({"policies": [dataclasses.asdict(policy_run) for policy_run in evaluated], "metrics": metrics}))

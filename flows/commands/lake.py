@@ -135,6 +135,7 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     from flows.view.annotating.drafts import erase_drafts
     from warehouse.upkeep.erasure import erase as run
     from warehouse.upkeep.erasure.dependents import FurnishedAnewError, furnished_anew
+    from warehouse.upkeep.erasure.plan import read_plan
 
     cached: list[int] = []
     drafts: list[int] = []
@@ -149,7 +150,8 @@ def erase(scene: str, yes: bool, dry_run: bool, address: str, as_json: bool) -> 
     if not (yes or dry_run) and not (sys.stdin.isatty() and click.confirm(asked, err=True)):
         raise click.UsageError(f"{scene} is erased for good: give --yes to say that you mean it, or --dry-run to see what would go")
     with Progress("erasing", sum(1 for _ in lake.storage.walk("")) if sys.stderr.isatty() else 0) as progress:
-        waiting = [] if dry_run else [*also]
+        begun = read_plan(lake.storage)  # of this scene: what was made of it is gone, or comes into no snapshot any more
+        waiting = [] if dry_run or (begun is not None and begun.scene_id == scene) else [*also]
         while True:
             try:
                 while waiting:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,16 +13,17 @@ from flows.inputs.policies import SYSTEM, TrainedPolicy, trained_policy
 from flows.progress import Progress
 from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json, code_fingerprint, digest
-from flows.worker import Job, execute
+from flows.worker import Job, execute, lost_run
 from schemas.candidates import Asset
 from schemas.capture import Instance, RoomSurface, Shell
 from schemas.errors import InputError
 from schemas.families.policies import POLICIES as POLICY_NAMES
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement
+from schemas.runs import StageRun
 from tasks import evaluation
 from tasks.evaluation import EvaluationConfig, TrajectoryBatch, check_batch
-from tasks.evaluation.batch import read_batch
+from tasks.evaluation.batch import Attempt, read_batch
 from tasks.evaluation.policies import POLICIES
 from tasks.families import member
 from tasks.stage import Context
@@ -87,39 +89,37 @@ def import_trajectories(lake: Lake, file: Path, configuration: Configuration, dr
     return Evaluated(batch.policy, batch.run_name, (batch.batch_id,), len(batch.attempts), len(batch.scene_ids), new, notes)
 
 
-def run_policy(
-    lake: Lake, policy: str, configuration: Configuration, dry_run: bool = False, only: Collection[str] | None = None
-) -> Evaluated:
+def run_policy(lake: Lake, policy: str | TrainedPolicy, configuration: Configuration, dry_run: bool = False) -> Evaluated:
     """Let a built-in policy, or a model, act in all episodes of the lake, measure and append what it did: a batch for every scene.
 
     A batch is named by all that its rows follow from but the code, so only scenes are computed whose episodes, navmesh or
     settings are new; of a model also whose looks are, or when newer code acts. Newer code measures a batch again, and its
     rows take the place of those that it had. A scene that fails does not stop the others, and leaves a row in `stage_runs`
-    that says why. What was measured before a kill is not measured again. `only`: in these scenes.
+    that says why. What was measured before a kill is not measured again.
 
     Raises:
         InputError: the lake has no episodes, or there is no such policy.
     """
-    trained = trained_policy(lake, policy) if policy not in POLICY_NAMES else None
+    if isinstance(policy, str) and policy not in POLICY_NAMES:
+        policy = trained_policy(lake, policy)
+    trained, name = (policy, SYSTEM) if isinstance(policy, TrainedPolicy) else (None, policy)
     reader = lake.snapshot()
     scenes = sorted(set(reader.arrow("episodes").column("scene_id").to_pylist()))
-    scenes = [scene for scene in scenes if only is None or scene in only]
     if not scenes:
         raise InputError(lake.address, "episodes", "the lake has none", "`metascenes run` makes them")
-    run_name = trained.run_name if trained is not None else _run_name(policy, configuration)
-    policy = SYSTEM if trained is not None else policy
+    run_name = trained.run_name if trained is not None else _run_name(name, configuration)
     history = lake.history()
     batches: list[str] = []
     notes: list[str] = []
     failed: list[str] = []
     total = new = 0
-    with Progress(f"{policy}: scenes", len(scenes)) as progress:
+    with Progress(f"{name}: scenes", len(scenes)) as progress:
         for scene in scenes:
             rows = _rows(reader, [scene])
-            acting = _acting(lake, reader, scene, policy, run_name, rows, trained, configuration)
+            acting = _acting(lake, reader, scene, name, run_name, rows, trained, configuration)
             state = history.get((acting.batch_id, STAGE.name))
             is_new = state is None or state.done is None or state.done.fingerprint != acting.fingerprint
-            run = execute(acting.job()) if is_new and not dry_run else None
+            run = _executed(lake, acting) if is_new and not dry_run else None
             batches.append(acting.batch_id)
             progress.advance(scene)
             if run is not None and run.error:
@@ -129,17 +129,26 @@ def run_policy(
             new += len(rows.episodes) * is_new
             notes += run.degradations if run is not None else ()
     if not dry_run:
-        lake.commit(note=f"trajectories of {policy}", scenes=batches)
-    return Evaluated(policy, run_name, tuple(batches), total, len(scenes) - len(failed), new, tuple(notes), tuple(failed))
+        lake.commit(note=f"trajectories of {name}", scenes=batches)
+    return Evaluated(name, run_name, tuple(batches), total, len(scenes) - len(failed), new, tuple(notes), tuple(failed))
 
 
 @dataclasses.dataclass(frozen=True)
 class _Acting:
-    """A policy in the episodes of one scene. job: Lets it act, and is what measures that."""
+    """A policy in the episodes of one scene. idle: The job that would measure what it does. act: Lets it act, and is the job that does."""
 
-    batch_id: str
-    fingerprint: str
-    job: Callable[[], Job]
+    idle: Job
+    act: Callable[[], Job]
+
+    @property
+    def batch_id(self) -> str:
+        """The batch."""
+        return self.idle.scene_id
+
+    @property
+    def fingerprint(self) -> str:
+        """Of what is measured."""
+        return self.idle.fingerprint
 
 
 def _acting(
@@ -157,11 +166,25 @@ def _acting(
         content = digest(policy, trained.model_id, trained.code, rows.digest, seen)
     batch_id = f"{policy}-{content[:16]}"
 
-    def job() -> Job:
-        done = attempts if trained is None else trained.act(lake, reader, scene, rows.episodes, config)
-        return _job(lake, TrajectoryBatch(batch_id, policy, run_name, done), content, rows, configuration)
+    def job(done: Sequence[Attempt]) -> Job:
+        return _job(lake, TrajectoryBatch(batch_id, policy, run_name, tuple(done)), content, rows, configuration)
 
-    return _Acting(batch_id, _fingerprint(content, rows, config), job)
+    def act() -> Job:
+        return job(attempts if trained is None else trained.act(lake, reader, scene, rows.episodes, config))
+
+    return _Acting(job(()), act)
+
+
+def _executed(lake: Lake, acting: _Acting) -> StageRun:
+    """Let a policy act, and measure that; the run says why where it could not act."""
+    began = time.perf_counter()
+    try:
+        job = acting.act()
+    except InputError as error:
+        run = lost_run(acting.idle, "input", str(error), time.perf_counter() - began)
+        lake.stage_rows(run, {})
+        return run
+    return execute(job)
 
 
 def _run_name(policy: str, configuration: Configuration) -> str:

@@ -6,8 +6,9 @@ import dataclasses
 import re
 from collections.abc import Sequence
 
-from flows.run.fingerprints import code_fingerprint
+from flows.run.fingerprints import code_fingerprint, digest
 from flows.simulation.scenes import Worlds
+from flows.training.contents import contents_of
 from flows.training.models import LIST, found_model, listed_models, loaded_model
 from schemas.errors import InputError
 from schemas.families.policies import POLICIES
@@ -15,6 +16,7 @@ from schemas.navigation import Episode
 from tasks.evaluation.batch import Attempt
 from tasks.evaluation.configuration import EvaluationConfig
 from tasks.policy.inference.actor import Actor, load_model
+from tasks.policy.model.config import PolicyModel
 from tasks.policy.rollout import rolled_out
 from tasks.settings import nearest
 from warehouse.lake import Lake
@@ -28,7 +30,7 @@ _CODE = "tasks.policy.rollout"
 
 @dataclasses.dataclass(frozen=True)
 class TrainedPolicy:
-    """A model that navigates. code: Fingerprint of the code that acts."""
+    """A model that navigates. code: Fingerprint of the code that acts, and of the weights of others that it acts with."""
 
     model_id: str
     code: str
@@ -75,4 +77,11 @@ def trained_policy(lake: Lake, wanted: str) -> TrainedPolicy:
         row, _ = found_model(reader, wanted, SYSTEM)
         if row.is_withdrawn:
             raise InputError("--policy", wanted, "was withdrawn", f"name another; {LIST}")
-    return TrainedPolicy(row.model_id, code_fingerprint(_CODE), load_model(loaded_model(lake, row)))
+    actor = load_model(loaded_model(lake, row))
+    return TrainedPolicy(row.model_id, digest(code_fingerprint(_CODE), *contents_of(_foreign(actor.config))), actor)
+
+
+def _foreign(config: PolicyModel) -> dict[str, str]:
+    """Weights of others that a policy sees and reads with, by field."""
+    named = {name: getattr(getattr(config, name), "weights", "") for name in ("eyes", "goal")}
+    return {name: path for name, path in named.items() if path}

@@ -5,6 +5,7 @@ Rows are facts; the metrics are SQL over them (`warehouse/questions/views/trajec
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import defaultdict
 from collections.abc import Sequence
@@ -66,28 +67,32 @@ def run(
         if gone:
             raise InputError(scene, "navmesh", f"blob {gone[0][:12]} is not in the lake", "run the navigation stage again")
         blobs = {agent: context.blobs[mesh.navmesh_blob] for agent, mesh in meshes.items()}
-        sights = _sights(scene, shells, instances, assets, placements, context)
-        work.append(SceneAttempts(named, tuple(of_scene), meshes, blobs, sights, labels, config))
-    rows: list[Trajectory] = [row for part in context.spread(measure, work) for row in part]
+        work.append(SceneAttempts(named, tuple(of_scene), meshes, blobs, labels, config))
+    rows: list[Trajectory] = []
+    unseen = []
+    for scene, part in zip(sorted(attempts), context.spread(measure, work), strict=True):
+        sights = _sights(scene, shells, instances, assets, placements, context)  # one scene at a time: meshes take megabytes
+        try:
+            seen = sights.seen([(row.instance_id, row.poses[-1]) for row in part], config)
+        except InputError as error:
+            seen = [None] * len(part)
+            unseen.append(f"{scene}: what was in view in the end is not known: {error}")
+        rows += [dataclasses.replace(row, is_target_seen=is_seen) for row, is_seen in zip(part, seen, strict=True)]
     rows.sort(key=lambda row: (row.scene_id, row.episode_id))
     notes = [f"{row.scene_id} {row.episode_id}: {row.problem}" for row in rows if row.problem]
-    return Outcome(trajectories=rows, degradations=notes)
+    return Outcome(trajectories=rows, degradations=[*notes, *unseen])
 
 
 def _sights(
     scene: str, shells: Sequence[Shell], instances: Sequence[Instance], assets: Sequence[Asset], placements: Sequence[Placement],
     context: Context,
 ) -> SceneSights:  # fmt: skip
-    """What there is to see in a scene; nothing where a blob of it is not in the lake."""
+    """What there is to see in a scene."""
     placed = tuple(row for row in placements if row.scene_id == scene)
     named = {row.asset_id for row in placed}
     used = tuple(asset for asset in assets if asset.asset_id in named)
-    names = {asset.mesh_blob for asset in used}
-    is_there = named == {asset.asset_id for asset in used} and all(name in context.blobs for name in names)
-    blobs = {name: context.blobs[name] for name in sorted(names)} if is_there else {}
     shell = next((row for row in shells if row.scene_id == scene), None)
-    owners = tuple(row for row in instances if row.scene_id == scene)
-    return SceneSights(shell, placed if is_there else (), owners, used, blobs)
+    return SceneSights(shell, placed, tuple(row for row in instances if row.scene_id == scene), used, context.blobs)
 
 
 def check_batch(batch: TrajectoryBatch, episodes: Sequence[Episode], navmeshes: Sequence[Navmesh], config: EvaluationConfig) -> None:

@@ -13,7 +13,6 @@ from schemas.evaluation import Trajectory
 from schemas.navigation import Episode, Navmesh
 from tasks.evaluation.batch import Attempt, Pose
 from tasks.evaluation.configuration import EvaluationConfig
-from tasks.evaluation.sights import SceneSights
 from tasks.navigation.follower import FORWARD, STOP, replay
 from tasks.navigation.planar import PlanarPathFinder
 from tasks.navigation.protocol import DistanceField, PathFinder
@@ -25,15 +24,13 @@ Array = NDArray[np.float64]
 class SceneAttempts:
     """Attempts at episodes of one scene, with all that measuring them takes. Travels to a worker process.
 
-    navmeshes, blobs: Row and bytes of the navmesh, by agent. sights: What there is to see.
-    labels: batch_id, policy, run_name and source_file of the batch.
+    navmeshes, blobs: Row and bytes of the navmesh, by agent. labels: batch_id, policy, run_name and source_file of the batch.
     """
 
     episodes: Mapping[str, Episode]
     attempts: tuple[Attempt, ...]
     navmeshes: Mapping[str, Navmesh]
     blobs: Mapping[str, bytes]
-    sights: SceneSights
     labels: Mapping[str, str | None]
     config: EvaluationConfig
 
@@ -60,7 +57,7 @@ def measure(work: SceneAttempts) -> list[Trajectory]:
     """
     finders: dict[str, PathFinder] = {}
     fields: dict[tuple[str, tuple[tuple[float, ...], ...]], DistanceField] = {}
-    rows, ends = [], []
+    rows = []
     for attempt in work.attempts:
         episode = work.episodes[attempt.episode_id]
         agent = episode.agent
@@ -71,9 +68,7 @@ def measure(work: SceneAttempts) -> list[Trajectory]:
             views, near = onto(finders[agent], np.array(episode.view_points)[:, :2], work.config.reach_m)
             fields[key] = finders[agent].field(views[near])
         rows.append(_trajectory(attempt, episode, finders[agent], fields[key], work))
-        ends.append((rows[-1].instance_id, rows[-1].poses[-1]))
-    seen = work.sights.seen(ends, work.config)
-    return [dataclasses.replace(row, is_target_seen=is_seen) for row, is_seen in zip(rows, seen, strict=True)]
+    return rows
 
 
 def _trajectory(attempt: Attempt, episode: Episode, finder: PathFinder, field: DistanceField, work: SceneAttempts) -> Trajectory:

@@ -20,7 +20,7 @@ AT_ONCE = 64
 
 @dataclasses.dataclass(frozen=True)
 class SceneSights:
-    """Rows of one scene that say what stands where, and the blobs that they name. Travels to a worker process."""
+    """Rows of one scene that say what stands where, and the blobs that they name."""
 
     shell: Shell | None
     placements: tuple[Placement, ...]
@@ -30,7 +30,11 @@ class SceneSights:
 
     def seen(self, ends: Sequence[tuple[str, Sequence[float]]], config: EvaluationConfig) -> list[bool | None]:
         """Whether each target, by instance, is in the picture from where its agent ended, x, y [m] and yaw [rad], world frame; None of
-        targets that were not placed."""
+        targets that were not placed.
+
+        Raises:
+            InputError: the scene cannot be drawn.
+        """
         from tasks.simulation.rasterizer import Rasterizer
         from tasks.simulation.scenery import scenery
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.evaluation import ACTIONS
 from schemas.navigation import Episode
@@ -37,28 +36,27 @@ def rolled_out(world: World, actor: Actor, episodes: Sequence[Episode], config: 
         agents.place(index, world, world.start(episode), episode.start_yaw_radians)
     actor.reset(len(episodes), [episode.category for episode in episodes])
     camera = actor.config.camera
-    pictures = np.zeros((len(episodes), camera.height, camera.width, 3), dtype=np.uint8)
     actions: list[list[str]] = [[] for _ in episodes]
     going = np.arange(len(episodes))
     for _ in range(config.max_steps):
         if not len(going):
             break
+        pictures = np.zeros((len(going), camera.height, camera.width, 3), dtype=np.uint8)
         if not actor.config.blind:
-            poses = camera_poses(
-                np.column_stack([agents.position[going], agents.yaw[going]]), camera.height_m, math.radians(camera.pitch_degrees)
-            )
-            pictures[going] = world.camera.render(poses, camera.width, camera.height, camera.hfov_radians).rgb
+            ways = np.column_stack([agents.position[going], agents.yaw[going]])
+            poses = camera_poses(ways, camera.height_m, math.radians(camera.pitch_degrees))
+            pictures = world.camera.render(poses, camera.width, camera.height, camera.hfov_radians).rgb
         chosen = actor.act(pictures)
-        for index in going.tolist():
-            actions[index].append(ACTIONS[chosen[index]])
-        agents.step(_NUMBERS[chosen], going)
-        going = _still(going, chosen)
+        for index, action in zip(going.tolist(), chosen.tolist(), strict=True):
+            actions[index].append(ACTIONS[action])
+        numbers = np.zeros(len(episodes), dtype=np.int64)
+        numbers[going] = _NUMBERS[chosen]
+        agents.step(numbers, going)
+        still = np.flatnonzero(chosen != STOP)
+        if len(still) < len(going):
+            going = going[still]
+            actor.keep(still)
     return tuple(
         Attempt(episode.scene_id, episode.episode_id, tuple(done), None, None, f"episode {episode.scene_id} {episode.episode_id}")
         for episode, done in zip(episodes, actions, strict=True)
     )
-
-
-def _still(going: NDArray[np.int64], chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Who did not stop."""
-    return going[chosen[going] != STOP]

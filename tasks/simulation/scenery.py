@@ -39,8 +39,11 @@ def scenery(
     """A scene from its rows in the lake and the blobs that they name; without a shell nothing but its objects.
 
     Raises:
-        InputError: a placement's asset or instance is not there, or a mesh cannot be read.
+        InputError: a placement's asset or instance, or a blob, is not there, or a mesh cannot be read.
     """
+    gone = sorted(row.surface for row in surfaces if row.texture_blob not in blobs) if shell is not None else []
+    if shell is not None and gone:
+        raise InputError(shell.scene_id, f"surface {gone[0]}", "its image is not in the lake", "run the capture stage again")
     known, named = {asset.asset_id: asset for asset in assets}, {instance.instance_id: instance for instance in instances}
     parts: list[trimesh.Trimesh] = []
     owners: list[tuple[str | None, str]] = []
@@ -53,6 +56,9 @@ def scenery(
             what, stage = ("asset", "candidates") if asset is None else ("instance", "capture")
             problem = f"its {what} is not in {what}s"
             raise InputError(placement.scene_id, f"placement {placement.instance_id}", problem, f"run the {stage} stage again")
+        if asset.mesh_blob not in blobs:
+            problem = f"its mesh {asset.mesh_blob[:12]} is not in the lake"
+            raise InputError(placement.scene_id, f"placement {placement.instance_id}", problem, "run the candidates stage again")
         placed = placed_parts(placement, blobs[asset.mesh_blob])
         parts += placed
         owners += [(instance.instance_id, instance.category)] * len(placed)

@@ -136,6 +136,8 @@ def world_of(
     from tasks.simulation.rasterizer import Rasterizer
     from tasks.simulation.scenery import scenery
 
+    if navmesh.navmesh_blob not in blobs:
+        raise InputError(scene_id, "navmesh", f"blob {navmesh.navmesh_blob[:12]} is not in the lake", "run the navigation stage again")
     seen = scenery(shell, surfaces, placements, assets, instances, blobs)
     finder = path_finder(blobs[navmesh.navmesh_blob], f"{scene_id} {navmesh.navmesh_blob[:12]}.navmesh")
     structure = {instance.instance_id for instance in instances if instance.is_structure}

@@ -51,9 +51,9 @@ class Commit:
         self, note: str, removed: Collection[str] = (), scenes: Collection[str] | None = None, runs: Collection[str] | None = None
     ) -> Snapshot | None:
         """Adopt, replace, withdraw, and append the snapshot; None when there is nothing to do."""
-        staged = [staged_run for staged_run in self.remove_adopted() if scenes is None or staged_run.run.scene_id in scenes]
+        staged = self._without_orphans(self.remove_adopted())
+        staged = [staged_run for staged_run in staged if scenes is None or staged_run.run.scene_id in scenes]
         staged = [staged_run for staged_run in staged if runs is None or staged_run.token in runs]
-        staged = self._without_orphans(staged)
         if not staged and not removed:
             return None
         faults = {

@@ -87,6 +87,12 @@ class Actor:
         for field in dataclasses.fields(_Memory):
             getattr(self._memory, field.name)[places] = getattr(fresh, field.name)
 
+    def keep(self, agents: ArrayLike) -> None:
+        """Go on with some agents alone, by their places, shape (m,): theirs are 0 to m - 1 from now on."""
+        places = np.asarray(agents, dtype=np.int64).reshape(-1)
+        for field in dataclasses.fields(_Memory):
+            setattr(self._memory, field.name, getattr(self._memory, field.name)[places])
+
     def act(self, pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
         """The likeliest action of every agent, of what it sees now: places in `schemas.evaluation.ACTIONS`, shape (n,).
 

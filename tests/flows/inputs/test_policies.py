@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from flows.run.configuration import configure
 from flows.training.folders import withdraw_model
 from schemas.errors import InputError
 from schemas.evaluation import Trajectory
+from schemas.runs import StageRun
 from schemas.training import LearnedModel
 from tasks.evaluation.configuration import EvaluationConfig
 from tasks.models import identity_json, model_id_of
@@ -123,4 +123,21 @@ def test_the_command_names_models_and_says_who_found_what(lake: Lake) -> None:
     lines = runner.invoke(command, words, catch_exceptions=False).output
     assert "at 1 m in view" in lines
     assert "12 trajectories in 2 scenes: 0 measured, 12 are in the lake already" in lines
-    assert hashlib.sha256(drawn_weights(TINY)).hexdigest() in row.weights_blob
+    assert {each["run_name"] for each in told["policies"]} == {row.model_id[:12], "built-in"}
+    refused = runner.invoke(command, ["--policy", "random", "--policy", "exprt", "--lake", lake.address])
+    assert isinstance(refused.exception, InputError)
+    assert {each.policy for each in lake.snapshot().rows(Trajectory)} == {"navigation", "expert"}, (
+        "nobody acted before all names were known"
+    )
+
+
+def test_a_scene_in_which_it_cannot_act_stops_no_other(lake: Lake) -> None:
+    row = keep_model(lake)
+    mesh = acted_scene(STUDY).rows["navmeshes"][0].navmesh_blob
+    (Path(lake.address) / "blobs" / mesh[:2] / mesh[2:4] / mesh).unlink()
+    done = run_policy(Lake.open(lake.address), row.model_id, SHORT)
+    assert (done.scenes, done.new) == (1, 6)
+    assert [line.partition(": ")[0] for line in done.failed] == [STUDY]
+    assert "is not in the lake; run the navigation stage again" in done.failed[0]
+    failed = [run for run in lake.snapshot().rows(StageRun) if run.stage == "evaluation" and run.outcome == "failed"]
+    assert len(failed) == 1

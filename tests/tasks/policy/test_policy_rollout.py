@@ -16,7 +16,7 @@ from tasks.evaluation.measures import path_finder
 from tasks.evaluation.sights import SceneSights
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.navigation.follower import replay
-from tasks.policy.actions import LEFT, STOP
+from tasks.policy.actions import STOP
 from tasks.policy.inference.actor import load
 from tasks.policy.rollout import rolled_out
 from tasks.replica import placed_parts
@@ -36,17 +36,22 @@ class Reciting:
     def __init__(self, episodes: list[Episode]) -> None:
         self.config = TINY
         self.plans = [[ACTIONS.index(action) for action in episode.actions] for episode in episodes]
-        self.pictures: list[np.ndarray] = []
+        self.pictures: list[list[np.ndarray]] = [[] for _ in episodes]
         self.goals: list[str] = []
 
     def reset(self, n: int, goals: list[str]) -> None:
-        self.goals, self.step = goals, 0
+        self.goals, self.step, self.going = goals, 0, list(range(n))
         assert n == len(self.plans)
 
+    def keep(self, agents: np.ndarray) -> None:
+        self.going = [self.going[place] for place in agents]
+
     def act(self, pictures: np.ndarray) -> np.ndarray:
-        self.pictures.append(pictures.copy())
+        assert len(pictures) == len(self.going)
+        for agent, picture in zip(self.going, pictures, strict=True):
+            self.pictures[agent].append(picture.copy())
         self.step += 1
-        return np.array([plan[self.step - 1] if self.step <= len(plan) else LEFT for plan in self.plans])
+        return np.array([self.plans[agent][self.step - 1] for agent in self.going])
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +86,7 @@ def test_an_agent_does_what_it_says_until_it_stops_and_sees_where_it_is(room: An
     for index, episode in enumerate(episodes):
         poses = replay(episode.actions, world.start(episode), episode.start_yaw_radians, world.finder, CONFIG.motion).poses[:-1]
         seen = world.camera.render(camera_poses(poses, camera.height_m), camera.width, camera.height, camera.hfov_radians).rgb
-        shown = np.array([pictures[index] for pictures in actor.pictures[: len(poses)]])
-        assert shown.tobytes() == seen.tobytes()
+        assert np.array(actor.pictures[index]).tobytes() == seen.tobytes(), "and nobody looks who has stopped"
 
 
 def test_each_acts_as_if_it_were_alone_and_is_cut_in_the_end(room: Any) -> None:
@@ -144,8 +148,10 @@ def test_rows_say_what_was_in_view_in_the_end_and_nothing_where_it_cannot_be_dra
     sights = SceneSights(rows["shells"][0], tuple(rows["placements"]), tuple(rows["instances"]), tuple(rows["assets"]), blobs)
     starts = [(e.instance_id, (*e.start_position[:2], e.start_yaw_radians)) for e in episodes]
     assert [row.is_target_seen for row in made] == sights.seen(starts, CONFIG)
-    for without in ({"placements": []}, {"assets": []}):
-        blind = run(trajectory_batch=batch, **{**tables, **without}, context=context, config=CONFIG).rows["trajectories"]
+    for without in ({"placements": []}, {"assets": []}, {"instances": []}):
+        outcome = run(trajectory_batch=batch, **{**tables, **without}, context=context, config=CONFIG)
+        blind = outcome.rows["trajectories"]
+        assert bool(outcome.degradations) == ("placements" not in without)
         assert [row.is_target_seen for row in blind] == [None] * len(episodes)
         assert [dataclasses.replace(row, is_target_seen=None) for row in made] == blind
 

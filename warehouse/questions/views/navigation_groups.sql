@@ -3,10 +3,10 @@
 -- Of every episode one trajectory of the policy's run counts at every success distance (is_counted); n says how many, outdated of
 -- how many the episode has changed since. Means over trajectories of what the view trajectory_metrics says of each: sr (success
 -- rate), el (episode length: actions, the last one included), sel (success weighted by episode length), spl (success weighted by
--- path length), arrived and found (shares, as the view trajectory_metrics says; found with found_low to found_high is over the looked_at
--- trajectories whose target could be in a picture), found_spl, and curvature by two readings [rad/m]. sr_low to sr_high is Wilson's interval of 95 % (Wilson 1927), spl and sel are
--- plus or minus *_95 (1.96 standard errors; missing for n = 1); all of them take trajectories as independent, which those of one
--- scene are not quite.
+-- path length), arrived and found (shares, as the view trajectory_metrics says; found, from found_low to found_high, is over the
+-- looked_at trajectories whose target could be in a picture), found_spl, and curvature by two readings [rad/m]. sr_low to sr_high
+-- is Wilson's interval of 95 % (Wilson 1927), spl and sel are plus or minus *_95 (1.96 standard errors; missing for n = 1); all of
+-- them take trajectories as independent, which those of one scene are not quite.
 WITH sums AS (
     SELECT
         policy,

@@ -23,6 +23,7 @@ from warehouse.tables.adoption import SCENE_STAGES, now_utc
 from warehouse.tables.commit import Commit, versions_of
 from warehouse.tables.datafiles import exchange, files_of
 from warehouse.tables.delta import FOLDER as TABLE_FOLDER
+from warehouse.tables.history import base_of
 from warehouse.tables.released import released
 from warehouse.tables.staging import quoted_scene
 from warehouse.upkeep.erasure.dependents import FurnishedAnewError, furnished_anew
@@ -118,7 +119,7 @@ class _Work:
         named = {release.snapshot_id for release in released(lake.storage)}
         self._kept = [row for row in self._every if row is self._every[-1] or row.snapshot_id in named]
         self._going = tuple(row.snapshot_id for row in self._every if row not in self._kept)
-        self._staged = [staged_run for staged_run in lake.staging.runs() if staged_run.run.scene_id == scene_id]
+        self._staged = [staged_run for staged_run in lake.staging.runs() if scene_id in (staged_run.run.scene_id, base_of(staged_run.run))]
         self._staged_runs = len(self._staged)
         self._removed_blobs: set[str] = set()
         self._is_carried_out = False
