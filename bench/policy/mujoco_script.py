@@ -26,7 +26,8 @@ def drawn(request: dict[str, Any]) -> dict[str, dict[str, float]]:
             renderer.scene.flags[flag] = 0
         for name, passes in (("MuJoCo, color", 1), ("MuJoCo", 3)):
             look(mujoco, renderer, model, data, poses, passes)
-            end, seconds = time.perf_counter() + request["seconds"], []
+            seconds: list[float] = []
+            end = time.perf_counter() + request["seconds"]
             while not seconds or time.perf_counter() < end:
                 seconds.append(look(mujoco, renderer, model, data, poses, passes))
             rates[name][str(size)] = len(poses) / min(seconds)
