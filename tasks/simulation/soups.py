@@ -76,7 +76,7 @@ def closed(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[n
     """Which faces belong to a connected surface that has an inside, and whose fronts look out of it, shape (n,).
 
     Vertices at the same place are one: textures have them several times. Each edge of such a surface is walked as often one way as the
-    other, and it encloses more than nothing.
+    other, and it encloses more than nothing. That a part of it is turned inside out, through another part, is not seen.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

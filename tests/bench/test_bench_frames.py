@@ -13,7 +13,7 @@ from bench.policy import frames
 from bench.policy.frames import FramesBench, benched_scenes, free_cameras, measure_frames, print_frames
 from schemas.errors import InputError
 
-SMALL = FramesBench(objects=(10,), sizes=(24, 48), poses=3, rounds=1)
+SMALL = FramesBench(objects=(10,), sizes=(24, 48), poses=3, seconds=0.0)
 
 
 def test_every_renderer_draws_and_says_how_much(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

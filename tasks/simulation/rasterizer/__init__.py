@@ -61,7 +61,8 @@ class Rasterizer:
             height: Of a picture [px].
             hfov_radians: Angle that a picture spans from left to right, below pi.
             out: Pictures to draw into; new ones where there are none.
-            textured: Whether faces have their textures, or each one color: the same number of pictures of 64 px, half as many more of 256.
+            textured: Whether faces have their textures, or each one color: where all have some, that takes a fifth longer at 64 px, and
+                two thirds at 256.
         """
         cameras = np.ascontiguousarray(np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4))
         pictures = out if out is not None else Pictures.empty(len(cameras), width, height)
