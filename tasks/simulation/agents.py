@@ -48,7 +48,7 @@ class Agents:
             self.worlds[index] = world
             self._groups = {}
         self.position[index] = self.start[index] = position
-        self.yaw[index] = self.start_yaw[index] = yaw
+        self.yaw[index], self.start_yaw[index] = heading_after(yaw, 0, self._motion), yaw
         self.collided[index] = self.called_stop[index] = False
         self._turns[index] = 0
         self.direction[index] = self.start_direction[index] = math.cos(yaw), math.sin(yaw)

@@ -88,6 +88,7 @@ def deepest(one: ConvexParts, pose: np.ndarray, other: ConvexParts, there: np.nd
 # disturbances
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10**6), room=st.integers(0, 4))
 @settings(max_examples=5, deadline=None)
 def test_a_disturbance_does_what_it_says(seed: int, room: int) -> None:
@@ -128,6 +129,7 @@ def test_a_disturbance_does_what_it_says(seed: int, room: int) -> None:
             assert deepest(obj.solid, poses[obj.name], other, there) == pytest.approx(what.amount, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_every_kind_of_disturbance_happens_and_pushes_meet_objects_and_walls() -> None:
     done = [d for index in (2, 5, 7) for d in scene(index).disturbances]
     assert {d.kind for d in done} == {"pushed", "shifted", "turned", "raised", "sunk"}
@@ -297,6 +299,7 @@ def test_gaps_are_measured_at_any_turn_and_in_any_order(yaw: float, gap: float, 
         assert posed.gaps("0000") == {"floor": pytest.approx(0.68, abs=1e-9)}
 
 
+@pytest.mark.slow
 def test_judging_twice_gives_the_same_but_for_the_times() -> None:
     def timeless(results: SceneVerdicts) -> tuple[Verdict, ...]:
         return tuple(dataclasses.replace(v, seconds=0.0) for v in results.verdicts)

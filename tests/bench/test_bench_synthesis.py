@@ -211,6 +211,7 @@ def test_scenes_of_true_layouts_are_stable_stay_where_they_are_and_pass_the_gate
     assert {"optimization", "exports"} <= set(found["seconds"])
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_whole_benchmark_goes_on_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     caches: defaultdict[str, dict[str, bytes]] = defaultdict(dict)
