@@ -71,7 +71,11 @@ class Store:
         self._by_scene: dict[str, list[int]] = {}
         for number, walk in enumerate(self.walks):
             self._by_scene.setdefault(walk.scene_id, []).append(number)
+        each = self._step_bytes()
+        self._sizes = {name: each * sum(len(self.walks[number]) for number in numbers) for name, numbers in self._by_scene.items()}
         self._kept: dict[str, dict[int, list[NDArray[Any]]]] = {}
+        self._every: list[list[str]] = []  # parts of all laps so far, one after another
+        self._laps = 0
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_kept": {}}
@@ -85,20 +89,17 @@ class Store:
         """Walks of the part that a step belongs to."""
         names = sorted(self._by_scene)
         turn = step // self.part_steps
-        first = 0
-        for lap in range(turn + 1):
-            order = [names[i] for i in np.random.default_rng([self.seed, 31, lap]).permutation(len(names))]
-            parts = self._parts(order)
-            if turn < first + len(parts):
-                return [number for name in parts[turn - first] for number in self._by_scene[name]]
-            first += len(parts)
-        raise AssertionError("a lap has a part at least")
+        while len(self._every) <= turn:  # a lap has a part at least
+            order = np.random.default_rng([self.seed, 31, self._laps]).permutation(len(names))
+            self._every += self._parts([names[i] for i in order])
+            self._laps += 1
+        return [number for name in self._every[turn] for number in self._by_scene[name]]
 
     def of(self, number: int, version: int = 0) -> NDArray[Any]:
         """Observations of a walk (n, ...)."""
         name = self.walks[number].scene_id
         if name not in self._kept:
-            while self._kept and self._bytes({*self._kept, name}) > self.megabytes << 20:
+            while self._kept and sum(self._sizes[kept] for kept in (*self._kept, name)) > self.megabytes << 20:
                 del self._kept[next(iter(self._kept))]
             self._kept[name] = self._made(name)
         return self._kept[name][number][version]
@@ -117,19 +118,21 @@ class Store:
     def _parts(self, order: Sequence[str]) -> list[list[str]]:
         """Scenes in order as parts within the bound; one that alone is beyond it is a part."""
         parts: list[list[str]] = [[]]
+        held = 0
         for name in order:
-            if parts[-1] and self._bytes({*parts[-1], name}) > self.megabytes << 20:
+            held += self._sizes[name]
+            if parts[-1] and held > self.megabytes << 20:
                 parts.append([])
+                held = self._sizes[name]
             parts[-1].append(name)
         return parts
 
-    def _bytes(self, names: set[str]) -> int:
+    def _step_bytes(self) -> int:
+        """What observations of one step take."""
         model = self.model
         if model.blind:
-            each = 0
-        elif is_frozen(model):
+            return 0
+        if is_frozen(model):
             assert isinstance(model.eyes, SiglipEyes)
-            each = 2 * model.tokens * model.eyes.width * self.versions
-        else:
-            each = 3 * model.camera.width * model.camera.height
-        return sum(len(self.walks[number]) for name in names for number in self._by_scene[name]) * each
+            return 2 * model.tokens * model.eyes.width * self.versions
+        return 3 * model.camera.width * model.camera.height
