@@ -48,10 +48,11 @@ class Agents:
             self.worlds[index] = world
             self._groups = {}
         self.position[index] = self.start[index] = position
-        self.yaw[index], self.start_yaw[index] = heading_after(yaw, 0, self._motion), yaw
+        self.yaw[index] = self.start_yaw[index] = yaw
         self.collided[index] = self.called_stop[index] = False
         self._turns[index] = 0
-        self.direction[index] = self.start_direction[index] = math.cos(yaw), math.sin(yaw)
+        heading = heading_after(yaw, 0, self._motion)
+        self.direction[index] = self.start_direction[index] = math.cos(heading), math.sin(heading)
 
     def step(self, actions: NDArray[np.integer], among: Indices | None = None) -> None:
         """Carry out an action of every agent, by its number in `ACTIONS`, shape (n,); `among`: of these alone, ascending.
@@ -71,6 +72,9 @@ class Agents:
             yaw = heading_after(float(self.start_yaw[index]), int(self._turns[index]), self._motion)
             self.yaw[index] = yaw
             self.direction[index] = math.cos(yaw), math.sin(yaw)
+        yaws = self.yaw[agents]
+        for index in agents[(yaws <= -math.pi) | (yaws > math.pi)].tolist():  # a start may be given so; headings after it are not
+            self.yaw[index] = heading_after(float(self.start_yaw[index]), int(self._turns[index]), self._motion)
         forward = np.zeros(len(self), dtype=np.bool_)
         forward[agents] = mine == FORWARD
         for world, group in self.groups():

@@ -110,9 +110,10 @@ NONSENSE = st.dictionaries(st.sampled_from([*DEFAULTS, "seed"]), st.one_of(PLAIN
 
 
 def rule_between_fields(error: InputError) -> bool:
-    """Whether every value is right by itself: a file that one names is not, or two contradict each other."""
+    """Whether every value is right by itself: a file that one names is not, or two contradict each other. A table needs its kind only
+    where the one around it is of another kind than before: then there is none that it could be of."""
     cause = error.__cause__
-    return error.file != TABLES or (isinstance(cause, ValidationError) and cause.errors()[0]["type"] == "value_error")
+    return error.file != TABLES or (isinstance(cause, ValidationError) and cause.errors()[0]["type"] in ("value_error", "no_kind"))
 
 
 def refusal(tables: dict[str, Any]) -> InputError | None:
