@@ -57,7 +57,7 @@ def bake_stage(vertices: ArrayLike, faces: ArrayLike, settings: Settings) -> byt
     """
     import trimesh
 
-    sim = _habitat_sim()
+    sim = habitat_sim()
     asked = sim.NavMeshSettings()
     asked.set_defaults()
     for name, value in dataclasses.asdict(settings).items():
@@ -95,7 +95,7 @@ class HabitatPathFinder(DetourPathFinder):
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
-        self._sim = _habitat_sim()
+        self._sim = habitat_sim()
         self._finder = self._sim.PathFinder()
         if self.floor is not None:
             with tempfile.TemporaryDirectory() as folder:
@@ -201,8 +201,8 @@ class HabitatField:
         return best
 
 
-def _habitat_sim() -> Any:
-    """habitat-sim's Python package.
+def habitat_sim(needed_by: str = "path_finder", instead: str = "set navigation.path_finder to recast or planar") -> Any:
+    """habitat-sim's Python package, for what needs it, with what can be done without it.
 
     Raises:
         InputError: it is not installed, or does not import.
@@ -210,8 +210,7 @@ def _habitat_sim() -> Any:
     try:
         return importlib.import_module("habitat_sim")
     except ImportError as error:
-        remedy = "install habitat-sim, or set navigation.path_finder to recast or planar"
-        raise InputError("habitat_sim", "path_finder", f"habitat needs this package: {error}", remedy) from error
+        raise InputError("habitat_sim", needed_by, f"habitat needs this package: {error}", f"install habitat-sim, or {instead}") from error
 
 
 def _build(room: Shell, surfaces: Sequence[Surface], walls: Sequence[shapely.Geometry], config: NavigationConfig) -> HabitatPathFinder:

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from schemas.navigation import Episode
+from tasks.navigation.follower import heading_after
 from tasks.navigation.protocol import PathFinder
 from tasks.policy.actions import FORWARD, LEFT, RIGHT, STOP, UNKNOWN
 from tasks.policy.demonstrations import AgentWalk, Array, Expert, Guide, WalkConfig, start_of, views_of, walk_of
@@ -55,7 +56,7 @@ class _Agent:
 
     def pose(self, config: WalkConfig) -> tuple[float, float, float]:
         """Where it is: x, y [m] and yaw [rad]."""
-        yaw = math.remainder(self.episode.start_yaw_radians + self.turns * config.motion.turn_radians, 2 * math.pi)
+        yaw = heading_after(self.episode.start_yaw_radians, self.turns, config.motion)
         return float(self.position[0]), float(self.position[1]), yaw
 
     def step(self, action: int, config: WalkConfig, corrections: CorrectionsConfig) -> int:
@@ -97,18 +98,18 @@ def corrected(
     for name in sorted(courses):
         agents = _begun(courses[name], walks, config, number, seed)
         actor.reset(len(agents), [agent.episode.category for agent in agents])
-        going = list(range(len(agents)))
+        going = list(range(len(agents)))  # in the actor's order
         while going:
-            poses = np.array([agent.pose(walks) for agent in agents])
             camera = actor.config.camera
-            pictures = np.zeros((len(agents), camera.height, camera.width, 3), dtype=np.uint8)
+            pictures = np.zeros((len(going), camera.height, camera.width, 3), dtype=np.uint8)
             if not actor.config.blind:
-                pictures[going] = render(name, poses[going])
-            actions = actor.logits(pictures).argmax(axis=-1)
-            for place in going:
-                actions[place] = agents[place].step(int(actions[place]), walks, config)
-            actor.did(actions)
-            going = [place for place in going if not agents[place].is_done]
+                pictures = render(name, np.array([agents[place].pose(walks) for place in going]))
+            chosen = actor.logits(pictures).argmax(axis=-1)
+            actor.did([agents[place].step(int(action), walks, config) for place, action in zip(going, chosen, strict=True)])
+            still = [order for order, place in enumerate(going) if not agents[place].is_done]
+            if len(still) < len(going):
+                actor.keep(still)
+                going = [going[order] for order in still]
         made += [agent.walk(number) for agent in agents]
     return made
 

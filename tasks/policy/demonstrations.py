@@ -13,6 +13,7 @@ from pydantic import Field
 
 from schemas.evaluation import ACTIONS
 from schemas.navigation import Episode
+from tasks.evaluation.measures import onto
 from tasks.navigation.follower import Motion, follow, replay
 from tasks.navigation.protocol import DistanceField, PathFinder
 from tasks.policy.actions import LEFT, RIGHT, START, STOP, UNKNOWN
@@ -129,16 +130,14 @@ class Guide:
 def views_of(episode: Episode, finder: PathFinder) -> Array:
     """View points of an episode's target that lie on the navmesh: x, y [m] and yaw [rad], shape (n, 3)."""
     views = np.array(episode.view_points, dtype=np.float64).reshape(-1, 4)
-    at = finder.snap(views[:, :2])
-    is_on = np.hypot(*(at - views[:, :2]).T) <= _ON_M
+    at, is_on = onto(finder, views[:, :2], _ON_M)
     return np.column_stack([at, views[:, 3]])[is_on]
 
 
 def start_of(episode: Episode, finder: PathFinder) -> Array | None:
     """Where an episode starts on the navmesh, shape (2,); None where it starts off it."""
-    start = np.array(episode.start_position[:2])
-    (at,) = finder.snap(start[None])
-    return at if np.hypot(*(at - start)) <= _ON_M else None
+    (at,), (is_on,) = onto(finder, np.array([episode.start_position[:2]]), _ON_M)
+    return np.asarray(at) if is_on else None
 
 
 def walk_of(episode: Episode, room_id: str, finder: PathFinder, config: WalkConfig) -> AgentWalk | None:

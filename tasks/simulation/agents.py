@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.navigation.follower import heading_after, is_short
+from tasks.simulation.cameras import cameras_along
 from tasks.simulation.configuration import SimulationConfig
 from tasks.simulation.protocol import ACTIONS, AgentState, AgentView
 from tasks.simulation.rasterizer import Pictures
@@ -115,18 +116,7 @@ class Agents:
         for world, group in self.groups():
             mine = group[place[group] >= 0]
             if len(mine):
-                poses = camera_poses(self.position[mine], self.direction[mine], config.camera_height_m)
+                poses = cameras_along(self.position[mine], self.direction[mine], config.camera_height_m)
                 part = Pictures(room.rgb[: len(mine)], room.depth[: len(mine)], room.part[: len(mine)])
                 world.look(poses, config.hfov, sight, place[mine], part)
         return sight
-
-
-def camera_poses(position: Array, direction: Array, height: float) -> Array:
-    """OpenCV cameras at a height [m] over points of the floor, shape (n, 2) [m], that look level along unit vectors, shape (n, 2):
-    camera-to-world, shape (n, 4, 4)."""
-    poses = np.zeros((len(position), 4, 4))
-    poses[:, 0, 0], poses[:, 1, 0] = direction[:, 1], -direction[:, 0]  # x: to the right
-    poses[:, 2, 1] = -1.0  # y: down
-    poses[:, :2, 2] = direction  # z: ahead
-    poses[:, :2, 3], poses[:, 2, 3], poses[:, 3, 3] = position, height, 1.0
-    return poses

@@ -19,11 +19,15 @@ def camera_poses(poses: ArrayLike, height: float, pitch: float = 0.0) -> Array:
         pitch: Of its axis, up is above 0 [rad].
     """
     x, y, yaw = np.asarray(poses, dtype=np.float64).reshape(-1, 3).T
-    cosine, sine, level, steep = np.cos(yaw), np.sin(yaw), math.cos(pitch), math.sin(pitch)
-    made = np.zeros((len(x), 4, 4))
-    made[:, :3, 0] = np.stack([sine, -cosine, np.zeros_like(x)], axis=1)
-    made[:, :3, 1] = np.stack([cosine * steep, sine * steep, np.full_like(x, -level)], axis=1)
-    made[:, :3, 2] = np.stack([cosine * level, sine * level, np.full_like(x, steep)], axis=1)
-    made[:, :3, 3] = np.stack([x, y, np.full_like(x, height)], axis=1)
-    made[:, 3, 3] = 1.0
+    return cameras_along(np.column_stack([x, y]), np.column_stack([np.cos(yaw), np.sin(yaw)]), height, pitch)
+
+
+def cameras_along(positions: Array, directions: Array, height: float, pitch: float = 0.0) -> Array:
+    """The same of agents that head along unit vectors, shape (n, 2), from points of the floor, shape (n, 2) [m], world frame."""
+    level, steep = math.cos(pitch), math.sin(pitch)
+    made = np.zeros((len(positions), 4, 4))
+    made[:, 0, 0], made[:, 1, 0] = directions[:, 1], -directions[:, 0]  # to the right
+    made[:, :2, 1], made[:, 2, 1] = directions * steep, -level  # down
+    made[:, :2, 2], made[:, 2, 2] = directions * level, steep  # ahead
+    made[:, :2, 3], made[:, 2, 3], made[:, 3, 3] = positions, height, 1.0
     return made

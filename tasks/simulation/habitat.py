@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from schemas.errors import InputError
 from tasks.geometry.transforms import quaternion_xyzw, to_y_up, to_z_up, yaw_of, yaw_pose
 from tasks.navigation.detour import from_above, space
+from tasks.navigation.habitat import habitat_sim
 from tasks.navigation.points import rows
 from tasks.simulation.configuration import SimulationConfig
 from tasks.simulation.protocol import ACTIONS, NO_OBJECT, AgentState, AgentView, Simulator
@@ -41,7 +41,7 @@ class HabitatSimulator(Simulator):
         Raises:
             InputError: habitat-sim is not installed, or there is no such file.
         """
-        self._sim_module = habitat_sim()
+        self._sim_module = habitat_sim("simulator", "act in tasks.simulation.simulator.WorldSimulator, which needs nothing")
         if not dataset.is_file():
             raise InputError(
                 str(dataset), "dataset", "there is no such file", "`metascenes export` writes habitat/*.scene_dataset_config.json"
@@ -163,16 +163,3 @@ def yaw_from(quaternion: Sequence[float]) -> float:
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_quat(np.asarray(quaternion, dtype=np.float64)).as_matrix()
     return yaw_of(to_z_up(pose) @ yaw_pose(0.5 * math.pi))
-
-
-def habitat_sim() -> Any:
-    """habitat-sim's Python package.
-
-    Raises:
-        InputError: it is not installed, or does not import.
-    """
-    try:
-        return importlib.import_module("habitat_sim")
-    except ImportError as error:
-        remedy = "install habitat-sim, or act in tasks.simulation.simulator.WorldSimulator, which needs nothing"
-        raise InputError("habitat_sim", "simulator", f"needs this package: {error}", remedy) from error

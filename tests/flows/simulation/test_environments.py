@@ -69,9 +69,11 @@ def test_gymnasium_knows_it_once_the_package_is_imported(lake: str) -> None:
 
 
 def test_who_imports_it_twice_does_no_harm() -> None:
+    before = gymnasium.registry[ENVIRONMENT]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         register()
+    assert gymnasium.registry[ENVIRONMENT] is before
 
 
 def test_gymnasiums_checker_has_nothing_to_say(lake: str) -> None:

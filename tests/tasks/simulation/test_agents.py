@@ -18,7 +18,8 @@ from tasks.evaluation.measures import path_finder
 from tasks.geometry.transforms import look_at
 from tasks.navigation.follower import FORWARD, LEFT, RIGHT, replay
 from tasks.navigation.planar import PlanarPathFinder
-from tasks.simulation.agents import Agents, camera_poses
+from tasks.simulation.agents import Agents
+from tasks.simulation.cameras import cameras_along
 from tasks.simulation.configuration import SimulationConfig
 from tasks.simulation.objectnav import Course, compass, gps, normalize_depth
 from tasks.simulation.protocol import ACTIONS, NO_OBJECT
@@ -149,7 +150,7 @@ def test_a_simulator_shows_numbers_of_instances() -> None:
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-math.pi, math.pi))
 def test_a_camera_looks_level_along_the_heading(x: float, y: float, yaw: float) -> None:
     direction = np.array([math.cos(yaw), math.sin(yaw)])
-    (pose,) = camera_poses(np.array([[x, y]]), direction[None], 0.88)
+    (pose,) = cameras_along(np.array([[x, y]]), direction[None], 0.88)
     assert pose == pytest.approx(look_at((x, y, 0.88), (*(np.array([x, y]) + direction), 0.88)), abs=1e-9)
 
 

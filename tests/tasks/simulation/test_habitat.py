@@ -101,5 +101,5 @@ def test_what_is_not_there_is_named(simulator: HabitatSimulator, tmp_path: Path,
     with pytest.raises(InputError, match="dataset: there is no such file"):
         HabitatSimulator(tmp_path / "none.json", CONFIG)
     monkeypatch.setitem(sys.modules, "habitat_sim", None)
-    with pytest.raises(InputError, match=r"habitat_sim: simulator: needs this package: .*; install habitat-sim, or act in"):
+    with pytest.raises(InputError, match=r"habitat_sim: simulator: habitat needs this package: .*; install habitat-sim, or act in"):
         HabitatSimulator(tmp_path / "none.json", CONFIG)
