@@ -36,7 +36,7 @@ class EpisodeDataset(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class VisibleScene:
-    """Rows of a scene that say how it looks. shell: None of an imported scene, whose own objects have floor and walls."""
+    """Rows of a scene that say how it looks. shell: None where there is none."""
 
     shell: Shell | None
     surfaces: tuple[RoomSurface, ...]

@@ -41,7 +41,7 @@ EYES_MEMORY = "tasks.policy.model.frozen"
 class PolicyFitting(FittingConfig):
     """How long and how fast it is fitted."""
 
-    steps: Count = 3000  # of 64 windows (specs E.4): some ten minutes on one processor
+    steps: Count = 3000  # of 64 windows (specs E.4): some twenty minutes on one busy processor
     warmup_steps: Natural = 100  # attention from scratch wants more than the usual 50
     weight_decay: NonNegative = 0.01  # AdamW's own; as published
     validate_steps: Count = 250  # looking at held-out walks takes as long as some steps
