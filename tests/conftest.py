@@ -14,6 +14,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 os.environ.setdefault("DO_NOT_TRACK", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes import the project: compiling it takes each of them a second
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # so starts a shell what it runs in the background, and processes of ours would, too
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
