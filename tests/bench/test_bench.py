@@ -138,6 +138,7 @@ def test_every_kind_of_disturbance_happens_and_pushes_meet_objects_and_walls() -
     assert any(not t.startswith("wall") for t in targets)
 
 
+@pytest.mark.slow
 def test_what_was_raised_from_the_floor_floats_and_what_sank_is_in_it() -> None:
     seen = set()
     for index in (2, 5, 7):
@@ -160,6 +161,7 @@ def test_the_same_seed_gives_the_same_rooms_and_another_gives_others() -> None:
     assert generated_scene(1, 20, 1).digest() != scene(1).digest()
 
 
+@pytest.mark.slow
 def test_rooms_have_ten_to_eighty_objects_of_every_kind_of_room_and_some_without_known_pieces() -> None:
     few, many = generated_scene(0, 50, 0), generated_scene(49, 50, 0)
     assert 8 <= len(few.rows["instances"]) <= 20
@@ -381,6 +383,7 @@ def test_scenes_of_a_lake_are_read_as_the_stage_reads_them(tmp_path_factory: pyt
             assert far == pytest.approx(rows[name].displacement_m, abs=1e-9), "the run gave what the benchmark measures"
 
 
+@pytest.mark.slow
 def test_moves_alone_are_timed_without_rooms() -> None:
     done = metascenes({**os.environ}, "bench", "optimization", "--moves-only", "--json")
     found = json.loads(done.stdout)

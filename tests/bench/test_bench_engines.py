@@ -325,6 +325,7 @@ def test_no_scene_at_all_is_refused() -> None:
     assert "--demo 0 together with --rooms 0: no scene is left" in done.output
 
 
+@pytest.mark.slow
 def test_generated_rooms_go_through_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rooms are made, exported and simulated by MuJoCo; the others are named, and the exit code says whether goals are met."""
     for engine in FOREIGN:

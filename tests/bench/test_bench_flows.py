@@ -92,6 +92,7 @@ def test_figures_are_those_of_the_lake_and_the_clock(plain: tuple[Path, Figures,
     assert 0 < figures.cpu_seconds < figures.seconds * 2
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_the_plain_loop_and_the_flow_give_the_same_lake(plain: tuple[Path, Figures, float], tmp_path: Path) -> None:
     """Otherwise one would be held against something else."""
@@ -290,6 +291,7 @@ def test_the_power_that_seconds_grow_with_is_found(power: float) -> None:
     assert exponents(sizes(power, 5, 10, 30)) == {} or power > 2
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_scale_is_measured_by_stage(tmp_path: Path) -> None:
     report = run_scale_bench(ScaleBench(objects=(2,), scenes=(1, 2)), folder=tmp_path)

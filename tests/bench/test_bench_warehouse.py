@@ -127,6 +127,7 @@ def test_what_stage_runs_say_was_written_is_there(lake: Lake) -> None:
         assert counted[name].get(scene, 0) == int(count)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_rows_and_another_one_others(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METASCENES_CACHE", str(tmp_path))
     again, other = generated_lake(SCENES), generated_lake(SCENES, seed=1)
@@ -175,6 +176,7 @@ def test_what_fails_half_way_leaves_nothing(tmp_path: Path, monkeypatch: pytest.
     assert list((tmp_path / "bench").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_every_question_is_timed_and_answered(lake: Lake) -> None:
     asked_for = report.questions(lake)
     found = time_answers(lake.address, asked_for, runs=2)
@@ -275,6 +277,7 @@ def test_without_pandas_the_benchmark_says_what_to_do(cache: Path, monkeypatch: 
         report.run_warehouse_bench(report.WarehouseBench(scenes=100, parts=("volumes",)), lambda what: None)
 
 
+@pytest.mark.slow
 def test_growth_is_measured_on_lakes_smaller_than_a_commit(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(growth, "_RUNS", 2)  # the second begins within the lake
     told: list[str] = []

@@ -31,7 +31,7 @@ from tasks.lineage.places import places
 from tests.capture_scans import OBJECTS, box_room, write_scannet
 from tests.conftest import REPOSITORY
 from tests.samples import fingerprint, sample, stage_run
-from tests.test_pipeline import metascenes
+from tests.test_pipeline import QUICK, metascenes
 from warehouse.lake import Lake
 from warehouse.release import make_release
 
@@ -56,8 +56,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "METASCENES_"))}
     environment = {**kept, "HOME": str(base / "home"), "XDG_CACHE_HOME": str(base / "home" / ".cache"), "NO_COLOR": "1"}
     write_scannet(base / "scans" / "scene0000_00", box_room((OBJECTS[0], OBJECTS[3]), cameras=8))
-    command = ("run", "--scans", base / "scans", "--lake", base / "lake", "--workers", 2, "--set", "navigation.train_episodes=6",
-               "--set", "navigation.test_episodes=6")  # fmt: skip
+    command = ("run", "--scans", base / "scans", "--lake", base / "lake", "--workers", 2, *QUICK)
     first = metascenes(environment, *command)
     assert first.returncode == 0, first.stderr
     lake = Lake.open(base / "lake")

@@ -463,6 +463,7 @@ def test_what_is_erased_while_it_is_furnished_anew_comes_back_in_no_snapshot(era
     assert erasable.snapshot().rows(Scene) == []
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_what_is_furnished_anew_while_its_scene_is_erased_goes_too(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     look = dependents.furnished_anew

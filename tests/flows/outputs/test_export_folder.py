@@ -13,8 +13,9 @@ from flows.outputs.export import write_exports
 from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
+from tests.made_once import made_once
 from tests.scans import OBJECTS, write_scan
-from tests.test_pipeline import metascenes
+from tests.test_pipeline import QUICK, metascenes
 from warehouse.lake import Lake
 from warehouse.release import make_release
 
@@ -26,18 +27,21 @@ OBJECTS = OBJECTS[1:2]
 
 
 def built(factory: pytest.TempPathFactory) -> tuple[dict[str, str], Path, Path]:
-    """Environment, scans and lake of two rooms with an object in each; made once per process, for every module that asks."""
-    base = factory.getbasetemp() / "two_rooms"
+    """Environment, scans and lake of two rooms with an object in each, for every module that asks."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "METASCENES_"))}
-    environment = {**kept, "HOME": str(base / "home"), "XDG_CACHE_HOME": str(base / "home" / ".cache"), "NO_COLOR": "1"}
-    if not base.exists():
-        (base / "home").mkdir(parents=True)
+
+    def environment(base: Path) -> dict[str, str]:
+        return {**kept, "HOME": str(base / "home"), "XDG_CACHE_HOME": str(base / "home" / ".cache"), "NO_COLOR": "1"}
+
+    def make(base: Path) -> None:
+        (base / "home").mkdir()
         write_scan(base / "scans", "scene0000_00", objects=OBJECTS)
         write_scan(base / "scans", "scene0001_00", size=(4.5, 3.2, 2.5), objects=OBJECTS, shift=(0.01, 0.0))
-        done = metascenes(environment, "run", "--scans", base / "scans", "--lake", base / "lake", "--workers", 2)
-        (base / "said").write_text(done.stdout + done.stderr)
-    assert (base / "lake").is_dir(), (base / "said").read_text()
-    return environment, base / "scans", base / "lake"
+        done = metascenes(environment(base), "run", "--scans", base / "scans", "--lake", base / "lake", "--workers", 2, *QUICK)
+        assert done.returncode == 0, done.stderr + done.stdout
+
+    base = made_once(factory, "two_rooms", make)
+    return environment(base), base / "scans", base / "lake"
 
 
 @pytest.fixture(scope="module")

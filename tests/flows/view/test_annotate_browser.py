@@ -415,6 +415,7 @@ def test_what_is_called_saved_outlives_the_server_and_work_goes_on_without_it(op
     assert now(page) == changed | {"transform": shown}, "what was shown is kept, whatever selection aligns later"
 
 
+@pytest.mark.slow
 def test_edits_while_the_server_is_killed_again_and_again_are_kept(opened: Callable[..., Page], server: Server) -> None:
     """Each time something is called saved it is there after a kill; the page needs no help to go on."""
     page = opened("ada")
@@ -474,6 +475,7 @@ def test_keys_work_wherever_the_focus_is(opened: Callable[..., Page]) -> None:
     assert page.get_by_role("dialog").locator("dt").count() > 15
 
 
+@pytest.mark.slow
 def test_nothing_is_drawn_while_nothing_changes(opened: Callable[..., Page]) -> None:
     page = opened("ada")
     show(page, OBJECT)
@@ -490,6 +492,7 @@ def test_nothing_is_drawn_while_nothing_changes(opened: Callable[..., Page]) -> 
     assert page.evaluate(frames) == 0
 
 
+@pytest.mark.slow
 def test_the_camera_goes_where_the_photo_was_taken(opened: Callable[..., Page]) -> None:
     page = opened("ada")
     show(page, f"{SCENES[0]}/0003")
@@ -509,6 +512,7 @@ SHOT_COLOR = """() => {
 }"""
 
 
+@pytest.mark.slow
 def test_the_photo_follows_the_view(opened: Callable[..., Page]) -> None:
     """Of two photos the one is shown that looks as the view does, and its camera is the one that is gone to."""
     page = opened("ada")
@@ -528,6 +532,7 @@ def test_the_photo_follows_the_view(opened: Callable[..., Page]) -> None:
     assert "same way" in page.locator("figcaption").inner_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 1024, 700])
 def test_everything_fits_and_has_a_name(opened: Callable[..., Page], width: int, scheme: str) -> None:

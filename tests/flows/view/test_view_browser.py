@@ -376,6 +376,7 @@ def test_a_layer_that_could_not_be_fetched_is_tried_again(opened: Callable[..., 
     wait(page, "view.layers.children.length", 1)
 
 
+@pytest.mark.slow
 def test_what_a_scene_took_is_given_back_with_it(opened: Callable[..., Page]) -> None:
     """Geometries and images of the graphics processor do not add up with visits; marks that are still being drawn make a difference."""
     page = opened()

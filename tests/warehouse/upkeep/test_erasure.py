@@ -306,6 +306,7 @@ def test_unfinished_erasure_of_another_scene_comes_first(lake: Lake, monkeypatch
 NAMES = st.sampled_from(["s1_00", "s1_001", "as1_00", "s1_00_b", "s1_00.x", "s1-00", "scene1_00", "S1_00", "kitchen", "kitchen2", "s1_0"])
 
 
+@pytest.mark.slow
 @settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck))
 @given(scenes=st.lists(st.tuples(st.sampled_from(["a", "b.c", "a_b"]), NAMES), min_size=2, max_size=4, unique=True), data=st.data())
 def test_scenes_with_similar_names_keep_their_rows(

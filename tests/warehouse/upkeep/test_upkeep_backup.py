@@ -101,6 +101,7 @@ def test_only_what_is_new_is_copied_again(lake: Lake, tmp_path: Path) -> None:
     assert everything(Lake.open(tmp_path / "new")) == everything(lake)
 
 
+@pytest.mark.slow
 def test_what_the_lake_forgot_leaves_the_backup(lake: Lake, tmp_path: Path) -> None:
     backup(lake, tmp_path / "backup")
     assert found_in(tmp_path / "backup", "scene0001_00")
@@ -114,6 +115,7 @@ def test_what_the_lake_forgot_leaves_the_backup(lake: Lake, tmp_path: Path) -> N
     assert inspect(Lake.open(tmp_path / "backup")).findings == ()
 
 
+@pytest.mark.slow
 def test_others_may_write_meanwhile(lake: Lake, tmp_path: Path) -> None:
     """Snapshots are committed while files are copied: the backup holds those that there were, whole."""
     stop = threading.Event()
