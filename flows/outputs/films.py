@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from warehouse.tables.snapshot import Reader
 
 
+LEAST_ACTIONS = 8
+"""Shorter walks show little."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Filmed:
     """Films that were written. missing: What was not filmed, and why, a line each."""
@@ -37,9 +41,10 @@ class Filmed:
 
 def shown_walks(per_outcome: int, which: str) -> str:
     """SQL of as many successes and failures of each run of a policy, drawn by a hash of the episode: runs in the same episodes are shown
-    in the same ones. Left out is what was measured again, or in an episode that is there no more. `which`: a condition.
+    in the same ones. Walks of less than `LEAST_ACTIONS` come after all others. Left out is what was measured again, or in an episode
+    that is there no more. `which`: a condition.
     """
-    draw = "md5(scene_id || '/' || episode_id), scene_id, episode_id, success_distance_m"
+    draw = f"episode_length < {LEAST_ACTIONS}, md5(scene_id || '/' || episode_id), scene_id, episode_id, success_distance_m"
     return (
         f"SELECT policy, run_name, batch_id, scene_id, episode_id, success FROM trajectory_metrics "
         f"WHERE is_counted AND NOT is_outdated AND {which} "

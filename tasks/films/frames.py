@@ -69,9 +69,8 @@ def room_picture(third: ThirdPerson, walk: FilmedWalk, step: int, look: FilmLook
     image = Image.fromarray(third.picture(step))
     way = np.array([third.place((x, y, 0.0)) for x, y, _ in walk.poses])
     ahead = way[:8].mean(axis=0) - way[0]
-    length = float(np.hypot(*ahead))
-    beside = -ahead / length if length > 1 else np.array([0.0, 1.0])  # not on the way
-    column, row = way[0] + beside * [3.2 * look.text_px, 1.7 * look.text_px]
+    sides = np.array([(0.0, 1.7), (3.0, 0.0), (-3.0, 0.0)]) * look.text_px  # not above, where the agent's body is, and not on the way
+    column, row = way[0] + sides[np.argmin(sides @ ahead / np.hypot(*sides.T))]
     _write(image, "start", (column, row), START, look.text_px)
     if third.target_box is not None:
         left, top, right, bottom = third.target_box

@@ -14,9 +14,10 @@ from tasks.stats.scenes import PictureConfig
 
 @dataclasses.dataclass(frozen=True)
 class FilmLook:
-    """How films look. room: The room from above. view_px: Width of what the agent sees [px]. text_px: Size of letters."""
+    """How films look. room: The room from above: steeply, so that furniture hides little floor, and without doors and pictures, as thin
+    as they are, on walls that are cut away. view_px: Width of what the agent sees [px]. text_px: Size of letters."""
 
-    room: PictureConfig = PictureConfig(width=720, height=540, elevation_radians=0.95)  # steep: furniture hides little floor
+    room: PictureConfig = PictureConfig(width=720, height=540, elevation_radians=0.95, hung_m=0.14, standing_m=-1.0)
     view_px: int = 248  # two of them and their headings are as high as the room
     text_px: int = 15
     max_depth_m: float = 5.0  # as agents' depth cameras have it; what is farther looks alike
