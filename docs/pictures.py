@@ -73,7 +73,7 @@ def side_by_side(scan: Image.Image, replica: Image.Image) -> bytes:
 
 
 def main() -> None:
-    """Write the picture of a scene of a lake, of a room of `metascenes bench rooms`, by number, of a desk, by seed, or of a lake's walks."""
+    """Write the picture of a scene of a lake, of a room of `metascenes bench rooms`, by number, of a desk, by seed, or of walks."""
     address, scene, out = sys.argv[1:]
     if address == "walks":
         Path(out).write_bytes(two_walks(scene))

@@ -42,7 +42,8 @@ MAX_NOTES = 20
 @click.option("--dry-run", is_flag=True, help="Check the batch against the lake and say what would be measured; write nothing.")
 @json_option
 def command(file: Path | None, policies: tuple[str, ...], address: str, config_file: Path | None, settings: tuple[str, ...],
-            library: Path | None, seed: int | None, films: Path | None, per_outcome: int, dry_run: bool, as_json: bool) -> None:  # fmt: skip
+            library: Path | None, seed: int | None, films: Path | None, per_outcome: int, dry_run: bool,
+            as_json: bool) -> None:  # fmt: skip
     """Measure how well agents navigate the episodes of a lake.
 
     FILE holds the trajectories of one policy, as JSON or JSON Lines (schema: tasks/evaluation/batch.schema.json). The

@@ -44,13 +44,15 @@ def shown_walks(per_outcome: int, which: str) -> str:
     in the same ones. Walks of less than `LEAST_ACTIONS` come after all others. Left out is what was measured again, or in an episode
     that is there no more. `which`: a condition.
     """
-    draw = f"episode_length < {LEAST_ACTIONS}, md5(scene_id || '/' || episode_id), scene_id, episode_id, success_distance_m"
-    return (
-        f"SELECT policy, run_name, batch_id, scene_id, episode_id, success FROM trajectory_metrics "
-        f"WHERE is_counted AND NOT is_outdated AND {which} "
-        f"QUALIFY row_number() OVER (PARTITION BY policy, run_name, success ORDER BY {draw}) <= {per_outcome} "
-        f"ORDER BY policy, run_name, success DESC, {draw}"
-    )
+    draw = f"episode_length < {LEAST_ACTIONS}, md5(scene_id || '/' || episode_id), scene_id, episode_id"
+    return f"""WITH counted AS (
+    SELECT policy, run_name, batch_id, scene_id, episode_id, success, episode_length FROM trajectory_metrics
+    WHERE is_counted AND NOT is_outdated AND {which}
+    QUALIFY row_number() OVER (PARTITION BY policy, run_name, scene_id, episode_id, success ORDER BY success_distance_m, batch_id) = 1
+)
+SELECT policy, run_name, batch_id, scene_id, episode_id, success FROM counted
+QUALIFY row_number() OVER (PARTITION BY policy, run_name, success ORDER BY {draw}) <= {per_outcome}
+ORDER BY policy, run_name, success DESC, {draw}"""
 
 
 def write_films(

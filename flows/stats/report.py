@@ -197,8 +197,8 @@ def _pictured(
         made = carried_out(jobs, workers, tell)
     forget_old()
     tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
-    whole = [[made[name] for name in names if not isinstance(made[name], str)] for names in (strips, walks)]
-    return {scene: made[scene] for scene in shown.pictured}, tiles, *whole
+    objects_shown, walks_shown = ([made[name] for name in names if not isinstance(made[name], str)] for names in (strips, walks))
+    return {scene: made[scene] for scene in shown.pictured}, tiles, objects_shown, walks_shown
 
 
 def _pages(lake: Lake, snapshot_id: int, scenes: Sequence[str], folder: Path, workers: int | None) -> dict[str, Path]:

@@ -146,7 +146,8 @@ def _walk_strip(lake: Lake, reader: Reader, row: Mapping[str, Any]) -> WalkStrip
 
     walk, room, world = scenes_of(lake, reader, row, STRIP_LOOK)
     views = first_person(world, walk.poses, walk.camera)
-    picture = developed(stills(ThirdPerson(room, walk, STRIP_LOOK.room), views, walk, STRIP_LOOK), STRIP_LOOK.room)
+    shown = stills(ThirdPerson(room, walk, STRIP_LOOK.room), views, walk, STRIP_LOOK)
+    picture = developed(shown.astype(np.float32), STRIP_LOOK.room)
     done = walk.trajectory
     names = (done.policy, done.run_name, walk.outcome, done.scene_id, done.episode_id, done.category)
     return WalkStrip(*names, walk.ending, picture)

@@ -36,5 +36,8 @@ def robot(radius: float, height: float) -> list[trimesh.Trimesh]:
 
 
 def _painted(part: trimesh.Trimesh, color: tuple[int, int, int]) -> trimesh.Trimesh:
-    part.visual.vertex_colors = np.tile(np.array([*color, 255], dtype=np.uint8), (len(part.vertices), 1))
+    from trimesh.visual import ColorVisuals
+
+    colors = np.tile(np.array([*color, 255], dtype=np.uint8), (len(part.vertices), 1))
+    part.visual = ColorVisuals(part, vertex_colors=colors)
     return part

@@ -11,13 +11,15 @@ from schemas.evaluation import Trajectory
 from tasks.policy.model.config import AgentCamera
 from tasks.stats.scenes import PictureConfig
 
+_ROOM = PictureConfig(width=720, height=540, elevation_radians=0.95, hung_m=0.14, standing_m=-1.0)
+
 
 @dataclasses.dataclass(frozen=True)
 class FilmLook:
     """How films look. room: The room from above: steeply, so that furniture hides little floor, and without doors and pictures, as thin
     as they are, on walls that are cut away. view_px: Width of what the agent sees [px]. text_px: Size of letters."""
 
-    room: PictureConfig = PictureConfig(width=720, height=540, elevation_radians=0.95, hung_m=0.14, standing_m=-1.0)
+    room: PictureConfig = _ROOM
     view_px: int = 248  # two of them and their headings are as high as the room
     text_px: int = 15
     max_depth_m: float = 5.0  # as agents' depth cameras have it; what is farther looks alike
@@ -26,7 +28,7 @@ class FilmLook:
     rest_ms: int = 1800  # of the first and of the last pose
 
 
-STRIP_LOOK = FilmLook(room=dataclasses.replace(FilmLook.room, width=300, height=225), view_px=146, text_px=11)
+STRIP_LOOK = FilmLook(room=dataclasses.replace(_ROOM, width=300, height=225), view_px=146, text_px=11)
 """Of strips of stills: four poses side by side fill a page, 60 kB as JPEG."""
 
 
@@ -56,7 +58,7 @@ class FilmedWalk:
     is_success: bool
     radius_m: float
     height_m: float
-    camera: AgentCamera = AgentCamera()
+    camera: AgentCamera = dataclasses.field(default_factory=AgentCamera)
 
     @property
     def poses(self) -> NDArray[np.float64]:
