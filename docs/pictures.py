@@ -1,9 +1,11 @@
 """The pictures of the README: a scan and its replica from the same camera, wiped over one another (WebP) or side by side (JPEG); and a
-desk that a model furnishes six times (JPEG).
+desk that a model furnishes six times (JPEG). And one of docs/navigation.md: walks of agents of a lake, one that succeeds and one that
+fails (JPEG).
 
 python docs/pictures.py demo/lake demo/scene0001_00 docs/replica.webp
 python docs/pictures.py hard-room 0 docs/hard_room.jpg
 python docs/pictures.py desk 0 docs/desk.jpg
+python docs/pictures.py walks demo/lake docs/walk.jpg
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from bench.dwellings import DwellingJob, measure_room
-from flows.stats.scenes import picture_scene_of
+from flows.outputs.films import shown_walks
+from flows.stats.scenes import picture_scene_of, walk_strip_of
+from tasks.films.frames import OUTCOMES
 from tasks.stats.scenes import PictureConfig
 from warehouse.lake import Lake
 
@@ -69,8 +73,11 @@ def side_by_side(scan: Image.Image, replica: Image.Image) -> bytes:
 
 
 def main() -> None:
-    """Write the picture of a scene of a lake, of a room of `metascenes bench rooms`, by number, or of a desk, by seed."""
+    """Write the picture of a scene of a lake, of a room of `metascenes bench rooms`, by number, of a desk, by seed, or of walks."""
     address, scene, out = sys.argv[1:]
+    if address == "walks":
+        Path(out).write_bytes(two_walks(scene))
+        return
     if address not in ("hard-room", "desk"):
         draw(address, scene, out)
         return
@@ -82,6 +89,32 @@ def main() -> None:
         if figures["error"] is not None:
             raise SystemExit(f"room {scene}: {figures['stage']}: {figures['error']}")
         draw(f"{place}/lake", f"scannet/scene{int(scene):04d}_00", out)
+
+
+def two_walks(address: str) -> bytes:
+    """A JPEG of stills of a success of the expert and of a failure of the random policy, as the report shows them."""
+    lake = Lake.open(address)
+    reader = lake.snapshot()
+    wanted = "(policy, success) IN (('expert', true), ('random', false))"
+    with reader.connect() as connection:
+        rows = connection.sql(shown_walks(1, wanted)).to_arrow_table().to_pylist()
+    strips = [walk_strip_of(lake, reader.snapshot_id, row) for row in rows]
+    images = [Image.open(io.BytesIO(strip.picture)).convert("RGB") for strip in strips]
+    line, gap = 30, 14
+    sheet = Image.new("RGB", (images[0].width, sum(image.height + line for image in images) + gap), PAPER)
+    brush, top = ImageDraw.Draw(sheet), 0
+    font, bold = (ImageFont.truetype(font_manager.findfont(name), 15) for name in ("DejaVu Sans", "DejaVu Sans:bold"))
+    for strip, image in zip(strips, images, strict=True):
+        chip = brush.textlength(strip.outcome, bold) + 20
+        brush.rounded_rectangle((0, top + 2, chip, top + 24), 5, OUTCOMES[strip.outcome])
+        brush.text((chip / 2, top + 13), strip.outcome, PAPER, bold, "mm")
+        words = f"{strip.policy}, {strip.run_name}: go to the {strip.category}; {strip.ending}"
+        brush.text((chip + 10, top + 13), words, INK, font, "lm")
+        sheet.paste(image, (0, top + line))
+        top += line + image.height + gap
+    file = io.BytesIO()
+    sheet.save(file, "JPEG", quality=85, optimize=True)
+    return file.getvalue()
 
 
 def draw(address: str, scene_id: str, out: str) -> None:

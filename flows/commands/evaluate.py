@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ from schemas.families.policies import POLICIES
 
 if TYPE_CHECKING:
     from flows.inputs.evaluation import Evaluated
+    from flows.outputs.films import Filmed
+    from warehouse.lake import Lake
 
 MAX_NOTES = 20
 """Notes that are printed; all of them are in the column `trajectories.problem`."""
@@ -28,10 +31,19 @@ MAX_NOTES = 20
 )  # fmt: skip
 @lake_option
 @configuration_options
+@click.option(
+    "--films", type=click.Path(path_type=Path, file_okay=False),
+    help="Write films of successes and failures into this folder, as animated WebP: the room with the agent, and what it sees.",
+)  # fmt: skip
+@click.option(
+    "--per-outcome", type=click.IntRange(min=1), default=1, show_default=True,
+    help="With --films: so many successes and so many failures of each policy.",
+)  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Check the batch against the lake and say what would be measured; write nothing.")
 @json_option
 def command(file: Path | None, policies: tuple[str, ...], address: str, config_file: Path | None, settings: tuple[str, ...],
-            library: Path | None, seed: int | None, dry_run: bool, as_json: bool) -> None:  # fmt: skip
+            library: Path | None, seed: int | None, films: Path | None, per_outcome: int, dry_run: bool,
+            as_json: bool) -> None:  # fmt: skip
     """Measure how well agents navigate the episodes of a lake.
 
     FILE holds the trajectories of one policy, as JSON or JSON Lines (schema: tasks/evaluation/batch.schema.json). The
@@ -39,6 +51,7 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
     model that `metascenes train navigation` made sees what a camera sees from where it got. What
     was done becomes rows of the table `trajectories`; the views `navigation_metrics`, `navigation_metrics_by_scene`,
     `navigation_metrics_by_category` and `trajectory_metrics` say how well. The same batch twice changes nothing.
+    With --films, some of what the lake has of these policies is filmed; which, a hash of the episodes says.
 
     Exit code 1 says that the episodes of some scenes could not be run; each is named.
 
@@ -50,6 +63,8 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
 
     if (file is None) == (not policies):
         raise click.UsageError("give either a file of trajectories or --policy")
+    if films is not None and dry_run:
+        raise click.UsageError("--dry-run writes nothing, films neither: leave one of them out")
     lake = existing_lake(address)
     configuration = configure(config_file, settings, library, seed)
     if file is not None:
@@ -58,15 +73,31 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
         acting = [name if name in POLICIES else trained_policy(lake, name) for name in dict.fromkeys(policies)]  # before any of them acts
         evaluated = [run_policy(lake, policy, configuration, dry_run) for policy in acting]
     metrics = metrics_of(lake.snapshot(), evaluated, configuration)
-    if as_json:
-        print(json.dumps({"policies": [dataclasses.asdict(policy_run) for policy_run in evaluated], "metrics": metrics}))
-    else:
+    if not as_json:
         _tell(evaluated, metrics, dry_run)
+    filmed = _filmed(lake, evaluated, films, per_outcome) if films is not None else None
+    if as_json:
+        files = {} if filmed is None else {"films": [str(file) for file in filmed.files]}
+        print(json.dumps({"policies": [dataclasses.asdict(policy_run) for policy_run in evaluated], "metrics": metrics, **files}))
+    elif filmed is not None:
+        print("", *filmed.files, sep="\n")
+    for line in filmed.missing if filmed is not None else ():
+        print(f"note: {line}", file=sys.stderr)
     failed = [f"{policy_run.policy}: {line}" for policy_run in evaluated for line in policy_run.failed]
     for line in failed:
         print(f"failed: {line}", file=sys.stderr)
     if failed:
         raise click.exceptions.Exit(1)
+
+
+def _filmed(lake: Lake, evaluated: Sequence[Evaluated], folder: Path, per_outcome: int) -> Filmed:
+    """Films of what the lake has of these policies and runs."""
+    from flows.outputs.films import write_films
+    from flows.progress import Progress
+
+    runs = list(dict.fromkeys((policy_run.policy, policy_run.run_name) for policy_run in evaluated))
+    with Progress("films", 2 * per_outcome * len(runs)) as progress:
+        return write_films(lake, runs, folder, per_outcome, advance=progress.advance)
 
 
 def _tell(evaluated: list[Evaluated], metrics: list[dict[str, Any]], dry_run: bool) -> None:

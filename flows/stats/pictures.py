@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import pyarrow as pa
 
 from flows.run.fingerprints import PICTURES, FileCache, cache_folder, code_fingerprint, digest
+from tasks.films.walks import WalkStrip
 from tasks.stats.scenes import ScenePictures
 from tasks.stats.style import Picture
 from tasks.stats.thumbnails import CandidateStrip, CandidateTile
@@ -29,7 +30,7 @@ T = TypeVar("T")
 MOST_FILES = 2000
 """Pictures that are kept: a few hundred MB. The oldest go."""
 
-KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (ScenePictures, Picture, CandidateStrip, CandidateTile)}
+KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (ScenePictures, Picture, CandidateStrip, CandidateTile, WalkStrip)}
 
 
 def remembered(facts: Sequence[Any], draw: Callable[[], T]) -> T:
@@ -67,10 +68,11 @@ def _cache() -> FileCache:
 
 @cache
 def _code() -> str:
-    """Hash of all that draws: the modules of `tasks.stats` with what they import, of `flows.stats`, and the libraries."""
+    """Hash of all that draws: the modules of `tasks.stats` with what they import, of `tasks.films`, of `flows.stats`, and the libraries."""
     import tasks.stats
 
-    own = [code_fingerprint(f"tasks.stats.{module.name}") for module in pkgutil.iter_modules(tasks.stats.__path__)]
+    drawing = [f"tasks.stats.{module.name}" for module in pkgutil.iter_modules(tasks.stats.__path__)]
+    own = [code_fingerprint(name) for name in (*drawing, "tasks.films.frames", "flows.outputs.films")]
     callers = [hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(Path(__file__).parent.glob("*.py"))]
     return digest(*own, *callers, *(version(name) for name in ("matplotlib", "pillow", "numpy", "embreex", "wordcloud")))
 

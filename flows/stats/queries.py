@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
+from flows.outputs.films import shown_walks
 from tasks.micro_scenes import charts as micro_scenes
 from tasks.stats import counts, timelines, volumes, words
 from tasks.stats.columns import GRIDS
@@ -31,6 +32,9 @@ GALLERY_SCENES = 24
 
 GALLERY_OBJECTS = 12
 """Objects in the gallery of candidates, one per category: eleven thumbnails of 3 kB each."""
+
+FILMED_RUNS = 6
+"""Runs of policies of which one success and one failure is shown: 60 kB each."""
 
 TIMELINE_RUNS = 600
 """Runs with a bar of their own; more are put together in bins of time."""
@@ -116,6 +120,8 @@ def report_queries(scenes: ShownScenes) -> dict[str, str]:
     queries["synthesis_layouts"] = _drawn_layouts()
     for prefix, column in (("", "box_volume_m3"), ("solid_", "solid_volume_m3")):
         queries |= _volumes(f"{prefix}volume_by_category", f"{prefix}volume_outliers", column)
+    runs = f"(SELECT DISTINCT policy, run_name FROM trajectories ORDER BY ALL LIMIT {FILMED_RUNS})"
+    queries["trajectory_metrics.shown"] = shown_walks(1, f"(policy, run_name) IN {runs}")
     queries["candidate_wins"] = "SELECT slot, provider, filled, wins FROM candidate_wins ORDER BY slot, provider"
     queries["collision_loss.worst"] = (
         "SELECT scene_id, deep_pairs_before, deep_pairs_after FROM collision_loss "

@@ -15,12 +15,13 @@ from urllib.parse import quote
 import pyarrow as pa
 
 from flows.stats.queries import Answers, answers_of
-from flows.stats.scenes import Job, carried_out, picture_scene_of, strip_of, thumbnails_of
+from flows.stats.scenes import Job, carried_out, picture_scene_of, strip_of, thumbnails_of, walk_strip_of
 from schemas.files import write_whole
 from schemas.tables import TABLES
 from warehouse.questions.views import views
 
 if TYPE_CHECKING:
+    from tasks.films.walks import WalkStrip
     from tasks.stats.scenes import PictureConfig, ScenePictures
     from tasks.stats.style import Picture
     from tasks.stats.thumbnails import CandidateStrip, SceneTile
@@ -79,7 +80,7 @@ def write_report(
     answers = answers_of(reader)
     rasters = rasters or pictures is not None
     charts = draw_charts(answers, rasters)
-    scenes, tiles, strips = _pictured(lake, reader.snapshot_id, answers, look, workers, advance, expect)
+    scenes, tiles, strips, walks = _pictured(lake, reader.snapshot_id, answers, look, workers, advance, expect)
     path = report_path(out)
     linked = _pages(lake, reader.snapshot_id, list(scenes), pages, workers) if pages is not None else {}
     content = ReportContent(
@@ -90,6 +91,7 @@ def write_report(
         scenes=scenes,
         tiles=tiles,
         strips=strips,
+        walks=walks,
         picture_size=(look.width, look.height),
         stages=STAGES,
         snapshot_id=reader.snapshot_id,
@@ -169,8 +171,8 @@ def draw_charts(answers: Answers, rasters: bool = True) -> list[Picture]:
 def _pictured(
     lake: Lake, snapshot_id: int, answers: Answers, look: PictureConfig, workers: int | None, advance: Callable[[str], None] | None,
     expect: Callable[[int], None] | None = None,
-) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip]]:  # fmt: skip
-    """Pictures of the first scenes, and both galleries."""
+) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip], list[WalkStrip]]:  # fmt: skip
+    """Pictures of the first scenes, both galleries, and stills of walks."""
     from flows.progress import Progress
     from flows.stats.pictures import forget_old
     from tasks.stats.thumbnails import scene_tile
@@ -181,6 +183,8 @@ def _pictured(
     objects = itertools.groupby(answers.rows["instances.gallery"].to_pylist(), lambda row: (row["scene_id"], row["instance_id"]))
     strips = {f"{scene}/{instance}": list(rows) for (scene, instance), rows in objects}
     jobs |= {name: (strip_of, (lake, rows)) for name, rows in strips.items()}
+    walks = {"walk {batch_id} {scene_id} {episode_id}".format(**row): row for row in answers.rows["trajectory_metrics.shown"].to_pylist()}
+    jobs |= {name: (walk_strip_of, (lake, snapshot_id, row)) for name, row in walks.items()}
     if expect is not None:
         expect(len(jobs))
     with Progress("pictures", len(jobs), lines=True) as progress:
@@ -193,7 +197,8 @@ def _pictured(
         made = carried_out(jobs, workers, tell)
     forget_old()
     tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
-    return {scene: made[scene] for scene in shown.pictured}, tiles, [made[name] for name in strips if not isinstance(made[name], str)]
+    objects_shown, walks_shown = ([made[name] for name in names if not isinstance(made[name], str)] for names in (strips, walks))
+    return {scene: made[scene] for scene in shown.pictured}, tiles, objects_shown, walks_shown
 
 
 def _pages(lake: Lake, snapshot_id: int, scenes: Sequence[str], folder: Path, workers: int | None) -> dict[str, Path]:

@@ -1,4 +1,4 @@
-"""Pictures and thumbnails of scenes and of objects with their candidates, from the rows and blobs of a snapshot.
+"""Pictures and thumbnails of scenes and of objects with their candidates, and stills of walks, from the rows and blobs of a snapshot.
 
 Each is made in a worker process, and what cannot be pictured costs its picture, not the report.
 """
@@ -26,6 +26,7 @@ from schemas.optimization import Contact, Placement
 if TYPE_CHECKING:
     import trimesh
 
+    from tasks.films.walks import WalkStrip
     from tasks.stats.scenes import PictureConfig, RoomOutline, ScenePictures
     from tasks.stats.thumbnails import CandidateStrip, CandidateTile
     from warehouse.lake import Lake
@@ -118,6 +119,38 @@ def strip_of(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
     from flows.stats.pictures import remembered
 
     return remembered(["strip", rows], lambda: _strip(lake, rows))
+
+
+def walk_strip_of(lake: Lake, snapshot_id: int, row: Mapping[str, Any]) -> WalkStrip:
+    """Stills of a trajectory, a row of the query `trajectory_metrics.shown`. Runs in a worker process.
+
+    Raises:
+        LakeError: the scene lacks what an agent needs, or cannot be drawn.
+    """
+    from flows.stats.pictures import remembered
+    from tasks.films.walks import STRIP_LOOK
+
+    reader = lake.snapshot(snapshot_id)
+    done = reader.matching("trajectories", {name: [row[name]] for name in ("batch_id", "scene_id", "episode_id")})
+    facts = ["walk", STRIP_LOOK, row, done, *_facts(reader, row["scene_id"], (*_MODEL, "instances", "navmeshes"))]
+    return remembered(facts, lambda: _walk_strip(lake, reader, row))
+
+
+def _walk_strip(lake: Lake, reader: Reader, row: Mapping[str, Any]) -> WalkStrip:
+    from flows.outputs.films import scenes_of
+    from tasks.films.first_person import first_person
+    from tasks.films.frames import stills
+    from tasks.films.third_person import ThirdPerson
+    from tasks.films.walks import STRIP_LOOK, WalkStrip
+    from tasks.stats.photographs import developed
+
+    walk, room, world = scenes_of(lake, reader, row, STRIP_LOOK)
+    views = first_person(world, walk.poses, walk.camera)
+    shown = stills(ThirdPerson(room, walk, STRIP_LOOK.room), views, walk, STRIP_LOOK)
+    picture = developed(shown.astype(np.float32), STRIP_LOOK.room)
+    done = walk.trajectory
+    names = (done.policy, done.run_name, walk.outcome, done.scene_id, done.episode_id, done.category)
+    return WalkStrip(*names, walk.ending, picture)
 
 
 def _strip(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:
