@@ -125,7 +125,8 @@ def make_room(rooms: PolicyRooms, number: int) -> int:
     # the split is stated: by the hash of its name, few rooms would be on sides by chance
     config = NavigationConfig(train_episodes=episodes, test_episodes=episodes, test_share=float(is_test))
     for attempt in range(TRIES):
-        rows, blobs = with_episodes(*as_drawn(generated_scene(number, rooms.count, rooms.seed + ANEW * attempt)), rooms.seed, config)
+        drawn = as_drawn(generated_scene(number, rooms.count, rooms.seed + ANEW * attempt, shares=()))
+        rows, blobs = with_episodes(*drawn, rooms.seed, config)
         if rows["episodes"]:
             for lake in rooms.lakes(number):
                 stage_room(lake, rows, blobs, rooms.mark)
