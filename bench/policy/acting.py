@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bench.policy.trainings import TrainedVariant
 from bench.selection.trainings import mapped
@@ -28,6 +28,9 @@ from tasks.evaluation.measures import path_finder
 from tasks.evaluation.sights import SceneSights
 from tasks.policy.demonstrations import WalkConfig, walk_of
 from warehouse.lake import Lake
+
+if TYPE_CHECKING:
+    import duckdb
 
 RANDOM, EXPERT, FACING = "random", "expert", "expert, facing"
 """Who acts beside models: chance, the actions that come with episodes, and these with turns before the stop until the target is in view."""
@@ -164,15 +167,17 @@ def acted_figures(lake: Lake, runs: Sequence[ActedRun], max_steps: int) -> dict[
     in_view = in_view_at_start(lake, settings_of(0, max_steps).stages["evaluation"])
     figures = {}
     with lake.snapshot().connect() as connection:
-
-        def asked(own: Sequence[ActedRun]) -> dict[str, Any]:
-            given = {"in_view": in_view, "success_m": SUCCESS_M, "policy": own[0].label, "runs": [run.run_name for run in own]}
-            (row,) = connection.sql(FIGURES, params=given).to_arrow_table().to_pylist()
-            return row
-
         for name, own in named.items():
-            figures[name] = {"seeds": len(own), **asked(own), "by_seed": [asked([run])["found"] for run in own]}
+            by_seed = [run_figures(connection, in_view, [run])["found"] for run in own]
+            figures[name] = {"seeds": len(own), **run_figures(connection, in_view, own), "by_seed": by_seed}
     return figures
+
+
+def run_figures(connection: duckdb.DuckDBPyConnection, in_view: Sequence[str], runs: Sequence[ActedRun]) -> dict[str, Any]:
+    """Figures of some runs of one policy together. in_view: Episodes whose target is in view at the start, as `<scene> <episode>`."""
+    given = {"in_view": list(in_view), "success_m": SUCCESS_M, "policy": runs[0].label, "runs": [run.run_name for run in runs]}
+    row: dict[str, Any] = connection.sql(FIGURES, params=given).to_arrow_table().to_pylist()[0]
+    return row
 
 
 def failures(runs: Sequence[ActedRun]) -> list[str]:
