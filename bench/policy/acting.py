@@ -25,6 +25,7 @@ from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement
 from tasks.evaluation.configuration import EvaluationConfig
 from tasks.evaluation.measures import path_finder
+from tasks.evaluation.policies import expert, random
 from tasks.evaluation.sights import SceneSights
 from tasks.policy.demonstrations import WalkConfig, walk_of
 from warehouse.lake import Lake
@@ -32,7 +33,8 @@ from warehouse.lake import Lake
 if TYPE_CHECKING:
     import duckdb
 
-RANDOM, EXPERT, FACING = "random", "expert", "expert, facing"
+RANDOM, EXPERT = random.RANDOM.name, expert.EXPERT.name
+FACING = f"{EXPERT}, facing"
 """Who acts beside models: chance, the actions that come with episodes, and these with turns before the stop until the target is in view."""
 
 SUCCESS_M = 1.0

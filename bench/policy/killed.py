@@ -115,8 +115,8 @@ class _Commands:
     def kept(self) -> tuple[int, int]:
         """The last checkpoint of a training under way: fits before its own, and steps; (0, 0) where there is none."""
         names = [path.name for path in self._cache.glob("modules/tasks.training.fitting-*/*.pt")]
-        found = [re.search(r"(?:-round(\d+))?-(\d{9})\.pt$", name) for name in names]
-        return max(((int(match[1] or 0), int(match[2])) for match in found if match), default=(0, 0))
+        matches = [re.search(r"(?:-round(\d+))?-(\d{9})\.pt$", name) for name in names]
+        return max(((int(match[1] or 0), int(match[2])) for match in matches if match), default=(0, 0))
 
     def done(self, *words: str) -> dict[str, Any]:
         """What a command answers.

@@ -92,12 +92,12 @@ def _trained(address: str, training: PolicyTraining) -> LearnedModel:
 def accuracies(lake: Lake, model: LearnedModel) -> dict[str, float | None]:
     """Shares of experts' steps in held-out rooms where an action is the right one: the model's, and the one that is most frequent in
     training; None where there are no such steps."""
-    found = {
+    shares = {
         figure.method: figure.value
         for figure in evaluations_of_model(lake.snapshot(), model)
         if (figure.split, figure.metric) == ("test", "action_accuracy")
     }
-    return {"accuracy": found.get(model.kind), "majority": found.get(MAJORITY)}
+    return {"accuracy": shares.get(model.kind), "majority": shares.get(MAJORITY)}
 
 
 def variant_row(lake: Lake, variant: TrainedVariant) -> dict[str, Any]:
