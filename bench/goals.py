@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-_MET = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, "==": operator.eq}
+_MET = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt, "==": operator.eq}
 
 
 def goal(name: str, value: float | int | None, sign: str, limit: float) -> dict[str, Any]:

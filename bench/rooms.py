@@ -92,14 +92,18 @@ def plain_asset(category: str) -> list[trimesh.Trimesh]:
     return generate(category, None, np.random.default_rng(20)).parts
 
 
-def generated_scene(index: int, rooms: int, seed: int) -> BenchScene:
-    """Room `index` of `rooms`: kinds in turn, numbers of objects spread evenly over `COUNTS`, clutter from none to much."""
+def generated_scene(index: int, rooms: int, seed: int, shares: Sequence[tuple[Kind, float]] = SHARES) -> BenchScene:
+    """Room `index` of `rooms`: kinds in turn, numbers of objects spread evenly over `COUNTS`, clutter from none to much.
+
+    shares: as of `disturbed_scene`; what is used as it was drawn needs none.
+    """
     count = round(COUNTS[0] + (COUNTS[1] - COUNTS[0]) * (index / (rooms - 1) if rooms > 1 else 0.4))
     rng = np.random.default_rng([seed, rooms, index])
     kind = ROOM_TYPES[index % len(ROOM_TYPES)]
     clutter = float(rng.uniform(0.0, 1.0))
     # clutter adds to what a room is asked for
-    return disturbed_scene(f"bench/room_{index:04d}", furnish(kind, rng, max(COUNTS[0], count - round(10 * clutter)), clutter), rng)
+    room = furnish(kind, rng, max(COUNTS[0], count - round(10 * clutter)), clutter)
+    return disturbed_scene(f"bench/room_{index:04d}", room, rng, shares=shares)
 
 
 def scene_of_count(count: int, seed: int) -> BenchScene:
@@ -138,13 +142,13 @@ def disturbed_scene(
             scale = (x, y, z)
         asset = _asset(item.category, parts, known, blobs)
         assets[asset.asset_id] = asset
-        hulls = pieces(item.parts, item.pieces, PieceConfig()).hulls
+        hulls = pieces(item.parts, item.pieces, PieceConfig()).hulls if shares else ()  # by which things are pushed into each other
         parent = names.get(item.parent)
         relation = "on" if parent is not None else item.parent
         let_in = mounting(item.category).kind in _WOULD_NOT_MOVE
         objects.append(PerturbedObject(names[item.name], ConvexParts(names[item.name], hulls), item.pose, relation, parent, let_in))
         used.append((item.category, asset.asset_id, scale))
-    poses, done = disturb(objects, shell_solids(room), rng, shares)
+    poses, done = disturb(objects, shell_solids(room), rng, shares) if shares else ({obj.name: obj.pose for obj in objects}, [])
     instances, selections = [], []
     for obj, item, (category, asset_id, scale) in zip(objects, furnished.objects, used, strict=True):
         pose = poses[obj.name]

@@ -235,8 +235,14 @@ def _mujoco_rates(scene: BenchedScene, poses: Array, config: FramesBench) -> tup
 
 
 def print_frames(report: Mapping[str, Any], console: Console) -> None:
-    """Print the report as tables: pictures per second, and how often they take as long as the rasterizer's."""
+    """Print the report as tables."""
     console.print(headline(report["machine"], report["seed"], 1))
+    console.print(frames_table(report))
+    console.print(goals_table(report["goals"]))
+
+
+def frames_table(report: Mapping[str, Any]) -> Any:
+    """Pictures per second, and how often they take as long as the rasterizer's."""
     sizes = [str(size) for size in report["sizes"]]
     columns = [(f"{size} px", True) for size in sizes]
     table = table_of("pictures per CPU second, and how many times as many the rasterizer draws", ("", False), ("by", False), *columns)
@@ -247,5 +253,4 @@ def print_frames(report: Mapping[str, Any], console: Console) -> None:
             add_row(table, scene["scene"], name, *cells)
         if scene["no_mujoco"]:
             add_row(table, scene["scene"], f"MuJoCo: {scene['no_mujoco']}", *[""] * len(sizes))
-    console.print(table)
-    console.print(goals_table(report["goals"]))
+    return table

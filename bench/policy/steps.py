@@ -5,20 +5,17 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import time
-from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bench.goals import goal
 from bench.machine import machine
+from bench.policy.rooms import stage_room, with_episodes
 from bench.replicas import as_drawn
 from bench.rooms import scene_of_count
-from bench.samples import fingerprint, sample, stage_run
-from schemas.candidates import Candidate
-from tasks import navigation
 from tasks.navigation import NavigationConfig
-from tasks.stage import Context
 from warehouse.lake import Lake
 
 if TYPE_CHECKING:
@@ -26,11 +23,8 @@ if TYPE_CHECKING:
 
 CHANCES = (0.01, 0.49, 0.25, 0.25)
 """Of stop, forward, left and right: an agent that learns soon walks about, and an episode of it ends after some hundred steps."""
-
-STAGES = {
-    "capture": ("scenes", "shells", "instances"), "candidates": ("candidates", "assets"), "optimization": ("placements",),
-    "navigation": ("navmeshes", "episodes", "splits"),
-}  # fmt: skip
+STEPS_PER_SECOND = 8000.0
+"""Steps per second of one core that are wanted, with pictures of 64 pixels."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +49,15 @@ def measure_steps(config: StepsBench) -> dict[str, Any]:
         copied = {str(size): _rate(_batch(lake, config, size, copy=True), config) for size in config.sizes}
         single = _rate(_singles(lake, config, config.sizes[0]), config)
     rates = {"batched": batched, "copied": copied, "single": {str(config.sizes[0]): single}}
-    return {"machine": machine(), **dataclasses.asdict(config), **rates}
+    goals = [
+        goal(
+            f"steps per second of one core, pictures of {config.sizes[0]} px",
+            rates["batched"][str(config.sizes[0])],
+            ">=",
+            STEPS_PER_SECOND,
+        )
+    ]
+    return {"machine": machine(), **dataclasses.asdict(config), **rates, "goals": goals}
 
 
 def rooms_to_act_in(folder: Path, config: StepsBench) -> Lake:
@@ -63,25 +65,13 @@ def rooms_to_act_in(folder: Path, config: StepsBench) -> Lake:
     lake = Lake.open(folder)
     for number in range(config.scenes):
         scene_id = f"bench/acting_{number:04d}"
-        drawn, blobs = as_drawn(scene_of_count(config.objects, config.seed + 1000 * number))
-        rows = {
+        drawn, drawn_blobs = as_drawn(scene_of_count(config.objects, config.seed + 1000 * number))
+        named = {
             table: [dataclasses.replace(row, scene_id=scene_id) if hasattr(row, "scene_id") else row for row in values]
             for table, values in drawn.items()
         }
-        needed = {table: rows[table] for table in navigation.STAGE.reads}
-        context = Context(scene_id, "navigation", config.seed, blobs, defaultdict(dict))
-        outcome = navigation.run(**needed, context=context, config=NavigationConfig(train_episodes=20, test_episodes=20))
-        rows |= outcome.rows
-        rows["candidates"] = [
-            sample(Candidate, scene_id=scene_id, instance_id=row.instance_id, slot=1, outcome="filled", asset_id=row.asset_id)
-            for row in rows["placements"]
-        ]
-        for name, data in (*blobs.items(), *outcome.blobs.items()):
-            lake.blobs.put(data, name.split(".", 1)[1])
-        above: list[str] = []
-        for stage, tables in STAGES.items():
-            lake.stage_rows(stage_run(scene_id, stage, fingerprint(scene_id, stage), *above), {table: rows[table] for table in tables})
-            above = [f"{stage}={fingerprint(scene_id, stage)}"]
+        rows, blobs = with_episodes(named, drawn_blobs, config.seed, NavigationConfig(train_episodes=20, test_episodes=20))
+        stage_room(lake, rows, blobs, "steps")
     lake.commit("rooms to act in")
     return lake
 

@@ -1,0 +1,58 @@
+"""How well agents see, move and find things, measured: cameras, environments, and policies that learn."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import click
+
+from flows.commands.bench.measurement import chosen_words, processes_option, run_measurement
+from flows.commands.options import json_option
+
+
+@click.command("policy")
+@click.option("--rooms", type=click.IntRange(2, 10_000), default=75, show_default=True, help="Generated rooms; a fifth is held out.")
+@click.option("--episodes", type=click.IntRange(2, 10_000), default=100, show_default=True, help="Of a room; a held-out one has half.")
+@click.option("--seeds", type=click.IntRange(1, 100), default=3, show_default=True, help="Seeds of every training.")
+@click.option("--steps", type=click.IntRange(0), default=0, help="Steps of every training; those of the system where left out.")
+@click.option(
+    "--variants", default="", help="Train only these, with commas between: small, dagger, blind, goalless, blind-dagger, goalless-dagger; "
+    "the first four where left out, `none` trains nothing.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms and episodes.")
+@click.option(
+    "--folder", type=click.Path(path_type=Path, file_okay=False), default=Path("policy"), show_default=True,
+    help="Where rooms, models and trajectories are kept: the same command goes on.",
+)  # fmt: skip
+@click.option(
+    "--realdata", type=click.Path(path_type=Path, file_okay=False), envvar="METASCENES_REALDATA",
+    help="Folder with the AWS small house, whose pictures are timed, too.",
+)  # fmt: skip
+@click.option("--parts", default="", help="Measure only these, with commas between: frames, steps, loop, killed.")
+@processes_option
+@json_option
+def policy(rooms: int, episodes: int, seeds: int, steps: int, variants: str, seed: int, folder: Path, realdata: Path | None, parts: str,
+           processes: int, as_json: bool) -> None:  # fmt: skip
+    """Measure agents: pictures and steps per second, and how many targets policies find in rooms that they did not learn from.
+
+    `loop`: rooms are generated, policies are trained on four fifths of them (`dagger` is corrected where it went wrong itself, `blind` has
+    no pictures, `goalless` is not told what it is sent to), and act in the episodes of the others beside chance and the experts. Found is
+    who stops by itself within 1 m of a view point with the target in view. `killed`: a training and an evaluation end by SIGKILL, and are
+    given again.
+
+    The exit code is 1 when a goal is missed, and else 0.
+
+    Example: metascenes bench policy --rooms 20 --seeds 1 --steps 500 --variants small,blind --parts loop
+    """
+    from bench.policy.report import PARTS, PolicyBench, run_policy_bench
+    from bench.policy.tables import print_policy
+    from bench.policy.trainings import USUAL, VARIANTS
+
+    chosen: tuple[str, ...] = USUAL
+    if variants.strip():
+        chosen = () if variants.strip() == "none" else chosen_words(variants, tuple(VARIANTS), "--variants")
+    config = PolicyBench(
+        folder.resolve(), rooms, seeds, steps, chosen, seed, processes, realdata, chosen_words(parts, PARTS, "--parts"), episodes
+    )  # fmt: skip
+    run_measurement("measured", config.advances, partial(run_policy_bench, config), print_policy, as_json)
