@@ -44,7 +44,9 @@ class PlainPolicy:
         tokens = np.concatenate([*parts, goal_tokens], axis=1)
         for layer in range(self.config.fusion_layers):
             name = f"encoder.layers.{layer}"
-            tokens = self._norm(f"{name}.norm1", tokens + self._attention(f"{name}.self_attn", tokens, tokens))
+            is_last = layer == self.config.fusion_layers - 1
+            known, tokens = tokens, tokens[:, :1] if is_last else tokens  # of the last only the first token is asked for
+            tokens = self._norm(f"{name}.norm1", tokens + self._attention(f"{name}.self_attn", tokens, known))
             tokens = self._norm(f"{name}.norm2", tokens + self._forward(name, tokens))
         return tokens[:, 0]
 
