@@ -105,6 +105,6 @@ def compare(
     keep(done)
     for line in done.failed:
         run_log(line, warning=True)
-    told = f"{done.comparison_id}: {done.trained} models trained, {done.measured} trajectories measured"
-    run_log(told)
-    return Failed(message=f"{told}; {done.failed[0]}", data=done) if done.failed else Completed(message=told, data=done)
+    summary = f"{done.comparison_id}: {done.trained} models trained, {done.measured} trajectories measured"
+    run_log(summary)
+    return Failed(message=f"{summary}; {done.failed[0]}", data=done) if done.failed else Completed(message=summary, data=done)

@@ -36,7 +36,7 @@ LOST_RETRIES = 2
 """A worker may be lost to something else on the machine twice; a third time the scene itself is the likely reason."""
 
 
-class SceneWork:
+class ActingWork:
     """A scene to act in, as a parameter that Prefect leaves alone; the pool that does it, and the run that came of it."""
 
     def __init__(self, scene: PlannedScene, pool: WorkerPool) -> None:
@@ -58,7 +58,7 @@ def was_lost(task: Any, task_run: Any, state: State[Any]) -> bool:
     persist_result=False,
     cache_policy=NO_CACHE,
 )
-def act_in_scene(name: str, work: SceneWork) -> Any:
+def act_in_scene(name: str, work: ActingWork) -> Any:
     """A policy in the episodes of one scene, in a worker process."""
     from prefect.runtime import task_run
 
@@ -81,9 +81,9 @@ def fanned_out(workers: int) -> Iterator[ActIn]:
 
         def act_in(scenes: Sequence[PlannedScene]) -> Iterable[StageRun]:
             """The runs in order; as many scenes are in flight as keep the workers busy."""
-            flight: deque[tuple[SceneWork, Any]] = deque()
+            flight: deque[tuple[ActingWork, Any]] = deque()
             for scene in scenes:
-                work = SceneWork(scene, pool)
+                work = ActingWork(scene, pool)
                 name = task_run_name(scene.task.scene_id, scene.job.scene_id)
                 flight.append((work, runner.submit(act_in_scene, parameters={"name": name, "work": work})))
                 if len(flight) > 2 * workers:
@@ -94,7 +94,7 @@ def fanned_out(workers: int) -> Iterator[ActIn]:
         yield act_in
 
 
-def _landed(work: SceneWork, future: Any) -> StageRun:
+def _landed(work: ActingWork, future: Any) -> StageRun:
     """The run of a scene, waited for."""
     result = future.result(raise_on_failure=False)
     if work.run is None:
@@ -165,6 +165,6 @@ def _state(done: Sequence[Evaluated]) -> State[Any]:
     failed = [f"{each.policy}: {line}" for each in done for line in each.failed]
     for line in failed:
         run_log(line, warning=True)
-    told = "; ".join(f"{each.policy}, {each.run_name}: {each.new} of {each.trajectories} trajectories measured" for each in done)
-    run_log(told)
-    return Failed(message=f"{told}; {failed[0]}", data=done) if failed else Completed(message=told, data=done)
+    summary = "; ".join(f"{each.policy}, {each.run_name}: {each.new} of {each.trajectories} trajectories measured" for each in done)
+    run_log(summary)
+    return Failed(message=f"{summary}; {failed[0]}", data=done) if failed else Completed(message=summary, data=done)

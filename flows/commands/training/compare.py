@@ -80,9 +80,9 @@ def navigation(
 
     short = {"comparison.seeds": seeds, "comparison.scenes": scenes, "comparison.trajectories": trajectories,
              "training.system.fitting.steps": steps}  # fmt: skip
-    told = [*settings, *(f"{name}={value}" for name, value in short.items() if value is not None)]
+    values = [*settings, *(f"{name}={value}" for name, value in short.items() if value is not None)]
     lake = existing_lake(address)
-    configuration = system_configuration(SYSTEM, config_file, told, seed)
+    configuration = system_configuration(SYSTEM, config_file, values, seed)
     planned = planned_comparison(lake, asked_comparison(train, test), configuration, snapshot_id=snapshot_id, release=release)
     if dry_run:
         _tell_plan(lake, planned, as_json)
@@ -91,7 +91,7 @@ def navigation(
         check_installed()
     done = _carried_out(
         lake, planned, lake=lake.address, train=list(train), test=list(test), snapshot=snapshot_id, release=release, workers=workers,
-        seed=seed, config_file=str(config_file) if config_file else None, settings=told,
+        seed=seed, config_file=str(config_file) if config_file else None, settings=values,
     )  # fmt: skip
     if as_json:
         print(json.dumps(dataclasses.asdict(done)))
