@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from schemas.record import SCENE_PATTERN, column, record
-from schemas.training import HASH, TRAINING_PATTERN
+from schemas.training import HASH
 
-BATCH_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_.-]*"
-COMPARISON_PATTERN = r"comparison-[0-9a-f]{16}"
+NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_.-]*"
 
 MEASURES = ("success", "spl")
 """What pairs are held against each other by."""
@@ -18,13 +17,13 @@ MEASURES = ("success", "spl")
 class ComparedRun:
     """A policy in the episodes of one test scene. Its trajectories are those of the batch."""
 
-    comparison_id: str = column("Comparison: of datasets, test episodes, settings, code and seeds", pattern=COMPARISON_PATTERN)
+    comparison_id: str = column("Comparison: of datasets, test episodes, settings, code and seeds", pattern=NAME_PATTERN)
     trained_on: str = column("Datasets that the policy learned from, in alphabetical order, with + between them")
     seed: int = column("Seed that it was trained with")
     scene_id: str = column("Scene that it was tested in", pattern=SCENE_PATTERN)
     model_id: str = column("Model that acted", pattern=HASH)
-    training_id: str = column("Training that the model came from", pattern=TRAINING_PATTERN)
-    batch_id: str = column("Trajectory batch with what it did", pattern=BATCH_PATTERN)
+    training_id: str = column("Training that the model came from", pattern=NAME_PATTERN)
+    batch_id: str = column("Trajectory batch with what it did", pattern=NAME_PATTERN)
     episodes: int = column("Episodes that it acted in, the same for all that are compared", minimum=1)
 
 
@@ -34,7 +33,7 @@ class ComparedRun:
 class PairedTest:
     """Two training datasets held against each other: policies of one seed in one episode are a pair."""
 
-    comparison_id: str = column("Comparison", pattern=COMPARISON_PATTERN)
+    comparison_id: str = column("Comparison", pattern=NAME_PATTERN)
     tested_on: str = column("Dataset of the test scenes")
     first: str = column("Datasets that the one policy of each pair learned from")
     second: str = column("Datasets that the other learned from")
