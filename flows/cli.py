@@ -26,6 +26,7 @@ COMMANDS = {
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",
     "train": "Train a learned system on a snapshot or release of the lake.",
+    "compare": "Compare datasets of the lake by what is learned from them.",
     "models": "List, show, export, import and withdraw models.",
     "synthesize": "Draw what stands on a table, and make scenes of it that simulators load.",
     "status": "Say what is done, running, failed and stale, from the lake alone.",
@@ -36,7 +37,7 @@ COMMANDS = {
 }
 """Commands with their first line of help, in the order of `--help`. Each lives in `flows.commands.<name>`."""
 
-MODULES = {"import": "ingest", "train": "training.train", "models": "training.models"}
+MODULES = {"import": "ingest", "train": "training.train", "models": "training.models", "compare": "training.compare"}
 """Commands whose names no module can have, or that have a folder for several, and their modules."""
 
 

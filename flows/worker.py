@@ -185,7 +185,10 @@ def _kept(stage: Stage, job: Job, lake: Lake, outcome: Outcome) -> Outcome:
     return outcome
 
 
-_OWNERS = {"scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "dataset": "training_id"}
+_OWNERS = {
+    "scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "dataset": "training_id",
+    "comparison": "comparison_id",
+}  # fmt: skip
 """The column that says whose a row is, by the grain of its table."""
 
 

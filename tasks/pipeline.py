@@ -7,6 +7,7 @@ from tasks import (
     candidates,
     captions,
     capture,
+    comparison,
     evaluation,
     exports,
     fidelity,
@@ -31,6 +32,7 @@ STAGES: tuple[Stage, ...] = (
     exports.STAGE,
     evaluation.STAGE,
     training.STAGE,
+    comparison.STAGE,
 )
 
 SCENE_STAGES: tuple[Stage, ...] = tuple(stage for stage in STAGES if stage.grain == "scene")

@@ -107,7 +107,17 @@ class WantedModel:
 
 
 OutsideInput = Literal[
-    "scan", "library", "annotation_batch", "review_batch", "batch_acts", "trajectory_batch", "dataset", "start", "provenance", "model"
+    "scan",
+    "library",
+    "annotation_batch",
+    "review_batch",
+    "batch_acts",
+    "trajectory_batch",
+    "dataset",
+    "start",
+    "provenance",
+    "model",
+    "compared_batches",
 ]
 
 
@@ -126,7 +136,7 @@ class Stage:
     writes: tuple[str, ...]
     config: type
     run: Callable[..., Outcome]
-    grain: Literal["scene", "annotation_batch", "trajectory_batch", "dataset"] = "scene"
+    grain: Literal["scene", "annotation_batch", "trajectory_batch", "dataset", "comparison"] = "scene"
     outside: tuple[OutsideInput, ...] = ()
     history: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()

@@ -59,7 +59,17 @@ HEAVY = {
 }
 FLOWS = {
     REPOSITORY / "flows" / name
-    for name in ("pipeline.py", "stats/flow.py", "watch.py", "releases.py", "exporting.py", "upkeep.py", "training/flow.py")
+    for name in (
+        "pipeline.py",
+        "stats/flow.py",
+        "watch.py",
+        "releases.py",
+        "exporting.py",
+        "upkeep.py",
+        "training/flow.py",
+        "evaluation/flow.py",
+        "comparison/flow.py",
+    )
 }
 """The flows themselves; nothing imports them but a run that has work."""
 ONLY_IN = {"prefect": {"flows"}, "duckdb": {"warehouse", "flows", "bench"}, "deltalake": {"warehouse"}, "igl": {"tasks"}}

@@ -12,10 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.policy.rooms import PolicyRooms
 from bench.policy.trainings import TrainedVariant
 from bench.selection.trainings import mapped
 from flows.inputs.evaluation import Evaluated, import_trajectories, run_policy
-from flows.inputs.policies import trained_policy
 from flows.run.configuration import Configuration, configure
 from flows.run.fingerprints import canonical_json, code_fingerprint, digest
 from schemas.candidates import Asset
@@ -82,7 +82,7 @@ class ActingPolicy:
 
 @dataclasses.dataclass(frozen=True)
 class ActedRun:
-    """What came of one who acted. label, run_name: How the lake of held-out rooms calls it. failed: What went wrong, a line each."""
+    """What came of one who acted. label, run_name: How the lake calls it. failed: What went wrong, a line each."""
 
     policy: ActingPolicy
     label: str
@@ -104,29 +104,27 @@ def settings_of(seed: int, max_steps: int) -> Configuration:
     return configure(seed=seed, settings=[f"evaluation.success_m={SUCCESS_M}", *steps])
 
 
-def acted_runs(learned: Lake, held_out: Lake, policies: Sequence[ActingPolicy], max_steps: int, processes: int) -> Iterator[ActedRun]:
-    """Let all act in the held-out rooms, by so many processes; what was measured before is not measured again. learned: Has the models."""
+def acted_runs(data: PolicyRooms, policies: Sequence[ActingPolicy], max_steps: int, processes: int) -> Iterator[ActedRun]:
+    """Let all act in the held-out rooms, by so many processes; what was measured before is not measured again."""
     with mapped(processes) as spread:
-        yield from spread(partial(_acted, learned.address, held_out.address, max_steps), policies)
+        yield from spread(partial(_acted, data, max_steps), policies)
 
 
-def _acted(learned: str, held_out: str, max_steps: int, policy: ActingPolicy) -> ActedRun:
-    lake, configuration = Lake.open(held_out), settings_of(policy.seed, max_steps)
+def _acted(data: PolicyRooms, max_steps: int, policy: ActingPolicy) -> ActedRun:
+    lake, configuration = data.lake, settings_of(policy.seed, max_steps)
     with contextlib.redirect_stderr(io.StringIO()):  # a bar of its own would be drawn over that of the benchmark
         if policy.name == FACING:
-            made = _facing(lake, configuration)
+            made = _facing(lake, data.held_out, configuration)
         else:
-            made = run_policy(
-                lake, policy.name if policy.model_id is None else trained_policy(Lake.open(learned), policy.model_id), configuration
-            )
+            made = run_policy(lake, policy.model_id or policy.name, configuration, episodes=dict.fromkeys(data.held_out, ()))
     return ActedRun(policy, made.policy, made.run_name, made.failed)
 
 
-def _facing(lake: Lake, configuration: Configuration) -> Evaluated:
+def _facing(lake: Lake, scenes: Sequence[str], configuration: Configuration) -> Evaluated:
     """The experts that policies learn from, as a batch by others: they end with the target in view, which those of episodes need not."""
     reader, walks = lake.snapshot(), WalkConfig(facing=True)
     trajectories = []
-    for mesh in reader.rows(Navmesh):
+    for mesh in (row for scene in scenes for row in reader.rows(Navmesh, scene)):
         finder = path_finder(lake.blobs[mesh.navmesh_blob], f"{mesh.scene_id} {mesh.navmesh_blob[:12]}.navmesh")
         for episode in reader.rows(Episode, mesh.scene_id):
             walk = walk_of(episode, mesh.scene_id, finder, walks)
@@ -140,11 +138,11 @@ def _facing(lake: Lake, configuration: Configuration) -> Evaluated:
         return import_trajectories(lake, file, configuration)
 
 
-def in_view_at_start(lake: Lake, config: EvaluationConfig) -> list[str]:
-    """The episodes of a lake whose target is in the picture before the first action, as `<scene> <episode>`: as evaluation sees the end."""
-    reader = lake.snapshot()
-    names = []
-    for scene in sorted({row.scene_id for row in reader.rows(Navmesh)}):
+def in_view_at_start(data: PolicyRooms, config: EvaluationConfig) -> list[str]:
+    """Episodes of held-out rooms whose target is in the first picture, as `<scene> <episode>`: as evaluation sees the end."""
+    lake = data.lake
+    reader, names = lake.snapshot(), []
+    for scene in data.held_out:
         placements, episodes = reader.rows(Placement, scene), reader.rows(Episode, scene)
         assets = reader.rows_by_key(Asset, sorted({row.asset_id for row in placements}))
         shells = reader.rows(Shell, scene)
@@ -158,7 +156,7 @@ def in_view_at_start(lake: Lake, config: EvaluationConfig) -> list[str]:
     return names
 
 
-def acted_figures(lake: Lake, runs: Sequence[ActedRun], max_steps: int) -> dict[str, dict[str, Any]]:
+def acted_figures(data: PolicyRooms, runs: Sequence[ActedRun], max_steps: int) -> dict[str, dict[str, Any]]:
     """Figures of all who acted, of all seeds together, by name; `by_seed` has the share of targets found with each seed.
 
     Wilson's intervals take trajectories as independent, which those of one room, or of one episode by several seeds, are not quite.
@@ -166,9 +164,9 @@ def acted_figures(lake: Lake, runs: Sequence[ActedRun], max_steps: int) -> dict[
     named: dict[str, list[ActedRun]] = {}
     for run in runs:
         named.setdefault(run.policy.name, []).append(run)
-    in_view = in_view_at_start(lake, settings_of(0, max_steps).stages["evaluation"])
+    in_view = in_view_at_start(data, settings_of(0, max_steps).stages["evaluation"])
     figures = {}
-    with lake.snapshot().connect() as connection:
+    with data.lake.snapshot().connect() as connection:
         for name, own in named.items():
             by_seed = [run_figures(connection, in_view, [run])["found"] for run in own]
             figures[name] = {"seeds": len(own), **run_figures(connection, in_view, own), "by_seed": by_seed}

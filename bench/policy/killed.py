@@ -61,7 +61,7 @@ def measure_kills(config: KillsBench, advance: Callable[[str], None]) -> dict[st
     make_rooms(rooms, 1, lambda _: None)
     place = config.folder / "killed"
     shutil.rmtree(place, ignore_errors=True)
-    lakes = [Lake.open(shutil.copytree(rooms.learned.address, place / name)) for name in ("whole", "disturbed")]
+    lakes = [Lake.open(shutil.copytree(rooms.lake.address, place / name)) for name in ("whole", "disturbed")]
     whole, disturbed = (_Commands(lake, place / f"cache-{number}") for number, lake in enumerate(lakes))
     advance("rooms")
     model = whole.done(*_training())["model_id"]

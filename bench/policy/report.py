@@ -107,15 +107,15 @@ def measure_loop(config: PolicyBench, advance: Callable[[str], None]) -> dict[st
     data = config.data
     make_rooms(data, config.processes, advance)
     variants = []
-    for variant in trained_variants(data.learned, config.trainings, config.processes):
+    for variant in trained_variants(data.lake, config.trainings, config.processes):
         variants.append(variant)
         advance(f"{variant.training.name} {variant.training.seed}, trained")
     runs = []
-    for run in acted_runs(data.learned, data.held_out, acting_in(variants, config.seeds), config.max_steps, config.processes):
+    for run in acted_runs(data, acting_in(variants, config.seeds), config.max_steps, config.processes):
         runs.append(run)
         advance(f"{run.policy.name} {run.policy.seed} in held-out rooms")
-    figures = acted_figures(data.held_out, runs, config.max_steps)
-    trainings = [variant_row(data.learned, variant) for variant in variants]
+    figures = acted_figures(data, runs, config.max_steps)
+    trainings = [variant_row(data.lake, variant) for variant in variants]
     counts = {"rooms": {"train": data.count - len(data.tested), "test": len(data.tested)}, "episodes": episodes_of(data)}
     failed = failures(runs)
     return {
@@ -126,7 +126,7 @@ def measure_loop(config: PolicyBench, advance: Callable[[str], None]) -> dict[st
 
 def episodes_of(data: PolicyRooms) -> dict[str, int]:
     """Episodes by split."""
-    splits = [row.split for row in data.learned.snapshot().rows(Episode)]
+    splits = [row.split for row in data.lake.snapshot().rows(Episode)]
     return {split: splits.count(split) for split in ROOMS}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,13 +37,16 @@ ANEW = 1_000_003
 
 TRIES = 20
 
+NOTE = "rooms of the benchmark of policies"
+"""Of commits."""
+
 ROOMS_PER_COMMIT = 8
 """A commit takes one to two seconds, whatever it holds."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PolicyRooms:
-    """A data set in a folder: two lakes, of all rooms, to learn from, and of those that are held out, to act in. count: Of all rooms.
+    """A data set in a folder: a lake of rooms to learn from and of rooms that are held out, to act in. count: Of all of them.
     episodes: At most, of a room to learn from; one that is held out has half as many, as printed in the supplementary."""
 
     folder: Path
@@ -66,21 +69,14 @@ class PolicyRooms:
         return frozenset(order[: max(1, round(TEST_SHARE * self.count))].tolist())
 
     @property
-    def learned(self) -> Lake:
-        """The lake of all rooms, where models are trained."""
-        return self._lake("lake")
+    def held_out(self) -> list[str]:
+        """Scenes of the rooms that are held out."""
+        return [room_name(number) for number in sorted(self.tested)]
 
     @property
-    def held_out(self) -> Lake:
-        """The lake of the rooms that are held out, where policies act: `metascenes evaluate` lets them act in every scene of a lake."""
-        return self._lake("test")
-
-    def _lake(self, name: str) -> Lake:
-        return Lake.open(self.folder / f"rooms-{self.mark[:16]}" / name)
-
-    def lakes(self, number: int) -> list[Lake]:
-        """Those that a room is in."""
-        return [self.held_out, self.learned] if number in self.tested else [self.learned]
+    def lake(self) -> Lake:
+        """The lake of all rooms, where models are trained and policies act."""
+        return Lake.open(self.folder / f"rooms-{self.mark[:16]}" / "lake")
 
 
 def room_name(number: int) -> str:
@@ -94,24 +90,17 @@ def make_rooms(rooms: PolicyRooms, processes: int, advance: Callable[[str], None
     Raises:
         InputError: a room leaves the agent no floor, however it is furnished.
     """
-    every = (rooms.learned, rooms.held_out)
-    known = {
-        lake.address: {scene for (scene, stage), state in lake.history().items() if stage == "navigation" and state.done} for lake in every
-    }
-    lacking = [n for n in range(rooms.count) if any(room_name(n) not in known[lake.address] for lake in rooms.lakes(n))]
+    lake = rooms.lake
+    known = {scene for (scene, stage), state in lake.history().items() if stage == "navigation" and state.done}
+    lacking = [number for number in range(rooms.count) if room_name(number) not in known]
     for number in sorted({*range(rooms.count)} - {*lacking}):
         advance(room_name(number))
     with mapped(processes) as spread:
         for done, number in enumerate(spread(partial(make_room, rooms), lacking), start=1):
             advance(room_name(number))
             if done % ROOMS_PER_COMMIT == 0:
-                _commit(every)
-    _commit(every)
-
-
-def _commit(lakes: Sequence[Lake]) -> None:
-    for lake in lakes:
-        lake.commit("rooms of the benchmark of policies")
+                lake.commit(NOTE)
+    lake.commit(NOTE)
 
 
 def make_room(rooms: PolicyRooms, number: int) -> int:
@@ -128,8 +117,7 @@ def make_room(rooms: PolicyRooms, number: int) -> int:
         drawn = as_drawn(generated_scene(number, rooms.count, rooms.seed + ANEW * attempt, shares=()))
         rows, blobs = with_episodes(*drawn, rooms.seed, config)
         if rows["episodes"]:
-            for lake in rooms.lakes(number):
-                stage_room(lake, rows, blobs, rooms.mark)
+            stage_room(rooms.lake, rows, blobs, rooms.mark)
             return number
     problem = f"room {number} of {rooms.count} leaves the agent no floor in {TRIES} draws"
     raise InputError("bench policy", "--rooms", problem, "give another --seed")

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flows.commands.options import configuration_options, existing_lake, json_option, lake_option
+from flows.commands.options import configuration_options, existing_lake, json_option, lake_option, workers_option
 from schemas.families.policies import POLICIES
 
 if TYPE_CHECKING:
-    from flows.inputs.evaluation import Evaluated
+    from flows.evaluation.acting import PlannedPolicy
+    from flows.evaluation.measuring import Evaluated
     from flows.outputs.films import Filmed
     from warehouse.lake import Lake
 
@@ -39,11 +40,12 @@ MAX_NOTES = 20
     "--per-outcome", type=click.IntRange(min=1), default=1, show_default=True,
     help="With --films: so many successes and so many failures of each policy.",
 )  # fmt: skip
+@workers_option
 @click.option("--dry-run", is_flag=True, help="Check the batch against the lake and say what would be measured; write nothing.")
 @json_option
 def command(file: Path | None, policies: tuple[str, ...], address: str, config_file: Path | None, settings: tuple[str, ...],
-            library: Path | None, seed: int | None, films: Path | None, per_outcome: int, dry_run: bool,
-            as_json: bool) -> None:  # fmt: skip
+            library: Path | None, seed: int | None, films: Path | None, per_outcome: int, workers: int,
+            dry_run: bool, as_json: bool) -> None:  # fmt: skip
     """Measure how well agents navigate the episodes of a lake.
 
     FILE holds the trajectories of one policy, as JSON or JSON Lines (schema: tasks/evaluation/batch.schema.json). The
@@ -53,12 +55,14 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
     `navigation_metrics_by_category` and `trajectory_metrics` say how well. The same batch twice changes nothing.
     With --films, some of what the lake has of these policies is filmed; which, a hash of the episodes says.
 
+    Policies are a Prefect run, a task for each scene, if there is anything to measure; killed, the same command goes on.
+
     Exit code 1 says that the episodes of some scenes could not be run; each is named.
 
     Example: metascenes evaluate --policy expert --policy random --lake ./lake
     """
-    from flows.inputs.evaluation import import_trajectories, metrics_of, run_policy
-    from flows.inputs.policies import trained_policy
+    from flows.evaluation.acting import planned_policy
+    from flows.inputs.evaluation import import_trajectories, metrics_of
     from flows.run.configuration import configure
 
     if (file is None) == (not policies):
@@ -70,8 +74,12 @@ def command(file: Path | None, policies: tuple[str, ...], address: str, config_f
     if file is not None:
         evaluated = [import_trajectories(lake, file, configuration, dry_run)]
     else:
-        acting = [name if name in POLICIES else trained_policy(lake, name) for name in dict.fromkeys(policies)]  # before any of them acts
-        evaluated = [run_policy(lake, policy, configuration, dry_run) for policy in acting]
+        planned = [planned_policy(lake, name, configuration) for name in dict.fromkeys(policies)]  # before any of them acts
+        evaluated = _carried_out(
+            lake, planned, dry_run=dry_run, lake=lake.address, policies=list(policies), workers=workers,
+            library=str(library) if library else None, seed=seed, config_file=str(config_file) if config_file else None,
+            settings=list(settings),
+        )  # fmt: skip
     metrics = metrics_of(lake.snapshot(), evaluated, configuration)
     if not as_json:
         _tell(evaluated, metrics, dry_run)
@@ -98,6 +106,27 @@ def _filmed(lake: Lake, evaluated: Sequence[Evaluated], folder: Path, per_outcom
     runs = list(dict.fromkeys((policy_run.policy, policy_run.run_name) for policy_run in evaluated))
     with Progress("films", 2 * per_outcome * len(runs)) as progress:
         return write_films(lake, runs, folder, per_outcome, advance=progress.advance)
+
+
+def _carried_out(store: Lake, planned: Sequence[PlannedPolicy], *, dry_run: bool, **parameters: Any) -> list[Evaluated]:
+    """Run `flows.evaluation.flow.evaluate` in this process; Prefect starts only when there is something to measure."""
+    from flows.evaluation.acting import evaluated
+    from flows.progress import Progress
+    from flows.server.here import result_or_raise
+
+    def load() -> Any:
+        from flows.evaluation.flow import evaluate
+
+        return evaluate
+
+    todo = sum(len(each.todo) for each in planned)
+    if not todo or dry_run:
+        if not dry_run:  # what an interrupted run had measured and not yet committed
+            for each in planned:
+                store.commit(note=f"trajectories of {each.policy}", scenes=each.batches)
+        return [evaluated(each, {}) for each in planned]
+    done: list[Evaluated] = result_or_raise(load, Progress("scenes", todo), parameters)
+    return done
 
 
 def _tell(evaluated: list[Evaluated], metrics: list[dict[str, Any]], dry_run: bool) -> None:

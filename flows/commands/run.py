@@ -16,8 +16,6 @@ from flows.run.fanout.runners import RUNNERS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from prefect.states import State
-
     from flows.run.plan import Plan
     from flows.run.report import RunReport
     from warehouse.lake import Lake
@@ -100,32 +98,27 @@ def carry_out(plan: Plan, store: Lake, **parameters: Any) -> RunReport:
 
         settle(store, plan)  # what an interrupted run had finished and not yet committed
         return report_of(plan, broken=broken_checks(store, {scene.scan.scene_id for scene in plan.scenes}))
-    from flows.progress import Progress, listen
+    from flows.progress import Progress
     from flows.run.report import RunReport, kept
-    from flows.server.process import is_of_server, prefect_server, why_not
-    from schemas.errors import LakeError
+    from flows.server.here import result_here
+
+    def load() -> Any:
+        from flows.pipeline import replicate
+
+        return replicate
 
     steps = sum(len(scene.todo) for scene in plan.scenes)
-    with Progress("stages", steps) as progress, prefect_server() as api:
-        listen(progress)
-        kept()
-        try:
-            from flows.pipeline import replicate
-
-            state: State[Any] = replicate(**parameters, return_state=True)  # type: ignore[assignment]  # it is a sync flow
-            result = state.result(raise_on_failure=False)
-        except Exception as error:
-            result = error
-        finally:
-            listen(None)
+    kept()
+    result, blamed = result_here(load, Progress("stages", steps), parameters)
     report = kept()  # what was done is done, whatever Prefect's server has to say
     if report is not None:
         if not isinstance(result, RunReport):
             print(f"note: Prefect's server does not know how the run ended ({type(result).__name__}); the lake does", file=sys.stderr)
         return report
     assert isinstance(result, BaseException)
-    if is_of_server(result):
-        raise LakeError(why_not(api, result)) from result
+    error = blamed()
+    if error is not None:
+        raise error from result
     raise result
 
 

@@ -268,6 +268,8 @@ _ORDERS: Mapping[str, str] = {
     "synthesis_evaluations": "dataset, split, metric, method, architecture NULLS FIRST, value",
     "navigability": "navigable_share, scene_id, agent",
     "navigation_metrics": "policy, run_name, agent, split, success_distance_m",
+    "navigation_comparison": "comparison_id, tested_on, trained_on",
+    "navigation_comparison_tests": "comparison_id, tested_on, first, second, measure",
     "unreachable_objects": "scene_id, instance_id",
     "export_verdicts": "passed, scene_id, format",
     "license_counts": "material, license",

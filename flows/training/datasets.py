@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import cached_property
 from typing import TypeVar
 
@@ -14,6 +14,8 @@ from schemas.annotation import Annotation
 from schemas.errors import InputError
 from schemas.record import Table, arrow_to_rows, table_of
 from schemas.tables import TABLES
+from schemas.text import cut
+from tasks.settings import nearest
 from warehouse.lake import Lake
 from warehouse.release import snapshot_of
 from warehouse.tables.adoption import SCENE_STAGES
@@ -30,12 +32,21 @@ ROWS_AT_ONCE = 4096
 """Rows that are records at one time, of tables without scenes."""
 
 
-class LakeDataset:
-    """A `tasks.training.dataset.Dataset` over a snapshot. release: Name of the release that it is; None where none was named."""
+def named_dataset(scene_id: str) -> str:
+    """The dataset that a scene is of: the first part of its name."""
+    return scene_id.partition("/")[0]
 
-    def __init__(self, reader: Reader, release: str | None = None) -> None:
-        self.reader, self.release = reader, release
-        self.name = f"release {release}" if release else f"snapshot {reader.snapshot_id}"
+
+class LakeDataset:
+    """A `tasks.training.dataset.Dataset` over a snapshot.
+
+    release: Name of the release that it is; None where none was named. datasets: Of the lake, whose scenes alone it has; none: all.
+    """
+
+    def __init__(self, reader: Reader, release: str | None = None, datasets: Collection[str] = ()) -> None:
+        self.reader, self.release, self.datasets = reader, release, sorted({*datasets})
+        of = f": {'+'.join(self.datasets)}" if self.datasets else ""
+        self.name = (f"release {release}" if release else f"snapshot {reader.snapshot_id}") + of
 
     @property
     def snapshot_id(self) -> int:
@@ -52,10 +63,11 @@ class LakeDataset:
                 part = self._scenes[first : first + SCENES_AT_ONCE]
                 yield from _records(self.reader.matching(table.name, {"scene_id": part}), table)
         else:
-            yield from _records(self.reader.arrow(table.name), table)
+            yield from _records(self._own(self.reader.arrow(table.name)), table)
 
     def fingerprint(self, tables: Sequence[str]) -> str:
-        """Hash of the runs that wrote the rows of some tables: the same rows have the same one, in whatever snapshot or release.
+        """Hash of the runs that wrote the rows of some tables: the same rows have the same one, in whatever snapshot or release, and
+        whether the datasets that they are of were named or are all that there are.
 
         Raises:
             InputError: no run did: there is nothing to learn from.
@@ -63,7 +75,7 @@ class LakeDataset:
         stages = {TABLES[table].stage for table in tables}
         runs = self.reader.arrow("stage_runs")
         wrote = [(run.scene_id, run.stage, run.fingerprint) for run in (state.done for state in states(runs).values()) if run is not None]
-        wrote = [run for run in wrote if run[1] in stages & set(SCENE_STAGES)]
+        wrote = [run for run in wrote if run[1] in stages & set(SCENE_STAGES) and self._has(run[0])]
         batches = runs.filter(pc.equal(runs.column("outcome"), "done")).select(["scene_id", "stage", "fingerprint"]).to_pylist()
         wrote += [(row["scene_id"], row["stage"], row["fingerprint"]) for row in batches if row["stage"] in stages - set(SCENE_STAGES)]
         if not wrote:
@@ -73,14 +85,23 @@ class LakeDataset:
     @cached_property
     def _scenes(self) -> list[str]:
         """Scenes of the snapshot, sorted."""
-        scenes: list[str] = self.reader.matching("scenes", {}, ["scene_id"]).column("scene_id").unique().to_pylist()
-        return sorted(scenes)
+        return sorted(scene for scene in scenes_of(self.reader) if self._has(scene))
+
+    def _has(self, scene_id: str) -> bool:
+        """Whether a scene is of the chosen datasets."""
+        return not self.datasets or named_dataset(scene_id) in self.datasets
+
+    def _own(self, rows: pa.Table) -> pa.Table:
+        """Rows that name no scene, or one of the chosen datasets."""
+        if not self.datasets or "scene_id" not in rows.column_names:
+            return rows
+        return rows.filter(pa.array([self._has(scene) for scene in rows.column("scene_id").to_pylist()], pa.bool_()))
 
     def _answers(self) -> Iterator[Annotation]:
         """Answers that count, and those of simulated annotators, each once, in the order of the key."""
         every = self.reader.arrow("annotations")
         simulated = every.filter(pc.equal(pc.fill_null(every.column("is_simulated"), False), True))
-        rows = arrow_to_rows(pa.concat_tables([standing_answers(self.reader), simulated]), Annotation)
+        rows = arrow_to_rows(self._own(pa.concat_tables([standing_answers(self.reader), simulated])), Annotation)
         key = TABLES["annotations"].key
         last = {tuple(getattr(row, name) for name in key): row for row in rows}
         yield from (last[each] for each in sorted(last))
@@ -92,13 +113,31 @@ def _records(rows: pa.Table, table: Table) -> Iterator[R]:
         yield from arrow_to_rows(rows.slice(first, ROWS_AT_ONCE), table.record)
 
 
-def chosen_dataset(lake: Lake, snapshot_id: int | None = None, release: str | None = None) -> LakeDataset:
-    """The dataset of a release, of a snapshot, or of the newest snapshot.
+def scenes_of(reader: Reader) -> list[str]:
+    """Scenes of a snapshot."""
+    names: list[str] = reader.matching("scenes", {}, ["scene_id"]).column("scene_id").unique().to_pylist()
+    return names
+
+
+def check_datasets(reader: Reader, datasets: Collection[str], field: str) -> None:
+    """Refuse datasets that a snapshot has no scene of. `field` is what names them. Raises `InputError`."""
+    known = sorted({named_dataset(scene) for scene in scenes_of(reader)})
+    for name in datasets:
+        if name not in known:
+            remedy = nearest(name, known, "the lake has") if known else "`metascenes run` makes scenes"
+            raise InputError(field, cut(name), "is no dataset of the lake", remedy)
+
+
+def chosen_dataset(
+    lake: Lake, snapshot_id: int | None = None, release: str | None = None, datasets: Collection[str] = ()
+) -> LakeDataset:  # fmt: skip
+    """The dataset of a release, of a snapshot, or of the newest snapshot, or what these have of some datasets.
 
     Raises:
-        InputError: there is no such release or snapshot, both are named, or the lake has no snapshot yet.
+        InputError: there is no such release, snapshot or dataset, both are named, or the lake has no snapshot yet.
     """
     reader = lake.snapshot(snapshot_of(lake, release, snapshot_id))
     if reader.snapshot is None:
         raise InputError(lake.address, "snapshot", "the lake has none yet", "`metascenes run` makes one")
-    return LakeDataset(reader, release)
+    check_datasets(reader, datasets, "training.datasets")
+    return LakeDataset(reader, release, datasets)

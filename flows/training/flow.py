@@ -81,7 +81,7 @@ def train(
         def once(system: str = system, configuration: Any = configuration) -> str:
             planned = planned_training(store, configuration, snapshot_id=snapshot, release=release, start=start)
             try:
-                model = carried_out(store, planned, _told(system))
+                model = carried_out(store, planned, told_now_and_then(system))
             except UnderWay as error:
                 return str(error)
             return f"{system}: model {model.model_id[:12]} on {planned.dataset.name}, {planned.why}"
@@ -91,8 +91,8 @@ def train(
     return _completed("; ".join(outcomes) or "there is no learned system")
 
 
-def _told(system: str) -> Any:
-    """A report for a run's log: now and then a line."""
+def told_now_and_then(system: str) -> Any:
+    """A report for a run's log on a training, of a system or of another name: now and then a line."""
 
     def report(done: int, of: int, text: str) -> None:
         if done == of or done % max(of // SAID, 1) == 0:

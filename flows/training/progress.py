@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import TracebackType
 
 from flows.progress import Progress
@@ -35,3 +36,49 @@ class StepBar:
         if self._bar is not None:
             self._bar.__exit__(None, None, None)
             self._bar = None
+
+
+Watch = Callable[[str, int, int, str], None]
+"""Told of trainings: which, and as a report so many of so many steps."""
+
+
+class TrainingBars:
+    """``with TrainingBars(): ...``: bars for the trainings that a flow carries out meanwhile in this process, one at a time."""
+
+    def __init__(self) -> None:
+        self._bar: StepBar | None = None
+        self._name = ""
+
+    def watch(self, name: str, done: int, of: int, text: str) -> None:
+        """See `Watch`."""
+        if self._bar is None or name != self._name:
+            self._end()
+            self._bar, self._name = StepBar(name).__enter__(), name
+        self._bar.report(done, of, text)
+        if done == of:
+            self._end()
+
+    def __enter__(self) -> TrainingBars:
+        _watches.append(self.watch)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        _watches.remove(self.watch)
+        self._end()
+
+    def _end(self) -> None:
+        if self._bar is not None:
+            self._bar.__exit__(None, None, None)
+            self._bar = None
+
+
+_watches: list[Watch] = []
+
+
+def watched() -> Watch:
+    """Who watches trainings in this process; nobody where no bar is shown."""
+    return _watches[-1] if _watches else _unseen
+
+
+def _unseen(name: str, done: int, of: int, text: str) -> None:
+    """Nobody watches."""

@@ -91,7 +91,7 @@ def planned_training(
     """
     config = configuration.stages[STAGE.name]
     system = config.system.kind
-    dataset = chosen_dataset(lake, snapshot_id, release)
+    dataset = chosen_dataset(lake, snapshot_id, release, config.datasets)
     begins_with: Model | None = None
     if start is not None:
         begins_with = loaded_model(lake, found_model(lake.snapshot(), start, system)[0])
@@ -142,8 +142,9 @@ def model_of_training(lake: Lake, training_id: str) -> LearnedModel | None:
 
 
 def trained_on(lake: Lake, system: str, release: str) -> LearnedModel | None:
-    """A model of a learned system that was trained on a release, withdrawn or not; None where there is none."""
-    rows = arrow_to_rows(lake.snapshot().matching("models", {"kind": [system], "release": [release]}), LearnedModel)
+    """A model of a learned system that was trained on all of a release, withdrawn or not; None where there is none."""
+    named = {"kind": [system], "release": [release], "dataset": [f"release {release}"]}  # not on some datasets of it
+    rows = arrow_to_rows(lake.snapshot().matching("models", named), LearnedModel)
     return rows[0] if rows else None
 
 

@@ -184,6 +184,19 @@ _COLUMNS: Mapping[str, tuple[str, Format]] = {
     "sel": ("SEL", as_number),
     "el": ("EL", as_number),
     "curvature_turning_angle": ("Curvature [rad/m]", as_number),
+    "comparison_id": ("Comparison", as_text),
+    "trained_on": ("Trained on", as_text),
+    "tested_on": ("Tested on", as_text),
+    "seeds": ("Seeds", as_count),
+    "first": ("Trained on", as_text),
+    "second": ("against", as_text),
+    "measure": ("Measure", as_text),
+    "pairs": ("Pairs", as_count),
+    "difference": ("Difference", as_number),
+    "only_first": ("First better", as_count),
+    "only_second": ("Second better", as_count),
+    "p_value": ("p", as_number),
+    "p_value_by_scene": ("p, by scene", as_number),
     "reason": ("Why", as_text),
     "files": ("Files", as_count),
     "size_bytes": ("Size", as_size),
@@ -258,10 +271,7 @@ _COLUMNS: Mapping[str, tuple[str, Format]] = {
 """Header of a column and how it is written, by its name: the same in every view, but for those that are named with their view."""
 
 _VIEWS: Mapping[str, tuple[str, str]] = {
-    "stage_timing": (
-        "Time per stage",
-        "stage scenes runs total_seconds median_seconds p95_seconds seconds_per_object peak_memory_mb",
-    ),
+    "stage_timing": ("Time per stage", "stage scenes runs total_seconds median_seconds p95_seconds seconds_per_object peak_memory_mb"),
     "dataset_comparison": (
         "Datasets side by side",
         "dataset scenes objects median_objects_per_scene categories known_share median_box_volume_m3 placed_share assets "
@@ -271,34 +281,16 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
         "Minutes per object: the paper's annotation, people's here, and computation",
         "reading scenes objects minutes minutes_per_object minutes_per_39_objects times_paper",
     ),
-    "annotation_agreement": (
-        "Annotators and the selection",
-        "annotator answers none_fits same_as_selection agreement",
-    ),
-    "annotator_agreement": (
-        "Annotators among themselves",
-        "annotator_a annotator_b instances agreement chance_agreement cohens_kappa",
-    ),
+    "annotation_agreement": ("Annotators and the selection", "annotator answers none_fits same_as_selection agreement"),
+    "annotator_agreement": ("Annotators among themselves", "annotator_a annotator_b instances agreement chance_agreement cohens_kappa"),
     "quality_history": (
         "Quality control of annotation batches",
         "batch_id answers round reviewer sampled wrong wrong_low wrong_high verdict",
     ),
-    "failures": (
-        "Failed stages",
-        "scene_id stage error_kind error",
-    ),
-    "broken_rules": (
-        "Broken export rules",
-        "format rule scene_id message",
-    ),
-    "degradation_counts": (
-        "Degradations",
-        "stage degradation times scenes",
-    ),
-    "fallback_counts": (
-        "Providers and fallbacks",
-        "stage provider provider_version answers fallbacks",
-    ),
+    "failures": ("Failed stages", "scene_id stage error_kind error"),
+    "broken_rules": ("Broken export rules", "format rule scene_id message"),
+    "degradation_counts": ("Degradations", "stage degradation times scenes"),
+    "fallback_counts": ("Providers and fallbacks", "stage provider provider_version answers fallbacks"),
     "selection_methods": (
         "Selection methods where the scanned model is known",
         "method dataset split instances top_1 top_1_low top_1_high top_1_without_own top_1_without_own_low top_1_without_own_high top_5 "
@@ -324,10 +316,7 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
         "scene_id instance_id category engine support displacement_m tilt_degrees nudged_displacement_m nudged_tilt_degrees "
         "start_penetration_m fails_5cm problem",
     ),
-    "optimization_remains": (
-        "What the optimization could not put right",
-        "scene_id instance_id category remains",
-    ),
+    "optimization_remains": ("What the optimization could not put right", "scene_id instance_id category remains"),
     "support_counts": (
         "What carries the objects",
         "scene_id on_floor on_objects inside_objects on_walls on_ceiling unsupported fixed lost",
@@ -373,22 +362,18 @@ _VIEWS: Mapping[str, tuple[str, str]] = {
         "How well policies navigate",
         "policy run_name agent split success_distance_m n sr sr_low sr_high spl sel el curvature_turning_angle",
     ),
-    "unreachable_objects": (
-        "Objects that no episode could be made for",
-        "scene_id instance_id category reason",
+    "navigation_comparison": (
+        "Datasets, by the policies that learned from them",
+        "comparison_id trained_on tested_on seeds scenes n sr sr_low sr_high el curvature_turning_angle sel spl",
     ),
-    "export_verdicts": (
-        "Exports",
-        "scene_id format files size_bytes rules broken_rules passed",
+    "navigation_comparison_tests": (
+        "Whether one dataset is better than another",
+        "comparison_id tested_on first second measure pairs difference only_first only_second p_value p_value_by_scene",
     ),
-    "license_counts": (
-        "Licenses",
-        "material license items uses scenes",
-    ),
-    "attributions": (
-        "Where placed assets come from",
-        "license author provider source uses",
-    ),
+    "unreachable_objects": ("Objects that no episode could be made for", "scene_id instance_id category reason"),
+    "export_verdicts": ("Exports", "scene_id format files size_bytes rules broken_rules passed"),
+    "license_counts": ("Licenses", "material license items uses scenes"),
+    "attributions": ("Where placed assets come from", "license author provider source uses"),
 }
 """Caption and names of the columns that are shown, by view."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from schemas.training import LearnedModel, ModelEvaluation, TrainingStep
 from tasks.families import member
 from tasks.models import Model, identity_json, model_id_of
-from tasks.settings import Config, union_of
+from tasks.settings import Config, Texts, union_of
 from tasks.stage import Blobs, Context, Outcome, Stage
 from tasks.training.dataset import Dataset, Provenance
 from tasks.training.learned_systems import SYSTEMS
@@ -34,6 +34,7 @@ class TrainingConfig(Config):
     """What is trained, and how."""
 
     system: AnySystem = dataclasses.field(default_factory=SYSTEMS[0].config)  # the first learned system; `metascenes train` names one
+    datasets: Texts = ()  # of the lake, by the first part of their scenes' names; none: all of them
 
 
 def run(*, dataset: Dataset, start: Model | None, provenance: Provenance, context: Context, config: TrainingConfig) -> Outcome:

@@ -80,17 +80,18 @@ def quiet_torch(config: FittingConfig) -> Iterator[None]:
     On a graphics card an operation that has no deterministic algorithm is let through: there, resumed weights may differ in last bits.
     """
     import torch
+    from torch.utils import deterministic
 
     before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS is deterministic with it alone
     torch.set_num_threads(config.threads)
     torch.use_deterministic_algorithms(True, warn_only=config.device != "cpu" and torch.cuda.is_available())
-    fills = torch.utils.deterministic.fill_uninitialized_memory
-    torch.utils.deterministic.fill_uninitialized_memory = False  # a tenth of a step: nothing here reads what it has not written
+    fills = deterministic.fill_uninitialized_memory  # type: ignore[attr-defined]
+    deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]  # a tenth of a step: nothing here reads what it has not written
     try:
         with seeded(0, "fitting"):
             yield
     finally:
-        torch.utils.deterministic.fill_uninitialized_memory = fills
+        deterministic.fill_uninitialized_memory = fills  # type: ignore[attr-defined]
         torch.set_num_threads(before[0])
         torch.use_deterministic_algorithms(before[1], warn_only=before[2])

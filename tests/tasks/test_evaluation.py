@@ -694,7 +694,7 @@ def test_a_batch_is_measured_at_one_success_distance(lake: Lake, scene: Any, tmp
 def test_newer_code_measures_again_in_place(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     first = run_policy(lake, "random", configure())
     before = lake.snapshot().rows(Trajectory)
-    monkeypatch.setattr("flows.inputs.evaluation.code_fingerprint", lambda _: "newer")
+    monkeypatch.setattr("flows.evaluation.measuring.code_fingerprint", lambda _: "newer")
     again = run_policy(lake, "random", configure())
     assert (again.batches, again.new) == (first.batches, 40)
     assert lake.snapshot().rows(Trajectory) == before

@@ -173,18 +173,18 @@ def test_rooms_are_made_once_and_lie_on_their_side(tmp_path: Path, monkeypatch: 
     told: list[str] = []
     make_rooms(data, 1, told.append)
     assert told == [room_name(0), room_name(1)]
-    reader, (held,) = data.learned.snapshot(), data.tested
+    reader, (held,) = data.lake.snapshot(), data.tested
     assert {row.room_id: row.split for row in reader.rows(Split)} == {room_name(held): "test", room_name(1 - held): "train"}
     episodes = reader.rows(Episode)
     assert {(row.scene_id, row.split) for row in episodes} == {(room_name(held), "test"), (room_name(1 - held), "train")}
     assert [sum(row.split == split for row in episodes) for split in ("train", "test")] == [6, 3]
-    assert {row.scene_id for row in data.held_out.snapshot().rows(Episode)} == {room_name(held)}
+    assert data.held_out == [room_name(held)]
     before, asked[:] = digests(reader), []
     make_rooms(data, 1, told.append)
     assert (asked, len(told)) == ([], 4)
     again = PolicyRooms(tmp_path / "again", 2, 0, 6)
     make_rooms(again, 1, told.append)
-    assert digests(again.learned.snapshot())["episodes"] == before["episodes"]
+    assert digests(again.lake.snapshot())["episodes"] == before["episodes"]
 
 
 def test_a_room_without_floor_is_drawn_again_and_not_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -202,7 +202,7 @@ def test_a_room_without_floor_is_drawn_again_and_not_for_ever(tmp_path: Path, mo
     data = PolicyRooms(tmp_path, 5, 7)
     assert make_room(data, 0) == 0
     assert seeds == [7, 7 + rooms.ANEW]
-    assert staged == [{"episodes": [1]}] * len(data.lakes(0))
+    assert staged == [{"episodes": [1]}]
     monkeypatch.setattr(rooms, "with_episodes", lambda *_: ({"episodes": []}, {}))
     with pytest.raises(InputError, match=r"--rooms: room 0 of 5 leaves the agent no floor in 20 draws; give another --seed"):
         make_room(data, 0)

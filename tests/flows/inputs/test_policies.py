@@ -10,7 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from flows.commands.evaluate import command
-from flows.inputs import evaluation, policies
+from flows.evaluation import acting
+from flows.inputs import policies
 from flows.inputs.evaluation import run_policy
 from flows.inputs.policies import trained_policy
 from flows.run.configuration import configure
@@ -82,7 +83,7 @@ def test_who_was_killed_goes_on_and_comes_to_the_same_rows(lake: Lake, tmp_path:
     row, other = keep_model(lake), acted_lake(tmp_path / "other")
     keep_model(other)
     run_policy(other, row.model_id, SHORT)
-    execute, seen = evaluation.execute, list[str]()
+    execute, seen = acting.execute, list[str]()
 
     def killed(job: object, *words: object, **options: object) -> object:
         if seen:
@@ -91,7 +92,7 @@ def test_who_was_killed_goes_on_and_comes_to_the_same_rows(lake: Lake, tmp_path:
         return execute(job, *words, **options)  # type: ignore[arg-type]
 
     with monkeypatch.context() as patched:
-        patched.setattr(evaluation, "execute", killed)
+        patched.setattr(acting, "execute", killed)
         with pytest.raises(KeyboardInterrupt):
             run_policy(lake, row.model_id, SHORT)
     assert lake.snapshot().rows(Trajectory) == []

@@ -74,6 +74,8 @@ def plain(kind: Any, present: Any) -> st.SearchStrategy[Any]:
         return st.sampled_from([present, "other"])
     if get_origin(kind) is Literal:
         return st.sampled_from(get_args(kind))
+    if get_origin(kind) is tuple and not present:
+        return st.lists(st.sampled_from(["alpha", "beta"]), max_size=2)
     if get_origin(kind) is tuple:
         return slots() if isinstance(present[0], SlotConfig) else st.permutations(list(present))
     assert get_origin(kind) in (Union, type(str | None)), f"{kind}: say here how such a value is drawn"
@@ -165,7 +167,7 @@ def assert_told(made: Any, before: Any, table: dict[str, Any]) -> None:
             value = {} if isinstance(value, str) else {k: v for k, v in value.items() if k != "kind"}
         if field not in table:
             assert getattr(made, field) == old
-        elif isinstance(value, list) and isinstance(old[0], SlotConfig):
+        elif isinstance(value, list) and old and isinstance(old[0], SlotConfig):
             assert getattr(made, field) == tuple(slot_of(item) for item in value)
         elif dataclasses.is_dataclass(old):
             assert type(getattr(made, field)) is type(old)

@@ -46,6 +46,8 @@ NAMES = (
     "statistics/statistics-lake",
     "release/release-lake",
     "train/train-lake",
+    "evaluate/evaluate-lake",
+    "compare/compare-lake",
     "export/export-lake",
     "upkeep/upkeep-lake",
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -65,15 +66,30 @@ def acted_scene(scene_id: str) -> ActedScene:
     return ActedScene(renamed | dict(outcome.rows), dict(context.blobs) | dict(outcome.blobs))
 
 
+def as_scene(made: ActedScene, scene_id: str, room_id: str) -> ActedScene:
+    """The same scene by another name, in a room of another name."""
+    split = split_of(room_id, CONFIG.test_share)
+
+    def changed(row: Any) -> Any:
+        values = {"scene_id": scene_id, "room_id": room_id, "split": split}
+        return dataclasses.replace(row, **{name: value for name, value in values.items() if hasattr(row, name)})
+
+    return ActedScene({table: [changed(row) for row in rows] for table, rows in made.rows.items()}, made.blobs)
+
+
 def acted_lake(folder: Path, scenes: tuple[str, ...] = (LIVING, STUDY)) -> Lake:
     """A lake of some of the scenes, committed."""
+    return lake_of_scenes(folder, {scene_id: acted_scene(scene_id) for scene_id in scenes})
+
+
+def lake_of_scenes(folder: Path, scenes: Mapping[str, ActedScene]) -> Lake:
+    """A lake of scenes by their names, committed."""
     lake = Lake.open(folder)
     of = {
         "capture": ("scenes", "shells", "instances"), "candidates": ("candidates", "assets"), "optimization": ("placements",),
         "navigation": ("navmeshes", "episodes", "unreachable_targets", "splits"),
     }  # fmt: skip
-    for scene_id in scenes:
-        made = acted_scene(scene_id)
+    for scene_id, made in scenes.items():
         for name, data in made.blobs.items():
             assert lake.blobs.put(data, name.split(".")[1]) == name
         points = lake.blobs.put(b"points", "ply")

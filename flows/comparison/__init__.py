@@ -1,0 +1,1 @@
+"""Comparing datasets by the policies that learn from them."""
