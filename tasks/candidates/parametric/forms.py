@@ -107,7 +107,10 @@ def board_levels(points: Array, extents: Extents) -> list[Level]:
     for k in np.argsort(-wide, kind="stable").tolist():
         if wide[k] < max(BOARD_SHARE * wide.max(), 2.0 * usual):
             break
-        high = float(inner[np.abs(inner[:, 2] - (k + 0.5) * BIN_M) <= 1.5 * BIN_M, 2].mean())
+        near = np.abs(inner[:, 2] - (k + 0.5) * BIN_M) <= 1.5 * BIN_M
+        if not near.any():  # what lies below the box was counted into the lowest bin
+            continue
+        high = float(inner[near, 2].mean())
         if high <= z - BETWEEN_M and all(abs(high - other) >= BETWEEN_M for other in seen):
             seen.append(high)
     lowest = [high for high in seen if high < BETWEEN_M]
