@@ -38,7 +38,8 @@ def _outside_inputs() -> list[Target]:
     """What stages declare to come from outside of the lake, but for scans, which have formats."""
     from tasks.pipeline import STAGES
 
-    own = ("scan", "batch_acts", "dataset", "start", "provenance", "compared_batches")  # scans have formats; the others are rows and models of a lake
+    # scans have formats; the others are rows and models of a lake
+    own = ("scan", "batch_acts", "dataset", "start", "provenance", "compared_batches")
     names = {name for stage in STAGES for name in stage.outside if name not in own}
     names |= {"verdict_batch", "label_studio_batch", "cvat_batch"}  # what acts are made from
     return [Target(name.removesuffix("_batch"), PARSER, getattr(seeds, name), globals()[f"_read_{name}"]) for name in sorted(names)]
