@@ -1,4 +1,4 @@
-"""The benchmark of policies: cameras, steps, rooms, trainings, policies let go in held-out rooms, kills, goals. Resumes at every step."""
+"""The benchmark of policies: cameras, steps, policies in held-out rooms, kills. Rooms, trainings and trajectories are kept."""
 
 from __future__ import annotations
 

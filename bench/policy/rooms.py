@@ -58,8 +58,10 @@ class PolicyRooms:
     def mark(self) -> str:
         """What rooms and episodes follow from, code and all."""
         here = Path(__file__)
-        own = [path.read_text() for path in (here, *(here.parents[1] / f"{name}.py" for name in ("rooms", "replicas", "perturbation")))]
-        code = [code_fingerprint(module) for module in ("tasks.furniture.rooms", "tasks.optimization.solids", "tasks.navigation")]
+        makers = [here, *(here.parents[1] / f"{name}.py" for name in ("rooms", "replicas", "perturbation", "samples"))]
+        own = [path.read_text() for path in makers]
+        modules = sorted({line.split()[1] for text in own for line in text.splitlines() if line.startswith("from tasks.")})
+        code = [code_fingerprint(module) for module in (*modules, "tasks.captions", "tasks.navigation")]
         return digest(*own, *code, str(self.count), str(self.seed), str(self.episodes))
 
     @property

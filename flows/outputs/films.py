@@ -61,10 +61,8 @@ def write_films(
 ) -> Filmed:  # fmt: skip
     """Write films of successes and failures of runs, by policy and name, as WebP files into a folder, each whole or not at all.
 
-    The same trajectories in the same scenes give the same bytes under the same names. A scene that cannot be drawn costs its films.
-
-    Raises:
-        InputError: the lake has no trajectories of a run that could be shown.
+    The same trajectories in the same scenes give the same bytes under the same names. A scene that cannot be drawn costs its films, and
+    a run without trajectories its own.
     """
     from tasks.films.walks import FilmLook
 
@@ -73,11 +71,7 @@ def write_films(
     with reader.connect() as connection:
         for policy, run_name in runs:
             which = f"(policy, run_name) = ({listed((policy, run_name))})"
-            own = connection.sql(shown_walks(per_outcome, which)).to_arrow_table().to_pylist()
-            if not own:
-                problem = f"there are none of {policy}, {run_name} in episodes of this lake"
-                raise InputError(lake.address, "trajectories", problem, "let it act in them: `metascenes evaluate`")
-            rows += own
+            rows += connection.sql(shown_walks(per_outcome, which)).to_arrow_table().to_pylist()
     files: list[Path] = []
     missing = []
     for policy, run_name in runs:

@@ -34,7 +34,7 @@ GALLERY_OBJECTS = 12
 """Objects in the gallery of candidates, one per category: eleven thumbnails of 3 kB each."""
 
 FILMED_RUNS = 6
-"""Runs of policies of which one success and one failure is shown: 60 kB each."""
+"""Runs of policies of which one success and one failure is shown: 60 kB each; of each policy one first."""
 
 TIMELINE_RUNS = 600
 """Runs with a bar of their own; more are put together in bins of time."""
@@ -120,7 +120,10 @@ def report_queries(scenes: ShownScenes) -> dict[str, str]:
     queries["synthesis_layouts"] = _drawn_layouts()
     for prefix, column in (("", "box_volume_m3"), ("solid_", "solid_volume_m3")):
         queries |= _volumes(f"{prefix}volume_by_category", f"{prefix}volume_outliers", column)
-    runs = f"(SELECT DISTINCT policy, run_name FROM trajectories ORDER BY ALL LIMIT {FILMED_RUNS})"
+    runs = (  # one run of each policy before a second one of any
+        "(SELECT policy, run_name FROM (SELECT DISTINCT policy, run_name FROM trajectories) "
+        f"ORDER BY row_number() OVER (PARTITION BY policy ORDER BY run_name), policy LIMIT {FILMED_RUNS})"
+    )
     queries["trajectory_metrics.shown"] = shown_walks(1, f"(policy, run_name) IN {runs}")
     queries["candidate_wins"] = "SELECT slot, provider, filled, wins FROM candidate_wins ORDER BY slot, provider"
     queries["collision_loss.worst"] = (

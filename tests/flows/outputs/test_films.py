@@ -84,10 +84,14 @@ def test_success_and_failure_are_filmed_with_every_pose_and_the_same_bytes_twice
     assert [file.name for file in again.files] == [file.name for file in done.files]
 
 
-def test_who_has_no_trajectories_is_told_so(lake: Lake, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"trajectories: there are none of expert, built-in in episodes of this lake; let it act"):
-        write_films(lake, [MINE, ("expert", "built-in")], tmp_path / "films", 1, LOOK)
-    assert not (tmp_path / "films").exists()
+def test_who_has_no_trajectories_costs_nobody_else_a_film(lake: Lake, tmp_path: Path) -> None:
+    done = write_films(lake, [MINE, ("expert", "built-in")], tmp_path / "films", 1, LOOK)
+    assert len(done.files) == 2
+    assert [line for line in done.missing if line.startswith("expert, built-in: no ")] == list(done.missing)
+    assert len(done.missing) == 2
+    nobody = write_films(lake, [("expert", "built-in")], tmp_path / "none", 1, LOOK)
+    assert nobody.files == ()
+    assert not (tmp_path / "none").exists()
 
 
 def test_a_walk_that_cannot_be_drawn_costs_its_film_alone(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
