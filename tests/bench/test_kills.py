@@ -54,6 +54,7 @@ def test_eight_writers_and_upkeep_that_are_killed_at_once_lose_nothing(tmp_path:
     assert found["kills"]["writer of 8 at once"] >= 2
 
 
+@pytest.mark.slow
 def test_clocks_that_are_wrong_and_jump_change_nothing(tmp_path: Path) -> None:
     try:
         faketime()
