@@ -183,6 +183,7 @@ def test_upkeep_leaves_it_as_it_is(lake: Lake, tmp_path: Path) -> None:
     assert computed(lake) == SCENES | {IMPORTED}
 
 
+@pytest.mark.slow
 def test_people_go_on_annotating_reviewing_and_evaluating(lake: Lake, earlier: Path) -> None:
     assert "already" in told("annotate", "import", earlier / "batch.json", "--lake", lake.address)
     assert "already" in told("annotate", "review", earlier / "review.json", "--lake", lake.address)

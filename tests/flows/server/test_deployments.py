@@ -247,6 +247,7 @@ def test_deploying_again_changes_what_is_different_and_prefects_own_command_sets
     assert deployed.facts() == before
 
 
+@pytest.mark.slow
 def test_limits_are_switched_off_and_stay_what_they_are(deployed: Prefect) -> None:
     told = ["--gpu-slots", "2", "--vlm-per-second", "0.25", "--runs-at-once", "3"]
     off = [each if each.startswith("--") else "0" for each in told]
