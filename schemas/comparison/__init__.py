@@ -17,7 +17,9 @@ MEASURES = ("success", "spl")
 class ComparedRun:
     """A policy in the episodes of one test scene. Its trajectories are those of the batch."""
 
-    comparison_id: str = column("Comparison: of datasets, test episodes, settings, code and seeds", pattern=NAME_PATTERN)
+    comparison_id: str = column(
+        "Comparison: of datasets, test scenes and episodes by their content, settings, code and seeds", pattern=NAME_PATTERN
+    )
     trained_on: str = column("Datasets that the policy learned from, in alphabetical order, with + between them")
     seed: int = column("Seed that it was trained with")
     scene_id: str = column("Scene that it was tested in", pattern=SCENE_PATTERN)
