@@ -11,7 +11,7 @@ from flows.evaluation.measuring import STAGE, Evaluated, MeasuredRows, evaluatio
 from flows.inputs.policies import ACTING_CODE, SYSTEM, TrainedPolicy, trained_policy
 from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json, code_fingerprint, digest
-from flows.worker import Job, execute, lost_run
+from flows.worker import Job, execute, kind_and_text, lost_run
 from schemas.capture import RoomSurface
 from schemas.errors import InputError
 from schemas.families.policies import POLICIES as POLICY_NAMES
@@ -123,8 +123,8 @@ def act(task: SceneTask) -> StageRun:
     acting = _acting(lake, lake.snapshot(task.snapshot_id), task, trained)
     try:
         attempts = acting.attempts()
-    except InputError as error:
-        run = lost_run(acting.job, "input", str(error), time.perf_counter() - began)
+    except Exception as problem:  # as any stage's failure: it is this scene's, and others go on
+        run = lost_run(acting.job, *kind_and_text(problem), time.perf_counter() - began)
         lake.stage_rows(run, {})
         return run
     return execute(acting.measuring(attempts))
