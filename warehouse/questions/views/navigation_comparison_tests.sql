@@ -7,7 +7,13 @@
 -- signs of whole scenes, and cannot be below 2 / 2^scenes. Neither is about the datasets: a training with a lucky seed is better in all
 -- scenes alike. p_value_by_seed is, about other trainings on the same datasets in these scenes: it flips the signs of whole seeds, and
 -- cannot be below 2 / 2^seeds, so that three seeds never give less than 0.25. By one scene, or by one seed, there is no p value. None is
--- corrected for the number of pairs of datasets. Comparisons with a model that was withdrawn are left out.
+-- corrected for the number of pairs of datasets. Comparisons with a model that was withdrawn are left out, and so are tests that counted a
+-- scene which was erased since.
+WITH compared AS (
+    SELECT comparison_id, trained_on, split_part(scene_id, '/', 1) AS tested_on, count(DISTINCT scene_id) AS scenes, sum(episodes) AS pairs
+    FROM compared_runs
+    GROUP BY ALL
+)
 SELECT
     tests.comparison_id,
     tests.tested_on,
@@ -26,6 +32,12 @@ SELECT
     tests.p_value_by_scene,
     tests.p_value_by_seed
 FROM paired_tests AS tests
+JOIN compared AS of_first
+    ON (of_first.comparison_id, of_first.trained_on, of_first.tested_on, of_first.scenes, of_first.pairs)
+    = (tests.comparison_id, tests.first, tests.tested_on, tests.scenes, tests.pairs)
+JOIN compared AS of_second
+    ON (of_second.comparison_id, of_second.trained_on, of_second.tested_on, of_second.scenes, of_second.pairs)
+    = (tests.comparison_id, tests.second, tests.tested_on, tests.scenes, tests.pairs)
 WHERE tests.comparison_id NOT IN (
     SELECT compared_runs.comparison_id FROM compared_runs JOIN models USING (model_id) WHERE models.is_withdrawn
 )
