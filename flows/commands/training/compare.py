@@ -120,7 +120,7 @@ def _carried_out(store: Lake, planned: PlannedComparison, **parameters: Any) -> 
         rows, tests = answers_of_comparison(store, planned.comparison_id)
         return Compared(planned.comparison_id, 0, 0, rows, tests, planned.notes)
     with TrainingBars():
-        done: Compared = result_or_raise(load, Progress("scenes", len(planned.trainings) * len(planned.episodes)), parameters)
+        done: Compared = result_or_raise(load, Progress("scenes", 0), parameters)
     return done
 
 
