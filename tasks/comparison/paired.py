@@ -36,10 +36,10 @@ def sign_flips(differences: ArrayLike, rng: np.random.Generator, draws: int) -> 
     if len(values) < 2:  # one alone is as far from 0 either way
         return 1.0
     count = 2**EXACT if len(values) <= EXACT else draws
-    found = permutation_test(
+    tested = permutation_test(
         (values,), np.sum, permutation_type="samples", n_resamples=count, batch=_AT_ONCE, vectorized=True, rng=rng
     )  # fmt: skip
-    return min(1.0, float(found.pvalue))
+    return min(1.0, float(tested.pvalue))
 
 
 def whole_flips(differences: ArrayLike, units: ArrayLike, rng: np.random.Generator, draws: int) -> float | None:
