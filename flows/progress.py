@@ -25,7 +25,14 @@ class Progress:
         self._bar: Any = None
         self._title, self._total = title, total
         self._shown = sys.stderr.isatty() if shown is None else shown
-        self._told, self._done, self._said_at = lines and not self._shown and total > 0, 0, 0.0
+        self._lines = lines and not self._shown
+        self._told, self._done, self._said_at = self._lines and total > 0, 0, 0.0
+
+    def begin(self, total: int) -> None:
+        """Begin here, with so many steps: for work that is preceded by other work, and whose size is not known before."""
+        self.__exit__(None, None, None)
+        self._total, self._told, self._done = total, self._lines and total > 0, 0
+        self.__enter__()
 
     def advance(self, text: str = "") -> None:
         """One step is over; `text` says which."""

@@ -80,14 +80,8 @@ def execute(job: Job, spread: Spread | None = None, report: Report = silently) -
     try:
         outcome = _kept(stage, job, lake, _computed(stage, job, lake, spread or spread_over(job.processes), report))
         rows, degradations = outcome.rows, outcome.degradations
-    except InputError as problem:
-        error, kind = str(problem), "input"
-    except RowsGone as problem:
-        error, kind = str(problem), "lost"
     except Exception as problem:
-        error, kind = _one_line(problem), "lost" if _passes(problem) else "defect"
-        if os.environ.get("METASCENES_TRACEBACK"):
-            traceback.print_exc(file=sys.stderr)
+        kind, error = kind_and_text(problem)
     run = dataclasses.replace(
         lost_run(job, kind, error, time.perf_counter() - clock),
         row_counts=tuple(f"{table}={len(values)}" for table, values in sorted(rows.items())),
@@ -98,6 +92,17 @@ def execute(job: Job, spread: Spread | None = None, report: Report = silently) -
     )
     lake.stage_rows(run, rows)
     return run
+
+
+def kind_and_text(problem: Exception) -> tuple[str, str]:
+    """How the row of a run that ended with this says so: kind of error, and one line. Called while it is handled."""
+    if isinstance(problem, InputError):
+        return "input", str(problem)
+    if isinstance(problem, RowsGone):
+        return "lost", str(problem)
+    if os.environ.get("METASCENES_TRACEBACK"):
+        traceback.print_exc(file=sys.stderr)
+    return "lost" if _passes(problem) else "defect", _one_line(problem)
 
 
 def followed(job: Job, report: Report = silently) -> Outcome:

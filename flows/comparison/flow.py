@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ from prefect.states import Completed, Failed
 from flows.comparison.comparing import Compared, left_to_do
 from flows.comparison.comparing import compare as carried_out
 from flows.comparison.planning import SYSTEM, ComparedTraining, asked_comparison, planned_comparison
+from flows.evaluation.acting import ActIn, PlannedScene
 from flows.evaluation.flow import fanned_out, workers_for
+from flows.progress import current
 from flows.run.parameters import Address, StageTables
 from flows.run.patience import patiently
 from flows.server.artifacts import run_log, short_name
@@ -21,8 +24,19 @@ from flows.training.flow import told_now_and_then
 from flows.training.progress import watched
 from flows.training.training import system_configuration
 from flows.training.training import train as trained
+from schemas.runs import StageRun
 from schemas.training import LearnedModel
 from warehouse.lake import Lake
+
+
+def with_bar(act_in: ActIn) -> ActIn:
+    """`act_in`, with a bar of the scenes that are to be done: trainings, which come first, have bars of their own."""
+
+    def act_in_scenes(scenes: Sequence[PlannedScene]) -> Iterable[StageRun]:
+        current().begin(len(scenes))
+        return act_in(scenes)
+
+    return act_in_scenes
 
 
 class TrainingWork:
@@ -99,7 +113,7 @@ def compare(
         to_train, to_measure, _ = left_to_do(store, planned)
         run_log(f"{planned.comparison_id}: {to_train} models to train, {to_measure} trajectories to measure")
         with fanned_out(workers_for(workers, len(planned.trainings) * len(planned.episodes))) as act_in:
-            return carried_out(store, planned, model_of, act_in)
+            return carried_out(store, planned, model_of, with_bar(act_in))
 
     done = patiently(once)
     keep(done)

@@ -11,6 +11,7 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
+from flows.evaluation.acting import content_of_episodes
 from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json, code_fingerprint, digest
 from flows.training.datasets import LakeDataset, check_datasets, chosen_dataset, named_dataset
@@ -122,9 +123,10 @@ def planned_comparison(
         check_datasets(reader, names, option)
     rooms = _Rooms(reader, training.system.test_share)
     for choice in request.train:
-        if not any(split == "train" for name in choice for _, split in rooms.with_episodes(name).values()):
-            problem = "has no episode in a room of the split 'train'"
-            raise InputError("--train", label_of(choice), problem, "name another dataset, or run the stage navigation on more of its rooms")
+        for name in choice:  # else a+b may be a to the last bit: two trainings, one model, and nothing to compare
+            if not any(split == "train" for _, split in rooms.with_episodes(name).values()):
+                problem = f"{name} adds nothing to learn from, it has no episode in a room of the split 'train'"
+                raise InputError("--train", label_of(choice), problem, "leave it out, or run the stage navigation on more of its rooms")
     config: ComparisonConfig = configuration.stages[STAGE.name]
     episodes, notes = _test_episodes(snapshot, request, rooms, config)
     trainings = []
@@ -140,7 +142,7 @@ def planned_comparison(
     parts = [
         canonical_json([request.train, request.test, config]), *(each.planned.training_id for each in trainings),
         canonical_json([[scene, *names] for scene, names in sorted(episodes.items())]),
-        canonical_json(configuration.stages["evaluation"]), code_fingerprint("tasks.comparison"),
+        content_of_episodes(snapshot.reader, episodes, configuration), code_fingerprint("tasks.comparison"),
     ]  # fmt: skip
     name = f"comparison-{digest('comparison-1', *parts)[:16]}"
     return PlannedComparison(name, request, configuration, snapshot.snapshot_id, tuple(trainings), episodes, notes)

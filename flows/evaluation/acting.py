@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 
 from flows.evaluation.measuring import STAGE, Evaluated, MeasuredRows, evaluation_config, measured_rows, measuring_job
-from flows.inputs.policies import SYSTEM, TrainedPolicy, trained_policy
+from flows.inputs.policies import ACTING_CODE, SYSTEM, TrainedPolicy, trained_policy
 from flows.run.configuration import Configuration
-from flows.run.fingerprints import canonical_json, digest
-from flows.worker import Job, execute, lost_run
+from flows.run.fingerprints import canonical_json, code_fingerprint, digest
+from flows.worker import Job, execute, kind_and_text, lost_run
 from schemas.capture import RoomSurface
 from schemas.errors import InputError
 from schemas.families.policies import POLICIES as POLICY_NAMES
@@ -123,8 +123,8 @@ def act(task: SceneTask) -> StageRun:
     acting = _acting(lake, lake.snapshot(task.snapshot_id), task, trained)
     try:
         attempts = acting.attempts()
-    except InputError as error:
-        run = lost_run(acting.job, "input", str(error), time.perf_counter() - began)
+    except Exception as problem:  # as any stage's failure: it is this scene's, and others go on
+        run = lost_run(acting.job, *kind_and_text(problem), time.perf_counter() - began)
         lake.stage_rows(run, {})
         return run
     return execute(acting.measuring(attempts))
@@ -173,9 +173,7 @@ class _Acting:
 def _acting(lake: Lake, reader: Reader, task: SceneTask, trained: TrainedPolicy | None) -> _Acting:
     """What a policy is to do in a scene's episodes, its batch named by what its rows follow from. A model acts only when it is asked to."""
     config: EvaluationConfig = evaluation_config(task.configuration)
-    rows = measured_rows(reader, [task.scene_id])
-    if task.episodes:
-        rows = dataclasses.replace(rows, episodes=[row for row in rows.episodes if row.episode_id in {*task.episodes}])
+    rows = _rows_of(reader, task.scene_id, task.episodes)
     built_in: Sequence[Attempt] = ()
     if trained is None:
         name, run_name = task.policy, _run_name(task.policy, task.configuration)
@@ -184,8 +182,7 @@ def _acting(lake: Lake, reader: Reader, task: SceneTask, trained: TrainedPolicy 
         content = digest(name, run_name, canonical_json([built_in, rows.episodes, rows.navmeshes, config]))
     else:
         name, run_name = SYSTEM, trained.run_name
-        seen = canonical_json([rows.episodes, rows.navmeshes, reader.rows(RoomSurface, task.scene_id), config])
-        content = digest(name, trained.model_id, trained.code, rows.digest, seen)
+        content = digest(name, trained.model_id, trained.code, *_scene_facts(reader, task.scene_id, rows, config))
 
     def measuring(done: Sequence[Attempt]) -> Job:
         batch = TrajectoryBatch(f"{name}-{content[:16]}", name, run_name, tuple(done))
@@ -195,6 +192,28 @@ def _acting(lake: Lake, reader: Reader, task: SceneTask, trained: TrainedPolicy 
         return built_in if trained is None else trained.act(lake, reader, task.scene_id, rows.episodes, config)
 
     return _Acting(rows, measuring(()), attempts, measuring)
+
+
+def _rows_of(reader: Reader, scene_id: str, episodes: Sequence[str]) -> MeasuredRows:
+    """A scene's rows, with the episodes that are named, or all of them."""
+    rows = measured_rows(reader, [scene_id])
+    return dataclasses.replace(rows, episodes=[row for row in rows.episodes if row.episode_id in {*episodes}]) if episodes else rows
+
+
+def _scene_facts(reader: Reader, scene_id: str, rows: MeasuredRows, config: EvaluationConfig) -> tuple[str, str]:
+    """What, beside a model, decides on what it does in a scene: what there is to see, as a hash, and where it starts, goes and may go."""
+    return rows.digest, canonical_json([rows.episodes, rows.navmeshes, reader.rows(RoomSurface, scene_id), config])
+
+
+def content_of_episodes(reader: Reader, episodes: Episodes, configuration: Configuration) -> str:
+    """Hash of all that decides, beside models, on what these do in some episodes and how that is measured: rows, settings and code."""
+    config = evaluation_config(configuration)
+    parts = [
+        part
+        for scene in sorted(episodes)
+        for part in (scene, *_scene_facts(reader, scene, _rows_of(reader, scene, episodes[scene]), config))
+    ]
+    return digest(*parts, *map(code_fingerprint, (ACTING_CODE, "tasks.evaluation")))
 
 
 def _run_name(policy: str, configuration: Configuration) -> str:

@@ -20,7 +20,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 from prefect.tasks import exponential_backoff
 
 from flows.evaluation.acting import ActIn, PlannedScene, act, evaluated, left_behind, planned_policy
-from flows.evaluation.measuring import Evaluated
+from flows.evaluation.measuring import Evaluated, evaluation_config
 from flows.progress import current
 from flows.run.configuration import configure
 from flows.run.parameters import Address, StageTables
@@ -34,6 +34,17 @@ from warehouse.lake import Lake
 
 LOST_RETRIES = 2
 """A worker may be lost to something else on the machine twice; a third time the scene itself is the likely reason."""
+
+
+ACTION_SECONDS = 4.0
+"""Time for one action, on top of `STAGE_SECONDS`. The slowest eyes, SigLIP's of 86 million numbers on 336 patches, are 6e10 operations for
+a picture: 1 to 3 s at what one core does, 2e10 to 6e10 in a second."""
+
+
+def seconds_for(scene: PlannedScene) -> float:
+    """How long a policy may be at a scene before it passes for hung [s]: every episode may take all its steps."""
+    config = evaluation_config(scene.task.configuration)
+    return STAGE_SECONDS + ACTION_SECONDS * scene.episodes * config.max_steps
 
 
 class ActingWork:
@@ -64,7 +75,7 @@ def act_in_scene(name: str, work: ActingWork) -> Any:
 
     began = time.perf_counter()
     try:
-        work.run = work.pool.call(act, work.scene.task, timeout=STAGE_SECONDS)
+        work.run = work.pool.call(act, work.scene.task, timeout=seconds_for(work.scene))
     except WorkerLost as error:
         if task_run.run_count <= LOST_RETRIES:
             raise

@@ -25,7 +25,8 @@ from warehouse.tables.snapshot import Reader
 SYSTEM = "navigation"
 """The learned system whose models navigate."""
 
-_CODE = "tasks.policy.rollout"
+ACTING_CODE = "tasks.policy.rollout"
+"""The module that lets a model act."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +79,7 @@ def trained_policy(lake: Lake, wanted: str) -> TrainedPolicy:
         if row.is_withdrawn:
             raise InputError("--policy", wanted, "was withdrawn", f"name another; {LIST}")
     actor = load_model(loaded_model(lake, row))
-    return TrainedPolicy(row.model_id, digest(code_fingerprint(_CODE), *contents_of(_foreign(actor.config))), actor)
+    return TrainedPolicy(row.model_id, digest(code_fingerprint(ACTING_CODE), *contents_of(_foreign(actor.config))), actor)
 
 
 def _foreign(config: PolicyModel) -> dict[str, str]:

@@ -15,7 +15,7 @@ import numpy as np
 from schemas.comparison import ComparedRun, PairedTest
 from schemas.errors import InputError
 from schemas.evaluation import Trajectory
-from tasks.comparison.paired import mcnemar, sign_flips
+from tasks.comparison.paired import mcnemar, sign_flips, whole_flips
 from tasks.settings import Config, Count
 from tasks.stage import Context, Outcome, Stage
 
@@ -90,7 +90,9 @@ def paired_tests(
     """A row for each measure, of outcomes of the same episodes and seeds. The names are those of the row."""
     keys = sorted(first_of)
     scenes = sorted({scene for scene, _, _ in keys})
+    seeds = sorted({seed for _, _, seed in keys})
     place = np.array([scenes.index(scene) for scene, _, _ in keys])
+    training = np.array([seeds.index(seed) for _, _, seed in keys])
     rows = []
     for measure in ("success", "spl"):
         values = np.array([[getattr(first_of[key], measure), getattr(second_of[key], measure)] for key in keys])
@@ -98,12 +100,12 @@ def paired_tests(
         wins = int((difference > 0).sum()), int((difference < 0).sum())
         rng = context.rng(tested_on, first, second, measure)
         p_value = mcnemar(*wins) if measure == "success" else sign_flips(difference, rng, config.draws)
-        by_scene = sign_flips(np.bincount(place, difference), rng, config.draws)
+        by_scene, by_seed = (whole_flips(difference, units, rng, config.draws) for units in (place, training))
         rows.append(
             PairedTest(
                 comparison_id=context.scene_id, tested_on=tested_on, first=first, second=second, measure=measure, pairs=len(keys),
-                scenes=len(scenes), first_mean=float(values[:, 0].mean()), second_mean=float(values[:, 1].mean()), only_first=wins[0],
-                only_second=wins[1], p_value=p_value, p_value_by_scene=by_scene,
+                scenes=len(scenes), seeds=len(seeds), first_mean=float(values[:, 0].mean()), second_mean=float(values[:, 1].mean()),
+                only_first=wins[0], only_second=wins[1], p_value=p_value, p_value_by_scene=by_scene, p_value_by_seed=by_seed,
             )
         )  # fmt: skip
     return rows

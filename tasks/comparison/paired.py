@@ -36,7 +36,16 @@ def sign_flips(differences: ArrayLike, rng: np.random.Generator, draws: int) -> 
     if len(values) < 2:  # one alone is as far from 0 either way
         return 1.0
     count = 2**EXACT if len(values) <= EXACT else draws
-    found = permutation_test(
+    tested = permutation_test(
         (values,), np.sum, permutation_type="samples", n_resamples=count, batch=_AT_ONCE, vectorized=True, rng=rng
     )  # fmt: skip
-    return min(1.0, float(found.pvalue))
+    return min(1.0, float(tested.pvalue))
+
+
+def whole_flips(differences: ArrayLike, units: ArrayLike, rng: np.random.Generator, draws: int) -> float | None:
+    """`sign_flips` where all differences of one unit, a scene or a seed, keep their signs or change them together.
+
+    `units`, shape (n,), are the units of the differences, by number from 0. None where there is but one: it says nothing of others.
+    """
+    sums = np.bincount(np.asarray(units), np.asarray(differences, dtype=np.float64))
+    return sign_flips(sums, rng, draws) if len(sums) > 1 else None

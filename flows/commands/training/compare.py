@@ -120,7 +120,7 @@ def _carried_out(store: Lake, planned: PlannedComparison, **parameters: Any) -> 
         rows, tests = answers_of_comparison(store, planned.comparison_id)
         return Compared(planned.comparison_id, 0, 0, rows, tests, planned.notes)
     with TrainingBars():
-        done: Compared = result_or_raise(load, Progress("scenes", len(planned.trainings) * len(planned.episodes)), parameters)
+        done: Compared = result_or_raise(load, Progress("scenes", 0), parameters)
     return done
 
 
@@ -159,19 +159,31 @@ def _tell(done: Compared) -> None:
              f"{row['sr_low']:.3f} to {row['sr_high']:.3f}", f"{row['el']:.1f}", _number(row["curvature_turning_angle"]),
              f"{row['sel']:.3f}", f"{row['spl']:.3f}", seen)
         )  # fmt: skip
-    tests = [("first", "second", "tested on", "measure", "pairs", "difference", "only first", "only second", "p", "p by scene")]
+    tests = [("first", "second", "tested on", "measure", "pairs", "difference", "only first", "only second", "p", "p by scene",
+              "p by seed")]  # fmt: skip
     tests += [
         (test["first"], test["second"], test["tested_on"], test["measure"], f"{test['pairs']}", f"{test['difference']:+.3f}",
-         f"{test['only_first']}", f"{test['only_second']}", f"{test['p_value']:.4f}", f"{test['p_value_by_scene']:.4f}")
+         f"{test['only_first']}", f"{test['only_second']}", _p_value(test["p_value"]), _p_value(test["p_value_by_scene"]),
+         _p_value(test["p_value_by_seed"]))
         for test in done.tests
     ]  # fmt: skip
     for rows in (table, tests):
         print()
         _print_columns(rows)
+    if done.tests:
+        print()
+        print("p: these models in such episodes; by scene: these models in other scenes; by seed: other trainings on the same datasets")
+        seeds = max(test["seeds"] or 1 for test in done.tests)
+        print(f"by {seeds} seeds p is {2 / 2**seeds:.2g} at least" if seeds > 1 else "by one seed there is no p: give --seeds")
 
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.3f}"
+
+
+def _p_value(value: float | None) -> str:
+    """None where there is one scene, or one seed."""
+    return "n/a" if value is None else f"{value:.4f}"
 
 
 def _print_columns(rows: Sequence[tuple[str, ...]]) -> None:

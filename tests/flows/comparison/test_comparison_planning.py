@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +13,20 @@ from click.testing import CliRunner
 
 from flows.commands.training.compare import command
 from flows.comparison.planning import asked_comparison, planned_comparison, room_name
+from flows.evaluation import acting
 from flows.run.configuration import Configuration
+from flows.run.fingerprints import code_fingerprint
 from flows.training.datasets import chosen_dataset
 from flows.training.models import reads_of
 from flows.training.training import planned_training, system_configuration
 from schemas.capture import Instance, Scene, Shell
 from schemas.errors import InputError
-from schemas.navigation import Episode
+from schemas.navigation import Episode, Navmesh, Split, UnreachableTarget
+from schemas.record import table_of
 from tasks.navigation import split_of
 from tests.flows.comparison.lakes import QUICK, SCENES, compared_lake
+from tests.samples import fingerprint, stage_run
+from tests.tasks.simulation.acted_scenes import LIVING, acted_scene, as_scene, lake_of_scenes
 from warehouse.lake import Lake
 
 pytestmark = pytest.mark.whole
@@ -86,6 +93,55 @@ def test_more_scenes_and_episodes_come_on_top_of_fewer(lake: Lake) -> None:
     assert [len(each) for each in two.episodes.values()] == [5, 5]
     assert one.comparison_id != two.comparison_id
     assert [each.planned.training_id for each in one.trainings] == [each.planned.training_id for each in two.trainings]
+
+
+def test_what_is_in_test_scenes_and_the_code_that_acts_name_the_comparison(
+    lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = Lake.open(shutil.copytree(lake.address, tmp_path / "lake"))
+
+    def name() -> str:
+        whole = planned(copy, ["alpha", "beta"], ["gamma"], "comparison.seeds=1", "comparison.scenes=1")
+        assert len(whole.episodes) == 1
+        assert [each.planned.training_id for each in whole.trainings] == trainings
+        return str(whole.comparison_id)
+
+    before = planned(copy, ["alpha", "beta"], ["gamma"], "comparison.seeds=1", "comparison.scenes=1")
+    trainings, (scene,) = [each.planned.training_id for each in before.trainings], before.episodes
+    (elsewhere,) = {"gamma/one", "gamma/two"} - {scene}
+
+    def changed(scene_id: str) -> None:
+        """The scene's episodes begin with another look."""
+        rows = {table_of(record).name: copy.snapshot().rows(record, scene_id) for record in (Navmesh, UnreachableTarget)}
+        rows["splits"] = [row for row in copy.snapshot().rows(Split) if row.room_id == SCENES[scene_id][1]]
+        episodes = copy.snapshot().rows(Episode, scene_id)
+        turned = [dataclasses.replace(row, start_yaw_radians=row.start_yaw_radians + 0.25) for row in episodes]
+        above = f"optimization={fingerprint(scene_id, 'optimization')}"
+        copy.stage_rows(stage_run(scene_id, "navigation", fingerprint(scene_id, "anew"), above), {**rows, "episodes": turned})
+        copy.commit("anew")
+
+    assert name() == before.comparison_id
+    changed(elsewhere)
+    assert name() == before.comparison_id, "nobody is tested there"
+    changed(scene)
+    turned = name()
+    assert turned != before.comparison_id, "the same names of episodes, and other starts"
+    for module in ("tasks.policy.rollout", "tasks.evaluation"):
+        with monkeypatch.context() as patched:
+            patched.setattr(
+                acting, "code_fingerprint", lambda given, module=module: "0" * 64 if given == module else code_fingerprint(given)
+            )
+            assert name() != turned, module
+
+
+def test_every_dataset_of_a_choice_has_something_to_learn_from(tmp_path: Path) -> None:
+    rooms = {"alpha/one": "alpha/room_a", "kept/one": "kept/room_c", "gamma/one": "gamma/room_x"}
+    small = lake_of_scenes(tmp_path / "lake", {name: as_scene(acted_scene(LIVING), name, room) for name, room in rooms.items()})
+    assert planned(small, ["alpha", "gamma"], ["kept"]).episodes.keys() == {"kept/one"}
+    for choice in ("kept", "alpha+kept"):  # trained on both the policy would be that of alpha alone, to the last bit
+        with pytest.raises(InputError) as refused:
+            planned(small, ["alpha", choice], ["gamma"])
+        assert str(refused.value).startswith(f"--train: {choice}: kept adds nothing to learn from, it has no episode in a room of the")
 
 
 @pytest.mark.parametrize(

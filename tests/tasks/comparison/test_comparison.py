@@ -20,7 +20,7 @@ from schemas.evaluation import Trajectory
 from schemas.record import check
 from schemas.training import LearnedModel
 from tasks.comparison import ComparisonConfig, outcome_of, run
-from tasks.comparison.paired import EXACT, mcnemar, sign_flips
+from tasks.comparison.paired import EXACT, mcnemar, sign_flips, whole_flips
 from tasks.stage import Context
 from tests.samples import fingerprint, sample
 from tests.warehouse.questions.view_answers import EXACT as NUMBERS
@@ -82,6 +82,29 @@ def test_many_flips_are_drawn_and_come_near_to_what_the_t_test_says() -> None:
 def test_where_both_are_alike_p_is_spread_evenly() -> None:
     many = [sign_flips(generator(seed).normal(size=30), generator(seed + 1000), 400) for seed in range(300)]
     assert [np.mean(np.array(many) <= level) for level in (0.05, 0.2, 0.5)] == pytest.approx([0.05, 0.2, 0.5], abs=0.07)
+
+
+def test_a_lucky_seed_passes_for_a_better_dataset_by_scene_and_not_by_seed() -> None:
+    """Two trainings of each seed on one dataset: what they reach differs by luck alone, the same in all scenes."""
+    scenes, episodes, seeds, trials = 8, 6, 6, 150
+    place, training = (axis.ravel() for axis in np.indices((scenes, seeds, episodes))[:2])
+    by_scene, by_seed = [], []
+    for trial in range(trials):
+        rng = generator(trial)
+        lucky = rng.normal(0.3, 0.1, size=(2, seeds))[:, training].clip(0, 1)
+        difference = np.subtract(*(rng.random(lucky.shape) < lucky).astype(float))
+        by_scene.append(whole_flips(difference, place, generator(), 1))
+        by_seed.append(whole_flips(difference, training, generator(), 1))
+    low = [np.mean(np.array(values) <= 0.05) for values in (by_scene, by_seed)]
+    assert low[0] > 0.12, "by scene it is these models that differ, and they do"
+    assert low[1] < 0.08, "the datasets do not"
+    assert min(by_seed) == pytest.approx(2 / 2**seeds), "and fewer seeds can never give less"
+
+
+def test_one_unit_says_nothing_of_others() -> None:
+    assert whole_flips([1.0, 0.5, 1.0], [0, 0, 0], generator(), 1) is None
+    assert whole_flips([1.0, 0.5, 1.0], [0, 1, 0], generator(), 1) == 0.5
+    assert whole_flips([1.0, 0.5, 1.0], [0, 1, 2], generator(), 1) == 0.25, "the least that three seeds can give"
 
 
 @st.composite
@@ -176,8 +199,11 @@ def test_means_and_tests_are_those_of_the_trajectories(
         assert test["difference"] == pytest.approx(np.mean(list(differences.values())), abs=1e-12)
         wins = sum(value > 0 for value in differences.values()), sum(value < 0 for value in differences.values())
         assert (test["only_first"], test["only_second"]) == wins
-        by_scene = [sum(value for key, value in differences.items() if key[0] == scene) for scene in {key[0] for key in differences}]
-        assert test["p_value_by_scene"] == pytest.approx(sign_flips(by_scene, generator(), 1))
+        for name, at in (("scene", 0), ("seed", 1)):
+            units = {key[at] for key in differences}
+            sums = [sum(value for key, value in differences.items() if key[at] == unit) for unit in units]
+            assert test[f"{name}s"] == len(units)
+            assert test[f"p_value_by_{name}"] == (pytest.approx(sign_flips(sums, generator(), 1)) if len(units) > 1 else None)
         if test["measure"] == "success":
             assert test["p_value"] == pytest.approx(binomtest(wins[0], sum(wins)).pvalue if sum(wins) else 1.0)
         else:

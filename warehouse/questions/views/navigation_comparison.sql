@@ -2,10 +2,10 @@
 -- Version 1.
 -- One row per comparison, choice of training datasets (trained_on) and test dataset (tested_on), over all seeds: the trajectories are those
 -- that the comparison was made of (table compared_runs), and n is episodes times seeds. Measures are those of the view trajectory_metrics:
--- sr from sr_low to sr_high (Wilson's interval of 95 %, which takes trajectories as independent; those of one scene, and those of several
--- seeds in one episode, are not quite: the view navigation_comparison_tests has a test that does without), least_sr and greatest_sr of the
--- seeds, el (actions, the last one included; el_success of the successful ones, as the paper has it), sel, spl (plus or minus *_95,
--- 1.96 standard errors; missing for n = 1), curvature by two readings [rad/m], and found, as the view trajectory_metrics says.
+-- sr from sr_low to sr_high (Wilson's interval of 95 %, which takes trajectories as independent; those of one scene, and those of one
+-- seed, are not: the view navigation_comparison_tests has tests that do without), least_sr and greatest_sr of the seeds, el (actions, the
+-- last one included; el_success of the successful ones, as the paper has it), sel, spl (plus or minus *_95, 1.96 standard errors; missing
+-- for n = 1), curvature by two readings [rad/m], and found, as the view trajectory_metrics says.
 -- Comparisons with a model that was withdrawn are left out.
 WITH withdrawn AS (
     SELECT DISTINCT comparison_id
