@@ -185,8 +185,8 @@ def test_a_stage_has_the_shape_of_its_family(stage) -> None:
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
 def test_one_stem_per_stage_in_every_room(stage) -> None:
     assert stage.name not in sys.stdlib_module_names
-    assert (REPOSITORY / "schemas" / f"{stage.name}.py").is_file()
-    assert (REPOSITORY / "tasks" / f"{stage.name}.py").is_file() or (REPOSITORY / "tasks" / stage.name / "__init__.py").is_file()
+    for room in ("schemas", "tasks"):
+        assert (REPOSITORY / room / f"{stage.name}.py").is_file() or (REPOSITORY / room / stage.name / "__init__.py").is_file()
     assert list((REPOSITORY / "tests").rglob(f"test_{stage.name}*.py"))
 
 

@@ -13,7 +13,7 @@ from flows.outputs.export import write_exports
 from schemas.errors import InputError
 from schemas.exports import ExportFile
 from schemas.families.export_formats import EXPORT_FORMATS
-from tests.made_once import made_once
+from tests.conftest import made_once
 from tests.scans import OBJECTS, write_scan
 from tests.test_pipeline import QUICK, metascenes
 from warehouse.lake import Lake
