@@ -95,7 +95,7 @@ def test_a_default_given_back_changes_nothing_wherever_it_is_given(
     before = configure(None, kinds).stages
     value = schema["default"]
     assert configs_with(before, table_of(path, value)) == before
-    if value is None or (isinstance(value, list) and isinstance(value[0], dict)):  # TOML has no null; slots come below
+    if value is None or (isinstance(value, list) and value and isinstance(value[0], dict)):  # TOML has no null; slots come below
         return
     items = [f"{name} = {json.dumps(held)}" for name, held in value.items()] if isinstance(value, dict) else []
     setting = f"{'.'.join(path)}={'{' + ', '.join(items) + '}' if items else json.dumps(value)}"

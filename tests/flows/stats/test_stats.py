@@ -274,7 +274,7 @@ def test_the_table_of_stage_times_is_in_the_order_of_the_data_path(lake: Lake) -
     lines = stage_table(lake.snapshot()).splitlines()
     assert lines[0].split() == ["stage", "scenes", "runs", "total", "s", "median", "s", "p95", "s", "s", "per", "object"]
     assert [line.split()[0] for line in lines[1:]] == [
-        stage for stage in STAGES if stage not in ("annotation", "training", "evaluation")
+        stage for stage in STAGES if stage not in ("annotation", "training", "evaluation", "comparison")
     ] + ["all"]
     # two scenes of 6 objects: 0.5 and 1.5 s of capture
     assert lines[1].split() == ["capture", "2", "2", "2.00", "1.00", "1.45", "0.167"]
@@ -344,7 +344,9 @@ def test_the_command_refuses_an_unknown_release(lake: Lake, tmp_path: Path) -> N
 
 def test_the_command_gives_stage_times_as_json_in_the_order_of_the_data_path(lake: Lake) -> None:
     rows = json.loads(metascenes("stats", "--lake", lake.address, "--stages", "--json").output)
-    assert [row["stage"] for row in rows] == [stage for stage in STAGES if stage not in ("annotation", "training", "evaluation")]
+    assert [row["stage"] for row in rows] == [
+        stage for stage in STAGES if stage not in ("annotation", "training", "evaluation", "comparison")
+    ]
     assert rows[0]["total_seconds"] == 2.0
 
 
