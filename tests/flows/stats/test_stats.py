@@ -270,12 +270,14 @@ def test_a_scene_that_is_not_in_the_snapshot_is_refused(lake: Lake) -> None:
         picture_scene_of(lake, 1, "demo/nowhere", SMALL)
 
 
+TIMED = [stage for stage in STAGES if stage not in ("annotation", "training", "evaluation", "comparison")]
+"""Stages of which the lake of these tests has runs."""
+
+
 def test_the_table_of_stage_times_is_in_the_order_of_the_data_path(lake: Lake) -> None:
     lines = stage_table(lake.snapshot()).splitlines()
     assert lines[0].split() == ["stage", "scenes", "runs", "total", "s", "median", "s", "p95", "s", "s", "per", "object"]
-    assert [line.split()[0] for line in lines[1:]] == [
-        stage for stage in STAGES if stage not in ("annotation", "training", "evaluation", "comparison")
-    ] + ["all"]
+    assert [line.split()[0] for line in lines[1:]] == [*TIMED, "all"]
     # two scenes of 6 objects: 0.5 and 1.5 s of capture
     assert lines[1].split() == ["capture", "2", "2", "2.00", "1.00", "1.45", "0.167"]
     assert float(lines[-1].split()[1]) == pytest.approx(sum(float(line.split()[3]) for line in lines[1:-1]))
