@@ -383,6 +383,7 @@ def test_objects_in_an_export_of_a_further_format_are_explained(command: Do, lak
     assert instance["problems"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_further_policy_acts(command: Do, lake: Path) -> None:
     said = json.loads(command("evaluate", "--policy", "toy_policy", "--lake", lake, "--json").stdout)

@@ -293,6 +293,7 @@ def test_no_answer_of_a_returned_batch_reaches_a_scene(home: dict[str, str], lak
     assert placed() == (ranked[2], "annotation", "ada"), "reviewed again"
 
 
+@pytest.mark.slow
 def test_a_check_that_an_export_does_not_pass_fails_the_run_and_is_named(
     home: dict[str, str], lake: Path, scans: Path, tmp_path: Path
 ) -> None:

@@ -80,6 +80,7 @@ def test_what_is_exchanged_stands_in_the_same_box_and_what_it_carries_stays_on_i
         assert np.ptp(surface_of(obj.parts).vertices, axis=0) == pytest.approx(obj.extents, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_true_model_lies_on_the_scan_of_its_instance(data: SelectionData) -> None:
     reader = data.lake.snapshot()
@@ -273,6 +274,7 @@ def asked(lake: Path, question: str) -> list[dict[str, Any]]:
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.timeout(900)
 def test_the_whole_benchmark_on_two_rooms_trains_measures_and_goes_on(

@@ -66,6 +66,7 @@ def test_every_annotation_page_has_its_figures() -> None:
     assert {one["wanted"] for one in report["goals"]} == {"<= 3", "< 100", "< 1"}
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.browser
 @pytest.mark.skipif(not bundle.is_built(), reason="`make client` has not been run")

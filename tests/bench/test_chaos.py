@@ -54,6 +54,7 @@ def assert_sound(found: Chaos) -> None:
     assert found.hung == 0
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_two_runs_over_overlapping_scenes_compute_each_once(up: dict[str, Process], peace: tuple[Path, Lake], tmp_path: Path) -> None:
     scans, undisturbed = peace
@@ -66,6 +67,7 @@ def test_two_runs_over_overlapping_scenes_compute_each_once(up: dict[str, Proces
     assert found.verdict.faults == 0, found.verdict
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_killed_workers_runs_servers_and_databases_change_nothing(up: dict[str, Process], peace: tuple[Path, Lake], tmp_path: Path) -> None:
     scans, undisturbed = peace
@@ -124,6 +126,7 @@ def test_the_verdict_sees_what_is_wrong(peace: tuple[Path, Lake], tmp_path: Path
     assert found.doubled == ()
 
 
+@pytest.mark.slow
 def test_a_row_that_stands_twice_is_seen(peace: tuple[Path, Lake], tmp_path: Path) -> None:
     from deltalake import write_deltalake
 

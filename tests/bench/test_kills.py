@@ -41,6 +41,7 @@ def batch(kind: str, seed: int, kills: int, folder: Path, **environment: str) ->
     return found
 
 
+@pytest.mark.slow
 def test_operations_that_are_killed_and_given_again_leave_the_lake_of_nobody_disturbed(tmp_path: Path) -> None:
     found = batch("lake", 6, 8, tmp_path)
     assert found["faults"] == []

@@ -135,6 +135,7 @@ def test_every_recipe_is_followed_here() -> None:
     assert all({"bash", "text"} <= {kind for _, kind, _ in blocks(heading)} for heading in HEADINGS)
 
 
+@pytest.mark.slow
 def test_a_scan_format(copied: Copy) -> None:
     copied.follow("A scan format")
     scenes = "SELECT scene_id, room_id, scan_format FROM scenes ORDER BY scene_id"
@@ -145,6 +146,7 @@ def test_a_scan_format(copied: Copy) -> None:
         assert "spans" in copied.run(f"metascenes {command} --help")
 
 
+@pytest.mark.slow
 def test_a_candidate_provider(copied: Copy) -> None:
     copied.follow("A candidate provider")
     assert copied.ask("SELECT DISTINCT provider, provider_version, is_fallback, outcome FROM candidates") == [
@@ -156,6 +158,7 @@ def test_a_candidate_provider(copied: Copy) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_stage(copied: Copy) -> None:
     printed = copied.follow("A stage")
     assert copied.ask("SELECT count(*), bool_and(floor_share BETWEEN 0 AND 1) FROM footprints") == [[1, True]]
@@ -165,6 +168,7 @@ def test_a_stage(copied: Copy) -> None:
     assert "footprints" in printed[-1]
 
 
+@pytest.mark.slow
 def test_an_export_format(copied: Copy) -> None:
     printed = copied.follow("An export format")
     assert copied.ask("SELECT DISTINCT format, passed FROM export_checks") == [["inventory", True]]
@@ -179,6 +183,7 @@ def test_an_export_format(copied: Copy) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_sql_view(copied: Copy) -> None:
     copied.follow("A SQL view")
     assert "\n## `floor_by_category`\n" in copied.read("docs/views.md")

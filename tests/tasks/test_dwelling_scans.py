@@ -81,6 +81,7 @@ def test_every_instance_is_traced_to_what_is_truly_there(made) -> None:
     assert any(obj.has_lost_glass for obj in truth.objects)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_same_seed_gives_the_same_bytes_on_one_worker_and_on_two(tmp_path: Path) -> None:
     alone = [coarse(str(tmp_path / "alone"), seed) for seed in (1, 2)]

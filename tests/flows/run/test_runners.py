@@ -159,6 +159,7 @@ def test_a_lost_worker_is_retried_and_bad_input_is_not(home: dict[str, str], lak
     assert leftovers(target) == []
 
 
+@pytest.mark.slow
 def test_a_run_stops_politely_before_the_disk_is_full_and_goes_on_later(served: dict[str, str], scans: Path, tmp_path: Path) -> None:
     target = tmp_path / "lake"
     full = run(served, scans, target, "--keep-free", 1e9)
@@ -192,6 +193,7 @@ with prefect_server():
 """
 
 
+@pytest.mark.slow
 @pytest.mark.s3
 def test_a_flow_waits_for_a_store_that_is_away(home: dict[str, str], tmp_path: Path) -> None:
     write_small_scans(tmp_path / "scans", 1)

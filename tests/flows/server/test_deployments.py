@@ -446,6 +446,7 @@ with get_client(sync_client=True) as client:
 """
 
 
+@pytest.mark.slow
 def test_a_run_that_sends_no_sign_of_life_is_called_crashed(deployed: Prefect) -> None:
     """The machine of a run is gone: nobody is left to say that it ended."""
     done = deployed.run([sys.executable, "-c", LOST])

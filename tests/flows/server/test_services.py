@@ -141,6 +141,7 @@ def test_a_run_on_the_services_gives_what_one_without_them_gives(
     assert recorded(services.postgres, SCENES) == ["COMPLETED"], "the other run had a server of its own"
 
 
+@pytest.mark.slow
 def test_what_is_redone_does_not_hang_on_the_database(services: Services, first: dict[str, Any], scans: Path) -> None:
     before, counted = digests(Lake.open(LAKE).snapshot()), attempts(LAKE)
     services.prefect.stop()
@@ -214,6 +215,7 @@ sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", "tests/flows/server/test_s
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("needed", "code"), [("1", 1), ("", 0)])
 def test_without_postgresql_these_tests_are_skipped_and_ci_fails(needed: str, code: int) -> None:
     environment = os.environ | {"METASCENES_SKIPS_FAIL": needed}

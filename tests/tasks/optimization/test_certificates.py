@@ -230,6 +230,7 @@ def test_every_process_finds_the_same_and_needs_no_window_system(chosen: str | N
     assert done.stdout.split() == [taken, hashlib.sha256(b"".join(map(in_bytes, of(*scene())))).hexdigest()]
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("name", ["timestep_s", "sleep_m_s"])
 def test_verdicts_do_not_hang_on_numerics(name: str, furniture: list[Certified]) -> None:
