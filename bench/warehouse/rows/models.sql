@@ -1,7 +1,7 @@
--- Each part of the lake was trained on twice: which candidates are chosen, and what stands on large objects.
+-- Each part of the lake was trained on twice: which candidates are chosen, and what stands on large objects. Agents learned twice, too.
 SELECT
     digest(model, part) AS model_id,
-    kind || '-' || part AS training_id,
+    training || '-' || part AS training_id,
     kind,
     'trained' AS origin,
     architecture,
@@ -24,5 +24,10 @@ SELECT
     FALSE AS is_withdrawn,
     [] AS notes
 FROM (SELECT DISTINCT part FROM scenes_now)
-CROSS JOIN (VALUES ('learned', 'selection', 'point-bert'), ('drawing model', 'synthesis', 'physcene-transformer'))
-    AS systems(model, kind, architecture)
+CROSS JOIN (
+    VALUES
+        ('learned', 'selection', 'selection', 'point-bert'),
+        ('drawing model', 'synthesis', 'synthesis', 'physcene-transformer'),
+        ('walks scenes', 'navigation-scenes', 'navigation', 'small'),
+        ('walks scans', 'navigation-scans', 'navigation', 'small')
+) AS systems(model, training, kind, architecture)
