@@ -366,6 +366,7 @@ def test_the_report_renders_as_tables(report: dict[str, Any]) -> None:
     assert all(case["scene_id"] in said for case in report["worst"])
 
 
+@pytest.mark.slow
 def test_scenes_of_a_lake_are_read_as_the_stage_reads_them(tmp_path_factory: pytest.TempPathFactory) -> None:
     from bench.optimization import BenchConfig, jobs_of, judge_job
     from warehouse.lake import Lake

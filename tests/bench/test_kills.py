@@ -49,6 +49,7 @@ def test_operations_that_are_killed_and_given_again_leave_the_lake_of_nobody_dis
     assert len(found["kills"]) > 3, "several kinds of operations were killed"
 
 
+@pytest.mark.slow
 def test_eight_writers_and_upkeep_that_are_killed_at_once_lose_nothing(tmp_path: Path) -> None:
     found = batch("writers", 1, 8, tmp_path)
     assert found["faults"] == []

@@ -119,6 +119,7 @@ def as_given(row: Annotation, item: dict[str, Any], tool: str | None, slots: dic
     )
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_ten_thousand_files_are_taken_as_they_stand_or_refused_with_a_field(lake: Lake, tmp_path: Path) -> None:
     schema = jsonschema.Draft202012Validator(json.loads(SCHEMA_FILE.read_text()))

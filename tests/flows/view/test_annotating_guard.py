@@ -101,6 +101,7 @@ def test_roles_are_held_route_by_route(desk: Desk) -> None:
     assert digests(desk.folder / "lake") == before
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_thousand_forged_requests_change_nothing_and_run_nothing(desk: Desk) -> None:
     """From people of the batch: paths that climb, ids of nothing, objects and answers of others, wrong values, odd bodies, scripts."""

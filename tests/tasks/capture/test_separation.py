@@ -242,6 +242,7 @@ def test_what_the_scan_states_is_the_kind_of_the_one_room_or_of_the_whole() -> N
     assert rooms[0].floor_polygon == shell.floor_polygon
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize(("index", "least"), [(1, 0.95), (3, 0.95)])
 def test_rooms_are_found_in_hard_scans(tmp_path: Path, index: int, least: float) -> None:
