@@ -1,14 +1,9 @@
-"""The benchmark of cameras: pictures per second of one core, by the project's rasterizer, by rays and by MuJoCo, and whether they agree."""
+"""The benchmark of cameras: pictures per second of one core, by the project's rasterizer, by rays, by MuJoCo and by pyrender."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-import os
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -20,6 +15,7 @@ from numpy.typing import NDArray
 
 from bench.goals import goal
 from bench.machine import machine
+from bench.policy.renderers import Looks, foreign_rates
 from bench.realdata import HOUSE
 from bench.replicas import as_drawn
 from bench.rooms import scene_of_count
@@ -59,8 +55,6 @@ EQUAL_PARTS, EQUAL_DEPTHS = 0.9999, 0.999
 
 RAYS_POSES = 8
 """Poses that rays are timed at: they take so long that the number does not matter."""
-
-SCRIPT = Path(__file__).with_name("mujoco_script.py")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,12 +178,12 @@ def _measured(scene: BenchedScene, config: FramesBench) -> dict[str, Any]:
         for index, camera in enumerate(cameras):
             part, depth = seen_by_rays(rays, camera)
             equal.append(((part == room.part[index]).mean(), (np.abs(depth - room.depth[index]) <= 1e-3).mean()))
-    by_mujoco, reason = _mujoco_rates(scene, poses, config)
+    foreign, missing = foreign_rates(scene, Looks(poses.tolist(), config.sizes, math.degrees(HFOV), config.seconds))
     parts, depths = np.mean(equal, axis=0)
     return {
         "scene": scene.name, "triangles": len(soup), "parts": len(scene.parts), "double_sided": float(soup.double_sided.mean()),
-        "prepare_seconds": prepared, "equal_parts": float(parts), "equal_depths": float(depths), "rates": rates | by_mujoco,
-        "no_mujoco": reason,
+        "prepare_seconds": prepared, "equal_parts": float(parts), "equal_depths": float(depths), "rates": rates | foreign,
+        "missing": missing,
     }  # fmt: skip
 
 
@@ -212,28 +206,6 @@ def _best(ways: Mapping[str, Callable[[], object]], seconds: float) -> dict[str,
     return best
 
 
-def _mujoco_rates(scene: BenchedScene, poses: Array, config: FramesBench) -> tuple[dict[str, dict[str, float]], str | None]:
-    """Pictures per CPU second that MuJoCo draws in software, color alone and with depths and parts, or why it does not."""
-    if not scene.mjcf:
-        return {}, "it has no export in MJCF"
-    reasons = []
-    with tempfile.TemporaryDirectory() as folder:
-        exports.write_folder(Path(folder), scene.mjcf)
-        request = {
-            "scene": str(Path(folder, next(iter(scene.mjcf)))), "poses": poses.tolist(), "sizes": config.sizes,
-            "hfov_degrees": math.degrees(HFOV), "seconds": config.seconds,
-        }  # fmt: skip
-        for library in ("egl", "osmesa"):
-            settings = {"MUJOCO_GL": library, "LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}
-            done = subprocess.run(
-                [sys.executable, SCRIPT], input=json.dumps(request), capture_output=True, text=True, check=False, env=os.environ | settings
-            )
-            if done.returncode == 0:
-                return json.loads(done.stdout), None
-            reasons.append(f"{library}: {(done.stderr.strip() or f'ended with code {done.returncode}').splitlines()[-1]}")
-    return {}, "; ".join(reasons)
-
-
 def print_frames(report: Mapping[str, Any], console: Console) -> None:
     """Print the report as tables."""
     console.print(headline(report["machine"], report["seed"], 1))
@@ -251,6 +223,6 @@ def frames_table(report: Mapping[str, Any]) -> Any:
             own = scene["rates"]["rasterizer"]
             cells = [f"{as_text(round(rates[size]), '')} ({own[size] / rates[size]:.1f})" for size in sizes]
             add_row(table, scene["scene"], name, *cells)
-        if scene["no_mujoco"]:
-            add_row(table, scene["scene"], f"MuJoCo: {scene['no_mujoco']}", *[""] * len(sizes))
+        for name, reason in scene["missing"].items():
+            add_row(table, scene["scene"], f"{name}: {reason}", *[""] * len(sizes))
     return table

@@ -54,4 +54,4 @@ def look(mujoco: Any, renderer: Any, model: Any, data: Any, poses: Any, passes: 
 
 
 if __name__ == "__main__":
-    print(json.dumps(drawn(json.load(sys.stdin))))
+    print(json.dumps({"rates": drawn(json.load(sys.stdin))}))

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import io
+import math
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from rich.console import Console
 
-from bench.policy import frames
-from bench.policy.frames import FramesBench, benched_scenes, free_cameras, measure_frames, print_frames
+from bench.policy import frames, renderers
+from bench.policy.frames import FramesBench, benched_scenes, free_cameras, measure_frames, print_frames, seen_by_rays
+from bench.policy.renderers import PYRENDER_PYTHON, Looks, pyrender_answer
 from schemas.errors import InputError
+from tasks.geometry.rendering import Camera, RayScene
+from tasks.simulation.cameras import camera_poses
 
 SMALL = FramesBench(objects=(10,), sizes=(24, 48), poses=3, seconds=0.0)
 
@@ -24,17 +31,47 @@ def test_every_renderer_draws_and_says_how_much(monkeypatch: pytest.MonkeyPatch,
     (scene,) = report["scenes"]
     assert done == ["scene"] * SMALL.scenes
     assert {"rasterizer", "rasterizer, textured", "rays"} <= set(scene["rates"])
-    assert ("MuJoCo" in scene["rates"]) == (scene["no_mujoco"] is None)
+    for name in ("MuJoCo", "pyrender"):
+        assert (name in scene["rates"]) != (name in scene["missing"])
     assert all(set(rates) == {"24", "48"} and min(rates.values()) > 0 for rates in scene["rates"].values())
     assert all(goal["met"] for goal in report["goals"])
     assert len(report["goals"]) == 2
-    monkeypatch.setattr(frames, "SCRIPT", broken)
+    monkeypatch.setattr(renderers, "MUJOCO_SCRIPT", broken)
+    monkeypatch.delenv(PYRENDER_PYTHON, raising=False)
     report = measure_frames(SMALL)
-    assert report["scenes"][0]["no_mujoco"] == "egl: no library; osmesa: no library"
+    assert report["scenes"][0]["missing"] == {
+        "MuJoCo": "egl: no library; osmesa: no library",
+        "pyrender": "METASCENES_PYRENDER_PYTHON names no interpreter with requirements/pyrender.lock",
+    }
     page = io.StringIO()
     print_frames(report, Console(file=page, width=160))
     assert "MuJoCo: egl: no library" in page.getvalue()
     assert "share of pixels with the part that a ray meets" in page.getvalue()
+
+
+def test_an_interpreter_without_pyrender_is_told_from_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = Looks(camera_poses(np.array([[0.0, 0.0, 0.0]]), 1.0).tolist(), (16,), 79.0, 0.0)
+    ball = [trimesh.creation.icosphere(radius=0.2)]
+    monkeypatch.setenv(PYRENDER_PYTHON, sys.executable)
+    assert "No module named 'pyrender'" in pyrender_answer(ball, looks)
+    monkeypatch.setenv(PYRENDER_PYTHON, "no_such_python")
+    with pytest.raises(InputError, match=r"no_such_python: METASCENES_PYRENDER_PYTHON: is no program .*pyrender\.lock"):
+        pyrender_answer(ball, looks)
+
+
+def test_pyrender_sees_what_rays_meet() -> None:
+    """From the same place, the right way up: of what it draws, depths are returned."""
+    if not os.environ.get(PYRENDER_PYTHON):
+        pytest.skip(f"{PYRENDER_PYTHON} names no interpreter with requirements/pyrender.lock installed")
+    (scene,) = benched_scenes(SMALL)
+    poses = free_cameras(scene.parts, 1, 0)
+    answer = pyrender_answer(scene.parts, Looks(poses.tolist(), (64,), math.degrees(frames.HFOV), 0.0))
+    assert isinstance(answer, dict), answer
+    assert set(answer["rates"]) == {"pyrender", "pyrender, color and depth"}
+    _, depth = seen_by_rays(RayScene(scene.parts), Camera.with_fov(poses[0], 64, 64, frames.HFOV))
+    seen = np.array(answer["depth"])
+    assert np.mean(np.abs(seen - depth) < 0.05 * depth) > 0.9  # it looks at pixels beside their centers
+    assert np.mean(np.abs(seen[::-1] - depth) < 0.05 * depth) < 0.8
 
 
 def test_cameras_stand_where_there_is_room() -> None:
