@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bench.goals import goal
 from bench.machine import machine
-from bench.policy.renderers import Looks, foreign_rates
+from bench.policy.renderers import RenderRequest, foreign_rates
 from bench.realdata import HOUSE
 from bench.replicas import as_drawn
 from bench.rooms import scene_of_count
@@ -178,7 +178,7 @@ def _measured(scene: BenchedScene, config: FramesBench) -> dict[str, Any]:
         for index, camera in enumerate(cameras):
             part, depth = seen_by_rays(rays, camera)
             equal.append(((part == room.part[index]).mean(), (np.abs(depth - room.depth[index]) <= 1e-3).mean()))
-    foreign, missing = foreign_rates(scene, Looks(poses.tolist(), config.sizes, math.degrees(HFOV), config.seconds))
+    foreign, missing = foreign_rates(scene, RenderRequest(poses.tolist(), config.sizes, math.degrees(HFOV), config.seconds))
     parts, depths = np.mean(equal, axis=0)
     return {
         "scene": scene.name, "triangles": len(soup), "parts": len(scene.parts), "double_sided": float(soup.double_sided.mean()),

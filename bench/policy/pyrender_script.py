@@ -15,7 +15,7 @@ def drawn(request: dict[str, Any]) -> dict[str, Any]:
     import pyrender
     import trimesh
 
-    loaded = trimesh.load(request["scene"])
+    loaded: Any = trimesh.load(request["scene"])
     scene = pyrender.Scene(bg_color=[0, 0, 0, 0])
     nodes = []
     for name in loaded.graph.nodes_geometry:

@@ -34,7 +34,7 @@ LIBRARIES = ("egl", "osmesa")
 
 
 @dataclasses.dataclass(frozen=True)
-class Looks:
+class RenderRequest:
     """What is drawn. poses: Camera-to-world, OpenCV, as lists [m]. sizes: Pixels of a side. seconds: Everything is repeated for so long."""
 
     poses: Sequence[Any]
@@ -43,36 +43,36 @@ class Looks:
     seconds: float
 
 
-def foreign_rates(scene: BenchedScene, looks: Looks) -> tuple[Rates, dict[str, str]]:
+def foreign_rates(scene: BenchedScene, wanted: RenderRequest) -> tuple[Rates, dict[str, str]]:
     """Pictures per CPU second of those that can draw the scene, and why the others do not, by name."""
     rates: Rates = {}
     missing: dict[str, str] = {}
     for name, rate in (("MuJoCo", mujoco_rates), ("pyrender", pyrender_rates)):
-        found = rate(scene, looks)
-        if isinstance(found, str):
-            missing[name] = found
+        answer = rate(scene, wanted)
+        if isinstance(answer, str):
+            missing[name] = answer
         else:
-            rates |= found
+            rates |= answer
     return rates, missing
 
 
-def mujoco_rates(scene: BenchedScene, looks: Looks) -> Rates | str:
+def mujoco_rates(scene: BenchedScene, wanted: RenderRequest) -> Rates | str:
     """Of MuJoCo: color alone, and color, depth and parts; or why it draws nothing."""
     if not scene.mjcf:
         return "it has no export in MJCF"
     with tempfile.TemporaryDirectory() as folder:
         exports.write_folder(Path(folder), scene.mjcf)
-        answer = _drawn(sys.executable, MUJOCO_SCRIPT, "MUJOCO_GL", Path(folder, next(iter(scene.mjcf))), looks)
+        answer = _drawn(sys.executable, MUJOCO_SCRIPT, "MUJOCO_GL", Path(folder, next(iter(scene.mjcf))), wanted)
     return answer if isinstance(answer, str) else answer["rates"]
 
 
-def pyrender_rates(scene: BenchedScene, looks: Looks) -> Rates | str:
+def pyrender_rates(scene: BenchedScene, wanted: RenderRequest) -> Rates | str:
     """Of pyrender: color with depth, and with parts besides; or why it draws nothing."""
-    answer = pyrender_answer(scene.parts, looks)
+    answer = pyrender_answer(scene.parts, wanted)
     return answer if isinstance(answer, str) else answer["rates"]
 
 
-def pyrender_answer(parts: Sequence[trimesh.Trimesh], looks: Looks) -> dict[str, Any] | str:
+def pyrender_answer(parts: Sequence[trimesh.Trimesh], wanted: RenderRequest) -> dict[str, Any] | str:
     """What pyrender makes of parts: `rates`, and `depth` of the first camera [m]; or why it draws nothing.
 
     Raises:
@@ -88,13 +88,14 @@ def pyrender_answer(parts: Sequence[trimesh.Trimesh], looks: Looks) -> dict[str,
         raise InputError(named, PYRENDER_PYTHON, "is no program that can be run", "make an environment from requirements/pyrender.lock")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.glb")
-        file.write_bytes(trimesh.Scene({f"part_{number}": part for number, part in enumerate(parts)}).export(file_type="glb"))
-        return _drawn(python, PYRENDER_SCRIPT, "PYOPENGL_PLATFORM", file, looks)
+        named_parts: dict[str, trimesh.parent.Geometry] = {f"part_{number}": part for number, part in enumerate(parts)}
+        file.write_bytes(trimesh.Scene(named_parts).export(file_type="glb"))
+        return _drawn(python, PYRENDER_SCRIPT, "PYOPENGL_PLATFORM", file, wanted)
 
 
-def _drawn(python: str, script: Path, variable: str, file: Path, looks: Looks) -> dict[str, Any] | str:
+def _drawn(python: str, script: Path, variable: str, file: Path, wanted: RenderRequest) -> dict[str, Any] | str:
     """What a script answers, by the first library with which it ends well; or why none did. variable: Where the library is named."""
-    request = json.dumps({"scene": str(file), **dataclasses.asdict(looks)})
+    request = json.dumps({"scene": str(file), **dataclasses.asdict(wanted)})
     reasons = []
     for library in LIBRARIES:
         settings: Mapping[str, str] = {variable: library, "LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}

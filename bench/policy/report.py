@@ -116,11 +116,12 @@ def measure_loop(config: PolicyBench, advance: Callable[[str], None]) -> dict[st
         advance(f"{run.policy.name} {run.policy.seed} in held-out rooms")
     figures = acted_figures(data, runs, config.max_steps)
     trainings = [variant_row(data.lake, variant) for variant in variants]
-    counts = {"rooms": {"train": data.count - len(data.tested), "test": len(data.tested)}, "episodes": episodes_of(data)}
+    rooms = {"train": data.count - len(data.tested), "test": len(data.tested)}
     failed = failures(runs)
     return {
-        **counts, "seeds": config.seeds, "figures": figures, "trainings": trainings, "accuracy": accuracy_of(trainings), "failed": failed,
-        "goals": loop_goals(counts["rooms"], config.seeds, figures, accuracy_of(trainings), failed),
+        "rooms": rooms, "episodes": episodes_of(data), "most_episodes": data.episodes, "seeds": config.seeds,
+        "figures": figures, "trainings": trainings, "accuracy": accuracy_of(trainings), "failed": failed,
+        "goals": loop_goals(rooms, config.seeds, figures, accuracy_of(trainings), failed),
     }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from bench.policy import frames, renderers
 from bench.policy.frames import FramesBench, benched_scenes, free_cameras, measure_frames, print_frames, seen_by_rays
-from bench.policy.renderers import PYRENDER_PYTHON, Looks, pyrender_answer
+from bench.policy.renderers import PYRENDER_PYTHON, RenderRequest, pyrender_answer
 from schemas.errors import InputError
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.simulation.cameras import camera_poses
@@ -50,13 +50,13 @@ def test_every_renderer_draws_and_says_how_much(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_an_interpreter_without_pyrender_is_told_from_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    looks = Looks(camera_poses(np.array([[0.0, 0.0, 0.0]]), 1.0).tolist(), (16,), 79.0, 0.0)
+    wanted = RenderRequest(camera_poses(np.array([[0.0, 0.0, 0.0]]), 1.0).tolist(), (16,), 79.0, 0.0)
     ball = [trimesh.creation.icosphere(radius=0.2)]
     monkeypatch.setenv(PYRENDER_PYTHON, sys.executable)
-    assert "No module named 'pyrender'" in pyrender_answer(ball, looks)
+    assert "No module named 'pyrender'" in pyrender_answer(ball, wanted)
     monkeypatch.setenv(PYRENDER_PYTHON, "no_such_python")
     with pytest.raises(InputError, match=r"no_such_python: METASCENES_PYRENDER_PYTHON: is no program .*pyrender\.lock"):
-        pyrender_answer(ball, looks)
+        pyrender_answer(ball, wanted)
 
 
 def test_pyrender_sees_what_rays_meet() -> None:
@@ -65,12 +65,12 @@ def test_pyrender_sees_what_rays_meet() -> None:
         pytest.skip(f"{PYRENDER_PYTHON} names no interpreter with requirements/pyrender.lock installed")
     (scene,) = benched_scenes(SMALL)
     poses = free_cameras(scene.parts, 1, 0)
-    answer = pyrender_answer(scene.parts, Looks(poses.tolist(), (64,), math.degrees(frames.HFOV), 0.0))
+    answer = pyrender_answer(scene.parts, RenderRequest(poses.tolist(), (64,), math.degrees(frames.HFOV), 0.0))
     assert isinstance(answer, dict), answer
     assert set(answer["rates"]) == {"pyrender", "pyrender, color and depth"}
     _, depth = seen_by_rays(RayScene(scene.parts), Camera.with_fov(poses[0], 64, 64, frames.HFOV))
     seen = np.array(answer["depth"])
-    assert np.mean(np.abs(seen - depth) < 0.05 * depth) > 0.9  # it looks at pixels beside their centers
+    assert np.mean(np.abs(seen - depth) < 0.05 * depth) > 0.9  # it wanted at pixels beside their centers
     assert np.mean(np.abs(seen[::-1] - depth) < 0.05 * depth) < 0.8
 
 

@@ -1,0 +1,99 @@
+"""The policy that ships is the benchmark's agent of the first seed, and its card says what the benchmark found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bench.policy import shipping
+from bench.policy.rooms import PolicyRooms
+from bench.policy.shipping import FIGURES, LIMITS, NAME, measured, ship
+from schemas.errors import InputError
+from tasks.models import CARD
+
+
+def row(value: float) -> dict[str, Any]:
+    interval = {"low": value - 0.1, "high": value + 0.1}
+    return {"seeds": 3, "n": 2250, "found_interval": interval, "found_in_view_interval": None} | dict.fromkeys(FIGURES, value)
+
+
+def report(*agents: str, **training: Any) -> dict[str, Any]:
+    loop = {
+        "rooms": {"train": 60, "test": 15}, "episodes": {"train": 5900, "test": 750}, "most_episodes": 40,
+        "figures": {name: row(0.1 * number) for number, name in enumerate(("random", "blind", *agents), start=1)},
+        "trainings": [
+            {"name": name, "seed": seed, "model_id": f"{name}-{seed}"} | training for name in ("blind", *agents) for seed in (1, 0)
+        ],
+    }  # fmt: skip
+    return {"seed": 7, "parts": {"loop": loop}}
+
+
+@pytest.fixture
+def exported(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path, str]]:
+    """Folders of rooms and models that were exported; weights have as many bytes as the seed of the rooms, times a million."""
+    made: list[tuple[Path, str]] = []
+
+    class Rooms(PolicyRooms):
+        @property
+        def lake(self) -> Any:
+            return SimpleNamespace(snapshot=lambda: self, folder=self.folder)
+
+    def find(rooms: PolicyRooms, wanted: str) -> tuple[Any, str]:
+        assert (rooms.count, rooms.episodes) == (75, 40)
+        return SimpleNamespace(model_id=wanted, weights_bytes=1_000_000 * rooms.seed), ""
+
+    def export(lake: Any, wanted: str, out: Path, force: bool) -> None:
+        made.append((lake.folder, wanted))
+        out.mkdir(parents=True)
+        (out / CARD).write_text(f"# model {wanted}\n")
+
+    monkeypatch.setattr(shipping, "PolicyRooms", Rooms)
+    monkeypatch.setattr(shipping, "found_model", find)
+    monkeypatch.setattr(shipping, "export_model", export)
+    return made
+
+
+@pytest.mark.parametrize(("agents", "ships"), [(("small", "dagger"), "dagger-0"), (("small",), "small-0")])
+def test_the_corrected_one_ships_and_else_the_plain_one(
+    agents: tuple[str, ...], ships: str, exported: list[tuple[Path, str]], tmp_path: Path
+) -> None:
+    told = report(*agents) | {"seed": 3}
+    place = ship(tmp_path / "policy", told, tmp_path / "out")
+    assert place == tmp_path / "out" / NAME
+    assert exported == [(tmp_path / "policy", ships)]
+    assert (place / CARD).read_text().splitlines() == [f"# model {ships}", *measured(3, told["parts"]["loop"], agents[-1])]
+
+
+def test_the_card_has_who_acted_beside_it() -> None:
+    lines = list(measured(7, report("small", "dagger")["parts"]["loop"], "dagger"))
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
+    assert [cell[0] for cell in cells] == ["who", "random", "blind", "small", "**dagger**, this one is of seed 0"]
+    assert {len(cell) for cell in cells} == {3 + len(FIGURES)}
+    assert cells[2][1:6] == ["3", "2,250", "20.0 (10.0-30.0)", "20.0", "20.0"]
+    assert "5,900 episodes of 60 generated rooms" in "\n".join(lines)
+    assert lines[-len(LIMITS) :] == [f"- {line}" for line in LIMITS]
+
+
+def test_a_figure_that_is_missing_is_said_to_be() -> None:
+    loop = report("small")["parts"]["loop"]
+    loop["figures"]["small"]["found_in_view"] = None
+    assert sum("| n/a |" in line for line in measured(7, loop, "small")) == 1
+
+
+@pytest.mark.parametrize(
+    ("told", "problem"),
+    [
+        (report(), "has no agent of seed 0"),
+        ({"seed": 7, "parts": {"frames": {}}}, "has no agent of seed 0"),
+        (report("small", seed=1), "has no agent of seed 0"),
+        (report("small"), "7,000,000 bytes are too many to ship"),
+    ],
+)
+def test_what_cannot_ship_is_refused(told: dict[str, Any], problem: str, exported: list[tuple[Path, str]], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=problem):
+        ship(tmp_path, told, tmp_path / "out")
+    assert exported == []
+    assert not (tmp_path / "out").exists()
