@@ -9,7 +9,7 @@ import math
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -23,15 +23,12 @@ from bench.dwellings.judgement import FIGURES, judged, lost_room, summed
 from bench.dwellings.replicas import replica_of
 from bench.goals import goal
 from bench.machine import machine
+from bench.stages import run_stages
 from flows.run.configuration import configure
 from flows.run.fingerprints import code_fingerprint, digest
-from flows.run.plan import make_plan
 from flows.run.pool import WorkerLost, WorkerPool, WorkerTimeout
-from flows.run.scene import job_of
-from flows.worker import execute
 from schemas.capture import Scene
 from schemas.files import write_whole
-from tasks.capture.formats import find_scans
 from tasks.furniture.dwellings import dwelling
 from tasks.scanner.dwellings import HardScanSettings, scan_dwelling
 from tasks.scanner.truth import DwellingTruth
@@ -257,13 +254,14 @@ def measure_room(job: DwellingJob) -> dict[str, Any]:
     truth = make_scan(place / "scans", job.index, job.seed)
     scanned = time.perf_counter() - clock
     lake = Lake.open(place / "lake")
-    seconds, stage, error = _run(lake, place / "scans", None, job.cores, job.settings)
-    if error is not None:
-        return lost_room(job.index, has_frames(job.index), home, stage, error, truth, seconds) | {"scan_seconds": scanned}
+    done = run_stages(lake, place / "scans", STEPS, job.cores, job.settings)
+    if done.error is not None:
+        return lost_room(job.index, has_frames(job.index), home, done.stage, done.error, truth, done.seconds) | {"scan_seconds": scanned}
+    lake.commit()
     try:
-        figures = judged(job.index, has_frames(job.index), home, truth, replica_of(lake, "scannet/" + truth.scan), seconds)
+        figures = judged(job.index, has_frames(job.index), home, truth, replica_of(lake, "scannet/" + truth.scan), done.seconds)
     except Exception as problem:
-        figures = lost_room(job.index, has_frames(job.index), home, "judgement", _where(problem), truth, seconds)
+        figures = lost_room(job.index, has_frames(job.index), home, "judgement", _where(problem), truth, done.seconds)
     return figures | {"scan_seconds": scanned}
 
 
@@ -272,33 +270,17 @@ def measure_by_others(job: OthersJob) -> dict[str, Any]:
     place, realdata, scan = Path(job.folder), Path(job.realdata), job.scan
     scans, truth = scan_of(scan, realdata, place / "scans")
     lake = Lake.open(place / "lake")
-    seconds, stage, error = _run(lake, scans, realdata / scan.library if scan.library is not None else None, job.cores, job.settings)
-    if error is not None:
-        return nothing_known(scan, stage, error, seconds)
+    done = run_stages(lake, scans, STEPS, job.cores, job.settings, realdata / scan.library if scan.library is not None else None)
+    if done.error is not None:
+        return nothing_known(scan, done.stage, done.error, done.seconds)
+    lake.commit()
     try:
-        return judged_by_others(scan, truth, replica_of(lake, lake.snapshot().rows(Scene)[0].scene_id), seconds)
+        return judged_by_others(scan, truth, replica_of(lake, lake.snapshot().rows(Scene)[0].scene_id), done.seconds)
     except Exception as problem:
-        return nothing_known(scan, "judgement", _where(problem), seconds)
+        return nothing_known(scan, "judgement", _where(problem), done.seconds)
 
 
 def _where(problem: Exception) -> str:
     """An error in one line, with the line of code that it comes from."""
     where = traceback.extract_tb(problem.__traceback__)[-1]
     return f"{type(problem).__name__}: {problem} ({Path(where.filename).name}:{where.lineno})"
-
-
-def _run(lake: Lake, scans: Path, library: Path | None, cores: int, settings: Sequence[str]) -> tuple[dict[str, float], str, str | None]:
-    """The stages of `STEPS` on the one scan of a folder, over some cores: seconds by stage, and the stage that failed, with its error."""
-    configuration = configure(settings=settings, library=library)
-    scan_list, unusable = find_scans(scans)
-    plan = make_plan(lake, scan_list, unusable, configuration)
-    seconds: dict[str, float] = {}
-    if plan.unusable or not plan.todo:
-        return seconds, "capture", str(plan.unusable[0]) if plan.unusable else "no scan was found"
-    for step in (step for step in plan.todo[0].todo if step.stage in STEPS):
-        run = execute(dataclasses.replace(job_of(lake, plan.todo[0], step, configuration), processes=cores))
-        seconds[step.stage] = run.seconds
-        if run.outcome != "done":
-            return seconds, step.stage, run.error or run.outcome
-    lake.commit()
-    return seconds, "", None

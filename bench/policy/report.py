@@ -1,4 +1,4 @@
-"""The benchmark of policies: cameras, steps, policies in held-out rooms, kills. Rooms, trainings and trajectories are kept."""
+"""The benchmark of policies: cameras, steps, policies in held-out rooms, datasets held against each other, kills. All of it is kept."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from bench.goals import goal
 from bench.machine import machine
 from bench.policy.acting import EXPERT, FACING, RANDOM, acted_figures, acted_runs, acting_in, failures, points_between
+from bench.policy.compared import ComparisonBench, measure_comparison
 from bench.policy.frames import FramesBench, measure_frames
 from bench.policy.killed import ADVANCES, KillsBench, measure_kills
 from bench.policy.rooms import PolicyRooms, make_rooms
@@ -21,13 +22,17 @@ from bench.policy.trainings import BLIND, DAGGER, SMALL, USUAL, PolicyTraining, 
 from schemas.errors import InputError
 from schemas.navigation import Episode
 
-FRAMES, STEPS, LOOP, KILLED = "frames", "steps", "loop", "killed"
+FRAMES, STEPS, LOOP, COMPARED, KILLED = "frames", "steps", "loop", "compared", "killed"
 
-PARTS = (FRAMES, STEPS, LOOP, KILLED)
-"""What can be measured: pictures, steps of environments, policies in held-out rooms, and what kills leave."""
+PARTS = (FRAMES, STEPS, LOOP, COMPARED, KILLED)
+"""What can be measured: pictures, steps of environments, policies in held-out rooms, what datasets are worth to them, and what kills
+leave."""
 
 ROOMS = {"train": 60, "test": 15}
 """Rooms that are wanted, by split."""
+
+COMPARED_ROOMS = 24
+"""Of each dataset that is learned from, at most: a replica costs a minute."""
 
 SEEDS = 3
 FOUND_IN_VIEW, FOUND, SPL_POINTS, ACCURACY, BLIND_POINTS = 60.0, 40.0, 10.0, 85.0, 15.0
@@ -65,6 +70,14 @@ class PolicyBench:
         return FramesBench(realdata=None if self.realdata is None else str(self.realdata), seed=self.seed)
 
     @property
+    def comparison(self) -> ComparisonBench | None:
+        """What is compared, if the house is named in which policies are tested."""
+        if self.realdata is None:
+            return None
+        rooms = min(self.rooms, COMPARED_ROOMS)
+        return ComparisonBench(self.folder, self.realdata, rooms, self.seeds, self.steps, self.seed, self.processes, self.episodes)
+
+    @property
     def trainings(self) -> list[PolicyTraining]:
         """What is trained."""
         return [PolicyTraining(name, seed, self.steps, self.episodes) for name in self.variants for seed in range(self.seeds)]
@@ -73,7 +86,8 @@ class PolicyBench:
     def advances(self) -> int:
         """How often the benchmark advances."""
         loop = self.rooms + 2 * len(self.trainings) + self.seeds + len((EXPERT, FACING))
-        counts = {FRAMES: self.frames.scenes, STEPS: 1, LOOP: loop, KILLED: ADVANCES}
+        compared = 1 if self.comparison is None else self.comparison.advances
+        counts = {FRAMES: self.frames.scenes, STEPS: 1, LOOP: loop, COMPARED: compared, KILLED: ADVANCES}
         return sum(counts[part] for part in self.parts)
 
 
@@ -94,6 +108,8 @@ def run_policy_bench(config: PolicyBench, advance: Callable[[str], None]) -> dic
         advance("steps of environments")
     if LOOP in config.parts:
         parts[LOOP] = measure_loop(config, advance)
+    if COMPARED in config.parts:
+        parts[COMPARED] = measure_compared(config, advance)
     if KILLED in config.parts:
         parts[KILLED] = measure_kills(KillsBench(config.folder, seed=config.seed), advance)
     return {
@@ -123,6 +139,14 @@ def measure_loop(config: PolicyBench, advance: Callable[[str], None]) -> dict[st
         "figures": figures, "trainings": trainings, "accuracy": accuracy_of(trainings), "failed": failed,
         "goals": loop_goals(rooms, config.seeds, figures, accuracy_of(trainings), failed),
     }  # fmt: skip
+
+
+def measure_compared(config: PolicyBench, advance: Callable[[str], None]) -> dict[str, Any]:
+    """What datasets are worth, or that the house is not named in which this is measured."""
+    if config.comparison is None:
+        advance("not compared")
+        return {"missing": "METASCENES_REALDATA or --realdata names the folder with the house to be tested in", "goals": []}
+    return measure_comparison(config.comparison, advance)
 
 
 def episodes_of(data: PolicyRooms) -> dict[str, int]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from bench.policy.frames import frames_table
-from bench.policy.report import FRAMES, KILLED, LOOP, STEPS
+from bench.policy.report import COMPARED, FRAMES, KILLED, LOOP, STEPS
 from bench.tables import add_row, as_text, goals_table, headline, table_of
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ def print_policy(report: Mapping[str, Any], console: Console) -> None:
         console.print(_steps(parts[STEPS]))
     if LOOP in parts:
         _print_loop(parts[LOOP], console)
+    if COMPARED in parts:
+        _print_compared(parts[COMPARED], console)
     if KILLED in parts:
         killed = parts[KILLED]
         console.print(
@@ -76,6 +78,43 @@ def _print_loop(loop: Mapping[str, Any], console: Console) -> None:
     console.print(_trainings(loop))
     for line in loop["failed"]:
         console.print(f"failed: {line}", markup=False, soft_wrap=True)
+
+
+def _print_compared(compared: Mapping[str, Any], console: Console) -> None:
+    """How well policies do that learned from one dataset or another, and the tests of pairs."""
+    if "missing" in compared:
+        console.print(f"not compared: {compared['missing']}", markup=False, soft_wrap=True)
+        return
+    episodes = ", ".join(f"{count:,} of {name}" for name, count in compared["episodes"].items())
+    console.print(f"datasets of {compared['rooms']} rooms; episodes: {episodes}", markup=False, soft_wrap=True)
+    table = table_of(
+        "learned from, in the same episodes", ("", False), ("tested in", False), ("seeds", True), ("n", True), ("SR [%]", True),
+        ("of seeds", True), ("at 1 m in view [%]", True), ("EL", True), ("curvature [rad/m]", True), ("SEL [%]", True), ("SPL [%]", True),
+    )  # fmt: skip
+    for row in compared["rows"]:
+        add_row(
+            table, row["trained_on"], row["tested_on"], str(row["seeds"]), f"{row['n']:,}",
+            f"{_percent(row['sr'])} ({_percent(row['sr_low'])}-{_percent(row['sr_high'])})",
+            f"{_percent(row['least_sr'])}-{_percent(row['greatest_sr'])}", _percent(row["found"]), f"{row['el']:.1f}",
+            _number(row["curvature_turning_angle"], 2), _percent(row["sel"]), _percent(row["spl"]),
+        )  # fmt: skip
+    console.print(table)
+    table = table_of(
+        "pairs", ("first", False), ("second", False), ("measure", False), ("pairs", True), ("difference [points]", True), ("p", True),
+        ("p by seed", True),
+    )  # fmt: skip
+    for test in compared["tests"]:
+        add_row(
+            table, test["first"], test["second"], test["measure"], f"{test['pairs']:,}", f"{100 * test['difference']:+.1f}",
+            _number(test["p_value"], 4), _number(test["p_value_by_seed"], 2),
+        )  # fmt: skip
+    console.print(table)
+    for line in (*compared["notes"], *(f"failed: {line}" for line in compared["failed"])):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "n/a" if value is None else f"{value:.{digits}f}"
 
 
 _DIGITS = (("el", 1), ("el_success", 1), ("curvature", 2), ("collisions", 1))

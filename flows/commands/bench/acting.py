@@ -27,9 +27,9 @@ from flows.commands.options import json_option
 )  # fmt: skip
 @click.option(
     "--realdata", type=click.Path(path_type=Path, file_okay=False), envvar="METASCENES_REALDATA",
-    help="Folder with the AWS small house, whose pictures are timed, too.",
+    help="Folder with the AWS small house, whose pictures are timed, and in which datasets are compared.",
 )  # fmt: skip
-@click.option("--parts", default="", help="Measure only these, with commas between: frames, steps, loop, killed.")
+@click.option("--parts", default="", help="Measure only these, with commas between: frames, steps, loop, compared, killed.")
 @processes_option
 @json_option
 def policy(rooms: int, episodes: int, seeds: int, steps: int, variants: str, seed: int, folder: Path, realdata: Path | None, parts: str,
@@ -38,7 +38,8 @@ def policy(rooms: int, episodes: int, seeds: int, steps: int, variants: str, see
 
     `loop`: rooms are generated, policies are trained on four fifths of them (`dagger` is corrected where it went wrong itself, `blind` has
     no pictures, `goalless` is not told what it is sent to), and act in the episodes of the others beside chance and the experts. Found is
-    who stops by itself within 1 m of a view point with the target in view. `killed`: a training and an evaluation end by SIGKILL, and are
+    who stops by itself within 1 m of a view point with the target in view. `compared`: policies that learned from replicas of scans, from
+    the same rooms as they were drawn, and from both, in the AWS small house. `killed`: a training and an evaluation end by SIGKILL, and are
     given again.
 
     The exit code is 1 when a goal is missed, and else 0.

@@ -1,0 +1,45 @@
+"""Stages of one scan, one after another in this process: what the flow does with a scene, without Prefect."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from flows.run.configuration import configure
+from flows.run.plan import make_plan
+from flows.run.scene import job_of
+from flows.worker import execute
+from tasks.capture.formats import find_scans
+from warehouse.lake import Lake
+
+
+@dataclasses.dataclass(frozen=True)
+class StagedScan:
+    """What came of a scan. seconds: By stage. stage, error: What failed, and why; empty and None where nothing did."""
+
+    seconds: dict[str, float]
+    stage: str = ""
+    error: str | None = None
+
+
+def run_stages(
+    lake: Lake, scans: Path, stages: Collection[str], cores: int, settings: Sequence[str] = (), library: Path | None = None,
+    dataset: str | None = None,
+) -> StagedScan:  # fmt: skip
+    """Stage what is missing of some stages of the one scan of a folder; nothing is committed. cores: That a stage may use. dataset: What
+    the scan is of; by default what its format says."""
+    configuration = configure(settings=settings, library=library)
+    scan_list, unusable = find_scans(scans, dataset=dataset)
+    plan = make_plan(lake, scan_list, unusable, configuration)
+    seconds: dict[str, float] = {}
+    if plan.unusable:
+        return StagedScan(seconds, "capture", str(plan.unusable[0]))
+    if not scan_list:
+        return StagedScan(seconds, "capture", "no scan was found")
+    for planned, step in ((scene, step) for scene in plan.todo for step in scene.todo if step.stage in stages):
+        run = execute(dataclasses.replace(job_of(lake, planned, step, configuration), processes=cores))
+        seconds[step.stage] = run.seconds
+        if run.outcome != "done":
+            return StagedScan(seconds, step.stage, run.error or run.outcome)
+    return StagedScan(seconds)
