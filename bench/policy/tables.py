@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from bench.policy.datasets import HOME
 from bench.policy.frames import frames_table
 from bench.policy.report import COMPARED, FRAMES, KILLED, LOOP, STEPS
 from bench.tables import add_row, as_text, goals_table, headline, table_of
@@ -88,12 +89,12 @@ def _print_compared(compared: Mapping[str, Any], console: Console) -> None:
     episodes = ", ".join(f"{count:,} of {name}" for name, count in compared["episodes"].items())
     console.print(f"datasets of {compared['rooms']} rooms; episodes: {episodes}", markup=False, soft_wrap=True)
     table = table_of(
-        "learned from, in the same episodes", ("", False), ("tested in", False), ("seeds", True), ("n", True), ("SR [%]", True),
+        f"in the same episodes of {HOME}, by what was learned from", ("", False), ("seeds", True), ("n", True), ("SR [%]", True),
         ("of seeds", True), ("at 1 m in view [%]", True), ("EL", True), ("curvature [rad/m]", True), ("SEL [%]", True), ("SPL [%]", True),
     )  # fmt: skip
     for row in compared["rows"]:
         add_row(
-            table, row["trained_on"], row["tested_on"], str(row["seeds"]), f"{row['n']:,}",
+            table, row["trained_on"], str(row["seeds"]), f"{row['n']:,}",
             f"{_percent(row['sr'])} ({_percent(row['sr_low'])}-{_percent(row['sr_high'])})",
             f"{_percent(row['least_sr'])}-{_percent(row['greatest_sr'])}", _percent(row["found"]), f"{row['el']:.1f}",
             _number(row["curvature_turning_angle"], 2), _percent(row["sel"]), _percent(row["spl"]),
