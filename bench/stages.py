@@ -27,11 +27,13 @@ def run_stages(
     lake: Lake, scans: Path, stages: Collection[str], cores: int, settings: Sequence[str] = (), library: Path | None = None,
     dataset: str | None = None,
 ) -> StagedScan:  # fmt: skip
-    """Stage what is missing of some stages of the one scan of a folder; nothing is committed. cores: That a stage may use. dataset: What
-    the scan is of; by default what its format says."""
+    """Stage what is missing of some stages of the one scan of a folder; what failed is tried again, and nothing is committed.
+
+    cores: That a stage may use. dataset: What the scan is of; by default what its format says.
+    """
     configuration = configure(settings=settings, library=library)
     scan_list, unusable = find_scans(scans, dataset=dataset)
-    plan = make_plan(lake, scan_list, unusable, configuration)
+    plan = make_plan(lake, scan_list, unusable, configuration, retry_failed=True)
     seconds: dict[str, float] = {}
     if plan.unusable:
         return StagedScan(seconds, "capture", str(plan.unusable[0]))

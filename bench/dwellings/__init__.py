@@ -210,8 +210,10 @@ def _measured_by_others(
 
 
 def _code() -> list[str]:
-    """Hashes of the pipeline, of what makes dwellings and scans, and of this folder, which fingerprints of code do not follow."""
-    own = digest(*(path.read_text() for path in sorted(Path(__file__).parent.glob("*.py"))))
+    """Hashes of the pipeline, of what makes dwellings and scans, and of this folder and what runs stages, which fingerprints of code do not
+    follow."""
+    here = Path(__file__).parent
+    own = digest(*(path.read_text() for path in (*sorted(here.glob("*.py")), here.with_name("stages.py"))))
     return [code_fingerprint("tasks.pipeline"), code_fingerprint("tasks.scanner.dwellings"), own]
 
 

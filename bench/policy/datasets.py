@@ -6,28 +6,29 @@ from __future__ import annotations
 import dataclasses
 import shutil
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 
 from bench.dwellings.by_others import BY_OTHERS, scan_of
 from bench.policy.rooms import ROOMS_PER_COMMIT, stage_room, with_episodes
-from bench.realdata import HOUSE, MODELS
+from bench.realdata import HOUSE
 from bench.replicas import as_drawn
 from bench.rooms import disturbed_scene
 from bench.selection.rooms import LIGHT
 from bench.selection.trainings import mapped
 from bench.stages import StagedScan, run_stages
 from flows.run.fingerprints import code_fingerprint, digest
-from schemas.errors import InputError, LakeError
-from schemas.navigation import Episode
+from schemas.errors import InputError
 from tasks.furniture.rooms import ROOM_TYPES, FurnishedRoom, furnish
 from tasks.navigation import NavigationConfig
 from tasks.scanner import scan_scene
 from warehouse.lake import Lake
 
 GENERATED, REPLICAS, HOME = "generated", "replicas", "house"
+
+OTHERS_HOUSE = next(scan for scan in BY_OTHERS if scan.needs == HOUSE)
 
 STAGES = ("capture", "captions", "candidates", "selection", "optimization", "navigation")
 """Of a scan that are run: what agents need."""
@@ -47,14 +48,24 @@ class ComparedDatasets:
     seed: int = 0
     episodes: int = 100
 
-    @property
+    @cached_property
     def mark(self) -> str:
-        """What rows follow from, code and all."""
+        """What rows follow from, code, house and all. It goes with what is sent to workers, so that all of them are at one lake."""
         bench = Path(__file__).parents[1]
-        makers = (Path(__file__), *(bench / f"{name}.py" for name in ("replicas", "rooms", "stages", "dwellings/by_others")))
+        own = (
+            "policy/datasets",
+            "policy/rooms",
+            "replicas",
+            "rooms",
+            "samples",
+            "stages",
+            "realdata",
+            "dwellings/by_others",
+            "selection/rooms",
+        )
         tasks = ("furniture.rooms", "scanner", "capture.scenes", *STAGES[1:])
-        code = (*(path.read_text() for path in makers), *(code_fingerprint(f"tasks.{name}") for name in tasks))
-        return digest(*code, str(self.rooms), str(self.seed), str(self.episodes))
+        code = (*((bench / f"{name}.py").read_text() for name in own), *(code_fingerprint(f"tasks.{name}") for name in tasks))
+        return digest(*code, OTHERS_HOUSE.digest(self.realdata), str(self.rooms), str(self.seed), str(self.episodes))
 
     @property
     def place(self) -> Path:
@@ -68,8 +79,8 @@ class ComparedDatasets:
 
     @property
     def jobs(self) -> list[tuple[str, int]]:
-        """Datasets and numbers of what is made."""
-        return [*((name, number) for number in range(self.rooms) for name in (GENERATED, REPLICAS)), (HOME, 0)]
+        """Datasets and numbers of what is made; the house, which takes longest, first."""
+        return [(HOME, 0), *((name, number) for number in range(self.rooms) for name in (GENERATED, REPLICAS))]
 
     @property
     def navigation(self) -> tuple[str, ...]:
@@ -82,16 +93,21 @@ def scene_of(dataset: str, number: int) -> str:
     return f"{dataset}/{HOUSE.stem if dataset == HOME else f'scene{number:04d}_00'}"
 
 
+def check_house(realdata: Path) -> None:
+    """Raises InputError where the house, or its library, is not in a folder."""
+    if not OTHERS_HOUSE.is_in(realdata):
+        problem = f"holds no {OTHERS_HOUSE.needs} with {OTHERS_HOUSE.library}"
+        raise InputError(str(realdata), "--realdata", problem, "name the folder that does, or leave the option out")
+
+
 def make_datasets(data: ComparedDatasets, processes: int, advance: Callable[[str], None]) -> list[str]:
-    """Make what the folder lacks, by so many processes; each room stays where it is once it is made. Returns a line for each room that
-    leaves the agent no floor, and so is in a dataset without episodes.
+    """Make what the folder lacks, by so many processes; each room stays where it is once it is made. Returns a line for each scan that a
+    stage failed on; the same command tries it again.
 
     Raises:
         InputError: the house is not there.
-        LakeError: a stage failed.
     """
-    if not all((data.realdata / part).exists() for part in (HOUSE, MODELS)):
-        raise InputError(str(data.realdata), "--realdata", f"holds no {HOUSE} with {MODELS}", "name the folder that does")
+    check_house(data.realdata)
     lake = data.lake
     lake.commit(NOTE)  # what an interrupted run had staged
     known = {scene for (scene, stage), state in lake.history().items() if stage == "navigation" and state.done}
@@ -99,33 +115,31 @@ def make_datasets(data: ComparedDatasets, processes: int, advance: Callable[[str
     for job in data.jobs:
         if job not in lacking:
             advance(scene_of(*job))
+    failed = []
     with mapped(processes) as spread:
-        for done, job in enumerate(spread(partial(make_scene, data), lacking), start=1):
+        for done, (job, error) in enumerate(zip(lacking, spread(partial(make_scene, data), lacking), strict=True), start=1):
             advance(scene_of(*job))
+            if error is not None:
+                failed.append(f"{scene_of(*job)}: {error}")
             if done % ROOMS_PER_COMMIT == 0:
                 lake.commit(NOTE)
     lake.commit(NOTE)
-    walked = {row.scene_id for row in lake.snapshot().rows(Episode)}
-    return [f"{scene}: has no episodes" for scene in (scene_of(*job) for job in data.jobs) if scene not in walked]
+    return failed
 
 
-def make_scene(data: ComparedDatasets, job: tuple[str, int]) -> tuple[str, int]:
-    """Make a scene with its episodes, and leave all of it staged; the job.
-
-    Raises:
-        LakeError: a stage failed.
-    """
+def make_scene(data: ComparedDatasets, job: tuple[str, int]) -> str | None:
+    """Make a scene with its episodes, and leave all of it staged; the stage that failed, and why, if one did."""
     dataset, number = job
     scene = scene_of(dataset, number)
     if dataset == GENERATED:
-        drawn = disturbed_scene(scene, furnished_room(number, data.seed), np.random.default_rng([data.seed, number, 1]), shares=())
+        rng = np.random.default_rng([data.seed, number, 1])
+        # every object has its own mesh, as in the scan
+        drawn = disturbed_scene(scene, furnished_room(number, data.seed), rng, plain_share=0.0, shares=())
         config = NavigationConfig(train_episodes=data.episodes, test_episodes=data.episodes, test_share=0.0)
         stage_room(data.lake, *with_episodes(*as_drawn(drawn), data.seed, config), data.mark)
-        return job
+        return None
     done = _replica(data, dataset, number)
-    if done.error is not None:
-        raise LakeError(f"{scene}: {done.stage}: {done.error}")
-    return job
+    return None if done.error is None else f"{done.stage}: {done.error}"
 
 
 def furnished_room(number: int, seed: int) -> FurnishedRoom:
@@ -135,15 +149,18 @@ def furnished_room(number: int, seed: int) -> FurnishedRoom:
 
 
 def _replica(data: ComparedDatasets, dataset: str, number: int) -> StagedScan:
-    """The stages of a scan: of a generated room by a hurried walk, or of the house with its own models as library."""
+    """The stages of a scan: of a generated room by a hurried walk, or of the house with its own models as library. The scan goes, once
+    nothing failed on it."""
     place = data.place / "scans" / scene_of(dataset, number)
-    shutil.rmtree(place, ignore_errors=True)
+    shutil.rmtree(place, ignore_errors=True)  # of a command that was killed
     if dataset == HOME:
-        house = next(scan for scan in BY_OTHERS if scan.needs == HOUSE)
-        scans, _ = scan_of(house, data.realdata, place)
-        return run_stages(
-            data.lake, scans, STAGES, 1, (*data.navigation, "navigation.test_share=1.0"), data.realdata / MODELS, dataset
-        )  # fmt: skip
-    rng = np.random.default_rng([data.seed, number, 2])
-    scan_scene(furnished_room(number, data.seed), place, scene_of(dataset, number).partition("/")[2], LIGHT, rng)
-    return run_stages(data.lake, place, STAGES, 1, (*data.navigation, "navigation.test_share=0.0"), None, dataset)
+        scans, _ = scan_of(OTHERS_HOUSE, data.realdata, place)
+        settings = (*data.navigation, "navigation.test_share=1.0")
+        done = run_stages(data.lake, scans, STAGES, 1, settings, data.realdata / (OTHERS_HOUSE.library or ""), dataset)
+    else:
+        rng = np.random.default_rng([data.seed, number, 2])
+        scan_scene(furnished_room(number, data.seed), place, scene_of(dataset, number).partition("/")[2], LIGHT, rng)
+        done = run_stages(data.lake, place, STAGES, 1, (*data.navigation, "navigation.test_share=0.0"), None, dataset)
+    if done.error is None:
+        shutil.rmtree(place)
+    return done

@@ -73,7 +73,7 @@ def pyrender_rates(scene: BenchedScene, wanted: RenderRequest) -> Rates | str:
 
 
 def pyrender_answer(parts: Sequence[trimesh.Trimesh], wanted: RenderRequest) -> dict[str, Any] | str:
-    """What pyrender makes of parts: `rates`, and `depth` of the first camera [m]; or why it draws nothing.
+    """What pyrender makes of parts: `rates`, and what the first camera sees; or why it draws nothing.
 
     Raises:
         InputError: the interpreter that is named cannot be run.
@@ -99,7 +99,7 @@ def _drawn(python: str, script: Path, variable: str, file: Path, wanted: RenderR
     reasons = []
     for library in LIBRARIES:
         settings: Mapping[str, str] = {variable: library, "LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}
-        command = [python, str(script)]
+        command = [python, "-I", str(script)]
         done = subprocess.run(command, input=request, capture_output=True, text=True, check=False, env=os.environ | settings)
         if done.returncode == 0:
             answer: dict[str, Any] = json.loads(done.stdout)

@@ -14,6 +14,7 @@ from bench.goals import goal
 from bench.machine import machine
 from bench.policy.acting import EXPERT, FACING, RANDOM, acted_figures, acted_runs, acting_in, failures, points_between
 from bench.policy.compared import ComparisonBench, measure_comparison
+from bench.policy.datasets import check_house
 from bench.policy.frames import FramesBench, measure_frames
 from bench.policy.killed import ADVANCES, KillsBench, measure_kills
 from bench.policy.rooms import PolicyRooms, make_rooms
@@ -100,6 +101,8 @@ def run_policy_bench(config: PolicyBench, advance: Callable[[str], None]) -> dic
     """
     if LOOP in config.parts and config.rooms < 2:
         raise InputError("bench policy", "--rooms", f"{config.rooms}: one is held out, and none is left to learn from", "ask for 2 or more")
+    if COMPARED in config.parts and config.realdata is not None:
+        check_house(config.realdata)
     parts: dict[str, dict[str, Any]] = {}
     if FRAMES in config.parts:
         parts[FRAMES] = measure_frames(config.frames, partial(advance, "pictures"))
@@ -135,7 +138,7 @@ def measure_loop(config: PolicyBench, advance: Callable[[str], None]) -> dict[st
     rooms = {"train": data.count - len(data.tested), "test": len(data.tested)}
     failed = failures(runs)
     return {
-        "rooms": rooms, "episodes": episodes_of(data), "most_episodes": data.episodes, "seeds": config.seeds,
+        "rooms": rooms, "episodes": episodes_of(data), "lake": data.lake.address, "seeds": config.seeds,
         "figures": figures, "trainings": trainings, "accuracy": accuracy_of(trainings), "failed": failed,
         "goals": loop_goals(rooms, config.seeds, figures, accuracy_of(trainings), failed),
     }  # fmt: skip

@@ -1,7 +1,7 @@
 """The policy that ships inside the package: exported from the benchmark's lake, with a card that says what was measured.
 
 metascenes bench policy --parts loop --folder policy --json > policy.json
-python -m bench.policy.shipping --folder policy --report policy.json --out tasks/policy/model/shipped
+python -m bench.policy.shipping --report policy.json --out tasks/policy/model/shipped
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.policy.report import agent_of
-from bench.policy.rooms import PolicyRooms
 from flows.training.folders import export_model
 from flows.training.models import found_model
 from schemas.errors import InputError
 from schemas.files import write_whole
 from tasks.models import CARD
+from warehouse.lake import Lake
 
 NAME = "objectnav"
 """Of the model that ships."""
@@ -39,18 +39,20 @@ LIMITS = (
 )
 
 
-def ship(folder: Path, report: Mapping[str, Any], out: Path) -> Path:
+def ship(report: Mapping[str, Any], out: Path) -> Path:
     """Write the benchmark's agent of the first seed to `<out>/objectnav`; the folder.
 
     Raises:
-        InputError: the report has no such model, or its weights are too large to ship.
+        InputError: the report has no such model, the lake with it is gone, or its weights are too large to ship.
     """
     loop = report["parts"].get("loop", {"figures": {}, "trainings": []})
     agent = agent_of(loop["figures"])
     row = next((row for row in loop["trainings"] if (row["name"], row["seed"]) == (agent, 0)), None)
     if row is None:
         raise InputError("report", "trainings", "has no agent of seed 0", "measure one: --parts loop --variants dagger")
-    lake = PolicyRooms(folder, sum(loop["rooms"].values()), report["seed"], loop["most_episodes"]).lake
+    lake = Lake.open(loop["lake"])
+    if not lake.exists:
+        raise InputError("report", "lake", f"{loop['lake']} is gone", "measure again: metascenes bench policy --parts loop --json")
     model, _ = found_model(lake.snapshot(), row["model_id"])
     if model.weights_bytes > MOST_BYTES:
         raise InputError("report", "trainings", f"{model.weights_bytes:,} bytes are too many to ship", f"train one below {MOST_BYTES:,}")
@@ -89,11 +91,10 @@ def measured(seed: int, loop: Mapping[str, Any], agent: str) -> Iterator[str]:
 def main() -> None:
     """Ship the policy, as the module says."""
     parser = argparse.ArgumentParser(prog="python -m bench.policy.shipping", description=__doc__)
-    parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--report", type=Path, required=True, help="what the benchmark printed with --json")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    print(ship(options.folder, json.loads(options.report.read_bytes()), options.out))
+    print(ship(json.loads(options.report.read_bytes()), options.out))
 
 
 if __name__ == "__main__":

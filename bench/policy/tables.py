@@ -86,11 +86,13 @@ def _print_compared(compared: Mapping[str, Any], console: Console) -> None:
     if "missing" in compared:
         console.print(f"not compared: {compared['missing']}", markup=False, soft_wrap=True)
         return
-    episodes = ", ".join(f"{count:,} of {name}" for name, count in compared["episodes"].items())
-    console.print(f"datasets of {compared['rooms']} rooms; episodes: {episodes}", markup=False, soft_wrap=True)
+    scenes = ", ".join(f"{compared['rooms'][name]} with {count:,} episodes of {name}" for name, count in compared["episodes"].items())
+    console.print(f"scenes: {scenes}", markup=False, soft_wrap=True)
+    near_m = compared["rows"][0]["success_distance_m"] if compared["rows"] else 0.0
     table = table_of(
-        f"in the same episodes of {HOME}, by what was learned from", ("", False), ("seeds", True), ("n", True), ("SR [%]", True),
-        ("of seeds", True), ("at 1 m in view [%]", True), ("EL", True), ("curvature [rad/m]", True), ("SEL [%]", True), ("SPL [%]", True),
+        f"in the same episodes of {HOME}, by what was learned from; success: stopped within {near_m:g} m of a view point", ("", False),
+        ("seeds", True), ("n", True), ("SR [%]", True), ("of seeds", True), ("at 1 m in view [%]", True), ("EL", True),
+        ("curvature [rad/m]", True), ("SEL [%]", True), ("SPL [%]", True),
     )  # fmt: skip
     for row in compared["rows"]:
         add_row(
@@ -101,7 +103,8 @@ def _print_compared(compared: Mapping[str, Any], console: Console) -> None:
         )  # fmt: skip
     console.print(table)
     table = table_of(
-        "pairs", ("first", False), ("second", False), ("measure", False), ("pairs", True), ("difference [points]", True), ("p", True),
+        "pairs: p of these models in such episodes, p by seed of other trainings on the same datasets", ("first", False),
+        ("second", False), ("measure", False), ("pairs", True), ("difference [points]", True), ("p", True),
         ("p by seed", True),
     )  # fmt: skip
     for test in compared["tests"]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
@@ -21,7 +20,7 @@ from schemas.navigation import Split
 from schemas.text import cut
 from tasks import comparison
 from tasks.comparison import ComparisonConfig
-from tasks.navigation import split_of
+from tasks.navigation import room_name, split_of
 from warehouse.lake import Lake
 from warehouse.tables.snapshot import Reader
 
@@ -146,13 +145,6 @@ def planned_comparison(
     ]  # fmt: skip
     name = f"comparison-{digest('comparison-1', *parts)[:16]}"
     return PlannedComparison(name, request, configuration, snapshot.snapshot_id, tuple(trainings), episodes, notes)
-
-
-def room_name(room_id: str) -> str:
-    """A room by its name alone, without dataset and number of a rescan: rooms of one name are on one side of every split."""
-    name = room_id.rpartition("/")[2]
-    rescan = re.fullmatch(r"(scene\d{4})_\d{2}", name)
-    return rescan[1] if rescan else name
 
 
 class _Rooms:

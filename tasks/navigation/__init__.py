@@ -25,19 +25,21 @@ from tasks.stage import Blobs, Context, Outcome, Stage
 if TYPE_CHECKING:
     from tasks.geometry.meshes import Surface
 
-__all__ = ["STAGE", "Agent", "NavigationConfig", "PathFinderConfig", "placed_surfaces", "run", "split_of"]
+__all__ = ["STAGE", "Agent", "NavigationConfig", "PathFinderConfig", "placed_surfaces", "room_name", "run", "split_of"]
+
+
+def room_name(room_id: str) -> str:
+    """A room by its name alone, without dataset and number of a rescan (`scene0001_02`), which some formats leave in it: rooms of one name
+    are on one side of every split, whatever they were read from, and whoever calls them what."""
+    name = room_id.rpartition("/")[2]
+    rescan = re.fullmatch(r"(scene\d{4})_\d{2}", name)
+    return rescan[1] if rescan else name
 
 
 def split_of(room_id: str, test_share: float) -> str:
-    """Split of a room by a stable hash of its name: `test_share` of all rooms are 'test', the others 'train'.
-
-    The dataset's name does not count, and neither does the number of a rescan (`scene0001_02`), which some formats leave in the
-    room's name: a room is on the same side whatever it was read from, and whoever calls it what.
-    """
-    name = room_id.rpartition("/")[2]
-    rescan = re.fullmatch(r"(scene\d{4})_\d{2}", name)
+    """Split of a room by a stable hash of its name (`room_name`): `test_share` of all rooms are 'test', the others 'train'."""
     # With the name of one dataset before all, that dataset's rooms are on the sides that they always were on.
-    text = f"scannet/{rescan[1] if rescan else name}"
+    text = f"scannet/{room_name(room_id)}"
     number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
     return "test" if number < test_share * 2**64 else "train"
 

@@ -15,7 +15,7 @@ from schemas.lineage.licenses import of_asset, stated
 from schemas.navigation import Episode, Navmesh, Split
 from schemas.optimization import Placement
 from tasks.evaluation.measures import path_finder
-from tasks.navigation import split_of
+from tasks.navigation import room_name, split_of
 from tasks.policy.corrections import TrainingScene
 from tasks.policy.demonstrations import AgentWalk, WalkConfig, chosen, walk_of
 from tasks.stage import Context
@@ -108,12 +108,15 @@ def collected(dataset: EpisodeDataset, context: Context, config: WalkConfig, tes
 def held_out(walks: Sequence[AgentWalk], share: float) -> tuple[list[AgentWalk], list[AgentWalk]]:
     """Walks to learn from, and those of a share of the rooms, drawn by the rooms' names, to choose the best weights by.
 
-    At least one room is held out where there are two.
+    At least one room is held out where there are two. Rooms of one name are one: a scan's replica and the room itself are on one side.
     """
-    rooms = sorted({walk.room_id for walk in walks}, key=lambda room: hashlib.sha256(f"validation {room}".encode()).digest())
+    rooms = sorted({room_name(walk.room_id) for walk in walks}, key=lambda room: hashlib.sha256(f"validation {room}".encode()).digest())
     count = min(max(round(share * len(rooms)), 1), len(rooms) - 1) if share > 0 else 0
     held = {*rooms[:count]}
-    return [walk for walk in walks if walk.room_id not in held], [walk for walk in walks if walk.room_id in held]
+    sides: tuple[list[AgentWalk], list[AgentWalk]] = ([], [])
+    for walk in walks:
+        sides[room_name(walk.room_id) in held].append(walk)
+    return sides
 
 
 def spread(walks: Sequence[AgentWalk], count: int) -> list[AgentWalk]:

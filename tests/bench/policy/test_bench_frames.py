@@ -60,7 +60,7 @@ def test_an_interpreter_without_pyrender_is_told_from_none(monkeypatch: pytest.M
 
 
 def test_pyrender_sees_what_rays_meet() -> None:
-    """From the same place, the right way up: of what it draws, depths are returned."""
+    """From the same place, the right way up, and it draws colors and parts at all."""
     if not os.environ.get(PYRENDER_PYTHON):
         pytest.skip(f"{PYRENDER_PYTHON} names no interpreter with requirements/pyrender.lock installed")
     (scene,) = benched_scenes(SMALL)
@@ -68,9 +68,11 @@ def test_pyrender_sees_what_rays_meet() -> None:
     answer = pyrender_answer(scene.parts, RenderRequest(poses.tolist(), (64,), math.degrees(frames.HFOV), 0.0))
     assert isinstance(answer, dict), answer
     assert set(answer["rates"]) == {"pyrender", "pyrender, color and depth"}
-    _, depth = seen_by_rays(RayScene(scene.parts), Camera.with_fov(poses[0], 64, 64, frames.HFOV))
+    part, depth = seen_by_rays(RayScene(scene.parts), Camera.with_fov(poses[0], 64, 64, frames.HFOV))
     seen = np.array(answer["depth"])
-    assert np.mean(np.abs(seen - depth) < 0.05 * depth) > 0.9  # it wanted at pixels beside their centers
+    assert np.mean(np.abs(seen - depth) < 0.05 * depth) > 0.9  # it looks at pixels beside their centers
+    assert np.mean(np.array(answer["parts"]) == part) > 0.9
+    assert answer["color"] > 20
     assert np.mean(np.abs(seen[::-1] - depth) < 0.05 * depth) < 0.8
 
 

@@ -28,6 +28,7 @@ from schemas.navigation import Episode, Split
 from tasks.furniture.rooms import FurnishedRoom
 from tests.samples import sample
 from tests.warehouse.questions.view_answers import Database
+from warehouse.lake import Lake
 from warehouse.tables.digest import digests
 
 START = (0.0, 0.0, 0.0)
@@ -250,6 +251,7 @@ def test_a_whole_benchmark_goes_on_from_its_folder(tmp_path: Path, monkeypatch: 
     first = CliRunner().invoke(cli, words, catch_exceptions=False)
     assert first.exit_code == 1, first.output  # three steps teach nothing, and three rooms are too few
     report = json.loads(first.stdout)["parts"][LOOP]
+    assert Lake.open(report["lake"]).exists
     assert (report["rooms"], report["episodes"], report["failed"]) == ({"train": 2, "test": 1}, {"train": 8, "test": 2}, [])
     assert set(report["figures"]) == {RANDOM, EXPERT, FACING, SMALL}
     assert {row["n"] for row in report["figures"].values()} == {2}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,10 +10,11 @@ from typing import Any
 import pytest
 
 from bench.policy import shipping
-from bench.policy.rooms import PolicyRooms
 from bench.policy.shipping import FIGURES, LIMITS, NAME, measured, ship
 from schemas.errors import InputError
 from tasks.models import CARD
+from tests.samples import fingerprint, stage_run
+from warehouse.lake import Lake
 
 
 def row(value: float) -> dict[str, Any]:
@@ -22,7 +24,7 @@ def row(value: float) -> dict[str, Any]:
 
 def report(*agents: str, **training: Any) -> dict[str, Any]:
     loop = {
-        "rooms": {"train": 60, "test": 15}, "episodes": {"train": 5900, "test": 750}, "most_episodes": 40,
+        "rooms": {"train": 60, "test": 15}, "episodes": {"train": 5900, "test": 750}, "lake": "nowhere",
         "figures": {name: row(0.1 * number) for number, name in enumerate(("random", "blind", *agents), start=1)},
         "trainings": [
             {"name": name, "seed": seed, "model_id": f"{name}-{seed}"} | training for name in ("blind", *agents) for seed in (1, 0)
@@ -31,26 +33,28 @@ def report(*agents: str, **training: Any) -> dict[str, Any]:
     return {"seed": 7, "parts": {"loop": loop}}
 
 
+def with_lake(folder: Path, told: dict[str, Any]) -> dict[str, Any]:
+    """A report of a lake that is there."""
+    lake = Lake.open(folder / "lake")
+    run = stage_run("bench/room_0000", "capture", fingerprint(0))
+    lake.stage_rows(dataclasses.replace(run, outcome="failed", error="a", error_kind="input"))
+    told["parts"].get("loop", {})["lake"] = lake.address
+    return told
+
+
 @pytest.fixture
-def exported(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path, str]]:
-    """Folders of rooms and models that were exported; weights have as many bytes as the seed of the rooms, times a million."""
-    made: list[tuple[Path, str]] = []
+def exported(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """Lakes and models that were exported. The weights of a model called `large` are by a byte."""
+    made: list[tuple[str, str]] = []
 
-    class Rooms(PolicyRooms):
-        @property
-        def lake(self) -> Any:
-            return SimpleNamespace(snapshot=lambda: self, folder=self.folder)
-
-    def find(rooms: PolicyRooms, wanted: str) -> tuple[Any, str]:
-        assert (rooms.count, rooms.episodes) == (75, 40)
-        return SimpleNamespace(model_id=wanted, weights_bytes=1_000_000 * rooms.seed), ""
+    def find(reader: Any, wanted: str) -> tuple[Any, str]:
+        return SimpleNamespace(model_id=wanted, weights_bytes=5_000_000 + wanted.startswith("large")), ""
 
     def export(lake: Any, wanted: str, out: Path, force: bool) -> None:
-        made.append((lake.folder, wanted))
+        made.append((lake.address, wanted))
         out.mkdir(parents=True)
         (out / CARD).write_text(f"# model {wanted}\n")
 
-    monkeypatch.setattr(shipping, "PolicyRooms", Rooms)
     monkeypatch.setattr(shipping, "found_model", find)
     monkeypatch.setattr(shipping, "export_model", export)
     return made
@@ -58,12 +62,12 @@ def exported(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path, str]]:
 
 @pytest.mark.parametrize(("agents", "ships"), [(("small", "dagger"), "dagger-0"), (("small",), "small-0")])
 def test_the_corrected_one_ships_and_else_the_plain_one(
-    agents: tuple[str, ...], ships: str, exported: list[tuple[Path, str]], tmp_path: Path
+    agents: tuple[str, ...], ships: str, exported: list[tuple[str, str]], tmp_path: Path
 ) -> None:
-    told = report(*agents) | {"seed": 3}
-    place = ship(tmp_path / "policy", told, tmp_path / "out")
+    told = with_lake(tmp_path, report(*agents)) | {"seed": 3}
+    place = ship(told, tmp_path / "out")
     assert place == tmp_path / "out" / NAME
-    assert exported == [(tmp_path / "policy", ships)]
+    assert exported == [(str(tmp_path / "lake"), ships)]
     assert (place / CARD).read_text().splitlines() == [f"# model {ships}", *measured(3, told["parts"]["loop"], agents[-1])]
 
 
@@ -89,11 +93,16 @@ def test_a_figure_that_is_missing_is_said_to_be() -> None:
         (report(), "has no agent of seed 0"),
         ({"seed": 7, "parts": {"frames": {}}}, "has no agent of seed 0"),
         (report("small", seed=1), "has no agent of seed 0"),
-        (report("small"), "7,000,000 bytes are too many to ship"),
+        (report("small", model_id="large"), "5,000,001 bytes are too many to ship"),
     ],
 )
-def test_what_cannot_ship_is_refused(told: dict[str, Any], problem: str, exported: list[tuple[Path, str]], tmp_path: Path) -> None:
+def test_what_cannot_ship_is_refused(told: dict[str, Any], problem: str, exported: list[tuple[str, str]], tmp_path: Path) -> None:
     with pytest.raises(InputError, match=problem):
-        ship(tmp_path, told, tmp_path / "out")
+        ship(with_lake(tmp_path, told), tmp_path / "out")
     assert exported == []
     assert not (tmp_path / "out").exists()
+
+
+def test_a_lake_that_is_gone_is_said_to_be(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"lake: nowhere is gone; measure again"):
+        ship(report("small"), tmp_path / "out")
