@@ -56,6 +56,12 @@ def test_rooms_are_on_one_side_and_have_so_many_walks() -> None:
     assert {walk.room_id for walk in learning}.isdisjoint({walk.room_id for walk in held})
     assert len({walk.room_id for walk in held}) == 1
     assert held_out(data.train, 0.0) == (data.train, [])
+    replicas = [dataclasses.replace(walk, room_id=f"replicas/{walk.room_id.rpartition('/')[2]}") for walk in data.train]
+    both, neither = held_out([*data.train, *replicas], 0.3)
+    assert ([walk.poses is one.poses for walk, one in zip(both, [*learning, *learning], strict=True)], len(neither)) == (
+        [True] * (2 * len(learning)),
+        2 * len(held),
+    ), "a room and the replica of its scan are on one side"
     assert held_out(data.train[:3], 0.5)[1] == []
     assert spread(data.train, 4) == data.train[::3]
     assert spread(data.train, 100) == data.train
