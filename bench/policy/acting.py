@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.policy.rooms import PolicyRooms
-from bench.policy.trainings import TrainedVariant
+from bench.policy.trainings import STOP_M, TrainedVariant
 from bench.selection.trainings import mapped
 from flows.inputs.evaluation import Evaluated, import_trajectories, run_policy
 from flows.run.configuration import Configuration, configure
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 RANDOM, EXPERT = random.RANDOM.name, expert.EXPERT.name
 FACING = f"{EXPERT}, facing"
-"""Who acts beside models: chance, the actions that come with episodes, and these with turns before the stop until the target is in view."""
+"""Who acts beside models: chance, the actions that come with episodes, and these up to `STOP_M` with turns to the target."""
 
 SUCCESS_M = 1.0
 """A run counts as a success within so far of a view point [m], where nobody asks whether the target is in view."""
@@ -122,7 +122,7 @@ def _acted(data: PolicyRooms, max_steps: int, policy: ActingPolicy) -> ActedRun:
 
 def _facing(lake: Lake, scenes: Sequence[str], configuration: Configuration) -> Evaluated:
     """The experts that policies learn from, as a batch by others: they end with the target in view, which those of episodes need not."""
-    reader, walks = lake.snapshot(), WalkConfig(facing=True)
+    reader, walks = lake.snapshot(), WalkConfig(facing=True, stop_m=STOP_M)
     trajectories = []
     for mesh in (row for scene in scenes for row in reader.rows(Navmesh, scene)):
         finder = path_finder(lake.blobs[mesh.navmesh_blob], f"{mesh.scene_id} {mesh.navmesh_blob[:12]}.navmesh")

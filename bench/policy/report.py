@@ -19,7 +19,7 @@ from bench.policy.frames import FramesBench, measure_frames
 from bench.policy.killed import ADVANCES, KillsBench, measure_kills
 from bench.policy.rooms import PolicyRooms, make_rooms
 from bench.policy.steps import StepsBench, measure_steps
-from bench.policy.trainings import BLIND, DAGGER, SMALL, USUAL, PolicyTraining, trained_variants, variant_row
+from bench.policy.trainings import BLIND, DAGGER, SENSING, SMALL, USUAL, PolicyTraining, trained_variants, variant_row
 from schemas.errors import InputError
 from schemas.navigation import Episode
 
@@ -174,8 +174,8 @@ def accuracy_of(trainings: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, A
 
 
 def agent_of(names: Mapping[str, Any]) -> str | None:
-    """Whom goals are of: the policy that is corrected, else the plain one; None where neither was trained."""
-    return next((name for name in (DAGGER, SMALL) if name in names), None)
+    """Whom goals are of: the policy that is corrected, else the one that senses as much, else the plain one; None without any."""
+    return next((name for name in (DAGGER, SENSING, SMALL) if name in names), None)
 
 
 def loop_goals(

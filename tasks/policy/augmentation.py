@@ -71,7 +71,14 @@ def drawn(config: PictureAugmentation, rng: np.random.Generator) -> PictureChang
 
 
 def looked(pictures: Pictures, look: PictureChange) -> Pictures:
-    """Pictures of a walk (n, h, w, 3), all changed alike."""
+    """Pictures of a walk (n, h, w, c), all changed alike; what there is beside colors is cut out with them, and else stays."""
+    if pictures.shape[-1] > 3:
+        _, height, width, _ = pictures.shape
+        top, left, tall, wide = look.box
+        rows = ((top + (np.arange(height) + 0.5) / height * tall) * height).astype(np.int64)
+        columns = ((left + (np.arange(width) + 0.5) / width * wide) * width).astype(np.int64)
+        others = pictures[:, rows[:, None], columns[None], 3:]
+        return np.concatenate([looked(np.ascontiguousarray(pictures[..., :3]), look), others], axis=-1)
     matrix = look.contrast * look.matrix
     grey = float(LUMINANCE @ (look.matrix @ pictures[:, ::SPREAD, ::SPREAD].mean(axis=(0, 1, 2)))) if len(pictures) else 0.0
     made = np.empty_like(pictures)

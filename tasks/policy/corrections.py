@@ -18,6 +18,7 @@ from tasks.navigation.protocol import PathFinder
 from tasks.policy.actions import FORWARD, LEFT, RIGHT, STOP, UNKNOWN
 from tasks.policy.demonstrations import AgentWalk, Array, Expert, Guide, WalkConfig, start_of, views_of, walk_of
 from tasks.policy.inference.actor import Actor
+from tasks.policy.senses import channels_of
 from tasks.policy.store import Render
 from tasks.settings import Config, Count, Natural, Share
 
@@ -101,7 +102,7 @@ def corrected(
         going = list(range(len(agents)))  # in the actor's order
         while going:
             camera = actor.config.camera
-            pictures = np.zeros((len(going), camera.height, camera.width, 3), dtype=np.uint8)
+            pictures = np.zeros((len(going), camera.height, camera.width, channels_of(actor.config)), dtype=np.uint8)
             if not actor.config.blind:
                 pictures = render(name, np.array([agents[place].pose(walks) for place in going]))
             chosen = actor.logits(pictures).argmax(axis=-1)

@@ -32,8 +32,8 @@ class WalkConfig(Config):
 
     forward_m: Positive = 0.25  # as the navigation stage: the paper's action space
     turn_degrees: Positive = 30.0  # as the navigation stage: the paper's action space
-    stop_m: Positive = 0.1875  # as the navigation stage: its episodes end there
-    facing: bool = False  # whether the expert turns to the target before it stops; episodes do not
+    stop_m: Positive = 0.1875  # from a view point, where an expert stops; as the navigation stage: its episodes end there
+    facing: bool = False  # whether the expert turns to the target before it stops, as soon as it is within `stop_m`; episodes do not
     facing_degrees: Annotated[float, Field(gt=0, le=180)] = 39.5  # half of the camera's field of view: the target is seen then
     train_episodes: Natural = 100  # of a training scene; as printed in the supplementary
     test_episodes: Natural = 50  # of a test scene; as printed in the supplementary
@@ -80,6 +80,7 @@ class Expert:
     def __init__(self, finder: PathFinder, views: ArrayLike, config: WalkConfig) -> None:
         self._finder, self._config = finder, config
         self._views = np.asarray(views, dtype=np.float64).reshape(-1, 3)
+        self._target = seen_by_all(self._views)
         self.field: DistanceField = finder.field(self._views[:, :2])
 
     def actions(self, position: ArrayLike, yaw: float) -> list[int]:
@@ -103,8 +104,9 @@ class Expert:
         goal = self.field.path(end[:2]).goal
         if goal < 0:
             return list(actions)
-        turn = self._config.motion.turn_radians
-        off = math.remainder(float(self._views[goal, 2]) - float(end[2]), 2 * math.pi)
+        turn, ahead = self._config.motion.turn_radians, self._target - end[:2]
+        yaw = self._views[goal, 2] if np.hypot(*ahead) < _ON_M else math.atan2(ahead[1], ahead[0])
+        off = math.remainder(float(yaw) - float(end[2]), 2 * math.pi)
         most = max(math.radians(self._config.facing_degrees), 0.5 * turn)
         count = max(math.ceil((abs(off) - most) / turn - 1e-9), 0)
         return [*actions[:-1], *[LEFT if off > 0 else RIGHT] * count, actions[-1]]
@@ -125,6 +127,17 @@ class Guide:
     def did(self, action: int) -> None:
         """What the agent did."""
         self._plan = self._plan[1:] if self._plan[:1] == [action] else []
+
+
+def seen_by_all(views: Array) -> Array:
+    """The point, shape (2,) [m], that view points x, y, yaw, shape (n, 3), look at, in least squares; where they look along one line, a
+    little ahead of the first."""
+    along = np.column_stack([np.cos(views[:, 2]), np.sin(views[:, 2])])
+    across = np.eye(2) - along[:, :, None] * along[:, None]
+    told = across.sum(axis=0)
+    if not len(views) or np.linalg.det(told) < 1e-6 * len(views) ** 2:
+        return np.asarray(views[0, :2] + 0.5 * along[0] if len(views) else np.zeros(2))
+    return np.asarray(np.linalg.solve(told, (across @ views[:, :2, None]).sum(axis=0)[:, 0]))
 
 
 def views_of(episode: Episode, finder: PathFinder) -> Array:
@@ -150,7 +163,10 @@ def walk_of(episode: Episode, room_id: str, finder: PathFinder, config: WalkConf
         views = views_of(episode, finder)
         if not len(views):
             return None
-        actions = Expert(finder, views, config).turned(actions, start, episode.start_yaw_radians)
+        expert = Expert(finder, views, config)
+        poses = replay(episode.actions, start, episode.start_yaw_radians, finder, config.motion).poses[:-1, :2]
+        near = np.flatnonzero(expert.field.distances(poses) < config.stop_m)
+        actions = expert.turned([*actions[: int(near[0]) if len(near) else -1], STOP], start, episode.start_yaw_radians)
     done = replay([ACTIONS[action] for action in actions], start, episode.start_yaw_radians, finder, config.motion)
     if done.collisions:
         return None

@@ -13,6 +13,7 @@ from tasks.evaluation.batch import Attempt
 from tasks.evaluation.configuration import EvaluationConfig
 from tasks.policy.actions import STOP
 from tasks.policy.inference.actor import Actor
+from tasks.policy.senses import channels_of, codes_of, sensed
 from tasks.simulation import protocol
 from tasks.simulation.agents import Agents
 from tasks.simulation.cameras import camera_poses
@@ -35,17 +36,17 @@ def rolled_out(world: World, actor: Actor, episodes: Sequence[Episode], config: 
     for index, episode in enumerate(episodes):
         agents.place(index, world, world.start(episode), episode.start_yaw_radians)
     actor.reset(len(episodes), [episode.category for episode in episodes])
-    camera = actor.config.camera
+    camera, codes = actor.config.camera, codes_of(world.categories)
     actions: list[list[str]] = [[] for _ in episodes]
     going = np.arange(len(episodes))
     for _ in range(config.max_steps):
         if not len(going):
             break
-        pictures = np.zeros((len(going), camera.height, camera.width, 3), dtype=np.uint8)
+        pictures = np.zeros((len(going), camera.height, camera.width, channels_of(actor.config)), dtype=np.uint8)
         if not actor.config.blind:
             ways = np.column_stack([agents.position[going], agents.yaw[going]])
             poses = camera_poses(ways, camera.height_m, math.radians(camera.pitch_degrees))
-            pictures = world.camera.render(poses, camera.width, camera.height, camera.hfov_radians).rgb
+            pictures = sensed(world.camera.render(poses, camera.width, camera.height, camera.hfov_radians), codes, actor.config)
         chosen = actor.act(pictures)
         for index, action in zip(going.tolist(), chosen.tolist(), strict=True):
             actions[index].append(ACTIONS[action])

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from schemas.candidates import Asset
 from tasks.policy.collection import VisibleScene
 from tasks.policy.demonstrations import Array
-from tasks.policy.model.config import AgentCamera
+from tasks.policy.model.config import PolicyModel
+from tasks.policy.senses import codes_of, sensed
 from tasks.simulation.cameras import camera_poses
 
 KEPT = 2
@@ -24,23 +25,22 @@ class SceneRenderer:
     """A `tasks.policy.store.Render`. looks: Rows of scenes. assets: By id. blobs: That the rows name."""
 
     def __init__(
-        self, looks: Mapping[str, VisibleScene], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], camera: AgentCamera
+        self, looks: Mapping[str, VisibleScene], assets: Mapping[str, Asset], blobs: Mapping[str, bytes], model: PolicyModel
     ) -> None:
-        self._looks, self._assets, self._blobs, self._camera = looks, assets, blobs, camera
+        self._looks, self._assets, self._blobs, self._model = looks, assets, blobs, model
         self._ready: OrderedDict[str, Any] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_ready": OrderedDict()}
 
     def __call__(self, scene_id: str, poses: Array) -> NDArray[np.uint8]:
-        """Pictures of a scene from poses x, y [m] and yaw [rad], shape (n, 3), to (n, h, w, 3)."""
-        camera = self._camera
+        """Pictures of a scene from poses x, y [m] and yaw [rad], shape (n, 3), to (n, h, w, c) as `tasks.policy.senses` has them."""
+        camera, (rasterizer, codes) = self._model.camera, self._of(scene_id)
         views = camera_poses(poses, camera.height_m, math.radians(camera.pitch_degrees))
-        pictures: NDArray[np.uint8] = self._of(scene_id).render(views, camera.width, camera.height, camera.hfov_radians).rgb
-        return pictures
+        return sensed(rasterizer.render(views, camera.width, camera.height, camera.hfov_radians), codes, self._model)
 
     def _of(self, scene_id: str) -> Any:
-        """What renders a scene."""
+        """What renders a scene, and the codes of its parts."""
         if scene_id in self._ready:
             self._ready.move_to_end(scene_id)
             return self._ready[scene_id]
@@ -49,7 +49,8 @@ class SceneRenderer:
 
         rows = self._looks[scene_id]
         assets = [self._assets[asset_id] for asset_id in sorted({placement.asset_id for placement in rows.placements})]
-        made = Rasterizer(scenery(rows.shell, rows.surfaces, rows.placements, assets, rows.instances, self._blobs).soup)
+        visible = scenery(rows.shell, rows.surfaces, rows.placements, assets, rows.instances, self._blobs)
+        made = Rasterizer(visible.soup), codes_of(visible.categories)
         self._ready[scene_id] = made
         while len(self._ready) > KEPT:
             self._ready.popitem(last=False)

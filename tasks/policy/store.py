@@ -18,21 +18,22 @@ from tasks.policy.augmentation import PictureAugmentation, drawn, looked
 from tasks.policy.demonstrations import AgentWalk, Array
 from tasks.policy.model.config import PolicyModel, SiglipEyes
 from tasks.policy.model.frozen import is_frozen, tokens_of
+from tasks.policy.senses import channels_of
 
 Render = Callable[[str, Array], NDArray[np.uint8]]
-"""Pictures of a scene from poses x, y, yaw (n, 3), shape (n, h, w, 3)."""
+"""Pictures of a scene from poses x, y, yaw (n, 3), shape (n, h, w, c)."""
 
 AT_ONCE = 2048
 """Poses that are rendered in one go."""
 
 
 def pictures_of(walks: Sequence[AgentWalk], render: Render, model: PolicyModel) -> list[NDArray[np.uint8]]:
-    """Pictures of walks of one scene, shape (n, h, w, 3) each; of blind policies with no pixels."""
+    """Pictures of walks of one scene, shape (n, h, w, c) each; of blind policies with no pixels."""
     if not walks:
         return []
     poses = np.concatenate([walk.poses for walk in walks])
     if model.blind:
-        every: NDArray[np.uint8] = np.zeros((len(poses), 0, 0, 3), dtype=np.uint8)
+        every: NDArray[np.uint8] = np.zeros((len(poses), 0, 0, channels_of(model)), dtype=np.uint8)
     else:
         parts = [render(walks[0].scene_id, poses[first : first + AT_ONCE]) for first in range(0, len(poses), AT_ONCE)]
         every = np.concatenate(parts)
@@ -135,4 +136,4 @@ class Store:
         if is_frozen(model):
             assert isinstance(model.eyes, SiglipEyes)
             return 2 * model.tokens * model.eyes.width * self.versions
-        return 3 * model.camera.width * model.camera.height
+        return channels_of(model) * model.camera.width * model.camera.height

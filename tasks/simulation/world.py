@@ -43,11 +43,12 @@ class World:
     """One scene for agents of one shape. Knows nothing of any agent, so that many share it.
 
     scene_id: Scene. finder: Where agents can go, world frame [m]. camera: What draws it. episodes: Its episodes, by `episode_id`.
+    categories: Of the parts that it draws.
     """
 
     def __init__(
         self, scene_id: str, finder: PlanarPathFinder, camera: SceneCamera, instance_ids: Sequence[str | None], episodes: Sequence[Episode],
-        reach_m: float,
+        reach_m: float, categories: Sequence[str] = (),
     ) -> None:  # fmt: skip
         """
         Args:
@@ -57,12 +58,13 @@ class World:
             instance_ids: The instance that each part of the camera's pictures belongs to, None or empty for floor and walls.
             episodes: Its episodes.
             reach_m: So far outside the navmesh a start or view point still counts as on it [m].
+            categories: Of each part, where anybody is to be told.
         """
         self.scene_id, self.finder, self.camera = scene_id, finder, camera
         self.episodes: Mapping[str, Episode] = {episode.episode_id: episode for episode in episodes}
         # One more, which is what a part of -1 finds: nothing.
         self._numbers = np.array([int(name) if name else NO_OBJECT for name in (*instance_ids, None)], dtype=np.int32)
-        self._reach = reach_m
+        self._reach, self.categories = reach_m, tuple(categories)
         self._fields: OrderedDict[bytes, PlanarField] = OrderedDict()
 
     def start(self, episode: Episode) -> Array:
@@ -142,4 +144,4 @@ def world_of(
     finder = path_finder(blobs[navmesh.navmesh_blob], f"{scene_id} {navmesh.navmesh_blob[:12]}.navmesh")
     structure = {instance.instance_id for instance in instances if instance.is_structure}
     owners = [None if owner in structure else owner for owner in seen.instance_ids]
-    return World(scene_id, finder, Rasterizer(seen.soup), owners, episodes, reach_m)
+    return World(scene_id, finder, Rasterizer(seen.soup), owners, episodes, reach_m, seen.categories)

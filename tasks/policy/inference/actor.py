@@ -14,6 +14,7 @@ from tasks.policy.actions import START
 from tasks.policy.inference.network import Indices, PlainPolicy
 from tasks.policy.model.config import OwnEyes, PolicyModel
 from tasks.policy.model.shapes import Vocabulary, check_fit
+from tasks.policy.senses import channels_of, meant
 from tasks.synthesis.inference.layers import Values, one_thread
 from tasks.weights import from_safetensors
 
@@ -42,7 +43,7 @@ class Network(Protocol):
 @dataclasses.dataclass
 class _Memory:
     """What n agents remember. goal_tokens: Of what each is sent to. seen, last, times: Of their last steps, oldest first; `sizes` of them
-    count. done: How many steps each has made. before: What each did last.
+    count. done: How many steps each has made. before: What each did last. goals: Category that each is sent to.
     """
 
     goal_tokens: Values
@@ -52,6 +53,7 @@ class _Memory:
     sizes: Indices
     done: Indices
     before: Indices
+    goals: NDArray[np.object_]
 
 
 class Actor:
@@ -96,7 +98,7 @@ class Actor:
     def act(self, pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
         """The likeliest action of every agent, of what it sees now: places in `schemas.evaluation.ACTIONS`, shape (n,).
 
-        pictures: Shape (n, h, w, 3), of the policy's camera.
+        pictures: Shape (n, h, w, c), of the policy's camera, with what it senses (`tasks.policy.senses`): three colors in most cases.
         """
         actions = self.logits(pictures).argmax(axis=-1)
         self.did(actions)
@@ -105,12 +107,13 @@ class Actor:
     def logits(self, pictures: NDArray[np.uint8]) -> Values:
         """How likely actions are, shape (n, a), of what every agent sees now. The step is taken when `did` says what was done."""
         memory, window = self._memory, self.config.window
-        if pictures.shape != (len(memory.done), self.config.camera.height, self.config.camera.width, 3) or pictures.dtype != np.uint8:
+        shape = (len(memory.done), self.config.camera.height, self.config.camera.width, channels_of(self.config))
+        if pictures.shape != shape or pictures.dtype != np.uint8:
             raise ValueError(f"pictures: {pictures.dtype} {pictures.shape} are not those of {len(memory.done)} agents with this camera")
         if not len(pictures):
             return np.zeros((0, 4), dtype=np.float32)
         with one_thread():
-            seen = self.network.seen(pictures, memory.goal_tokens)
+            seen = self.network.seen(self._meant(pictures), memory.goal_tokens)
             full = memory.sizes == window
             for held in (memory.seen, memory.last, memory.times):
                 held[full, :-1] = held[full, 1:]
@@ -119,6 +122,12 @@ class Actor:
             memory.seen[every, now], memory.last[every, now], memory.times[every, now] = seen, memory.before, memory.done
             made: Any = self.network.decided(memory.seen, memory.last, memory.times, memory.goal_tokens)[every, now]
             return np.asarray(made, dtype=np.float32)
+
+    def _meant(self, pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Pictures as each agent's goal has them."""
+        if not self.config.senses_goal:
+            return pictures
+        return np.concatenate([meant(pictures[at : at + 1], goal, self.config) for at, goal in enumerate(self._memory.goals.tolist())])
 
     def did(self, actions: ArrayLike) -> None:
         """What the agents did in this step, shape (n,), whatever the policy said; `act` does this itself."""
@@ -138,6 +147,7 @@ class Actor:
             sizes=np.zeros(count, dtype=np.int64),
             done=np.zeros(count, dtype=np.int64),
             before=np.full(count, START),
+            goals=np.array([*goals, None], dtype=object)[:-1],
         )
 
 

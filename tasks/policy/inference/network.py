@@ -37,7 +37,7 @@ class PlainPolicy:
         return self._adapted("goal.adapter", self.weights["goal.states"][goals])
 
     def seen(self, pictures: NDArray[np.uint8], goal_tokens: Values) -> Values:
-        """Vectors (n, w) of pictures (n, h, w, 3) with the tokens (n, g, w) of what each is seen for."""
+        """Vectors (n, w) of pictures (n, h, w, c) with the tokens (n, g, w) of what each is seen for."""
         parts = [np.broadcast_to(self.weights["fusion"], (len(goal_tokens), 1, self.config.width))]
         if not self.config.blind:
             parts.append(self._tokens(pictures))
@@ -64,10 +64,10 @@ class PlainPolicy:
     def _tokens(self, pictures: NDArray[np.uint8]) -> Values:
         eyes = self.config.eyes
         assert isinstance(eyes, OwnEyes)
-        count, height, width, _ = pictures.shape
+        count, height, width, channels = pictures.shape
         inner, part = eyes.patch // eyes.part, eyes.part
-        cut = pictures.reshape(count, height // eyes.patch, inner, part, width // eyes.patch, inner, part, 3)
-        cut = cut.transpose(0, 1, 4, 2, 5, 3, 6, 7).reshape(count, -1, 3 * part * part)
+        cut = pictures.reshape(count, height // eyes.patch, inner, part, width // eyes.patch, inner, part, channels)
+        cut = cut.transpose(0, 1, 4, 2, 5, 3, 6, 7).reshape(count, -1, channels * part * part)
         values = cut.astype(np.float32) / np.float32(127.5) - np.float32(1.0)
         read = np.maximum(self._linear("eyes.0", values), 0).reshape(count, self.config.tokens, -1)
         read = np.maximum(self._linear("eyes.2", read), 0)

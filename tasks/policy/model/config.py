@@ -47,6 +47,8 @@ class OwnEyes(Config):
     patch: Pixels = 16  # a token is 16 pixels wide: four times as many tokens learn at a quarter of the speed (specs E.4)
     part: Pixels = 4  # pixels of the parts that a patch is read in: what is learned of one serves all
     width: Width = 32  # of what is told of a part
+    depth: bool = False  # whether it also senses how far away things are, as the simulator's depth camera does
+    goal: bool = False  # whether it senses which pixels show a thing of the goal's category, as the simulator's semantic camera does
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,6 +109,21 @@ class PolicyModel(Config):
                 size = f"{self.camera.width} x {self.camera.height}"
                 raise ValueError(f"eyes: pictures of {size} pixels do not divide into patches of {patch}, or these into parts of {part}")
         return self
+
+    @property
+    def senses_depth(self) -> bool:
+        """Whether it senses how far away things are."""
+        return not self.blind and isinstance(self.eyes, OwnEyes) and bool(self.eyes.depth)
+
+    @property
+    def senses_goal(self) -> bool:
+        """Whether it senses which pixels show what it is sent to."""
+        return not (self.blind or self.goalless) and isinstance(self.eyes, OwnEyes) and bool(self.eyes.goal)
+
+    @property
+    def channels(self) -> int:
+        """Values of a pixel that the network takes."""
+        return 3 + self.senses_depth + self.senses_goal
 
     @property
     def tokens(self) -> int:

@@ -18,6 +18,7 @@ from tasks.policy.model.config import PolicyModel
 from tasks.policy.model.frozen import is_frozen
 from tasks.policy.model.shapes import Vocabulary
 from tasks.policy.model.steps import sliding
+from tasks.policy.senses import meant
 from tasks.policy.store import Store, observed, pictures_of
 from tasks.settings import WHOLE, Config, Count, Natural, Positive, Share
 
@@ -102,7 +103,7 @@ class PolicyObjective:
             seen = store.of(numbers[which], version)[first:end]
             look = drawn(store.augmentation, rng)
             if not is_frozen(self.model) and not self.model.blind:
-                seen = looked(seen, look)
+                seen = looked(meant(seen, walk.category, self.model), look)
             last = walk.last[first:end].copy()
             last[rng.random(len(last)) < self.config.last_dropout] = UNTOLD
             shift = int(rng.integers(self.config.time_shift + 1))
@@ -179,8 +180,9 @@ def seen_on(walks: Sequence[AgentWalk], store: Store) -> Iterator[NDArray[Any]]:
         end = first
         while end < len(walks) and walks[end].scene_id == walks[first].scene_id:
             end += 1
-        for pictures in pictures_of(walks[first:end], store.render, store.model):
-            yield observed(pictures, store.model, store.memory)
+        some = walks[first:end]
+        for walk, pictures in zip(some, pictures_of(some, store.render, store.model), strict=True):
+            yield observed(meant(pictures, walk.category, store.model), store.model, store.memory)
         first = end
 
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from tasks.policy.model.config import PaperPolicy, PolicyModel, SmallPolicy
+from tasks.policy.model.config import OwnEyes, PaperPolicy, PolicyModel, SmallPolicy
 
 PRESETS: Mapping[str, PolicyModel] = MappingProxyType(
-    {"small": SmallPolicy(), "blind": SmallPolicy(blind=True), "goalless": SmallPolicy(goalless=True), "paper": PaperPolicy()}
-)
-"""By name; `blind` and `goalless` are the small one without pictures and without goals."""
+    {
+        "small": SmallPolicy(), "sensing": SmallPolicy(eyes=OwnEyes(depth=True, goal=True)), "blind": SmallPolicy(blind=True),
+        "goalless": SmallPolicy(eyes=OwnEyes(depth=True), goalless=True), "paper": PaperPolicy(),
+    }
+)  # fmt: skip
+"""By name. `sensing` also has what the simulator's depth and semantic cameras say; `blind` is the small one without pictures, `goalless`
+`sensing` without a goal."""

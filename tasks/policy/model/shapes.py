@@ -66,7 +66,9 @@ def shapes_of(config: PolicyModel, goals: int) -> dict[str, Shape]:
         shapes |= {"camera": (width,)} | _layer("adapter.0", width, width) | _layer("adapter.1", width)
         if isinstance(config.eyes, OwnEyes):
             parts = (config.eyes.patch // config.eyes.part) ** 2
-            shapes |= _layer("eyes.0", config.eyes.width, 3 * config.eyes.part**2) | _layer("eyes.2", width, parts * config.eyes.width)
+            shapes |= _layer("eyes.0", config.eyes.width, config.channels * config.eyes.part**2) | _layer(
+                "eyes.2", width, parts * config.eyes.width
+            )
             shapes["places"] = (config.tokens, width)
         else:
             shapes |= _layer("eyes.0", width, config.eyes.width) | _layer("eyes.2", width, width)

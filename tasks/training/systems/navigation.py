@@ -107,7 +107,7 @@ def train(*, dataset: Dataset, start: bytes | None, context: Context, config: Na
 
 def sight_of(data: CollectedWalks, context: Context, model: PolicyModel) -> Render:
     """What renders the scenes of a dataset."""
-    return SceneRenderer(data.looks, data.assets, context.blobs, model.camera)
+    return SceneRenderer(data.looks, data.assets, context.blobs, model)
 
 
 def trained_on(data: CollectedWalks, render: Render, start: bytes | None, context: Context, config: NavigationTraining) -> Trained:
@@ -261,6 +261,13 @@ def notes_of(
         notes.append("blind: it sees no pictures")
     elif isinstance(model.eyes, OwnEyes):
         notes.append("eyes: layers of ours, trained with the rest, stand in for SigLIP; name weights to have that")
+    if model.senses_depth or model.senses_goal:
+        told = [
+            name
+            for name, is_told in (("depth", model.senses_depth), ("which pixels show what it is sent to", model.senses_goal))
+            if is_told
+        ]
+        notes.append(f"not as published: it is told {' and '.join(told)}, by the simulator's cameras")
     if model.goalless:
         notes.append("goalless: it is not told what it is sent to")
     if isinstance(model.goal, OwnGoal):

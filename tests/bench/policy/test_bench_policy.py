@@ -19,7 +19,7 @@ from bench.policy.killed import KILLS, KillsBench, kill_goals, measure_kills
 from bench.policy.report import LOOP, PolicyBench, accuracy_of, agent_of, loop_goals
 from bench.policy.rooms import PolicyRooms, make_room, make_rooms, room_name
 from bench.policy.tables import print_policy
-from bench.policy.trainings import BLIND, DAGGER, GOALLESS, ROUNDS, SMALL, USUAL, VARIANTS, PolicyTraining
+from bench.policy.trainings import BLIND, DAGGER, GOALLESS, ROUNDS, SENSING, SMALL, STOP_M, USUAL, VARIANTS, PolicyTraining
 from bench.rooms import generated_scene
 from flows.cli import cli
 from schemas.errors import InputError
@@ -146,10 +146,13 @@ def test_a_fifth_of_the_rooms_is_held_out_by_the_seed() -> None:
 
 def test_variants_differ_in_what_they_are_called_by_and_learn_from_experts_who_face_the_target() -> None:
     systems = {name: PolicyTraining(name, 0).system for name in VARIANTS}
-    assert [name for name, system in systems.items() if system.corrections.rounds == ROUNDS] == [DAGGER, "blind-dagger", "goalless-dagger"]
+    assert [name for name, system in systems.items() if system.corrections.rounds == ROUNDS] == [
+        DAGGER, "blind-dagger", "goalless-dagger", "small-dagger"
+    ]  # fmt: skip
     assert [name for name, system in systems.items() if system.model.blind] == [BLIND, "blind-dagger"]
     assert [name for name, system in systems.items() if system.model.goalless] == [GOALLESS, "goalless-dagger"]
-    assert {system.walks.facing for system in systems.values()} == {True}
+    assert [name for name, system in systems.items() if system.model.senses_goal] == [SENSING, DAGGER]
+    assert {(system.walks.facing, system.walks.stop_m) for system in systems.values()} == {(True, STOP_M)}
     assert len({system.fitting for system in systems.values()}) == 1
     assert (systems[SMALL].walks.train_episodes, systems[SMALL].walks.test_episodes) == (100, 50)
     short = PolicyTraining(DAGGER, 5, 40, 8)

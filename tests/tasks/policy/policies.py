@@ -9,6 +9,7 @@ import numpy as np
 
 from tasks.policy.model.config import AgentCamera, OwnEyes, PolicyModel, SiglipGoal, SmallPolicy
 from tasks.policy.model.shapes import Vocabulary, vocabulary_of
+from tasks.policy.senses import CODE, channels_of, codes_of
 
 TINY = SmallPolicy(
     camera=AgentCamera(16, 16), eyes=OwnEyes(patch=4, part=2, width=8), width=16, heads=2, feedforward=24, fusion_layers=1,
@@ -19,6 +20,7 @@ MODELS: dict[str, PolicyModel] = {
     "blind": dataclasses.replace(TINY, blind=True),
     "goalless": dataclasses.replace(TINY, goalless=True),
     "states": dataclasses.replace(TINY, goal=SiglipGoal(width=12, tokens=5)),
+    "sensing": dataclasses.replace(TINY, eyes=OwnEyes(patch=4, part=2, width=8, depth=True, goal=True)),
     "wide": dataclasses.replace(TINY, camera=AgentCamera(24, 16), eyes=OwnEyes(patch=8, part=4), window=1),
     "small": SmallPolicy(),
 }
@@ -47,6 +49,10 @@ def drawn_weights(model: PolicyModel, goals: Vocabulary = GOALS, seed: int = 0) 
 
 
 def drawn_pictures(model: PolicyModel, count: int, seed: int = 0) -> np.ndarray:
-    """Pictures without sense."""
-    shape = (count, model.camera.height, model.camera.width, 3)
-    return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+    """Rendered pictures without sense; where categories are told, pixels are of things that one is sent to, or of nothing."""
+    rng = np.random.default_rng(seed)
+    shape = (count, model.camera.height, model.camera.width)
+    pictures = rng.integers(0, 256, (*shape, channels_of(model)), dtype=np.uint8)
+    if model.senses_goal:
+        pictures[..., -CODE:] = codes_of(["chair", "lamp", "mug", "piano"])[rng.integers(0, 5, shape)]
+    return pictures

@@ -7,6 +7,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
@@ -14,7 +16,7 @@ from schemas.navigation import Episode, Navmesh, Split
 from tasks.policy.actions import FORWARD, LEFT, RIGHT, START, STOP
 from tasks.policy.collection import held_out, spread
 from tasks.policy.corrections import CorrectionsConfig, agreement, corrected
-from tasks.policy.demonstrations import Expert, Guide, WalkConfig, majority, views_of
+from tasks.policy.demonstrations import Expert, Guide, WalkConfig, majority, seen_by_all, views_of
 from tasks.policy.inference.actor import load
 from tasks.simulation.cameras import camera_poses
 from tasks.training.dataset import RowsInMemory
@@ -141,6 +143,46 @@ def test_an_expert_that_faces_its_target_turns_before_it_stops() -> None:
         assert abs(math.remainder(views[goal, 2] - after.poses[-1, 2], 2 * math.pi)) <= math.radians(30) + 1e-9
         assert expert.actions(after.poses[-1, :2], float(after.poses[-1, 2])) == [STOP]
     assert turns > 0
+
+
+def test_an_expert_that_stops_early_does_so_where_it_comes_near_and_turns_to_the_target() -> None:
+    near, degrees = 0.8, 30.0
+    config = WalkConfig(facing=True, facing_degrees=degrees, stop_m=near)
+    plain, early = walks(rooms=2), walks(rooms=2, config=config)
+    finder = next(iter(plain.courses.values())).finder
+    shorter = 0
+    for before, after, episode in zip(plain.train, early.train, navigated()[0]["episodes"], strict=True):
+        views = views_of(episode, finder)
+        expert = Expert(finder, views, config)
+        distances = expert.field.distances(after.poses[:, :2])
+        assert distances[-1] < near
+        moved = np.flatnonzero(after.targets == FORWARD)
+        if len(moved):
+            assert (distances[: moved[-1] + 1] >= near).all(), "it stops where it first is near"
+        ahead = seen_by_all(views) - after.poses[-1, :2]
+        off = math.remainder(math.atan2(ahead[1], ahead[0]) - after.poses[-1, 2], 2 * math.pi)
+        assert abs(off) <= math.radians(degrees) + 1e-9
+        assert expert.actions(after.poses[-1, :2], float(after.poses[-1, 2])) == [STOP]
+        common = min(len(before), int(moved[-1]) + 1 if len(moved) else 0)
+        assert after.targets[:common].tolist() == before.targets[:common].tolist()
+        shorter += len(after) < len(before)
+    assert shorter > 0
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.lists(st.floats(-3.1, 3.1), min_size=2, max_size=6), st.floats(0.3, 2.0))
+def test_what_all_view_points_look_at_is_where_their_looks_cross(x: float, y: float, angles: list[float], away: float) -> None:
+    yaws = np.array(angles)
+    views = np.column_stack([x - away * np.cos(yaws), y - away * np.sin(yaws), yaws])
+    spread = np.abs(np.sin(yaws[:, None] - yaws[None])).max()
+    if spread > 0.1:
+        assert np.allclose(seen_by_all(views), [x, y], atol=1e-6)
+    else:
+        assert np.isfinite(seen_by_all(views)).all()
+
+
+def test_where_looks_do_not_cross_it_is_a_little_ahead() -> None:
+    assert np.allclose(seen_by_all(np.array([[1.0, 2.0, math.pi / 2]])), [1.0, 2.5])
+    assert np.allclose(seen_by_all(np.array([[1.0, 2.0, 0.0], [3.0, 2.0, math.pi]])), [1.5, 2.0])
 
 
 def test_cameras_look_where_agents_head() -> None:

@@ -16,6 +16,7 @@ from schemas.evaluation import ACTIONS
 from tasks.models import Model, identity_json
 from tasks.policy.inference.actor import Actor, load, load_model
 from tasks.policy.model.config import SiglipEyes
+from tasks.policy.senses import meant
 from tasks.training.systems.navigation import NavigationTraining
 from tests.conftest import REPOSITORY
 from tests.tasks.policy.policies import GOALS, MODELS, TINY, drawn_network, drawn_pictures, drawn_weights
@@ -36,7 +37,7 @@ def acted(actor: Actor, pictures: np.ndarray, goals: list[str]) -> np.ndarray:
 
 
 def pictures_of(model, steps: int, agents: int, seed: int = 0) -> np.ndarray:
-    return drawn_pictures(model, steps * agents, seed).reshape(steps, agents, model.camera.height, model.camera.width, 3)
+    return drawn_pictures(model, steps * agents, seed).reshape(steps, agents, model.camera.height, model.camera.width, -1)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -52,7 +53,7 @@ def test_agents_act_as_in_torch(name: str) -> None:
     assert np.abs(made[1:] - made[:-1]).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", ["tiny", "small"])
+@pytest.mark.parametrize("name", ["tiny", "small", "sensing"])
 def test_acting_is_what_training_tells_of_a_walk(name: str) -> None:
     """An agent that is led along a walk decides as the network does that is given the whole walk."""
     from tasks.policy.demonstrations import AgentWalk
@@ -62,7 +63,7 @@ def test_acting_is_what_training_tells_of_a_walk(name: str) -> None:
     pictures = pictures_of(model, steps, 1)
     done = np.random.default_rng(0).integers(0, 3, steps)
     walk = AgentWalk("a/b", "a/b", "0000", "lamp", np.zeros((steps, 3)), done, done)
-    expected = logits_of(drawn_network(model), walk, pictures[:, 0], GOALS)
+    expected = logits_of(drawn_network(model), walk, meant(pictures[:, 0], "lamp", model), GOALS)
     actor = load(drawn_weights(model), model)
     actor.reset(1, ["lamp"])
     for step in range(steps):
@@ -71,7 +72,9 @@ def test_acting_is_what_training_tells_of_a_walk(name: str) -> None:
 
 
 @settings(max_examples=12, deadline=None)
-@given(agents=st.lists(st.integers(0, 19), min_size=1, max_size=19, unique=True), name=st.sampled_from(["tiny", "states", "small"]))
+@given(
+    agents=st.lists(st.integers(0, 19), min_size=1, max_size=19, unique=True), name=st.sampled_from(["tiny", "states", "small", "sensing"])
+)
 def test_what_an_agent_does_hangs_on_no_other(agents: list[int], name: str) -> None:
     model = MODELS[name]
     actor, goals = load(drawn_weights(model), model), [WANTED[i % 5] for i in range(20)]

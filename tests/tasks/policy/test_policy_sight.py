@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 
-from tasks.policy.model.config import AgentCamera
+from tasks.policy.model.config import AgentCamera, OwnEyes, SmallPolicy
 from tasks.policy.sight import KEPT, SceneRenderer
 from tasks.simulation.cameras import camera_poses
 from tasks.simulation.rasterizer import Rasterizer
@@ -17,8 +17,9 @@ from tests.tasks.policy.rooms import dataset, navigated, walks
 
 def test_agents_see_their_scenes_from_where_they_are() -> None:
     data, camera = walks(rooms=4), AgentCamera(32, 24, pitch_degrees=-10.0)
+    model = SmallPolicy(camera=camera, eyes=OwnEyes(patch=8))
     _, blobs = dataset(rooms=4)
-    sight = SceneRenderer(data.looks, data.assets, blobs, camera)
+    sight = SceneRenderer(data.looks, data.assets, blobs, model)
     poses = data.train[0].poses
     pictures = sight("demo/room_00", poses)
     assert (pictures.shape, pictures.dtype) == ((len(poses), 24, 32, 3), np.uint8)

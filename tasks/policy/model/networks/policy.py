@@ -55,7 +55,9 @@ class PolicyNet(nn.Module):
         if not config.blind:
             if isinstance(eyes, OwnEyes):
                 parts = (eyes.patch // eyes.part) ** 2
-                self.eyes = nn.Sequential(nn.Linear(3 * eyes.part**2, eyes.width), nn.ReLU(), nn.Linear(parts * eyes.width, width))
+                self.eyes = nn.Sequential(
+                    nn.Linear(config.channels * eyes.part**2, eyes.width), nn.ReLU(), nn.Linear(parts * eyes.width, width)
+                )
                 self.places = nn.Parameter(SPREAD * torch.randn(config.tokens, width))
             else:
                 self.eyes = nn.Sequential(nn.Linear(eyes.width, width), nn.ReLU(), nn.Linear(width, width))
@@ -82,7 +84,7 @@ class PolicyNet(nn.Module):
     def seen(self, pictures: Tensor, goal_tokens: Tensor) -> Tensor:
         """Vectors (n, w) of pictures with the tokens (n, g, w) of what each is seen for.
 
-        pictures: uint8 (n, h, w, 3); of frozen eyes the tokens (n, p, e) that these told; of blind models whatever has n of them.
+        pictures: uint8 (n, h, w, c); of frozen eyes the tokens (n, p, e) that these told; of blind models whatever has n of them.
         """
         parts = [self.fusion.expand(len(goal_tokens), 1, -1)]
         if not self.config.blind:
@@ -137,8 +139,8 @@ def first_of(layer: nn.TransformerEncoderLayer, tokens: Tensor) -> Tensor:
 
 
 def parts_of(pictures: Tensor, patch: int, part: int) -> Tensor:
-    """Pixels of pictures (n, h, w, 3) by patch and part of it, shape (n, patches, parts, 3 part^2)."""
-    count, height, width, _ = pictures.shape
+    """Pixels of pictures (n, h, w, c) by patch and part of it, shape (n, patches, parts, c part^2)."""
+    count, height, width, channels = pictures.shape
     inner = patch // part
-    cut = pictures.reshape(count, height // patch, inner, part, width // patch, inner, part, 3)
-    return cut.permute(0, 1, 4, 2, 5, 3, 6, 7).reshape(count, -1, inner * inner, 3 * part * part)
+    cut = pictures.reshape(count, height // patch, inner, part, width // patch, inner, part, channels)
+    return cut.permute(0, 1, 4, 2, 5, 3, 6, 7).reshape(count, -1, inner * inner, channels * part * part)
