@@ -17,8 +17,8 @@ from flows.commands.options import json_option
 @click.option("--seeds", type=click.IntRange(1, 100), default=3, show_default=True, help="Seeds of every training.")
 @click.option("--steps", type=click.IntRange(0), default=0, help="Steps of every training; those of the system where left out.")
 @click.option(
-    "--variants", default="", help="Train only these, with commas between: small, dagger, blind, goalless, blind-dagger, goalless-dagger; "
-    "the first four where left out, `none` trains nothing.",
+    "--variants", default="", help="Train only these, with commas between: small, sensing, dagger, blind, goalless, blind-dagger, "
+    "goalless-dagger, small-dagger; the first five where left out, `none` trains nothing.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms and episodes.")
 @click.option(
@@ -36,11 +36,11 @@ def policy(rooms: int, episodes: int, seeds: int, steps: int, variants: str, see
            processes: int, as_json: bool) -> None:  # fmt: skip
     """Measure agents: pictures and steps per second, and how many targets policies find in rooms that they did not learn from.
 
-    `loop`: rooms are generated, policies are trained on four fifths of them (`dagger` is corrected where it went wrong itself, `blind` has
-    no pictures, `goalless` is not told what it is sent to), and act in the episodes of the others beside chance and the experts. Found is
-    who stops by itself within 1 m of a view point with the target in view. `compared`: policies that learned from replicas of scans, from
-    the same rooms as they were drawn, and from both, in the AWS small house. `killed`: a training and an evaluation end by SIGKILL, and are
-    given again.
+    `loop`: rooms are generated, policies are trained on four fifths of them (`sensing` has depth and the pixels of its goal beside colors,
+    `dagger` is corrected where it went wrong itself besides, `blind` has no pictures, `goalless` is not told what it is sent to), and act
+    in the episodes of the others beside chance and the experts. Found is who stops by itself within 1 m of a view point with the target
+    in view. `compared`: policies that learned from replicas of scans, from the same rooms as they were drawn, and from both, in the AWS
+    small house. `killed`: a training and an evaluation end by SIGKILL, and are given again.
 
     The exit code is 1 when a goal is missed, and else 0.
 
