@@ -77,8 +77,8 @@ def looked(pictures: Pictures, look: PictureChange) -> Pictures:
         top, left, tall, wide = look.box
         rows = ((top + (np.arange(height) + 0.5) / height * tall) * height).astype(np.int64)
         columns = ((left + (np.arange(width) + 0.5) / width * wide) * width).astype(np.int64)
-        others = pictures[:, rows[:, None], columns[None], 3:]
-        return np.concatenate([looked(np.ascontiguousarray(pictures[..., :3]), look), others], axis=-1)
+        beside = pictures[:, rows[:, None], columns[None], 3:]
+        return np.concatenate([looked(np.ascontiguousarray(pictures[..., :3]), look), beside], axis=-1)
     matrix = look.contrast * look.matrix
     grey = float(LUMINANCE @ (look.matrix @ pictures[:, ::SPREAD, ::SPREAD].mean(axis=(0, 1, 2)))) if len(pictures) else 0.0
     made = np.empty_like(pictures)

@@ -134,10 +134,10 @@ def seen_by_all(views: Array) -> Array:
     little ahead of the first."""
     along = np.column_stack([np.cos(views[:, 2]), np.sin(views[:, 2])])
     across = np.eye(2) - along[:, :, None] * along[:, None]
-    told = across.sum(axis=0)
-    if not len(views) or np.linalg.det(told) < 1e-6 * len(views) ** 2:
+    crossing = across.sum(axis=0)
+    if not len(views) or np.linalg.det(crossing) < 1e-6 * len(views) ** 2:
         return np.asarray(views[0, :2] + 0.5 * along[0] if len(views) else np.zeros(2))
-    return np.asarray(np.linalg.solve(told, (across @ views[:, :2, None]).sum(axis=0)[:, 0]))
+    return np.asarray(np.linalg.solve(crossing, (across @ views[:, :2, None]).sum(axis=0)[:, 0]))
 
 
 def views_of(episode: Episode, finder: PathFinder) -> Array:

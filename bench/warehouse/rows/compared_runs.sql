@@ -9,5 +9,5 @@ SELECT
     concat(policy, '-', lpad(CAST(scene // 100 AS VARCHAR), 5, '0')) AS batch_id,
     10 AS episodes
 FROM scenes_now
-CROSS JOIN (VALUES ('scenes', 'expert'), ('scans', 'random')) AS choices(trained_on, policy)
+CROSS JOIN (SELECT unnest(['scenes', 'scans']) AS trained_on, unnest(getvariable('policies')[:2]) AS policy)
 WHERE scene % 100 = 3

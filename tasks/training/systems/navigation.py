@@ -262,12 +262,8 @@ def notes_of(
     elif isinstance(model.eyes, OwnEyes):
         notes.append("eyes: layers of ours, trained with the rest, stand in for SigLIP; name weights to have that")
     if model.senses_depth or model.senses_goal:
-        told = [
-            name
-            for name, is_told in (("depth", model.senses_depth), ("which pixels show what it is sent to", model.senses_goal))
-            if is_told
-        ]
-        notes.append(f"not as published: it is told {' and '.join(told)}, by the simulator's cameras")
+        senses = ["depth"] * model.senses_depth + ["which pixels show what it is sent to"] * model.senses_goal
+        notes.append(f"not as published: it is told {' and '.join(senses)}, by the simulator's cameras")
     if model.goalless:
         notes.append("goalless: it is not told what it is sent to")
     if isinstance(model.goal, OwnGoal):

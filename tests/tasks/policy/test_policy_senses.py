@@ -37,10 +37,10 @@ def test_what_is_sensed_is_what_the_cameras_of_the_simulator_say() -> None:
     assert np.abs(seen[..., 3] * FAR_M / 255 - truth.depth)[near].max() <= 0.51 * FAR_M / 255
     categories = np.array([*visible.categories, ""])
     for goal in {*visible.categories}:
-        told = meant(seen, goal, SENSING)
-        assert told.shape == (len(walk), 32, 32, 5)
-        assert np.array_equal(told[..., -1] == 255, categories[truth.part] == goal)
-        assert {*np.unique(told[..., -1])} <= {0, 255}
+        marked = meant(seen, goal, SENSING)
+        assert marked.shape == (len(walk), 32, 32, 5)
+        assert np.array_equal(marked[..., -1] == 255, categories[truth.part] == goal)
+        assert {*np.unique(marked[..., -1])} <= {0, 255}
     assert not meant(seen, "no such thing", SENSING)[..., -1].any()
     assert (meant(seen, walk.category, SENSING)[..., -1] == 255).any(), "the target comes into view on its walk"
 
