@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.policy.report import agent_of
+from bench.policy.trainings import SMALL
 from flows.training.folders import export_model
 from flows.training.models import found_model
 from schemas.errors import InputError
@@ -37,6 +38,12 @@ LIMITS = (
     "It knows the categories of these rooms as goals; of others it is told nothing but that it does not know them.",
     "It saw through one camera, 0.88 m above the floor, level, 79 degrees wide, on a robot of 0.18 m radius, in rooms where nothing moves.",
 )
+
+
+SENSES = (
+    "It is told how far away each pixel is and which ones show its goal; outside of the simulator that takes a depth camera and a detector."
+)
+"""A limit of all but those that see colors alone."""
 
 
 def ship(report: Mapping[str, Any], out: Path) -> Path:
@@ -85,7 +92,7 @@ def measured(seed: int, loop: Mapping[str, Any], agent: str) -> Iterator[str]:
         title = f"**{name}**, this one is of seed 0" if name == agent else name
         yield f"| {title} | {row['seeds']} | {row['n']:,} | " + " | ".join(cells) + " |"
     yield from ("", "## Limits", "")
-    yield from (f"- {line}" for line in LIMITS)
+    yield from (f"- {line}" for line in (LIMITS if agent == SMALL else (SENSES, *LIMITS)))
 
 
 def main() -> None:

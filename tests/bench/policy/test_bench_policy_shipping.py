@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from bench.policy import shipping
-from bench.policy.shipping import FIGURES, LIMITS, NAME, measured, ship
+from bench.policy.shipping import FIGURES, LIMITS, NAME, SENSES, measured, ship
 from schemas.errors import InputError
 from tasks.models import CARD
 from tests.samples import fingerprint, stage_run
@@ -78,7 +78,8 @@ def test_the_card_has_who_acted_beside_it() -> None:
     assert {len(cell) for cell in cells} == {3 + len(FIGURES)}
     assert cells[2][1:6] == ["3", "2,250", "20.0 (10.0-30.0)", "20.0", "20.0"]
     assert "5,900 episodes of 60 generated rooms" in "\n".join(lines)
-    assert lines[-len(LIMITS) :] == [f"- {line}" for line in LIMITS]
+    assert lines[-len(LIMITS) - 1 :] == [f"- {line}" for line in (SENSES, *LIMITS)]
+    assert f"- {SENSES}" not in [*measured(7, report("small")["parts"]["loop"], "small")]
 
 
 def test_a_figure_that_is_missing_is_said_to_be() -> None:
