@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from bench.goals import goal
+from bench.policy.acting import SUCCESS_M
 from bench.policy.datasets import GENERATED, HOME, REPLICAS, ComparedDatasets, make_datasets
-from bench.policy.trainings import SMALL, PolicyTraining
+from bench.policy.trainings import SENSING, PolicyTraining
 from bench.selection.trainings import mapped
 from flows.comparison.comparing import compare
 from flows.comparison.planning import ComparedTraining, PlannedComparison, asked_comparison, planned_comparison
@@ -57,9 +58,12 @@ class ComparisonBench:
     @property
     def configuration(self) -> Configuration:
         """Settings of the comparison: policies as those that act in generated rooms, but for what they learn from."""
-        plain = PolicyTraining(SMALL, self.seed, self.steps, self.episodes).configuration
-        stages = {**plain.stages, "comparison": ComparisonConfig(seeds=self.seeds, scenes=1, trajectories=self.episodes)}
-        return dataclasses.replace(plain, stages=stages)
+        plain = PolicyTraining(SENSING, self.seed, self.steps, self.episodes).configuration
+        own = {
+            "comparison": ComparisonConfig(seeds=self.seeds, scenes=1, trajectories=self.episodes),
+            "evaluation": dataclasses.replace(plain.stages["evaluation"], success_m=SUCCESS_M),  # farther than experts stop
+        }
+        return dataclasses.replace(plain, stages={**plain.stages, **own})
 
     @property
     def advances(self) -> int:

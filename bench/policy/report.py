@@ -175,7 +175,7 @@ def accuracy_of(trainings: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, A
 
 def agent_of(names: Mapping[str, Any]) -> str | None:
     """Whom goals are of: the policy that is corrected, else the one that senses as much, else the plain one; None without any."""
-    return next((name for name in (DAGGER, SENSING, SMALL) if name in names), None)
+    return next((name for name in (DAGGER, SENSING, f"{SMALL}-{DAGGER}", SMALL) if name in names), None)
 
 
 def loop_goals(

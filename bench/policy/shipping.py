@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.policy.report import agent_of
-from bench.policy.trainings import SMALL
 from flows.training.folders import export_model
 from flows.training.models import found_model
 from schemas.errors import InputError
 from schemas.files import write_whole
 from tasks.models import CARD
+from tasks.policy.model.config import config_from
 from warehouse.lake import Lake
 
 NAME = "objectnav"
@@ -35,7 +35,7 @@ FIGURES = {
 
 LIMITS = (
     "It learned in rooms of the project's own generator alone, rendered without light: no photograph of a real room was ever seen.",
-    "It knows the categories of these rooms as goals; of others it is told nothing but that it does not know them.",
+    "It knows the categories of these rooms as goals; all others are one to it.",
     "It saw through one camera, 0.88 m above the floor, level, 79 degrees wide, on a robot of 0.18 m radius, in rooms where nothing moves.",
 )
 
@@ -66,12 +66,15 @@ def ship(report: Mapping[str, Any], out: Path) -> Path:
     place = out / NAME
     export_model(lake, model.model_id, place, force=True)
     plain = (place / CARD).read_text()
-    write_whole(place / CARD, (plain.rstrip() + "\n" + "\n".join(measured(report["seed"], loop, row["name"])) + "\n").encode())
+    config = config_from(model.config)
+    lines = measured(report["seed"], loop, row["name"], config.senses_depth or config.senses_goal)
+    write_whole(place / CARD, (plain.rstrip() + "\n" + "\n".join(lines) + "\n").encode())
     return place
 
 
-def measured(seed: int, loop: Mapping[str, Any], agent: str) -> Iterator[str]:
-    """What the benchmark found of the agent and of whom it is held against, and limits, as Markdown."""
+def measured(seed: int, loop: Mapping[str, Any], agent: str, senses: bool) -> Iterator[str]:
+    """What the benchmark found of the agent and of whom it is held against, and limits, as Markdown. senses: Whether it senses more than
+    colors."""
     rooms, episodes = loop["rooms"], loop["episodes"]
     yield from ("", "## Data", "")
     yield (
@@ -92,7 +95,7 @@ def measured(seed: int, loop: Mapping[str, Any], agent: str) -> Iterator[str]:
         title = f"**{name}**, this one is of seed 0" if name == agent else name
         yield f"| {title} | {row['seeds']} | {row['n']:,} | " + " | ".join(cells) + " |"
     yield from ("", "## Limits", "")
-    yield from (f"- {line}" for line in (LIMITS if agent == SMALL else (SENSES, *LIMITS)))
+    yield from (f"- {line}" for line in ((SENSES, *LIMITS) if senses else LIMITS))
 
 
 def main() -> None:

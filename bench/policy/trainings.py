@@ -24,7 +24,7 @@ ROUNDS = 3
 """Rounds of corrections of a policy that is corrected."""
 
 STOP_M = 0.8
-"""From a view point, where experts stop and turn to the target: from there it is in view in nine of ten episodes; from the view point
+"""From a view point, where experts stop and turn to the target: from there it is in view in eight of ten episodes; from the view point
 itself, right before low things, in seven."""
 
 VARIANTS: Mapping[str, tuple[str, int]] = MappingProxyType(

@@ -28,7 +28,8 @@ MAX_NOTES = 20
 @click.argument("file", required=False, type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
     "--policy", "policies", multiple=True,
-    help=f"Run {', '.join(POLICIES)}, a model by its id, or `navigation`, the newest policy of the lake; may be repeated.",
+    help=f"Run {', '.join(POLICIES)}, a model by its id, `navigation`, the newest policy of the lake, or `objectnav`, which "
+    "ships; may be repeated.",
 )  # fmt: skip
 @lake_option
 @configuration_options

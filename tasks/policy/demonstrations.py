@@ -135,7 +135,7 @@ def seen_by_all(views: Array) -> Array:
     along = np.column_stack([np.cos(views[:, 2]), np.sin(views[:, 2])])
     across = np.eye(2) - along[:, :, None] * along[:, None]
     crossing = across.sum(axis=0)
-    if not len(views) or np.linalg.det(crossing) < 1e-6 * len(views) ** 2:
+    if not len(views) or np.linalg.det(crossing) < 2.5e-3 * len(views) ** 2:  # two that are a tenth of a radian apart
         return np.asarray(views[0, :2] + 0.5 * along[0] if len(views) else np.zeros(2))
     return np.asarray(np.linalg.solve(crossing, (across @ views[:, :2, None]).sum(axis=0)[:, 0]))
 
@@ -159,14 +159,16 @@ def walk_of(episode: Episode, room_id: str, finder: PathFinder, config: WalkConf
     if start is None or not episode.actions:
         return None
     actions = [ACTIONS.index(action) for action in episode.actions]
-    if config.facing and actions[-1] == STOP:
+    if (config.facing or config.stop_m > WalkConfig.stop_m) and actions[-1] == STOP:
         views = views_of(episode, finder)
         if not len(views):
             return None
         expert = Expert(finder, views, config)
         poses = replay(episode.actions, start, episode.start_yaw_radians, finder, config.motion).poses[:-1, :2]
         near = np.flatnonzero(expert.field.distances(poses) < config.stop_m)
-        actions = expert.turned([*actions[: int(near[0]) if len(near) else -1], STOP], start, episode.start_yaw_radians)
+        actions = [*actions[: int(near[0]) if len(near) else -1], STOP]
+        if config.facing:
+            actions = expert.turned(actions, start, episode.start_yaw_radians)
     done = replay([ACTIONS[action] for action in actions], start, episode.start_yaw_radians, finder, config.motion)
     if done.collisions:
         return None

@@ -32,12 +32,14 @@ def channels_of(model: PolicyModel) -> int:
 
 
 def codes_of(categories: Iterable[str]) -> NDArray[np.uint8]:
-    """The bytes of each category, and of nothing last, shape (n + 1, 3): by their names, so that they are the same in every scene."""
+    """The bytes of each category, zeros for none, and of nothing last, shape (n + 1, 3): by their names, the same in every scene."""
     return np.array([*map(_code, categories), [0] * CODE], dtype=np.uint8)
 
 
 @cache
 def _code(category: str) -> tuple[int, ...]:
+    if not category:
+        return (0,) * CODE
     code = hashlib.sha256(f"category {category}".encode()).digest()[:CODE]
     return (*code[:-1], max(code[-1], 1))  # zeros are nothing
 
@@ -63,6 +65,6 @@ def meant(pictures: NDArray[np.uint8], category: str, model: PolicyModel) -> NDA
     """Rendered pictures (n, h, w, c) for an agent that was sent to a category: what its network takes."""
     if not model.senses_goal:
         return pictures
-    made = np.ascontiguousarray(pictures[..., : 1 - CODE])
+    made = np.array(pictures[..., : 1 - CODE], order="C")
     made[..., -1] = np.where((pictures[..., -CODE:] == np.array(_code(category), dtype=np.uint8)).all(axis=-1), 255, 0)
     return made

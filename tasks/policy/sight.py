@@ -50,7 +50,7 @@ class SceneRenderer:
         rows = self._looks[scene_id]
         assets = [self._assets[asset_id] for asset_id in sorted({placement.asset_id for placement in rows.placements})]
         visible = scenery(rows.shell, rows.surfaces, rows.placements, assets, rows.instances, self._blobs)
-        made = Rasterizer(visible.soup), codes_of(visible.categories)
+        made = Rasterizer(visible.soup), codes_of(visible.things(rows.instances))
         self._ready[scene_id] = made
         while len(self._ready) > KEPT:
             self._ready.popitem(last=False)

@@ -31,6 +31,12 @@ class VisibleParts:
     instance_ids: tuple[str | None, ...]
     categories: tuple[str, ...]
 
+    def things(self, instances: Sequence[Instance]) -> list[str]:
+        """Category of each part that is of an object; empty for floor, walls and ceiling, and for instances of structure."""
+        structure = {instance.instance_id for instance in instances if instance.is_structure}
+        owned = zip(self.instance_ids, self.categories, strict=True)
+        return ["" if owner is None or owner in structure else category for owner, category in owned]
+
 
 def scenery(
     shell: Shell | None, surfaces: Sequence[RoomSurface], placements: Sequence[Placement], assets: Sequence[Asset],

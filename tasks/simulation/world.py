@@ -58,7 +58,7 @@ class World:
             instance_ids: The instance that each part of the camera's pictures belongs to, None or empty for floor and walls.
             episodes: Its episodes.
             reach_m: So far outside the navmesh a start or view point still counts as on it [m].
-            categories: Of each part, where anybody is to be told.
+            categories: Of each part, empty for what is no object; where anybody is to be told.
         """
         self.scene_id, self.finder, self.camera = scene_id, finder, camera
         self.episodes: Mapping[str, Episode] = {episode.episode_id: episode for episode in episodes}
@@ -144,4 +144,4 @@ def world_of(
     finder = path_finder(blobs[navmesh.navmesh_blob], f"{scene_id} {navmesh.navmesh_blob[:12]}.navmesh")
     structure = {instance.instance_id for instance in instances if instance.is_structure}
     owners = [None if owner in structure else owner for owner in seen.instance_ids]
-    return World(scene_id, finder, Rasterizer(seen.soup), owners, episodes, reach_m, seen.categories)
+    return World(scene_id, finder, Rasterizer(seen.soup), owners, episodes, reach_m, seen.things(instances))

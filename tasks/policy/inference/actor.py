@@ -32,7 +32,7 @@ class Network(Protocol):
         ...
 
     def seen(self, pictures: NDArray[np.uint8], goal_tokens: Values) -> Values:
-        """Vectors (n, w) of pictures (n, h, w, 3)."""
+        """Vectors (n, w) of pictures (n, h, w, c)."""
         ...
 
     def decided(self, seen: Values, last: Indices, times: Indices, goal_tokens: Values) -> Values:
@@ -98,7 +98,8 @@ class Actor:
     def act(self, pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
         """The likeliest action of every agent, of what it sees now: places in `schemas.evaluation.ACTIONS`, shape (n,).
 
-        pictures: Shape (n, h, w, c), of the policy's camera, with what it senses (`tasks.policy.senses`): three colors in most cases.
+        pictures: Shape (n, h, w, c), of the policy's camera, three colors and what else it senses: as rendered
+            (`tasks.policy.senses`), or with `config.channels` values, the last of which is white where the goal of each agent is.
         """
         actions = self.logits(pictures).argmax(axis=-1)
         self.did(actions)
@@ -107,8 +108,9 @@ class Actor:
     def logits(self, pictures: NDArray[np.uint8]) -> Values:
         """How likely actions are, shape (n, a), of what every agent sees now. The step is taken when `did` says what was done."""
         memory, window = self._memory, self.config.window
-        shape = (len(memory.done), self.config.camera.height, self.config.camera.width, channels_of(self.config))
-        if pictures.shape != shape or pictures.dtype != np.uint8:
+        shape = (len(memory.done), self.config.camera.height, self.config.camera.width)
+        fits = pictures.shape[:-1] == shape and pictures.shape[-1] in (channels_of(self.config), self.config.channels)
+        if not fits or pictures.dtype != np.uint8:
             raise ValueError(f"pictures: {pictures.dtype} {pictures.shape} are not those of {len(memory.done)} agents with this camera")
         if not len(pictures):
             return np.zeros((0, 4), dtype=np.float32)
@@ -125,7 +127,7 @@ class Actor:
 
     def _meant(self, pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Pictures as each agent's goal has them."""
-        if not self.config.senses_goal:
+        if pictures.shape[-1] == self.config.channels:
             return pictures
         return np.concatenate([meant(pictures[at : at + 1], goal, self.config) for at, goal in enumerate(self._memory.goals.tolist())])
 

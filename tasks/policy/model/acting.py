@@ -35,7 +35,7 @@ class TorchPolicy:
             return self.module.goal_tokens(self._given(goals)).cpu().numpy()
 
     def seen(self, pictures: NDArray[np.uint8], goal_tokens: Values) -> Values:
-        """Vectors (n, w) of pictures (n, h, w, 3)."""
+        """Vectors (n, w) of pictures (n, h, w, c)."""
         import torch
 
         looked: Any = pictures

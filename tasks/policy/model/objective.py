@@ -39,9 +39,9 @@ class PolicyBatchConfig(Config):
     last_dropout: Share = 0.5  # of last actions that are not told: a policy that is told all of them learns to repeat them (specs E.4)
     stop_weight: Positive = 3.0  # of steps whose right action is to stop: one in an episode, and all hangs on it (specs E.4)
     time_shift: Natural = 1000  # most of the offset that a window's steps are counted from: how many steps were made tells nothing
-    unknown_share: Share = 0.02  # of windows whose goal is not told, so that one that nobody knows is something learned
+    unknown_share: Share = 0.02  # of windows whose goal is not told but by its pixels, so that one that nobody knows is something learned
     corrected_share: Share = 0.5  # of windows that are of the policy's own walks, once there are some
-    store_mb: Annotated[int, Field(ge=1, le=1_000_000), WHOLE] = 512  # of pictures in memory: those of some forty rooms
+    store_mb: Annotated[int, Field(ge=1, le=1_000_000), WHOLE] = 512  # of pictures in memory: forty rooms, seventeen with all senses
     part_steps: Count = 500  # for which the same scenes are in memory: rendering others takes a twentieth of them
 
 

@@ -160,6 +160,8 @@ def test_without_the_house_nothing_is_compared_and_that_is_said(tmp_path: Path) 
     assert done.exit_code == 0
     assert "not compared: METASCENES_REALDATA or --realdata names" in done.output
     assert PolicyBench(tmp_path, rooms=75, realdata=tmp_path).comparison == ComparisonBench(tmp_path, tmp_path, rooms=24)
+    stages = ComparisonBench(tmp_path, tmp_path).configuration.stages
+    assert stages["training"].system.walks.stop_m < stages["evaluation"].success_m, "who stops as experts do succeeds"
     assert PolicyBench(tmp_path, rooms=5, realdata=tmp_path, parts=(COMPARED,)).advances == 2 * 5 + 1 + 3 * 3 + 1
 
 

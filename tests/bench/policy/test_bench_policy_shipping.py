@@ -12,7 +12,8 @@ import pytest
 from bench.policy import shipping
 from bench.policy.shipping import FIGURES, LIMITS, NAME, SENSES, measured, ship
 from schemas.errors import InputError
-from tasks.models import CARD
+from tasks.models import CARD, identity_json
+from tasks.training.systems.navigation import preset
 from tests.samples import fingerprint, stage_run
 from warehouse.lake import Lake
 
@@ -48,7 +49,8 @@ def exported(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     made: list[tuple[str, str]] = []
 
     def find(reader: Any, wanted: str) -> tuple[Any, str]:
-        return SimpleNamespace(model_id=wanted, weights_bytes=5_000_000 + wanted.startswith("large")), ""
+        config = identity_json(preset("sensing" if "dagger" in wanted else "small"))
+        return SimpleNamespace(model_id=wanted, config=config, weights_bytes=5_000_000 + wanted.startswith("large")), ""
 
     def export(lake: Any, wanted: str, out: Path, force: bool) -> None:
         made.append((lake.address, wanted))
@@ -68,24 +70,25 @@ def test_the_corrected_one_ships_and_else_the_plain_one(
     place = ship(told, tmp_path / "out")
     assert place == tmp_path / "out" / NAME
     assert exported == [(str(tmp_path / "lake"), ships)]
-    assert (place / CARD).read_text().splitlines() == [f"# model {ships}", *measured(3, told["parts"]["loop"], agents[-1])]
+    lines = measured(3, told["parts"]["loop"], agents[-1], senses=agents[-1] == "dagger")
+    assert (place / CARD).read_text().splitlines() == [f"# model {ships}", *lines]
 
 
 def test_the_card_has_who_acted_beside_it() -> None:
-    lines = list(measured(7, report("small", "dagger")["parts"]["loop"], "dagger"))
+    lines = list(measured(7, report("small", "dagger")["parts"]["loop"], "dagger", senses=True))
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
     assert [cell[0] for cell in cells] == ["who", "random", "blind", "small", "**dagger**, this one is of seed 0"]
     assert {len(cell) for cell in cells} == {3 + len(FIGURES)}
     assert cells[2][1:6] == ["3", "2,250", "20.0 (10.0-30.0)", "20.0", "20.0"]
     assert "5,900 episodes of 60 generated rooms" in "\n".join(lines)
     assert lines[-len(LIMITS) - 1 :] == [f"- {line}" for line in (SENSES, *LIMITS)]
-    assert f"- {SENSES}" not in [*measured(7, report("small")["parts"]["loop"], "small")]
+    assert f"- {SENSES}" not in [*measured(7, report("small")["parts"]["loop"], "small", senses=False)]
 
 
 def test_a_figure_that_is_missing_is_said_to_be() -> None:
     loop = report("small")["parts"]["loop"]
     loop["figures"]["small"]["found_in_view"] = None
-    assert sum("| n/a |" in line for line in measured(7, loop, "small")) == 1
+    assert sum("| n/a |" in line for line in measured(7, loop, "small", senses=False)) == 1
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from tasks.evaluation.configuration import EvaluationConfig
 from tasks.models import identity_json, model_id_of
 from tasks.policy.inference.actor import load
 from tasks.policy.rollout import rolled_out
-from tasks.training.systems.navigation import NavigationTraining
+from tasks.training.systems.navigation import NAVIGATION, NavigationTraining
 from tests.samples import fingerprint, stage_run
 from tests.tasks.policy.policies import TINY, drawn_weights
 from tests.tasks.simulation.acted_scenes import LIVING, STUDY, acted_lake, acted_scene
@@ -100,9 +100,13 @@ def test_who_was_killed_goes_on_and_comes_to_the_same_rows(lake: Lake, tmp_path:
     assert digests(lake.snapshot())["trajectories"] == digests(other.snapshot())["trajectories"]
 
 
-def test_the_newest_policy_that_was_not_withdrawn_acts(lake: Lake) -> None:
-    with pytest.raises(InputError, match="no policy was trained in this lake"):
-        trained_policy(lake, "navigation")
+def test_the_newest_policy_that_was_not_withdrawn_acts(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    [(name, shipped)] = NAVIGATION.shipped().items()
+    assert trained_policy(lake, "navigation").model_id == trained_policy(lake, name).model_id == shipped.model.model_id
+    with monkeypatch.context() as patched:
+        patched.setattr(policies, "listed_models", lambda reader: [])
+        with pytest.raises(InputError, match="no policy was trained in this lake, and none ships"):
+            trained_policy(lake, "navigation")
     first, second = keep_model(lake, 0, 1.0), keep_model(lake, 1, 2.0)
     assert trained_policy(lake, "navigation").model_id == second.model_id
     assert trained_policy(lake, first.model_id[:10]).model_id == first.model_id

@@ -84,9 +84,11 @@ def test_what_an_agent_does_hangs_on_no_other(agents: list[int], name: str) -> N
     assert np.array_equal(every[:, agents], some)
 
 
-def test_who_begins_anew_remembers_nothing_and_the_others_go_on() -> None:
-    actor = load(drawn_weights(TINY), TINY)
-    pictures = pictures_of(TINY, 6, 3)
+@pytest.mark.parametrize("name", ["tiny", "sensing"])
+def test_who_begins_anew_remembers_nothing_and_the_others_go_on(name: str) -> None:
+    model = MODELS[name]
+    actor = load(drawn_weights(model), model)
+    pictures = pictures_of(model, 6, 3)
     whole = acted(actor, pictures, WANTED[:3])
     fresh = acted(actor, pictures[3:, 1:2], ["lamp"])
     actor.reset(3, WANTED[:3])
@@ -97,6 +99,21 @@ def test_who_begins_anew_remembers_nothing_and_the_others_go_on() -> None:
         assert np.array_equal(logits[[0, 2]], whole[step][[0, 2]])
         assert np.array_equal(logits[1], whole[step, 1] if step < 3 else fresh[step - 3, 0])
         actor.did(logits.argmax(axis=-1))
+
+
+def test_who_marks_the_goal_itself_is_understood() -> None:
+    model = MODELS["sensing"]
+    pictures = pictures_of(model, 4, 3)
+    marked = np.stack([np.stack([meant(one[None], goal, model)[0] for one, goal in zip(now, WANTED, strict=False)]) for now in pictures])
+    actor = load(drawn_weights(model), model)
+    every = acted(actor, marked, WANTED[:3])
+    assert np.array_equal(every, acted(actor, pictures, WANTED[:3]))
+    actor.reset(3, WANTED[:3])
+    for now, logits in zip(pictures[:2], every[:2], strict=True):  # and when one has left
+        actor.logits(now)
+        actor.did(logits.argmax(axis=-1))
+    actor.keep([0, 2])
+    assert np.array_equal(actor.logits(pictures[2][[0, 2]]), every[2][[0, 2]])
 
 
 def test_actions_are_the_likeliest_ones_and_pictures_must_fit() -> None:

@@ -35,13 +35,15 @@ def test_what_is_sensed_is_what_the_cameras_of_the_simulator_say() -> None:
     assert np.array_equal(seen[..., :3], truth.rgb)
     near = (truth.part >= 0) & (truth.depth < FAR_M)
     assert np.abs(seen[..., 3] * FAR_M / 255 - truth.depth)[near].max() <= 0.51 * FAR_M / 255
-    categories = np.array([*visible.categories, ""])
-    for goal in {*visible.categories}:
+    categories = np.array([*visible.things(rows["instances"]), ""])
+    assert {"floor"} <= {*visible.categories} - {*categories.tolist()}, "what is no object is nothing to go to"
+    for goal in {*categories.tolist()} - {""}:
         marked = meant(seen, goal, SENSING)
         assert marked.shape == (len(walk), 32, 32, 5)
         assert np.array_equal(marked[..., -1] == 255, categories[truth.part] == goal)
         assert {*np.unique(marked[..., -1])} <= {0, 255}
     assert not meant(seen, "no such thing", SENSING)[..., -1].any()
+    assert not meant(seen, "floor", SENSING)[..., -1].any()
     assert (meant(seen, walk.category, SENSING)[..., -1] == 255).any(), "the target comes into view on its walk"
 
 
