@@ -59,6 +59,7 @@ def test_an_interpreter_without_pyrender_is_told_from_none(monkeypatch: pytest.M
         pyrender_answer(ball, wanted)
 
 
+@pytest.mark.slow
 def test_pyrender_sees_what_rays_meet() -> None:
     """From the same place, the right way up, and it draws colors and parts at all."""
     if not os.environ.get(PYRENDER_PYTHON):
