@@ -23,6 +23,7 @@ from tasks.stage import silently
 from tasks.training.checkpoints import forget
 from tasks.training.dataset import Provenance
 from tasks.training.devices import check_installed, rank
+from tasks.training.learned_systems import SYSTEMS
 from warehouse.lake import Lake
 from warehouse.tables.history import StageState
 
@@ -95,6 +96,9 @@ def planned_training(
     begins_with: Model | None = None
     if start is not None:
         begins_with = loaded_model(lake, found_model(lake.snapshot(), start, system)[0])
+        next(member for member in SYSTEMS if member.name == system).continues(
+            begins_with.config, config.system, f"model {begins_with.model_id[:12]}"
+        )
     parts = {
         "dataset": dataset.fingerprint(reads_of(system)),
         "system": digest(identity_json(config.system)),

@@ -20,6 +20,10 @@ def no_fit(weights: bytes, config: Any, file: str) -> None:
     """Of a learned system that holds weights against their config when it opens them."""
 
 
+def no_difference(start: str, config: Any, file: str) -> None:
+    """Of a learned system that goes on from whatever fits its config."""
+
+
 def no_paths(config: Any) -> Mapping[str, str]:
     """Of a learned system that reads nothing but the dataset."""
     return {}
@@ -38,7 +42,9 @@ class LearnedSystem:
     config)` gives what came of training on a `Dataset`, from the weights `start` or, where these are None, anew. It is pure: the same
     rows, config and seed give the same weights on the same device. shipped: Models inside the package, by name. fits: `fits(weights,
     config, file)` raises `InputError` where the weights of a model by others are not those of its config; it opens nothing else. paths:
-    Files and folders that a config names, by field: what lies there is a part of a training's name.
+    Files and folders that a config names, by field: what lies there is a part of a training's name. continues: `continues(start, config,
+    file)` raises `InputError` where a model, whose own config is the JSON `start`, means something else by what its network takes, though
+    its weights fit.
     """
 
     name: str
@@ -48,3 +54,4 @@ class LearnedSystem:
     shipped: Callable[[], Mapping[str, ShippedModel]] = none_shipped
     fits: Callable[[bytes, Any, str], None] = no_fit
     paths: Callable[[Any], Mapping[str, str]] = no_paths
+    continues: Callable[[str, Any, str], None] = no_difference

@@ -15,7 +15,7 @@ from tasks.policy.corrections import CorrectionsConfig, agreement, corrected
 from tasks.policy.demonstrations import AgentWalk, WalkConfig, majority
 from tasks.policy.figures import figures_of, predictions_of
 from tasks.policy.inference.actor import load
-from tasks.policy.model.config import AnyPolicy, OwnEyes, OwnGoal, PolicyModel, SiglipEyes, SiglipGoal, SmallPolicy
+from tasks.policy.model.config import AnyPolicy, OwnEyes, OwnGoal, PolicyModel, SiglipEyes, SiglipGoal, SmallPolicy, config_from
 from tasks.policy.model.foreign import begin_with_foreign
 from tasks.policy.model.frozen import begin_with_states, is_frozen
 from tasks.policy.model.objective import PolicyBatchConfig, PolicyObjective, seen_on
@@ -291,6 +291,15 @@ def paths(config: NavigationTraining) -> dict[str, str]:
     return {field: path for field, path in named.items() if path}
 
 
+def continues(start: str, config: NavigationTraining, file: str) -> None:
+    """Refuse to go on from a policy that senses something else: depth and goal fit into one another's place. Raises `InputError`."""
+    before, now = config_from(start), config.model
+    for field in ("blind", "senses_depth", "senses_goal"):
+        if getattr(before, field) != getattr(now, field):
+            problem = f"is {str(getattr(before, field)).lower()} of it, and {str(getattr(now, field)).lower()} of what is to be trained"
+            raise InputError(file, field, problem, "set training.system.model to sense the same")
+
+
 NAVIGATION = LearnedSystem(
     name="navigation",
     config=NavigationTraining,
@@ -299,4 +308,5 @@ NAVIGATION = LearnedSystem(
     shipped=lambda: folders_in(SHIPPED),
     fits=fits,
     paths=paths,
+    continues=continues,
 )

@@ -17,14 +17,17 @@ from tasks.evaluation.sights import SceneSights
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.navigation.follower import replay
 from tasks.policy.actions import STOP
+from tasks.policy.collection import VisibleScene
 from tasks.policy.inference.actor import load
+from tasks.policy.model.config import PolicyModel
 from tasks.policy.rollout import rolled_out
+from tasks.policy.sight import SceneRenderer
 from tasks.replica import placed_parts
 from tasks.shell import room_shell
 from tasks.simulation.cameras import camera_poses
 from tasks.simulation.world import World, world_of
 from tasks.stage import Context
-from tests.tasks.policy.policies import TINY, drawn_weights
+from tests.tasks.policy.policies import MODELS, TINY, drawn_weights
 from tests.tasks.policy.rooms import navigated
 
 CONFIG = EvaluationConfig(max_steps=25)
@@ -34,7 +37,7 @@ class Reciting:
     """Says what the expert of each episode does, by the order of the episodes; keeps the pictures that it was shown."""
 
     def __init__(self, episodes: list[Episode]) -> None:
-        self.config = TINY
+        self.config: PolicyModel = TINY
         self.plans = [[ACTIONS.index(action) for action in episode.actions] for episode in episodes]
         self.pictures: list[list[np.ndarray]] = [[] for _ in episodes]
         self.goals: list[str] = []
@@ -87,6 +90,22 @@ def test_an_agent_does_what_it_says_until_it_stops_and_sees_where_it_is(room: An
         poses = replay(episode.actions, world.start(episode), episode.start_yaw_radians, world.finder, CONFIG.motion).poses[:-1]
         seen = world.camera.render(camera_poses(poses, camera.height_m), camera.width, camera.height, camera.hfov_radians).rgb
         assert np.array(actor.pictures[index]).tobytes() == seen.tobytes(), "and nobody looks who has stopped"
+
+
+@pytest.mark.parametrize("name", ["tiny", "sensing"])
+def test_an_agent_that_acts_senses_to_the_byte_what_it_learned_from(room: Any, name: str) -> None:
+    """Training draws scenes by their rows, acting by the world that agents walk in."""
+    rows, blobs = room
+    world, episodes = world_in(room), rows["episodes"]
+    actor = Reciting(episodes)
+    actor.config = MODELS[name]
+    rolled_out(world, actor, episodes, EvaluationConfig())  # type: ignore[arg-type]
+    (scene_id,) = {episode.scene_id for episode in episodes}
+    look = VisibleScene(rows["shells"][0], (), tuple(rows["placements"]), tuple(rows["instances"]))
+    renderer = SceneRenderer({scene_id: look}, {asset.asset_id: asset for asset in rows["assets"]}, blobs, MODELS[name])
+    for index, episode in enumerate(episodes):
+        poses = replay(episode.actions, world.start(episode), episode.start_yaw_radians, world.finder, CONFIG.motion).poses[:-1]
+        assert np.array(actor.pictures[index]).tobytes() == renderer(scene_id, poses).tobytes()
 
 
 def test_each_acts_as_if_it_were_alone_and_is_cut_in_the_end(room: Any) -> None:

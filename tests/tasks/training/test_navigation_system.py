@@ -10,13 +10,14 @@ import pytest
 
 from schemas.errors import InputError
 from schemas.evaluation import ACTIONS
+from tasks.models import identity_json
 from tasks.policy.augmentation import PictureAugmentation
 from tasks.policy.corrections import CorrectionsConfig
 from tasks.policy.inference.actor import load
 from tasks.policy.model.objective import PolicyBatchConfig
-from tasks.policy.model.shapes import vocabulary_in
+from tasks.policy.model.shapes import shapes_of, vocabulary_in
 from tasks.training.systems import navigation
-from tasks.training.systems.navigation import NavigationTraining, PolicyFitting, train
+from tasks.training.systems.navigation import NAVIGATION, NavigationTraining, PolicyFitting, train
 from tasks.weights import from_safetensors
 from tests.tasks.policy.policies import TINY
 from tests.tasks.policy.rooms import Compass, context, dataset
@@ -110,6 +111,15 @@ def test_what_goes_on_keeps_its_goals_and_learns_further_ones() -> None:
     other = dataclasses.replace(CONFIG, model=dataclasses.replace(TINY, feedforward=8))
     with pytest.raises(InputError, match="take weights and config of one model"):
         trained(other, start=first.weights)
+
+
+def test_nothing_goes_on_from_what_senses_something_else_though_its_weights_fit() -> None:
+    deep = dataclasses.replace(CONFIG, model=dataclasses.replace(TINY, eyes=dataclasses.replace(TINY.eyes, depth=True)))
+    sent = dataclasses.replace(CONFIG, model=dataclasses.replace(TINY, eyes=dataclasses.replace(TINY.eyes, goal=True)))
+    assert shapes_of(deep.model, 3) == shapes_of(sent.model, 3)
+    NAVIGATION.continues(identity_json(deep), deep, "model 0123")
+    with pytest.raises(InputError, match="model 0123: senses_depth: is true of it, and false of what is to be trained"):
+        NAVIGATION.continues(identity_json(deep), sent, "model 0123")
 
 
 @pytest.mark.whole
