@@ -27,6 +27,7 @@ class EvaluationConfig(Config):
     camera_hfov_degrees: Annotated[float, Field(gt=0, lt=180)] = 79.0  # of that camera, across the picture; as agents and policies have it
     camera_px: Count = 128  # width and height of its picture: a mug 3 m away is 4 pixels wide
     seen_share: Share = 0.001  # of the picture, from which on a target is seen: 16 pixels; what is smaller nobody would recognize
+    turns_aside: bool = True  # a trained policy that runs against something (`tasks.policy.reflex`); false: it repeats what led nowhere
     stop_probability: Share = 0.02  # of the random policy in every step: 50 actions on average, twice an expert's in small rooms
 
     @property

@@ -13,6 +13,7 @@ from tasks.evaluation.batch import Attempt
 from tasks.evaluation.configuration import EvaluationConfig
 from tasks.policy.actions import STOP
 from tasks.policy.inference.actor import Actor
+from tasks.policy.reflex import Reflex
 from tasks.policy.senses import channels_of, codes_of, sensed
 from tasks.simulation import protocol
 from tasks.simulation.agents import Agents
@@ -37,6 +38,7 @@ def rolled_out(world: World, actor: Actor, episodes: Sequence[Episode], config: 
         agents.place(index, world, world.start(episode), episode.start_yaw_radians)
     actor.reset(len(episodes), [episode.category for episode in episodes])
     camera, codes = actor.config.camera, codes_of(world.categories)
+    reflex = Reflex(len(episodes)) if config.turns_aside and not actor.config.blind else None
     actions: list[list[str]] = [[] for _ in episodes]
     going = np.arange(len(episodes))
     for _ in range(config.max_steps):
@@ -47,7 +49,9 @@ def rolled_out(world: World, actor: Actor, episodes: Sequence[Episode], config: 
             ways = np.column_stack([agents.position[going], agents.yaw[going]])
             poses = camera_poses(ways, camera.height_m, math.radians(camera.pitch_degrees))
             pictures = sensed(world.camera.render(poses, camera.width, camera.height, camera.hfov_radians), codes, actor.config)
-        chosen = actor.act(pictures)
+        logits = actor.logits(pictures)
+        chosen = logits.argmax(axis=-1) if reflex is None else reflex.chosen(logits, pictures)
+        actor.did(chosen)
         for index, action in zip(going.tolist(), chosen.tolist(), strict=True):
             actions[index].append(ACTIONS[action])
         numbers = np.zeros(len(episodes), dtype=np.int64)
@@ -57,6 +61,8 @@ def rolled_out(world: World, actor: Actor, episodes: Sequence[Episode], config: 
         if len(still) < len(going):
             going = going[still]
             actor.keep(still)
+            if reflex is not None:
+                reflex.keep(still)
     return tuple(
         Attempt(episode.scene_id, episode.episode_id, tuple(done), None, None, f"episode {episode.scene_id} {episode.episode_id}")
         for episode, done in zip(episodes, actions, strict=True)

@@ -49,12 +49,18 @@ class Reciting:
     def keep(self, agents: np.ndarray) -> None:
         self.going = [self.going[place] for place in agents]
 
-    def act(self, pictures: np.ndarray) -> np.ndarray:
+    def logits(self, pictures: np.ndarray) -> np.ndarray:
         assert len(pictures) == len(self.going)
         for agent, picture in zip(self.going, pictures, strict=True):
             self.pictures[agent].append(picture.copy())
         self.step += 1
+        return np.eye(4, dtype=np.float32)[self.wanted()]
+
+    def wanted(self) -> np.ndarray:
         return np.array([self.plans[agent][self.step - 1] for agent in self.going])
+
+    def did(self, actions: np.ndarray) -> None:
+        assert actions.tolist() == self.wanted().tolist(), "experts run against nothing"
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +127,8 @@ def test_each_acts_as_if_it_were_alone_and_is_cut_in_the_end(room: Any) -> None:
 class Stopping(Reciting):
     """Stops at once."""
 
-    def act(self, pictures: np.ndarray) -> np.ndarray:
-        return np.full(len(pictures), STOP)
+    def wanted(self) -> np.ndarray:
+        return np.full(len(self.going), STOP)
 
 
 def test_a_target_is_seen_where_rays_meet_it(room: Any) -> None:
