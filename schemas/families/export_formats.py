@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-EXPORT_FORMATS = ("usd", "habitat", "mjcf", "urdf", "glb")
+EXPORT_FORMATS = ("usd", "habitat", "mjcf", "urdf", "glb", "nav2")
 """In the order in which they are written."""

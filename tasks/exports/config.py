@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import model_validator
 
 from schemas.families.export_formats import EXPORT_FORMATS
 from tasks.geometry.pieces import PieceConfig
 from tasks.optimization.engines.mujoco_engine import Mujoco
-from tasks.settings import LISTED, Config, Positive
+from tasks.settings import LISTED, Config, Natural, NonNegative, Positive, Share
 from tasks.shell import ShellConfig
 
 if TYPE_CHECKING:
@@ -53,6 +55,32 @@ class MjcfConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
+class Nav2Config(Config):
+    """Maps of the floor for nav2's map_server."""
+
+    resolution_m: Positive = 0.05  # nav2's own default, of its costmaps and of who makes maps
+    lowest_m: NonNegative = 0.02  # what small robots drive over: rugs and thresholds; the agents of episodes climb more
+    highest_m: Positive = 0.5  # a small mobile base with its sensors; a table is its legs, and what hangs on a wall is not in its way
+    margin_cells: Natural = 4  # around the walls, unknown: planners and costmaps want to look over the edge
+    closed_doors: bool = False  # a map that is made once is made with doors open; leaves in the simulators' scenes are shut
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.highest_m <= self.lowest_m:
+            raise ValueError(f"highest_m: must be above lowest_m, {self.lowest_m:g}, is {self.highest_m:g}")
+        return self
+
+
+@dataclasses.dataclass(frozen=True)
+class SdfConfig(Config):
+    """Worlds for Gazebo."""
+
+    timestep_s: Positive = 0.001  # Gazebo's own default
+    gravity_m_s2: float = 9.81  # standard gravity, rounded as in the other formats
+    ambient: Share = 0.4  # light from everywhere, Gazebo's own default: what lamps do not reach is seen
+
+
+@dataclasses.dataclass(frozen=True)
 class ExportsConfig(Config):
     """What is exported, and what physics is given where nothing is known."""
 
@@ -62,6 +90,8 @@ class ExportsConfig(Config):
     usd: UsdConfig = dataclasses.field(default_factory=UsdConfig)
     habitat: HabitatConfig = dataclasses.field(default_factory=HabitatConfig)
     mjcf: MjcfConfig = dataclasses.field(default_factory=MjcfConfig)
+    nav2: Nav2Config = dataclasses.field(default_factory=Nav2Config)
+    sdf: SdfConfig = dataclasses.field(default_factory=SdfConfig)
     room_friction: float = 0.8  # painted plaster and varnished wood against furniture; between the tables' 0.5 and rubber's 1
     room_restitution: float = 0.05  # a room does not bounce
     default_density_kg_m3: float = 300.0  # of an object without a caption: light wood with hollows
