@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-EXPORT_FORMATS = ("usd", "habitat", "mjcf", "urdf", "glb", "nav2")
+EXPORT_FORMATS = ("usd", "habitat", "mjcf", "urdf", "glb", "nav2", "sdf")
 """In the order in which they are written."""

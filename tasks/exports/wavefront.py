@@ -96,6 +96,20 @@ def dump_mtl(color: Sequence[float], image: str | None = None) -> bytes:
     return ("\n".join([*lines, f"map_Kd {image}"] if image else lines) + "\n").encode()
 
 
+def obj_files(files: dict[str, bytes], name: str, meshes: Sequence[Painted]) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    """OBJ files with MTL files and images of what is seen, put into `files` below `meshes/`; their paths and colors."""
+    seen = []
+    for index, mesh in enumerate(meshes):
+        part = f"{name}_part_{index:02d}"
+        image = mesh.texture.file if mesh.texture is not None else None
+        files[f"meshes/{part}.obj"] = dump_obj(mesh.vertices, mesh.faces, mesh.uv, f"{part}.mtl")
+        files[f"meshes/{part}.mtl"] = dump_mtl(mesh.color, image)
+        if mesh.texture is not None:
+            files[f"meshes/{mesh.texture.file}"] = mesh.texture.data
+        seen.append((f"meshes/{part}.obj", mesh.color))
+    return tuple(seen)
+
+
 def as_png(texture: Texture) -> tuple[str, bytes]:
     """Name and bytes of a texture as PNG; one that is PNG already stays as it is."""
     if texture.file.endswith(".png"):

@@ -5,7 +5,7 @@ Works on anybody's map. The files are read as map_server reads them; whoever wro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,7 +103,9 @@ def _scene(path: Path, objects: Path, settings: MapSettings, cells: NDArray[np.i
     for name, outline in room.outlines:
         missed = _reached(raster, outline) & (cells != OCCUPIED)
         if missed.any():
-            yield Finding("footprints", f"{OBJECTS} {name}", f"reaches into {missed.sum()} cells that are not occupied, {_first(raster, missed)}")
+            yield Finding(
+                "footprints", f"{OBJECTS} {name}", f"reaches into {missed.sum()} cells that are not occupied, {_first(raster, missed)}"
+            )
     yield from _starts(room, raster, cells)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
@@ -22,7 +21,7 @@ from tasks.exports.files import Export, File
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.mjcf import described, numbers
 from tasks.exports.urdf.places import POSES
-from tasks.exports.wavefront import Painted, dump_mtl, dump_obj, painted_part, painted_shape
+from tasks.exports.wavefront import dump_obj, obj_files, painted_part, painted_shape
 from tasks.geometry.transforms import quaternion_wxyz
 
 Element = ElementTree.Element
@@ -45,7 +44,7 @@ def urdf_files(replica: Replica, config: ExportsConfig) -> list[File]:
         if shape.name not in known:
             hulls = {f"meshes/{shape.name}_hull_{i:02d}.obj": dump_obj(hull.vertices, hull.faces) for i, hull in enumerate(shape.hulls)}
             files |= hulls
-            known[shape.name] = _Meshes(_seen(files, shape.name, painted_shape(shape)), tuple(hulls))
+            known[shape.name] = _Meshes(obj_files(files, shape.name, painted_shape(shape)), tuple(hulls))
         files[f"{body.name}.urdf"] = _object(body, known[shape.name])
     files["room.urdf"] = _room(files, replica, config)
     files[POSES] = (json.dumps(_poses(replica), indent=1, allow_nan=False) + "\n").encode()
@@ -76,7 +75,7 @@ def _room(files: dict[str, bytes], replica: Replica, config: ExportsConfig) -> b
         hull = f"meshes/room_{name}_hull_00.obj"
         files[hull] = dump_obj(*_hull_of(np.asarray(part.vertices, dtype=np.float64)))
         link = ElementTree.SubElement(robot, "link", name=f"room_{name}")
-        _geometry(link, _Meshes(_seen(files, f"room_{name}", painted_part(part)), (hull,)))
+        _geometry(link, _Meshes(obj_files(files, f"room_{name}", painted_part(part)), (hull,)))
         _contact(link, config.room_friction, config.room_restitution)
         joint = ElementTree.SubElement(robot, "joint", name=f"room_{name}", type="fixed")
         ElementTree.SubElement(joint, "parent", link="room")
@@ -114,20 +113,6 @@ def _robot(name: str) -> Element:
     mujoco = ElementTree.SubElement(robot, "mujoco")
     ElementTree.SubElement(mujoco, "compiler", strippath="false", fusestatic="false")
     return robot
-
-
-def _seen(files: dict[str, bytes], name: str, meshes: Sequence[Painted]) -> tuple[tuple[str, tuple[float, ...]], ...]:
-    """OBJ files with MTL files and images of what is seen, put into `files`; paths and colors."""
-    seen = []
-    for index, mesh in enumerate(meshes):
-        part = f"{name}_part_{index:02d}"
-        image = mesh.texture.file if mesh.texture is not None else None
-        files[f"meshes/{part}.obj"] = dump_obj(mesh.vertices, mesh.faces, mesh.uv, f"{part}.mtl")
-        files[f"meshes/{part}.mtl"] = dump_mtl(mesh.color, image)
-        if mesh.texture is not None:
-            files[f"meshes/{mesh.texture.file}"] = mesh.texture.data
-        seen.append((f"meshes/{part}.obj", mesh.color))
-    return tuple(seen)
 
 
 def _geometry(link: Element, meshes: _Meshes) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -15,12 +13,11 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import is_there, read_file
+from schemas.files import read_file
 from tasks.exports.findings import Finding
+from tasks.exports.inertias import impossible, too_large
+from tasks.exports.mesh_files import HULL_TOLERANCE_M, hollow, named_mesh
 from tasks.exports.urdf.places import POSES
-from tasks.exports.usd.prims import dent
-from tasks.exports.wavefront import load_obj
-from tasks.geometry.transforms import Z_UP_TO_Y_UP
 from tasks.unpacking import json_value, xml_root
 
 RULES: dict[str, str] = {
@@ -40,11 +37,6 @@ RULES: dict[str, str] = {
 }
 """Every rule, and what holds when it passes."""
 
-_KINDS = ("obj", "stl", "ply", "dae")  # beside GLB
-_UNREAD = "is of a kind that cannot be read here"
-_HULL_TOLERANCE = 2e-3  # metres; as for USD
-_FARTHEST_M = 1e6  # what is computed of positions still has digits that matter
-_PRODUCTS = 20_000_000  # vertices times triangles that are compared: 160 MB
 _COUNTS = {"xyz": 3, "rpy": 3, "rgba": 4, "scale": 3, "size": 3}
 _NUMBERS = {"value", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "radius", "length", "lower", "upper", "effort", "velocity"}
 
@@ -149,17 +141,17 @@ def _links(path: Path, robot: Element, known: dict[Any, Any]) -> Iterator[Findin
             for shape in link.findall(kind):
                 for mesh in shape.iterfind("geometry/mesh"):
                     name = mesh.get("filename", "")
-                    findings, loaded = _mesh(path, where, name, known)
+                    findings, loaded = named_mesh(path, where, name, known)
                     yield from findings
                     scale = _floats(mesh.get("scale", "1 1 1"))
                     if scale is not None and not (scale > 0.0).all():  # many mirror one side of a robot into the other
                         yield Finding("mesh", where, f"scale of {name} is {mesh.get('scale')}", not scale.all())
                     if kind == "collision" and loaded is not None:
                         boxes.append(loaded if _plain(shape, scale) else None)
-                        is_flat, gap = _hollow(path.parent / name, loaded, known)
+                        is_flat, gap = hollow(path.parent / name, loaded, known)
                         if is_flat:
                             yield Finding("mesh", where, f"{name} collides, but is flat")
-                        elif gap > _HULL_TOLERANCE:
+                        elif gap > HULL_TOLERANCE_M:
                             yield Finding("explicit_hulls", where, f"{name} lies up to {gap * 1000:.1f} mm inside its own hull")
         inertial = link.find("inertial")
         if inertial is None:
@@ -185,100 +177,6 @@ def _plain(shape: Element, scale: NDArray[np.float64] | None) -> bool:
     return scale is not None and bool((scale == 1.0).all()) and all(value is not None and not value.any() for value in moved)
 
 
-def _mesh(path: Path, where: str, name: str, known: dict[Any, Any]) -> tuple[list[Finding], Any]:
-    """What is wrong with a mesh file, and its positions and triangles where nothing is."""
-    if re.match(r"package://|model://", name):
-        return [Finding("closed_paths", where, f"{name} is found by ROS only", False)], None
-    pure = PurePosixPath(name)
-    if not name or pure.is_absolute() or ".." in pure.parts or ":" in name or "\\" in name:
-        return [Finding("closed_paths", where, f"mesh {pure.name!r} is absolute or leaves the folder")], None
-    target = path.parent / name
-    if not is_there(target):
-        return [Finding("closed_paths", where, f"mesh {name!r} does not exist")], None
-    if target not in known:
-        known[target] = _read(target)
-        known[target, "materials"] = _lost(target, name)
-    loaded = known[target]
-    if isinstance(loaded, str):
-        return [Finding("mesh", where, f"{name} {loaded}", not loaded.startswith(_UNREAD))], None
-    return [Finding("closed_paths", where, lost) for lost in known[target, "materials"]], loaded
-
-
-def _lost(path: Path, name: str) -> list[str]:
-    """Files that an OBJ and its materials name, and that are not there."""
-    lost = []
-    try:
-        libraries = re.findall(rb"^mtllib +(\S+)", read_file(path, name, BUDGET.model_bytes), re.M) if path.suffix.lower() == ".obj" else []
-        for library in dict.fromkeys(libraries):
-            material = path.parent / library.decode(errors="replace")
-            if not is_there(material):
-                lost.append(f"{name} names {material.name!r}, which does not exist")
-                continue
-            for image in dict.fromkeys(re.findall(rb"^map_Kd +(\S+)", read_file(material, material.name, BUDGET.text_bytes), re.M)):
-                picture = path.parent / image.decode(errors="replace")
-                if not is_there(picture):
-                    lost.append(f"{material.name} names {picture.name!r}, which does not exist")
-    except (InputError, ValueError) as error:
-        lost.append(str(error))
-    return lost
-
-
-def _hollow(path: Path, loaded: Any, known: dict[Any, Any]) -> tuple[bool, float]:
-    """Whether a mesh is flat, and how far it lies inside its own hull [m]."""
-    if (path, "gap") not in known:
-        vertices, faces = loaded
-        every = -(-len(vertices) * len(faces) // _PRODUCTS)
-        is_flat = bool(np.linalg.matrix_rank(vertices - vertices.mean(axis=0), tol=1e-7) < 3)
-        known[path, "gap"] = is_flat, dent((vertices, faces[::every]))
-    verdict: tuple[bool, float] = known[path, "gap"]
-    return verdict
-
-
-def _read(path: Path) -> Any:
-    """Positions [m], shape (n, 3), and triangles, shape (m, 3), of a mesh file, or what is wrong with it."""
-    import trimesh
-
-    from tasks.capture.files.ply import check_counts
-    from tasks.geometry.meshes import load_glb, surface_of
-
-    kind = path.suffix.lower().lstrip(".")
-    try:
-        data = read_file(path, path.name, BUDGET.model_bytes)
-        plain = load_obj(data) if kind == "obj" else None  # a tenth of the time of a reader for all there is
-        if plain is not None:
-            return _sound(*plain)
-        if kind == "glb":
-            surface = surface_of(load_glb(data, path.name)).transformed(Z_UP_TO_Y_UP)  # a robot's frame is that of the file
-            return _sound(surface.vertices, surface.faces)
-        if kind not in _KINDS:
-            return f"{_UNREAD}: {kind or 'no'} files"
-        if kind == "ply":
-            check_counts(data, path.name)
-        mesh: Any = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
-        mesh = mesh.to_mesh() if isinstance(mesh, trimesh.Scene) else mesh
-        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    except InputError as error:
-        return f"cannot be read ({error})"
-    except ImportError as error:  # Collada, for one, is read by packages that not everybody has
-        return f"{_UNREAD}: {' '.join(str(error).split())[:100]}"
-    except Exception as error:  # the loader raises whatever the bytes lead it to
-        return f"cannot be read ({type(error).__name__})"
-    return _sound(vertices, faces)
-
-
-def _sound(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Any:
-    """Positions and triangles, or what is wrong with them."""
-    if not len(faces):
-        return "has no triangles"
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        return "has positions that are not three numbers"
-    if not np.isfinite(vertices).all():
-        return "has positions that are not finite"
-    if np.abs(vertices).max() > _FARTHEST_M:
-        return "has positions farther away than 1,000 km"
-    return (vertices, faces) if faces.min() >= 0 and faces.max() < len(vertices) else "has triangles of no vertices"
-
-
 def _mass(where: str, inertial: Element) -> Iterator[Finding]:
     mass = _floats(_attribute(inertial, "mass", "value"))
     if mass is None or len(mass) != 1 or not mass[0] > 0.0:
@@ -291,12 +189,8 @@ def _mass(where: str, inertial: Element) -> Iterator[Finding]:
     if any(entry is None or len(entry) != 1 for entry in entries):
         yield Finding("inertia", where, "is not six finite numbers")
         return
-    xx, xy, xz, yy, yz, zz = (float(entry[0]) for entry in entries if entry is not None)
-    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if not moments[0] > 0.0:
-        yield Finding("inertia", where, f"principal moments are {moments.tolist()}")
-    elif moments[2] > (moments[0] + moments[1]) * (1 + 1e-6):
-        yield Finding("inertia", where, f"{moments.tolist()}: one moment exceeds the sum of the others")
+    for fault in impossible([float(entry[0]) for entry in entries if entry is not None]):
+        yield Finding("inertia", where, fault)
 
 
 def _reach(where: str, inertial: Element, reach: NDArray[np.float64]) -> Iterator[Finding]:
@@ -305,9 +199,9 @@ def _reach(where: str, inertial: Element, reach: NDArray[np.float64]) -> Iterato
     trace = [_floats(element.get(key)) for key in ("ixx", "iyy", "izz")] if element is not None else [None]
     if mass is None or len(mass) != 1 or any(entry is None or len(entry) != 1 for entry in trace):
         return
-    most, stated = float(mass[0] * (reach @ reach)), max(float(entry[0]) for entry in trace if entry is not None)
-    if mass[0] > 0.0 and stated > 2.0 * most:
-        yield Finding("inertia", where, f"{stated:.3g} is more than its mass could have in its farthest corner, {most:.3g}")
+    xx, yy, zz = (float(entry[0]) for entry in trace if entry is not None)
+    for fault in too_large(float(mass[0]), (xx, 0.0, 0.0, yy, 0.0, zz), reach):
+        yield Finding("inertia", where, fault)
 
 
 def _poses(folder: Path, files: list[str]) -> Iterator[Finding]:
