@@ -33,7 +33,7 @@ def named_mesh(path: Path, where: str, name: str, known: dict[Any, Any]) -> tupl
     known: What was read before, by path, which grows.
     """
     if re.match(r"package://|model://", name):
-        return [Finding("closed_paths", where, f"{name} is found by ROS only", False)], None
+        return [Finding("closed_paths", where, f"{name} is found by ROS or Gazebo only", False)], None
     pure = PurePosixPath(name)
     if not name or pure.is_absolute() or ".." in pure.parts or ":" in name or "\\" in name:
         return [Finding("closed_paths", where, f"mesh {pure.name!r} is absolute or leaves the folder")], None

@@ -180,7 +180,7 @@ def _starts(room: _Room, raster: Raster, cells: NDArray[np.int8]) -> Iterator[Fi
             yield Finding("starts", where, f"starts at ({x:g}, {y:g}), beside the map")
         elif cells[row, column] != FREE and not climbed[row, column]:
             # an agent that is thinner than a cell is wide may stand beside what makes the whole cell occupied
-            is_certain = radius >= np.sqrt(2.0) * raster.resolution_m or cells[row, column] != OCCUPIED
+            is_certain = bool(radius >= np.sqrt(2.0) * raster.resolution_m or cells[row, column] != OCCUPIED)
             yield Finding("starts", where, f"starts at ({x:g}, {y:g}), in a cell that is {_name(cells[row, column])}", is_certain)
 
 

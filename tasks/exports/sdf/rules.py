@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree import ElementTree
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
-from schemas.files import read_file
+from schemas.files import is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.inertias import impossible, too_large
 from tasks.exports.mesh_files import HULL_TOLERANCE_M, hollow, named_mesh
@@ -63,7 +63,7 @@ def check_sdf(path: Path) -> list[Finding]:
         return [Finding("xml", path.name, f"cannot be read ({error})")]
     if root.tag != "sdf" or not re.fullmatch(r"1\.\d+", root.get("version", "")):
         return [Finding("xml", path.name, f"root is {root.tag} of version {root.get('version')}, not sdf of a version 1.x")]
-    findings = [*_names(path, root), *_numbers(path, root), *_world(path, root)]
+    findings = [*_names(path, root), *_numbers(path, root), *_world(path, root), *_paths(path, root)]
     known: dict[Any, Any] = {}
     for model in root.iter("model"):
         is_static = (model.findtext("static") or "false").strip() in ("true", "1")
@@ -117,6 +117,23 @@ def _numbers(path: Path, root: Element) -> Iterator[Finding]:
         if values is None or len(values) not in (counts if element.tag != "pose" or len(values) else (0,)):
             many = " or ".join(map(str, counts))
             yield Finding("numbers", f"{path.name} {element.tag}", f"is not {many} finite numbers: {(element.text or '').strip()[:60]}")
+
+
+def _paths(path: Path, root: Element) -> Iterator[Finding]:
+    """Files that are named, but for those of meshes, which are read: images, height maps, models of others."""
+    meshes = {id(uri) for mesh in root.iter("mesh") for uri in mesh.findall("uri")}
+    for element in root.iter():
+        name = (element.text or "").strip()
+        if not name or id(element) in meshes or not (element.tag == "uri" or str(element.tag).endswith("_map")):
+            continue
+        where = f"{path.name} {element.tag}"
+        pure = PurePosixPath(name)
+        if re.match(r"(package|model|https?|fuel)://", name):
+            yield Finding("closed_paths", where, f"{name} is found by ROS or Gazebo only", is_error=False)
+        elif pure.is_absolute() or ".." in pure.parts or ":" in name or "\\" in name:
+            yield Finding("closed_paths", where, f"{pure.name!r} is absolute or leaves the folder")
+        elif not is_there(path.parent / name):
+            yield Finding("closed_paths", where, f"{name!r} does not exist")
 
 
 def _world(path: Path, root: Element) -> Iterator[Finding]:
