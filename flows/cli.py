@@ -20,7 +20,7 @@ COMMANDS = {
     "explain": "Say what an object, a scene, an asset, a model or a file was made from.",
     "view": "Show scenes in the browser: scan, replica, and all that is known of each object.",
     "stats": "Draw the statistics and write the report.",
-    "export": "Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.",
+    "export": "Write scenes as USD, Habitat dataset, MJCF, URDF, SDF, GLB and maps into a folder.",
     "release": "Make, list, compare and attach releases: versions that can be cited.",
     "annotate": "Ask people, take in what they chose, and have it reviewed.",
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
@@ -32,7 +32,7 @@ COMMANDS = {
     "status": "Say what is done, running, failed and stale, from the lake alone.",
     "deploy": "Schedule runs on a Prefect server, or start one with a worker.",
     "lake": "Compact, vacuum, back up, restore the lake, or erase a scene from it.",
-    "doctor": "Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.",
+    "doctor": "Check a USD, MJCF, URDF, SDF or GLB file, a map, a Habitat dataset or the lake.",
     "bench": "Measure quality and speed on this machine.",
 }
 """Commands with their first line of help, in the order of `--help`. Each lives in `flows.commands.<name>`."""

@@ -52,7 +52,7 @@ def export(
     usdz: bool = False,
     workers: int | None = None,
 ) -> Any:
-    """Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder, and check what was written.
+    """Write scenes as USD, Habitat dataset, MJCF, URDF, SDF, GLB and maps into a folder, and check what was written.
 
     The run fails when a check does, and where the allowed licenses leave nothing of a format.
 

@@ -20,9 +20,9 @@ budget_option = click.option(
 )  # fmt: skip
 
 
-@click.group("doctor", short_help="Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake.")
+@click.group("doctor", short_help="Check a USD, MJCF, URDF, SDF or GLB file, a map, a Habitat dataset or the lake.")
 def command() -> None:
-    """Check a USD, MJCF, URDF or GLB file, a Habitat dataset or the lake. Exit code 1 says that something is wrong.
+    """Check a USD, MJCF, URDF, SDF or GLB file, a map, a Habitat dataset or the lake. Exit code 1 says that something is wrong.
 
     Example: metascenes doctor usd scene.usda
     """

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from warehouse.tables.snapshot import Reader
 
 
-@click.command("export", short_help="Write scenes as USD, Habitat dataset, MJCF, URDF and GLB into a folder.")
+@click.command("export", short_help="Write scenes as USD, Habitat dataset, MJCF, URDF, SDF, GLB and maps into a folder.")
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write into.")
 @click.option(
     "--format",
@@ -47,7 +47,7 @@ def command(
     out: Path, formats: tuple[str, ...], scenes: tuple[str, ...], snapshot_id: int | None, release: str | None,
     licenses: tuple[str, ...], usdz: bool, dry_run: bool, workers: int, address: str, as_json: bool,
 ) -> None:  # fmt: skip
-    """Write scenes as USD, as a Habitat dataset, as MJCF, URDF and GLB into a folder, and check what was written.
+    """Write scenes as USD, as a Habitat dataset, as MJCF, URDF, SDF, GLB and maps into a folder, and check what was written.
 
     With --release, every USD scene says which release it is from.
 

@@ -1,4 +1,5 @@
-"""Files for simulators: a USD scene with physics, the scene's part of a Habitat dataset with episodes, MJCF, URDF and GLB.
+"""Files for simulators and robots: a USD scene with physics, the scene's part of a Habitat dataset with episodes, MJCF, URDF, GLB, a world
+for Gazebo and a map for nav2.
 
 Nothing is exported unseen: every export is read back and checked, and `export_checks` has the verdict of every rule.
 """
@@ -15,7 +16,7 @@ from schemas.exports import ExportCheck, ExportFile
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Placement, Support
 from tasks.exports.bodies import gather
-from tasks.exports.config import ExportsConfig, HabitatConfig, MjcfConfig, UsdConfig
+from tasks.exports.config import ExportsConfig, HabitatConfig, MjcfConfig, Nav2Config, SdfConfig, UsdConfig
 from tasks.exports.files import File, write_folder
 from tasks.exports.findings import verdicts
 from tasks.exports.format import ExportedScene
@@ -24,7 +25,9 @@ from tasks.families import member
 from tasks.geometry.pieces import PieceConfig
 from tasks.stage import Blobs, Context, Outcome, Stage
 
-__all__ = ["STAGE", "ExportsConfig", "HabitatConfig", "MjcfConfig", "PieceConfig", "UsdConfig", "run", "write_folder"]
+__all__ = [
+    "STAGE", "ExportsConfig", "HabitatConfig", "MjcfConfig", "Nav2Config", "PieceConfig", "SdfConfig", "UsdConfig", "run", "write_folder",
+]  # fmt: skip
 
 
 def run(

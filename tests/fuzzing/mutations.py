@@ -363,7 +363,7 @@ _KINDS: Sequence[tuple[Callable[[str, bytes], bool], Change]] = (
     (_begins(b"ply"), _changed_ply),
     (_ends(".jsonl", ".ndjson"), _changed_lines),
     (_ends(".json"), changed_json),
-    (_ends(".xml", ".urdf", ".mjcf"), _changed_xml),
-    (_ends(".txt", ".log", ".csv", ".tsv", ".toml", ".obj", ".mtl", ".usda", ".md", "LICENSE", ".scn"), _changed_text),
+    (_ends(".xml", ".urdf", ".mjcf", ".sdf"), _changed_xml),
+    (_ends(".yaml", ".txt", ".log", ".csv", ".tsv", ".toml", ".obj", ".mtl", ".usda", ".md", "LICENSE", ".scn"), _changed_text),
 )
 """How a file is changed by what it is, which its first bytes say or else its name."""

@@ -61,7 +61,7 @@ def _doctors() -> list[Target]:
 def _doctor(name: str) -> Target:
     """A check of files. Those that run a parser of others, or read a whole dataset, are run as the command runs them."""
     sound = seeds.glb if name == "glb" else getattr(seeds, f"doctor_{name}", lambda: seeds.exported(name))
-    if name in ("glb", "urdf"):
+    if name in ("glb", "nav2", "sdf", "urdf"):
         return Target(f"doctor {name}", PARSER, sound, _checked(name))
     return Target(f"doctor {name}", STAGE, sound, _examined(name), within=_checked(name))
 

@@ -382,7 +382,9 @@ def test_a_blob_that_is_gone_is_noticed(made: Made, tmp_path: Path) -> None:
 
 
 def test_exported_files_are_held_against_the_lake(made: Made, lake: Lake, tmp_path: Path) -> None:
-    for row in sql(lake, "SELECT format, path, role FROM export_files WHERE format <> 'urdf' OR role IN ('scene', 'object') ORDER BY ALL"):
+    for row in sql(
+        lake, "SELECT format, path, role FROM export_files WHERE format NOT IN ('urdf', 'sdf') OR role IN ('scene', 'object') ORDER BY ALL"
+    ):
         lineage = explain(lake, str(made.exported / row["format"] / row["path"]))
         facts = lineage.nodes[lineage.target].facts
         assert (facts["format"], facts["role"], facts["content"]) == (row["format"], row["role"], "as in the lake")
@@ -461,7 +463,7 @@ def test_usd_layers_are_read_as_openusd_reads_them(said: list[tuple[str, str]]) 
     assert [(one.name, one.instance_id, one.asset_id) for one in places("usd", "scene.usda", text.encode())] == expected
 
 
-@pytest.mark.parametrize("format", ["usd", "mjcf", "urdf", "habitat", "glb"])
+@pytest.mark.parametrize("format", ["usd", "mjcf", "urdf", "habitat", "glb", "nav2", "sdf"])
 @given(st.binary(max_size=60))
 @settings(deadline=None, max_examples=30)
 def test_what_is_no_exported_scene_is_refused_in_one_line(format: str, data: bytes) -> None:

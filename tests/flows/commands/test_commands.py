@@ -237,7 +237,12 @@ def test_doctor_finds_an_export_sound_and_a_damaged_one_not(ask: Ask, lake: Path
     model = next((tmp_path / "mjcf").glob("*/scene.xml"))
     robots = next((tmp_path / "urdf").glob("*/poses.json")).parent
     binary = next((tmp_path / "glb").glob("*.glb"))
-    asked = (("usd", scene), ("habitat", tmp_path / "habitat"), ("mjcf", model), ("urdf", robots), ("glb", binary))
+    chart = next((tmp_path / "nav2").glob("*/map.yaml"))
+    world = next((tmp_path / "sdf").glob("*/world.sdf"))
+    asked = (
+        ("usd", scene), ("habitat", tmp_path / "habitat"), ("mjcf", model), ("urdf", robots), ("glb", binary), ("nav2", chart),
+        ("sdf", world),
+    )  # fmt: skip
     for words in asked:
         done = ask("doctor", *words)
         assert done.returncode == 0, done.stdout
@@ -246,6 +251,8 @@ def test_doctor_finds_an_export_sound_and_a_damaged_one_not(ask: Ask, lake: Path
     next((tmp_path / "habitat").rglob("*.navmesh")).unlink()
     next(model.parent.rglob("*.obj")).unlink()
     next(robots.rglob("*.obj")).unlink()
+    next(chart.parent.glob("*.pgm")).unlink()
+    next(world.parent.rglob("*.obj")).unlink()
     binary.write_bytes(binary.read_bytes()[:1000])
     for words in asked:
         done = ask("doctor", *words, "--json")

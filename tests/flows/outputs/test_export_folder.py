@@ -218,7 +218,8 @@ def test_scenes_of_a_release_say_so_and_others_do_not(lake: Lake, whole: Path, t
     assert contents(tmp_path / "usd") == first
 
 
-SPOILED = {"usd": "physics.usda", "habitat": ".scene_instance.json", "mjcf": "scene.xml", "urdf": "poses.json", "glb": ".glb"}
+SPOILED = {"usd": "physics.usda", "habitat": ".scene_instance.json", "mjcf": "scene.xml", "urdf": "poses.json", "glb": ".glb",
+           "nav2": "map.pgm", "sdf": "world.sdf"}  # fmt: skip
 """An ending of files that no scene is sound without, by format."""
 
 

@@ -165,7 +165,19 @@ def said_in_habitat(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-READERS = {"usd": said_in_usd, "mjcf": said_in_mjcf, "urdf": said_in_urdf, "glb": said_in_glb, "habitat": said_in_habitat}
+def said_in_nav2(folder: Path) -> list[dict[str, Any]]:
+    return [about for path in folder.glob("*/objects.json") for about in json.loads(path.read_text())["objects"]]
+
+
+def said_in_sdf(folder: Path) -> list[dict[str, Any]]:
+    texts = [element.text for path in folder.glob("*/world.sdf") for element in ElementTree.parse(path).iter("{urn:metascenes}about")]
+    return [about for text in texts if "asset_id" in (about := json.loads(text or "{}"))]
+
+
+READERS = {
+    "usd": said_in_usd, "mjcf": said_in_mjcf, "urdf": said_in_urdf, "glb": said_in_glb, "habitat": said_in_habitat,
+    "nav2": said_in_nav2, "sdf": said_in_sdf,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("format_", EXPORT_FORMATS)

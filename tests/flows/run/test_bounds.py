@@ -104,7 +104,15 @@ def test_the_finding_says_how_to_give_it_more(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "name", "counts"),
-    [("mjcf", "a.xml", True), ("usd", "a.usda", True), ("urdf", "a.urdf", True), ("urdf", ".", True), ("glb", "a.glb", False)],
+    [
+        ("mjcf", "a.xml", True),
+        ("usd", "a.usda", True),
+        ("urdf", "a.urdf", True),
+        ("urdf", ".", True),
+        ("glb", "a.glb", False),
+        ("nav2", "a.yaml", True),
+        ("sdf", "a.sdf", True),
+    ],
 )
 def test_a_file_that_names_others_is_given_what_they_take(
     kind: str, name: str, counts: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
