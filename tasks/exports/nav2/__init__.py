@@ -81,7 +81,7 @@ def nav2_files(replica: Replica, navmeshes: Mapping[str, tuple[Navmesh, float]],
         if not (made.outline.is_empty or shapely.covers(extent, made.outline)):
             missed.append(f"{body.instance_id}: stands beyond the walls, and is on the map of nav2 as far as that reaches")
         standing.append(dataclasses.replace(made, outline=inside))
-    cells = occupancy(raster, floor, slab, [*walls, *(one.outline for one in standing)])
+    cells = occupancy(raster, floor, slab, [*walls, *(placed.outline for placed in standing)])
     settings, image = dump_map(cells, raster, _IMAGE)
     about = _about(replica, standing, floor, navmeshes, episodes, config)
     text = (json.dumps(about, allow_nan=False) + "\n").encode()
@@ -152,11 +152,12 @@ def _about(
     """What a map cannot say."""
     objects = [
         {
-            "name": one.body.name, "position_m": [float(value) + 0.0 for value in one.body.pose[:3, 3]],
-            "rotation_wxyz": list(quaternion_wxyz(one.body.pose)), "box_m": (np.asarray(one.box) + 0.0).tolist(),
-            "outline_m": _rings(one.outline), "driven_over_m": _rings(one.driven_over), "is_open": one.is_open, **described(one.body),
+            "name": placed.body.name, "position_m": [float(value) + 0.0 for value in placed.body.pose[:3, 3]],
+            "rotation_wxyz": list(quaternion_wxyz(placed.body.pose)), "box_m": (np.asarray(placed.box) + 0.0).tolist(),
+            "outline_m": _rings(placed.outline), "driven_over_m": _rings(placed.driven_over), "is_open": placed.is_open,
+            **described(placed.body),
         }
-        for one in standing
+        for placed in standing
     ]  # fmt: skip
     starts = [
         {

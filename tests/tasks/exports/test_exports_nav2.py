@@ -65,11 +65,11 @@ def served(path: Path) -> ServedMap:
     document = yaml.safe_load(path.read_text())
     with Image.open(path.parent / document["image"]) as image:
         width, height = image.size
-        pixels = image.convert("RGB").load()
+        pixels = np.asarray(image.convert("RGB")).tolist()
     data = [0] * (width * height)
     for y in range(height):
         for x in range(width):
-            shade = sum(pixels[x, y]) / 3 / 255
+            shade = sum(pixels[y][x]) / 3 / 255
             occupied = shade if document["negate"] else 1.0 - shade
             value = -1
             if document["occupied_thresh"] < occupied:
@@ -302,9 +302,8 @@ def test_no_obstacle_however_small_is_in_a_free_cell(places: list[tuple[float, .
     """Squares anywhere in a room, turned any way: corners and middles of each are in occupied cells, and what is free is floor."""
     floor, slab = shapely.box(-1.5, -1.0, 1.5, 1.0), shapely.box(-1.6, -1.1, 1.6, 1.1)
     walls = slab.difference(floor)
-    corners = [
-        transform_points([[-s, -s, 0], [s, -s, 0], [s, s, 0], [-s, s, 0], [0, 0, 0]], yaw_pose(yaw, [x, y, 0])) for x, y, yaw, s in places
-    ]
+    unit = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    corners = [transform_points(half * unit, yaw_pose(yaw, [x, y, 0])) for x, y, yaw, half in places]
     squares = [shapely.Polygon(ring[:4, :2]) for ring in corners]
     raster = Raster.around(slab.bounds, resolution, 2)
     cells = occupancy(raster, floor, slab, [walls, *squares])
@@ -422,7 +421,7 @@ def blank(old: int, new: int) -> Callable[[Path], None]:
 
 
 TRIANGLE = [[[[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]]]]
-DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
+DAMAGES: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "no yaml": ("yaml", lambda file: file.write_text("image: [map.pgm"), "no YAML"),
     "a list": ("yaml", lambda file: file.write_text("- a\n"), "no table"),
     "no resolution": ("yaml", line("resolution", None), "resolution: is missing"),

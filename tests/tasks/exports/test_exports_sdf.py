@@ -136,7 +136,9 @@ def test_gazebos_reader_takes_a_textured_world(
     from tests.replicas import Object
 
     parts = canonical(load_glb((realdata("assets") / "aws_ShoeRack_01.glb").read_bytes()))
-    rack = replica_of(*rows_of([Object("shoe rack", parts, [trimesh.util.concatenate(parts).convex_hull], np.eye(4))]))
+    hull: Any = trimesh.util.concatenate(parts)
+    hull = hull.convex_hull
+    rack = replica_of(*rows_of([Object("shoe rack", parts, [hull], np.eye(4))]))
     file = written(tmp_path, rack)
     assert check_sdf(file) == []
     (_, model) = gazebo(file)["models"]
@@ -289,7 +291,7 @@ def mapped(value: str) -> Callable[[Path], None]:
     return xml(change)
 
 
-DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
+DAMAGES: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "cut file": ("xml", lambda file: file.write_bytes(file.read_bytes()[:500]), "cannot be read"),
     "another root": ("xml", lambda file: file.write_text("<robot name='r'/>"), "robot"),
     "no version": ("xml", lambda file: file.write_text("<sdf><world name='a'/></sdf>"), "version None"),
