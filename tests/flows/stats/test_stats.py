@@ -148,7 +148,7 @@ def test_the_report_says_what_the_views_say(report: Path, lake: Lake) -> None:
     assert "free objects stable at 5 cm; 2 fixed" in page.text
     assert "0003 book, 50.0 cm" in page.text
     assert "<nothing> carries it" in page.text
-    assert "9 of 10" in page.text  # exports
+    assert "13 of 14" in page.text  # exports
     assert "determinant is 0; remove the line to have it estimated" in page.text
     assert "no view; shape by category" in page.text
     assert "up is <missing>" in page.text
