@@ -107,7 +107,7 @@ def planned_policy(
         is_new = state is None or state.done is None or state.done.fingerprint != acting.job.fingerprint
         idle = dataclasses.replace(acting.job, outside=())  # thousands of scenes' rows would not fit in memory
         scenes.append(PlannedScene(task, idle, len(acting.rows.episodes), is_new))
-    return PlannedPolicy(name, trained.run_name if trained is not None else _run_name(name, configuration), tuple(scenes))
+    return PlannedPolicy(name, run_name_of(name, trained, configuration), tuple(scenes))
 
 
 def in_this_process(scenes: Sequence[PlannedScene]) -> Iterable[StageRun]:
@@ -176,12 +176,12 @@ def _acting(lake: Lake, reader: Reader, task: SceneTask, trained: TrainedPolicy 
     rows = _rows_of(reader, task.scene_id, task.episodes)
     built_in: Sequence[Attempt] = ()
     if trained is None:
-        name, run_name = task.policy, _run_name(task.policy, task.configuration)
+        name, run_name = task.policy, run_name_of(task.policy, None, task.configuration)
         context = Context(scene_id=task.scene_id, stage=STAGE.name, seed=task.configuration.seed, blobs=lake.blobs)
         built_in = tuple(member(POLICIES, name).act(rows.episodes, config, context.rng))
         content = digest(name, run_name, canonical_json([built_in, rows.episodes, rows.navmeshes, config]))
     else:
-        name, run_name = SYSTEM, trained.run_name
+        name, run_name = SYSTEM, run_name_of(SYSTEM, trained, task.configuration)
         content = digest(name, trained.model_id, trained.code, *_scene_facts(reader, task.scene_id, rows, config))
 
     def measuring(done: Sequence[Attempt]) -> Job:
@@ -216,8 +216,10 @@ def content_of_episodes(reader: Reader, episodes: Episodes, configuration: Confi
     return digest(*parts, *map(code_fingerprint, (ACTING_CODE, "tasks.evaluation")))
 
 
-def _run_name(policy: str, configuration: Configuration) -> str:
-    """Name of a built-in policy's run, with all that changes what it does: runs that act otherwise are never counted as one."""
+def run_name_of(policy: str, trained: TrainedPolicy | None, configuration: Configuration) -> str:
+    """Name of a policy's run, with all that changes what it does: runs that act otherwise are never counted as one."""
+    if trained is not None:
+        return trained.run_name + ("" if evaluation_config(configuration).turns_aside else ", without turning aside")
     acting = member(POLICIES, policy)
     config, usual = evaluation_config(configuration), EvaluationConfig()
     values = {name: getattr(config, name) for name in acting.settings}

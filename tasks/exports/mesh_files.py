@@ -21,6 +21,9 @@ from tasks.geometry.transforms import Z_UP_TO_Y_UP
 HULL_TOLERANCE_M = 2e-3
 """How far a mesh may lie inside its own hull [m] and still count as convex; as for USD."""
 
+ELSEWHERE = re.compile(r"(package|model|fuel|https?)://")
+"""Beginnings of addresses that ROS or Gazebo finds, wherever it keeps what they name."""
+
 _KINDS = ("obj", "stl", "ply", "dae")  # beside GLB
 _UNREAD = "is of a kind that cannot be read here"
 _FARTHEST_M = 1e6  # what is computed of positions still has digits that matter
@@ -32,7 +35,7 @@ def named_mesh(path: Path, where: str, name: str, known: dict[Any, Any]) -> tupl
 
     known: What was read before, by path, which grows.
     """
-    if re.match(r"package://|model://", name):
+    if ELSEWHERE.match(name):
         return [Finding("closed_paths", where, f"{name} is found by ROS or Gazebo only", False)], None
     pure = PurePosixPath(name)
     if not name or pure.is_absolute() or ".." in pure.parts or ":" in name or "\\" in name:

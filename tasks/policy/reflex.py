@@ -2,7 +2,8 @@
 
 A policy that tells the likeliest action from what it sees goes on with it for as long as it sees the same: right before a chair leg that is
 below the picture it steps forward until its steps are used up. A picture that is the same to the last byte after a step forward says that
-the step led nowhere; no other sense is needed. Policies without pictures have no such reflex.
+the step led nowhere, and no other sense is needed for that. It is wrong where nothing near is in the picture: an agent that walks squarely
+to a bare wall farther away than its depth reaches turns aside, too. Policies without pictures have no such reflex.
 """
 
 from __future__ import annotations

@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.errors import InputError
 from schemas.navigation import Episode, Navmesh
 from tasks.exports.bodies import Body, Replica
 from tasks.exports.config import Nav2Config
 from tasks.exports.files import Export, File
+from tasks.exports.findings import Finding
 from tasks.exports.format import Doctor, ExportedScene, ExportFormat, checked
 from tasks.exports.mjcf import described
 from tasks.exports.nav2.grid import Raster, occupancy
@@ -42,8 +44,8 @@ _IMAGE = "map.pgm"
 class Standing:
     """An object on the floor, seen from above in the world frame [m].
 
-    outline: What it has between the map's heights; empty for an open door. driven_over: What of that is lower than the agents of
-    the episodes climb. box: Lowest and highest corner of all that is seen of it, shape (2, 3).
+    outline: What it has between the map's heights; empty for an open door. driven_over: What of that some agent of the episodes climbs,
+    or passes under. box: Lowest and highest corner of all that is seen of it, shape (2, 3).
     """
 
     body: Body
@@ -70,7 +72,7 @@ def nav2_files(replica: Replica, navmeshes: Mapping[str, tuple[Navmesh, float]],
     floor = shapely.Polygon(floor_ring(replica.room))
     raster = Raster.around(shapely.union_all([slab, *walls]).bounds, config.resolution_m, config.margin_cells)
     extent = shapely.box(*raster.bounds)
-    climb = min((climbed for _, climbed in navmeshes.values()), default=0.0)
+    climb = max((climbed for _, climbed in navmeshes.values()), default=0.0)
     height = min((navmesh.agent_height_m for navmesh, _ in navmeshes.values()), default=np.inf)
     standing, missed, surfaces = [], [], {}
     for body in replica.bodies:
@@ -133,10 +135,9 @@ def _standing(body: Body, surface: Surface, config: Nav2Config, climb: float, he
     is_open = not config.closed_doors and is_door(body.category)
     nothing = shapely.Polygon()
     outline = nothing if is_open else footprint(placed, config.lowest_m, config.highest_m)
-    below = min(climb, config.highest_m)
     driven_over = nothing
-    if below > config.lowest_m and not outline.is_empty:
-        driven_over = shapely.difference(footprint(placed, config.lowest_m, below), footprint(placed, climb, height))
+    if not outline.is_empty and (climb > config.lowest_m or height < config.highest_m):
+        driven_over = shapely.difference(outline, footprint(placed, climb, height))
     return Standing(body, outline, driven_over, placed.bounds, is_open)
 
 
@@ -205,7 +206,10 @@ def _make(scene: ExportedScene) -> Export:
     for navmesh in scene.navmeshes:
         settings = read_navmesh(scene.blobs[navmesh.navmesh_blob]).settings or Settings()
         navmeshes[navmesh.agent] = (navmesh, settings.agent_max_climb)
-    written = nav2_files(scene.replica, navmeshes, scene.episodes, scene.config.nav2)
+    try:
+        written = nav2_files(scene.replica, navmeshes, scene.episodes, scene.config.nav2)
+    except InputError as error:  # the other formats are written all the same
+        return Export((), NAV2.rules, (Finding("resolution", MAP, str(error)),))
     made = checked(written.files, NAV2, f"{scene.replica.stem}/{MAP}")
     return dataclasses.replace(made, missed=written.missed)
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.errors import InputError
+
 if TYPE_CHECKING:
     import shapely
 
@@ -20,6 +22,10 @@ ROUNDING_M = 1e-5
 
 _AT_ONCE = 100_000
 """Squares that are held against a shape at once: some 20 MB."""
+
+
+MOST_CELLS = 4_000_000
+"""A hall of 100 m at 5 cm; a map of so many is made in half a minute."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +40,15 @@ class Raster:
     @classmethod
     def around(cls, bounds: tuple[float, float, float, float], resolution_m: float, margin: int) -> Raster:
         """Cells whose corners are multiples of the resolution, over a box (least x and y, greatest x and y) [m] and `margin` cells more
-        on each side."""
+        on each side.
+
+        Raises:
+            InputError: they are more than `MOST_CELLS`.
+        """
+        count = np.prod([(high - low) / resolution_m + 2.0 * margin + 1.0 for low, high in zip(bounds[:2], bounds[2:], strict=True)])
+        if not count <= MOST_CELLS:
+            problem = f"a map of {count:.3g} cells is larger than {MOST_CELLS:,}"
+            raise InputError("exports.nav2", "resolution_m", problem, "set a coarser one, or look whether the room has a stray corner")
         low = [int(np.floor(value / resolution_m)) - margin for value in bounds[:2]]
         high = [int(np.ceil(value / resolution_m)) + margin for value in bounds[2:]]
         x, y = (round(index * resolution_m, 9) for index in low)  # what the file says, and readers begin with

@@ -37,7 +37,7 @@ RULES: dict[str, str] = {
     "floor": "no cell of the room's floor is unknown or beside the map",
     "outside": "no cell beyond the room and its doorways is free",
     "footprints": "every cell that an object reaches into between the map's heights is occupied",
-    "starts": "episodes start in free cells, or over what their agents climb",
+    "starts": "episodes start in free cells, or over what agents climb, or under what they pass",
 }
 """Every rule, and what holds when it passes."""
 
@@ -62,6 +62,9 @@ def check_nav2(path: Path) -> list[Finding]:
         cells = read_cells(image, settings)
     except InputError as error:
         return sorted({*findings, Finding("image", path.name, str(error))})
+    size_m = settings.resolution_m * max(cells.shape)
+    if settings.resolution_m > 0.0 and not size_m < _TOWN_M:
+        findings.append(Finding("resolution", path.name, f"the map is {size_m / 1000:.3g} km long"))
     if not (cells == FREE).any():
         findings.append(Finding("free", image.name, "has no free cell: no robot has a place on it"))
     objects = path.with_name(OBJECTS)
@@ -79,7 +82,7 @@ def _settings(path: Path, settings: MapSettings) -> Iterator[Finding]:
         yield Finding("resolution", path.name, f"origin is {settings.origin}, farther away than {_TOWN_M / 1000:g} km")
     if not 0.0 <= low < high <= 1.0:
         yield Finding("thresholds", path.name, f"free_thresh is {low:g}, occupied_thresh {high:g}")
-    occupied = GRAYS[UNKNOWN] / 255.0 if settings.negate else 1.0 - GRAYS[UNKNOWN] / 255.0
+    occupied = 1.0 - GRAYS[UNKNOWN] / 255.0
     if settings.mode == "trinary" and not settings.negate and occupied < low:
         message = f"free_thresh is {low:g}: the gray {GRAYS[UNKNOWN]} of unknown cells, an occupancy of {occupied:.4f}, reads as free"
         yield Finding("unknown", path.name, message, is_there(path.with_name(OBJECTS)))
@@ -88,7 +91,10 @@ def _settings(path: Path, settings: MapSettings) -> Iterator[Finding]:
 def _scene(path: Path, objects: Path, settings: MapSettings, cells: NDArray[np.int8]) -> Iterator[Finding]:
     """The map of a room, held against what lies beside it."""
     try:
-        room = _Room(json_value(read_file(objects, OBJECTS, BUDGET.json_bytes)))
+        document = json_value(read_file(objects, OBJECTS, BUDGET.json_bytes))
+        if not isinstance(document, dict) or not str(document.get("frame", "")).startswith("map: "):
+            return  # somebody else's
+        room = _Room(document)
     except InputError as error:
         yield Finding("objects_file", OBJECTS, str(error))
         return

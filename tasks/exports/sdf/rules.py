@@ -17,7 +17,7 @@ from schemas.errors import InputError
 from schemas.files import is_there, read_file
 from tasks.exports.findings import Finding
 from tasks.exports.inertias import impossible, too_large
-from tasks.exports.mesh_files import HULL_TOLERANCE_M, hollow, named_mesh
+from tasks.exports.mesh_files import ELSEWHERE, HULL_TOLERANCE_M, hollow, named_mesh
 from tasks.unpacking import xml_root
 
 RULES: dict[str, str] = {
@@ -34,7 +34,7 @@ RULES: dict[str, str] = {
     "inertia": "inertias are those that a solid can have, and one as large as its colliders",
     "center_of_mass": "the center of mass lies inside the colliders' box",
     "collider": "every link that moves collides",
-    "explicit_hulls": "meshes that collide are convex as they are",
+    "explicit_hulls": "meshes that collide are convex as they are, but for those that stand still",
     "visual": "every link that moves can be seen",
     "friction": "friction lies within bounds",
 }
@@ -46,13 +46,23 @@ LONGEST_TIMESTEP_S = 0.02
 """Longer steps let things pass through one another [s]."""
 
 _COUNTS = {
-    "pose": (6,), "gravity": (3,), "mass": (1,), "ixx": (1,), "ixy": (1,), "ixz": (1,), "iyy": (1,), "iyz": (1,), "izz": (1,),
-    "max_step_size": (1,), "real_time_factor": (1,), "real_time_update_rate": (1,), "mu": (1,), "mu2": (1,), "scale": (3,),
+    "pose": (6,), "mass": (1,), "ixx": (1,), "ixy": (1,), "ixz": (1,), "iyy": (1,), "iyz": (1,), "izz": (1,),
+    "max_step_size": (1,), "real_time_factor": (1,), "real_time_update_rate": (1,), "mu": (1,), "mu2": (1,),
     "diffuse": (3, 4), "ambient": (3, 4), "specular": (3, 4), "background": (3, 4), "normal": (3,), "range": (1,), "constant": (1,),
     "linear": (1,), "quadratic": (1,), "restitution_coefficient": (1,), "friction2": (1,), "radius": (1,), "length": (1,),
 }  # fmt: skip
+_COUNTS_IN = {("world", "gravity"): (3,), ("mesh", "scale"): (3,)}
+"""Of elements that are something else in other ones: a link's gravity is yes or no."""
+
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_NAMED = ("world", "model", "link", "joint", "visual", "collision", "light", "frame", "sensor")
+_NAMED = {
+    "sdf": ("world", "model", "light"), "world": ("model", "light", "joint", "frame"), "link": ("visual", "collision", "light", "sensor"),
+    "model": ("model", "link", "joint", "frame"),
+}  # fmt: skip
+"""What has a name of its own where it stands, by what it stands in: `frame` and `collision` in others name what they mean."""
+
+_OTHERS = ("plugin", "state")
+"""Elements of programs and of saved moments, in which the same words mean what these want."""
 
 
 def check_sdf(path: Path) -> list[Finding]:
@@ -65,8 +75,8 @@ def check_sdf(path: Path) -> list[Finding]:
         return [Finding("xml", path.name, f"root is {root.tag} of version {root.get('version')}, not sdf of a version 1.x")]
     findings = [*_names(path, root), *_numbers(path, root), *_world(path, root), *_paths(path, root)]
     known: dict[Any, Any] = {}
-    for model in root.iter("model"):
-        is_static = (model.findtext("static") or "false").strip() in ("true", "1")
+    for model in (element for element in _own(root) if element.tag == "model"):
+        is_static = (model.findtext("static") or "false").strip().lower() in ("true", "1")
         for link in model.findall("link"):
             where = f"{path.name} model {model.get('name', '')} link {link.get('name', '')}"
             findings += _link(path, where, link, is_static, known)
@@ -75,8 +85,8 @@ def check_sdf(path: Path) -> list[Finding]:
 
 def _names(path: Path, root: Element) -> Iterator[Finding]:
     """Names, each of its own among what stands in the same element."""
-    for above in root.iter():
-        named = [child for child in above if child.tag in _NAMED]
+    for above in _own(root):
+        named = [child for child in above if child.tag in _NAMED.get(str(above.tag), ())]
         for child in named:
             name = child.get("name", "")
             where = f"{path.name} {child.tag} {name}"
@@ -106,29 +116,43 @@ def _single(text: str | None) -> float | None:
     return float(values[0]) if values is not None and len(values) == 1 else None
 
 
+def _own(above: Element) -> Iterator[Element]:
+    """An element and all in it that is SDF's."""
+    waiting = [above]  # no recursion: files of others may be nested as deep as they like
+    while waiting:
+        element = waiting.pop()
+        yield element
+        waiting += [child for child in element if child.tag not in _OTHERS and not {*":}"} & {*str(child.tag)}]
+
+
 def _numbers(path: Path, root: Element) -> Iterator[Finding]:
-    for element in root.iter():
-        counts = _COUNTS.get(str(element.tag))
-        if counts is None or len(element):
-            continue
-        if element.tag == "pose" and element.get("rotation_format") == "quat_xyzw":
-            counts = (7,)
-        values = _floats(element.text)
-        if values is None or len(values) not in (counts if element.tag != "pose" or len(values) else (0,)):
-            many = " or ".join(map(str, counts))
-            yield Finding("numbers", f"{path.name} {element.tag}", f"is not {many} finite numbers: {(element.text or '').strip()[:60]}")
+    for above in _own(root):
+        for element in above:
+            yield from _count(path, element, _COUNTS_IN.get((str(above.tag), str(element.tag)), _COUNTS.get(str(element.tag))))
+
+
+def _count(path: Path, element: Element, counts: tuple[int, ...] | None) -> Iterator[Finding]:
+    """An element that is so many numbers."""
+    if counts is None or len(element):
+        return
+    if element.tag == "pose" and element.get("rotation_format") == "quat_xyzw":
+        counts = (7,)
+    values = _floats(element.text)
+    if values is None or len(values) not in (counts if element.tag != "pose" or len(values) else (0,)):
+        many = " or ".join(map(str, counts))
+        yield Finding("numbers", f"{path.name} {element.tag}", f"is not {many} finite numbers: {(element.text or '').strip()[:60]}")
 
 
 def _paths(path: Path, root: Element) -> Iterator[Finding]:
     """Files that are named, but for those of meshes, which are read: images, height maps, models of others."""
     meshes = {id(uri) for mesh in root.iter("mesh") for uri in mesh.findall("uri")}
-    for element in root.iter():
+    for element in _own(root):
         name = (element.text or "").strip()
         if not name or id(element) in meshes or not (element.tag == "uri" or str(element.tag).endswith("_map")):
             continue
         where = f"{path.name} {element.tag}"
         pure = PurePosixPath(name)
-        if re.match(r"(package|model|https?|fuel)://", name):
+        if ELSEWHERE.match(name):
             yield Finding("closed_paths", where, f"{name} is found by ROS or Gazebo only", is_error=False)
         elif pure.is_absolute() or ".." in pure.parts or ":" in name or "\\" in name:
             yield Finding("closed_paths", where, f"{pure.name!r} is absolute or leaves the folder")
@@ -174,7 +198,8 @@ def _link(path: Path, where: str, link: Element, is_static: bool, known: dict[An
                     if is_flat:
                         yield Finding("mesh", where, f"{name} collides, but is flat")
                     elif gap > HULL_TOLERANCE_M:
-                        yield Finding("explicit_hulls", where, f"{name} lies up to {gap * 1000:.1f} mm inside its own hull")
+                        message = f"{name} lies up to {gap * 1000:.1f} mm inside its own hull"
+                        yield Finding("explicit_hulls", where, message, not is_static)  # what stands still collides as it is
     for word in ("ode/mu", "ode/mu2", "bullet/friction", "bullet/friction2"):
         for element in link.iterfind(f"collision/surface/friction/{word}"):
             friction = _single(element.text)

@@ -55,6 +55,18 @@ def lake(tmp_path: Path) -> Lake:
     return acted_lake(tmp_path / "lake")
 
 
+def test_runs_with_and_without_the_reflex_are_two(lake: Lake) -> None:
+    row = keep_model(lake)
+    names = [
+        run_policy(lake, row.model_id, configure(settings=["evaluation.max_steps=20", f"evaluation.turns_aside={aside}"])).run_name
+        for aside in ("true", "false")
+    ]
+    assert names == [row.model_id[:12], f"{row.model_id[:12]}, without turning aside"]
+    with lake.snapshot().connect() as connection:
+        counted = connection.sql("SELECT run_name, sum(n) FROM navigation_metrics GROUP BY run_name ORDER BY run_name").fetchall()
+    assert counted == [(name, 12) for name in names]
+
+
 def test_a_model_acts_in_every_scene_and_is_measured_once(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     row = keep_model(lake)
     done = run_policy(lake, row.model_id[:8], SHORT)

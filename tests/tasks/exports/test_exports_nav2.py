@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from schemas.errors import InputError
 from tasks import exports
 from tasks.exports import write_folder
 from tasks.exports.bodies import Replica
@@ -212,6 +213,38 @@ def test_what_the_agents_climb_may_lie_under_their_starts(tmp_path: Path) -> Non
     beside["objects"][0]["driven_over_m"] = []
     (path.parent / "objects.json").write_text(json.dumps(beside))
     assert {finding.rule for finding in check_nav2(path) if finding.is_error} == {"starts"}
+
+
+def test_what_the_agents_pass_under_may_hang_over_their_starts(tmp_path: Path) -> None:
+    """A ceiling of boards at 1 m over most of the floor, on a map for a robot that is higher than the episodes' agent."""
+    rows, blobs = with_navigation(*rows_of([cube((5.0, 2.0, 0.1), translation([0.0, -0.7, 1.0]))]), episodes=20)
+    path = written(tmp_path, rows, blobs, Nav2Config(highest_m=1.5))
+    grid = served(path)
+    assert 100 in {grid.at(*episode.start_position[:2]) for episode in rows["episodes"]}
+    assert check_nav2(path) == []
+
+
+def test_a_map_that_would_be_too_large_is_a_finding_and_the_other_formats_are_written(rows: tuple[dict[str, list[Any]], Any]) -> None:
+    from tests.tasks.exports.test_exports import export
+
+    config = exports.ExportsConfig(formats=("glb", "nav2"), nav2=Nav2Config(resolution_m=0.001))
+    outcome = export(*rows, config)
+    assert {row.format for row in outcome.rows["export_files"]} == {"glb"}
+    (failed,) = [row for row in outcome.rows["export_checks"] if not row.passed]
+    assert (failed.format, failed.rule) == ("nav2", "resolution")
+    assert "is larger than 4,000,000; set a coarser one" in str(failed.message)
+    with pytest.raises(InputError, match="cells is larger"):
+        Raster.around((0.0, 0.0, 5.0, 10_000.0), 0.05, 4)
+    with pytest.raises(InputError, match="cells is larger"):
+        Raster.around((0.0, 0.0, 5.0, 5.0), 0.05, 10**6)
+    assert Raster.around((0.0, 0.0, 99.0, 99.0), 0.05, 4).rows == 1988
+
+
+def test_a_map_of_half_the_country_and_somebody_elses_objects_are_told(copy: Path) -> None:
+    (copy.parent / "objects.json").write_text('{"classes": ["chair"]}')
+    assert check_nav2(copy) == []
+    line("resolution", "500.0")(copy)
+    assert {finding.rule for finding in check_nav2(copy)} == {"resolution"}
 
 
 def test_what_hangs_higher_or_lies_lower_than_the_map_is_not_on_it(tmp_path: Path) -> None:

@@ -385,3 +385,35 @@ def test_files_of_others_are_read(tmp_path: Path) -> None:
     found = check_sdf(tmp_path / "model.sdf")
     assert [finding for finding in found if finding.is_error] == []
     assert {finding.rule for finding in found} == {"closed_paths"}
+
+
+LINK = """<inertial><mass>2</mass><inertia><ixx>.1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>.1</iyy><iyz>0</iyz><izz>.1</izz></inertia></inertial>
+<visual name='seen'><geometry><box><size>1 1 1</size></box></geometry></visual>
+<collision name='box'><geometry><box><size>1 1 1</size></box></geometry></collision>"""
+
+
+@pytest.mark.parametrize(
+    ("in_world", "in_model", "in_link"),
+    [
+        ("", "", "<gravity>true</gravity>"),
+        ("", "", "<sensor name='bumper' type='contact'><contact><collision>box</collision></contact></sensor>"),
+        ("", "", "<sensor name='force' type='force_torque'><force_torque><frame>child</frame></force_torque></sensor>"),
+        ("<state world_name='w'><model name='cart'><link name='base'><pose>0 0 0 0 0 0</pose></link></model></state>", "", ""),
+        ("<actor name='walker'><skin><filename>walk.dae</filename><scale>1.0</scale></skin></actor>", "", ""),
+        ("", "<plugin name='p' filename='f'><joint>wheel</joint><link>base</link><model/><gravity>9.8</gravity></plugin>", ""),
+        ("", "<static>True</static><link name='nothing'/>", ""),
+    ],
+)
+def test_words_that_mean_something_else_elsewhere_are_passed_by(in_world: str, in_model: str, in_link: str, tmp_path: Path) -> None:
+    (tmp_path / "world.sdf").write_text(
+        f"<sdf version='{VERSION}'><world name='w'><light name='sun' type='directional'/>{in_world}<model name='cart'>{in_model}"
+        f"<link name='base'>{LINK}{in_link}</link></model></world></sdf>"
+    )
+    assert check_sdf(tmp_path / "world.sdf") == []
+
+
+def test_meshes_that_gazebo_fetches_are_told_from_those_that_are_lost(tmp_path: Path) -> None:
+    for address in ("https://fuel.gazebosim.org/box.obj", "model://box/box.obj"):
+        link = LINK.replace("<box><size>1 1 1</size></box>", f"<mesh><uri>{address}</uri></mesh>", 1)
+        (tmp_path / "model.sdf").write_text(f"<sdf version='{VERSION}'><model name='cart'><link name='base'>{link}</link></model></sdf>")
+        assert [(finding.rule, finding.is_error) for finding in check_sdf(tmp_path / "model.sdf")] == [("closed_paths", False)]

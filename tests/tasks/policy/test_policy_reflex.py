@@ -71,12 +71,12 @@ def test_a_policy_that_turns_back_at_once_comes_out_all_the_same() -> None:
     assert corner.out >= 1
 
 
-@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 250)), min_size=1, max_size=60))
+@given(st.lists(st.integers(0, 3), min_size=1, max_size=60))
 def test_nothing_changes_for_who_always_sees_something_else_and_stopping_is_never_kept_from_anybody(
-    steps: list[tuple[int, int]],
+    steps: list[int],
 ) -> None:
     free, held = Reflex(1), Reflex(1)
-    for number, (wanted, _) in enumerate(steps):
+    for number, wanted in enumerate(steps):
         assert free.chosen(wants(wanted), drawn(number))[0] == wanted
         acted = int(held.chosen(wants(wanted), STILL)[0])
         assert acted == wanted or (wanted != STOP and acted in (LEFT, RIGHT, FORWARD))
