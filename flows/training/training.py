@@ -18,6 +18,7 @@ from schemas.errors import InputError, LakeError
 from schemas.record import arrow_to_rows
 from schemas.training import LearnedModel
 from tasks import training
+from tasks.families import member
 from tasks.models import Model, identity_json
 from tasks.stage import silently
 from tasks.training.checkpoints import forget
@@ -96,9 +97,7 @@ def planned_training(
     begins_with: Model | None = None
     if start is not None:
         begins_with = loaded_model(lake, found_model(lake.snapshot(), start, system)[0])
-        next(member for member in SYSTEMS if member.name == system).continues(
-            begins_with.config, config.system, f"model {begins_with.model_id[:12]}"
-        )
+        member(SYSTEMS, system).continues(begins_with.config, config.system, f"model {begins_with.model_id[:12]}")
     parts = {
         "dataset": dataset.fingerprint(reads_of(system)),
         "system": digest(identity_json(config.system)),

@@ -16,6 +16,7 @@ from flows.inputs.evaluation import run_policy
 from flows.inputs.policies import trained_policy
 from flows.run.configuration import configure
 from flows.training.folders import withdraw_model
+from flows.training.training import planned_training, system_configuration
 from schemas.errors import InputError
 from schemas.evaluation import Trajectory
 from schemas.runs import StageRun
@@ -65,6 +66,15 @@ def test_runs_with_and_without_the_reflex_are_two(lake: Lake) -> None:
     with lake.snapshot().connect() as connection:
         counted = connection.sql("SELECT run_name, sum(n) FROM navigation_metrics GROUP BY run_name ORDER BY run_name").fetchall()
     assert counted == [(name, 12) for name in names]
+
+
+def test_a_training_does_not_go_on_from_a_policy_that_senses_something_else(lake: Lake) -> None:
+    row = keep_model(lake)
+    seeing = system_configuration("navigation", None, ["training.system.model.eyes.depth=true"], None)
+    with pytest.raises(InputError, match=f"model {row.model_id[:12]}: senses_depth: is false of it, and true of what is to be trained"):
+        planned_training(lake, seeing, start=row.model_id)
+    plain = system_configuration("navigation", None, [], None)
+    assert planned_training(lake, plain, start=row.model_id).training_id != planned_training(lake, plain).training_id
 
 
 def test_a_model_acts_in_every_scene_and_is_measured_once(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:

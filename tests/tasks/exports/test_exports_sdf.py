@@ -25,6 +25,7 @@ from tasks.exports.sdf.rules import RULES, check_sdf
 from tasks.geometry.transforms import is_rigid
 from tests.conftest import REPOSITORY
 from tests.replicas import cube, furnished, replica_of, rows_of
+from tests.tasks.exports.mesh_damage import dent, edited, flatten, lose_image
 from tests.tasks.exports.test_exports_agreement import Read, moving, posed
 
 
@@ -241,24 +242,6 @@ def hull_file(file: Path) -> Path:
     return file.parent / (ElementTree.parse(file).getroot().findtext(f"{HULL}/uri") or "")
 
 
-def edit_hull(change: Callable[[trimesh.Trimesh], None]) -> Callable[[Path], None]:
-    def damage(file: Path) -> None:
-        mesh: Any = trimesh.load_mesh(hull_file(file), process=False)
-        change(mesh)
-        lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a} {b} {c}" for a, b, c in mesh.faces + 1]
-        hull_file(file).write_text("\n".join(lines))
-
-    return damage
-
-
-def dent(mesh: trimesh.Trimesh) -> None:
-    mesh.vertices[0] = 0.7 * mesh.vertices.mean(axis=0) + 0.3 * mesh.vertices[0]
-
-
-def flatten(mesh: trimesh.Trimesh) -> None:
-    mesh.vertices[:, 2] = 0.1
-
-
 def other_units(root: ElementTree.Element) -> None:
     """Kilograms times square centimetres."""
     inertia = root.find(f"{BOX}/link/inertial/inertia")
@@ -274,12 +257,6 @@ def scaled(value: str) -> Callable[[Path], None]:
         ElementTree.SubElement(mesh, "scale").text = value
 
     return xml(change)
-
-
-def lose_image(file: Path) -> None:
-    """A material file that names an image that is not there."""
-    material = sorted(file.parent.glob("meshes/*.mtl"))[0]
-    material.write_text(material.read_text() + "map_Kd lost.png\n")
 
 
 def mapped(value: str) -> Callable[[Path], None]:
@@ -311,12 +288,12 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "absolute path": ("closed_paths", text(f"{HULL}/uri", "/srv/box.obj"), "box.obj"),
     "address of a file": ("closed_paths", text(f"{HULL}/uri", "file:///srv/box.obj"), "box.obj"),
     "path out of the folder": ("closed_paths", text(f"{HULL}/uri", "../box.obj"), "leaves"),
-    "lost image": ("closed_paths", lose_image, "lost.png"),
+    "lost image": ("closed_paths", lambda file: lose_image(file.parent), "lost.png"),
     "lost albedo": ("closed_paths", mapped("meshes/lost.png"), "lost.png"),
     "albedo out of the folder": ("closed_paths", mapped("../lost.png"), "leaves"),
     "empty mesh": ("mesh", lambda file: hull_file(file).write_text("v 0 0 0\n"), "box_0004"),
     "mesh without a size": ("mesh", scaled("0 1 1"), "scale"),
-    "flat mesh": ("mesh", edit_hull(flatten), "flat"),
+    "flat mesh": ("mesh", edited(hull_file, flatten), "flat"),
     "no mass": ("mass", text(f"{BOX}/link/inertial/mass", "0"), "is 0"),
     "nothing said of mass": ("mass", drop("inertial", f"{BOX}/link"), "not stated"),
     "inertia of no solid": ("inertia", text(f"{BOX}/link/inertial/inertia/ixx", "90"), "exceeds"),
@@ -326,7 +303,7 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "center of mass outside": ("center_of_mass", text(f"{BOX}/link/inertial/pose", "3 0 0 0 0 0"), "outside"),
     "no collision": ("collider", drop("collision", f"{BOX}/link"), "no collision"),
     "nothing is seen": ("visual", drop("visual", f"{BOX}/link"), "seen"),
-    "dented hull": ("explicit_hulls", edit_hull(dent), "inside its own hull"),
+    "dented hull": ("explicit_hulls", edited(hull_file, dent), "inside its own hull"),
     "friction below zero": ("friction", text(f"{BOX}/link/collision/surface/friction/ode/mu", "-1"), "mu is -1"),
 }
 

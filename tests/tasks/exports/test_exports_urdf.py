@@ -24,6 +24,7 @@ from tasks.exports.wavefront import dump_obj, load_obj
 from tasks.geometry.meshes import canonical, load_glb
 from tasks.shell import room_shell
 from tests.replicas import Object, furnished, rows_of
+from tests.tasks.exports.mesh_damage import dent, edited, flatten, lose_image
 from tests.tasks.exports.usd.test_exports_usd import replica_of
 
 
@@ -201,36 +202,12 @@ def hull_file(folder: Path) -> Path:
     return folder / mesh.attrib["filename"]
 
 
-def edit_hull(change: Callable[[trimesh.Trimesh], None]) -> Callable[[Path], None]:
-    def damage(folder: Path) -> None:
-        mesh: Any = trimesh.load_mesh(hull_file(folder), process=False)
-        change(mesh)
-        lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a} {b} {c}" for a, b, c in mesh.faces + 1]
-        hull_file(folder).write_text("\n".join(lines))
-
-    return damage
-
-
-def dent(mesh: trimesh.Trimesh) -> None:
-    mesh.vertices[0] = 0.7 * mesh.vertices.mean(axis=0) + 0.3 * mesh.vertices[0]
-
-
-def flatten(mesh: trimesh.Trimesh) -> None:
-    mesh.vertices[:, 2] = 0.1
-
-
 def other_units(root: ElementTree.Element) -> None:
     """Kilograms times square centimetres."""
     inertia = root.find("link/inertial/inertia")
     assert inertia is not None
     for key, value in inertia.attrib.items():
         inertia.set(key, repr(1e4 * float(value)))
-
-
-def lose_image(folder: Path) -> None:
-    """A material file that names an image that is not there."""
-    file = sorted(folder.glob("meshes/*.mtl"))[0]
-    file.write_text(file.read_text() + "map_Kd lost.png\n")
 
 
 INERTIA = "link/inertial/inertia"
@@ -255,7 +232,7 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "empty mesh": ("mesh", lambda folder: hull_file(folder).write_text("v 0 0 0\n"), "box_0004"),
     "mesh that is none": ("mesh", lambda folder: hull_file(folder).write_bytes(b"\x00\xff" * 50), "box_0004"),
     "mesh without a size": ("mesh", put("link/collision/geometry/mesh", "scale", "0 1 1"), "scale"),
-    "flat mesh": ("mesh", edit_hull(flatten), "flat"),
+    "flat mesh": ("mesh", edited(hull_file, flatten), "flat"),
     "no mass": ("mass", put("link/inertial/mass", "value", "0"), "is 0"),
     "mass below zero": ("mass", put("link/inertial/mass", "value", "-2"), "-2"),
     "nothing said of mass": ("mass", drop("inertial"), "not stated"),
@@ -266,7 +243,7 @@ DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "center of mass outside": ("center_of_mass", put("link/inertial/origin", "xyz", "3 0 0"), "outside"),
     "no collision": ("collider", drop("collision"), "no collision"),
     "nothing is seen": ("visual", drop("visual"), "seen"),
-    "dented hull": ("explicit_hulls", edit_hull(dent), "inside its own hull"),
+    "dented hull": ("explicit_hulls", edited(hull_file, dent), "inside its own hull"),
     "no poses": ("poses", lambda folder: (folder / "poses.json").unlink(), "poses.json"),
     "file that stands nowhere": ("poses", told(lambda about: about["objects"].pop(0)), "table_0001"),
     "file that is not there": ("poses", lambda folder: (folder / "chair_0002.urdf").unlink(), "chair_0002"),
