@@ -265,7 +265,7 @@ def test_a_further_member_counts(code: Path) -> None:
     before = {module: fingerprint(module) for module in ("tasks.exports", "tasks.capture")}
     (code / "tasks" / "exports" / "obj.py").write_text("OBJ = 1\n")
     assert {module: fingerprint(module) for module in before} == before, "nobody names it"
-    edit(code / "schemas" / "families" / "export_formats.py", '"glb")', '"glb", "obj")')
+    edit(code / "schemas" / "families" / "export_formats.py", "EXPORT_FORMATS = (", 'EXPORT_FORMATS = ("obj", ')
     named = fingerprint("tasks.exports")
     assert named != before["tasks.exports"]
     edit(code / "tasks" / "exports" / "obj.py", "1", "2")
