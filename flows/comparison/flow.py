@@ -14,12 +14,13 @@ from flows.comparison.comparing import Compared, left_to_do
 from flows.comparison.comparing import compare as carried_out
 from flows.comparison.planning import SYSTEM, ComparedTraining, asked_comparison, planned_comparison
 from flows.evaluation.acting import ActIn, PlannedScene
-from flows.evaluation.flow import fanned_out, workers_for
+from flows.evaluation.flow import ACTING
 from flows.progress import current
 from flows.run.parameters import Address, StageTables
 from flows.run.patience import patiently
 from flows.server.artifacts import run_log, short_name
 from flows.server.here import keep
+from flows.server.scene_tasks import fanned_out, workers_for
 from flows.training.flow import told_now_and_then
 from flows.training.progress import watched
 from flows.training.training import system_configuration
@@ -112,7 +113,7 @@ def compare(
             run_log(note)
         to_train, to_measure, _ = left_to_do(store, planned)
         run_log(f"{planned.comparison_id}: {to_train} models to train, {to_measure} trajectories to measure")
-        with fanned_out(workers_for(workers, len(planned.trainings) * len(planned.episodes))) as act_in:
+        with fanned_out(workers_for(workers, len(planned.trainings) * len(planned.episodes)), ACTING) as act_in:
             return carried_out(store, planned, model_of, with_bar(act_in))
 
     done = patiently(once)

@@ -54,6 +54,11 @@ class PlannedScene:
     is_new: bool
 
     @property
+    def scene_id(self) -> str:
+        """The scene."""
+        return self.task.scene_id
+
+    @property
     def batch_id(self) -> str:
         """The trajectory batch."""
         return self.job.scene_id
@@ -128,13 +133,6 @@ def act(task: SceneTask) -> StageRun:
         lake.stage_rows(run, {})
         return run
     return execute(acting.measuring(attempts))
-
-
-def left_behind(scene: PlannedScene, kind: str, text: str, seconds: float) -> StageRun:
-    """The run of a scene whose worker did not come back, staged: kind 'lost' or 'timeout'."""
-    run = lost_run(scene.job, kind, text, seconds)
-    Lake.open(scene.task.lake).stage_rows(run, {})
-    return run
 
 
 def evaluated(planned: PlannedPolicy, runs: Mapping[str, StageRun]) -> Evaluated:

@@ -11,11 +11,12 @@ import pytest
 
 from flows.evaluation import flow
 from flows.evaluation.acting import PlannedPolicy, act, evaluated, in_this_process, planned_policy
-from flows.evaluation.flow import ACTION_SECONDS, LOST_RETRIES, ActingWork, act_in_scene, seconds_for
+from flows.evaluation.flow import ACTING, ACTION_SECONDS, seconds_for
 from flows.evaluation.measuring import Evaluated
 from flows.run.configuration import configure
 from flows.run.pool import WorkerLost, WorkerTimeout
 from flows.run.scene import STAGE_SECONDS
+from flows.server.scene_tasks import LOST_RETRIES, PooledScene, in_scene
 from schemas.errors import InputError
 from schemas.evaluation import Trajectory
 from schemas.runs import StageRun
@@ -119,8 +120,8 @@ def test_a_worker_that_does_not_come_back_leaves_a_row(
     scene = whole.todo[0]
     monkeypatch.setenv("PREFECT__RUNTIME__TASK_RUN__RUN_COUNT", str(count))
     pool = PoolStandIn(problem)
-    work = ActingWork(scene, pool)  # type: ignore[arg-type]
-    state = act_in_scene.fn("a scene", work)
+    work = PooledScene(scene, ACTING, pool)  # type: ignore[arg-type]
+    state = in_scene.fn("a scene", work)
     assert state.is_failed()
     assert state.message == str(problem)
     assert pool.calls == [(scene.task, seconds_for(scene))]
@@ -136,11 +137,11 @@ def test_a_worker_that_does_not_come_back_leaves_a_row(
 
 def test_a_lost_worker_is_tried_again_before_it_counts(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     let_experts_act(monkeypatch, {})
-    work = ActingWork(planned(lake).todo[0], PoolStandIn(WorkerLost("killed")))  # type: ignore[arg-type]
+    work = PooledScene(planned(lake).todo[0], ACTING, PoolStandIn(WorkerLost("killed")))  # type: ignore[arg-type]
     for count in range(1, LOST_RETRIES + 1):
         monkeypatch.setenv("PREFECT__RUNTIME__TASK_RUN__RUN_COUNT", str(count))
         with pytest.raises(WorkerLost):
-            act_in_scene.fn("a scene", work)
+            in_scene.fn("a scene", work)
     assert work.run is None
     lake.commit()
     assert runs_of(lake) == []
