@@ -128,6 +128,7 @@ def test_an_object_is_explained(lake: Lake) -> None:
 # --- releases ---
 
 
+@pytest.mark.slow
 def test_its_release_is_listed_shown_asked_and_attached(lake: Lake, tmp_path: Path) -> None:
     assert [one["name"] for one in json.loads(told("release", "list", "--lake", lake.address, "--json"))["releases"]] == ["v1"]
     assert "before the annotations" in told("release", "show", "v1", "--lake", lake.address)
@@ -145,6 +146,7 @@ def test_its_release_is_listed_shown_asked_and_attached(lake: Lake, tmp_path: Pa
                 connection.execute(f'FROM "{view.name}"').fetchall()
 
 
+@pytest.mark.slow
 def test_a_new_release_is_compared_with_the_old_one(lake: Lake) -> None:
     told("release", "create", "v2", "--lake", lake.address)
     by = json.loads(told("release", "diff", "v1", "v2", "--lake", lake.address, "--json"))
@@ -156,6 +158,7 @@ def test_a_new_release_is_compared_with_the_old_one(lake: Lake) -> None:
     assert not inspect(lake).errors
 
 
+@pytest.mark.slow
 def test_it_is_exported_over_what_was_exported(lake: Lake, earlier: Path) -> None:
     before = {path.relative_to(earlier) for path in (earlier / "replicas").rglob("*") if path.is_file()}
     told("export", "--lake", lake.address, "--release", "v1", "--scene", "scannet/scene0004_00", "--out", earlier / "replicas")
@@ -168,6 +171,7 @@ def test_it_is_exported_over_what_was_exported(lake: Lake, earlier: Path) -> Non
 # --- it is kept ---
 
 
+@pytest.mark.slow
 def test_upkeep_leaves_it_as_it_is(lake: Lake, tmp_path: Path) -> None:
     rows = {table: lake.snapshot().arrow(table) for table in TABLES if table not in ("snapshots", "stage_runs", "releases")}
     told("lake", "compact", "--lake", lake.address)
@@ -212,6 +216,7 @@ def steps(earlier: Path, *more: object) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.slow
 def test_the_same_scans_are_computed_again_only_where_the_code_changed(lake: Lake, earlier: Path) -> None:
     causes = {(step["action"], step["why"]) for step in steps(earlier)}
     assert {action for action, _ in causes} <= {"reuse", "run", "report", "wait"}
@@ -225,6 +230,7 @@ def test_the_same_scans_are_computed_again_only_where_the_code_changed(lake: Lak
         assert {step["action"] for step in said["steps"] if step["why"] == "never done"} == set()
 
 
+@pytest.mark.slow
 def test_it_is_run_on_and_then_up_to_date(lake: Lake, earlier: Path) -> None:
     had = lake.snapshot()
     said = run(earlier, "--workers", "2", code=1)
@@ -249,6 +255,7 @@ def test_it_is_run_on_and_then_up_to_date(lake: Lake, earlier: Path) -> None:
 # --- rooms ---
 
 
+@pytest.mark.slow
 def test_its_rooms_are_one_for_each_scene_and_its_shells_are_read_out_of_them(lake: Lake, tmp_path: Path) -> None:
     """Then a scene is captured anew, as two rooms, and has its shell in the new table; a release and a compaction keep both."""
     moved = ", ".join(move_out_of("rooms").columns)  # type: ignore[union-attr]

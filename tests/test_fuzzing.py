@@ -190,6 +190,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Rec
     return out, campaign.records
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("name", sorted(broken.targets()))
 def test_a_fault_is_found_told_and_kept(name: str, found: tuple[Path, dict[str, Record]]) -> None:

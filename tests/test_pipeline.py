@@ -160,12 +160,14 @@ def test_one_changed_value_redoes_exactly_what_depends_on_it(
     assert all(("seed" if setting == "seed" else "config") in why or "redone" in why for why in todo.values())
 
 
+@pytest.mark.slow
 def test_one_worker_and_two_give_the_same_result(home: dict[str, str], lake: Path, scans: Path, tmp_path: Path) -> None:
     done = run(home, scans, tmp_path / "lake", "--workers", 1)
     assert done.returncode == 0, done.stderr
     assert digests(Lake.open(tmp_path / "lake").snapshot()) == digests(Lake.open(lake).snapshot())
 
 
+@pytest.mark.slow
 def test_a_changed_scan_is_redone_and_its_neighbor_is_not(home: dict[str, str], lake: Path, scans: Path, tmp_path: Path) -> None:
     changed, copy = tmp_path / "scans", tmp_path / "lake"
     shutil.copytree(scans, changed)
@@ -209,6 +211,7 @@ def test_a_failing_scene_stops_no_other_and_is_not_computed_again(home: dict[str
     assert {stage for _, stage in stale(copy, mixed, home, "--retry-failed")} == {"capture", *STAGE_NAMES[1:]}
 
 
+@pytest.mark.slow
 def test_an_annotation_redoes_its_scene_from_optimization_on(home: dict[str, str], lake: Path, scans: Path, tmp_path: Path) -> None:
     copy = tmp_path / "lake"
     shutil.copytree(lake, copy)
@@ -244,6 +247,7 @@ def test_an_annotation_redoes_its_scene_from_optimization_on(home: dict[str, str
     assert len(refused.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_no_answer_of_a_returned_batch_reaches_a_scene(home: dict[str, str], lake: Path, scans: Path, tmp_path: Path) -> None:
     copy = tmp_path / "lake"
     shutil.copytree(lake, copy)
@@ -383,6 +387,7 @@ def killed_runs(home: dict[str, str], lake: Path, scans: Path, undisturbed: Path
     assert hit >= trials / 2, "most kills must fall into the run"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_run_in_the_middle(home: dict[str, str], scans: Path, tmp_path: Path, number: int) -> None:
     process = start(home, tmp_path / "lake", scans)

@@ -77,6 +77,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Figures, floa
     return folder / "lake", figures, time.perf_counter() - clock
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_lake_and_the_clock(plain: tuple[Path, Figures, float]) -> None:
     lake, figures, seconds = plain
     runs = Lake.open(lake).snapshot().rows(StageRun)

@@ -39,6 +39,7 @@ def exported() -> RoomExports:
     return exports_bench.measure_room(ExportsBench(rooms=10, episodes=3), 1)
 
 
+@pytest.mark.slow
 def test_a_room_passes_every_gate_and_its_files_agree_with_its_certificate(exported: RoomExports) -> None:
     assert exported.objects >= 10
     assert set(EXPORT_FORMATS) <= exported.seconds.keys()
@@ -151,6 +152,7 @@ def test_replays_turn_left_counter_clockwise() -> None:
 # --- the command ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_reports_are_printed_and_a_missed_goal_is_exit_code_1(monkeypatch: pytest.MonkeyPatch) -> None:
     done = CliRunner().invoke(command, ["navigation", "--rooms", "1", "--processes", "1"])
     assert done.exit_code == 0, done.output

@@ -100,6 +100,7 @@ def true_surfaces_of(truth: Any) -> Any:
         return true_surfaces(truth, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_rows_are_those_of_any_lake_and_ten_candidates_differ(data: SelectionData) -> None:
     reader = data.lake.snapshot()

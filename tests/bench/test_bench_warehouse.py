@@ -47,6 +47,7 @@ def asked(lake: Lake, sql: str) -> list[tuple]:
     return [tuple(row.values()) for row in query(lake.snapshot(), sql).to_pylist()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: table.name)
 def test_every_generated_row_is_valid(lake: Lake, table) -> None:
     rows = lake.snapshot().rows(table.record)
@@ -114,6 +115,7 @@ def test_rows_agree_with_each_other(lake: Lake) -> None:
     assert wrong == 0
 
 
+@pytest.mark.slow
 def test_what_stage_runs_say_was_written_is_there(lake: Lake) -> None:
     said = asked(lake, "SELECT scene_id, unnest(row_counts) FROM current_runs WHERE contains(scene_id, '/')")
     said = [(scene, entry) for scene, entry in said if not entry.startswith("splits=")]  # by room
@@ -222,6 +224,7 @@ def test_a_wrong_box_is_noticed(lake: Lake) -> None:
     assert volumes.differences(boxes, boxes.slice(1)) == len(volumes.FIGURES) * boxes.num_rows
 
 
+@pytest.mark.slow
 def test_everything_that_must_be_refused_is(cache: Path, tmp_path: Path) -> None:
     small = copied_lake(generated_lake(10), tmp_path / "lake")
     attempts = refusals.try_everything(small)
@@ -242,6 +245,7 @@ def test_what_is_not_refused_and_what_changes_something_is_told(lake: Lake, tmp_
     assert not refusals._refused(small, "bad SQL", "a crash", broken).refused
 
 
+@pytest.mark.slow
 def test_the_command_prints_what_was_measured_and_fails_with_its_goals(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     some = {name: f"SELECT * FROM {name}" for name in ("headline", "volume_by_category", "objects_per_scene")}
     monkeypatch.setattr(report, "questions", lambda lake: some)

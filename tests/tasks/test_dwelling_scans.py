@@ -44,6 +44,7 @@ def made(tmp_path_factory) -> tuple[Path, DwellingTruth]:
     return out, scan(out, 0, HardScanSettings(frames="exported"))
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_truth_reads_back_as_it_was_written(made) -> None:
     out, truth = made

@@ -213,6 +213,7 @@ def trajectories(draw: st.DrawFn) -> list[Any]:
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @quick
 @given(rows=trajectories())

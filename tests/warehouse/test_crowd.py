@@ -113,6 +113,7 @@ def test_batches_are_caught_as_often_as_the_sample_predicts(careless: int, overl
         assert caught == 0
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_nothing_that_was_returned_is_placed(tmp_path: Path) -> None:
     """Two hundred batches, one careless annotator in half of them, on one lake; what the optimization would read of every scene."""

@@ -91,6 +91,7 @@ def test_commit_that_dies_at_any_step_is_made_good_by_the_next(prepared: Path, t
     assert {1, 2} == set(states)
 
 
+@pytest.mark.slow
 def test_processes_that_stage_and_commit_at_once_lose_and_double_nothing(tmp_path: Path) -> None:
     address, count, rounds = tmp_path / "lake", 6, 2
     processes = [load("writer", address, first, count, rounds) for first in (0, 3)]  # scenes 3, 4, 5 by both

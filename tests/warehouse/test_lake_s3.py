@@ -60,6 +60,7 @@ def test_same_rows_and_blobs_as_in_a_folder(bucket: str, tmp_path: Path) -> None
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 def test_other_objects_are_out_of_reach_of_sql(bucket: str) -> None:
     lake = Lake.open(f"s3://{bucket}/guard/lake")
     stage_scene(lake, 1, "x", at=0)

@@ -519,6 +519,7 @@ def test_an_object_of_others_has_fewer_links(tmp_path: Path, origin: str, displa
         assert draw_lineage(lineage, ending)
 
 
+@pytest.mark.slow
 def test_pictures_open_and_hold_every_node(lake: Lake, tmp_path: Path) -> None:
     from PIL import Image
 

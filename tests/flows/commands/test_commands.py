@@ -228,6 +228,7 @@ def test_doctor_finds_a_lake_sound_and_a_damaged_one_not(ask: Ask, lake: Path, t
     assert any(lost in line and "missing" in line for line in errors)
 
 
+@pytest.mark.slow
 def test_doctor_finds_an_export_sound_and_a_damaged_one_not(ask: Ask, lake: Path, tmp_path: Path) -> None:
     said = ask("export", "--lake", lake, "--out", tmp_path, "--json")
     assert said.returncode == 0, said.stderr

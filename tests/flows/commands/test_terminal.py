@@ -142,6 +142,7 @@ def test_csv_is_exact_in_a_pipe_and_escaped_on_a_terminal(odd_lake: str) -> None
 WAYS = {"no room": ("no space left", lambda: os.open("/dev/full", os.O_WRONLY)), "closed": ("bad file descriptor", lambda: None)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(
     "words", [("--help",), ("status", "--help"), ("status",), ("sql", "SELECT 1"), ("sql", "SELECT 1", "--output", "csv")]

@@ -140,6 +140,7 @@ def test_the_newest_policy_that_was_not_withdrawn_acts(lake: Lake, monkeypatch: 
         trained_policy(lake, "exprt")
 
 
+@pytest.mark.slow
 def test_the_command_names_models_and_says_who_found_what(lake: Lake) -> None:
     row, runner = keep_model(lake), CliRunner()
     words = ["--policy", row.model_id[:8], "--policy", "expert", "--lake", lake.address]

@@ -188,6 +188,7 @@ def test_more_scenes_leave_the_first_as_they_are_with_any_number_of_workers(stra
     assert digests(lake.snapshot()) == digests(straight.snapshot())
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_failure_stops_no_other_scene_and_is_told_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lake, stage = Lake.open(tmp_path / "lake"), jobs._stage("navigation")
@@ -235,6 +236,7 @@ def test_what_passes_is_no_failure_of_the_scene(tmp_path: Path, monkeypatch: pyt
     assert actions(ask(lake, count=1)) == ["reuse"]
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_worker_that_dies_takes_one_scene_along(straight: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lake, layouts = Lake.open(tmp_path / "lake"), batches._with_layouts
@@ -416,6 +418,7 @@ def test_other_requests_have_other_names(rooms: Lake) -> None:
     assert both == name("a/c", licenses=Allowed(("CC0-1.0", "MIT")))
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_who_erases_a_scene_erases_what_was_made_of_it(erasable: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(*_: object, **__: object) -> None:

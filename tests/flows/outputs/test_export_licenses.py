@@ -121,6 +121,7 @@ def traces(lake: Lake, category: str) -> dict[str, list[bytes]]:
     }
 
 
+@pytest.mark.slow
 def test_nothing_of_what_is_left_out_is_in_any_file(lake: Lake, whole: Path, without_chairs) -> None:
     category = "chair"
     out, written = without_chairs

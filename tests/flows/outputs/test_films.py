@@ -61,6 +61,7 @@ def drawn(lake: Lake, per_outcome: int) -> list[tuple[str, bool]]:
     return [(row["episode_id"], row["success"]) for row in rows]
 
 
+@pytest.mark.slow
 def test_successes_and_failures_are_drawn_by_the_episode_and_short_walks_come_last(lake: Lake) -> None:
     rows = {row.episode_id: row for row in lake.snapshot().rows(Trajectory)}
     every = drawn(lake, 9)
@@ -136,6 +137,7 @@ def test_a_model_is_filmed_through_its_own_camera(lake: Lake) -> None:
     assert camera_of(reader, dataclasses.replace(mine, policy="mine")) == AgentCamera()
 
 
+@pytest.mark.slow
 def test_the_command_writes_films_and_says_where(lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tasks.films.walks.FilmLook", lambda: LOOK)  # the size that people get takes ten times as long
     words = ["--policy", "expert", "--lake", lake.address, "--films", str(tmp_path / "films")]

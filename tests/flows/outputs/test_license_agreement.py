@@ -233,6 +233,7 @@ def test_a_release_says_the_license_that_holds(lake: Lake) -> None:
         assert f"| assets | {license_} | {count} |" in (folder / "README.md").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("license_", sorted(set(HELD.values())))
 def test_what_is_left_out_goes_by_the_license_that_holds(lake: Lake, tmp_path: Path, license_: str) -> None:
     held = expected(lake)
@@ -254,6 +255,7 @@ def test_what_is_left_out_goes_by_the_license_that_holds(lake: Lake, tmp_path: P
     assert license_ not in said.values()
 
 
+@pytest.mark.slow
 def test_exports_of_an_older_version_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(bodies, "licensed", lambda asset, scans: asset)

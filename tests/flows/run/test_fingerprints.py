@@ -251,6 +251,7 @@ def test_members_of_a_family_count_for_the_stage_that_has_them(code: Path) -> No
     assert changed(code, "tasks/evaluation/policies/random.py", ("tasks.evaluation", "tasks.navigation")) == {"tasks.evaluation"}
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize(
     "path",

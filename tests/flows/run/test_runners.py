@@ -73,6 +73,7 @@ def leftovers(lake: Path) -> list[Path]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runner", ["processes", "dask"])
 def test_every_runner_gives_the_same_rows_and_blobs(served: dict[str, str], scans: Path, lake: Path, tmp_path: Path, runner: str) -> None:
     done = run(served, scans, tmp_path / "lake", "--runner", runner, "--batch", 2)

@@ -191,6 +191,7 @@ def test_no_part_of_a_copy_is_taken_for_the_scan_and_the_whole_is(case: tuple[di
         assert set(states(settled(scans, lake, T0 + 1000)).values()) == {"new"}
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_byte_of_every_file_is_missed_when_it_is_cut(kind: str, tmp_path: Path) -> None:
@@ -449,6 +450,7 @@ def slowly(source: Path, target: Path, names: Callable[[str], str], done: thread
     done.set()
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("names", [str, lambda name: f".{name}.aB3xY9"], ids=["cp", "rsync"])
 def test_a_real_copy_is_never_taken_before_its_end_and_always_after(names: Callable[[str], str], tmp_path: Path, lake: Lake) -> None:
@@ -627,6 +629,7 @@ print(json.dumps(said))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_deployment_is_asked_once_for_what_was_found(prefect: PrefectServer, tmp_path: Path) -> None:
     environment = os.environ | {

@@ -272,6 +272,7 @@ def test_a_stranger_commands_nothing(server: PrefectServer, deployment: tuple[st
     assert not harm.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_servers_of_runs_and_of_measurements_are_closed_as_well(tmp_path: Path) -> None:
     def is_closed(url: str) -> None:
@@ -394,6 +395,7 @@ def test_a_page_from_elsewhere_reaches_nothing_and_the_own_pages_ask_for_the_tok
     page.get_by_text("nightly-lake").first.wait_for()
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("kind", ["away", "nonsense", "half", "refuses"])
 def test_a_named_server_that_is_none_is_one_line_and_no_defect(kind: str, server: PrefectServer, elsewhere: str, tmp_path: Path) -> None:

@@ -191,6 +191,7 @@ def eventually(found: Callable[[], Any], what: str) -> Any:
     return value
 
 
+@pytest.mark.slow
 def test_schedules_pool_limits_and_parameters_are_what_was_asked_for(deployed: Prefect) -> None:
     nightly = deployed.deployment("replicate/nightly-lake")
     assert [(each["schedule"]["cron"], each["schedule"]["timezone"]) for each in nightly["schedules"]] == [("0 1 * * *", "Europe/Berlin")]
@@ -219,6 +220,7 @@ def test_schedules_pool_limits_and_parameters_are_what_was_asked_for(deployed: P
     assert slots == short, "a slot's lease ends a long run whose server is away for minutes"
 
 
+@pytest.mark.slow
 def test_deploying_again_changes_what_is_different_and_prefects_own_command_sets_up_the_same(deployed: Prefect, hook: str) -> None:
     before = deployed.facts()
     backfill = deployed.deployment("replicate/backfill-lake")["id"]
@@ -329,6 +331,7 @@ def test_a_scheduled_run_is_picked_up_by_a_worker_in_another_process_and_complet
     assert {row.stage for row in rows} == {stage.name for stage in SCENE_STAGES}
 
 
+@pytest.mark.slow
 def test_statistics_are_asked_for_after_our_nightly_run_and_nobody_elses(deployed: Prefect) -> None:
     """Told by the states of runs, without waiting for one: a run that was scheduled less than five minutes before it starts
     has no event of its scheduling, for which Prefect keeps what follows waiting for a quarter of an hour."""
@@ -364,6 +367,7 @@ with tags("metascenes"):
 """
 
 
+@pytest.mark.slow
 def test_a_failed_run_calls_the_webhook_whose_address_stays_a_secret(deployed: Prefect) -> None:
     automations = [each for each in deployed.ask("automations/filter", {}).json() if each["name"] == "metascenes-failures"]
     done = deployed.run([sys.executable, "-c", FAILING])
@@ -393,6 +397,7 @@ def test_a_failed_run_calls_the_webhook_whose_address_stays_a_secret(deployed: P
     assert not deployed.ask("block_documents/filter", {}).json()
 
 
+@pytest.mark.slow
 def test_a_run_that_ends_once_is_told_of_once(prefect: Prefect, hook: str) -> None:
     """The server comes upon the same end again: it found its database locked while it handed the event to another automation,
     or a client that had no answer told the state again."""

@@ -131,6 +131,7 @@ def test_they_run_on_under_todays_code(prefect: Prefect, former: dict[str, str])
     assert {(row.scene_id, row.outcome) for row in rows} == {("scannet/scene0000_00", "done")}
 
 
+@pytest.mark.slow
 def test_deploying_another_lake_leaves_them_and_deploying_theirs_replaces_them(prefect: Prefect, former: dict[str, str]) -> None:
     names = {one["name"] for one in prefect.ask("deployments/filter", {}).json()}
     assert names == set(BASES) - LATER
@@ -162,6 +163,7 @@ def test_deploying_another_lake_leaves_them_and_deploying_theirs_replaces_them(p
     assert {change for name, change in prefect.deploy().items() if "/" in name} == {"unchanged"}
 
 
+@pytest.mark.slow
 def test_a_name_is_one_lakes(prefect: Prefect, former: dict[str, str]) -> None:
     """The last part of their addresses is the same."""
     prefect.deploy()

@@ -91,6 +91,7 @@ def test_a_server_and_worker_of_ones_own_listen_on_this_machine_alone_and_end_wi
     eventually(lambda: not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in below), "the end of all")
 
 
+@pytest.mark.slow
 def test_a_server_of_ones_own_that_dies_ends_the_command_which_says_so(tmp_path: Path) -> None:
     port = free_port()
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")} | {

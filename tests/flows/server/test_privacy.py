@@ -159,6 +159,7 @@ def test_the_search_for_words_reads_what_is_packed() -> None:
     assert found({"word": word}, places) == {("word", "parquet"), ("word", "zip"), ("word", "coded")}
 
 
+@pytest.mark.slow
 @pytest.mark.postgres
 @pytest.mark.s3
 def test_secrets_of_the_environment_are_written_down_nowhere(tmp_path: Path) -> None:
@@ -214,6 +215,7 @@ def _settled(dump: Callable[[], bytes]) -> bytes:
     return before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place", "reason"), [("127.0.0.1:1", "ConnectionRefusedError"), ("127.0.0.1:port", "ValueError")])
 @pytest.mark.parametrize("quoted", [True, False])
 def test_a_database_that_is_not_there_is_named_without_its_password(place: str, reason: str, quoted: bool, tmp_path: Path) -> None:
@@ -249,6 +251,7 @@ def listening(parent: psutil.Process) -> set[str]:
     return {each.laddr.ip for process in everyone for each in process.net_connections("inet") if each.status == psutil.CONN_LISTEN}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["run", "deploy"])
 def test_our_servers_listen_on_the_loopback_alone(kind: str, tmp_path: Path) -> None:
     environment = surroundings(tmp_path / "home", started_before=True)

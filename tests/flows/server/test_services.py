@@ -130,6 +130,7 @@ def recorded(postgres: Postgres, scenes: list[str]) -> list[str]:
         time.sleep(0.5)
 
 
+@pytest.mark.slow
 def test_a_run_on_the_services_gives_what_one_without_them_gives(
     services: Services, first: dict[str, Any], scans: Path, tmp_path: Path
 ) -> None:

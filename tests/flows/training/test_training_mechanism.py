@@ -88,6 +88,7 @@ def trained(command: Told, lake: Path, *words: Any, **given: Any) -> dict[str, A
     return row
 
 
+@pytest.mark.slow
 def test_the_same_training_is_one_whoever_loads_batches_and_leaves_all_of_its_rows(command: Told, lake: Path, tmp_path: Path) -> None:
     other = shutil.copytree(lake, tmp_path / "other")
     row = trained(command, lake)
@@ -137,6 +138,7 @@ def test_a_killed_training_goes_on_from_its_checkpoint(command: Told, lake: Path
     assert row["model_id"] in done.stdout, "step 28 is not taken again"
 
 
+@pytest.mark.slow
 def test_one_model_begins_with_another_and_says_so(command: Told, learned: tuple[Path, dict[str, Any]]) -> None:
     lake, first = learned
     second = trained(command, lake, "--from", first["model_id"][:10])
@@ -154,6 +156,7 @@ def test_one_model_begins_with_another_and_says_so(command: Told, learned: tuple
     assert refused.stderr.strip().endswith("there is no model 'ffffffffffff'; `metascenes models list` names them")
 
 
+@pytest.mark.slow
 def test_a_model_goes_to_another_lake_and_back_and_is_withdrawn(
     command: Told, learned: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -179,6 +182,7 @@ def test_a_model_goes_to_another_lake_and_back_and_is_withdrawn(
     assert len(Lake.open(lake).snapshot().rows(TrainingStep)) == 6, "what was measured stays"
 
 
+@pytest.mark.slow
 def test_what_is_no_model_is_refused_in_a_line(command: Told, learned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     lake, row = learned
     whole = tmp_path / "whole"
@@ -220,6 +224,7 @@ def test_what_is_no_model_is_refused_in_a_line(command: Told, learned: tuple[Pat
     assert not Lake.open(tmp_path / "new").exists
 
 
+@pytest.mark.slow
 def test_releases_have_models_and_are_learned_from_and_an_erasure_names_what_learned(
     command: Told, learned: tuple[Path, dict[str, Any]]
 ) -> None:
@@ -240,6 +245,7 @@ def test_releases_have_models_and_are_learned_from_and_an_erasure_names_what_lea
     assert trained(command, lake)["examples"] == [f"train={2 * (SCENES - 1)}"], "other rows are another training"
 
 
+@pytest.mark.slow
 def test_what_cannot_be_trained_says_why_in_a_line(command: Told, lake: Path, tmp_path: Path) -> None:
     for words, said in (
         (("--release", "v9"), "no release 'v9'"),

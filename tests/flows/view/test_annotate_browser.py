@@ -225,6 +225,7 @@ def ask_to_hand_in(page: Page) -> None:
         page.wait_for_timeout(30)
 
 
+@pytest.mark.slow
 def test_an_object_is_chosen_aligned_and_ranked_and_kept(opened: Callable[..., Page], lake: Lake) -> None:
     page = opened("ada")
     show(page, OBJECT)
@@ -375,6 +376,7 @@ def test_a_batch_goes_back_and_comes_again(opened: Callable[..., Page], lake: La
     assert corrected["answer"]["pose"][11] == pytest.approx(TABLE_M, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_two_annotators_do_not_meet(opened: Callable[..., Page]) -> None:
     pages = {name: opened(name) for name in ("ada", "bob")}
     for page in pages.values():
@@ -389,6 +391,7 @@ def test_two_annotators_do_not_meet(opened: Callable[..., Page]) -> None:
         assert now(page)["choice"] == 4 + shift
 
 
+@pytest.mark.slow
 def test_what_is_called_saved_outlives_the_server_and_work_goes_on_without_it(opened: Callable[..., Page], server: Server) -> None:
     page = opened("ada")
     show(page, OBJECT)

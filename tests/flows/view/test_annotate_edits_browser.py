@@ -52,6 +52,7 @@ def status_of(key: str) -> str:
     return f"annotate.state.listed.find(([key]) => key === '{key}')[1]"
 
 
+@pytest.mark.slow
 def test_what_is_typed_while_the_answer_before_is_saved_is_a_number(opened: Callable[..., Page]) -> None:
     page = opened("ada")
     show(page, OBJECT)
@@ -86,6 +87,7 @@ def test_a_number_that_was_typed_is_of_the_object_that_was_shown(opened: Callabl
     assert position(page)[0] == 0.5
 
 
+@pytest.mark.slow
 def test_edits_after_a_look_at_another_tab_are_kept(opened: Callable[..., Page]) -> None:
     """Drafts are read anew then; the page goes on counting where it was, also for what was answered."""
     page = opened("ada")
@@ -108,6 +110,7 @@ def test_edits_after_a_look_at_another_tab_are_kept(opened: Callable[..., Page])
     assert (page.evaluate("annotate.state.status"), position(page)) == ("draft", kept)
 
 
+@pytest.mark.slow
 def test_what_is_refused_stays_unsaved_until_it_is_taken(opened: Callable[..., Page]) -> None:
     """However much else is saved meanwhile, and whatever is shown; the object is named, and leaving the page warns."""
     page = opened("ada")
@@ -137,6 +140,7 @@ def test_what_is_refused_stays_unsaved_until_it_is_taken(opened: Callable[..., P
     assert not page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))")
 
 
+@pytest.mark.slow
 def test_what_came_too_slowly_is_sent_again(opened: Callable[..., Page]) -> None:
     page = opened("ada")
     show(page, OBJECT)
@@ -147,6 +151,7 @@ def test_what_came_too_slowly_is_sent_again(opened: Callable[..., Page]) -> None
     wait(page, "annotate.state.saved", "saved")
 
 
+@pytest.mark.slow
 def test_edits_while_an_answer_is_taken_back_are_a_draft(opened: Callable[..., Page]) -> None:
     page = opened("ada")
     show(page, OBJECT)
@@ -171,6 +176,7 @@ def test_edits_while_an_answer_is_taken_back_are_a_draft(opened: Callable[..., P
     assert (page.evaluate("annotate.state.status"), position(page)) == ("draft", kept)
 
 
+@pytest.mark.slow
 def test_what_is_saved_is_the_asset_that_was_shown_where_it_was_shown(opened: Callable[..., Page]) -> None:
     """Slots and what selection aligned may mean something else in a later snapshot."""
     page = opened("ada")
@@ -195,6 +201,7 @@ def test_what_is_saved_is_the_asset_that_was_shown_where_it_was_shown(opened: Ca
     assert {name: now(page)[name] for name in ("choice", "ranking")} == {"choice": 3, "ranking": [5]}
 
 
+@pytest.mark.slow
 def test_a_draft_of_an_asset_that_is_no_candidate_any_more_is_not_saved_as_an_answer(opened: Callable[..., Page]) -> None:
     page = opened("ada")
     show(page, OBJECT)
@@ -225,6 +232,7 @@ def test_candidates_that_have_changed_are_said_in_words(opened: Callable[..., Pa
     assert page.evaluate(status_of(OBJECT)) == "draft"
 
 
+@pytest.mark.slow
 def test_a_touched_answer_can_be_left_as_it_was(opened: Callable[..., Page]) -> None:
     """Its draft is thrown away; until then the hand-in tells it from what is not answered."""
     page = opened("ada")
@@ -258,6 +266,7 @@ def test_a_touched_answer_can_be_left_as_it_was(opened: Callable[..., Page]) -> 
     wait(page, "[annotate.state.saved, annotate.state.status].join()", "saved,draft")
 
 
+@pytest.mark.slow
 def test_nothing_is_computed_that_nobody_waits_for(opened: Callable[..., Page]) -> None:
     """Figures of an edit before are called off, and an object that is settling is not settled twice."""
     page = opened("ada")

@@ -35,6 +35,7 @@ def drafted(number: int, **values: Any) -> dict[str, Any]:
     return {"choice": 1 + number % 3, "transform": None, "ranking": [1 + number % 3], "seconds": number} | values
 
 
+@pytest.mark.slow
 def test_a_batch_goes_from_its_first_draft_to_the_scenes(tmp_path: Path) -> None:
     lake = asked_lake(tmp_path)
     with serving(tmp_path, "--reviewer", "rita", "--reviewer", "ADA") as server:
@@ -124,6 +125,7 @@ def _judged(ada: Guest, rita: Guest, bob: Guest) -> str:
     return wrong
 
 
+@pytest.mark.slow
 def test_two_annotators_at_once_never_step_on_each_other(tmp_path: Path) -> None:
     """Both have all objects. Each keeps a book of what they did; in the end the server says the same, and so does the lake."""
     lake = asked_lake(tmp_path, overlap=2, objects=2)

@@ -346,6 +346,7 @@ def test_a_device_among_frames_is_left_out_as_a_link_that_leaves(scans: Path) ->
         FileHashes().tree(allowed.folder, scan_files(allowed))
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_the_command_line_names_what_it_leaves_out_and_takes_stores(made: Path, scans: Path, tmp_path: Path) -> None:
     (scans / "kitchen" / "LICENSE.txt").unlink()

@@ -246,6 +246,7 @@ def test_ends_near_another_wall_reach_it_and_no_slab_leaves_the_floor() -> None:
     assert np.allclose([*second.start, *second.end], [3, 2, 5.2, 2])
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.realdata
 def test_walls_of_a_modelled_house(realdata: Callable[[str], Path]) -> None:

@@ -292,6 +292,7 @@ def repainted(room: FurnishedRoom) -> FurnishedRoom:
     return dataclasses.replace(room, structure=structure)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_scanned_room_has_the_tiles_and_walls_that_it_had(tmp_path: Path) -> None:
     """The virtual scanner walks through a furnished room: light and noise of its camera are a part of what comes back."""

@@ -72,6 +72,7 @@ def room(kind: str, seed: int) -> list[Placed]:
     return placed
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for seed, kind in enumerate(ROOM_TYPES)])
 def test_sleep_after_a_nudge_changes_no_verdict_in_a_room(kind: str, seed: int) -> None:

@@ -207,6 +207,7 @@ def test_generated_furniture_comes_to_rest_without_collisions(seed: int) -> None
 # steps, contacts, bytes
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @METHODS
 @pytest.mark.parametrize("seed", range(3))

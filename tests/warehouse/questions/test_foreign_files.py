@@ -28,6 +28,7 @@ def filled(folder: Path) -> Lake:
     return lake
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize(
     "place",

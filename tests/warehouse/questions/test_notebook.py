@@ -56,6 +56,7 @@ def run(lake: Lake) -> tuple[Sequence[Any], Mapping[str, Any]]:
     return ran
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_every_question_has_a_chart_with_something_in_it(run: Any) -> None:
     from matplotlib.figure import Figure

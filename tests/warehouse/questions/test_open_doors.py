@@ -322,6 +322,7 @@ SPARK = [text for kind, text in BLOCKS if text.startswith("# spark")]
 PLAIN = [(kind, text) for kind, text in BLOCKS if text not in SPARK]
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize(("kind", "text"), PLAIN, ids=[f"{kind}-{i}" for i, (kind, _) in enumerate(PLAIN)])
 def test_every_step_of_the_page_works(home: Path, tmp_path: Path, kind: str, text: str) -> None:

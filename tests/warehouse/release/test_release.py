@@ -178,6 +178,7 @@ def test_questions_can_be_asked_of_a_release(lake: Lake) -> None:
     assert "give one of them" in str(run(cli, [*asked, "--release", "v1", "--snapshot", "3"]).exception)
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @pytest.mark.parametrize("damage", ["", "{", '{"name": "v1"}', '{"name": "v2"'])
 def test_a_damaged_record_of_a_release_is_named(lake: Lake, damage: str) -> None:

@@ -86,6 +86,7 @@ steps = st.lists(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 @settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(history=steps)

@@ -228,6 +228,7 @@ def test_threads_of_many_runs_never_hold_a_scene_twice(address: str) -> None:
     assert lake.storage.names(FOLDER) == []
 
 
+@pytest.mark.slow
 def test_processes_that_are_killed_at_random_never_hold_a_scene_twice(tmp_path: Path) -> None:
     lake = Lake.open(tmp_path / "lake")
     lake.claims()
@@ -281,6 +282,7 @@ def test_claims_of_another_machine_are_respected_until_they_run_out(address: str
         assert claims.held() == {SCENES[0]}
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_for_too_long_finds_its_scene_lost(address: str) -> None:
     life = 6.0
     with started("hold", address, life, "ffffffff", SCENES[0], SCENES[1]) as process:
@@ -503,6 +505,7 @@ class Away(LocalStorage):
         return super().swap(path, data, tag)
 
 
+@pytest.mark.slow
 def test_what_could_not_be_given_back_stops_the_next_run_of_the_same_process_for_one_life_only(tmp_path: Path) -> None:
     (tmp_path / "lake").mkdir()
     storage, life = Away(tmp_path / "lake"), 6.0

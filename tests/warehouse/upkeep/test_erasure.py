@@ -161,6 +161,7 @@ def test_the_scene_is_gone_and_the_others_keep_every_row(lake: Lake) -> None:
     assert [str(finding) for finding in inspect(lake).findings] == []
 
 
+@pytest.mark.slow
 def test_the_lake_is_as_if_the_scene_had_never_been_there(lake: Lake, tmp_path: Path) -> None:
     erase(lake, HOME)
     other = Lake.open(tmp_path / "other")
@@ -292,6 +293,7 @@ def test_names_that_are_no_scene_are_refused(lake: Lake, tmp_path: Path) -> None
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 def test_unfinished_erasure_of_another_scene_comes_first(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("warehouse.upkeep.erasure.erase_from_releases", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
@@ -447,6 +449,7 @@ def test_an_erasure_that_dies_at_any_step_is_finished_by_the_next(filled: Path, 
     assert {True, False} == set(states)
 
 
+@pytest.mark.slow
 def test_snapshots_say_nothing_of_the_scene(lake: Lake) -> None:
     done = erase(lake, HOME)
     rows = [dataclasses.asdict(row) for row in lake.snapshot().snapshots]

@@ -66,6 +66,7 @@ def age(lake: Lake) -> None:
         os.utime(path, (0, 0))
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_compaction_puts_files_together_in_order_and_changes_no_row(lake: Lake) -> None:
     before = {row.snapshot_id: digests(lake.snapshot(row.snapshot_id)) for row in lake.snapshot().snapshots}

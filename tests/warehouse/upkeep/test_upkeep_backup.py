@@ -71,6 +71,7 @@ def everything(lake: Lake) -> Any:
     return [(row, digests(lake.snapshot(row.snapshot_id))) for row in lake.snapshot().snapshots], releases(lake)
 
 
+@pytest.mark.slow
 def test_a_restored_lake_is_the_lake(lake: Lake, tmp_path: Path) -> None:
     done = backup(lake, tmp_path / "backup")
     assert done.copied_files == done.files > 100

@@ -52,6 +52,7 @@ def sentences(lake: Lake, snapshot_id: int | None = None) -> dict[str, set[str |
     return {scene: {row["value"] for row in rows if row["scene_id"] == scene} for scene in sorted({row["scene_id"] for row in rows})}
 
 
+@pytest.mark.slow
 def test_a_column_that_is_younger_than_the_lake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Written with a column less; read, replaced, compacted, released, backed up, vacuumed and erased with it."""
     lake = Lake.open(tmp_path / "lake")

@@ -319,6 +319,7 @@ def hashes(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_a_sound_lake_has_no_findings_and_is_not_changed(sound: Path) -> None:
     before = hashes(sound)

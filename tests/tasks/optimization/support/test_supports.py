@@ -292,6 +292,7 @@ def misses(made: FurnishedRoom, offsets: Sequence[float]) -> list[str]:
     return wrong
 
 
+@pytest.mark.slow
 @pytest.mark.whole
 def test_generated_rooms_have_the_supports_that_they_were_made_with() -> None:
     count, wrong = 0, []
