@@ -111,7 +111,7 @@ class Readings:
 class PlanarBody:
     """A disc that goes along arcs on a floor, and stops where it touches something.
 
-    truth: The floor as it is. pose: Where it starts: x, y [m] and yaw [rad], world frame, shape (3,). rng: Draws slip and errors of sensors.
+    truth: The floor as it is. pose: Where it starts: x, y [m] and yaw [rad], world frame, shape (3,). rng: Draws what goes wrong.
     """
 
     def __init__(self, cart: Cart, noise: DriveNoise, truth: Floor, pose: ArrayLike, rng: np.random.Generator) -> None:
