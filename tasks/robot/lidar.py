@@ -30,7 +30,7 @@ def lidar_returns(segments: ArrayLike, pose: ArrayLike, lidar: Lidar, rng: np.ra
     """
     lines = np.ascontiguousarray(segments, dtype=np.float64).reshape(-1, 4)
     x, y, yaw = np.asarray(pose, dtype=np.float64)
-    ranges: Array = _kernels()["_cast"](lines, float(x), float(y), float(yaw), lidar.rays, lidar.range_m)
+    ranges: Array = _kernels()["_cast"](lines, float(x), float(y), float(yaw), lidar.rays, lidar.range_m)[0]
     if rng is not None:
         ranges = ranges + rng.normal(0.0, lidar.noise_m, lidar.rays)
         ranges[rng.random(lidar.rays) < lidar.dropped] = np.inf
@@ -38,14 +38,22 @@ def lidar_returns(segments: ArrayLike, pose: ArrayLike, lidar: Lidar, rng: np.ra
     return ranges
 
 
+def visible(segments: ArrayLike, pose: ArrayLike, lidar: Lidar) -> NDArray[np.int64]:
+    """Numbers of the segments, shape (n, 4), that some ray of a lidar at a pose, shape (3,), meets first; sorted."""
+    lines = np.ascontiguousarray(segments, dtype=np.float64).reshape(-1, 4)
+    x, y, yaw = np.asarray(pose, dtype=np.float64)
+    met: NDArray[np.int64] = _kernels()["_cast"](lines, float(x), float(y), float(yaw), lidar.rays, lidar.range_m)[1]
+    return np.unique(met[met >= 0])
+
+
 @cache
 def _kernels() -> Kernels:
     return compile_kernels(_cast)
 
 
-def _cast(lines: Array, x: float, y: float, yaw: float, rays: int, reach: float) -> Array:
-    """Distances along rays around a point. Each segment is held against the rays between the directions of its ends."""
-    ranges = np.full(rays, np.inf)
+def _cast(lines: Array, x: float, y: float, yaw: float, rays: int, reach: float) -> tuple[Array, NDArray[np.int64]]:
+    """Distances along rays around a point, and the segment that each ends at. A segment is held against the rays between its ends."""
+    ranges, met = np.full(rays, np.inf), np.full(rays, -1)
     step = 2.0 * math.pi / rays
     for i in range(len(lines)):
         ax, ay, bx, by = lines[i, 0] - x, lines[i, 1] - y, lines[i, 2] - x, lines[i, 3] - y
@@ -69,5 +77,5 @@ def _cast(lines: Array, x: float, y: float, yaw: float, rays: int, reach: float)
             if distance >= 0.0:
                 ray = k % rays
                 if distance < ranges[ray]:
-                    ranges[ray] = distance
-    return ranges
+                    ranges[ray], met[ray] = distance, i
+    return ranges, met

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tasks.robot.configuration import Lidar
-from tasks.robot.lidar import lidar_returns, ray_angles
+from tasks.robot.lidar import lidar_returns, ray_angles, visible
 
 PERFECT = Lidar(noise_m=0.0, dropped=0.0)
 SQUARE = np.array([[-2, -1, 2, -1], [2, -1, 2, 1], [2, 1, -2, 1], [-2, 1, -2, -1]], dtype=np.float64)
@@ -57,3 +57,22 @@ def test_noise_and_lost_returns_are_as_large_as_they_say_and_drawn_again_alike()
     assert abs(errors.mean()) < 0.001
     assert 0.0195 < errors.std() < 0.0205
     np.testing.assert_array_equal(read, lidar_returns(SQUARE, [0.3, 0.1, 0.4], lidar, np.random.default_rng(5)))
+
+
+@given(lines=lines, x=places, y=places, yaw=st.floats(-4, 4))
+def test_what_is_visible_alone_is_seen_as_all_is(lines: list[tuple[float, ...]], x: float, y: float, yaw: float) -> None:
+    segments = np.array(lines)
+    lidar = Lidar(rays=60, noise_m=0.0, dropped=0.0, least_m=0.0)
+    met = visible(segments, [x, y, yaw], lidar)
+    ranges = lidar_returns(segments, [x, y, yaw], lidar)
+    np.testing.assert_array_equal(lidar_returns(segments[met], [x, y, yaw], lidar), ranges)
+    nothing = lidar_returns(np.delete(segments, met, axis=0), [x, y, yaw], lidar)
+    assert (nothing >= ranges).all()
+    for number in met:
+        rest = lidar_returns(np.delete(segments, number, axis=0), [x, y, yaw], lidar)
+        assert (rest >= ranges).all()
+
+
+def test_what_stands_behind_a_wall_is_not_visible() -> None:
+    behind = [[3, -0.5, 3, 0.5]]
+    assert visible([*SQUARE.tolist(), *behind], [0.0, 0.0, 0.0], PERFECT).tolist() == [0, 1, 2, 3]
