@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from tasks.exports.bodies import Replica
+    from tasks.geometry.meshes import Surface
 
 Array = NDArray[np.float64]
 
@@ -27,13 +28,22 @@ EDGE = "edge of the floor"
 """What bounds the floor, as an obstacle."""
 
 
+class Envelope(NamedTuple):
+    """The room that a thing takes, at most. plan: Convex hull seen from above, world frame [m]. low, high: Its bottom and its top [m]."""
+
+    plan: shapely.Geometry
+    low: float
+    high: float
+
+
 @dataclasses.dataclass(frozen=True)
 class Floor:
     """Where a cart can be, world frame [m].
 
     polygon: The floor. obstacles: By name, what lies between what the cart climbs and its top, seen from above. plane: By name, what the
     lidar's plane cuts out of it: segments, x and y of both ends, shape (n, 4). Names are instances and parts of the shell. carriers: By
-    instance, the instance that carries it. standing: Instances that stand on the floor.
+    instance, the instance that carries it. standing: Instances that stand on the floor, or on a rug, fastened to nothing. envelopes: By
+    name, the room that each takes at all heights, climbed or passed under or not.
     """
 
     polygon: shapely.Polygon
@@ -41,6 +51,7 @@ class Floor:
     plane: Mapping[str, Array]
     carriers: Mapping[str, str]
     standing: frozenset[str]
+    envelopes: Mapping[str, Envelope] = dataclasses.field(default_factory=dict)
 
     @cached_property
     def segments(self) -> Array:
@@ -89,23 +100,34 @@ def floor_of(replica: Replica, cart: Cart, lidar: Lidar, carriers: Mapping[str, 
     from tasks.navigation.obstacles import footprint
     from tasks.shell import floor_ring
 
-    named = {body.instance_id: body.shape.parts for body in replica.bodies if not is_door(body.category)}
-    poses = {body.instance_id: body.pose for body in replica.bodies}
-    obstacles, plane = {}, {}
-    for name, parts in named.items():
-        surface = surface_of(parts).transformed(poses[name])
-        obstacles[name] = footprint(surface, cart.climb_m, cart.height_m)
-        plane[name] = cut(surface.to_trimesh(), lidar.height_m)
-    for name, part in replica.shell:
-        if name == "floor":
-            continue
-        obstacles[name] = footprint(surface_of([part]), cart.climb_m, cart.height_m)
-        plane[name] = cut(part, lidar.height_m)
-    kept = {name: shapely.simplify(shape, DETAIL_M) for name, shape in obstacles.items() if not shape.is_empty}
-    standing = frozenset(name for name in named if carriers.get(name) is None and poses[name][2, 3] < cart.height_m)
-    known = {name: carrier for name, carrier in carriers.items() if carrier is not None and name in named}
-    floor = shapely.Polygon(floor_ring(replica.room))
-    return Floor(floor, kept, {name: segments for name, segments in plane.items() if len(segments)}, known, standing)
+    bodies = {body.instance_id: body for body in replica.bodies if not is_door(body.category)}
+    surfaces = {name: surface_of(body.shape.parts).transformed(body.pose) for name, body in bodies.items()}
+    surfaces |= {name: surface_of([part]) for name, part in replica.shell if name != "floor"}
+    obstacles = {name: footprint(surface, cart.climb_m, cart.height_m) for name, surface in surfaces.items()}
+    plane = {name: cut(surface.to_trimesh(), lidar.height_m) for name, surface in surfaces.items()}
+    envelopes = {name: _envelope(surface) for name, surface in surfaces.items()}
+    known = {name: carrier for name, carrier in carriers.items() if carrier is not None and name in bodies}
+    flat = {name for name in bodies if envelopes[name].high <= cart.climb_m}
+    standing = frozenset(
+        name
+        for name, body in bodies.items()
+        if not body.is_fixed and name not in flat and envelopes[name].low < cart.height_m and (name not in known or known[name] in flat)
+    )
+    return Floor(
+        shapely.Polygon(floor_ring(replica.room)),
+        {name: shapely.simplify(shape, DETAIL_M) for name, shape in obstacles.items() if not shape.is_empty},
+        {name: segments for name, segments in plane.items() if len(segments)},
+        known,
+        standing,
+        envelopes,
+    )
+
+
+def _envelope(surface: Surface) -> Envelope:
+    import shapely
+
+    low, high = (float(value) for value in surface.bounds[:, 2])
+    return Envelope(shapely.MultiPoint(surface.vertices[:, :2]).convex_hull, low, high)
 
 
 def outline(shape: shapely.Geometry) -> Array:

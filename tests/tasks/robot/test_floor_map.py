@@ -16,7 +16,7 @@ from tasks.geometry.transforms import translation, yaw_pose
 from tasks.robot.configuration import Cart, Lidar
 from tasks.robot.floor_map import EDGE, Floor, cut, floor_of, outline
 from tasks.robot.lidar import lidar_returns, ray_angles
-from tests.replicas import ROOM, cube, furnished, replica_of, rows_of
+from tests.replicas import ROOM, Object, cube, furnished, replica_of, rows_of
 
 CART, LIDAR = Cart(), Lidar()
 
@@ -46,6 +46,25 @@ def test_what_is_climbed_or_passed_under_is_no_obstacle() -> None:
     assert [name for name in floor.plane if name.isdigit()] == names
     lines = shapely.union_all([shapely.LineString(line.reshape(2, 2)) for line in floor.plane[names[0]]])
     assert shapely.hausdorff_distance(lines, turned.exterior, densify=0.01) < 0.003
+
+
+def test_what_stands_on_the_floor_is_what_could_be_moved() -> None:
+    rug = cube((2.0, 2.0, 0.01), translation((0.0, 0.0, 0.0)))
+    chair = cube((0.4, 0.4, 0.5), translation((0.0, 0.5, 0.01)), relation="on", parent_id="0001")
+    box = cube((0.3, 0.3, 0.3), translation((0.0, 0.5, 0.51)), relation="on", parent_id="0002")
+    _, floor = made([rug, chair, box, cube((0.4, 0.1, 0.4), translation((0.0, 1.9, 0.1)), relation="wall")])
+    assert floor.standing == {"0002"}, "a rug is driven over, and what hangs on a wall stays there"
+    assert floor.carriers == {"0002": "0001", "0003": "0002"}
+    assert {"0001", "0002", "0003", "0004", "wall_00"} <= set(floor.envelopes)
+    assert floor.envelopes["0003"][1:] == pytest.approx((0.51, 0.81))
+    assert floor.envelopes["0003"].plan.area == pytest.approx(0.09)
+
+
+def test_doors_are_open() -> None:
+    door = Object("door", *[cube((0.9, 0.05, 2.0), np.eye(4)).parts] * 2, pose=translation((0.0, 0.0, 0.0)))
+    _, floor = made([door, cube((0.3, 0.3, 0.3), translation((1.0, 0.0, 0.0)))])
+    assert "0001" not in {*floor.obstacles, *floor.plane, *floor.standing, *floor.envelopes}
+    assert "0002" in floor.obstacles
 
 
 def test_the_room_is_bounded_by_its_edge_and_its_walls(study: tuple[Replica, Floor]) -> None:
