@@ -22,8 +22,11 @@ Array = NDArray[np.float64]
 _FAR_M = 3.0
 """Edges farther away than this are left out until the cart has gone a part of it."""
 
+_HALVINGS = 20
+"""Of the step in which the cart touches something: to less than a micrometre."""
 
-class Body(Protocol):
+
+class CartBody(Protocol):
     """A cart in a scene."""
 
     @property
@@ -142,6 +145,7 @@ class PlanarBody:
         distance, edge = self._nearest(after)
         if distance < self._cart.radius_m:
             self.touched, self._rate = self._names[edge], 0.0
+            self.pose = self._last_free(v, w, seconds)
             return
         self.pose, self._rate = after, w
 
@@ -152,6 +156,15 @@ class PlanarBody:
     def gyro_reading(self) -> float:
         """What the gyro says: the turn rate about +Z [rad/s]."""
         return self._readings.gyro(self._rate)
+
+    def _last_free(self, v: float, w: float, seconds: float) -> Array:
+        """Where on an arc that ends in something the cart comes to touch it; where it is, if it does already."""
+        free, blocked = 0.0, seconds
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (free + blocked)
+            is_free = self._nearest(moved(self.pose, v, w, middle))[0] >= self._cart.radius_m
+            free, blocked = (middle, blocked) if is_free else (free, middle)
+        return moved(self.pose, v, w, free)
 
     def _nearest(self, pose: Array) -> tuple[float, int]:
         """Distance to the nearest edge [m], exact below `_FAR_M / 2`, and its number."""

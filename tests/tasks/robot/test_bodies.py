@@ -70,7 +70,7 @@ def test_it_runs_into_boxes_and_walls_and_never_into_them(seed: int) -> None:
             break
     assert cart.touched, "the room is six meters wide"
     reached = {"edge of the floor": edge, **{f"{index:04d}": box for index, box in enumerate(boxes)}}[cart.touched]
-    assert shapely.Point(cart.pose[:2]).distance(reached) < CART.radius_m + 0.006
+    assert shapely.Point(cart.pose[:2]).distance(reached) < CART.radius_m + 1e-6
     before = cart.pose.copy()
     cart.drive(-0.1, 0.0)
     cart.step(STEP)
@@ -79,7 +79,7 @@ def test_it_runs_into_boxes_and_walls_and_never_into_them(seed: int) -> None:
 
 
 def test_slip_is_lost_on_the_floor_and_not_at_the_wheels() -> None:
-    ends, said = [], []
+    ends, read = [], []
     for seed in range(120):
         cart = body(dataclasses.replace(QUIET, slip=0.03), seed=seed)
         travelled = 0.0
@@ -88,9 +88,9 @@ def test_slip_is_lost_on_the_floor_and_not_at_the_wheels() -> None:
             cart.step(STEP)
             travelled += float(body_speeds(*cart.wheel_readings(), CART)[0]) * STEP
         ends.append(float(np.hypot(*(cart.pose[:2] - 1.0))))
-        said.append(travelled)
-    assert np.ptp(said) < 1e-12
-    shares = np.array(ends) / said[0]
+        read.append(travelled)
+    assert np.ptp(read) < 1e-12
+    shares = np.array(ends) / read[0]
     assert 0.015 < shares.std() < 0.028, "3 % a wheel is 2.1 % of both"
     assert abs(shares.mean() - 1) < 0.006
 
