@@ -35,6 +35,11 @@ class CartBody(Protocol):
         ...
 
     @property
+    def speeds(self) -> tuple[float, float]:
+        """How fast it really goes: speed along its heading [m/s] and turn rate about +Z [rad/s]."""
+        ...
+
+    @property
     def touched(self) -> str | None:
         """Name of what it ran into; None while it ran into nothing."""
         ...
@@ -123,7 +128,7 @@ class PlanarBody:
         self._motors, self._slip, self._readings = Motors(cart, noise), Slip(noise, rng), Readings(noise, rng)
         self.pose: Array = np.array(pose, dtype=np.float64)
         self.touched: str | None = None
-        self._rate, self._wheels = 0.0, (0.0, 0.0)
+        self.speeds, self._wheels = (0.0, 0.0), (0.0, 0.0)
         self._near: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._looked: Array = np.full(2, np.inf)
 
@@ -138,16 +143,16 @@ class PlanarBody:
         shares = self._slip.step(seconds)
         self._wheels = (float(left), float(right))
         if self.touched is not None:
-            self._rate = 0.0
+            self.speeds = (0.0, 0.0)
             return
         v, w = (float(value) for value in body_speeds(left * shares[0], right * shares[1], self._cart))
         after = moved(self.pose, v, w, seconds)
         distance, edge = self._nearest(after)
         if distance < self._cart.radius_m:
-            self.touched, self._rate = self._names[edge], 0.0
+            self.touched, self.speeds = self._names[edge], (0.0, 0.0)
             self.pose = self._last_free(v, w, seconds)
             return
-        self.pose, self._rate = after, w
+        self.pose, self.speeds = after, (v, w)
 
     def wheel_readings(self) -> tuple[float, float]:
         """What the encoders say: turn rates of the left and the right wheel [rad/s]."""
@@ -155,7 +160,7 @@ class PlanarBody:
 
     def gyro_reading(self) -> float:
         """What the gyro says: the turn rate about +Z [rad/s]."""
-        return self._readings.gyro(self._rate)
+        return self._readings.gyro(self.speeds[1])
 
     def _last_free(self, v: float, w: float, seconds: float) -> Array:
         """Where on an arc that ends in something the cart comes to touch it; where it is, if it does already."""
