@@ -62,13 +62,22 @@ class CartBody(Protocol):
 
 
 class Motors:
-    """What becomes of commands: they arrive late, within the cart's limits, and motors follow with a lag."""
+    """What becomes of commands: they arrive late, within the cart's limits, and motors follow with a lag.
 
-    def __init__(self, cart: Cart, noise: DriveNoise) -> None:
+    target: What they are to do by now, as their accelerations have it [m/s, rad/s]. speeds: What they do [m/s, rad/s]; they may be under
+    way at the start.
+    """
+
+    def __init__(self, cart: Cart, noise: DriveNoise, speeds: tuple[float, float] = (0.0, 0.0)) -> None:
         self._cart, self._noise = cart, noise
         self._under_way: deque[tuple[float, float, float]] = deque()
-        self._now, self._wanted = 0.0, (0.0, 0.0)
-        self._target, self.speeds = (0.0, 0.0), (0.0, 0.0)
+        self._now, self._wanted = 0.0, speeds
+        self.target, self.speeds = speeds, speeds
+
+    @property
+    def coming(self) -> tuple[float, float]:
+        """The last command, arrived or not."""
+        return (self._under_way[-1][1], self._under_way[-1][2]) if self._under_way else self._wanted
 
     def drive(self, v: float, w: float) -> None:
         """Send a command."""
@@ -79,9 +88,9 @@ class Motors:
         self._now += seconds
         while self._under_way and self._under_way[0][0] <= self._now + 1e-9:
             _, *self._wanted = self._under_way.popleft()  # type: ignore[assignment]
-        self._target = stepped(*self._target, *self._wanted, seconds, self._cart)
+        self.target = stepped(*self.target, *self._wanted, seconds, self._cart)
         share = 1.0 - math.exp(-seconds / self._noise.lag_s) if self._noise.lag_s > 0 else 1.0
-        v, w = (now + share * (then - now) for now, then in zip(self.speeds, self._target, strict=True))
+        v, w = (now + share * (then - now) for now, then in zip(self.speeds, self.target, strict=True))
         self.speeds = (v, w)
         return self.speeds
 
@@ -119,13 +128,22 @@ class Readings:
 class PlanarBody:
     """A disc that goes along arcs on a floor, and stops where it touches something.
 
-    truth: The floor as it is. pose: Where it starts: x, y [m] and yaw [rad], world frame, shape (3,). rng: Draws what goes wrong.
+    truth: The floor as it is. pose: Where it starts: x, y [m] and yaw [rad], world frame, shape (3,). rng: Draws what goes wrong. speeds:
+    How fast it goes there [m/s, rad/s].
     """
 
-    def __init__(self, cart: Cart, noise: DriveNoise, truth: Floor, pose: ArrayLike, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        cart: Cart,
+        noise: DriveNoise,
+        truth: Floor,
+        pose: ArrayLike,
+        rng: np.random.Generator,
+        speeds: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         self._cart, self._names = cart, truth.edge_names
         self._edges = np.ascontiguousarray(truth.edges)
-        self._motors, self._slip, self._readings = Motors(cart, noise), Slip(noise, rng), Readings(noise, rng)
+        self._motors, self._slip, self._readings = Motors(cart, noise, speeds), Slip(noise, rng), Readings(noise, rng)
         self.pose: Array = np.array(pose, dtype=np.float64)
         self.touched: str | None = None
         self.speeds, self._wheels = (0.0, 0.0), (0.0, 0.0)

@@ -116,7 +116,7 @@ class RobotConfig(Config):
     noise: DriveNoise = dataclasses.field(default_factory=DriveNoise)
     estimation: Estimation = dataclasses.field(default_factory=Estimation)
     displacement: Displacement = dataclasses.field(default_factory=Displacement)
-    body: Literal["planar", "mujoco"] = "planar"  # mujoco: wheels that touch the floor of the exported scene; ten times slower
+    body: Literal["planar", "mujoco"] = "planar"  # mujoco: wheels that touch the floor of the exported scene; two to four times slower
     routes: Count = 10  # of a scene, spread over its episodes
     seconds: Positive = 180.0  # of simulated time; the longest ways of dwellings take 100
     substep_s: Positive = 0.01  # of the planar body: 5 mm at full speed
@@ -131,3 +131,20 @@ class RobotConfig(Config):
         if self.cart.climb_m >= self.lidar.height_m:
             raise ValueError(f"cart.climb_m: must be below lidar.height_m, {self.lidar.height_m:g}, is {self.cart.climb_m:g}")
         return self
+
+
+def unusual(config: RobotConfig) -> str:
+    """What of a config is not as by default, in a line: `displacement.share 0.1, noise.slip 0.05`."""
+    return ", ".join(_differences(config, RobotConfig(), ""))
+
+
+def _differences(config: Config, usual: Config, path: str) -> list[str]:
+    """Of one table of settings, and of those in it."""
+    differing = []
+    for field in dataclasses.fields(config):
+        value, default = getattr(config, field.name), getattr(usual, field.name)
+        if isinstance(value, Config):
+            differing += _differences(value, default, f"{path}{field.name}.")
+        elif value != default:
+            differing.append(f"{path}{field.name} {value:g}" if isinstance(value, float) else f"{path}{field.name} {value}")
+    return sorted(differing)

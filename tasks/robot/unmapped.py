@@ -1,0 +1,79 @@
+"""What a lidar sees that the map does not have, kept until it is seen to be gone."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tasks.robot.clearances import Clearances
+
+if TYPE_CHECKING:
+    from tasks.robot.floor_map import Floor
+
+Array = NDArray[np.float64]
+
+OFF_MAP_M = 0.08
+"""Returns farther than this from all that the map's plane shows are of things that it does not have [m]: eight times the lidar's noise."""
+
+BEHIND_M = 0.06
+"""A place is empty when rays beside it end so much farther away [m]."""
+
+PACE_M = 0.03
+"""Places nearer to each other than this are one."""
+
+RAYS = 180
+"""Sectors in which is looked whether rays pass: of two degrees, so that a leg of a chair does not slip between."""
+
+LOOK_M = 3.0
+"""Only places this near are judged and kept [m]: farther away a small error of the heading makes walls of nothing."""
+
+
+class UnmappedPlaces:
+    """Places where something is that the map does not have. floor: The map."""
+
+    def __init__(self, floor: Floor) -> None:
+        low, high = (np.array(ends) for ends in (floor.polygon.bounds[:2], floor.polygon.bounds[2:]))
+        self._mapped = Clearances.around(floor.segments, low, high)
+        self.points: Array = np.zeros((0, 2))
+
+    def see(self, returns: ArrayLike, pose: ArrayLike) -> None:
+        """Take in a scan: where its rays ended, shape (n, 2), and from where, shape (3,); world frame [m]."""
+        seen, here = np.asarray(returns, dtype=np.float64).reshape(-1, 2), np.asarray(pose, dtype=np.float64)[:2]
+        if not len(seen):
+            return
+        ranges = np.hypot(*(seen - here).T)
+        kept = self.points[~self._seen_through(seen - here, ranges, self.points - here)]
+        near = seen[ranges < LOOK_M]
+        new = near[self._mapped.distances(near) > OFF_MAP_M]
+        self.points = _spaced(np.vstack([kept, new]))
+
+    @staticmethod
+    def _seen_through(returns: Array, ranges: Array, places: Array) -> NDArray[np.bool_]:
+        """Whether rays pass on all sides of places; both are given from where the scan was taken."""
+        sectors = np.full(RAYS, 0.0)
+        nearest = np.full(RAYS, np.inf)
+        which = _sector(returns)
+        np.minimum.at(nearest, which, ranges)
+        sectors[np.isfinite(nearest)] = nearest[np.isfinite(nearest)]
+        around = np.minimum(sectors, np.minimum(np.roll(sectors, 1), np.roll(sectors, -1)))
+        away = np.hypot(*places.T)
+        passed: NDArray[np.bool_] = (away < LOOK_M) & (around[_sector(places)] > away + BEHIND_M)
+        return passed
+
+
+def _sector(directions: Array) -> NDArray[np.int64]:
+    """The sector that each direction, shape (n, 2), lies in."""
+    turns = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * math.pi)
+    sectors: NDArray[np.int64] = np.floor(turns * RAYS).astype(np.int64) % RAYS
+    return sectors
+
+
+def _spaced(points: Array) -> Array:
+    """Points, shape (n, 2), of which no two lie in one square of `PACE_M`; the first of each stays."""
+    if not len(points):
+        return points
+    _, first = np.unique(np.round(points / PACE_M).astype(np.int64), axis=0, return_index=True)
+    return points[np.sort(first)]
