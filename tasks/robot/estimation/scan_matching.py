@@ -25,7 +25,7 @@ LEAST_SIGMA_M = 1e-4
 """Of a return across the line that it lies on: a ray along a perfect wall would say everything."""
 
 LEAST_SHARE = 0.02
-"""A direction of which the returns say less than this share of what they could is left as it is: a corridor's axis."""
+"""A direction across which fewer returns than this share lie is left as it is: a corridor's axis."""
 
 LEAST_RETURNS = 20
 """Fewer returns on the map say nothing."""
@@ -125,9 +125,9 @@ class _Residuals:
 
 
 def _informed_directions(seen: _Residuals) -> tuple[Array, Array]:
-    """Directions that returns say enough of, by rows, shape (k, 3), and how much they say, shape (k,)."""
+    """Directions that enough returns say something of, by rows, shape (k, 3), and how much they say, shape (k,)."""
     values, vectors = np.linalg.eigh((seen.rows * seen.weights[:, None]).T @ seen.rows)
-    enough = values > LEAST_SHARE * seen.weights.sum()
+    enough = ((seen.rows @ vectors) ** 2).mean(axis=0) > LEAST_SHARE
     return vectors[:, enough].T, values[enough]
 
 
