@@ -96,11 +96,15 @@ class Motors:
 
 
 class Slip:
-    """What of each wheel's speed reaches the floor: a share that is drawn for a run and wanders."""
+    """What of each wheel's speed reaches the floor: a share that is drawn for a run and wanders.
+
+    skid: How far the cart creeps outward in curves, per speed and turn rate [s]: its speed to the side is skid v w.
+    """
 
     def __init__(self, noise: DriveNoise, rng: np.random.Generator) -> None:
         self._noise, self._rng = noise, rng
         self.shares: Array = 1.0 - noise.slip * rng.standard_normal(2)
+        self.skid = float(noise.skid_s * rng.standard_normal())
 
     def step(self, seconds: float) -> Array:
         """The shares after so long: left and right, shape (2,)."""
@@ -164,7 +168,7 @@ class PlanarBody:
             self.speeds = (0.0, 0.0)
             return
         v, w = (float(value) for value in body_speeds(left * shares[0], right * shares[1], self._cart))
-        after = moved(self.pose, v, w, seconds)
+        after = self._gone(v, w, seconds)
         distance, edge = self._nearest(after)
         if distance < self._cart.radius_m:
             self.touched, self.speeds = self._names[edge], (0.0, 0.0)
@@ -185,9 +189,16 @@ class PlanarBody:
         free, blocked = 0.0, seconds
         for _ in range(_HALVINGS):
             middle = 0.5 * (free + blocked)
-            is_free = self._nearest(moved(self.pose, v, w, middle))[0] >= self._cart.radius_m
+            is_free = self._nearest(self._gone(v, w, middle))[0] >= self._cart.radius_m
             free, blocked = (middle, blocked) if is_free else (free, middle)
-        return moved(self.pose, v, w, free)
+        return self._gone(v, w, free)
+
+    def _gone(self, v: float, w: float, seconds: float) -> Array:
+        """Where it is after so long, if nothing is in its way."""
+        after, aside = moved(self.pose, v, w, seconds), self._slip.skid * v * w * seconds
+        middle = float(self.pose[2]) + 0.5 * w * seconds
+        after[:2] += aside * math.sin(middle), -aside * math.cos(middle)
+        return after
 
     def _nearest(self, pose: Array) -> tuple[float, int]:
         """Distance to the nearest edge [m], exact below `_FAR_M / 2`, and its number."""

@@ -9,6 +9,9 @@ from pydantic import model_validator
 
 from tasks.settings import Config, Count, Natural, NonNegative, Positive, Share
 
+Senses = Literal["wheels", "wheels_gyro", "all"]
+"""What takes part in saying where a cart is; all: encoders, gyro and lidar."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Cart(Config):
@@ -71,6 +74,7 @@ class DriveNoise(Config):
 
     slip: Share = 0.03  # of a wheel's speed, drawn for each wheel and run: carpet, a worn tire
     slip_walk: Share = 0.01  # of a wheel's speed, what that changes by in a second (standard deviation)
+    skid_s: NonNegative = 0.005  # drawn for each run: sideways creep in curves, per speed and turn rate (standard deviation)
     delay_s: NonNegative = 0.1  # from a command until motors hear of it
     lag_s: NonNegative = 0.1  # time constant of the motors
     encoder: NonNegative = 0.01  # of a wheel's speed, noise of a reading
@@ -86,7 +90,7 @@ class DriveNoise(Config):
 class Estimation(Config):
     """What the filter takes part in, and what it believes of its measurements."""
 
-    senses: Literal["wheels", "wheels_gyro", "all"] = "all"  # the fewer are for comparison
+    senses: Senses = "all"  # the fewer are for comparison
     gate: Share = 0.99  # of true measurements that pass; the rest are taken for wrong
     buffer_s: Positive = 1.0  # how late a measurement may be and still be put in its place
     slip_sigmas: Positive = 3.0  # wheels and gyro farther apart than this: the wheels slip, and count less
@@ -134,8 +138,8 @@ class RobotConfig(Config):
 
 
 def unusual(config: RobotConfig) -> str:
-    """What of a config is not as by default, in a line: `displacement.share 0.1, noise.slip 0.05`."""
-    return ", ".join(_differences(config, RobotConfig(), ""))
+    """What of a config is not as by default, in a line: `displacement.share 0.1, noise.slip 0.05`; the body has a column of its own."""
+    return ", ".join(_differences(dataclasses.replace(config, body=RobotConfig().body), RobotConfig(), ""))
 
 
 def _differences(config: Config, usual: Config, path: str) -> list[str]:

@@ -50,7 +50,7 @@ class MotorState:
 
 
 @dataclasses.dataclass(frozen=True)
-class Choice:
+class DriveChoice:
     """What the window says. v, w: Command [m/s, rad/s]. is_braking: Whether it is only to stop: no other speed lets the cart stop in time,
     or standing is the best there is. clearance: Least distance on the arc, as far as it is looked at [m]."""
 
@@ -63,7 +63,7 @@ class Choice:
 def choose(
     pose: ArrayLike, motors: MotorState, goal: ArrayLike, clearances: Clearances, radius: float, cart: Cart, planner: Planner,
     top_mps: float,
-) -> Choice:  # fmt: skip
+) -> DriveChoice:  # fmt: skip
     """The best command for the next period.
 
     Each pair of a speed and a turn rate within reach of the motors is an exact arc of `horizon_s`, or shorter where it passes the sub-goal.
@@ -91,9 +91,9 @@ def choose(
         clearances.nodes, clearances.origin, clearances.points, state, speeds, turns, limits, weights, gx, gy, radius, cart.speed_mps
     )  # fmt: skip
     if best < 0:
-        return Choice(0.0, 0.0, True, float(clear))
+        return DriveChoice(0.0, 0.0, True, float(clear))
     v, w = float(speeds[best // len(turns)]), float(turns[best % len(turns)])
-    return Choice(v, w, abs(v) < STILL and abs(w) < STILL, float(clear))
+    return DriveChoice(v, w, abs(v) < STILL and abs(w) < STILL, float(clear))
 
 
 def windowed(motors: MotorState, cart: Cart, planner: Planner, top_mps: float) -> tuple[Array, Array]:

@@ -123,7 +123,8 @@ class Navigator:
             self._best, self._since = left, now
         elif now - self._since > self._planner.stuck_s:
             return self._recover(now, pose, motors)
-        top = self._cart.speed_mps * min(1.0, self._away(pose) / self._planner.slow_m)
+        facing = max(math.cos(self._off(pose)), 0.0)  # what lies aside is turned to before it is driven to
+        top = self._cart.speed_mps * facing * min(1.0, self._away(pose) / self._planner.slow_m)
         choice = choose(pose, motors, self.goal, self._clearances, self._kept(pose), self._cart, self._planner, top)
         if choice.is_braking and abs(motors.v) < 0.01:
             return 0.0, self._toward(pose)  # standing still is no way to go: it turns to its sub-goal

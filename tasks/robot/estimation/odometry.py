@@ -1,8 +1,9 @@
 """What a cart's state is, how it goes on, and what wheels, gyro and a pose say of it.
 
 The state is x, y [m], yaw [rad], the speed [m/s] and the turn rate [rad/s] that the wheels turn for, the gyro's bias [rad/s], what share of
-its speed the left and the right wheel loses or gains, and how fast speed [m/s^2] and turn rate [rad/s^2] change. A wheel that turns for a
-speed u moves its side of the cart by (1 + share) u.
+its speed the left and the right wheel loses or gains, how fast speed [m/s^2] and turn rate [rad/s^2] change, and how far the cart creeps
+outward in curves [s]. A wheel that turns for a speed u moves its side of the cart by (1 + share) u; a cart of speed v and turn rate w goes
+to the side by skid v w, as tires do and MuJoCo's wheels.
 
 Slip stays the same for a while, so it is estimated: as noise it would be drawn anew with every reading, and an estimate that believes that
 is too sure of itself. So do accelerations: as noise they would make every gap between readings as uncertain as a start. The speeds are the
@@ -22,9 +23,9 @@ from tasks.robot.estimation.kalman import Estimate, Innovation, predicted
 
 Array = NDArray[np.float64]
 
-X, Y, YAW, SPEED, TURN, BIAS, LEFT, RIGHT, PUSH, TWIST = range(10)
+X, Y, YAW, SPEED, TURN, BIAS, LEFT, RIGHT, PUSH, TWIST, SKID = range(11)
 
-SIZE = 10
+SIZE = 11
 
 PUSH_S = 0.1
 """Accelerations stay alike for about so long (Singer, 1970), which is as long as motors take to follow."""
@@ -55,10 +56,11 @@ class Odometry:
         whole[:3, :3] = known
         whole[BIAS, BIAS] = noise.gyro_bias_rps**2
         whole[LEFT, LEFT] = whole[RIGHT, RIGHT] = noise.slip**2
+        whole[SKID, SKID] = noise.skid_s**2
         return Estimate(mean, whole + 1e-12 * np.eye(SIZE))
 
     def speeds(self, estimate: Estimate, ago: float = 0.0) -> tuple[Array, Array]:
-        """The cart's speed along its heading [m/s] and its turn rate [rad/s] some seconds ago, shape (2,); their jacobian, (2, 10)."""
+        """The cart's speed along its heading [m/s] and its turn rate [rad/s] some seconds ago, shape (2,); their jacobian, (2, 11)."""
         mean, half = estimate.mean, 0.5 * self.cart.track_m
         speed, turn = mean[SPEED] - ago * mean[PUSH], mean[TURN] - ago * mean[TWIST]
         left, right = speed - half * turn, speed + half * turn
@@ -89,8 +91,9 @@ class Odometry:
             share, slope = 1.0 - half * half / 6.0, -half / 3.0
         chord = v * seconds * share
         turning = 0.5 * seconds * v * seconds * slope
-        mean[X] += chord * cos
-        mean[Y] += chord * sin
+        aside = mean[SKID] * v * w * seconds
+        mean[X] += chord * cos + aside * sin
+        mean[Y] += chord * sin - aside * cos
         mean[YAW] += 2.0 * half
         mean[SPEED] += gained * mean[PUSH]
         mean[TURN] += gained * mean[TWIST]
@@ -101,9 +104,13 @@ class Odometry:
             [seconds * share * sin, turning * sin + 0.5 * seconds * chord * cos],
             [0.0, seconds],
         ])  # fmt: skip
+        outward, along = mean[SKID] * seconds * np.array([w, v]), np.array([0.0, 0.5 * seconds * aside])
+        by_speeds[0] += outward * sin + along * cos
+        by_speeds[1] += -outward * cos + along * sin
         jacobian = np.eye(SIZE)
         jacobian[:3] += by_speeds @ by_state
-        jacobian[X, YAW], jacobian[Y, YAW] = -chord * sin, chord * cos
+        jacobian[X, YAW], jacobian[Y, YAW] = -chord * sin + aside * cos, chord * cos + aside * sin
+        jacobian[X, SKID], jacobian[Y, SKID] = v * w * seconds * sin, -v * w * seconds * cos
         jacobian[SPEED, PUSH] = jacobian[TURN, TWIST] = gained
         jacobian[PUSH, PUSH] = jacobian[TWIST, TWIST] = fade
         return predicted(estimate, mean, jacobian, self._wander(cos, sin, seconds))

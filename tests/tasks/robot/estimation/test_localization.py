@@ -24,6 +24,7 @@ from tasks.robot.estimation.odometry import (
     PUSH_S,
     RIGHT,
     SIZE,
+    SKID,
     SPEED,
     TURN,
     TWIST,
@@ -114,6 +115,8 @@ class OtherFilter(ExtendedKalmanFilter):
         after = state.copy()
         v, w = self.cart_speeds(state, state[SPEED] + average * state[PUSH], state[TURN] + average * state[TWIST])
         after[:3] = moved(state[:3], v, w, t)
+        outward = state[YAW] + 0.5 * w * t - 0.5 * math.pi
+        after[:2] += state[SKID] * v * w * t * np.array([math.cos(outward), math.sin(outward)])
         after[[SPEED, TURN]] += gained * state[[PUSH, TWIST]]
         after[[PUSH, TWIST]] *= fade
         return after

@@ -20,6 +20,7 @@ from tasks.robot.estimation.odometry import (
     PUSH_S,
     RIGHT,
     SIZE,
+    SKID,
     SPEED,
     TURN,
     TWIST,
@@ -38,7 +39,7 @@ few = settings(max_examples=40)
 turns = st.one_of(st.floats(-2, 2), st.floats(-1e-3, 1e-3), st.just(0.0))
 means = st.tuples(
     st.floats(-5, 5), st.floats(-5, 5), st.floats(-4, 4), st.floats(-0.5, 0.5), turns, st.floats(-0.05, 0.05),
-    st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-0.5, 0.5), st.one_of(st.floats(-2, 2), st.just(0.0)),
+    st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-0.5, 0.5), st.one_of(st.floats(-2, 2), st.just(0.0)), st.floats(-0.02, 0.02),
 ).map(np.array)  # fmt: skip
 
 
@@ -84,11 +85,22 @@ def test_the_speeds_of_the_cart_are_those_of_wheels_that_slip(mean: np.ndarray, 
 
 @given(mean=means, seconds=st.floats(0.001, 10.0))
 def test_without_acceleration_a_motion_is_an_exact_arc(mean: np.ndarray, seconds: float) -> None:
-    mean[[PUSH, TWIST]] = 0.0
+    mean[[PUSH, TWIST, SKID]] = 0.0
     v, w = ODOMETRY.speeds(believed(mean))[0]
     after = ODOMETRY.after(believed(mean), seconds)
     np.testing.assert_allclose(after.mean[:3], moved(mean[:3], v, w, seconds), atol=1e-9)
     np.testing.assert_array_equal(after.mean[3:], mean[3:])
+
+
+@given(skid=st.floats(-0.02, 0.02), v=st.floats(0.05, 0.5), w=st.floats(0.1, 1.0))
+def test_a_cart_that_creeps_in_curves_comes_out_of_them_farther_ahead(skid: float, v: float, w: float) -> None:
+    """Outward by skid v w: half a turn takes it 2 v / w to the side, as ever, and 2 skid v ahead besides."""
+    mean = np.zeros(SIZE)
+    mean[[SPEED, TURN, SKID]] = v, w, skid
+    estimate = believed(mean)
+    for _ in range(400):
+        estimate = ODOMETRY.after(estimate, math.pi / w / 400)
+    np.testing.assert_allclose(estimate.mean[:2], [2 * skid * v, 2 * v / w], atol=1e-4)
 
 
 @few
@@ -135,7 +147,7 @@ def test_readings_are_of_the_speeds_a_moment_ago() -> None:
 
 
 def test_encoders_alone_say_nothing_of_slip() -> None:
-    innovation = ODOMETRY.wheels(believed(np.array([0, 0, 0, 0.4, 0.2, 0, 0.02, -0.01, 0, 0])), 8.0, 8.5)
+    innovation = ODOMETRY.wheels(believed(np.array([0, 0, 0, 0.4, 0.2, 0, 0.02, -0.01, 0, 0, 0])), 8.0, 8.5)
     assert not innovation.jacobian[:, [LEFT, RIGHT]].any()
 
 
@@ -158,7 +170,7 @@ def test_a_pose_is_measured_along_its_directions() -> None:
 def test_slip_beyond_the_usual_is_noticed_and_counts_less() -> None:
     mean = np.zeros(SIZE)
     mean[[SPEED, TURN]] = 0.4, 0.2
-    spread = np.diag([1e-4, 1e-4, 1e-4, 1e-4, 2.5e-5, 1e-6, 9e-4, 9e-4, 0.0, 0.0])
+    spread = np.diag([1e-4, 1e-4, 1e-4, 1e-4, 2.5e-5, 1e-6, 9e-4, 9e-4, 0.0, 0.0, 0.0])
     estimate = Estimate(mean, spread)
     left, right = (float(wheel) for wheel in wheel_speeds(0.4, 0.2, CART))
     assert not ODOMETRY.is_slipping(estimate, left, right, 3.0)
