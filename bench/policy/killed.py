@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from bench.commands import Commands
 from bench.goals import goal
 from bench.policy.rooms import PolicyRooms, make_rooms
-from schemas.errors import LakeError
 from schemas.training import TrainingStep
 from warehouse.lake import Lake
 from warehouse.tables.digest import digests
@@ -36,9 +30,6 @@ KILLS: tuple[tuple[int, int], ...] = ((0, 8), (1, 4))
 
 ADVANCES = 4 + len(KILLS)
 """Processes that are started, and rooms that are made."""
-
-PATIENCE_SECONDS = 900.0
-"""A process that gives no sign for so long hangs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +53,7 @@ def measure_kills(config: KillsBench, advance: Callable[[str], None]) -> dict[st
     place = config.folder / "killed"
     shutil.rmtree(place, ignore_errors=True)
     lakes = [Lake.open(shutil.copytree(rooms.lake.address, place / name)) for name in ("whole", "disturbed")]
-    whole, disturbed = (_Commands(lake, place / f"cache-{number}") for number, lake in enumerate(lakes))
+    whole, disturbed = (_Trainings(lake, place / f"cache-{number}") for number, lake in enumerate(lakes))
     advance("rooms")
     model = whole.done(*_training())["model_id"]
     advance("trained")
@@ -106,52 +97,11 @@ def _acting(model_id: str) -> list[str]:
     return ["evaluate", "--policy", model_id, f"--set=evaluation.max_steps={MAX_STEPS}"]
 
 
-class _Commands:
-    """Commands on a lake, each in an interpreter of its own, with a cache of their own."""
-
-    def __init__(self, lake: Lake, cache: Path) -> None:
-        self._lake, self._cache = lake, cache
+class _Trainings(Commands):
+    """Commands that train, and keep checkpoints."""
 
     def kept(self) -> tuple[int, int]:
         """The last checkpoint of a training under way: fits before its own, and steps; (0, 0) where there is none."""
-        names = [path.name for path in self._cache.glob("modules/tasks.training.fitting-*/*.pt")]
+        names = [path.name for path in self.cache.glob("modules/tasks.training.fitting-*/*.pt")]
         matches = [re.search(r"(?:-round(\d+))?-(\d{9})\.pt$", name) for name in names]
         return max(((int(match[1] or 0), int(match[2])) for match in matches if match), default=(0, 0))
-
-    def done(self, *words: str) -> dict[str, Any]:
-        """What a command answers.
-
-        Raises:
-            LakeError: it fails, or hangs.
-        """
-        process = self._started(words)
-        try:
-            out, err = process.communicate(timeout=PATIENCE_SECONDS)
-        except subprocess.TimeoutExpired as error:
-            process.kill()
-            raise LakeError(f"{words[0]}: gave no answer in {PATIENCE_SECONDS:g} s") from error
-        if process.returncode:
-            raise LakeError(f"{words[0]}: exit code {process.returncode}: {(err.strip() or out.strip()).splitlines()[-1:]}")
-        answer: dict[str, Any] = json.loads(out)
-        return answer
-
-    def killed(self, words: Sequence[str], is_time: Callable[[], bool]) -> int:
-        """Kill a command as soon as it is time; 1 where it was killed, 0 where it was done before.
-
-        Raises:
-            LakeError: it fails by itself, or its time never comes.
-        """
-        process, end = self._started(words), time.monotonic() + PATIENCE_SECONDS
-        while process.poll() is None and time.monotonic() < end and not is_time():
-            time.sleep(0.005)
-        process.send_signal(signal.SIGKILL)
-        _, err = process.communicate()
-        if process.returncode not in (0, -signal.SIGKILL) or time.monotonic() >= end:
-            raise LakeError(f"{words[0]}: exit code {process.returncode} before it was killed: {err.strip().splitlines()[-1:]}")
-        return int(process.returncode == -signal.SIGKILL)
-
-    def _started(self, words: Sequence[str]) -> subprocess.Popen[str]:
-        root = str(Path(__file__).parents[2])
-        around = {**os.environ, "PYTHONPATH": root, "METASCENES_CACHE": str(self._cache)}
-        command = [sys.executable, "-m", "flows.cli", *words, "--lake", self._lake.address, "--json"]
-        return subprocess.Popen(command, env=around, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from click.core import ParameterSource
 
-from flows.commands.bench.acting import policy
+from flows.commands.bench.acting import policy, robot
 from flows.commands.bench.drawing import synthesis
 from flows.commands.bench.matching import alignment, selection
 from flows.commands.bench.measurement import chosen_words, listed_numbers, processes_option, run_measurement
@@ -34,6 +34,7 @@ def command() -> None:
 
 command.add_command(alignment)
 command.add_command(policy)
+command.add_command(robot)
 command.add_command(selection)
 command.add_command(synthesis)
 

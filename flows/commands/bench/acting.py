@@ -1,4 +1,4 @@
-"""How well agents see, move and find things, measured: cameras, environments, and policies that learn."""
+"""How well agents see, move and find things, measured: cameras, environments, policies that learn, and carts."""
 
 from __future__ import annotations
 
@@ -57,3 +57,35 @@ def policy(rooms: int, episodes: int, seeds: int, steps: int, variants: str, see
         folder.resolve(), rooms, seeds, steps, chosen, seed, processes, realdata, chosen_words(parts, PARTS, "--parts"), episodes
     )  # fmt: skip
     run_measurement("measured", config.advances, partial(run_policy_bench, config), print_policy, as_json)
+
+
+@click.command("robot")
+@click.option("--rooms", type=click.IntRange(1, 10_000), default=20, show_default=True, help="Replicas of rooms; every other one is hard.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same rooms and runs.")
+@click.option(
+    "--folder", type=click.Path(path_type=Path, file_okay=False), default=Path("robot"), show_default=True,
+    help="Where replicas and runs are kept: the same command goes on.",
+)  # fmt: skip
+@click.option(
+    "--realdata", type=click.Path(path_type=Path, file_okay=False), envvar="METASCENES_REALDATA",
+    help="Folder with the AWS small house, whose replica is driven in, too.",
+)  # fmt: skip
+@click.option("--parts", default="", help="Measure only these, with commas between: drives, killed.")
+@processes_option
+@json_option
+def robot(rooms: int, seed: int, folder: Path, realdata: Path | None, parts: str, processes: int, as_json: bool) -> None:
+    """Measure carts: whether they arrive on the shortest paths of episodes, what they touch, and how well they know where they are.
+
+    Rooms are generated and scanned, every other one a dwelling that is scanned badly, and become replicas. In each, ten ways are driven
+    with noise, slip and delay; then with a tenth of the small furniture moved since the scan; then three each by wheels on the floor of the
+    scene exported for MuJoCo. `killed`: a drive ends by SIGKILL, and is given again.
+
+    The exit code is 1 when a goal is missed, and else 0.
+
+    Example: metascenes bench robot --rooms 4
+    """
+    from bench.robot.report import PARTS, RobotBench, run_robot_bench
+    from bench.robot.tables import print_robot
+
+    config = RobotBench(folder.resolve(), rooms, seed, processes, realdata, chosen_words(parts, PARTS, "--parts"))
+    run_measurement("driven", config.advances, partial(run_robot_bench, config), print_robot, as_json)
