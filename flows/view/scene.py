@@ -9,6 +9,7 @@ import threading
 from collections import Counter, OrderedDict
 from typing import Any
 
+from flows.view.drives import drives_of
 from flows.view.frames import AWAY, are_at_hand
 from flows.view.objects import ObjectRows, blobs_of, objects_of
 from flows.view.shapes import colliders_of, navmesh_triangles, shell_glb
@@ -20,6 +21,7 @@ from schemas.exports import ExportFile
 from schemas.fidelity import Fidelity, SceneFidelity
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Certificate, Contact, Optimization, Placement, Support
+from schemas.robot import RobotRun
 from schemas.selection import Selection
 from warehouse.lake import Lake
 
@@ -166,6 +168,7 @@ class Scenes:
                 for row in read.rows(Navmesh, scene_id)
             ],
             "episodes": [_episode(row) for row in read.rows(Episode, scene_id)],
+            "drives": drives_of(read.rows(RobotRun, scene_id)),
             "frames": self._frames(scene),
         }  # fmt: skip
         return Shown(document, made, frozenset({scene.mesh_blob} | blobs_of(objects)))

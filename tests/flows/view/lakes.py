@@ -17,6 +17,7 @@ from schemas.capture import Frame, Instance, Mask, Room, Scene, Shell
 from schemas.exports import ExportFile
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Certificate, Contact, Optimization, Placement, Support
+from schemas.robot import RobotRun
 from schemas.selection import Selection
 from tasks.geometry.meshes import dump_glb
 from tasks.geometry.transforms import flat, translation, yaw_pose
@@ -34,6 +35,7 @@ FRAME_PX = (64, 48)
 STAGES = ("capture", "captions", "candidates", "selection", "optimization", "navigation", "exports")
 UNSTABLE, PROPOSED_SHIFT_M, SETTLED_SHIFT_M = "0002", 0.4, 0.1
 ACTIONS = ("forward", "forward", "left", "forward", "stop")
+TRACK = ((1.5, 2.0, 0.0), (2.0, 2.0, 0.2), (2.2, 2.1, 0.4))
 
 
 def shown_lake(folder: Path, note: str = "two rooms") -> Lake:
@@ -116,6 +118,14 @@ def _stage(lake: Lake, scan: Path, scene_id: str, number: int) -> None:
     for index, stage in enumerate(STAGES):
         above = [f"{s}={fingerprint(scene_id, s)}" for s in STAGES[:index]]
         lake.stage_rows(stage_run(scene_id, stage, fingerprint(scene_id, stage), *above), outputs[stage])
+    batch = f"drive-{scene_id.replace('/', '-')}"
+    driven = sample(
+        RobotRun, batch_id=batch, scene_id=scene_id, episode_id="0000", instance_id="0001", policy=label or "expert", run_name="built-in",
+        setup="", body="planar", outcome="arrived", problem=None, radius_m=0.17, category="table", seconds=8.0, error_m=0.004,
+        subgoals=((2.0, 2.0), final[:2]), times=(0.0, 4.0, 8.0), track=TRACK, clearances=(0.3, 0.2, 0.3),
+        estimate=((1.52, 2.0, 0.0), *TRACK[1:]),
+    )  # fmt: skip
+    lake.stage_rows(stage_run(batch, "robot", fingerprint(scene_id, "robot")), {"robot_runs": [driven]})
 
 
 def _stage_object(lake: Lake, rows: dict[type, list[Any]], scene_id: str, index: int, label: str) -> Any:

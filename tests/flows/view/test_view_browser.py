@@ -21,7 +21,7 @@ from flows.view.scene import Scenes
 from flows.view.standalone import write_page
 from schemas.optimization import Placement
 from tests.flows.stats.test_report_browser import FLAGS
-from tests.flows.view.lakes import ACTIONS, OBJECTS, SCENES, SETTLED_SHIFT_M, UNSTABLE, place, shown_lake
+from tests.flows.view.lakes import ACTIONS, OBJECTS, SCENES, SETTLED_SHIFT_M, TRACK, UNSTABLE, place, shown_lake
 from warehouse.lake import Lake
 
 if TYPE_CHECKING:
@@ -266,6 +266,25 @@ def test_an_episode_is_walked_with_the_agents_view(opened: Callable[..., Page]) 
     assert not page.locator(".inset").is_visible()
 
 
+def test_a_cart_is_driven_beside_where_it_believed_to_be(opened: Callable[..., Page]) -> None:
+    page = opened()
+    page.get_by_role("tab", name="Episodes").click()
+    run = page.locator("[data-drive]")
+    assert run.inner_text().split("\n") == ["A cart to the table: arrived", "0000: 8 s, off by 0.4 cm; expert, built-in, planar"]
+    run.click()
+    assert page.evaluate("[...view.walk.belief.position.toArray()].slice(0, 2)") != pytest.approx([1.5, 2.0])
+    wait(page, "view.walking.isRunning", False)
+    state = page.evaluate("view.state.walk")
+    assert (state["moment"], state["end"]) == (len(TRACK) - 1, len(TRACK) - 1)
+    place = page.evaluate("[...view.walk.cart.position.toArray().slice(0, 2), view.walk.cart.rotation.z]")
+    assert place == pytest.approx(list(TRACK[-1]))
+    assert page.locator("[data-drive][aria-current=true]").count() == 1
+    page.locator("[data-episode='0000']").click()
+    assert page.locator("[data-drive][aria-current=true]").count() == 0
+    page.keyboard.press("Escape")
+    wait(page, "view.state.walk", None)
+
+
 def test_frames_show_their_masks_and_a_click_selects(opened: Callable[..., Page]) -> None:
     page = opened()
     page.get_by_role("tab", name="Frames").click()
@@ -290,6 +309,7 @@ def test_scripts_in_labels_are_shown_and_not_run(opened: Callable[..., Page]) ->
         wait(page, "document.querySelector('.lineage pre').textContent.length > 100", True)
     page.get_by_role("tab", name="Episodes").click()
     assert "onerror" in page.locator("[data-episode]").inner_text()
+    assert "onerror" in page.locator("[data-drive]").inner_text()
     assert page.evaluate("window.hacked") is None
     assert page.locator("img[src='x'], b").count() == 0
 

@@ -6,6 +6,7 @@ import { dot, line } from "./marks.js";
 const FORWARD_M = 0.25;
 const TURN = Math.PI / 6;
 const STRAY_M = 0.05; // replayed actions that end farther off were made with other steps: then the path itself is followed
+const ACTION_SECONDS = 0.25;
 const VIEW_DEGREES = 58; // upright; 79 across, as Habitat's agents see
 
 /** Poses (x, y, yaw) before the first action and after each. */
@@ -74,5 +75,14 @@ export class Walk {
 
   get end() {
     return this.poses.length - 1;
+  }
+
+  /** How long it is played [s]. */
+  get seconds() {
+    return Math.max(1, this.end * ACTION_SECONDS);
+  }
+
+  get name() {
+    return { episode: this.episode.id };
   }
 }

@@ -119,6 +119,20 @@ function candidates(row, tried, attempt) {
   return make("section", {}, make("h3", { textContent: `Candidates (${tiles.length})` }), tiles.length ? make("div", { class: "tiles" }, ...tiles) : none, back);
 }
 
+/** Runs of carts to be played: to an object where there are any, else all that the page has of the scene. */
+export function driveList(document_, row, start) {
+  const all = document_.drives;
+  if (!all.length) return [];
+  const own = row ? all.filter((run) => run.target === row.id) : [];
+  const items = (own.length ? own : all).map((run) => {
+    const whose = [run.policy, run.run, run.setup, run.body].filter((word) => word).join(", ");
+    const texts = [make("span", { textContent: `A cart to the ${run.category}: ${run.outcome}` }),
+      make("small", { textContent: `${run.episode}: ${run.seconds.toFixed(0)} s, off by ${(100 * run.error).toFixed(1)} cm; ${whose}` })];
+    return make("li", {}, make("button", { type: "button", "data-drive": run.id, onclick: () => start(run) }, ...texts));
+  });
+  return [make("p", { class: "muted", textContent: "Runs of carts; the ring is where one believed to be" }), make("ul", { class: "walks" }, ...items)];
+}
+
 /** Episodes to be played: to an object where there are any, else all of the scene. */
 export function walkList(document_, row, start) {
   const all = document_.episodes;

@@ -3,20 +3,20 @@
 import { Group, Vector3 } from "three";
 import { Canvas } from "./canvas.js";
 import { make } from "./dom.js";
+import { Drive } from "./drives.js";
 import { Walk } from "./episodes.js";
 import { Frames } from "./frames.js";
 import { keys } from "./keys.js";
 import { layout } from "./layout.js";
 import { Colliders, navmesh, problems, SELECTED, selection, supports } from "./marks.js";
 import { forget, release } from "./models.js";
-import { objectFacts, objectTree, sceneFacts, sceneList, walkList } from "./panels.js";
+import { driveList, objectFacts, objectTree, sceneFacts, sceneList, walkList } from "./panels.js";
 import { Player } from "./player.js";
 import { Replica } from "./replica.js";
 import { roomBox, Scan, shellOf } from "./room.js";
 import { pathOf, source } from "./source.js";
 
 const SETTLE_SECONDS = 4;
-const ACTION_SECONDS = 0.25;
 
 class View {
   constructor(page) {
@@ -330,14 +330,17 @@ class View {
 
   /** Fill the list of episodes: of the selected object where there are any, else of all. */
   #walks(row) {
-    this.nodes.panes.walks.replaceChildren(...walkList(this.document, row, (episode) => this.startWalk(episode)));
+    const walks = walkList(this.document, row, (episode) => {
+      this.startWalk(new Walk(episode, this.document.navmeshes.find((navmesh) => navmesh.agent === episode.agent)));
+    });
+    this.nodes.panes.walks.replaceChildren(...walks, ...driveList(this.document, row, (run) => this.startWalk(new Drive(run))));
   }
 
-  /** Play an episode. */
-  startWalk(episode) {
+  /** Play an episode, or the run of a cart. */
+  startWalk(walk) {
     this.stopWalk();
-    this.walk = new Walk(episode, this.document.navmeshes.find((row) => row.agent === episode.agent));
-    this.walking = new Player(this.walk.end, Math.max(1, this.walk.end * ACTION_SECONDS), (moment) => {
+    this.walk = walk;
+    this.walking = new Player(walk.end, walk.seconds, (moment) => {
       this.walk.at(moment);
       this.#playing();
       this.canvas.draw();
@@ -351,8 +354,9 @@ class View {
       if (this.walk) this.walk.body.visible = !inside;
     };
     this.nodes.inset.hidden = false;
-    for (const button of this.nodes.panes.walks.querySelectorAll("[data-episode]")) {
-      button.setAttribute("aria-current", String(button.dataset.episode === episode.id));
+    const [[kind, id]] = Object.entries(walk.name);
+    for (const button of this.nodes.panes.walks.querySelectorAll("[data-episode], [data-drive]")) {
+      button.setAttribute("aria-current", String(button.dataset[kind] === id));
     }
     this.#refresh();
     this.walking.play();
@@ -373,7 +377,7 @@ class View {
     return {
       scene: this.document?.id ?? null, selected: this.selected, objects: this.replica?.shown.size ?? 0, points: this.scan?.count ?? 0,
       time: this.settle.now, cut: this.canvas.cut, tried: Object.fromEntries(this.replica?.tried ?? []), drawings: this.canvas.frames,
-      walk: this.walk ? { episode: this.walk.episode.id, moment: this.walking.now, end: this.walk.end } : null, seconds: this.seconds,
+      walk: this.walk ? { ...this.walk.name, moment: this.walking.now, end: this.walk.end } : null, seconds: this.seconds,
       layers: this.layers?.children.length ?? 0, calls: this.canvas.renderer.info.render.calls,
     };
   }
