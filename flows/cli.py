@@ -25,6 +25,7 @@ COMMANDS = {
     "annotate": "Ask people, take in what they chose, and have it reviewed.",
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",
+    "drive": "Let a simulated cart drive the ways that policies take.",
     "train": "Train a learned system on a snapshot or release of the lake.",
     "compare": "Compare datasets of the lake by what is learned from them.",
     "models": "List, show, export, import and withdraw models.",

@@ -191,8 +191,8 @@ def _kept(stage: Stage, job: Job, lake: Lake, outcome: Outcome) -> Outcome:
 
 
 _OWNERS = {
-    "scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "dataset": "training_id",
-    "comparison": "comparison_id",
+    "scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "drive_batch": "batch_id",
+    "dataset": "training_id", "comparison": "comparison_id",
 }  # fmt: skip
 """The column that says whose a row is, by the grain of its table."""
 

@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from schemas.errors import RecordError
 
-Grain = Literal["scene", "room", "asset", "annotation_batch", "trajectory_batch", "dataset", "comparison", "lake"]
+Grain = Literal["scene", "room", "asset", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison", "lake"]
 WriteRule = Literal["replace", "append", "share"]
 
 BLOB_PATTERN = r"[0-9a-f]{64}\.[a-z0-9]{1,8}"

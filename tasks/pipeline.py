@@ -14,6 +14,7 @@ from tasks import (
     micro_scenes,
     navigation,
     optimization,
+    robot,
     selection,
     training,
 )
@@ -31,6 +32,7 @@ STAGES: tuple[Stage, ...] = (
     fidelity.STAGE,
     exports.STAGE,
     evaluation.STAGE,
+    robot.STAGE,
     training.STAGE,
     comparison.STAGE,
 )

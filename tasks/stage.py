@@ -113,6 +113,7 @@ OutsideInput = Literal[
     "review_batch",
     "batch_acts",
     "trajectory_batch",
+    "drive_batch",
     "dataset",
     "start",
     "provenance",
@@ -136,7 +137,7 @@ class Stage:
     writes: tuple[str, ...]
     config: type
     run: Callable[..., Outcome]
-    grain: Literal["scene", "annotation_batch", "trajectory_batch", "dataset", "comparison"] = "scene"
+    grain: Literal["scene", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison"] = "scene"
     outside: tuple[OutsideInput, ...] = ()
     history: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()

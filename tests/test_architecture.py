@@ -70,6 +70,7 @@ FLOWS = {
         "evaluation/flow.py",
         "comparison/flow.py",
         "server/scene_tasks.py",
+        "robot/flow.py",
     )
 }
 """The flows themselves, with what they are made of; nothing imports them but a run that has work."""

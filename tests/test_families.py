@@ -125,6 +125,7 @@ ELSEWHERE = {
     "tasks/lineage/words.py extents": "the size of an object",
     "tasks/lineage/words.py model": "the kind of what is explained",
     "tasks/scanner/scenery.py model": "a file of a library",
+    "schemas/robot/__init__.py planar": "a body that moves in the plane",
     "tasks/robot/configuration.py planar": "a body that moves in the plane",
     "tasks/selection/__init__.py model": "the outside input of the stage",
     "tasks/selection/methods/endpoint.py model": "a field of the protocol",

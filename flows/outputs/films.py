@@ -72,21 +72,29 @@ def write_films(
         for policy, run_name in runs:
             which = f"(policy, run_name) = ({listed((policy, run_name))})"
             rows += connection.sql(shown_walks(per_outcome, which)).to_arrow_table().to_pylist()
-    files: list[Path] = []
     missing = []
     for policy, run_name in runs:
         outcomes = {row["success"] for row in rows if (row["policy"], row["run_name"]) == (policy, run_name)}
         missing += [f"{policy}, {run_name}: no {name} to film" for is_success, name in _NAMES.items() if is_success not in outcomes]
-    for row in rows:
-        file = folder / file_name(row)
+    named = {folder / file_name(row): row for row in rows}
+    files, unmade = each_written(named, lambda row, file: write_whole_film(lake, reader, row, look, file), advance)
+    return Filmed(tuple(files), (*missing, *unmade))
+
+
+def each_written(
+    rows: Mapping[Path, dict[str, Any]], write: Callable[[dict[str, Any], Path], None], advance: Callable[[str], None] | None
+) -> tuple[list[Path], list[str]]:
+    """Write a film of each row into its file; the files that were written, and why others were not, a line each."""
+    files, missing = [], []
+    for file, row in rows.items():
         try:
-            write_whole_film(lake, reader, row, look, file)
+            write(row, file)
             files.append(file)
         except LakeError as error:
             missing.append(f"{file.name}: {error}")
         if advance is not None:
             advance(file.stem)
-    return Filmed(tuple(files), tuple(missing))
+    return files, missing
 
 
 _NAMES = {True: "success", False: "failure"}

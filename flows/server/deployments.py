@@ -31,7 +31,7 @@ FORMER_ENV = {"DO_NOT_TRACK": "1", "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}
 CHOSEN = ("command", "env", "working_dir")
 """Variables of Prefect's own template of a process pool by which whoever may start a run picks what is executed on a worker."""
 
-BASES = ("nightly", "backfill", "watch", "statistics", "release", "train", "evaluate", "compare", "export", "upkeep")
+BASES = ("nightly", "backfill", "watch", "statistics", "release", "train", "evaluate", "drive", "compare", "export", "upkeep")
 """Deployments of a lake. The name of each ends with the lake's (`nightly-kitchens`): a server may keep several lakes. Older
 versions called them so and nothing more."""
 

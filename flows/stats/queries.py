@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
+from flows.outputs.drives import shown_drives
 from flows.outputs.films import shown_walks
 from tasks.micro_scenes import charts as micro_scenes
 from tasks.stats import counts, timelines, volumes, words
@@ -35,6 +36,9 @@ GALLERY_OBJECTS = 12
 
 FILMED_RUNS = 6
 """Runs of policies of which one success and one failure is shown: 60 kB each; of each policy one first."""
+
+DRIVEN_RUNS = 3
+"""Policies' runs and setups of carts of which one that arrived and one that did not is shown: 80 kB each."""
 
 TIMELINE_RUNS = 600
 """Runs with a bar of their own; more are put together in bins of time."""
@@ -125,6 +129,11 @@ def report_queries(scenes: ShownScenes) -> dict[str, str]:
         f"ORDER BY row_number() OVER (PARTITION BY policy ORDER BY run_name), policy LIMIT {FILMED_RUNS})"
     )
     queries["trajectory_metrics.shown"] = shown_walks(1, f"(policy, run_name) IN {runs}")
+    drives = (
+        "(SELECT policy, run_name, setup, body FROM (SELECT DISTINCT policy, run_name, setup, body FROM robot_runs) "
+        f"ORDER BY row_number() OVER (PARTITION BY policy ORDER BY run_name, setup, body), policy LIMIT {DRIVEN_RUNS})"
+    )
+    queries["robot_runs.shown"] = shown_drives(1, f"(policy, run_name, setup, body) IN {drives}")
     queries["candidate_wins"] = "SELECT slot, provider, filled, wins FROM candidate_wins ORDER BY slot, provider"
     queries["collision_loss.worst"] = (
         "SELECT scene_id, deep_pairs_before, deep_pairs_after FROM collision_loss "
@@ -273,6 +282,7 @@ _ORDERS: Mapping[str, str] = {
     "navigation_metrics": "policy, run_name, agent, split, success_distance_m",
     "navigation_comparison": "comparison_id, tested_on, trained_on",
     "navigation_comparison_tests": "comparison_id, tested_on, first, second, measure",
+    "robot_metrics": "policy, run_name, setup, body",
     "unreachable_objects": "scene_id, instance_id",
     "export_verdicts": "passed, scene_id, format",
     "license_counts": "material, license",

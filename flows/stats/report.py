@@ -15,12 +15,13 @@ from urllib.parse import quote
 import pyarrow as pa
 
 from flows.stats.queries import Answers, answers_of
-from flows.stats.scenes import Job, carried_out, picture_scene_of, strip_of, thumbnails_of, walk_strip_of
+from flows.stats.scenes import Job, carried_out, drive_still_of, picture_scene_of, strip_of, thumbnails_of, walk_strip_of
 from schemas.files import write_whole
 from schemas.tables import TABLES
 from warehouse.questions.views import views
 
 if TYPE_CHECKING:
+    from tasks.films.drives import DriveStill
     from tasks.films.walks import WalkStrip
     from tasks.stats.scenes import PictureConfig, ScenePictures
     from tasks.stats.style import Picture
@@ -80,7 +81,7 @@ def write_report(
     answers = answers_of(reader)
     rasters = rasters or pictures is not None
     charts = draw_charts(answers, rasters)
-    scenes, tiles, strips, walks = _pictured(lake, reader.snapshot_id, answers, look, workers, advance, expect)
+    scenes, tiles, strips, walks, drives = _pictured(lake, reader.snapshot_id, answers, look, workers, advance, expect)
     path = report_path(out)
     linked = _pages(lake, reader.snapshot_id, list(scenes), pages, workers) if pages is not None else {}
     content = ReportContent(
@@ -92,6 +93,7 @@ def write_report(
         tiles=tiles,
         strips=strips,
         walks=walks,
+        drives=drives,
         picture_size=(look.width, look.height),
         stages=STAGES,
         snapshot_id=reader.snapshot_id,
@@ -171,8 +173,8 @@ def draw_charts(answers: Answers, rasters: bool = True) -> list[Picture]:
 def _pictured(
     lake: Lake, snapshot_id: int, answers: Answers, look: PictureConfig, workers: int | None, advance: Callable[[str], None] | None,
     expect: Callable[[int], None] | None = None,
-) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip], list[WalkStrip]]:  # fmt: skip
-    """Pictures of the first scenes, both galleries, and stills of walks."""
+) -> tuple[dict[str, ScenePictures | str], list[SceneTile], list[CandidateStrip], list[WalkStrip], list[DriveStill]]:  # fmt: skip
+    """Pictures of the first scenes, both galleries, and stills of walks and of carts."""
     from flows.progress import Progress
     from flows.stats.pictures import forget_old
     from tasks.stats.thumbnails import scene_tile
@@ -185,6 +187,8 @@ def _pictured(
     jobs |= {name: (strip_of, (lake, rows)) for name, rows in strips.items()}
     walks = {"walk {batch_id} {scene_id} {episode_id}".format(**row): row for row in answers.rows["trajectory_metrics.shown"].to_pylist()}
     jobs |= {name: (walk_strip_of, (lake, snapshot_id, row)) for name, row in walks.items()}
+    drives = {"drive {batch_id} {scene_id} {episode_id}".format(**row): row for row in answers.rows["robot_runs.shown"].to_pylist()}
+    jobs |= {name: (drive_still_of, (lake, snapshot_id, row)) for name, row in drives.items()}
     if expect is not None:
         expect(len(jobs))
     with Progress("pictures", len(jobs), lines=True) as progress:
@@ -197,8 +201,10 @@ def _pictured(
         made = carried_out(jobs, workers, tell)
     forget_old()
     tiles = [scene_tile(scene, made[scene]) for scene in shown.gallery]
-    objects_shown, walks_shown = ([made[name] for name in names if not isinstance(made[name], str)] for names in (strips, walks))
-    return {scene: made[scene] for scene in shown.pictured}, tiles, objects_shown, walks_shown
+    objects_shown, walks_shown, drives_shown = (
+        [made[name] for name in names if not isinstance(made[name], str)] for names in (strips, walks, drives)
+    )
+    return {scene: made[scene] for scene in shown.pictured}, tiles, objects_shown, walks_shown, drives_shown
 
 
 def _pages(lake: Lake, snapshot_id: int, scenes: Sequence[str], folder: Path, workers: int | None) -> dict[str, Path]:

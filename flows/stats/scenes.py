@@ -26,6 +26,7 @@ from schemas.optimization import Contact, Placement
 if TYPE_CHECKING:
     import trimesh
 
+    from tasks.films.drives import DriveStill
     from tasks.films.walks import WalkStrip
     from tasks.stats.scenes import PictureConfig, RoomOutline, ScenePictures
     from tasks.stats.thumbnails import CandidateStrip, CandidateTile
@@ -151,6 +152,38 @@ def _walk_strip(lake: Lake, reader: Reader, row: Mapping[str, Any]) -> WalkStrip
     done = walk.trajectory
     names = (done.policy, done.run_name, walk.outcome, done.scene_id, done.episode_id, done.category)
     return WalkStrip(*names, walk.ending, picture)
+
+
+def drive_still_of(lake: Lake, snapshot_id: int, row: Mapping[str, Any]) -> DriveStill:
+    """The end of a robot run, a row of the query `robot_runs.shown`. Runs in a worker process.
+
+    Raises:
+        LakeError: the scene cannot be drawn.
+    """
+    from flows.stats.pictures import remembered
+    from tasks.films.walks import STRIP_LOOK
+
+    reader = lake.snapshot(snapshot_id)
+    done = reader.matching("robot_runs", {name: [row[name]] for name in ("batch_id", "scene_id", "episode_id")})
+    facts = ["drive", STRIP_LOOK, row, done, *_facts(reader, row["scene_id"], _MODEL)]
+    return remembered(facts, lambda: _drive_still(lake, reader, row))
+
+
+def _drive_still(lake: Lake, reader: Reader, row: Mapping[str, Any]) -> DriveStill:
+    from flows.outputs.drives import filmed_drive
+    from tasks.films.drives import DriveStill, drive_frame
+    from tasks.films.third_person import ThirdPerson
+    from tasks.films.walks import FilmLook
+    from tasks.stats.photographs import developed
+
+    look = FilmLook()
+    filmed, room, plan = filmed_drive(lake, reader, row, (look.room.height, look.room.height))
+    last = filmed.steps[-1]
+    third = ThirdPerson(room, filmed, look.room).picture(len(filmed.steps) - 1)
+    picture = developed(drive_frame(third, plan.picture(last), filmed, last, look).astype(np.float32), look.room)
+    run = filmed.run
+    names = (run.policy, run.run_name, run.setup, run.outcome, run.scene_id, run.episode_id, run.category)
+    return DriveStill(*names, filmed.ending, picture)
 
 
 def _strip(lake: Lake, rows: Sequence[Mapping[str, Any]]) -> CandidateStrip:

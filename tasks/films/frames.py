@@ -41,7 +41,7 @@ def frame(third: ThirdPerson, view: AgentView, walk: FilmedWalk, step: int, look
     canvas.paste(Image.fromarray(view.rgb), (left, top))
     below = top + view.rgb.shape[0] + line
     canvas.paste(Image.fromarray(depth_picture(view, int(walk.trajectory.instance_id), look.max_depth_m)), (left, below))
-    brush, plain, bold = ImageDraw.Draw(canvas), _font(look.text_px), _font(look.text_px, "-Bold")
+    brush, plain, bold = ImageDraw.Draw(canvas), lettering(look.text_px), lettering(look.text_px, "-Bold")
     brush.text((left, top - line / 2), "agent's camera", MUTED, plain, "lm")
     brush.text((left, below - line / 2), f"depth, 0 to {look.max_depth_m:g} m", MUTED, plain, "lm")
     row = walk.trajectory
@@ -102,7 +102,7 @@ def stills(third: ThirdPerson, views: Iterable[AgentView], walk: FilmedWalk, loo
     line, width, height = round(1.6 * look.text_px), look.room.width, look.room.height
     below = max(view.rgb.shape[0] for view in seen.values())
     canvas = Image.new("RGB", (len(wanted) * (width + GAP_PX) - GAP_PX, line + height + GAP_PX // 2 + below), PAPER)
-    brush, font = ImageDraw.Draw(canvas), _font(look.text_px, "-Bold")
+    brush, font = ImageDraw.Draw(canvas), lettering(look.text_px, "-Bold")
     for index, step in enumerate(wanted):
         left = index * (width + GAP_PX)
         brush.text((left, line / 2), walk.act(step), INK, font, "lm")
@@ -123,7 +123,7 @@ def _write(image: Image.Image, text: str, middle: tuple[float, float], color: tu
     """White letters on a colored plate, moved so that all of it is in the picture."""
     from PIL import ImageDraw
 
-    brush, font = ImageDraw.Draw(image), _font(size, "-Bold")
+    brush, font = ImageDraw.Draw(image), lettering(size, "-Bold")
     half = brush.textlength(text, font) / 2 + 0.45 * size
     tall = 0.72 * size
     x = min(max(middle[0], half + 2), image.width - half - 2)
@@ -133,8 +133,8 @@ def _write(image: Image.Image, text: str, middle: tuple[float, float], color: tu
 
 
 @cache
-def _font(size: int, weight: str = "") -> Any:
-    """The letters of the charts."""
+def lettering(size: int, weight: str = "") -> Any:
+    """The letters of the charts, as Pillow has them."""
     from pathlib import Path
 
     import matplotlib

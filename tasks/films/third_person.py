@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tasks.films.robots import robot
 from tasks.films.rooms import FilmedRoom
-from tasks.films.walks import FilmedWalk
+from tasks.films.walks import FilmedBody
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.stats.photographs import Paint, photograph
 from tasks.stats.scenes import PictureConfig, corner_camera, fitting_camera, opened, shown
@@ -57,9 +57,9 @@ class ThirdPerson:
     target was not placed.
     """
 
-    def __init__(self, room: FilmedRoom, walk: FilmedWalk, look: PictureConfig) -> None:
+    def __init__(self, room: FilmedRoom, walk: FilmedBody, look: PictureConfig) -> None:
         self._walk, self._poses = walk, walk.poses
-        target = walk.trajectory.instance_id
+        target = walk.target
         self.camera = _clearest(room, walk, look)
         parts, is_target = _parts(room, target, self.camera, look)
         self._ground = photograph(parts, self.camera, look, _tinted(is_target))
@@ -206,16 +206,16 @@ def _tinted(is_target: NDArray[np.bool_]) -> Paint:
     return paint
 
 
-def _clearest(room: FilmedRoom, walk: FilmedWalk, look: PictureConfig) -> Camera:
+def _clearest(room: FilmedRoom, walk: FilmedBody, look: PictureConfig) -> Camera:
     """Of the four corner cameras the one from which most of the way and of the target is seen; the first of equals."""
     small = dataclasses.replace(look, width=160, height=round(160 * look.height / look.width), oversampling=1)
-    poses, own = walk.poses, room.objects.get(walk.trajectory.instance_id, [])
+    poses, own = walk.poses, room.objects.get(walk.target, [])
     heights = np.array([0.02, 0.6 * walk.height_m])
     points = np.array([[x, y, z] for x, y, _ in poses for z in heights])
     best, most = 0, -1.0
     for corner in range(4):
         camera = _framed(room, corner, small)
-        depth = RayScene(_parts(room, walk.trajectory.instance_id, camera, small)[0]).cast(camera.rays())["t_hit"]
+        depth = RayScene(_parts(room, walk.target, camera, small)[0]).cast(camera.rays())["t_hit"]
         pixels, far = camera.project(points)
         column, row = np.clip(np.rint(pixels).astype(int), 0, [camera.width - 1, camera.height - 1]).T
         seen = float((depth[row, column] > far - 0.15).mean())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,35 @@ class WalkStrip:
     picture: bytes
 
 
+class FilmedBody(Protocol):
+    """Whatever goes through a room, seen from above."""
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """x, y [m] and yaw [rad], world frame, shape (n, 3)."""
+        ...
+
+    @property
+    def target(self) -> str:
+        """Where it goes: an instance."""
+        ...
+
+    @property
+    def camera(self) -> AgentCamera:
+        """What it looks through."""
+        ...
+
+    @property
+    def radius_m(self) -> float:
+        """Of the body."""
+        ...
+
+    @property
+    def height_m(self) -> float:
+        """Of the body."""
+        ...
+
+
 @dataclasses.dataclass(frozen=True)
 class FilmedWalk:
     """A trajectory to film.
@@ -64,6 +94,11 @@ class FilmedWalk:
     def poses(self) -> NDArray[np.float64]:
         """x, y [m] and yaw [rad], world frame, before the first action and after every action, shape (n, 3)."""
         return np.array(self.trajectory.poses, dtype=np.float64).reshape(-1, 3)
+
+    @property
+    def target(self) -> str:
+        """The episode's instance."""
+        return self.trajectory.instance_id
 
     @property
     def outcome(self) -> str:

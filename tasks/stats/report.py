@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import pyarrow as pa
 
+from tasks.films.drives import DriveStill
 from tasks.films.walks import WalkStrip
 from tasks.stats.cards import anchor_of, data_address, scene_card, scene_table
 from tasks.stats.columns import report_grids
@@ -32,7 +33,7 @@ class ReportContent:
 
     answers: Rows by name of the query. totals: How many rows a view has of which only the first are there.
     scenes: Pictures by scene; a reason in their place where there are none. picture_size: Width and height of these pictures [px].
-    tiles, strips: The galleries. walks: Stills of walks, by policy and run. stages: Stages in the order of the data path.
+    tiles, strips: The galleries. walks, drives: Stills of walks and of carts, by policy and run. stages: In the order of the data path.
     releases: Names that the snapshot is released under. pages: Relative address of a scene's page in 3D, by scene.
     """
 
@@ -51,6 +52,7 @@ class ReportContent:
     code_version: str
     pages: Mapping[str, str] = dataclasses.field(default_factory=dict)
     walks: Sequence[WalkStrip] = ()
+    drives: Sequence[DriveStill] = ()
 
 
 def render_report(content: ReportContent) -> str:
@@ -69,6 +71,7 @@ def render_report(content: ReportContent) -> str:
         tiles=[_scene_entry(tile, content.scenes) for tile in content.tiles],
         strips=[_strip_entry(strip) for strip in content.strips],
         walks=[(walk, data_address(walk.picture, "image/jpeg")) for walk in content.walks],
+        drives=[(drive, data_address(drive.picture, "image/jpeg")) for drive in content.drives],
         scene_px=SCENE_PX,
         object_px=OBJECT_PX,
         pictures=[(picture, data_address(picture.svg.encode(), "image/svg+xml")) for picture in content.pictures],

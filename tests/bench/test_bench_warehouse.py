@@ -104,6 +104,8 @@ def test_rows_agree_with_each_other(lake: Lake) -> None:
         "carried": "FROM (SELECT scene_id, parent_id AS instance_id FROM supports WHERE parent_id IS NOT NULL) "
         "ANTI JOIN placements USING (scene_id, instance_id)",
         "walked": "FROM trajectories ANTI JOIN episodes USING (scene_id, episode_id, instance_id, start_position)",
+        "driven": "FROM robot_runs ANTI JOIN (SELECT *, batch_id AS trajectory_batch_id FROM trajectories) "
+        "USING (scene_id, episode_id, trajectory_batch_id, instance_id)",
         "tested": "FROM compared_runs ANTI JOIN trajectories USING (scene_id, batch_id)",
         "learned": "FROM compared_runs ANTI JOIN models USING (model_id, training_id)",
         "answered": "FROM annotations ANTI JOIN instances USING (scene_id, instance_id)",

@@ -44,6 +44,7 @@ SELECT
             'review_samples=' || least(3 * objects, 50), 'answer_verdicts=' || least(3 * objects, 50), 'quality_reviews=1'
         ]
         WHEN stage = 'evaluation' THEN ['trajectories=10']
+        WHEN stage = 'robot' THEN ['robot_runs=10']
         ELSE []
     END AS row_counts,
     CASE
@@ -65,10 +66,10 @@ FROM (
     UNION ALL
     SELECT *, 'batch' AS place,
         CASE WHEN ran = 'annotation' THEN batch_of(scene) ELSE concat(ran, '-', lpad(CAST(scene // 100 AS VARCHAR), 5, '0')) END AS place_id,
-        CASE WHEN ran = 'annotation' THEN ran ELSE 'evaluation' END AS stage, [] AS reads, 0.5 AS mean_seconds, 8 AS number, 1 AS version,
+        CASE ran WHEN 'annotation' THEN ran WHEN 'drive' THEN 'robot' ELSE 'evaluation' END AS stage, [] AS reads, 0.5 AS mean_seconds, 8 AS number, 1 AS version,
         [] AS by_object, [] AS by_scene
     FROM (
-        SELECT *, unnest(CASE scene % 100 WHEN 7 THEN ['annotation'] WHEN 3 THEN getvariable('policies') ELSE [] END) AS ran
+        SELECT *, unnest(CASE scene % 100 WHEN 7 THEN ['annotation'] WHEN 3 THEN getvariable('policies') || ['drive'] ELSE [] END) AS ran
         FROM scenes_now
     )
 )
