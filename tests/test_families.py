@@ -86,6 +86,8 @@ ELSEWHERE = {
     "bench/warehouse/rows/captions.sql vision_language": "rows of a generated lake, whose captions such a model wrote",
     "bench/warehouse/rows/episodes.sql planar": "as above",
     "bench/warehouse/rows/navmeshes.sql planar": "as above",
+    "bench/warehouse/rows/robot_runs.sql expert": "rows of a generated lake, of ways that the expert went",
+    "bench/warehouse/rows/robot_runs.sql planar": "a body that moves in the plane",
     "bench/warehouse/rows/scenes.sql posed_rgbd": "as above",
     "bench/warehouse/rows/scenes.sql scannet": "as above",
     "bench/warehouse/rows/selections.sql geometric": "rows of a generated lake, in shares that are like those of real ones",

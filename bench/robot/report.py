@@ -62,7 +62,8 @@ def run_robot_bench(config: RobotBench, advance: Callable[[str], None]) -> dict[
         runs, undriven = drive_all(lake, config.seed, config.processes, advance)
         rows = [row for setup in SETUPS for row in setup_figures(setup, runs[setup.name])]
         failed += undriven
-        parts[DRIVES] = {"setups": rows, "goals": drive_goals(rows)}
+        all_driven = goal("replicas that were not made, or not driven in", len(failed), "==", 0)
+        parts[DRIVES] = {"setups": rows, "goals": [all_driven, *drive_goals(rows, len(config.data.jobs))]}
     if KILLED in config.parts:
         parts[KILLED] = measure_kills(lake, config.folder, partial(advance))
     return {
@@ -71,12 +72,13 @@ def run_robot_bench(config: RobotBench, advance: Callable[[str], None]) -> dict[
     }  # fmt: skip
 
 
-def drive_goals(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What carts are held against. Moved things may bar the only way: of those runs only what is touched is a goal."""
+def drive_goals(rows: Sequence[Mapping[str, Any]], replicas: int) -> list[dict[str, Any]]:
+    """What carts are held against, in so many replicas. Moved things may bar the only way: of those runs only what is touched is a goal."""
     whole = {row["setup"]: row for row in rows if row["replicas"] == "all"}
     usual, moved = whole[USUAL.name], whole[MOVED.name]
     goals = [
-        goal("runs", usual["runs"], ">=", 1),
+        goal("replicas that were driven in", usual["scenes"], ">=", replicas),
+        goal("runs", usual["runs"], ">=", USUAL.routes * replicas),
         goal("runs that arrive [%]", _figure(100 * usual["arrived_share"]), ">=", ARRIVED),
         *(goal(f"collisions, {name}", row["collisions"], "==", 0) for name, row in whole.items()),
         goal("things that were moved", moved["moved"], ">=", 1),

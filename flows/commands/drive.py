@@ -104,7 +104,7 @@ def _carried_out(store: Lake, configuration: Configuration, *, dry_run: bool, **
     """Run `flows.robot.flow.drive` in this process; Prefect starts only when there is something to drive."""
     from flows.evaluation.acting import planned_policy
     from flows.progress import Progress
-    from flows.robot.driving import driven, planned_drives
+    from flows.robot.driving import batches_of, driven, planned_drives
     from flows.server.here import result_or_raise
 
     def load() -> Any:
@@ -117,7 +117,7 @@ def _carried_out(store: Lake, configuration: Configuration, *, dry_run: bool, **
     acted = [scene.batch_id for each in acting for scene in each.scenes if not scene.is_new]
     if not dry_run:  # what an interrupted run had done and not yet committed
         store.commit(note="trajectories", scenes=acted)
-    planned = planned_drives(store, [*acted, *parameters["batches"]], configuration)
+    planned = planned_drives(store, [*batches_of(store, acted), *parameters["batches"]], configuration)
     todo = sum(drive.is_new for drive in planned)
     if dry_run or not unmade + todo:
         if not dry_run:
@@ -162,7 +162,13 @@ def _tell(done: Driven, metrics: Sequence[dict[str, Any]], dry_run: bool) -> Non
     width = max(len("ways of"), *map(len, names))
     print(f"\n{'ways of':<{width}}      n  arrived     95 % interval  collisions  error, cm  wheels, cm   NEES")
     for name, row in zip(names, metrics, strict=True):
+        errors = _figure(row["error_m"], 100, 2), _figure(row["wheels_error_m"], 100, 1), _figure(row["nees"], 1, 2)
         print(
             f"{name:<{width}} {row['n']:>6}  {row['arrived']:>7.3f}  {row['arrived_low']:>6.3f} to {row['arrived_high']:.3f} "
-            f"{row['collisions']:>11} {row['error_m'] * 100:>10.2f} {row['wheels_error_m'] * 100:>11.1f} {row['nees']:>6.2f}"
+            f"{row['collisions']:>11} {errors[0]:>10} {errors[1]:>11} {errors[2]:>6}"
         )
+
+
+def _figure(value: float | None, scale: float, digits: int) -> str:
+    """A mean over carts that moved, where any did."""
+    return "-" if value is None else f"{value * scale:.{digits}f}"

@@ -36,9 +36,8 @@ def shown_drives(per_outcome: int, which: str) -> str:
     condition."""
     draw = "md5(scene_id || '/' || episode_id), scene_id, episode_id, batch_id"
     return f"""WITH judged AS (
-    SELECT policy, run_name, setup, body, {", ".join(_KEY)}, outcome, outcome = 'arrived' AS has_arrived FROM robot_runs
+    SELECT policy, run_name, setup, body, {", ".join(_KEY)}, outcome, outcome = 'arrived' AS has_arrived FROM current_robot_runs
     WHERE outcome <> 'unreachable' AND {which}
-    QUALIFY row_number() OVER (PARTITION BY policy, run_name, setup, body, scene_id, episode_id, outcome ORDER BY batch_id) = 1
 )
 SELECT policy, run_name, setup, body, {", ".join(_KEY)}, outcome FROM judged
 QUALIFY row_number() OVER (PARTITION BY policy, run_name, setup, body, has_arrived ORDER BY {draw}) <= {per_outcome}

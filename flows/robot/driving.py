@@ -18,6 +18,7 @@ from schemas.evaluation import Trajectory
 from schemas.optimization import Placement, Support
 from schemas.record import arrow_to_rows
 from schemas.runs import StageRun
+from schemas.tables import TABLES
 from tasks import robot
 from tasks.robot.configuration import RobotConfig, unusual
 from tasks.robot.routes import DriveBatch, spread_ways
@@ -103,6 +104,15 @@ def planned_drives(lake: Lake, trajectory_batches: Sequence[str], configuration:
     return planned
 
 
+def batches_of(lake: Lake, trajectory_batches: Sequence[str]) -> list[str]:
+    """Those of some trajectory batches that the newest snapshot has, in their order."""
+    wanted = list(dict.fromkeys(trajectory_batches))
+    there = (
+        set(lake.snapshot().matching("trajectories", {"batch_id": wanted}, ["batch_id"]).column("batch_id").to_pylist()) if wanted else ()
+    )
+    return [batch for batch in wanted if batch in there]
+
+
 def in_this_process(drives: Sequence[PlannedDrive]) -> Iterable[StageRun]:
     """One scene after another, here."""
     return (drive_scene(drive.task) for drive in drives)
@@ -142,6 +152,11 @@ def world_rows(reader: Reader, scene_id: str) -> dict[str, Sequence[Any]]:
     return {**rows, "assets": reader.rows_by_key(Asset, sorted({row.asset_id for row in rows["placements"]}))}
 
 
+def _lasting(table: str, row: Any) -> dict[str, Any]:
+    """A row without what may differ between runs, as where its scan lay."""
+    return {column.name: getattr(row, column.name) for column in TABLES[table].columns if not column.volatile}
+
+
 def _job(reader: Reader, task: DriveTask, trajectories: Sequence[Trajectory]) -> Job:
     """The job of a scene, on its rows."""
     config: RobotConfig = task.configuration.stages[STAGE.name]
@@ -149,7 +164,7 @@ def _job(reader: Reader, task: DriveTask, trajectories: Sequence[Trajectory]) ->
     rows = world_rows(reader, task.scene_id)
     facts = {
         "drive_batch": digest(canonical_json(ways)),
-        "scene": digest(canonical_json([rows[name] for name in sorted(rows)])),
+        "scene": digest(canonical_json({name: [_lasting(name, row) for row in some] for name, some in rows.items()})),
     }
     content = digest(STAGE.name, *facts.values(), canonical_json(config), str(task.configuration.seed))
     code = code_fingerprint(robot.__name__)

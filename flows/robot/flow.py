@@ -10,7 +10,7 @@ from prefect.states import Completed, Failed, State
 
 from flows.evaluation.acting import evaluated, planned_policy
 from flows.evaluation.flow import ACTING
-from flows.robot.driving import STAGE, Driven, PlannedDrive, drive_scene, driven, planned_drives
+from flows.robot.driving import STAGE, Driven, PlannedDrive, batches_of, drive_scene, driven, planned_drives
 from flows.run.configuration import configure
 from flows.run.parameters import Address, StageTables
 from flows.run.patience import patiently
@@ -84,12 +84,14 @@ def drive(
         for each in acting:
             store.commit(note=f"trajectories of {each.policy}", scenes=each.batches)
         named = [batch for each in acting for batch in each.batches if batch not in acted or not acted[batch].error]
-        drives = planned_drives(store, [*named, *batches], configuration)
+        present = batches_of(store, named)
+        drives = planned_drives(store, [*present, *batches], configuration)
         todrive = [each for each in drives if each.is_new]
         with fanned_out(workers_for(workers, len(todrive)), DRIVING) as drive_in:
             runs = {run.scene_id: run for run in drive_in(todrive)}
         store.commit(note="robot runs", scenes=[each.batch_id for each in drives])
         unacted = [f"{each.policy}: {line}" for each in acting for line in evaluated(each, acted).failed]
+        unacted += [f"{batch}: its trajectories are not in the lake; drive again" for batch in named if batch not in present]
         return driven(drives, runs, unacted)
 
     done = patiently(once)

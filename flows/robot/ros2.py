@@ -41,8 +41,8 @@ class RosNode(Protocol):
         """Something with `publish(message)`."""
         ...
 
-    def create_subscription(self, kind: Any, topic: str, callback: Callable[[Any], None], queue: int) -> Any:
-        """Calls back with every message."""
+    def create_subscription(self, kind: Any, topic: str, callback: Callable[[Any], None], queue: Any) -> Any:
+        """Calls back with every message. queue: How many wait at most, or a profile of rclpy's."""
         ...
 
     def create_timer(self, seconds: float, callback: Callable[[], None]) -> Any:
@@ -53,30 +53,42 @@ class RosNode(Protocol):
         """What says `now()`."""
         ...
 
+    def get_logger(self) -> Any:
+        """What takes `warning(text)`."""
+        ...
+
 
 class PilotNode:
-    """Drives whatever listens to `cmd_vel` along a route. It waits for the first scan; once the way is over it says to stand still."""
+    """Drives whatever listens to `cmd_vel` along a route.
+
+    It says to stand still until the first scan, when scans stay away for `estimation.buffer_s`, and once the way is over.
+    """
 
     def __init__(self, node: RosNode, route: DriveRoute, config: RobotConfig) -> None:
         from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
         from nav_msgs.msg import Odometry
+        from rclpy.qos import qos_profile_sensor_data as sensing  # drivers of lidars say scans once, to whoever hears them
         from sensor_msgs.msg import Imu, LaserScan
 
         self._node, self._config, self._twist, self._posed = node, config, Twist, PoseWithCovarianceStamped
         self.navigator, self.localization = route.navigator, route.guide
         self._start: float | None = None
-        self._seen = np.zeros((0, 2))
+        self._scanned_at = -math.inf
         self._commands = node.create_publisher(Twist, "cmd_vel", QUEUE)
         self._poses = node.create_publisher(PoseWithCovarianceStamped, "pose", QUEUE)
-        node.create_subscription(LaserScan, "scan", self._scanned, QUEUE)
-        node.create_subscription(Odometry, "odom", self._rolled, QUEUE)
-        node.create_subscription(Imu, "imu", self._turned, QUEUE)
+        node.create_subscription(LaserScan, "scan", self._scanned, sensing)
+        node.create_subscription(Odometry, "odom", self._rolled, sensing)
+        node.create_subscription(Imu, "imu", self._turned, sensing)
         node.create_timer(config.planner.period_s, self._decide)
 
     @property
     def is_over(self) -> bool:
         """Whether the way is over, for good or bad."""
         return self.navigator.phase.is_final
+
+    def stop(self) -> None:
+        """Say to stand."""
+        self._commands.publish(self._twist())
 
     def _time(self, stamp: Any) -> float:
         """Seconds of a stamp since the first one."""
@@ -89,11 +101,21 @@ class PilotNode:
         from tasks.robot.drive import wheel_speeds
 
         twist = message.twist.twist
+        if not self._are_finite("odom", twist.linear.x, twist.angular.z):
+            return
         left, right = wheel_speeds(float(twist.linear.x), float(twist.angular.z), self._config.cart)
         self.localization.wheels(self._time(message.header.stamp), float(left), float(right))
 
     def _turned(self, message: Any) -> None:
-        self.localization.gyro(self._time(message.header.stamp), float(message.angular_velocity.z))
+        if self._are_finite("imu", message.angular_velocity.z):
+            self.localization.gyro(self._time(message.header.stamp), float(message.angular_velocity.z))
+
+    def _are_finite(self, topic: str, *values: float) -> bool:
+        """Whether a reading is numbers; one that is not is left out, and named."""
+        are_finite = all(map(math.isfinite, values))
+        if not are_finite:
+            self._node.get_logger().warning(f"{topic}: a reading of {values} is left out")
+        return are_finite
 
     def _scanned(self, message: Any) -> None:
         from tasks.robot.driving import in_world, returns_at
@@ -104,17 +126,20 @@ class PilotNode:
         angles = np.array(float(message.angle_min) + float(message.angle_increment) * np.arange(len(ranges)), dtype=np.float64)
         points = returns_at(ranges, angles)
         self.localization.scan(then, points)
-        self._seen = in_world(points, self.localization.at(then)[0])
+        pose = self.localization.at(then)[0]
+        self.navigator.see(in_world(points, pose), pose)
+        self._scanned_at = max(self._scanned_at, then)
 
     def _decide(self) -> None:
-        if self._start is None:
-            return  # nothing is known of where the cart is by now
+        if not math.isfinite(self._scanned_at):
+            self.stop()  # it has not seen where it is
+            return
         stamp = self._node.get_clock().now().to_msg()
         now = self._time(stamp)
         pose, speeds, covariance = self.localization.at(now)
         command = (0.0, 0.0)
-        if not self.is_over:
-            command = self.navigator.command(now, pose, float(speeds[0]), float(speeds[1]), self._seen)
+        if not self.is_over and now - self._scanned_at <= self._config.estimation.buffer_s:  # else it is blind
+            command = self.navigator.command(now, pose, float(speeds[0]), float(speeds[1]))
         message = self._twist()
         message.linear.x, message.angular.z = float(command[0]), float(command[1])
         self._commands.publish(message)
@@ -260,9 +285,12 @@ def _spin(kind: str, ride: Ride, config: RobotConfig, seed: int) -> None:
             rclpy.spin(node)
             return
         pilot = PilotNode(node, route(ride.goals, ride.floor, ride.start, config), config)
-        while rclpy.ok() and not pilot.is_over:
-            rclpy.spin_once(node, timeout_sec=config.planner.period_s)
-        print(pilot.navigator.problem or f"{pilot.navigator.phase.value} after {pilot.navigator.recoveries} recoveries")
+        try:
+            while rclpy.ok() and not pilot.is_over:
+                rclpy.spin_once(node, timeout_sec=config.planner.period_s)
+            print(pilot.navigator.problem or f"{pilot.navigator.phase.value} after {pilot.navigator.recoveries} recoveries")
+        finally:
+            pilot.stop()  # whatever ended it
     finally:
         node.destroy_node()
         rclpy.shutdown()

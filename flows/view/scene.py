@@ -21,7 +21,6 @@ from schemas.exports import ExportFile
 from schemas.fidelity import Fidelity, SceneFidelity
 from schemas.navigation import Episode, Navmesh
 from schemas.optimization import Certificate, Contact, Optimization, Placement, Support
-from schemas.robot import RobotRun
 from schemas.selection import Selection
 from warehouse.lake import Lake
 
@@ -168,7 +167,7 @@ class Scenes:
                 for row in read.rows(Navmesh, scene_id)
             ],
             "episodes": [_episode(row) for row in read.rows(Episode, scene_id)],
-            "drives": drives_of(read.rows(RobotRun, scene_id)),
+            "drives": drives_of(read, scene_id),
             "frames": self._frames(scene),
         }  # fmt: skip
         return Shown(document, made, frozenset({scene.mesh_blob} | blobs_of(objects)))

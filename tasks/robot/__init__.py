@@ -71,6 +71,7 @@ def run(
         "supports": supports,
     }  # fmt: skip
     floor, notes = floor_in(tables, context.blobs, config)
+    _ = floor.clearances, floor.plane_distances  # once for all ways, which take them along
     scene = _scene(replica_in(tables, context.blobs)[0]) if config.body == "mujoco" else None
     drawn = dataclasses.replace(context, scene_id=drive_batch.scene_id)
     work = []

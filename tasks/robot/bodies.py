@@ -147,7 +147,8 @@ class PlanarBody:
     ) -> None:
         self._cart, self._names = cart, truth.edge_names
         self._edges = np.ascontiguousarray(truth.edges)
-        self._motors, self._slip, self._readings = Motors(cart, noise, speeds), Slip(noise, rng), Readings(noise, rng)
+        slipping, reading = rng.spawn(2)  # what is read does not change what happens
+        self._motors, self._slip, self._readings = Motors(cart, noise, speeds), Slip(noise, slipping), Readings(noise, reading)
         self.pose: Array = np.array(pose, dtype=np.float64)
         self.touched: str | None = None
         self.speeds, self._wheels = (0.0, 0.0), (0.0, 0.0)

@@ -125,7 +125,8 @@ class MujocoBody:
 
         self._mujoco, self._model, self._cart = mujoco_module(), model, cart
         self._data = self._mujoco.MjData(model)
-        self._motors, self._slip, self._readings = Motors(cart, noise), Slip(noise, rng), Readings(noise, rng)
+        slipping, reading = rng.spawn(2)  # as of a planar body
+        self._motors, self._slip, self._readings = Motors(cart, noise), Slip(noise, slipping), Readings(noise, reading)
         x, y, self._yaw = (float(value) for value in np.asarray(pose, dtype=np.float64))
         chassis, wheels = model.joint(CART), [model.joint(f"{CART}_{side}") for side in ("left", "right")]
         self._at, self._going = int(chassis.qposadr[0]), int(chassis.dofadr[0])

@@ -138,8 +138,11 @@ class RobotConfig(Config):
 
 
 def unusual(config: RobotConfig) -> str:
-    """What of a config is not as by default, in a line: `displacement.share 0.1, noise.slip 0.05`; the body has a column of its own."""
-    return ", ".join(_differences(dataclasses.replace(config, body=RobotConfig().body), RobotConfig(), ""))
+    """What of a config is not as by default, in a line: `displacement.share 0.1, noise.slip 0.05`. The body has a column of its own, and
+    how many ways are driven and how often they are recorded changes none of them."""
+    usual = RobotConfig()
+    plain = dataclasses.replace(config, body=usual.body, routes=usual.routes, record_s=usual.record_s)
+    return ", ".join(_differences(plain, usual, ""))
 
 
 def _differences(config: Config, usual: Config, path: str) -> list[str]:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.robot.bodies import CartBody
-from tasks.robot.clearances import Clearances
+from tasks.robot.bodies import CartBody, distances_to
 from tasks.robot.configuration import RobotConfig, Senses
 from tasks.robot.estimation.localization import Localization
 from tasks.robot.estimation.scan_matching import ScanMatcher
@@ -37,10 +36,11 @@ class Drive:
     """What became of a cart on a way.
 
     times: Of the recorded poses [s], shape (n,). track, estimate: True and estimated pose then, world frame [m, rad], shape (n, 3).
-    clearances: True distance of the outline to the nearest obstacle then [m], shape (n,). least_clearance: Over every decision [m].
+    clearances: True distance of the outline to the nearest obstacle then [m], shape (n,). least_clearance: Over every step [m].
     errors: Distance of estimate and truth at every decision [m], shape (k,). heading_errors: Of the heading [rad], shape (k,).
     final_errors: Distance at the end [m] with wheels, with wheels and gyro, and with all. nees: At every decision, shape (k,).
-    scans, scans_used, gated: Counts. decision_seconds: Time of each decision [s], scan matching included, shape (k,).
+    scans, scans_used, gated: Counts. decision_seconds: Time of each decision [s], scan matching included, shape (k,). The last record is of
+    the end.
     """
 
     phase: Phase
@@ -96,9 +96,8 @@ class Pilot:
     def __init__(self, body: CartBody, route: DriveRoute, truth: Floor, config: RobotConfig, rng: np.random.Generator) -> None:
         self._body, self._config, self._rng = body, config, rng
         self._navigator, self._filters, self._guide = route.navigator, route.filters, route.guide
-        self._segments, self._clearances = truth.segments, Clearances.of(truth)
+        self._segments, self._edges = truth.segments, truth.edges
         self._under_way: deque[tuple[int, float, Array, Array]] = deque()
-        self._seen = np.zeros((0, 2))
 
     def drive(self) -> Drive:
         """To the end of the way, until it is given up, something is touched, or time is out."""
@@ -113,26 +112,35 @@ class Pilot:
             scans += tick % each["lidar"] == 0
             spent += self._arrivals(tick)
             is_due, is_recorded = tick % each["planner"] == 0, tick % each["record"] == 0
-            if is_due or is_recorded:
-                clearance = float(self._clearances.distances(body.pose[None, :2])[0]) - config.cart.radius_m
-                least = min(least, clearance)
+            least = min(least, self._clearance())
             if is_due:
                 began = clocks.perf_counter()
                 pose, speeds, _ = self._guide.at(now)
-                command = self._navigator.command(now, pose, float(speeds[0]), float(speeds[1]), self._seen)
+                command = self._navigator.command(now, pose, float(speeds[0]), float(speeds[1]))
                 spent += clocks.perf_counter() - began
                 nees = self._guide.nees(now, body.pose)
                 decided.append((*apart(pose, body.pose), nees, spent))
                 spent = 0.0
                 body.drive(*command)
             if is_recorded:
-                recorded.append((now, body.pose.copy(), self._guide.at(now)[0], clearance))
+                recorded.append(self._record(now))
             if self._navigator.phase.is_final or body.touched:
                 break
             before = body.pose[:2].copy()
             body.step(config.substep_s)
             travelled += float(np.hypot(*(body.pose[:2] - before)))
-        return self._drive(tick * config.substep_s, travelled, least, recorded, decided, scans)
+        end = tick * config.substep_s
+        if recorded[-1][0] < end:
+            recorded.append(self._record(end))
+        return self._drive(end, travelled, least, recorded, decided, scans)
+
+    def _clearance(self) -> float:
+        """True distance of the outline to the nearest thing [m]."""
+        return float(distances_to(self._edges, self._body.pose[:2]).min()) - self._config.cart.radius_m
+
+    def _record(self, now: float) -> tuple[float, Array, Array, float]:
+        """Time, true and believed pose, and clearance."""
+        return now, self._body.pose.copy(), self._guide.at(now)[0], self._clearance()
 
     def _periods(self) -> dict[str, float]:
         """How often things happen [s]."""
@@ -166,7 +174,7 @@ class Pilot:
             _, then, points, pose = self._under_way.popleft()
             for localization in self._filters.values():
                 localization.scan(then, points)
-            self._seen = in_world(points, pose)
+            self._navigator.see(in_world(points, pose), pose)
         return clocks.perf_counter() - began
 
     def _drive(

@@ -150,7 +150,7 @@ def _reacted(nodes: Array, origin: Array, points: Array, state: Array, limits: A
     """The state when motors hear of the next command, and the least clearance until then."""
     after = state.copy()
     least = clear_at(nodes, origin, points, after[0], after[1])
-    for _ in range(round(limits[3] / BRAKING_STEP_S)):
+    for _ in range(int(np.ceil(limits[3] / BRAKING_STEP_S - 1e-6))):
         _followed(after, state[7], state[8], limits)
         least = min(least, clear_at(nodes, origin, points, after[0], after[1]))
     return after, least
@@ -159,7 +159,7 @@ def _reacted(nodes: Array, origin: Array, points: Array, state: Array, limits: A
 def _stopping(nodes: Array, origin: Array, points: Array, start: Array, v: float, w: float, limits: Array, radius: float) -> float:
     """Least clearance while the motors carry out a command for a period, and brake then; looked at until it falls below a radius."""
     state, least = start.copy(), np.inf
-    left = round(limits[4] / BRAKING_STEP_S)
+    left = int(np.ceil(limits[4] / BRAKING_STEP_S - 1e-6))
     while left > 0 or abs(state[3]) > 5e-3 or abs(state[5]) > 1e-9:  # once it stands it turns at most, where it is
         if left > 0:
             _followed(state, v, w, limits)
@@ -193,10 +193,10 @@ def _best(
             for k in range(1, LOOKS + 1):
                 x, y, _ = _along(x0, y0, yaw0, v, w, seconds * k / LOOKS)
                 here = clear_at(nodes, origin, points, x, y)
+                clear = min(clear, here)
                 if here < radius:  # it will have turned away or stopped before
                     until = seconds * (k - 1) / LOOKS
                     break
-                clear = min(clear, here)
             x, y, yaw = _along(x0, y0, yaw0, v, w, until)
             away = math.hypot(gx - x, gy - y)
             angle = 0.0

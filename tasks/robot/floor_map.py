@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.robot.clearances import Clearances
 from tasks.robot.configuration import Cart, Lidar
 
 if TYPE_CHECKING:
@@ -71,6 +72,16 @@ class Floor:
     @cached_property
     def _named_edges(self) -> list[tuple[str, Array]]:
         return [(EDGE, outline(self.polygon)), *((name, outline(self.obstacles[name])) for name in sorted(self.obstacles))]
+
+    @cached_property
+    def clearances(self) -> Clearances:
+        """How far it is to what the cart runs into."""
+        return Clearances.of(self)
+
+    @cached_property
+    def plane_distances(self) -> Clearances:
+        """How far it is to what the lidar sees."""
+        return Clearances.around(self.segments, self.polygon.bounds[:2], self.polygon.bounds[2:])
 
     def free(self, radius: float) -> shapely.MultiPolygon:
         """Where the middle of a disc of this radius [m] can be."""

@@ -26,7 +26,8 @@ NEAR_M = 0.3
 def grid_path(clearances: Clearances, start: ArrayLike, goal: ArrayLike, radius: float, spacing: float) -> Array | None:
     """Places to go to one after the other, world frame [m], shape (n, 2), the goal the last; None where there is no way.
 
-    Straight ways between them keep the radius free, but for the first steps where the start has less; they are at most `spacing` long.
+    Straight ways between them are at most `spacing` long and keep the radius free to 2 mm, but for the first steps where the start has
+    less.
 
     Args:
         clearances: Of the floor as it is known.

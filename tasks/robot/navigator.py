@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.robot.bodies import Motors
-from tasks.robot.clearances import Clearances
 from tasks.robot.configuration import RobotConfig
 from tasks.robot.dynamic_window import STILL, MotorState, choose, stops_within
 from tasks.robot.grid_path import grid_path
@@ -63,7 +62,7 @@ class Navigator:
     def __init__(self, goals: ArrayLike, floor: Floor, config: RobotConfig) -> None:
         self._cart, self._planner, self._noise = config.cart, config.planner, config.noise
         self.goals: Array = np.asarray(goals, dtype=np.float64).reshape(-1, 2)
-        self._map, self._unmapped = Clearances.of(floor), UnmappedPlaces(floor)
+        self._map, self._unmapped = floor.clearances, UnmappedPlaces(floor)
         self._clearances = self._map
         self._motors = Motors(config.cart, config.noise)
         self._now: float | None = None
@@ -79,7 +78,11 @@ class Navigator:
         """The sub-goal that it drives to, shape (2,)."""
         return self.goals[self._at]
 
-    def command(self, now: float, pose: ArrayLike, v: float, w: float, seen: ArrayLike) -> tuple[float, float]:
+    def see(self, returns: ArrayLike, pose: ArrayLike) -> None:
+        """Take in a scan: where its rays ended, world frame [m], shape (n, 2), and the pose from which it was taken, shape (3,)."""
+        self._unmapped.see(returns, pose)
+
+    def command(self, now: float, pose: ArrayLike, v: float, w: float) -> tuple[float, float]:
         """What to do next: a speed [m/s] and a turn rate [rad/s].
 
         Args:
@@ -87,11 +90,9 @@ class Navigator:
             pose: Where the cart believes to be: x, y [m] and yaw [rad], world frame, shape (3,).
             v: How fast it believes to go [m/s].
             w: How fast it believes to turn [rad/s].
-            seen: Where the rays of the last scan ended, world frame [m], shape (n, 2).
         """
         here = np.asarray(pose, dtype=np.float64)
         motors = self._motor_state(now, v, w)
-        self._unmapped.see(seen, here)
         self._clearances = self._map.with_points(self._within_reach(here))
         command = self._next(now, here, motors)
         self._motors.drive(*command)
@@ -199,8 +200,9 @@ class Navigator:
         """What the motors are at, by what they were told."""
         coming = self._motors.coming
         before = now if self._now is None else self._now
-        for _ in range(round((now - before) / MODEL_STEP_S)):
-            self._motors.step(MODEL_STEP_S)
+        count = max(math.ceil((now - before) / MODEL_STEP_S - 1e-6), 0)
+        for _ in range(count):
+            self._motors.step((now - before) / count)
         self._now = now
         return MotorState(v, w, *self._motors.target, *coming, self._noise.delay_s, self._noise.lag_s)
 

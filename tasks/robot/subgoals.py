@@ -53,11 +53,16 @@ def subgoals(poses: ArrayLike, floor: Floor, cart: Cart, planner: Planner) -> Su
     fitting = floor.free(cart.radius_m)
     reachable = _part_at(fitting, track[0])
     if reachable is None:
-        short = float(shapely.distance(fitting, shapely.Point(track[0]))) if not fitting.is_empty else np.inf
+        if fitting.is_empty:
+            return Subgoals(np.zeros((0, 2)), 0.0, 0, "the cart fits nowhere on this floor")
+        short = float(shapely.distance(fitting, shapely.Point(track[0])))
         return Subgoals(np.zeros((0, 2)), 0.0, 0, f"the cart does not fit where the way begins; the next place is {short:.2f} m off")
     rooms = [
         shapely.intersection(floor.free(cart.radius_m + spare), reachable) for spare in (planner.margin_m, min(SPARE_M, planner.margin_m))
     ]
+    if all(room.is_empty for room in rooms):
+        problem = f"where the way begins the cart has less than {100 * SPARE_M:g} cm to spare, and nowhere to go"
+        return Subgoals(np.zeros((0, 2)), 0.0, 0, problem)
     marks = _resampled(track, planner.spacing_m)
     points, dropped, far = [], 0, 0.0
     for index, mark in enumerate(marks):

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.robot.clearances import Clearances
-
 if TYPE_CHECKING:
     from tasks.robot.floor_map import Floor
 
@@ -35,8 +33,7 @@ class UnmappedPlaces:
     """Places where something is that the map does not have. floor: The map."""
 
     def __init__(self, floor: Floor) -> None:
-        low, high = (np.array(ends) for ends in (floor.polygon.bounds[:2], floor.polygon.bounds[2:]))
-        self._mapped = Clearances.around(floor.segments, low, high)
+        self._mapped = floor.plane_distances
         self.points: Array = np.zeros((0, 2))
 
     def see(self, returns: ArrayLike, pose: ArrayLike) -> None:

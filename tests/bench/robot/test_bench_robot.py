@@ -62,7 +62,7 @@ def test_the_band_holds_95_of_100_means_of_a_consistent_filters_nees() -> None:
 
 def report_of(rows: list[RobotRun], moved: list[RobotRun]) -> dict[str, bool | None]:
     table = [*setup_figures(USUAL, rows), *setup_figures(MOVED, moved)]
-    return {row["goal"].partition(",")[0]: row["met"] for row in drive_goals(table)}
+    return {row["goal"].partition(",")[0]: row["met"] for row in drive_goals(table, 1)}
 
 
 def test_goals_are_missed_one_by_one() -> None:
@@ -73,14 +73,15 @@ def test_goals_are_missed_one_by_one() -> None:
         is False
     )
     collided = {
-        row["goal"]: row["met"] for row in drive_goals([*setup_figures(USUAL, well), *setup_figures(MOVED, runs({"collisions": 1}))])
+        row["goal"]: row["met"] for row in drive_goals([*setup_figures(USUAL, well), *setup_figures(MOVED, runs({"collisions": 1}))], 1)
     }
     assert collided["collisions, as mapped"] is True
     assert collided["collisions, a tenth moved"] is False
+    assert report_of(runs({}), moved)["runs"] is False
     assert report_of(well, [RUN])["things that were moved"] is False
-    assert report_of(runs({"error_m": 0.06}), moved)["mean error with wheels"] is False
+    assert report_of([dataclasses.replace(RUN, error_m=0.06)] * 40, moved)["mean error with wheels"] is False
     assert report_of([dataclasses.replace(RUN, nees=9.0)] * 40, moved)["mean NEES"] is False
-    assert report_of(runs({"slowest_decision_seconds": 0.2}), moved)["decisions per second"] is False
+    assert report_of([dataclasses.replace(RUN, slowest_decision_seconds=0.2)] * 40, moved)["decisions per second"] is False
 
 
 def test_a_kill_that_came_too_late_or_early_proves_nothing() -> None:
@@ -100,7 +101,7 @@ def test_the_report_is_printed() -> None:
     rows = [*setup_figures(USUAL, runs({}, {"outcome": "stuck", "problem": "no way on from [m]"})), *setup_figures(MOVED, [RUN])]
     machine = {"processor": "p", "cores": 2, "system": "s", "python": "3", "versions": {}}
     killed = {"killed": 1, "runs": 6, "went_on_with": 4, "same_rows": True, "goals": []}
-    goals = drive_goals(rows)
+    goals = drive_goals(rows, 1)
     report = {
         "machine": machine, "seed": 0, "processes": 1, "failed": ["hard/scene0001_00: capture: no floor"],
         "parts": {"drives": {"setups": rows, "goals": goals}, "killed": killed}, "goals": goals,

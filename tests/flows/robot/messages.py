@@ -54,6 +54,10 @@ LaserScan = message(
 )  # fmt: skip
 
 
+SENSING = "best effort, depth 5"
+"""`rclpy.qos.qos_profile_sensor_data`."""
+
+
 def install(patched: pytest.MonkeyPatch) -> None:
     """Let the packages of ROS 2's messages be imported, as these stand-ins."""
     packages = {
@@ -65,6 +69,10 @@ def install(patched: pytest.MonkeyPatch) -> None:
             setattr(module, kind.__name__, kind)
         patched.setitem(sys.modules, package, types.ModuleType(package))
         patched.setitem(sys.modules, f"{package}.msg", module)
+    qos = types.ModuleType("rclpy.qos")
+    qos.qos_profile_sensor_data = SENSING  # type: ignore[attr-defined]
+    patched.setitem(sys.modules, "rclpy", types.ModuleType("rclpy"))
+    patched.setitem(sys.modules, "rclpy.qos", qos)
 
 
 class Bus:
@@ -73,6 +81,8 @@ class Bus:
     def __init__(self, delays: dict[str, float] | None = None) -> None:
         self.now, self._delays = 0.0, delays or {}
         self.sent: dict[str, list[Any]] = defaultdict(list)
+        self.qualities: dict[str, Any] = {}
+        self.warnings: list[str] = []
         self._listeners: dict[str, list[Callable[[Any], None]]] = defaultdict(list)
         self._timers: list[list[Any]] = []
         self._under_way: list[tuple[float, int, str, Any]] = []
@@ -83,6 +93,10 @@ class Bus:
     def publish(self, topic: str, sent: Any) -> None:
         self.sent[topic].append(sent)
         self._under_way.append((self.now + self._delays.get(topic, 0.0), len(self._under_way), topic, sent))
+
+    def mute(self, topic: str) -> None:
+        """Let nobody hear a topic any more."""
+        self._listeners[topic].clear()
 
     def listen(self, topic: str, callback: Callable[[Any], None]) -> None:
         self._listeners[topic].append(callback)
@@ -127,8 +141,9 @@ class Node:
         assert queue > 0
         return Publisher(self._bus, kind, topic)
 
-    def create_subscription(self, kind: Any, topic: str, callback: Callable[[Any], None], queue: int) -> None:
-        assert queue > 0
+    def create_subscription(self, kind: Any, topic: str, callback: Callable[[Any], None], queue: Any) -> None:
+        assert queue == SENSING or queue > 0
+        self._bus.qualities[topic] = queue
         self._bus.listen(topic, callback)
 
     def create_timer(self, seconds: float, callback: Callable[[], None]) -> None:
@@ -136,6 +151,12 @@ class Node:
 
     def get_clock(self) -> Node:
         return self
+
+    def get_logger(self) -> Node:
+        return self
+
+    def warning(self, text: str) -> None:
+        self._bus.warnings.append(text)
 
     def now(self) -> Node:
         return self

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import os
@@ -17,21 +18,25 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from flows.commands.drive import command
+from flows.commands.drive import _metrics, _tell, command
 from flows.evaluation.acting import in_this_process as acted_here
 from flows.evaluation.acting import planned_policy
 from flows.outputs.drives import shown_drives, write_drive_films
-from flows.robot.driving import Driven, driven, in_this_process, planned_drives
+from flows.robot.driving import Driven, _lasting, driven, in_this_process, planned_drives
 from flows.robot.flow import seconds_for
 from flows.run.configuration import configure
 from flows.stats import write_report
 from flows.stats.scenes import drive_still_of
+from flows.view.drives import drives_of
+from schemas.capture import Scene
 from schemas.errors import InputError
 from schemas.evaluation import Trajectory
+from schemas.navigation import Episode
 from schemas.robot import RobotRun
 from schemas.runs import StageRun
 from tasks.films.walks import FilmLook
 from tasks.stats.scenes import PictureConfig
+from tests.samples import fingerprint, stage_run
 from tests.tasks.simulation.acted_scenes import LIVING, STUDY, acted_lake
 from warehouse.lake import Lake
 
@@ -100,7 +105,7 @@ def test_other_settings_are_another_batch_and_a_setup_of_their_own(driven_lake: 
     assert done.new == 4
     with lake.snapshot().connect() as connection:
         table = connection.sql("SELECT setup, n, arrived, collisions FROM robot_metrics ORDER BY setup").fetchall()
-    assert [(row[0], row[1], row[3]) for row in table] == [("displacement.share 0.5, routes 2", 4, 0), ("routes 2", 4, 0)]
+    assert [(row[0], row[1], row[3]) for row in table] == [("", 4, 0), ("displacement.share 0.5", 4, 0)]
 
 
 def test_the_view_is_arithmetic_over_the_rows(driven_lake: Lake) -> None:
@@ -140,6 +145,36 @@ def test_a_batch_that_is_not_there_is_refused(lake: Lake) -> None:
         planned_drives(lake, ["nonesuch"], configure())
 
 
+def test_where_a_scan_lay_makes_no_other_drive(lake: Lake) -> None:
+    reader = lake.snapshot()
+    (scene,) = reader.rows(Scene, STUDY)
+    elsewhere = dataclasses.replace(scene, scan_path="/elsewhere")
+    assert _lasting("scenes", elsewhere) == _lasting("scenes", scene)
+    assert _lasting("scenes", dataclasses.replace(scene, license="CC0-1.0")) != _lasting("scenes", scene)
+
+
+def test_where_no_cart_moved_there_is_nothing_to_say_of_errors(lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+    done = carried_out(lake, [*FEW, "robot.cart.radius_m=1.4"])
+    assert done.new == 4
+    metrics = _metrics(lake, done)
+    assert (metrics[0]["unreachable"], metrics[0]["error_m"]) == (4, None)
+    _tell(done, metrics, False)
+    assert capsys.readouterr().out.splitlines()[-1].split()[-3:] == ["-", "-", "-"]
+
+
+def test_films_report_and_viewer_show_the_run_that_counts(driven_lake: Lake, tmp_path: Path) -> None:
+    """A newer run of the same way, in a batch whose name comes first, that ended otherwise."""
+    lake = Lake.open(shutil.copytree(driven_lake.address, tmp_path / "lake"))
+    before = [row for row in lake.snapshot().rows(RobotRun) if row.scene_id == STUDY]
+    later = [dataclasses.replace(row, batch_id="a-later-drive", outcome="stuck", problem="no way on") for row in before]
+    lake.stage_rows(stage_run("a-later-drive", "robot", fingerprint("later")), {"robot_runs": later})
+    lake.commit(scenes=["a-later-drive"])
+    with lake.snapshot().connect() as connection:
+        shown = connection.sql(shown_drives(9, f"scene_id = '{STUDY}'")).to_arrow_table().to_pylist()
+    assert {row["batch_id"] for row in shown} == {"a-later-drive"}
+    assert {run["outcome"] for run in drives_of(lake.snapshot(), STUDY)} == {"stuck"}
+
+
 def test_a_drive_may_take_as_long_as_all_its_ways(lake: Lake) -> None:
     short, long = (planned_drives(lake, batches(lake), configure(None, [f"robot.routes={count}"]))[0] for count in (1, 4))
     assert seconds_for(long) - seconds_for(short) == 3 * 10.0 * 180.0
@@ -170,6 +205,18 @@ def test_killed_in_the_middle_the_same_command_goes_on_to_the_same_rows(lake: La
     assert {batch: finished()[batch] for batch in kept} == kept, "what was finished is not driven again"
 
 
+@pytest.mark.slow
+def test_killed_between_acting_and_driving_the_same_command_goes_on(driven_lake: Lake, tmp_path: Path) -> None:
+    """The expert's trajectories are staged and not committed, as a kill leaves them."""
+    bare = acted_lake(tmp_path / "bare")
+    planned = planned_policy(bare, "expert", configure())
+    assert not [run.error for run in acted_here(planned.todo) if run.error]
+    done = told(tmp_path, "--policy", "expert", "--lake", bare.address, "--set", FEW[0], "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("4 ways in 2 scenes: 4 driven")
+    assert rows_of(bare) == rows_of(driven_lake)
+
+
 def told(home: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """The command, as people give it."""
     line = [sys.executable, "-m", "flows.cli", "drive", *words]
@@ -192,7 +239,15 @@ def test_the_command_lets_a_policy_act_and_drives_its_ways(tmp_path: Path) -> No
     assert (metrics["policy"], metrics["arrived"], metrics["collisions"]) == ("expert", 1.0, 0)
     again = told(tmp_path, *words)
     assert again.stdout.startswith("2 ways in 1 scene: 0 driven, 2 are in the lake already")
-    assert "expert, built-in, routes 2, planar" in again.stdout
+    assert "expert, built-in, planar" in again.stdout
+    episode = min(lake.snapshot().rows(Episode), key=lambda row: row.episode_id)
+    mine = {"scene_id": STUDY, "episode_id": episode.episode_id, "actions": list(episode.actions)}
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps({"batch_id": "mine-1", "policy": "mine", "run_name": "checkpoint 3", "trajectories": [mine]}))
+    filed = told(tmp_path, str(file), "--lake", lake.address)
+    assert filed.returncode == 0, filed.stderr
+    assert filed.stdout.startswith("1 way in 1 scene: 1 driven\n")
+    assert "mine, checkpoint 3, planar" in filed.stdout
 
 
 def test_the_command_says_what_it_needs(lake: Lake, tmp_path: Path) -> None:
@@ -227,5 +282,5 @@ def test_the_report_shows_runs_of_carts(driven_lake: Lake, tmp_path: Path) -> No
     look = PictureConfig(width=60, height=42, oversampling=1)
     text = write_report(driven_lake, tmp_path / "report.html", workers=1, look=look).path.read_text()
     assert '<section id="robot"' in text
-    assert "way of expert, built-in, routes 2: to the" in text
+    assert "way of expert, built-in: to the" in text
     assert 'href="#robot"' in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from tasks.robot.bodies import PlanarBody
 from tasks.robot.configuration import RobotConfig
 from tasks.robot.driving import route
 from tasks.robot.navigator import Phase
-from tests.flows.robot.messages import Bus, LaserScan, Odometry, install
+from tests.flows.robot.messages import SENSING, Bus, Imu, LaserScan, Odometry, install
 from tests.tasks.robot.floors import bare_floor
 from tests.tasks.simulation.acted_scenes import STUDY, acted_lake
 
@@ -56,12 +57,54 @@ def test_the_pilot_drives_the_base_to_the_end(delays: dict[str, float]) -> None:
     assert (last.linear.x, last.angular.z) == (0.0, 0.0)  # it says so again and again: a driver stops without
 
 
-def test_before_anything_is_measured_nothing_is_said() -> None:
+def said_to_stand(bus: Bus, since: int = 0) -> bool:
+    commands = bus.sent["cmd_vel"][since:]
+    return bool(commands) and all((sent.linear.x, sent.angular.z) == (0.0, 0.0) for sent in commands)
+
+
+def test_until_the_first_scan_it_says_to_stand() -> None:
     bus = Bus()
-    PilotNode(bus.node(), route(GOALS, FLOOR, START, CONFIG), CONFIG)
+    node = bus.node()
+    PilotNode(node, route(GOALS, FLOOR, START, CONFIG), CONFIG)
     bus.run(1.0)
-    assert not bus.sent["cmd_vel"]
+    assert said_to_stand(bus)
+    for _ in range(20):
+        odom = Odometry()
+        odom.header.stamp = node.to_msg()
+        bus.publish("odom", odom)
+        bus.run(0.05)
+    assert said_to_stand(bus)
     assert not bus.sent["pose"]
+    assert all(bus.qualities[topic] == SENSING for topic in ("scan", "odom", "imu"))
+
+
+@pytest.mark.whole
+def test_when_scans_stay_away_it_says_to_stand() -> None:
+    bus = Bus({"scan": 0.05})
+    _, body = pair(bus)
+    bus.run(4.0)
+    assert not said_to_stand(bus, -5)
+    bus.mute("scan")
+    bus.run(CONFIG.estimation.buffer_s + 0.2)
+    before = len(bus.sent["cmd_vel"])
+    bus.run(1.0)
+    assert said_to_stand(bus, before)
+    bus.run(1.0)
+    assert abs(body.speeds[0]) < 1e-3
+
+
+def test_readings_that_are_no_numbers_are_left_out_and_named() -> None:
+    bus = Bus()
+    pilot, _ = pair(bus)
+    bus.run(0.5)
+    odom, imu = Odometry(), Imu()
+    odom.header.stamp = imu.header.stamp = bus.node().to_msg()
+    odom.twist.twist.linear.x, imu.angular_velocity.z = math.nan, math.inf
+    bus.publish("odom", odom)
+    bus.publish("imu", imu)
+    bus.run(1.0)
+    assert [text.partition(":")[0] for text in bus.warnings] == ["odom", "imu"]
+    assert np.isfinite(pilot.localization.at(bus.now + 99.0)[0]).all()
 
 
 def test_messages_are_in_frames_and_units_of_ros() -> None:
@@ -135,5 +178,6 @@ def test_a_way_of_the_lake_is_a_ride(tmp_path: Path) -> None:
 def test_without_ros_it_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros2, "ride_of", lambda *_: ros2.Ride(FLOOR, np.array(START), GOALS))
     monkeypatch.setattr("warehouse.lake.Lake.existing", lambda _: None)
+    monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(SystemExit, match="rclpy is not installed; source ROS 2's setup file"):
         ros2.main(["pilot", "--lake", "x", "--scene", STUDY, "--episode", "0001"])

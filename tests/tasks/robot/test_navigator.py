@@ -44,7 +44,8 @@ def ride(goals: np.ndarray, start: tuple[float, float, float], known: Floor, tru
             ranges = lidar_returns(truth.segments, body.pose, CONFIG.lidar, rng)
             there = np.isfinite(ranges)
             seen = (ranges * np.array([np.cos(angles + body.pose[2]), np.sin(angles + body.pose[2])])).T[there] + body.pose[:2]
-            body.drive(*navigator.command(tick * 0.01, body.pose, *body.speeds, seen))
+            navigator.see(seen, body.pose)
+            body.drive(*navigator.command(tick * 0.01, body.pose, *body.speeds))
         body.step(0.01)
         least = min(least, float(clear.distances(body.pose[None, :2])[0]) - CONFIG.cart.radius_m)
         tick += 1
@@ -137,6 +138,6 @@ def test_where_no_way_leads_it_gives_up_and_says_where() -> None:
 @pytest.mark.parametrize("yaw", [0.0, 1.5, 3.0])
 def test_at_its_goal_it_stands_at_once(yaw: float) -> None:
     navigator = Navigator(np.array([[1.0, 1.0]]), bare_floor(), CONFIG)
-    assert navigator.command(0.0, (1.05, 1.0, yaw), 0.0, 0.0, np.zeros((0, 2))) == (0.0, 0.0)
+    assert navigator.command(0.0, (1.05, 1.0, yaw), 0.0, 0.0) == (0.0, 0.0)
     assert navigator.phase is Phase.ARRIVED
-    assert navigator.command(0.1, (1.05, 1.0, yaw), 0.0, 0.0, np.zeros((0, 2))) == (0.0, 0.0)
+    assert navigator.command(0.1, (1.05, 1.0, yaw), 0.0, 0.0) == (0.0, 0.0)

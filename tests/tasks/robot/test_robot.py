@@ -62,6 +62,7 @@ def test_all_ways_of_a_living_room_are_driven(living: list[RobotRun]) -> None:
         assert row.travelled_m >= np.hypot(*(np.array(row.track[-1][:2]) - row.track[0][:2])) - 1e-9
         assert len(row.times) == len(row.track) == len(row.estimate) == len(row.clearances)
         assert np.allclose(np.diff(row.times[:-1]), RobotConfig().record_s)
+        assert row.times[-1] == row.seconds
         assert row.moved == ()
         assert row.setup == ""
     assert np.mean([row.error_m for row in living]) < 0.01
@@ -90,6 +91,7 @@ def test_moved_things_are_in_the_rows_and_nothing_is_touched(living: list[RobotR
     rows = driven(LIVING, RobotConfig(displacement=Displacement(share=0.5)))
     assert all(row.collisions == 0 for row in rows)
     assert any(row.moved for row in rows)
+    assert sum(row.outcome == "arrived" for row in rows) >= len(rows) - 1
     known = {row.instance_id for row in acted_scene(LIVING).rows["instances"]}
     for row in rows:
         assert row.setup == "displacement.share 0.5"
@@ -112,6 +114,20 @@ def test_wheels_on_the_floor_go_around_what_was_moved() -> None:
     rows = driven(STUDY, config, ways=ways_of(STUDY)[:2])
     assert any(row.moved for row in rows)
     assert all(row.collisions == 0 for row in rows)
+    assert any(row.outcome == "arrived" for row in rows)
+
+
+def test_what_is_touched_is_where_a_run_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cart that is told to go straight on: its record goes up to the touch, and no distance is left then."""
+    monkeypatch.setattr("tasks.robot.navigator.Navigator.command", lambda *_: (0.5, 0.0))
+    rows = driven(STUDY, RobotConfig(), ways=ways_of(STUDY)[:2])
+    for row in rows:
+        assert (row.outcome, row.collisions) == ("collided", 1)
+        assert row.touched
+        assert row.problem == f"ran into {row.touched} after {row.seconds:.1f} s"
+        assert row.times[-1] == row.seconds
+        assert abs(row.clearances[-1]) < 1e-3
+        assert row.least_clearance_m == pytest.approx(min(row.clearances), abs=1e-9)
 
 
 def test_a_cart_that_does_not_fit_says_so_and_goes_nowhere() -> None:
@@ -144,7 +160,7 @@ def test_ways_are_spread_over_the_episodes_in_their_order() -> None:
 
 
 def test_what_is_unusual_is_told_in_a_line() -> None:
-    assert unusual(RobotConfig()) == unusual(RobotConfig(body="mujoco")) == ""
+    assert unusual(RobotConfig()) == unusual(RobotConfig(body="mujoco", routes=20, record_s=0.1)) == ""
     config = RobotConfig(displacement=Displacement(share=0.1), noise=dataclasses.replace(RobotConfig().noise, slip=0.05))
     assert unusual(config) == "displacement.share 0.1, noise.slip 0.05"
 

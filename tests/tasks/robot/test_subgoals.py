@@ -83,5 +83,9 @@ def test_what_cannot_be_reached_is_a_problem_and_says_how_far_it_is() -> None:
     inside = subgoals(track((3.0, 1.0), (5.0, 1.0)), bare_floor(walls), CART, PLANNER)
     assert inside.problem is not None
     assert inside.problem.startswith("the cart does not fit where the way begins")
+    tight = bare_floor([shapely.box(0.0, 0.0, 6.0, 2.82), shapely.box(0.0, 3.18, 6.0, 6.0)])
+    barely = subgoals(track((1.0, 3.0), (2.0, 3.0)), tight, CART, PLANNER)
+    assert barely.problem == "where the way begins the cart has less than 1 cm to spare, and nowhere to go"
+    assert barely.goal_snapped_m == 0.0
     wide = dataclasses.replace(CART, radius_m=3.5)
-    assert "does not fit" in (subgoals(track((1.0, 1.0), (2.0, 1.0)), bare_floor(), wide, PLANNER).problem or "")
+    assert subgoals(track((1.0, 1.0), (2.0, 1.0)), bare_floor(), wide, PLANNER).problem == "the cart fits nowhere on this floor"

@@ -1,27 +1,13 @@
 -- How well do carts drive the ways of each policy?
 -- Version 1.
--- setup: what of cart, noise and displacement was not as by default. Of every episode the newest run counts. arrived: share whose cart
--- ended where its way ends, from arrived_low to arrived_high (Wilson 1927, 95 %; it takes runs as independent, which those of one scene
--- are not quite); stuck, timeout, collided, unreachable: how many ended so. collisions: times that carts ran into something.
--- least_clearance_m: least distance to an obstacle of all. error_m: mean over runs of the mean distance of estimate and truth with wheels,
--- gyro and lidar; wheels_error_m, wheels_gyro_error_m, final_error_m: root mean square, over runs, of the distance at the end with wheels
--- alone, with the gyro besides, and with all three; with_moved: runs in which something stood elsewhere than on the map. nees: mean
--- normalized estimation error squared of the pose; 3 where the filter knows how good it is (Bar-Shalom, Li and Kirubarajan 2001).
-WITH order_of_batches AS (
-    SELECT scene_id AS batch_id, max(snapshot_id) AS snapshot_id
-    FROM stage_runs
-    WHERE stage = 'robot' AND outcome = 'done'
-    GROUP BY scene_id
-),
-counted AS (
-    SELECT robot_runs.*
-    FROM robot_runs
-    LEFT JOIN order_of_batches USING (batch_id)
-    QUALIFY row_number() OVER (
-        PARTITION BY policy, run_name, setup, body, scene_id, episode_id
-        ORDER BY order_of_batches.snapshot_id DESC NULLS LAST, robot_runs.batch_id DESC
-    ) = 1
-)
+-- setup: what of the settings was not as by default. Of every episode the newest run counts (current_robot_runs); means are of runs that
+-- moved. arrived: share whose cart ended where its way ends, from arrived_low to arrived_high (Wilson 1927, 95 %; it takes runs as
+-- independent, which those of one scene are not quite); stuck, timeout, collided, unreachable: how many ended so. collisions: times that
+-- carts ran into something. least_clearance_m: least distance to an obstacle of all. error_m: mean over runs of the mean distance of
+-- truth and where the cart believed to be; wheels_error_m, wheels_gyro_error_m, final_error_m: root mean square, over runs, of the
+-- distance at the end with wheels alone, with the gyro besides, and with all three; with_moved: runs in which something stood elsewhere
+-- than on the map. nees: mean normalized estimation error squared of the pose; 3 where the filter knows how good it is (Bar-Shalom, Li
+-- and Kirubarajan 2001).
 SELECT
     policy,
     run_name,
@@ -45,13 +31,13 @@ SELECT
     sqrt(avg(wheels_gyro_error_m * wheels_gyro_error_m) FILTER (seconds > 0)) AS wheels_gyro_error_m,
     sqrt(avg(final_error_m * final_error_m) FILTER (seconds > 0)) AS final_error_m,
     avg(nees) FILTER (seconds > 0) AS nees,
-    avg(seconds) AS seconds,
-    avg(travelled_m) AS travelled_m,
+    avg(seconds) FILTER (seconds > 0) AS seconds,
+    avg(travelled_m) FILTER (seconds > 0) AS travelled_m,
     avg(recoveries) AS recoveries,
     count(*) FILTER (len(moved) > 0) AS with_moved,
     sum(scans_used) / nullif(sum(scans), 0) AS scans_used,
     avg(decision_seconds) FILTER (seconds > 0) AS decision_seconds,
     max(slowest_decision_seconds) AS slowest_decision_seconds
-FROM counted
+FROM current_robot_runs
 GROUP BY policy, run_name, setup, body
 ORDER BY policy, run_name, setup, body

@@ -36,7 +36,8 @@ function alongPath(episode) {
 
 /** One episode in the scene: its way, its goal, the agent. */
 export class Walk {
-  constructor(episode, navmesh) {
+  constructor(episode, navmeshes) {
+    const navmesh = navmeshes.find((row) => row.agent === episode.agent);
     this.episode = episode;
     this.poses = posesOf(episode);
     const height = navmesh?.height ?? 0.88;

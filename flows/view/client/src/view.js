@@ -330,9 +330,7 @@ class View {
 
   /** Fill the list of episodes: of the selected object where there are any, else of all. */
   #walks(row) {
-    const walks = walkList(this.document, row, (episode) => {
-      this.startWalk(new Walk(episode, this.document.navmeshes.find((navmesh) => navmesh.agent === episode.agent)));
-    });
+    const walks = walkList(this.document, row, (episode) => this.startWalk(new Walk(episode, this.document.navmeshes)));
     this.nodes.panes.walks.replaceChildren(...walks, ...driveList(this.document, row, (run) => this.startWalk(new Drive(run))));
   }
 
@@ -354,9 +352,8 @@ class View {
       if (this.walk) this.walk.body.visible = !inside;
     };
     this.nodes.inset.hidden = false;
-    const [[kind, id]] = Object.entries(walk.name);
     for (const button of this.nodes.panes.walks.querySelectorAll("[data-episode], [data-drive]")) {
-      button.setAttribute("aria-current", String(button.dataset[kind] === id));
+      button.setAttribute("aria-current", String(Object.entries(walk.name).every(([kind, id]) => button.dataset[kind] === id)));
     }
     this.#refresh();
     this.walking.play();
