@@ -47,6 +47,7 @@ NAMES = (
     "release/release-lake",
     "train/train-lake",
     "evaluate/evaluate-lake",
+    "drive/drive-lake",
     "compare/compare-lake",
     "export/export-lake",
     "upkeep/upkeep-lake",
