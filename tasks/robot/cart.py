@@ -16,6 +16,7 @@ from tasks.geometry.transforms import pose_from_quaternion_wxyz, quaternion_wxyz
 from tasks.robot.bodies import Motors, Readings, Slip
 from tasks.robot.configuration import Cart, DriveNoise
 from tasks.robot.drive import wheel_speeds
+from tasks.robot.floor_map import climbed_m
 
 if TYPE_CHECKING:
     from tasks.exports.bodies import Replica
@@ -229,7 +230,7 @@ def _place(
         body.set("pos", _words(pose[:3, 3]))
         body.set("quat", _words(quaternion_wxyz(pose)))
     tops = [(meshes[geom.attrib["mesh"]] @ pose[2, :3]).max() + pose[2, 3] for geom in body.iterfind("geom")]
-    return True, bool(max(tops, default=0.0) <= cart.climb_m)
+    return True, bool(max(tops, default=0.0) <= climbed_m(about["category"], cart))
 
 
 def _cart(cart: Cart) -> Element:

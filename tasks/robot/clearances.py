@@ -22,8 +22,8 @@ CELL_M = 0.02
 SLACK_M = 0.001
 """What is taken off between the nodes [m]: from 5 cm on, the mean of four exact distances is too large by less."""
 
-POINT_M = 0.05
-"""Points are in the way with so much around them [m]: a lidar sees of a thing what is nearest, in one plane."""
+POINT_M = 0.12
+"""Points are in the way with so much around them [m]: a lidar sees what its plane meets, and the feet of a chair reach farther."""
 
 FAR_M = 1.5
 """Distances are told up to this [m]: a planner cares for no more."""

@@ -19,7 +19,8 @@ class Cart(Config):
 
     radius_m: Positive = 0.17  # a service cart that goes wherever the episodes' agent of 0.18 m can
     height_m: Positive = 0.25  # under chairs and beds that let it through; its lidar sees nearly all of what it could run into
-    climb_m: NonNegative = 0.02  # rugs and sills; a wheel of 10 cm climbs a fifth of its diameter
+    climb_m: NonNegative = 0.02  # sills and cables; a wheel of 10 cm climbs a fifth of its diameter
+    covering_m: NonNegative = 0.06  # rugs and mats of this thickness are driven over: their edges give way, and scans thicken them
     wheel_radius_m: Positive = 0.05  # wheels of 10 cm, as carts of this size have them
     track_m: Positive = 0.26  # between the wheels' middles: they lie inside the outline
     mass_kg: Positive = 12.0  # battery, two motors, computer
@@ -59,7 +60,7 @@ class Lidar(Config):
     """A laser that turns in one plane, over the axle."""
 
     rays: Count = 360  # one a degree, as carts' lidars have
-    height_m: Positive = 0.2  # just below the top: over rugs, through most legs
+    height_m: Positive = 0.1  # over rugs; low, since what is lower is not seen: feet of chairs, toys
     least_m: NonNegative = 0.1  # nearer returns are the cart itself
     range_m: Positive = 12.0  # of small lidars; rooms are smaller
     noise_m: NonNegative = 0.01  # of a return, standard deviation

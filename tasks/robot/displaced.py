@@ -77,7 +77,7 @@ class Displaced:
 def displaced(floor: Floor, displacement: Displacement, rng: np.random.Generator, keep_clear: ArrayLike, keep_m: float) -> Displaced:
     """A floor on which a share of the small furniture stands elsewhere, with all that it carries.
 
-    A thing goes where it and what it carries overlap nothing, by convex hulls seen from above, of what shares their heights; things that
+    What lies wholly below the lidar's plane, as shoes do, is no furniture and stays. A thing goes where it and what it carries overlap nothing, by convex hulls seen from above, of what shares their heights; things that
     lean against it without standing on it stay. Things that cannot be moved make place for the next ones.
 
     Args:
@@ -87,7 +87,8 @@ def displaced(floor: Floor, displacement: Displacement, rng: np.random.Generator
         keep_clear: Points that nothing is moved to, world frame [m], shape (n, 2).
         keep_m: How near to them nothing comes [m].
     """
-    small = sorted(name for name in floor.standing & floor.obstacles.keys() if _side(floor, name) <= displacement.largest_m)
+    furniture = floor.standing & floor.obstacles.keys() & floor.plane.keys()
+    small = sorted(name for name in furniture if _side(floor, name) <= displacement.largest_m)
     wanted = max(1, round(displacement.share * len(small))) if displacement.share > 0 and small else 0
     points = np.asarray(keep_clear, dtype=np.float64).reshape(-1, 2)
     motions: dict[str, PlanarMotion] = {}

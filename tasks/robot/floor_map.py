@@ -114,11 +114,12 @@ def floor_of(replica: Replica, cart: Cart, lidar: Lidar, carriers: Mapping[str, 
     bodies = {body.instance_id: body for body in replica.bodies if not is_door(body.category)}
     surfaces = {name: surface_of(body.shape.parts).transformed(body.pose) for name, body in bodies.items()}
     surfaces |= {name: surface_of([part]) for name, part in replica.shell if name != "floor"}
-    obstacles = {name: footprint(surface, cart.climb_m, cart.height_m) for name, surface in surfaces.items()}
+    climbed = {name: climbed_m(bodies[name].category, cart) if name in bodies else cart.climb_m for name in surfaces}
+    obstacles = {name: footprint(surface, climbed[name], cart.height_m) for name, surface in surfaces.items()}
     plane = {name: cut(surface.to_trimesh(), lidar.height_m) for name, surface in surfaces.items()}
     envelopes = {name: _envelope(surface) for name, surface in surfaces.items()}
     known = {name: carrier for name, carrier in carriers.items() if carrier is not None and name in bodies}
-    flat = {name for name in bodies if envelopes[name].high <= cart.climb_m}
+    flat = {name for name in bodies if envelopes[name].high <= climbed[name]}
     standing = frozenset(
         name
         for name, body in bodies.items()
@@ -132,6 +133,13 @@ def floor_of(replica: Replica, cart: Cart, lidar: Lidar, carriers: Mapping[str, 
         standing,
         envelopes,
     )
+
+
+def climbed_m(category: str, cart: Cart) -> float:
+    """How much of an object of a category a cart drives over [m]."""
+    from tasks.mounting import mounting
+
+    return max(cart.climb_m, cart.covering_m) if mounting(category).kind == "covering" else cart.climb_m
 
 
 def _envelope(surface: Surface) -> Envelope:
