@@ -77,8 +77,9 @@ class Displaced:
 def displaced(floor: Floor, displacement: Displacement, rng: np.random.Generator, keep_clear: ArrayLike, keep_m: float) -> Displaced:
     """A floor on which a share of the small furniture stands elsewhere, with all that it carries.
 
-    What lies wholly below the lidar's plane, as shoes do, is no furniture and stays. A thing goes where it and what it carries overlap nothing, by convex hulls seen from above, of what shares their heights; things that
-    lean against it without standing on it stay. Things that cannot be moved make place for the next ones.
+    What lies wholly below the lidar's plane, as shoes do, is no furniture and stays. A thing goes where it and what it carries overlap
+    nothing, by convex hulls seen from above, of what shares their heights; things that lean against it without standing on it stay. Things
+    that cannot be moved make place for the next ones.
 
     Args:
         floor: As the map has it.

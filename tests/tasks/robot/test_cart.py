@@ -143,7 +143,7 @@ def test_the_same_seed_gives_the_same_track(bare: Any) -> None:
 
 
 def test_rugs_are_driven_over_and_doors_are_open() -> None:
-    rug = cube((0.5, 1.0, CART.climb_m - 0.002), translation((-1.0, -1.0, 0.0)))
+    rug = dataclasses.replace(cube((0.5, 1.0, CART.covering_m - 0.002), translation((-1.0, -1.0, 0.0))), category="rug")
     door = Object("door", *[cube((0.05, 0.9, 2.0), np.eye(4)).parts] * 2, pose=translation((-0.2, -1.0, 0.0)))
     sill = cube((0.1, 0.5, CART.climb_m + 0.003), translation((0.6, -1.0, 0.0)))
     for is_free in (False, True):

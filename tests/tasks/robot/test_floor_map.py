@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 
 import numpy as np
@@ -46,6 +47,16 @@ def test_what_is_climbed_or_passed_under_is_no_obstacle() -> None:
     assert [name for name in floor.plane if name.isdigit()] == names
     lines = shapely.union_all([shapely.LineString(line.reshape(2, 2)) for line in floor.plane[names[0]]])
     assert shapely.hausdorff_distance(lines, turned.exterior, densify=0.01) < 0.003
+
+
+def test_a_rug_may_be_thicker_than_a_sill_and_not_than_a_mattress() -> None:
+    boxes = [
+        cube((0.6, 0.4, height), translation((x, 0.0, 0.0))) for x, height in ((-1.0, 0.05), (0.0, 0.05), (1.0, CART.covering_m + 0.02))
+    ]
+    rug, sill, thick = (dataclasses.replace(box, category=name) for box, name in zip(boxes, ("rug", "box", "rug"), strict=True))
+    _, floor = made([rug, sill, thick])
+    assert sorted(name for name in floor.obstacles if name.isdigit()) == ["0002", "0003"]
+    assert "0001" not in floor.standing
 
 
 def test_what_stands_on_the_floor_is_what_could_be_moved() -> None:
