@@ -87,7 +87,7 @@ def route(goals: ArrayLike, floor: Floor, start: ArrayLike, config: RobotConfig)
     for senses in SENSES:
         matcher = ScanMatcher(floor.segments, config.lidar, config.estimation) if senses == "all" else None
         filters[senses] = Localization(config.cart, config.noise, config.estimation, config.lidar, matcher, start, senses=senses)
-    return DriveRoute(Navigator(goals, floor, config), filters, filters[config.estimation.senses])
+    return DriveRoute(Navigator(goals, floor, config, start), filters, filters[config.estimation.senses])
 
 
 class Pilot:

@@ -57,9 +57,10 @@ class Phase(enum.Enum):
 
 
 class Navigator:
-    """Drives along sub-goals. goals: World frame [m], shape (n, 2), the last the end. floor: As the map has it."""
+    """Drives along sub-goals. goals: World frame [m], shape (n, 2), the last the end. floor: As the map has it. start: Where the cart
+    believes to stand, world frame, shape (3,): how much of its margin the way leaves is looked up before it leaves."""
 
-    def __init__(self, goals: ArrayLike, floor: Floor, config: RobotConfig) -> None:
+    def __init__(self, goals: ArrayLike, floor: Floor, config: RobotConfig, start: ArrayLike) -> None:
         self._cart, self._planner, self._noise = config.cart, config.planner, config.noise
         self.goals: Array = np.asarray(goals, dtype=np.float64).reshape(-1, 2)
         self._map, self._unmapped = floor.clearances, UnmappedPlaces(floor)
@@ -69,9 +70,9 @@ class Navigator:
         self._at, self._level = 0, 0
         self._best, self._since = math.inf, 0.0
         self._backed_from: Array = np.zeros(2)
-        self._is_planned = False
         self.phase, self.recoveries = Phase.DRIVING, 0
         self.problem: str | None = None
+        self._find_level(np.asarray(start, dtype=np.float64))
 
     @property
     def goal(self) -> Array:
@@ -100,9 +101,6 @@ class Navigator:
 
     def _next(self, now: float, pose: Array, motors: MotorState) -> tuple[float, float]:
         """The command in the phase that it is in."""
-        if not self._is_planned:
-            self._is_planned, self._since = True, now
-            self._find_level(pose)
         if self.phase.is_final:
             return 0.0, 0.0
         if self.phase is Phase.STOPPING:
@@ -199,6 +197,8 @@ class Navigator:
     def _motor_state(self, now: float, v: float, w: float) -> MotorState:
         """What the motors are at, by what they were told."""
         coming = self._motors.coming
+        if self._now is None:
+            self._since = now
         before = now if self._now is None else self._now
         count = max(math.ceil((now - before) / MODEL_STEP_S - 1e-6), 0)
         for _ in range(count):

@@ -36,7 +36,7 @@ class Ride:
 
 def ride(goals: np.ndarray, start: tuple[float, float, float], known: Floor, truth: Floor, seed: int, seconds: float = 120.0) -> Ride:
     rng = np.random.default_rng(seed)
-    navigator, body = Navigator(goals, known, CONFIG), PlanarBody(CONFIG.cart, CONFIG.noise, truth, start, rng)
+    navigator, body = Navigator(goals, known, CONFIG, start), PlanarBody(CONFIG.cart, CONFIG.noise, truth, start, rng)
     clear, least, angles = Clearances.of(truth), np.inf, ray_angles(CONFIG.lidar)
     tick = 0
     while tick < seconds * 100 and not navigator.phase.is_final and body.touched is None:
@@ -137,7 +137,7 @@ def test_where_no_way_leads_it_gives_up_and_says_where() -> None:
 
 @pytest.mark.parametrize("yaw", [0.0, 1.5, 3.0])
 def test_at_its_goal_it_stands_at_once(yaw: float) -> None:
-    navigator = Navigator(np.array([[1.0, 1.0]]), bare_floor(), CONFIG)
+    navigator = Navigator(np.array([[1.0, 1.0]]), bare_floor(), CONFIG, (1.05, 1.0, yaw))
     assert navigator.command(0.0, (1.05, 1.0, yaw), 0.0, 0.0) == (0.0, 0.0)
     assert navigator.phase is Phase.ARRIVED
     assert navigator.command(0.1, (1.05, 1.0, yaw), 0.0, 0.0) == (0.0, 0.0)
