@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -32,6 +32,9 @@ OTHERS_HOUSE = next(scan for scan in BY_OTHERS if scan.needs == HOUSE)
 
 STAGES = ("capture", "captions", "candidates", "selection", "optimization", "navigation")
 """Of a scan that are run: what agents need."""
+
+Job = tuple[str, int]
+"""A dataset, and the number of a scene in it."""
 
 NOTE = "rooms to compare datasets by"
 """Of commits."""
@@ -78,7 +81,7 @@ class ComparedDatasets:
         return Lake.open(self.place / "lake")
 
     @property
-    def jobs(self) -> list[tuple[str, int]]:
+    def jobs(self) -> list[Job]:
         """Datasets and numbers of what is made; the house, which takes longest, first."""
         return [(HOME, 0), *((name, number) for number in range(self.rooms) for name in (GENERATED, REPLICAS))]
 
@@ -108,26 +111,43 @@ def make_datasets(data: ComparedDatasets, processes: int, advance: Callable[[str
         InputError: the house is not there.
     """
     check_house(data.realdata)
-    lake = data.lake
-    lake.commit(NOTE)  # what an interrupted run had staged
-    known = {scene for (scene, stage), state in lake.history().items() if stage == "navigation" and state.done}
-    lacking = [job for job in data.jobs if scene_of(*job) not in known]
-    for job in data.jobs:
+    return make_lacking(data.lake, data.jobs, lambda job: scene_of(*job), partial(make_scene, data), processes, NOTE, advance)
+
+
+def make_lacking(
+    lake: Lake, jobs: Sequence[Job], name_of: Callable[[Job], str], make: Callable[[Job], str | None], processes: int, note: str,
+    advance: Callable[[str], None],
+) -> list[str]:  # fmt: skip
+    """Stage and commit the scenes that a lake lacks, by so many processes. Returns a line for each that failed.
+
+    Args:
+        lake: Where scenes go.
+        jobs: What there should be.
+        name_of: The scene of a job.
+        make: Stages a scene up to its navigation, in a worker process; says why it could not.
+        processes: That make scenes.
+        note: Of commits.
+        advance: Is told of each scene that is there.
+    """
+    lake.commit(note)  # what an interrupted run had staged
+    known = {scene for (scene, stage), state in lake.history().items() if stage == STAGES[-1] and state.done}
+    lacking = [job for job in jobs if name_of(job) not in known]
+    for job in jobs:
         if job not in lacking:
-            advance(scene_of(*job))
+            advance(name_of(job))
     failed = []
     with mapped(processes) as spread:
-        for done, (job, error) in enumerate(zip(lacking, spread(partial(make_scene, data), lacking), strict=True), start=1):
-            advance(scene_of(*job))
+        for done, (job, error) in enumerate(zip(lacking, spread(make, lacking), strict=True), start=1):
+            advance(name_of(job))
             if error is not None:
-                failed.append(f"{scene_of(*job)}: {error}")
+                failed.append(f"{name_of(job)}: {error}")
             if done % ROOMS_PER_COMMIT == 0:
-                lake.commit(NOTE)
-    lake.commit(NOTE)
+                lake.commit(note)
+    lake.commit(note)
     return failed
 
 
-def make_scene(data: ComparedDatasets, job: tuple[str, int]) -> str | None:
+def make_scene(data: ComparedDatasets, job: Job) -> str | None:
     """Make a scene with its episodes, and leave all of it staged; the stage that failed, and why, if one did."""
     dataset, number = job
     scene = scene_of(dataset, number)

@@ -7,7 +7,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from bench.robot.replicas import HARD, HOME, PLAIN
+from bench.policy.datasets import HOME
+from bench.robot.replicas import HARD, PLAIN
 from bench.selection.trainings import mapped
 from flows.evaluation.acting import act, planned_policy
 from flows.robot.driving import PlannedDrive, drive_scene, planned_drives

@@ -11,24 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from bench.dwellings import make_scan
-from bench.dwellings.by_others import BY_OTHERS, scan_of
-from bench.policy.datasets import check_house, furnished_room
-from bench.policy.rooms import ROOMS_PER_COMMIT
+from bench.dwellings.by_others import scan_of
+from bench.policy.datasets import HOME, OTHERS_HOUSE, STAGES, Job, check_house, furnished_room, make_lacking
 from bench.realdata import HOUSE
 from bench.selection.rooms import LIGHT
-from bench.selection.trainings import mapped
-from bench.stages import StagedScan, run_stages
+from bench.stages import run_stages
 from flows.run.fingerprints import code_fingerprint, digest
 from tasks.scanner import scan_scene
 from warehouse.lake import Lake
 
-PLAIN, HARD, HOME = "plain", "hard", "house"
-"""Datasets: rooms that were scanned well, dwellings that were scanned badly, the AWS small house."""
-
-OTHERS_HOUSE = next(scan for scan in BY_OTHERS if scan.needs == HOUSE)
-
-STAGES = ("capture", "captions", "candidates", "selection", "optimization", "navigation")
-"""Of a scan that are run: what carts need."""
+PLAIN, HARD = "plain", "hard"
+"""Datasets beside the house: rooms that were scanned well, and dwellings that were scanned badly."""
 
 NOTE = "replicas that carts drive in"
 """Of commits."""
@@ -75,7 +68,7 @@ class RobotReplicas:
         return Lake.open(self.place / "lake")
 
     @property
-    def jobs(self) -> list[tuple[str, int]]:
+    def jobs(self) -> list[Job]:
         """Datasets and numbers of what is made; the house, which takes longest, first."""
         rooms = [((PLAIN, HARD)[number % 2], number) for number in range(self.count)]
         return [(HOME, 0), *rooms] if self.realdata is not None else rooms
@@ -95,27 +88,11 @@ def make_replicas(data: RobotReplicas, processes: int, advance: Callable[[str], 
     """
     if data.realdata is not None:
         check_house(data.realdata)
-    lake = data.lake
-    lake.commit(NOTE)  # what an interrupted run had staged
-    known = {scene for (scene, stage), state in lake.history().items() if stage == STAGES[-1] and state.done}
-    lacking = [job for job in data.jobs if scene_of(*job) not in known]
-    for job in data.jobs:
-        if job not in lacking:
-            advance(scene_of(*job))
-    failed = []
-    with mapped(processes) as spread:
-        for done, (job, made) in enumerate(zip(lacking, spread(partial(make_replica, data), lacking), strict=True), start=1):
-            advance(scene_of(*job))
-            if made.error is not None:
-                failed.append(f"{scene_of(*job)}: {made.stage}: {made.error}")
-            if done % ROOMS_PER_COMMIT == 0:
-                lake.commit(NOTE)
-    lake.commit(NOTE)
-    return failed
+    return make_lacking(data.lake, data.jobs, lambda job: scene_of(*job), partial(make_replica, data), processes, NOTE, advance)
 
 
-def make_replica(data: RobotReplicas, job: tuple[str, int]) -> StagedScan:
-    """The stages of a scan. The scan goes, once nothing failed on it."""
+def make_replica(data: RobotReplicas, job: Job) -> str | None:
+    """The stages of a scan; the stage that failed, and why, if one did. The scan goes, once nothing failed on it."""
     dataset, number = job
     place = data.place / "scans" / scene_of(*job)
     shutil.rmtree(place, ignore_errors=True)  # of a command that was killed
@@ -132,6 +109,7 @@ def make_replica(data: RobotReplicas, job: tuple[str, int]) -> StagedScan:
         rng = np.random.default_rng([data.seed, number, 2])
         scan_scene(furnished_room(number, data.seed), place, scene_of(*job).partition("/")[2], LIGHT, rng)
     done = run_stages(data.lake, scans, STAGES, 1, settings, library, dataset)
-    if done.error is None:
-        shutil.rmtree(place)
-    return done
+    if done.error is not None:
+        return f"{done.stage}: {done.error}"
+    shutil.rmtree(place)
+    return None
