@@ -22,8 +22,9 @@ CELL_M = 0.02
 SLACK_M = 0.001
 """What is taken off between the nodes [m]: from 5 cm on, the mean of four exact distances is too large by less."""
 
-POINT_M = 0.12
-"""Points are in the way with so much around them [m]: a lidar sees what its plane meets, and the feet of a chair reach farther."""
+POINT_M = 0.2
+"""Points are in the way with so much around them [m]: what is near to a mapped line passes for mapped, and the feet of a chair reach
+farther than what the lidar's plane meets of it."""
 
 FAR_M = 1.5
 """Distances are told up to this [m]: a planner cares for no more."""
@@ -63,6 +64,15 @@ class Clearances:
     def with_points(self, points: ArrayLike) -> Clearances:
         """The same with these points in the way, world frame [m], shape (n, 2), in place of others."""
         return dataclasses.replace(self, points=np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 2))
+
+    def flattened(self) -> Clearances:
+        """The same with its points drawn into the nodes: for who asks for all of them."""
+        if not len(self.points):
+            return self
+        away = np.full(self.nodes.shape, FAR_M)
+        _kernels()["_spread"](away, self.origin, np.hstack([self.points, self.points]))
+        nodes = np.where(away < FAR_M, np.minimum(self.nodes, np.maximum(away - POINT_M, 0.0)), self.nodes)
+        return Clearances(nodes, self.origin, np.zeros((0, 2)))
 
     def distances(self, places: ArrayLike) -> Array:
         """Distance from each place, world frame [m], shape (n, 2), to the nearest thing [m], shape (n,); 0 off the floor."""

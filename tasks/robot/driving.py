@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tasks.robot.bodies import CartBody, distances_to
 from tasks.robot.configuration import RobotConfig, Senses
 from tasks.robot.estimation.localization import Localization
-from tasks.robot.estimation.scan_matching import ScanMatcher
+from tasks.robot.estimation.scan_matching import LEAST_RETURNS, ScanMatcher
 from tasks.robot.lidar import lidar_returns, ray_angles
 from tasks.robot.navigator import Navigator, Phase
 
@@ -75,7 +75,7 @@ class DriveRoute:
 
 
 def route(goals: ArrayLike, floor: Floor, start: ArrayLike, config: RobotConfig) -> DriveRoute:
-    """A cart before it leaves.
+    """A cart before it leaves. What it computes on its way is machine code by then, so that its first decision is no slower than others.
 
     Args:
         goals: Its sub-goals, world frame [m], shape (n, 2).
@@ -86,6 +86,8 @@ def route(goals: ArrayLike, floor: Floor, start: ArrayLike, config: RobotConfig)
     filters: dict[str, Localization] = {}
     for senses in SENSES:
         matcher = ScanMatcher(floor.segments, config.lidar, config.estimation) if senses == "all" else None
+        if matcher is not None:
+            matcher.match(np.zeros((LEAST_RETURNS, 2)), start)
         filters[senses] = Localization(config.cart, config.noise, config.estimation, config.lidar, matcher, start, senses=senses)
     return DriveRoute(Navigator(goals, floor, config, start), filters, filters[config.estimation.senses])
 
@@ -97,7 +99,7 @@ class Pilot:
         self._body, self._config, self._rng = body, config, rng
         self._navigator, self._filters, self._guide = route.navigator, route.filters, route.guide
         self._segments, self._edges = truth.segments, truth.edges
-        self._under_way: deque[tuple[int, float, Array, Array]] = deque()
+        self._under_way: deque[tuple[int, float, Array]] = deque()
 
     def drive(self) -> Drive:
         """To the end of the way, until it is given up, something is touched, or time is out."""
@@ -165,15 +167,16 @@ class Pilot:
             ranges = lidar_returns(self._segments, self._body.pose, lidar, self._rng)
             points = returns_at(ranges, ray_angles(lidar))
             due = tick + round(lidar.latency_s / self._config.substep_s)
-            self._under_way.append((due, now, points, self._guide.at(now)[0]))
+            self._under_way.append((due, now, points))
 
     def _arrivals(self, tick: int) -> float:
         """Take in the scans that have arrived; how long that took [s]."""
         began = clocks.perf_counter()
         while self._under_way and self._under_way[0][0] <= tick:
-            _, then, points, pose = self._under_way.popleft()
+            _, then, points = self._under_way.popleft()
             for localization in self._filters.values():
                 localization.scan(then, points)
+            pose = self._guide.at(then)[0]  # by now it is known better than when the scan was taken
             self._navigator.see(in_world(points, pose), pose)
         return clocks.perf_counter() - began
 

@@ -36,6 +36,7 @@ def grid_path(clearances: Clearances, start: ArrayLike, goal: ArrayLike, radius:
         radius: What has to be free around the way [m].
         spacing: Between places, at most [m].
     """
+    clearances = clearances.flattened()
     first, last = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
     cells = _kernels()["_cheapest"](
         clearances.nodes, clearances.origin, clearances.points, first[0], first[1], last[0], last[1], radius

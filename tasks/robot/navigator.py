@@ -70,9 +70,13 @@ class Navigator:
         self._at, self._level = 0, 0
         self._best, self._since = math.inf, 0.0
         self._backed_from: Array = np.zeros(2)
+        self._planned_at = -math.inf
         self.phase, self.recoveries = Phase.DRIVING, 0
         self.problem: str | None = None
-        self._find_level(np.asarray(start, dtype=np.float64))
+        here = np.asarray(start, dtype=np.float64)
+        self._find_level(here)
+        standing = MotorState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, self._noise.delay_s, self._noise.lag_s)
+        choose(here, standing, self.goal, self._map, self._cart.radius_m, self._cart, self._planner, self._cart.speed_mps)
 
     @property
     def goal(self) -> Array:
@@ -116,7 +120,12 @@ class Navigator:
         return self._drive(now, pose, motors)
 
     def _drive(self, now: float, pose: Array, motors: MotorState) -> tuple[float, float]:
-        """Go on by the dynamic window; recover where that has led nowhere for a while."""
+        """Go on by the dynamic window; recover where that has led nowhere for a while. When something turns out to stand on a sub-goal it
+        plans another way at once."""
+        if now - self._planned_at > self._planner.stuck_s and self._is_barred():
+            self._planned_at = now
+            if self._plan(pose):
+                self._since, self._best = now, math.inf
         left = self._away(pose) + self._cart.radius_m * abs(self._off(pose))
         if left < self._best - PROGRESS_M:
             self._best, self._since = left, now
@@ -162,14 +171,20 @@ class Navigator:
             self.phase, self._since, self._best = Phase.DRIVING, now, math.inf
         return 0.0, 0.0
 
-    def _plan(self, pose: Array) -> None:
-        """Sub-goals of another way to the end, with as much of the margin as leads there; the old ones where nothing does."""
+    def _is_barred(self) -> bool:
+        """Whether something that the map does not have stands on a sub-goal to come."""
+        known = self._map.with_points(self._unmapped.points)
+        return bool((known.distances(self.goals[self._at :]) < self._cart.radius_m).any())
+
+    def _plan(self, pose: Array) -> bool:
+        """Whether there is another way to the end: with as much of the margin as leads there. The sub-goals are those of it then."""
         known = self._map.with_points(self._unmapped.points)
         for level in range(len(LEVELS)):
             way = grid_path(known, pose[:2], self.goals[-1], self._radius(level), self._planner.spacing_m)
             if way is not None:
                 self.goals, self._at, self._level = way, 0, level
-                return
+                return True
+        return False
 
     def _find_level(self, pose: Array) -> None:
         """How much of the margin the way to the end leaves."""

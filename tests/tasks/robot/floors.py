@@ -1,4 +1,4 @@
-"""Bare floors with boxes on them."""
+"""Bare floors with boxes on them, and a cart without errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,22 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 
+from tasks.robot.configuration import DriveNoise
 from tasks.robot.floor_map import Floor, outline
+
+QUIET = DriveNoise(
+    slip=0.0,
+    slip_walk=0.0,
+    skid_s=0.0,
+    delay_s=0.0,
+    lag_s=0.0,
+    encoder=0.0,
+    gyro_noise_rps=0.0,
+    gyro_bias_rps=0.0,
+    start_m=0.0,
+    start_radians=0.0,
+)
+"""Nothing slips, errs, or is late."""
 
 
 def bare_floor(boxes: Sequence[shapely.Geometry] = (), size: tuple[float, float] = (6.0, 6.0), unseen: Sequence[int] = ()) -> Floor:

@@ -14,21 +14,9 @@ from hypothesis import strategies as st
 from tasks.robot.bodies import Motors, PlanarBody, distances_to
 from tasks.robot.configuration import Cart, DriveNoise
 from tasks.robot.drive import body_speeds
-from tests.tasks.robot.floors import bare_floor, random_boxes
+from tests.tasks.robot.floors import QUIET, bare_floor, random_boxes
 
 CART = Cart()
-QUIET = DriveNoise(
-    slip=0.0,
-    slip_walk=0.0,
-    skid_s=0.0,
-    delay_s=0.0,
-    lag_s=0.0,
-    encoder=0.0,
-    gyro_noise_rps=0.0,
-    gyro_bias_rps=0.0,
-    start_m=0.0,
-    start_radians=0.0,
-)
 STEP = 0.01
 
 

@@ -21,20 +21,9 @@ from tasks.robot.displaced import PlanarMotion, moved_poses
 from tasks.robot.drive import body_speeds
 from tasks.robot.floor_map import floor_of
 from tests.replicas import Object, cube, furnished, replica_of, rows_of
+from tests.tasks.robot.floors import QUIET
 
 CART = Cart()
-QUIET = DriveNoise(
-    slip=0.0,
-    slip_walk=0.0,
-    skid_s=0.0,
-    delay_s=0.0,
-    lag_s=0.0,
-    encoder=0.0,
-    gyro_noise_rps=0.0,
-    gyro_bias_rps=0.0,
-    start_m=0.0,
-    start_radians=0.0,
-)
 STEP = 0.01
 START = (-2.0, -1.0, 0.0)
 

@@ -49,6 +49,15 @@ def test_points_take_their_place_and_replace_earlier_ones() -> None:
     assert np.array_equal(near.with_points(np.zeros((0, 2))).distances([[3.0, 3.5]]), clearances.distances([[3.0, 3.5]]))
 
 
+def test_points_that_are_drawn_into_the_nodes_are_as_far_away() -> None:
+    rng = np.random.default_rng(1)
+    clearances = Clearances.of(bare_floor(random_boxes(rng, 5))).with_points(rng.uniform(0, 6, (40, 2)))
+    places = rng.uniform(0, 6, (3000, 2))
+    asked, drawn = clearances.distances(places), clearances.flattened().distances(places)
+    assert (drawn <= asked + 2e-3)[asked > 0.05].all()
+    assert np.abs(drawn - asked).max() < 0.02
+
+
 def test_a_straight_way_is_as_clear_as_its_narrowest_place() -> None:
     clearances = Clearances.of(bare_floor([shapely.box(2.9, 0.0, 3.1, 2.0), shapely.box(2.9, 3.0, 3.1, 6.0)]))
     assert np.isclose(clearances.least_along((1.0, 2.5), (5.0, 2.5)), 0.5, atol=2e-3)
