@@ -161,7 +161,7 @@ def disturbed_scene(
             )
         )  # fmt: skip
     context = Context(scene_id, "captions", 0, blobs)
-    described = captions.run(instances=instances, context=context, config=captions.CaptionsConfig())
+    described = captions.run(instances=instances, frames=[], masks=[], context=context, config=captions.CaptionsConfig())
     rows: dict[str, list[Any]] = {
         "instances": instances, "selections": selections, "shells": [room], "surfaces": [], "captions": described.rows["captions"],
         "assets": [assets[key] for key in sorted(assets)], "annotations": [],

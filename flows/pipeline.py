@@ -28,6 +28,7 @@ from flows.run.fanout.coordinator import Coordinator, FanOut, RunOutcome
 from flows.run.fanout.pools import shared_pool
 from flows.run.fanout.runners import Runner, task_runner
 from flows.run.identity import sentence
+from flows.run.ledger import LIMITED, CallRules
 from flows.run.outcome import MAX_NOTES
 from flows.run.parameters import Address, StageTables
 from flows.run.patience import patiently
@@ -203,6 +204,9 @@ def replicate(
     stage_seconds: float = STAGE_SECONDS,
     settle_seconds: float = 0.0,
     links_into: list[str] = [],  # noqa: B006
+    budget_usd: float | None = None,
+    most_calls: int | None = None,
+    replay: Address | None = None,
 ) -> Any:
     """Replica scenes of the scans at an address, into a lake. Scenes are independent: one that fails stops no other.
 
@@ -229,12 +233,15 @@ def replicate(
         runner: What computes: 'pool', 'processes', 'dask' or 'ray'.
         dask_address: Scheduler of a Dask cluster; by default one is started on this machine.
         batch: Scenes per task; by default it follows from how long they take.
-        limits: Global concurrency limits by stage.
+        limits: Global concurrency limits by stage; of `calls`, the one that requests of calls to models keep.
         keep_free_gb: Stop before less is free on the disk.
         quota_gb: Stop before the lake holds more.
         stage_seconds: Time limit of one stage of one scene.
         settle_seconds: Leave scans that changed less long ago to a later run: they may still be on their way.
         links_into: Folders that links out of the folder of scans may lead into, as those of a store are.
+        budget_usd: Stop before calls to models cost more.
+        most_calls: Stop before more calls to models are made.
+        replay: Lake whose replies stand in for calls to models; none is made.
     """
     configuration = configure(
         Path(config_file) if config_file else None, settings, Path(library) if library else None, seed, tables=stages or None
@@ -243,7 +250,8 @@ def replicate(
         from flows.run.limits import check_limits
 
         check_limits(limits)
-    fan_out = FanOut(workers or os.cpu_count() or 1, runner, dask_address, batch, limits, keep_free_gb, quota_gb, stage_seconds)
+    calls = CallRules(budget_usd=budget_usd, most_calls=most_calls, replay=replay or "", limit=limits.get(LIMITED, ""))
+    fan_out = FanOut(workers or os.cpu_count() or 1, runner, dask_address, batch, limits, keep_free_gb, quota_gb, stage_seconds, calls)
 
     began = datetime.now(UTC)
 

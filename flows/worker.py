@@ -21,6 +21,7 @@ from typing import Any
 import pyarrow as pa
 
 from flows.run.fingerprints import ModuleCaches, annotations_digest
+from flows.run.ledger import FREE, CallRules, LakeLedger
 from flows.run.pool import spread_over
 from schemas.errors import InputError, LakeError, RecordError
 from schemas.record import arrow_to_rows, check
@@ -39,7 +40,7 @@ from warehouse.tables.snapshot import Reader
 class Job:
     """One stage to run on one scene (or batch). Travels to a worker process, which may use `processes` of its own.
 
-    `snapshot_id` is the snapshot that it was planned from; None is the newest.
+    `snapshot_id` is the snapshot that it was planned from; None is the newest. `calls`: What it may ask models for.
     """
 
     lake: str
@@ -55,6 +56,7 @@ class Job:
     outside: tuple[tuple[str, Any], ...] = ()
     processes: int = 1
     snapshot_id: int | None = None
+    calls: CallRules = FREE
 
 
 Spread = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
@@ -157,8 +159,9 @@ def _computed(stage: Stage, job: Job, lake: Lake, spread: Spread, report: Report
     if inputs.get("model") is not None and stage.model_wanted is not None:
         inputs["model"] = _model(stage, job, str(inputs["model"]))
     context = Context(
-        scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches(), spread=spread, report=report
-    )
+        scene_id=job.scene_id, stage=job.stage, seed=job.seed, blobs=lake.blobs, caches=ModuleCaches(), spread=spread, report=report,
+        ledger=LakeLedger(lake, job.calls),
+    )  # fmt: skip
     return stage.run(**inputs, context=context, config=job.config)
 
 

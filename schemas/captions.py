@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from schemas.calls import CALL_PATTERN
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
 
 
@@ -34,5 +35,7 @@ class Caption:
     friction: float = column("Coefficient of friction", minimum=0, maximum=2)
     restitution: float = column("Coefficient of restitution", minimum=0, maximum=1)
     attribute_source: str = column(
-        "Row of the category table that the physical attributes came from, or the finished dataset that states them"
+        "Row of the category table that the physical attributes came from, or the finished dataset or model (`model:`) that states them"
     )
+    appearance_call_id: str | None = column("Call of the model that told what it looks like", pattern=CALL_PATTERN)
+    physics_call_id: str | None = column("Call of the model that told how it behaves", pattern=CALL_PATTERN)

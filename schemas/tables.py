@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from schemas import (
     annotation,
+    calls,
     candidates,
     captions,
     capture,
@@ -68,6 +69,7 @@ RECORDS: tuple[type, ...] = (
     selection.SelectionOutcome,
     comparison.ComparedRun,
     comparison.PairedTest,
+    calls.ModelCall,
     runs.StageRun,
     runs.Snapshot,
     runs.Release,

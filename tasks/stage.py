@@ -11,6 +11,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from schemas.tables import TABLES
+from tasks.calls.ledger import Ledger, Recollection
 
 
 class Blobs(Mapping[str, bytes]):
@@ -69,7 +70,7 @@ class Context:
     much and follows from content alone, one for every module that computes such values (`caches["tasks.geometry.pieces"]`): a
     key must name everything that its value depends on but the module's own code. `spread(function, items)` is the list
     of the function's values, in the order of the items, computed in other processes where cores are free.
-    `report(done, of, text)` tells whoever watches how far a long run is.
+    `report(done, of, text)` tells whoever watches how far a long run is. `ledger` has every call to a model.
     """
 
     scene_id: str
@@ -79,6 +80,7 @@ class Context:
     caches: Caches = dataclasses.field(default_factory=_forgetful)
     spread: Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]] = in_turn
     report: Callable[[int, int, str], None] = silently
+    ledger: Ledger = dataclasses.field(default_factory=Recollection)
 
     def rng(self, *words: object) -> np.random.Generator:
         """A generator seeded by (run seed, scene, stage, words): the same on every worker."""

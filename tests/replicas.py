@@ -111,6 +111,7 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
                 scene_id=scene_id, instance_id=instance_id, provider="test", provider_version="1", is_fallback=False, sentence="an object",
                 colors=(), color_shares=(), materials=(), shape="box", body_type="rigid", density_kg_m3=500.0, solid_fraction=0.5,
                 mass_kg=item.mass_kg, friction=item.friction, restitution=0.1, attribute_source="test",
+                appearance_call_id=None, physics_call_id=None,
             )
         )  # fmt: skip
         rows["placements"].append(

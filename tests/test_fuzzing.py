@@ -47,7 +47,7 @@ OWN = {
     "tasks/geometry/pieces.py _unpacked": "reads its own cache",
     "tasks/replica.py": "reads blobs of the lake",
     "tasks/robot/cart.py": "reads the scene that it just wrote",
-    "tasks/selection/crops.py decoded": "reads blobs of the lake",
+    "tasks/views/crops.py decoded": "reads blobs of the lake",
     "tasks/selection/methods/encoders.py": "reads weights that the user names; tests/tasks/selection/test_foreign_methods.py damages them",
     "tasks/selection/methods/endpoint.py": "reads answers of a server; tests/tasks/selection/test_vision_language.py damages them",
     "tasks/selection/methods/replies.py": "as above",

@@ -16,6 +16,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from schemas.calls import ModelCall
 from schemas.errors import InputError, RecordError
 from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
@@ -28,6 +29,7 @@ from warehouse.storage.blobs import BlobStore
 from warehouse.storage.files import TEMPORARY, Storage, storage_at
 from warehouse.storage.workplace import sweep_workplaces
 from warehouse.tables.adoption import overlaid, plan
+from warehouse.tables.calls import PendingCalls
 from warehouse.tables.commit import Commit
 from warehouse.tables.delta import DeltaTables
 from warehouse.tables.history import Key, StageState, naming, states
@@ -46,14 +48,16 @@ FORMAT = 1
 class Lake:
     """A lake at a local folder or an S3 prefix. Can be pickled: it is its address.
 
-    `storage`, `tables` and `staging` are for the other modules of the warehouse.
+    `storage`, `tables`, `staging` and `calls` are for the other modules of the warehouse.
     """
 
     def __init__(self, storage: Storage) -> None:
         self.storage = storage
         self.tables = DeltaTables(storage)
         self.staging = Staging(storage)
+        self.calls = PendingCalls(storage)
         self._is_marked = False
+        self._newest: tuple[str, Reader] | None = None
         self.blobs = BlobStore(storage, self._prepare)
 
     @classmethod
@@ -152,7 +156,8 @@ class Lake:
         if not self.exists:
             return
         with self.leased(timeout) as lease:
-            Commit(self.tables, self.staging, lease).sweep(keep)
+            Commit(self.tables, self.staging, lease, self.calls).sweep(keep)
+            self.calls.sweep()
             self.sweep_temporary()
             sweep_claims(self.storage)
             sweep_runs(self.storage)
@@ -188,6 +193,17 @@ class Lake:
         current = self._committed(self.snapshot(), scenes)
         staged = [run for run in self.staging.runs() if scenes is None or run.run.scene_id in scenes]
         return overlaid(current, plan(current, staged)) if staged else current
+
+    def call(self, call_id: str) -> ModelCall | None:
+        """A recorded call, committed or not; of one that was answered the first reply."""
+        pending = self.calls.get(call_id)  # first: what is committed meanwhile is in the snapshot then
+        stamp = self.last_commit()
+        if self._newest is None or self._newest[0] != stamp:
+            self._newest = (stamp, self.snapshot())
+        committed = self._newest[1].rows_by_key(ModelCall, [call_id])
+        if committed and (pending is None or committed[0].outcome == "answered"):
+            return committed[0]
+        return pending
 
     def recorded(self, stage: str, reasons: Collection[str]) -> dict[str, StageState]:
         """The state of a stage by scene, of the scenes where one of its runs recorded any of these `reasons`."""
@@ -251,7 +267,8 @@ class Lake:
 
         with self.leased(timeout) as lease:
             begun = read_plan(self.storage)
-            return Commit(self.tables, self.staging, lease, erased=begun.scene_id if begun else None).run(note, removed, scenes, runs)
+            erased = begun.scene_id if begun else None
+            return Commit(self.tables, self.staging, lease, self.calls, erased=erased).run(note, removed, scenes, runs)
 
     def _committed(self, reader: Reader, scenes: Collection[str] | None = None) -> dict[Key, StageState]:
         only = None if scenes is None else {"scene_id": scenes}

@@ -203,8 +203,9 @@ def work(
     scene_id = scene.scene_id
     with _timed(seconds, "captions"):
         described = captions.run(
-            instances=instances, context=Context(scene_id, "captions", settings.seed, blobs), config=captions.CaptionsConfig()
-        ).rows["captions"]
+            instances=instances, frames=[], masks=[], context=Context(scene_id, "captions", settings.seed, blobs),
+            config=captions.CaptionsConfig(),
+        ).rows["captions"]  # fmt: skip
     captioned = {row.instance_id: row for row in described}
     context = Context(scene_id, "candidates", settings.seed, blobs, caches=ModuleCaches())
     candidates: list[Candidate] = []

@@ -256,7 +256,7 @@ def _caption(scene: str, instance: str, tag: str) -> Caption:
     return Caption(
         scene_id=scene, instance_id=instance, provider="bench", provider_version="1", is_fallback=False, sentence=tag, colors=(),
         color_shares=(), materials=(), shape="flat", body_type="rigid", density_kg_m3=500.0, solid_fraction=0.5, mass_kg=1.0,
-        friction=0.5, restitution=0.1, attribute_source="bench",
+        friction=0.5, restitution=0.1, attribute_source="bench", appearance_call_id=None, physics_call_id=None,
     )  # fmt: skip
 
 

@@ -44,6 +44,9 @@ if TYPE_CHECKING:
     metavar="GB",
     help="Stop before the lake holds more, as far as the scenes so far tell.",
 )
+@click.option("--budget", "budget_usd", type=click.FloatRange(0), metavar="USD", help="Stop before calls to models cost more.")
+@click.option("--most-calls", type=click.IntRange(0), metavar="N", help="Stop before more calls to models are made.")
+@click.option("--replay", metavar="LAKE", help="Take replies of models from the ledger of this lake; none is asked.")
 @click.option("--retry-failed", is_flag=True, help="Compute again what failed on unchanged input.")
 @click.option("--again", is_flag=True, help="Compute scans that the lake has under another name again, under their names here.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done and why; do nothing.")
@@ -52,7 +55,8 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
             config_file: Path | None, settings: tuple[str, ...],
             library: Path | None, seed: int | None, workers: int, scenes: tuple[str, ...], first: str | None, last: str | None,
             since: str | None, until: str | None, runner: str, dask_address: str | None, batch: int | None, keep_free_gb: float | None,
-            quota_gb: float | None, retry_failed: bool, again: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
+            quota_gb: float | None, budget_usd: float | None, most_calls: int | None, replay: str | None, retry_failed: bool,
+            again: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
     """Turn a folder of scans into replica scenes in a lake.
 
     Only what is missing, changed or stale is computed. A scan that the lake has under another name (another dataset, a
@@ -81,7 +85,7 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
         library=str(library) if library else None, seed=seed, config_file=str(config_file) if config_file else None,
         settings=list(settings), retry_failed=retry_failed, again=again, scenes=list(scenes), first=first, last=last, since=since,
         until=until, links_into=list(links_into), runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb,
-        quota_gb=quota_gb,
+        quota_gb=quota_gb, budget_usd=budget_usd, most_calls=most_calls, replay=replay,
     )  # fmt: skip
     print(json.dumps(dataclasses.asdict(report)) if as_json else report_line(report))
     tell(report)

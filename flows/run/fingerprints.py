@@ -29,7 +29,7 @@ ROOMS = ("schemas", "tasks")
 MECHANISM = ("tasks.settings", "tasks.stage", "tasks.training", "schemas.tables", "schemas.record", "schemas.errors", "schemas.files")
 """Modules that carry rows around and compute none: a change there redoes nothing."""
 
-DATA = (".csv", ".json", ".yaml")
+DATA = (".csv", ".json", ".txt", ".yaml")
 """Suffixes of data files that count as code."""
 
 PICTURES = "pictures-"

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
+from flows.run.ledger import LIMITED
 from flows.run.patience import is_away, retried
 from schemas.errors import InputError
 from tasks.pipeline import STAGES
@@ -49,16 +50,16 @@ class Limit:
 
 
 def check_limits(limits: Mapping[str, str]) -> dict[str, Limit]:
-    """The limits that stages are to keep, by stage, as the server has them.
+    """The limits that stages, and requests of calls to models, are to keep, by stage, as the server has them.
 
     Raises:
         InputError: there is no such stage, or the server has no such limit or one of no slots, which nothing would pass.
     """
-    stages = [stage.name for stage in STAGES]
+    stages = [*(stage.name for stage in STAGES), LIMITED]
     checked = {}
     for stage, name in limits.items():
         if stage not in stages:
-            raise InputError("limits", stage, "is no stage", f"stages are {', '.join(stages)}")
+            raise InputError("limits", stage, "is no stage", f"stages are {', '.join(stages)}, the last one being calls to models")
         limit = limit_of(name)
         if limit is None:
             raise InputError("limits", f"{stage}={name}", "the server has no such limit", _remedy(name))

@@ -13,6 +13,7 @@ from typing import Any
 from flows.progress import current
 from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json
+from flows.run.ledger import FREE, SPENT, CallRules
 from flows.run.plan import MODEL, Plan, ScenePlan, Step
 from flows.run.pool import PoolStopped, WorkerLost, WorkerPool, WorkerTimeout
 from flows.worker import Job, execute, lost_run
@@ -35,7 +36,8 @@ Around = Callable[[str, str, Callable[[], StageRun]], StageRun]
 class SceneResult:
     """What came of a scene in this run. `seconds` is the wall time of its stages [s], `retried` what was lost and done again.
 
-    `is_lost`: its worker died, and it is worth another try. `is_full`: there was no room on the disk.
+    `is_lost`: its worker died, and it is worth another try. `is_full`: there was no room on the disk. `is_spent`: no further call to
+    a model may be made.
     """
 
     scene_id: str
@@ -47,13 +49,20 @@ class SceneResult:
     retried: tuple[str, ...] = ()
     is_lost: bool = False
     is_full: bool = False
+    is_spent: bool = False
 
 
 class SceneWork:
     """A scene on its way through its stages. After a worker was lost, `advance` goes on with the stage that it was lost in."""
 
-    def __init__(self, plan: ScenePlan, processes: int = 1, timeout: float = STAGE_SECONDS) -> None:
-        self.plan, self._processes, self._timeout = plan, processes, timeout
+    def __init__(
+        self,
+        plan: ScenePlan,
+        processes: int = 1,
+        timeout: float = STAGE_SECONDS,
+        calls: CallRules = FREE,
+    ) -> None:
+        self.plan, self._processes, self._timeout, self._calls = plan, processes, timeout, calls
         self._ran: list[str] = []
         self._degradations: list[str] = []
         self._retried: list[str] = []
@@ -83,11 +92,13 @@ class SceneWork:
         progress, scene = current(), self.plan.scan.scene_id
         for step in self.plan.todo[len(self._ran) :]:
             job = job_of(lake, self.plan, step, configuration)
-            job = dataclasses.replace(job, processes=self._processes, attempt=job.attempt + self._lost)
+            job = dataclasses.replace(job, processes=self._processes, attempt=job.attempt + self._lost, calls=self._calls)
             run = around(scene, step.stage, partial(_run_job, lake, job, pool, self._timeout))
             self._seconds += run.seconds
             if run.outcome == "lost" and any(os.strerror(number) in str(run.error) for number in NO_ROOM):
                 return self._result(step.stage, run.error, is_full=True)
+            if run.outcome == "lost" and SPENT in str(run.error):
+                return self._result(step.stage, run.error, is_spent=True)
             if run.outcome == "lost":
                 self._lost += 1
                 self._retried.append(f"{scene}: {step.stage}: {run.error}, attempt {run.attempt}")
@@ -103,10 +114,12 @@ class SceneWork:
             self._lost = 0
         return self._result(None, None)
 
-    def _result(self, failed: str | None, error: str | None, *, is_lost: bool = False, is_full: bool = False) -> SceneResult:
+    def _result(
+        self, failed: str | None, error: str | None, *, is_lost: bool = False, is_full: bool = False, is_spent: bool = False
+    ) -> SceneResult:
         return SceneResult(
             self.plan.scan.scene_id, tuple(self._ran), failed, error, tuple(self._degradations), self._seconds, tuple(self._retried),
-            is_lost, is_full,
+            is_lost, is_full, is_spent,
         )  # fmt: skip
 
 

@@ -134,7 +134,7 @@ def _caption(scene_id: str, instance: FinishedObject, surface: Surface) -> Capti
         scene_id=scene_id, instance_id=instance.instance_id, provider=PROVIDER, provider_version=VERSION, is_fallback=False,
         sentence=instance.label.category, colors=(), color_shares=(), materials=(), shape=shape, body_type="rigid", density_kg_m3=None,
         solid_fraction=None, mass_kg=instance.physics.mass_kg, friction=instance.physics.friction, restitution=instance.physics.restitution,
-        attribute_source=instance.physics.source,
+        attribute_source=instance.physics.source, appearance_call_id=None, physics_call_id=None,
     )  # fmt: skip
 
 

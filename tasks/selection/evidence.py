@@ -32,10 +32,10 @@ from tasks.selection.alignment import (
     sight_of,
 )  # fmt: skip
 from tasks.selection.coloring import color_histogram, color_similarity
-from tasks.selection.crops import Crop, crop_of, filling
 from tasks.selection.neighbors import Neighborhood, foreign_share
 from tasks.selection.scoring import completeness, is_own_geometry, score_of
 from tasks.stage import Context
+from tasks.views.crops import Crop, crop_of, filling
 
 if TYPE_CHECKING:
     from tasks.selection import SelectionConfig

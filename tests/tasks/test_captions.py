@@ -53,7 +53,8 @@ def an_instance(
 
 def captions_of(*pairs: tuple[Instance, dict[str, bytes]]) -> tuple[list[Caption], tuple[str, ...]]:
     blobs = {name: data for _, files in pairs for name, data in files.items()}
-    outcome = run(instances=[i for i, _ in pairs], context=Context("test/room", "captions", 1, blobs), config=CaptionsConfig())
+    context = Context("test/room", "captions", 1, blobs)
+    outcome = run(instances=[i for i, _ in pairs], frames=[], masks=[], context=context, config=CaptionsConfig())
     check(outcome.rows["captions"], Caption)
     return outcome.rows["captions"], outcome.degradations
 

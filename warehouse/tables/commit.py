@@ -13,12 +13,14 @@ from collections.abc import Collection, Sequence
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from schemas.calls import ModelCall
 from schemas.record import Table, arrow_to_rows, rows_to_arrow
 from schemas.runs import Snapshot, StageRun
 from schemas.tables import TABLES
 from warehouse.sharing.lease import Lease
 from warehouse.sharing.writer import this_writer, writer_of
 from warehouse.tables.adoption import CommitPlan, committed_rows, now_utc, plan, without_faults
+from warehouse.tables.calls import PendingCalls
 from warehouse.tables.delta import DeltaTables, TableWriter, nullable
 from warehouse.tables.history import Key, StageState, base_of, states
 from warehouse.tables.staging import StagedRun, Staging
@@ -40,8 +42,10 @@ class Commit:
     erased: A scene whose erasure was begun and is not finished.
     """
 
-    def __init__(self, tables: DeltaTables, staging: Staging, lease: Lease, erased: str | None = None) -> None:
-        self._tables, self._staging, self._lease, self._erased = tables, staging, lease, erased
+    def __init__(
+        self, tables: DeltaTables, staging: Staging, lease: Lease, calls: PendingCalls | None = None, erased: str | None = None
+    ) -> None:
+        self._tables, self._staging, self._lease, self._calls, self._erased = tables, staging, lease, calls, erased
         self._snapshots = TABLES["snapshots"]
         self._base = self._read_base()
         self._states: dict[Key, StageState] = {}
@@ -54,7 +58,8 @@ class Commit:
         staged = self._without_orphans(self.remove_adopted())
         staged = [staged_run for staged_run in staged if scenes is None or staged_run.run.scene_id in scenes]
         staged = [staged_run for staged_run in staged if runs is None or staged_run.token in runs]
-        if not staged and not removed:
+        is_whole = scenes is None and runs is None  # else who commits has scenes in mind: calls alone are no reason for a snapshot
+        if not staged and not removed and not (is_whole and self._calls is not None and self._calls.all()):
             return None
         faults = {
             staged_run.token: fault
@@ -64,15 +69,19 @@ class Commit:
         self._read_states({staged_run.run.scene_id for staged_run in staged} | set(removed))
         made = plan(self._states, without_faults(staged, faults), removed)
         unwanted = [staged_run for staged_run in made.left if staged_run.run.scene_id in removed]
-        if made.is_empty:
+        calls = self._new_calls() if is_whole or not made.is_empty else []
+        if made.is_empty and not calls:
             self._staging.remove(unwanted)
             return None
         versions = dict(self._base.versions)
+        if calls:
+            versions["model_calls"] = self._write_calls(calls)
         for table in TABLES.values():
             version = self._write_table(table, made)
             if version is not None:
                 versions[table.name] = version
-        versions["stage_runs"] = self._write_runs(made)
+        if not made.is_empty:
+            versions["stage_runs"] = self._write_runs(made)
         snapshot = Snapshot(
             snapshot_id=self._base.snapshot_id + 1,
             created_at=now_utc(),
@@ -81,6 +90,8 @@ class Commit:
         )
         self._write_snapshot(snapshot, [*made.adopted, *made.recorded])
         self._staging.remove([*made.adopted, *made.recorded, *unwanted])
+        if self._calls is not None:
+            self._calls.remove(calls)
         return snapshot
 
     def sweep(self, keep: Collection[tuple[str, str, str]]) -> None:
@@ -252,6 +263,30 @@ class Commit:
         kept = {scene for scene in scenes if (scene, table.stage) in self._done}
         kept |= {staged_run.run.scene_id for staged_run in made.adopted if staged_run.run.stage == table.stage} & set(scenes)
         return kept - {run.scene_id for run in made.withdrawn if run.stage == table.stage}
+
+    def _new_calls(self) -> list[ModelCall]:
+        """Recorded calls that the snapshot does not have; files of those that it has are removed. A reply stays as it was first."""
+        if self._calls is None:
+            return []
+        pending = {call_id: call for call_id, call in self._calls.all().items() if call.scene_id != self._erased}
+        table = TABLES["model_calls"]
+        rows = self._tables.read(table, self._base_files(table), only={"call_id": set(pending)}) if pending else None
+        had = {row.call_id: row for row in arrow_to_rows(rows, ModelCall)} if rows is not None else {}
+        new = [
+            call for call_id, call in pending.items() if call_id not in had or (had[call_id].outcome != "answered" and had[call_id] != call)
+        ]
+        self._lease.check()
+        self._calls.remove([call for call in pending.values() if call not in new])
+        return new
+
+    def _write_calls(self, calls: Sequence[ModelCall]) -> int:
+        """Rows of calls are added; one that takes the place of a failure replaces it."""
+        table = TABLES["model_calls"]
+        writer = self._writer(table)
+        writer.replace(rows_to_arrow(calls, ModelCall), "call_id", {call.call_id for call in calls})
+        writer.compact()
+        assert writer.version is not None
+        return writer.version
 
     def _write_runs(self, made: CommitPlan) -> int:
         table = TABLES["stage_runs"]

@@ -105,7 +105,7 @@ def forget(
             logs += forget_before(lake.tables, lake.storage, table, oldest, lease.check, dry_run)
             if table in TABLES and TABLES[table].blob_columns:
                 references.add_files(table, sorted({file for version in versions for file in by_version[version]}))
-        references.add(lake.staging.blob_names())
+        references.add(lake.staging.blob_names() | lake.calls.blob_names())
         references.finish()
         blobs, blob_bytes, young = _remove_blobs(lake, references, lease, dry_run, goes)
     return Vacuumed(tuple(gone), count, blobs, size, blob_bytes, logs, young)

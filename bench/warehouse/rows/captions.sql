@@ -15,7 +15,9 @@ SELECT
     greatest(0.001, density * solid_fraction * volume) AS mass_kg,
     friction,
     restitution,
-    category AS attribute_source
+    category AS attribute_source,
+    CASE WHEN NOT is_fallback THEN digest('call appearance', object) END AS appearance_call_id,
+    CASE WHEN NOT is_fallback THEN digest('call physics', object) END AS physics_call_id
 FROM (
     SELECT
         *,

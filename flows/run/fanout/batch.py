@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from flows.run.configuration import Configuration
 from flows.run.fanout.pools import pool_of
+from flows.run.ledger import FREE, CallRules
 from flows.run.plan import ScenePlan
 from flows.run.scene import STAGE_SECONDS, Around, SceneResult, SceneWork
 from warehouse.lake import Lake
@@ -28,12 +29,13 @@ class SceneBatch:
         shows_stages: bool = False,
         limits: Mapping[str, str] | None = None,
         timeout: float = STAGE_SECONDS,
+        calls: CallRules = FREE,
     ) -> None:
         self.run, self.lake, self.configuration = run, lake, configuration
         self.scenes = tuple(scenes)
         self.shows_stages = shows_stages
         self.limits = dict(limits or {})
-        self._works = [SceneWork(scene, processes, timeout) for scene in scenes]
+        self._works = [SceneWork(scene, processes, timeout, calls) for scene in scenes]
 
     @property
     def name(self) -> str:

@@ -21,6 +21,7 @@ from flows.run.fanout.committer import Committer
 from flows.run.fanout.pace import Pace
 from flows.run.fanout.pools import at_work
 from flows.run.fanout.quota import Quota
+from flows.run.ledger import FREE, CallRules
 from flows.run.plan import Plan, ScenePlan
 from flows.run.scene import STAGE_SECONDS, SceneResult, job_of
 from flows.worker import lost_run
@@ -41,7 +42,7 @@ class FanOut:
 
     workers: processes. runner: of `flows.run.fanout.runners.RUNNERS`. batch: scenes per task, None to let it follow from how
     long they take. limits: global concurrency limits by stage. keep_free_gb, quota_gb: see `flows.run.fanout.quota`.
-    stage_seconds: time limit of a stage of a scene.
+    stage_seconds: time limit of a stage of a scene. calls: What it may ask models for.
     """
 
     workers: int = 2
@@ -52,6 +53,7 @@ class FanOut:
     keep_free_gb: float | None = None
     quota_gb: float | None = None
     stage_seconds: float = STAGE_SECONDS
+    calls: CallRules = FREE
 
 
 @dataclasses.dataclass
@@ -178,6 +180,7 @@ class Coordinator:
         return SceneBatch(
             self.run_id, self._lake, scenes, self._configuration, processes=spare if self._fan_out.runner == "pool" else 1,
             shows_stages=self._pace.shows_stages, limits=self._fan_out.limits, timeout=self._fan_out.stage_seconds,
+            calls=dataclasses.replace(self._fan_out.calls, run=self.run_id),
         )  # fmt: skip
 
     def _results(self, tasks: Tasks, future: Future, batch: SceneBatch, backlog: Backlog) -> list[SceneResult]:
@@ -221,6 +224,8 @@ class Coordinator:
                 current().advance(f"{result.scene_id} {step.stage}")
         if result.is_full and self._outcome.stopped is None:
             self._outcome.stopped = f"there is no room left: {result.error}"
+        if result.is_spent and self._outcome.stopped is None:
+            self._outcome.stopped = str(result.error).partition(": ")[2]
         backlog.finished(result.scene_id)
         committer.add(result.scene_id)
         progress(self._total - sum(self._left.values()), self._total, result.scene_id)

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.models import Model
-from tasks.selection.crops import filling, squared
 from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.encoders import check_installed, clip_in, dino_in, remembered, weights_digest
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod
 from tasks.selection.methods.pictures import around, parts_of
 from tasks.settings import Config, Count, Positive
+from tasks.views.crops import filling, squared
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,7 +12,7 @@ from schemas.candidates import Asset
 from tasks.geometry.meshes import load_glb
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import look_at, yaw_pose
-from tasks.selection.crops import filling
+from tasks.views.crops import filling
 
 if TYPE_CHECKING:
     import trimesh

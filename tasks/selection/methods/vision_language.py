@@ -2,30 +2,41 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
-import hashlib
-import io
-import json
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from schemas.errors import InputError, check_address
+from tasks.calls.asking import Conversation, Prompt, ask, picture_part, text_part
+from tasks.calls.endpoint import EndpointSettings, check_endpoint
+from tasks.calls.replies import UnreadableReply
 from tasks.models import Model
-from tasks.selection.crops import squared
 from tasks.selection.evidence import Evidence, InstanceQuery
-from tasks.selection.methods.endpoint import Endpoint, check_hidden, key_in
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod
 from tasks.selection.methods.pictures import around, parts_of
-from tasks.selection.methods.replies import UnreadableReply, ranking_of
-from tasks.settings import Config, Count, NonNegative, Positive
+from tasks.selection.methods.ranking import EXAMPLE, ranking_of
+from tasks.settings import Count
+from tasks.views.crops import squared
+
+WHERE = "selection.provider"
+"""The settings, as errors name them."""
 
 PITCH_RADIANS = 0.35
 RANKED = 5
 """Places that are asked for, as annotators rank."""
+
+QUESTION = (
+    "The first picture shows an object in a scanned room: {category}, {size} m (length, width, height).{about} Then come {count} models of "
+    "furniture, numbered from 1, each seen from several sides. Which of them should stand in its place? Judge shape and parts first, then "
+    "proportions, material and color."
+)
+CANDIDATE = "Candidate {number}, {extents} m:"
+FORM = (
+    f'Answer with JSON alone, such as {EXAMPLE.replace("{", "{{").replace("}", "}}")}. "choice" is the best candidate; "ranking" holds the '
+    "best {ranked}, best first, beginning with the choice."
+)
+PROMPT = Prompt("ranking", "\n".join((QUESTION, CANDIDATE, FORM)))
 
 SCHEMA: dict[str, Any] = {
     "type": "object",
@@ -36,19 +47,13 @@ SCHEMA: dict[str, Any] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class VisionLanguage(Config):
-    """The ranking that a vision-language model gives. Its answers are remembered: the same request is sent once."""
+class VisionLanguage(EndpointSettings):
+    """The ranking that a vision-language model gives. Its answers are recorded: the same request is sent once."""
 
     kind: ClassVar[str] = "vision_language"
-    url: str = ""  # of an OpenAI-compatible endpoint, without /chat/completions; none is ours to name
-    model: str = ""  # as the endpoint calls it
-    key_variable: str = ""  # environment variable that holds the key; servers at home need none
     pixels: Count = 256  # of a picture's side: what crops in the lake have
     views: Count = 2  # pictures of a candidate, side by side: its front and its side
     replies: Count = 3  # that are asked for when one cannot be read; each time the model is told why
-    attempts: Count = 4  # to reach the endpoint, before the scene is given up for this run
-    pause_seconds: NonNegative = 2.0  # before the second, twice as long before each next one
-    timeout_seconds: Positive = 120.0  # large models look at eleven pictures for a while
 
 
 def score(query: InstanceQuery, candidates: Sequence[Evidence], config: VisionLanguage, model: Model | None) -> Array:
@@ -73,79 +78,37 @@ def messages_of(query: InstanceQuery, candidates: Sequence[Evidence], config: Vi
     assert query.crop is not None
     size = " x ".join(f"{value:.2f}" for value in query.target.size)
     about = f" It was described so: {query.text}" if query.text else ""
-    parts: list[dict[str, Any]] = [
-        _text(
-            f"The first picture shows an object in a scanned room: {query.category or 'unnamed'}, {size} m (length, width, height)."
-            f"{about} Then come {len(candidates)} models of furniture, numbered from 1, each seen from several sides. Which of them should "
-            "stand in its place? Judge shape and parts first, then proportions, material and color."
-        ),
-        _picture(squared(query.crop.on_white(), config.pixels)),
-    ]
+    named = QUESTION.format(category=query.category or "unnamed", size=size, about=about, count=len(candidates))
+    parts = [text_part(named), picture_part(squared(query.crop.on_white(), config.pixels))]
     for number, each in enumerate(candidates, start=1):
         views = around(parts_of(each.asset, query.context.blobs), 4, (PITCH_RADIANS,), config.pixels)[: config.views]
         extents = " x ".join(f"{value:.2f}" for value in each.sample.extents)
-        parts += [_text(f"Candidate {number}, {extents} m:"), _picture(np.concatenate(list(views), axis=1))]
-    parts.append(
-        _text(
-            f'Answer with JSON alone: {{"choice": NUMBER, "ranking": [NUMBERS]}}. "choice" is the best candidate; "ranking" holds the best '
-            f"{min(RANKED, len(candidates))}, best first, beginning with the choice."
-        )
-    )
+        parts += [text_part(CANDIDATE.format(number=number, extents=extents)), picture_part(np.concatenate(list(views), axis=1))]
+    parts.append(text_part(FORM.format(ranked=min(RANKED, len(candidates)))))
     return [{"role": "user", "content": parts}]
 
 
 def _ranking(query: InstanceQuery, candidates: Sequence[Evidence], config: VisionLanguage) -> tuple[int, ...]:
-    """Numbers of candidates, best first, as the model ranks them; a reply that could be read is remembered.
+    """Numbers of candidates, best first, as the model ranks them.
 
     Raises:
         Lacking: no reply could be read.
     """
-    endpoint = Endpoint(
-        config.url, config.model, key_in(config.key_variable), config.timeout_seconds, config.attempts, config.pause_seconds
-    )  # fmt: skip
-    messages = messages_of(query, candidates, config)
-    key = hashlib.sha256(json.dumps([config.url, config.model, messages, SCHEMA], sort_keys=True).encode()).hexdigest()
-    memory = query.context.caches[__name__]
-    if key in memory:
-        return ranking_of(memory[key].decode(), len(candidates))
+    talk = Conversation(PROMPT, messages_of(query, candidates, config), SCHEMA, query.instance.instance_id)
     problem = ""
     for _ in range(config.replies):
-        reply = endpoint.ask(messages, SCHEMA)
+        reply = ask(query.context, config, talk, WHERE)
         try:
-            order = ranking_of(reply, len(candidates))
+            return ranking_of(reply.text, len(candidates))
         except UnreadableReply as error:
             problem = str(error)
-            again = f"That cannot be used: {problem}. Answer again, with JSON alone."
-            messages = [*messages, {"role": "assistant", "content": reply}, {"role": "user", "content": again}]
-            continue
-        memory[key] = reply.encode()
-        return order
+            talk = talk.again(reply.text, problem)
     raise Lacking(f"{config.model} gave {config.replies} replies that cannot be used: {problem}")
 
 
-def _text(text: str) -> dict[str, Any]:
-    return {"type": "text", "text": text}
-
-
-def _picture(image: NDArray[np.uint8]) -> dict[str, Any]:
-    """A picture inside of a message, PNG: the same pixels are the same request."""
-    import PIL.Image
-
-    file = io.BytesIO()
-    PIL.Image.fromarray(np.ascontiguousarray(image)).save(file, "PNG")
-    return {"type": "image_url", "image_url": {"url": f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"}}
-
-
 def check(config: VisionLanguage) -> None:
-    """Raises InputError where no endpoint or model is named, the address is none, or the key is not there or
-    would go in the clear."""
-    if not config.model:
-        raise InputError("selection.provider", "model", "names no model", "give it as the endpoint calls it")
-    if not config.url.startswith(("http://", "https://")):
-        raise InputError("selection.provider", "url", "is no address", "give that of an OpenAI-compatible endpoint: https://.../v1")
-    check_address(config.url, "selection.provider.url")
-    if key_in(config.key_variable):
-        check_hidden(config.url)
+    """Raises InputError where no endpoint or model is named, the address is none, or the key is not there or would go in the clear."""
+    check_endpoint(config, WHERE)
 
 
 def label(config: VisionLanguage, model: Model | None) -> str:

@@ -21,13 +21,13 @@ from schemas.selection import Selection
 from tasks.geometry.transforms import inverse, matrix
 from tasks.navigation import split_of
 from tasks.selection import SelectionConfig
-from tasks.selection.crops import decoded
 from tasks.selection.evidence import instance_frame
 from tasks.selection.model.config import SelectionModel
 from tasks.selection.model.examples import AlignedCandidate, Example
 from tasks.selection.model.sight import evidence, scanned, surface_cloud
 from tasks.selection.scoring import is_own_geometry
 from tasks.stage import Context
+from tasks.views.crops import decoded
 
 R = TypeVar("R")
 Key = tuple[str, str]

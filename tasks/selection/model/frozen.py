@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.crops import squared
 from tasks.selection.methods import encoders
 from tasks.selection.methods.encoders import CLIP_MEAN, CLIP_STD, IMAGENET_MEAN, IMAGENET_STD, dino_in, remembered, weights_digest
 from tasks.selection.model.clouds import Array
 from tasks.selection.model.config import ClipQuery, Dinov2Query, SelectionModel, SiglipQuery
 from tasks.selection.model.features import Scanned
+from tasks.views.crops import squared
 
 Pair = ClipQuery | SiglipQuery
 Frozen = Pair | Dinov2Query

@@ -73,7 +73,7 @@ def drawn_rows(
         blobs.update(item.stand.files)
     instances = [_instance(drawn, item, room_index, blobs) for item in placed]
     known = dataclasses.replace(context, blobs=_with(blobs, context.blobs))
-    captioned = captioning.run(instances=instances, context=known, config=captioning.CaptionsConfig())
+    captioned = captioning.run(instances=instances, frames=[], masks=[], context=known, config=captioning.CaptionsConfig())
     candidates = [_candidate(drawn, item) for item in placed]
     selections = [_selection(drawn, item) for item in placed]
     assets = {item.stand.asset.asset_id: item.stand.asset for item in placed}

@@ -98,7 +98,9 @@ def candidates_of(
 ) -> Outcome:
     blobs = {name: data for _, files in pairs for name, data in files.items()}
     instances = [instance for instance, _ in pairs]
-    words = captions.run(instances=instances, context=Context("test/room", "captions", seed, blobs), config=captions.CaptionsConfig())
+    words = captions.run(
+        instances=instances, frames=[], masks=[], context=Context("test/room", "captions", seed, blobs), config=captions.CaptionsConfig()
+    )
     context = Context("test/room", "candidates", seed, blobs, spread=spread)
     outcome = run(
         instances=instances, captions=words.rows["captions"], library=library, context=context, config=config or CandidatesConfig()

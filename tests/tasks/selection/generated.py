@@ -70,7 +70,9 @@ def generated_room(kind: str = "living room", count: int = 6, seed: int = 5) -> 
                 points_blob=blobs.add(dump_points(points[seen], colors[seen]), "ply"), mesh_blob=None, view_blob=None, best_frames=(),
             )
         )  # fmt: skip
-    words = captions.run(instances=instances, context=Context(SCENE, "captions", 0, blobs), config=captions.CaptionsConfig())
+    words = captions.run(
+        instances=instances, frames=[], masks=[], context=Context(SCENE, "captions", 0, blobs), config=captions.CaptionsConfig()
+    )
     offered = candidates.run(
         instances=instances, captions=words.rows["captions"], library=None, context=Context(SCENE, "candidates", 0, blobs),
         config=candidates.CandidatesConfig(),

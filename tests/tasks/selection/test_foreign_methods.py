@@ -13,7 +13,6 @@ import pytest
 from schemas.errors import InputError
 from tasks.geometry.transforms import yaw_pose
 from tasks.selection import SelectionConfig
-from tasks.selection.crops import filling
 from tasks.selection.evidence import Evidence, InstanceQuery, gather
 from tasks.selection.methods import acdc, clip, encoders
 from tasks.selection.methods.acdc import AcdcScores
@@ -23,6 +22,7 @@ from tasks.selection.methods.pictures import around, parts_of
 from tasks.selection.model import frozen
 from tasks.selection.model.config import ClipQuery
 from tasks.stage import Context
+from tasks.views.crops import filling
 from tests.samples import sample
 from tests.tasks.selection.rooms import RED, SCENE, Room, cabinet, chair, photographed, scan, table
 
@@ -166,7 +166,7 @@ def test_acdc_finds_the_snapshot_that_is_the_crop(room: Room, dino_folder: Path)
 
 
 def _crop(picture: np.ndarray):
-    from tasks.selection.crops import Crop
+    from tasks.views.crops import Crop
 
     return Crop(picture)
 

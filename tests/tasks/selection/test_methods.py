@@ -17,7 +17,6 @@ from tasks.geometry.transforms import matrix, transform_points, yaw_pose
 from tasks.selection import SelectionConfig
 from tasks.selection.alignment import AlignmentConfig
 from tasks.selection.alignment.free_pose import FreePose
-from tasks.selection.crops import Crop, crop_of, filling, resized, scaled, squared
 from tasks.selection.methods.color_histogram import ColorHistogram
 from tasks.selection.methods.extents import Extents, size_agreement
 from tasks.selection.methods.geometric import Geometric
@@ -26,6 +25,7 @@ from tasks.selection.methods.members import METHODS
 from tasks.selection.methods.method import chances
 from tasks.selection.methods.model import ModelScores
 from tasks.settings import adapter
+from tasks.views.crops import Crop, crop_of, filling, resized, scaled, squared
 from tests.tasks.selection.rooms import GRAY, RED, WOOD, Room, cabinet, canonical, chair, photographed, scan, shelf, table
 
 EYE = (2.4, 1.3, 1.6)

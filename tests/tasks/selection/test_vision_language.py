@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import base64
-import dataclasses
 import io
 import json
 import random
-import threading
-from collections.abc import Callable, Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
@@ -17,67 +13,17 @@ import PIL.Image
 import pytest
 
 from schemas.errors import InputError
+from tasks.calls.endpoint import Endpoint, EndpointAway
+from tasks.calls.replies import UnreadableReply
 from tasks.geometry.transforms import yaw_pose
 from tasks.selection import SelectionConfig
-from tasks.selection.methods import endpoint as endpoints
-from tasks.selection.methods.endpoint import FORMS, Endpoint, EndpointAway
-from tasks.selection.methods.replies import UnreadableReply, ranking_of, table_of
+from tasks.selection.methods.ranking import ranking_of
 from tasks.selection.methods.vision_language import SCHEMA, VisionLanguage
 from tasks.stage import Context
+from tests.tasks.calls.servers import Server, asking, refuses, says, server
 from tests.tasks.selection.rooms import RED, SCENE, Room, cabinet, chair, photographed, scan, shelf, table
 
-Answer = Callable[[dict[str, Any]], tuple[int, Any, dict[str, str]]]
-
-
-class Server:
-    """An OpenAI-compatible endpoint whose answers a test gives, one after another; the last goes on."""
-
-    def __init__(self) -> None:
-        self.answers: list[Answer] = []
-        self.requests: list[tuple[str, dict[str, str], dict[str, Any]]] = []
-        outer = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_POST(self) -> None:
-                body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-                outer.requests.append((self.path, dict(self.headers), body))
-                answer = outer.answers.pop(0) if len(outer.answers) > 1 else outer.answers[0]
-                status, content, headers = answer(body)
-                data = content if isinstance(content, bytes) else json.dumps(content).encode()
-                self.send_response(status)
-                for name, value in {"Content-Length": str(len(data)), **headers}.items():
-                    self.send_header(name, value)
-                self.end_headers()
-                self.wfile.write(data)
-
-            def log_message(self, *arguments: object) -> None:
-                pass
-
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.url = f"http://127.0.0.1:{self._server.server_address[1]}/v1"
-        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.01})
-        self._thread.start()
-
-    def close(self) -> None:
-        self._server.shutdown()
-        self._thread.join()
-        self._server.server_close()
-
-
-def says(text: str) -> Answer:
-    return lambda body: (200, {"choices": [{"message": {"role": "assistant", "content": text}}]}, {})
-
-
-def refuses(status: int, **headers: str) -> Answer:
-    return lambda body: (status, {"error": {"message": "no"}}, headers)
-
-
-@pytest.fixture
-def server() -> Iterator[Server]:
-    made = Server()
-    endpoints._UNDERSTOOD.clear()
-    yield made
-    made.close()
+__all__ = ["server"]
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +39,6 @@ def room() -> Room:
 
 def config(server: Server, **more: Any) -> SelectionConfig:
     return SelectionConfig(provider=VisionLanguage(**{"url": server.url, "model": "seer-1", "pause_seconds": 0.0, "pixels": 48, **more}))
-
-
-def asking(server: Server, **more: Any) -> Endpoint:
-    return Endpoint(server.url, "seer-1", pause_seconds=0.0, **more)
 
 
 def test_the_models_order_comes_first_and_geometry_orders_the_rest(room: Room, server: Server) -> None:
@@ -117,7 +59,7 @@ def test_it_is_shown_the_crop_and_every_candidate_with_its_number(room: Room, se
     assert path == "/v1/chat/completions"
     assert "Authorization" not in headers
     assert (body["model"], body["temperature"]) == ("seer-1", 0)
-    assert body["response_format"] == {"type": "json_schema", "json_schema": {"name": "choice", "strict": True, "schema": SCHEMA}}
+    assert body["response_format"] == {"type": "json_schema", "json_schema": {"name": "reply", "strict": True, "schema": SCHEMA}}
     (message,) = body["messages"]
     texts = [part["text"] for part in message["content"] if part["type"] == "text"]
     pictures = [part["image_url"]["url"] for part in message["content"] if part["type"] == "image_url"]
@@ -174,59 +116,12 @@ def test_the_same_request_is_sent_once(room: Room, server: Server) -> None:
     assert len(server.requests) == 2
 
 
-@pytest.mark.parametrize(("refused", "form"), [(0, "json_schema"), (1, "json_object"), (2, "text")])
-def test_servers_that_know_no_forms_are_asked_in_plainer_ones(server: Server, refused: int, form: str) -> None:
-    server.answers = [*[refuses(400)] * refused, says("{}")]
-    assert asking(server).ask([], SCHEMA) == "{}"
-    assert asking(server).ask([], SCHEMA) == "{}"
-    asked = [body.get("response_format", {"type": "text"})["type"] for _, _, body in server.requests]
-    assert asked == [*FORMS[: refused + 1], form], "what was understood is asked for first"
-
-
-@pytest.mark.parametrize("status", [408, 429, 500, 503, 529])
-def test_what_passes_is_tried_again(server: Server, status: int) -> None:
-    server.answers = [refuses(status), refuses(status), says("here")]
-    pauses: list[float] = []
-    made = dataclasses.replace(asking(server), pause_seconds=1.5, sleep=pauses.append)
-    assert made.ask([], SCHEMA) == "here"
-    assert pauses == [1.5, 3.0]
-
-
-def test_a_server_says_how_long_to_wait(server: Server) -> None:
-    server.answers = [refuses(429, **{"Retry-After": "7"}), refuses(429, **{"Retry-After": "100000"}), says("here")]
-    pauses: list[float] = []
-    assert dataclasses.replace(asking(server), sleep=pauses.append).ask([], SCHEMA) == "here"
-    assert [pause for pause in pauses if pause] == [7.0, 120.0]
-
-
 def test_an_endpoint_that_stays_away_fails_the_scene(room: Room, server: Server) -> None:
     server.answers = [refuses(503)]
     with pytest.raises(EndpointAway, match=r"no answer after 3 tries: HTTP 503"):
         room.select(config(server, attempts=3))
     assert len(server.requests) == 3
     assert issubclass(EndpointAway, ConnectionError), "such errors are tried again in the next run"
-
-
-def test_nobody_listening_is_an_endpoint_that_is_away(server: Server) -> None:
-    nobody = ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler)
-    port = nobody.server_address[1]
-    nobody.server_close()
-    with pytest.raises(EndpointAway, match="no answer after 2 tries"):
-        Endpoint(f"http://127.0.0.1:{port}/v1", "seer-1", attempts=2, pause_seconds=0.0).ask([], SCHEMA)
-
-
-@pytest.mark.parametrize("content", [b"<html>", b"[]", b'{"choices": []}', b'{"choices": [{"message": {"content": null}}]}'])
-def test_what_is_no_answer_of_the_protocol_is_refused(server: Server, content: bytes) -> None:
-    server.answers = [lambda body: (200, content, {})]
-    with pytest.raises(InputError, match="OpenAI-compatible"):
-        asking(server).ask([], SCHEMA)
-
-
-def test_redirects_are_not_followed(server: Server) -> None:
-    server.answers = [lambda body: (302, b"", {"Location": "http://127.0.0.1:1/"})]
-    with pytest.raises(InputError, match="HTTP 302"):
-        asking(server, key="secret").ask([], SCHEMA)
-    assert len(server.requests) == 1
 
 
 @pytest.mark.parametrize("told", [{"url": "file:///etc/passwd"}, {"url": ""}, {"model": ""}, {"url": "http://a:secret@127.0.0.1/v1"}])
@@ -302,8 +197,3 @@ def test_two_hundred_corruptions_are_read_rightly_or_refused() -> None:
             assert list(order) == lost, (text, order)
             assert order[0] == 7, (text, order)
     assert read >= 100
-
-
-def test_the_first_table_that_can_be_read_counts() -> None:
-    assert table_of('{not this} {"a": 1} {"b": 2}') == {"a": 1}
-    assert table_of('x {"a": {"b": [1, 2]}} y') == {"a": {"b": [1, 2]}}

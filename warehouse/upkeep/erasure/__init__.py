@@ -121,6 +121,7 @@ class _Work:
         self._going = tuple(row.snapshot_id for row in self._every if row not in self._kept)
         self._staged = [staged_run for staged_run in lake.staging.runs() if scene_id in (staged_run.run.scene_id, base_of(staged_run.run))]
         self._staged_runs = len(self._staged)
+        self._has_calls = any(call.scene_id == scene_id for call in lake.calls.all().values())
         self._removed_blobs: set[str] = set()
         self._is_carried_out = False
         self._young = 0
@@ -128,7 +129,9 @@ class _Work:
         self._models = _trained_on(lake, scene_id)
         self.plan = self._planned(begun)
         # Nothing but the command line says that there ever was such a scene.
-        self.is_unknown = begun is None and not (sum(self.counts.values()) or self._staged or self.plan.blobs or self._is_in_any_file())
+        self.is_unknown = begun is None and not (
+            sum(self.counts.values()) or self._staged or self._has_calls or self.plan.blobs or self._is_in_any_file()
+        )
         self.final_traces = self.plan.traces
 
     def carry_out(self, advance: Advance, elsewhere: Elsewhere) -> None:
@@ -283,10 +286,11 @@ class _Work:
             for table, path in staged_run.files.items():
                 for column in TABLES[table].blob_columns if table in TABLES else ():
                     names.update(name for name in self._lake.staging.read(path).column(column).to_pylist() if name is not None)
-        return names
+        return names | self._lake.calls.blob_names(lambda call: call.scene_id == self._scene)
 
     def _remove_staged(self) -> None:
         self._lake.staging.remove(self._staged)
+        self._lake.calls.erase(self._scene)
         for name in self._lake.storage.names("staged", f"{quoted_scene(self._scene)}@"):
             self._lake.storage.remove(f"staged/{name}")  # without the run's own row
         self._lake.staging.remove_incomplete()  # a batch whose writer died may tell of the scene, and nobody will take it in
@@ -312,7 +316,7 @@ class _Work:
             for table, path in staged_run.files.items() if staged_run.token not in own else ():
                 for column in TABLES[table].blob_columns if table in TABLES else ():
                     named |= set(self._lake.staging.read(path).column(column).to_pylist())
-        return set(self.plan.blobs) - named
+        return set(self.plan.blobs) - named - self._lake.calls.blob_names(lambda call: call.scene_id != self._scene)
 
     def _remove_blobs(self) -> None:
         self._kept = list(self._lake.snapshot().snapshots)

@@ -14,6 +14,7 @@ from warehouse.upkeep.inspection.finding import Fault, in_short
 from warehouse.upkeep.inspection.folders import (
     Counted,
     blob_findings,
+    call_findings,
     files_by_table,
     readable,
     release_findings,
@@ -105,7 +106,10 @@ def inspect(
         references.finish()
         staged = list(staged_findings(lake)) if is_whole else []
         if is_whole:
-            references.spare(lake.staging.blob_names() if not any(fault.kind == "staged run" for fault in staged) else ())
+            called = list(call_findings(lake))
+            is_sound = not any(fault.kind in ("staged run", "recorded call") for fault in (*staged, *called))
+            references.spare(lake.staging.blob_names() | lake.calls.blob_names() if is_sound else ())
+            staged += called
         findings += blob_findings(lake, references, counted, quick, is_whole, advance)
     if is_whole:
         findings += [*tables.strangers(), *staged, *root_findings(lake)]

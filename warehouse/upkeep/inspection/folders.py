@@ -28,6 +28,7 @@ from warehouse.sharing.presence import path_of as path_of_run
 from warehouse.sharing.writer import writer_of
 from warehouse.storage.blobs import FOLDER as BLOB_FOLDER
 from warehouse.storage.files import TEMPORARY
+from warehouse.tables.calls import FOLDER as CALL_FOLDER
 from warehouse.tables.released import FOLDER as RELEASE_FOLDER
 from warehouse.tables.released import RECORD, folder_of, released
 from warehouse.tables.staging import FOLDER as STAGED_FOLDER
@@ -38,7 +39,9 @@ from warehouse.upkeep.vacuum import BLOB_SECONDS
 
 CHECKSUMS = "SHA256SUMS"
 
-_ROOT_FOLDERS = {BLOB_FOLDER, CLAIM_FOLDER, DRAFT_FOLDER, LOOK_FOLDER, RELEASE_FOLDER, RUN_FOLDER, STAGED_FOLDER, TEMPORARY, "tables"}
+_ROOT_FOLDERS = {
+    BLOB_FOLDER, CALL_FOLDER, CLAIM_FOLDER, DRAFT_FOLDER, LOOK_FOLDER, RELEASE_FOLDER, RUN_FOLDER, STAGED_FOLDER, TEMPORARY, "tables"
+}  # fmt: skip
 _ROOT_FILES = {MARKER, LEASE_PATH, "erasure.json", "backup.json", "backup.parquet"}
 # A lake whose blobs are somewhere else misses millions.
 _MOST_NAMED = 100
@@ -182,6 +185,16 @@ def staged_findings(lake: Lake) -> Iterator[Fault]:
                 yield Fault("foreign file", entry.path, "", "is none of the lake's", "move it away", False)
             elif is_left_over(writer, entry.modified):
                 yield Fault("unfinished run", entry.path, "", "was left by a run that was killed", _NEXT_RUN, False)
+
+
+def call_findings(lake: Lake) -> Iterator[Fault]:
+    """Recorded calls that are damaged, and files among them that are none."""
+    try:
+        lake.calls.all()
+    except InputError as error:
+        yield Fault("recorded call", error.file.removeprefix(f"{lake.address}/"), error.field, error.problem, error.remedy)
+    for path in lake.calls.strangers():
+        yield Fault("foreign file", path, "", "is none of the lake's", "move it away", False)
 
 
 def root_findings(lake: Lake) -> Iterator[Fault]:

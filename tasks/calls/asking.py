@@ -1,0 +1,155 @@
+"""Asking a model: what the ledger has is not asked again, and what is asked is recorded, whatever comes of it."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import io
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.calls import ModelCall
+from schemas.errors import InputError
+from tasks.calls.endpoint import Answer, EndpointAway, EndpointSettings
+
+if TYPE_CHECKING:
+    from tasks.stage import Context
+
+VERSION_LETTERS = 12
+"""Of the hash of a prompt's text: enough to tell its versions apart."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Prompt:
+    """A prompt as people read it. name: Of its file. text: With {fields} to fill in."""
+
+    name: str
+    text: str
+
+    @property
+    def version(self) -> str:
+        """Another one where the text is."""
+        return hashlib.sha256(self.text.encode()).hexdigest()[:VERSION_LETTERS]
+
+
+@dataclasses.dataclass(frozen=True)
+class Conversation:
+    """What a chat model is asked: messages so far, and the JSON schema of the reply. instance_id: What it is about."""
+
+    prompt: Prompt
+    messages: Sequence[Mapping[str, Any]]
+    schema: Mapping[str, Any]
+    instance_id: str | None = None
+
+    def again(self, reply: str, problem: str) -> Conversation:
+        """The same, with a reply that cannot be used and why."""
+        more = {"role": "user", "content": f"That cannot be used: {problem}. Answer again, with JSON alone."}
+        return dataclasses.replace(self, messages=[*self.messages, {"role": "assistant", "content": reply}, more])
+
+
+def text_part(text: str) -> dict[str, Any]:
+    """A text inside of a message."""
+    return {"type": "text", "text": text}
+
+
+def picture_part(image: NDArray[np.uint8]) -> dict[str, Any]:
+    """A picture inside of a message, shape (h, w, 3), as PNG: the same pixels are the same request."""
+    import PIL.Image
+
+    file = io.BytesIO()
+    PIL.Image.fromarray(np.ascontiguousarray(image)).save(file, "PNG")
+    return {"type": "image_url", "image_url": {"url": f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"}}
+
+
+@dataclasses.dataclass(frozen=True)
+class Reply:
+    """What a call was answered with, now or before."""
+
+    call_id: str
+    text: str
+
+
+def call_key(kind: str, *facts: Any) -> str:
+    """The id of a call: of what it is and all that its answer follows from, as JSON. Not of where it is asked: an address may move."""
+    return hashlib.sha256(json.dumps([kind, *facts], sort_keys=True).encode()).hexdigest()
+
+
+def ask(context: Context, settings: EndpointSettings, conversation: Conversation, where: str) -> Reply:
+    """A model's reply, as it is in the ledger; else the endpoint is asked. where: The settings, as errors name them.
+
+    Raises:
+        InputError: the endpoint refuses.
+        EndpointAway: it does not answer, or no further call may be made.
+    """
+    asked = {"messages": list(conversation.messages), "schema": conversation.schema}
+    call_id = call_key("chat", settings.model, settings.model_version, asked)
+    known = context.ledger.reply(call_id)
+    if known is not None:
+        return Reply(call_id, known.decode())
+
+    def send(begun: Callable[[], None]) -> Answer:
+        return settings.endpoint(where).ask(conversation.messages, conversation.schema, begun)
+
+    call = ModelCall(
+        call_id=call_id, kind="chat", stage=context.stage, scene_id=context.scene_id, instance_id=conversation.instance_id,
+        model=settings.model, model_version=settings.model_version, prompt=conversation.prompt.name,
+        prompt_version=conversation.prompt.version, request_blob="", outcome="answered", problem=None, reply_blob=None,
+        prompt_tokens=None, reply_tokens=None, cost_usd=0.0, seconds=0.0, attempts=1, lost=0, asked_at=datetime.now(UTC), run="",
+    )  # fmt: skip
+    told = recorded(context, call, json.dumps(asked, sort_keys=True).encode(), send, settings.cost_usd)
+    return Reply(call_id, told.decode())
+
+
+def recorded(
+    context: Context,
+    call: ModelCall,
+    request: bytes,
+    send: Callable[[Callable[[], None]], Answer],
+    price: Callable[[Answer], float],
+) -> bytes:
+    """The reply to a call that nobody has made: it is sent, and recorded whatever comes of it.
+
+    Raises:
+        InputError, EndpointAway: as `send` does; that is recorded, too.
+    """
+    ledger, sent = context.ledger, 0
+
+    def begun() -> None:
+        nonlocal sent
+        ledger.request()
+        sent += 1
+
+    outcome: Literal["answered", "refused", "away"]
+    with ledger.asking(call.call_id, call.scene_id):
+        known = ledger.reply(call.call_id)  # somebody else may have been quicker
+        if known is not None:
+            return known
+        clock = time.perf_counter()
+        answer: Answer | None = None
+        failure: InputError | EndpointAway | None = None
+        try:
+            answer, outcome = send(begun), "answered"
+        except InputError as error:
+            failure, outcome = error, "refused"
+        except EndpointAway as error:
+            failure, outcome = error, "away"
+        if failure is not None and not sent:
+            raise failure  # nothing left this process
+        reply = answer.text.encode() if answer is not None else None
+        done = dataclasses.replace(
+            call, outcome=outcome, problem=None if failure is None else str(failure), seconds=time.perf_counter() - clock, attempts=sent,
+            prompt_tokens=answer.prompt_tokens if answer is not None else None,
+            reply_tokens=answer.reply_tokens if answer is not None else None, cost_usd=price(answer) if answer is not None else 0.0,
+        )  # fmt: skip
+        kept = ledger.record(done, request, reply)
+    if failure is not None:
+        raise failure
+    assert kept is not None
+    return kept

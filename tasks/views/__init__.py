@@ -1,0 +1,1 @@
+"""Pictures of instances: crops of their best views."""
