@@ -55,7 +55,7 @@ class Lake:
         self.storage = storage
         self.tables = DeltaTables(storage)
         self.staging = Staging(storage)
-        self.calls = PendingCalls(storage)
+        self.calls = PendingCalls(storage, self._prepare)
         self._is_marked = False
         self._newest: tuple[str, Reader] | None = None
         self.blobs = BlobStore(storage, self._prepare)

@@ -51,11 +51,10 @@ def table_of(reply: str, example: str, *, is_alone: bool = False) -> dict[str, A
 
 
 def _check_alone(text: str, start: int, part: str) -> None:
-    """Raises UnreadableReply where what stands around a table looks like more of it, it ends within a value, or a key is there twice."""
-    is_whole = text.startswith(part, start)
-    if not is_whole and not text.rstrip().rstrip("`").rstrip().endswith(("}", "]")):
-        raise UnreadableReply("it ends within a value")
-    rest = text[start + len(part) :] if is_whole else ""
+    """Raises UnreadableReply where what stands around a table looks like more of it, it has no end, or a key is there twice."""
+    if not text.startswith(part, start):
+        raise UnreadableReply("it has no end")  # nobody knows whether its last value has
+    rest = text[start + len(part) :]
     around = f"{text[:start]} {rest}".replace("```", " ").translate(_QUOTES)
     if re.search(r'[{}\[\]"]|(?:^|\s)[:,]?\s*\d+(?:\.\d+)?\s*[,}]', around):
         raise UnreadableReply("there is more than one JSON object, or a bracket too many")

