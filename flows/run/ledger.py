@@ -107,7 +107,7 @@ class LakeLedger:
     def _kept(self, call: ModelCall, request: bytes, reply: bytes | None) -> bytes | None:
         blobs = self._lake.blobs
         request_blob = blobs.put(request, "json")
-        reply_blob = blobs.put(reply, "txt") if reply is not None else None
+        reply_blob = blobs.put(reply, "txt" if call.kind == "chat" else "glb") if reply is not None else None
         row = dataclasses.replace(call, request_blob=request_blob, reply_blob=reply_blob)
         if self._lake.calls.create(row):
             committed = self._lake.call(call.call_id)  # a commit may have taken the first reply since it was looked for

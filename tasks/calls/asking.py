@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from schemas.calls import ModelCall
 from schemas.errors import InputError
-from tasks.calls.endpoint import Answer, EndpointAway, EndpointSettings
+from tasks.calls.endpoint import Answer, EndpointSettings
+from tasks.calls.exchange import EndpointAway
 
 if TYPE_CHECKING:
     from tasks.stage import Context
@@ -97,14 +98,24 @@ def ask(context: Context, settings: EndpointSettings, conversation: Conversation
     def send(begun: Callable[[], None]) -> Answer:
         return settings.endpoint(where).ask(conversation.messages, conversation.schema, begun)
 
-    call = ModelCall(
-        call_id=call_id, kind="chat", stage=context.stage, scene_id=context.scene_id, instance_id=conversation.instance_id,
-        model=settings.model, model_version=settings.model_version, prompt=conversation.prompt.name,
-        prompt_version=conversation.prompt.version, request_blob="", outcome="answered", problem=None, reply_blob=None,
-        prompt_tokens=None, reply_tokens=None, cost_usd=0.0, seconds=0.0, attempts=1, lost=0, asked_at=datetime.now(UTC), run="",
+    call = new_call(
+        context, call_id, "chat", conversation.instance_id, (settings.model, settings.model_version),
+        (conversation.prompt.name, conversation.prompt.version),
     )  # fmt: skip
     told = recorded(context, call, json.dumps(asked, sort_keys=True).encode(), send, settings.cost_usd)
     return Reply(call_id, told.decode())
+
+
+def new_call(
+    context: Context, call_id: str, kind: str, instance_id: str | None, model: tuple[str, str], prompt: tuple[str, str]
+) -> ModelCall:
+    """The row of a call that nobody has made yet. model, prompt: Name and version."""
+    return ModelCall(
+        call_id=call_id, kind=kind, stage=context.stage, scene_id=context.scene_id, instance_id=instance_id, model=model[0],
+        model_version=model[1], prompt=prompt[0], prompt_version=prompt[1], request_blob="", outcome="answered", problem=None,
+        reply_blob=None, prompt_tokens=None, reply_tokens=None, cost_usd=0.0, seconds=0.0, attempts=1, lost=0,
+        asked_at=datetime.now(UTC), run="",
+    )  # fmt: skip
 
 
 def recorded(
@@ -112,7 +123,7 @@ def recorded(
     call: ModelCall,
     request: bytes,
     send: Callable[[Callable[[], None]], Answer],
-    price: Callable[[Answer], float],
+    price: Callable[[Answer], float] = lambda answer: 0.0,
 ) -> bytes:
     """The reply to a call that nobody has made: it is sent, and recorded whatever comes of it.
 
@@ -142,7 +153,7 @@ def recorded(
             failure, outcome = error, "away"
         if failure is not None and not sent:
             raise failure  # nothing left this process
-        reply = answer.text.encode() if answer is not None else None
+        reply = answer.data if answer is not None else None
         done = dataclasses.replace(
             call, outcome=outcome, problem=None if failure is None else str(failure), seconds=time.perf_counter() - clock, attempts=sent,
             prompt_tokens=answer.prompt_tokens if answer is not None else None,

@@ -1,49 +1,25 @@
-"""Asking a model over an OpenAI-compatible endpoint: what can be tried again is, and nothing is swallowed."""
+"""Asking a model over an OpenAI-compatible endpoint, in the strictest form that it knows."""
 
 from __future__ import annotations
 
 import dataclasses
-import http.client
-import ipaddress
 import json
-import os
 import time
-import urllib.error
-import urllib.parse
-import urllib.request
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from schemas.errors import InputError, check_address
-from schemas.text import HIDDEN, cut
+from tasks.calls.exchange import Exchange, NoAnswer, check_hidden, key_in
 from tasks.settings import Config, Count, NonNegative, Positive
-
-MOST_BYTES = 4 << 20
-"""Of an answer; a choice needs a kilobyte."""
-
-PART_BYTES = 1 << 16
-"""Of an answer that are read at once: between two parts the time is looked at."""
-
-TRIED_AGAIN = frozenset({408, 409, 425, 429, 500, 502, 503, 504, 529})
-"""States of HTTP that pass."""
 
 NOT_UNDERSTOOD = frozenset({400, 404, 415, 422, 501})
 """States by which servers say that they do not know a form of answer."""
-
-LONGEST_PAUSE_SECONDS = 120.0
-
-SHORTEST_PART = 8
-"""Characters of a key from its beginning that are hidden where a server repeats them; shorter ones may be part of any word."""
 
 FORMS = ("json_schema", "json_object", "text")
 """How an answer's form is asked for, the strictest first: servers differ in what they understand (specs A.3)."""
 
 _UNDERSTOOD: dict[str, str] = {}
 """The form that an endpoint understood, by address and model: in this process it is asked for first."""
-
-
-class EndpointAway(ConnectionError):
-    """An endpoint does not answer for the time being: nobody's fault, and it passes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,9 +66,14 @@ def check_endpoint(settings: EndpointSettings, where: str) -> None:
 class Answer:
     """What came back. prompt_tokens, reply_tokens: As the endpoint counts them; None where it does not."""
 
-    text: str
+    data: bytes
     prompt_tokens: int | None = None
     reply_tokens: int | None = None
+
+    @property
+    def text(self) -> str:
+        """What a chat model says."""
+        return self.data.decode()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,12 +97,13 @@ class Endpoint:
         begun: Called before every request, with those that are sent again.
 
         Raises:
-            InputError: the address, the key or the model is refused, the key would go in the clear, or an answer is not of the protocol.
-            EndpointAway: no answer came, though it was tried several times.
+            InputError: the address, the key or the model is refused, or the key would go in the clear.
+            EndpointAway: no answer of the protocol came, though it was tried several times.
         """
-        check_address(self.url, f"{self.where}.url")
-        if self.key:
-            check_hidden(self.url, self.where)
+        exchange = Exchange(
+            self.url, self.model, self.key, self.timeout_seconds, self.attempts, self.pause_seconds, where=self.where, sleep=self.sleep,
+            clock=self.clock,
+        )  # fmt: skip
         known = f"{self.url} {self.model}"
         for form in FORMS[FORMS.index(_UNDERSTOOD.get(known, FORMS[0])) :]:
             body: dict[str, Any] = {"model": self.model, "messages": list(messages), "temperature": 0}
@@ -129,133 +111,28 @@ class Endpoint:
                 body["response_format"] = {"type": form, "json_schema": {"name": "reply", "strict": True, "schema": dict(schema)}}
             elif form == "json_object":
                 body["response_format"] = {"type": form}
-            answer = self._answer(json.dumps(body).encode(), form == FORMS[-1], begun)
+            unknown = NOT_UNDERSTOOD if form != FORMS[-1] else ()
+            answer = exchange.send("/chat/completions", json.dumps(body).encode(), _read_answer, begun, unknown)
             if answer is not None:
                 _UNDERSTOOD[known] = form
                 return answer
         raise AssertionError("the last form has an answer or an error")
 
-    def _answer(self, body: bytes, is_last: bool, begun: Callable[[], None]) -> Answer | None:
-        """What came back; None where the server does not know the form that was asked for."""
-        problem = ""
-        for attempt in range(self.attempts):
-            if attempt:
-                self.sleep(min(self.pause_seconds * 2 ** (attempt - 1), LONGEST_PAUSE_SECONDS))
-            headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {self.key}"} if self.key else {})
-            request = urllib.request.Request(f"{self.url.rstrip('/')}/chat/completions", data=body, headers=headers, method="POST")
-            begun()
-            try:
-                give_up = self.clock() + self.timeout_seconds
-                with _OPENER.open(request, timeout=self.timeout_seconds) as reply:
-                    return self._read_answer(self._whole(reply, give_up))
-            except urllib.error.HTTPError as error:
-                message = self._shown(_said(error))
-                if error.code in NOT_UNDERSTOOD and not is_last:
-                    return None
-                problem = f"HTTP {error.code}: {message}"
-                if error.code not in TRIED_AGAIN:
-                    raise InputError(self.url, self.model, problem, f"see url, model and the key of {self.where}") from None
-                self._wait_as_told(error.headers.get("Retry-After"), attempt)
-            except (OSError, ValueError, http.client.HTTPException) as error:
-                problem = self._shown(str(getattr(error, "reason", error)))
-        raise EndpointAway(f"{self.url}: no answer after {self.attempts} tries: {problem}")
 
-    def _whole(self, reply: Any, give_up: float) -> bytes:
-        """The bytes of an answer, up to one more than are looked at.
-
-        Raises:
-            IncompleteRead: it was cut off.
-            TimeoutError: it is still coming after all of the time that it has.
-        """
-        data = b""
-        while len(data) <= MOST_BYTES and (part := reply.read1(PART_BYTES)):
-            data += part
-            if self.clock() > give_up:
-                raise TimeoutError(f"still sending after {self.timeout_seconds:g} s")
-        if len(data) <= MOST_BYTES and reply.length:  # of a read with a bound, http.client does not say that it was cut off
-            raise http.client.IncompleteRead(data, reply.length)
-        return data
-
-    def _shown(self, message: str) -> str:
-        """The beginning of what a server said, without the key, of which it may repeat a part."""
-        for length in range(len(self.key), min(SHORTEST_PART, len(self.key)) - 1, -1):
-            message = message.replace(self.key[:length], HIDDEN) if length else message
-        return cut(message)
-
-    def _wait_as_told(self, seconds: str | None, attempt: int) -> None:
-        if seconds is not None and seconds.strip().isdigit() and attempt + 1 < self.attempts:
-            self.sleep(min(float(seconds), LONGEST_PAUSE_SECONDS))
-
-    def _read_answer(self, data: bytes) -> Answer:
-        """The message in an answer, and how many tokens it counts."""
-        try:
-            table: Any = json.loads(data) if len(data) <= MOST_BYTES else {}
-            text = table["choices"][0]["message"]["content"]
-        except (ValueError, LookupError, TypeError, RecursionError):
-            table, text = {}, None
-        if not isinstance(text, str):
-            raise InputError(self.url, "choices[0].message.content", "is missing in the answer", "name an OpenAI-compatible endpoint")
-        usage = table.get("usage")
-        return Answer(text, _tokens(usage, "prompt_tokens"), _tokens(usage, "completion_tokens"))
+def _read_answer(data: bytes) -> Answer:
+    """The message in an answer, and how many tokens it counts."""
+    try:
+        table: Any = json.loads(data)
+        text = table["choices"][0]["message"]["content"]
+    except (ValueError, LookupError, TypeError, RecursionError):
+        table, text = {}, None
+    if not isinstance(text, str):
+        raise NoAnswer("no choices[0].message.content, which OpenAI-compatible endpoints have")
+    usage = table.get("usage")
+    return Answer(text.encode(errors="replace"), _tokens(usage, "prompt_tokens"), _tokens(usage, "completion_tokens"))
 
 
 def _tokens(usage: Any, name: str) -> int | None:
     """A count of tokens; None where there is none that can be one."""
     value = usage.get(name) if isinstance(usage, Mapping) else None
     return value if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 40 else None
-
-
-def _said(error: urllib.error.HTTPError) -> str:
-    """How the text of a refusal begins, as far as it arrives: its state says all that is needed."""
-    try:
-        return error.read(400).decode(errors="replace")
-    except (OSError, ValueError, http.client.HTTPException):
-        return ""
-
-
-def check_hidden(url: str, where: str) -> None:
-    """Refuse an address to which a key would go in the clear: http, but for this machine.
-
-    Raises:
-        InputError: says so.
-    """
-    try:
-        parts = urllib.parse.urlsplit(url)
-        scheme, host = parts.scheme, parts.hostname or ""
-    except ValueError:
-        raise InputError(f"{where}.url", "", "is no address", "give that of an OpenAI-compatible endpoint: https://.../v1") from None
-    if scheme != "https" and not _is_here(host):
-        raise InputError(f"{where}.url", "", f"a key would go to {cut(host)} in the clear", "give an https:// address")
-
-
-def _is_here(host: str) -> bool:
-    """Whether a host is this machine: localhost, 127.0.0.0/8, ::1."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def key_in(variable: str, where: str) -> str:
-    """A key out of the environment; '' where no variable is named.
-
-    Raises:
-        InputError: the variable is not set, or holds what no header can.
-    """
-    if not variable:
-        return ""
-    key = os.environ.get(variable, "").strip()
-    if not key or not key.isascii() or not key.isprintable():
-        raise InputError(where, "key_variable", f"{variable} holds no key", "set it where the workers run")
-    return key
-
-
-class _NoRedirects(urllib.request.HTTPRedirectHandler):
-    """A redirect would take the key along."""
-
-    def redirect_request(self, *arguments: Any, **more: Any) -> None:
-        """Follow none: the answer is an error of its own."""
-        return None
-
-
-_OPENER = urllib.request.build_opener(_NoRedirects)

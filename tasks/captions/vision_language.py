@@ -12,7 +12,8 @@ from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.errors import InputError
 from tasks.calls.asking import Conversation, Prompt, ask, picture_part, text_part
-from tasks.calls.endpoint import EndpointAway, EndpointSettings, check_endpoint
+from tasks.calls.endpoint import EndpointSettings, check_endpoint
+from tasks.calls.exchange import EndpointAway
 from tasks.calls.replies import UnreadableReply
 from tasks.captions.classical import ClassicalCaptions, described
 from tasks.captions.colors import WORDS

@@ -224,6 +224,17 @@ def _caption(key: str, facts: Facts) -> list[str]:
     ]
 
 
+def _model_call(key: str, facts: Facts) -> list[str]:
+    """A call with its prompt and reply, line by line."""
+    tokens = f"{number(facts['prompt_tokens'])} tokens sent, {number(facts['reply_tokens'])} came back"
+    lost = f", {_plural(facts['lost'], 'call')} lost before" if facts["lost"] else ""
+    took = f"{facts['outcome']} after {_plural(facts['attempts'], 'request')} in {number(facts['seconds'])} s{lost}"
+    head = f"{facts['model']}{' ' + facts['model_version'] if facts['model_version'] else ''}, call {key[:12]}"
+    prompt = f"prompt {facts['prompt']} {facts['prompt_version']}, {moment(facts['asked_at'])}"
+    said = [f"{name}: {line}" for name in ("asked", "answered") for line in str(facts.get(name) or "").splitlines() if line.strip()]
+    return [f"{head}, {prompt}", f"{took}; {tokens}; {number(facts['cost_usd'])} USD", *said]
+
+
 def _mask(key: str, facts: Facts) -> list[str]:
     box, seen = facts["pixel_box"], facts["visible_fraction"]
     return [f"{_plural(facts['pixel_count'], 'pixel')} in {box[0]}..{box[2]} x {box[1]}..{box[3]}, {scaled(seen, 100, 0)} % of it visible"]
@@ -329,7 +340,7 @@ def moment(text: str | None) -> str:
 _WORDS: Mapping[str, Callable[[str, Facts], list[str]]] = {
     "instance": _instance, "export": _export, "export_file": _export_file, "placement": _placement, "support": _support, "moves": _moves,
     "certificate": _certificate, "episodes": _episodes, "fidelity": _fidelity, "selection": _selection, "annotation": _annotation,
-    "candidate": _candidate,
+    "candidate": _candidate, "model_call": _model_call,
     "provider": _provider, "asset": _asset, "caption": _caption, "mask": _mask, "frame": _frame, "scene": _scene, "scan": _scan,
     "stage": _stage, "export_format": _export_format, "batch": _batch, "blob": _blob, "uses": _uses, "row": _row,
     "model": _model, "dataset": _dataset, "synthesis": _synthesis, "drawing": _drawing,

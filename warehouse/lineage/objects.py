@@ -12,6 +12,7 @@ from schemas.navigation import Episode, UnreachableTarget
 from schemas.optimization import APPLIED, Certificate, OptimizationStep, Placement, Support
 from schemas.selection import Selection
 from schemas.synthesis import Synthesis, SynthesisObject
+from warehouse.lineage.calls import follow_call
 from warehouse.lineage.nodes import (
     add_annotation,
     answer_key,
@@ -245,6 +246,8 @@ def _caption(walk: Walk, instance: Instance, root: str, depth: int) -> None:
     config = known.config if known is not None else None
     settings = part(config, "fallback" if row.is_fallback else "provider")
     follow_provider(walk, node, row, "of captions", "captions", settings, depth + 1)
+    follow_call(walk, node, row.appearance_call_id, "looks told by", depth + 1)
+    follow_call(walk, node, row.physics_call_id, "behavior told by", depth + 1)
 
 
 def _views(walk: Walk, instance: Instance, root: str, depth: int) -> None:

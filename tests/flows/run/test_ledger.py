@@ -16,7 +16,8 @@ from flows.run.ledger import SPENT, BudgetSpent, CallRules, LakeLedger, NotRecor
 from flows.run.patience import is_away
 from schemas.calls import ModelCall
 from tasks.calls.asking import Conversation, Prompt, ask
-from tasks.calls.endpoint import EndpointAway, EndpointSettings
+from tasks.calls.endpoint import EndpointSettings
+from tasks.calls.exchange import EndpointAway
 from tasks.stage import Context
 from tests.tasks.calls.servers import Server, refuses, says, server
 from warehouse.lake import Lake

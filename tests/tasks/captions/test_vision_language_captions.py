@@ -16,7 +16,7 @@ import pytest
 from schemas.captions import Caption
 from schemas.errors import InputError
 from schemas.record import check
-from tasks.calls.endpoint import EndpointAway
+from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import Recollection
 from tasks.calls.replies import UnreadableReply
 from tasks.captions import CaptionsConfig, VisionLanguageCaptions, run

@@ -13,7 +13,8 @@ import PIL.Image
 import pytest
 
 from schemas.errors import InputError
-from tasks.calls.endpoint import Endpoint, EndpointAway
+from tasks.calls.endpoint import Endpoint
+from tasks.calls.exchange import EndpointAway
 from tasks.calls.replies import UnreadableReply
 from tasks.geometry.transforms import yaw_pose
 from tasks.selection import SelectionConfig
