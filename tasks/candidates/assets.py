@@ -26,10 +26,11 @@ MIN_EXTENT_M, MAX_EXTENT_M = 1e-4, 50.0
 
 @dataclasses.dataclass(frozen=True)
 class MadeAsset:
-    """An asset with its files by blob name."""
+    """An asset with its files by blob name. call_id: The call of a model that made it."""
 
     asset: Asset
     files: Mapping[str, bytes]
+    call_id: str | None = None
 
 
 def make_asset(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.captions import Caption
-from schemas.capture import Instance
+from schemas.capture import Frame, Instance, Mask
 from tasks.candidates.closing import SolidField, solid_field
 from tasks.candidates.completion import Unseen
 from tasks.candidates.descriptors import Descriptor, describe
@@ -25,6 +25,8 @@ from tasks.geometry.meshes import Surface, read_points
 from tasks.geometry.transforms import inverse, transform_points
 from tasks.mounting import mounting
 from tasks.stage import Context
+from tasks.views.crops import Crop
+from tasks.views.crops import crop_of as crop_of_view
 
 if TYPE_CHECKING:
     import trimesh
@@ -38,14 +40,25 @@ MIN_SIDE_M = 0.005
 
 @dataclasses.dataclass(frozen=True)
 class CandidateRequest:
-    """An instance to be stood in for, the library where one is given, and the scene's objects. What is computed once for several slots
-    is a property."""
+    """An instance to be stood in for, the library where one is given, and the scene's objects. frame, mask: Of its best view, as far as
+    they are known. What is computed once for several slots is a property."""
 
     instance: Instance
     caption: Caption | None
     context: Context
     library: LibraryIndex | None
     neighbors: Sequence[Instance] = ()
+    frame: Frame | None = None
+    mask: Mask | None = None
+
+    @cached_property
+    def view(self) -> Crop | None:
+        """The crop of its best view; None where it has none.
+
+        Raises:
+            InputError: the picture cannot be read.
+        """
+        return crop_of_view(self.instance, self.frame, self.mask, self.context.blobs)
 
     @property
     def held(self) -> list[tuple[float, float, float, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,13 @@ Array = NDArray[np.float64]
 
 OFF_MAP_M = 0.08
 """Returns farther than this from all that the map's plane shows are of things that it does not have [m]: eight times the lidar's noise."""
+
+DOUBTFUL_M = 0.04
+"""Returns farther off than this [m] may be of a thing that was moved a little: four times the lidar's noise, of which a turn of a hundred
+rays has one by chance."""
+
+TIMES = 5
+"""So many scans have to see something at a doubtful place: chance does not strike one square of `PACE_M` so often, and a pose that is off for a moment does not last."""
 
 BEHIND_M = 0.06
 """A place is empty when rays beside it end so much farther away [m]."""
@@ -35,6 +43,7 @@ class UnmappedPlaces:
     def __init__(self, floor: Floor) -> None:
         self._mapped = floor.plane_distances
         self.points: Array = np.zeros((0, 2))
+        self._doubted: Counter[tuple[int, int]] = Counter()
 
     def see(self, returns: ArrayLike, pose: ArrayLike) -> None:
         """Take in a scan: where its rays ended, shape (n, 2), and from where, shape (3,); world frame [m]."""
@@ -44,8 +53,15 @@ class UnmappedPlaces:
         ranges = np.hypot(*(seen - here).T)
         kept = self.points[~self._seen_through(seen - here, ranges, self.points - here)]
         near = seen[ranges < LOOK_M]
-        new = near[self._mapped.distances(near) > OFF_MAP_M]
-        self.points = _spaced(np.vstack([kept, new]))
+        off = self._mapped.distances(near)
+        seen_again = self._doubtful(near[(off > DOUBTFUL_M) & (off <= OFF_MAP_M)])
+        self.points = _spaced(np.vstack([kept, near[off > OFF_MAP_M], seen_again]))
+
+    def _doubtful(self, near: Array) -> Array:
+        """Those of doubtful places, shape (n, 2), where so many scans saw something, shape (m, 2)."""
+        squares = [(int(x), int(y)) for x, y in _squares(near)]
+        self._doubted.update(set(squares))
+        return near[np.array([self._doubted[square] >= TIMES for square in squares], dtype=bool)]
 
     @staticmethod
     def _seen_through(returns: Array, ranges: Array, places: Array) -> NDArray[np.bool_]:
@@ -72,5 +88,11 @@ def _spaced(points: Array) -> Array:
     """Points, shape (n, 2), of which no two lie in one square of `PACE_M`; the first of each stays."""
     if not len(points):
         return points
-    _, first = np.unique(np.round(points / PACE_M).astype(np.int64), axis=0, return_index=True)
+    _, first = np.unique(_squares(points), axis=0, return_index=True)
     return points[np.sort(first)]
+
+
+def _squares(points: Array) -> NDArray[np.int64]:
+    """The square of `PACE_M` that each point, shape (n, 2), lies in."""
+    squares: NDArray[np.int64] = np.round(points / PACE_M).astype(np.int64)
+    return squares

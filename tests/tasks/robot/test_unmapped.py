@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import shapely
 
 from tasks.robot.configuration import Lidar
 from tasks.robot.floor_map import Floor
 from tasks.robot.lidar import lidar_returns, ray_angles
-from tasks.robot.unmapped import LOOK_M, OFF_MAP_M, UnmappedPlaces
+from tasks.robot.unmapped import DOUBTFUL_M, LOOK_M, OFF_MAP_M, TIMES, UnmappedPlaces
 from tests.tasks.robot.floors import bare_floor, random_boxes
 
 LIDAR = Lidar()
@@ -66,3 +67,15 @@ def test_what_is_far_away_is_not_judged() -> None:
     places.see(scan(floor, (0.6 + LOOK_M + 0.1, 3.0, 0.0)), (0.6 + LOOK_M + 0.1, 3.0, 0.0))
     assert len(places.points) == 0
     places.see(np.zeros((0, 2)), (1.0, 1.0, 0.0))
+
+
+@pytest.mark.parametrize("moved", [0.055, 0.07])
+def test_a_thing_that_was_moved_a_little_is_seen_after_some_scans(moved: float) -> None:
+    """By less than what one scan tells from noise: its face is nearer to who goes by, by as much as a cart keeps away."""
+    assert DOUBTFUL_M < moved < OFF_MAP_M
+    places, rng = UnmappedPlaces(bare_floor([shapely.box(4.0, 2.8, 4.4, 3.2)])), np.random.default_rng(0)
+    box = shapely.box(4.0 - moved, 2.8, 4.4 - moved, 3.2)
+    for number in range(1, 4 * TIMES):
+        places.see(scan(bare_floor([box]), (3.0, 3.0, 0.05 * number), rng), (3.0, 3.0, 0.05 * number))
+    assert len(places.points) >= 5
+    assert max(shapely.Point(point).distance(box.boundary) for point in places.points) < 0.05
