@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from schemas.calls import CALL_PATTERN
 from schemas.record import INSTANCE_PATTERN, SCENE_PATTERN, column, record
 
 
@@ -18,6 +19,8 @@ class Candidate:
     outcome: str = column("What came of it", values=("filled", "empty", "failed"))
     reason: str | None = column("Why the slot is empty, failed or filled by a fallback")
     asset_id: str | None = column("Asset in the slot", pattern=r"[0-9a-f]{64}")
+    seed: int | None = column("Seed that a generator was given", minimum=0)
+    call_id: str | None = column("Call of the generator that made it", pattern=CALL_PATTERN)
 
 
 @record("assets", key=("asset_id",), stage="candidates", grain="asset", rule="share", shared_by="candidates")
@@ -36,5 +39,7 @@ class Asset:
     extents: tuple[float, ...] = column("Extents of the canonical box along x, y, z", unit="m", length=3, minimum=0)
     volume_m3: float = column("Volume of the solid, of its convex hull when it is not closed", unit="m3", minimum=0)
     is_watertight: bool = column("The mesh is closed")
+    open_reason: str | None = column("Why it is not closed: edges of one face, or of more than two")
+    has_texture: bool | None = column("It has a picture on it; else colors at its vertices")
     vertex_count: int = column("Vertices", minimum=4)
     face_count: int = column("Faces", minimum=4)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pyarrow.compute as pc
 
 from schemas.calls import ModelCall
+from tasks.calls.ledger import NoFurtherCall
 from warehouse.lake import Lake
 
 SPENT = "the budget of calls is spent"
@@ -18,11 +19,11 @@ LIMITED = "calls"
 """The name under which a run is given a global limit that every request of a call keeps."""
 
 
-class BudgetSpent(ConnectionError):
+class BudgetSpent(NoFurtherCall):
     """No further call may be made in this run: nobody's fault, and the next run goes on."""
 
 
-class NotRecorded(ConnectionError):
+class NotRecorded(NoFurtherCall):
     """A call has no reply in the ledger, and none may be asked for."""
 
 

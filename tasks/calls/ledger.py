@@ -9,6 +9,10 @@ from typing import Protocol
 from schemas.calls import ModelCall
 
 
+class NoFurtherCall(ConnectionError):
+    """A call may not be made in this run. Nothing stands in for its reply: the scene is left to the next run."""
+
+
 class Ledger(Protocol):
     """What remembers calls. The same object may be asked in another process: it can be pickled."""
 
@@ -16,7 +20,7 @@ class Ledger(Protocol):
         """What a call was answered with; None where it was not."""
 
     def asking(self, call_id: str, scene_id: str) -> contextlib.AbstractContextManager[None]:
-        """Around a call. Raises where no further call may be made."""
+        """Around a call. Raises NoFurtherCall where none may be made."""
 
     def request(self) -> None:
         """Before every request of a call: waits where there are too many."""

@@ -12,7 +12,9 @@ from pathlib import Path
 
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
-from schemas.capture import Instance
+from schemas.capture import Frame, Instance, Mask
+from tasks.calls.exchange import EndpointAway
+from tasks.calls.ledger import NoFurtherCall
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.library import LibraryIndex, index_library, library_files
 from tasks.candidates.looks import exemplars
@@ -32,7 +34,10 @@ class CandidatesConfig(Config):
     slots: Slots = DEFAULT_SLOTS  # ten, as the paper gives annotators ten candidates
 
 
-def run(*, instances: list[Instance], captions: list[Caption], library: Path | None, context: Context, config: CandidatesConfig) -> Outcome:
+def run(
+    *, instances: list[Instance], frames: list[Frame], masks: list[Mask], captions: list[Caption], library: Path | None, context: Context,
+    config: CandidatesConfig,
+) -> Outcome:  # fmt: skip
     """Candidates of every instance that is no structure, and their assets."""
     index = index_library(library) if library is not None else None
     problems = list(index.problems) if index is not None else []
@@ -45,7 +50,10 @@ def run(*, instances: list[Instance], captions: list[Caption], library: Path | N
     for row in objects:  # what looks alike is of one part, which makes what they share once
         groups.setdefault(looks.get(row.instance_id, row.instance_id), []).append(row)
     dealt = [[row for group in list(groups.values())[k::PARTS] for row in group] for k in range(PARTS)]
-    parts = [_Part(own, by_instance, objects, looks, index, _context_of(own, context), config) for own in dealt]
+    best = {row.instance_id: row.best_frames[0] for row in objects if row.best_frames}
+    seen = {frame.frame_id: frame for frame in frames}
+    views = {mask.instance_id: (seen.get(mask.frame_id), mask) for mask in masks if best.get(mask.instance_id) == mask.frame_id}
+    parts = [_Part(own, by_instance, objects, looks, views, index, _context_of(own, context), config) for own in dealt]
     filled = {name: slots for part in context.spread(_filled, [part for part in parts if part.own]) for name, slots in part.items()}
     candidates: list[Candidate] = []
     assets: dict[str, Asset] = {}
@@ -70,12 +78,13 @@ Slotted = list[tuple[Candidate, MadeAsset | None]]
 @dataclasses.dataclass(frozen=True)
 class _Part:
     """Objects of a scene, `own`, with all that their slots are filled from; may go to another process. looks: of those that look alike,
-    which one stands for all."""
+    which one stands for all. views: Frame and mask of the best view of each, as far as they are known."""
 
     own: Sequence[Instance]
     captions: Mapping[str, Caption]
     objects: Sequence[Instance]
     looks: Mapping[str, str]
+    views: Mapping[str, tuple[Frame | None, Mask]]
     library: LibraryIndex | None
     context: Context
     config: CandidatesConfig
@@ -83,14 +92,22 @@ class _Part:
 
 def _context_of(objects: Sequence[Instance], context: Context) -> Context:
     """The context with the blobs of some objects alone, and nothing of this process."""
-    names = {name for row in objects for name in (row.points_blob, row.mesh_blob) if name is not None and name in context.blobs}
-    return Context(context.scene_id, context.stage, context.seed, {name: context.blobs[name] for name in sorted(names)})
+    of_rows = {name for row in objects for name in (row.points_blob, row.mesh_blob, row.view_blob) if name is not None}
+    blobs = {name: context.blobs[name] for name in sorted(of_rows) if name in context.blobs}
+    return Context(context.scene_id, context.stage, context.seed, blobs, ledger=context.ledger)
 
 
 def _filled(part: _Part) -> dict[str, Slotted]:
     """The slots of a part's own objects, by instance."""
     requests = {
-        row.instance_id: CandidateRequest(row, part.captions.get(row.instance_id), part.context, part.library, part.objects)
+        row.instance_id: CandidateRequest(
+            row,
+            part.captions.get(row.instance_id),
+            part.context,
+            part.library,
+            part.objects,
+            *part.views.get(row.instance_id, (None, None)),
+        )
         for row in part.own
     }
     filled: dict[str, Slotted] = {}
@@ -141,11 +158,17 @@ def _attempt(
         made = family.offer(lender if family.draws_looks else request, provider)
     except NothingToOffer as nothing:
         return _row(number, provider, request, outcome="empty", reason=str(nothing), is_fallback=is_fallback), None
+    except NoFurtherCall:
+        raise
+    except EndpointAway as away:
+        if getattr(provider, "away", "") == "retry":
+            raise
+        return _row(number, provider, request, outcome="empty", reason=str(away)[:300], is_fallback=is_fallback), None
     except Exception as error:  # one slot of one instance never stops the others; the row tells what happened
         text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         return _row(number, provider, request, outcome="failed", reason=text, is_fallback=is_fallback), None
     row = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
-    return row, made
+    return dataclasses.replace(row, call_id=made.call_id), made
 
 
 def _row(
@@ -168,12 +191,14 @@ def _row(
         outcome=outcome,
         reason=reason,
         asset_id=asset_id,
+        seed=getattr(provider, "seed", None),
+        call_id=None,
     )
 
 
 STAGE = Stage(
     name="candidates",
-    reads=("instances", "captions"),
+    reads=("instances", "frames", "masks", "captions"),
     writes=("candidates", "assets"),
     config=CandidatesConfig,
     run=run,

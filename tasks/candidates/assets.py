@@ -12,7 +12,7 @@ import numpy as np
 from schemas.candidates import Asset
 from tasks.geometry.meshes import Surface, canonical, dump_bodies, dump_glb, surface_of
 from tasks.geometry.plain_glb import PlainBody
-from tasks.geometry.triangles import enclosed_volume, is_closed, welded
+from tasks.geometry.triangles import enclosed_volume, is_closed, openness, welded
 
 if TYPE_CHECKING:
     import trimesh
@@ -91,6 +91,8 @@ def make_asset(
         extents=tuple(float(v) for v in np.ptp(surface.bounds, axis=0)),
         volume_m3=volume,
         is_watertight=closed is not None,
+        open_reason=None if closed is not None else openness(joined(surface).faces),
+        has_texture=textured,
         vertex_count=len(surface.vertices),
         face_count=len(surface.faces),
     )
@@ -124,10 +126,16 @@ def _closed(surface: Surface) -> Surface | None:
     """A surface that is closed, as it is indexed or once equal corners are one (textures split them); None for an open one."""
     if is_closed(surface.faces):
         return surface
+    made = joined(surface)
+    return made if is_closed(made.faces) else None
+
+
+def joined(surface: Surface) -> Surface:
+    """A surface whose equal corners are one, without the faces that are lines then."""
     first, place = welded(surface.vertices, 7)
     faces = place[surface.faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    return Surface(surface.vertices[first], faces, surface.colors[first]) if is_closed(faces) else None
+    return Surface(surface.vertices[first], faces, surface.colors[first])
 
 
 def _volume(surface: Surface, closed: Surface | None) -> float:

@@ -59,6 +59,18 @@ def is_closed(faces: ArrayLike) -> bool:
     return bool((keys[::2] == keys[1::2]).all() and (keys[1:-1:2] != keys[2::2]).all())
 
 
+def openness(faces: ArrayLike) -> str | None:
+    """Why faces, corners by number, shape (m, 3), enclose nothing: how many edges have one face, or more than two; None where none has."""
+    corners = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    if not len(corners):
+        return "no faces"
+    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges[:, 0] * (edges.max() + 1) + edges[:, 1], return_counts=True)
+    single, many = int((counts == 1).sum()), int((counts > 2).sum())
+    parts = [f"{single} edges of one face"] * bool(single) + [f"{many} of more than two"] * bool(many)
+    return ", ".join(parts) or None
+
+
 def spread(vertices: Array, faces: Integers, count: int, rng: np.random.Generator) -> tuple[Integers, Array]:
     """Places spread evenly over a surface: face, shape (count,), sorted, and barycentric weights of its corners, shape (count, 3)."""
     area = np.linalg.norm(face_crosses(vertices, faces), axis=1)

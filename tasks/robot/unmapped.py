@@ -22,7 +22,8 @@ DOUBTFUL_M = 0.04
 rays has one by chance."""
 
 TIMES = 5
-"""So many scans have to see something at a doubtful place: chance does not strike one square of `PACE_M` so often, and a pose that is off for a moment does not last."""
+"""So many scans have to see something at a doubtful place: chance does not strike one square of `PACE_M` so often, and a pose that is off
+does not stay so."""
 
 BEHIND_M = 0.06
 """A place is empty when rays beside it end so much farther away [m]."""

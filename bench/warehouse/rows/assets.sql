@@ -12,6 +12,8 @@ SELECT
     [size, size, size] AS extents,
     volume * 0.3 AS volume_m3,
     u(asset_id, 'closed') < 0.9 AS is_watertight,
+    CASE WHEN u(asset_id, 'closed') >= 0.9 THEN '12 edges of one face' END AS open_reason,
+    u(asset_id, 'texture') < 0.3 AS has_texture,
     100 + below(asset_id, 'vertices', 20000) AS vertex_count,
     200 + below(asset_id, 'faces', 40000) AS face_count
 FROM (SELECT *, exp(log_volume + log_spread * normal(asset_id, 'volume')) AS volume, cbrt(volume) AS size FROM library)
@@ -30,6 +32,8 @@ SELECT
     [size_x, size_y, size_z] AS extents,
     volume * 0.3 AS volume_m3,
     TRUE AS is_watertight,
+    NULL AS open_reason,
+    FALSE AS has_texture,
     100 + below(object, 'vertices', 5000) AS vertex_count,
     200 + below(object, 'faces', 10000) AS face_count
 FROM objects_now

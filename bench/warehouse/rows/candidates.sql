@@ -7,7 +7,9 @@ SELECT
     is_fallback,
     CASE WHEN rank <= filled THEN 'filled' WHEN rank = 10 THEN 'failed' ELSE 'empty' END AS outcome,
     CASE WHEN rank > filled THEN 'nothing fits' WHEN is_fallback THEN 'the provider had nothing' END AS reason,
-    CASE WHEN rank <= filled THEN asset_of(object, slot, library.asset_id) END AS asset_id
+    CASE WHEN rank <= filled THEN asset_of(object, slot, library.asset_id) END AS asset_id,
+    NULL AS seed,
+    NULL AS call_id
 FROM (
     SELECT
         *,

@@ -47,6 +47,7 @@ class GeneratorSettings(Config):
     source_url: str = ""  # where the model is from
     by: Literal["image", "text"] = "image"  # what it is shown: the crop on white, or the caption's sentence
     pixels: Count = 512  # of the picture's side: what image-to-3D models look at
+    away: Literal["fallback", "retry"] = "fallback"  # where it does not answer; `retry` leaves the scene to the next run
     seed: Natural = 0  # the same seed and picture make the same model, where the generator keeps its word
     up: Literal["y", "z"] = "y"  # of its files; glTF says +Y, and some write +Z
     front: Literal["+x", "-x", "+y", "-y", "unknown"] = "unknown"  # of its files, once +Z is up; alignment turns what is unknown

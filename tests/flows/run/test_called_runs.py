@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,9 @@ from schemas.captions import Caption
 from tasks.lineage.outline import outline
 from tests.capture_scans import OBJECTS, box_room, write_scannet
 from tests.conftest import REPOSITORY
-from tests.tasks.calls.servers import Answer, Server, server
+from tests.tasks.calls.servers import Answer, Server
 from warehouse.lake import Lake
 from warehouse.tables.digest import digests
-
-__all__ = ["server"]
 
 pytestmark = pytest.mark.whole
 
@@ -101,16 +100,29 @@ def asked(server: Server) -> Counter[str]:
 
 
 @pytest.fixture(scope="module")
-def whole(scans: Path, tmp_path_factory: pytest.TempPathFactory) -> Lake:
+def model() -> Iterator[Server]:
+    """One for all runs: settings name its address, and runs of other settings are other runs."""
+    made = Server()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def server(model: Server) -> Server:
+    """The same, of whom nothing was asked yet."""
+    model.requests.clear()
+    return model
+
+
+@pytest.fixture(scope="module")
+def whole(scans: Path, model: Server, tmp_path_factory: pytest.TempPathFactory) -> Lake:
     """What nobody disturbed."""
-    own = Server()
-    own.answers = [answering()]
+    model.answers = [answering()]
     folder = tmp_path_factory.mktemp("whole")
-    ran(scans, folder / "lake", settings_file(folder, own))
-    own.close()
-    assert set(asked(own).values()) == {1}
+    ran(scans, folder / "lake", settings_file(folder, model))
+    assert set(asked(model).values()) == {1}
     lake = Lake.open(folder / "lake")
-    assert len(lake.snapshot().rows(ModelCall)) == len(own.requests)
+    assert len(lake.snapshot().rows(ModelCall)) == len(model.requests)
     return lake
 
 
@@ -132,7 +144,7 @@ def test_captions_name_their_calls_and_explain_goes_on_to_the_prompt(whole: Lake
     assert json.loads(json.dumps(lineage.document()))
 
 
-def test_a_run_that_is_killed_asks_nothing_twice_but_what_was_under_way(scans: Path, server: Server, whole: Lake, tmp_path: Path) -> None:
+def test_a_run_that_is_killed_asks_nothing_twice_but_what_was_under_way(scans: Path, whole: Lake, server: Server, tmp_path: Path) -> None:
     server.answers = [answering(0.3)]
     config, lake = settings_file(tmp_path, server), tmp_path / "lake"
     kills = 0
@@ -156,7 +168,7 @@ def test_a_run_that_is_killed_asks_nothing_twice_but_what_was_under_way(scans: P
     assert len(rows) == len(asked(server))
 
 
-def test_a_budget_stops_a_run_and_the_next_one_goes_on(scans: Path, server: Server, whole: Lake, tmp_path: Path) -> None:
+def test_a_budget_stops_a_run_and_the_next_one_goes_on(scans: Path, whole: Lake, server: Server, tmp_path: Path) -> None:
     server.answers = [answering()]
     config, lake = settings_file(tmp_path, server), tmp_path / "lake"
     told = ran(scans, lake, config, "--most-calls", "3", code=1)
@@ -168,7 +180,7 @@ def test_a_budget_stops_a_run_and_the_next_one_goes_on(scans: Path, server: Serv
     assert digests(Lake.open(lake).snapshot()) == digests(whole.snapshot())
 
 
-def test_a_run_is_replayed_without_a_network(scans: Path, server: Server, whole: Lake, tmp_path: Path) -> None:
+def test_a_run_is_replayed_without_a_network(scans: Path, whole: Lake, server: Server, tmp_path: Path) -> None:
     config, lake = settings_file(tmp_path, server), tmp_path / "lake"
     ran(scans, lake, config, "--replay", whole.address)
     assert not server.requests

@@ -103,7 +103,13 @@ def candidates_of(
     )
     context = Context("test/room", "candidates", seed, blobs, spread=spread)
     outcome = run(
-        instances=instances, captions=words.rows["captions"], library=library, context=context, config=config or CandidatesConfig()
+        instances=instances,
+        frames=[],
+        masks=[],
+        captions=words.rows["captions"],
+        library=library,
+        context=context,
+        config=config or CandidatesConfig(),
     )
     check(outcome.rows["candidates"], Candidate)
     check(outcome.rows["assets"], Asset)

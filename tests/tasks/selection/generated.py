@@ -74,7 +74,8 @@ def generated_room(kind: str = "living room", count: int = 6, seed: int = 5) -> 
         instances=instances, frames=[], masks=[], context=Context(SCENE, "captions", 0, blobs), config=captions.CaptionsConfig()
     )
     offered = candidates.run(
-        instances=instances, captions=words.rows["captions"], library=None, context=Context(SCENE, "candidates", 0, blobs),
+        instances=instances, frames=[], masks=[], captions=words.rows["captions"], library=None,
+        context=Context(SCENE, "candidates", 0, blobs),
         config=candidates.CandidatesConfig(),
     )  # fmt: skip
     blobs.update(offered.blobs)
