@@ -31,6 +31,7 @@ from tasks.geometry.meshes import dump_glb, load_glb, surface_of
 from tasks.geometry.transforms import yaw_pose
 from tasks.stage import Context, Outcome
 from tests.tasks.calls.servers import Server, refuses, server
+from tests.tasks.candidates.generation.cubes import triangles
 from tests.tasks.selection.rooms import RED, SCENE, Room, chair, photographed, scan
 
 __all__ = ["server"]
@@ -346,6 +347,8 @@ def pipelines(tmp_path_factory: pytest.TempPathFactory) -> Path:
         with torch.no_grad():
             renderer.mlp.mlp[-1].weight[0] *= 0.02
             renderer.mlp.mlp[-1].bias[0] = 0.4
+        for buffer, values in zip(("cases", "masks"), triangles(), strict=True):
+            getattr(renderer.mesh_decoder, buffer).copy_(torch.from_numpy(values))
         if name == "text":
             prior = PriorTransformer(**common, clip_embed_dim=32, norm_in_type="layer", encoder_hid_proj_type=None)
             whole = ShapEPipeline(prior=prior, text_encoder=text, tokenizer=tokenizer, shap_e_renderer=renderer, scheduler=scheduler)
