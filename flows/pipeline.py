@@ -28,7 +28,8 @@ from flows.run.fanout.coordinator import Coordinator, FanOut, RunOutcome
 from flows.run.fanout.pools import shared_pool
 from flows.run.fanout.runners import Runner, task_runner
 from flows.run.identity import sentence
-from flows.run.ledger import LIMITED, CallRules
+from flows.run.ledger import CallRules
+from flows.run.limits import LIMITED
 from flows.run.outcome import MAX_NOTES
 from flows.run.parameters import Address, StageTables
 from flows.run.patience import patiently

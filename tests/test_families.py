@@ -156,6 +156,11 @@ ELSEWHERE = {
     "tasks/policy/model/config.py model": "a field of settings",
     "tasks/training/systems/navigation.py model": "as above",
     "warehouse/lineage/nodes.py model": "the kind of a node",
+    "flows/run/ledger.py glb": "the kind of a file that a generator answered with",
+    "tasks/calls/endpoint.py model": "the setting that names what is asked, and a field of the protocol",
+    "tasks/candidates/served.py glb": "a field of the protocol: the kind of file that is asked for",
+    "tasks/captions/vision_language.py vision_language": "the kind of a provider of captions",
+    "warehouse/lineage/calls.py model": "the column that names who was asked",
 }
 """Where a word that is a member's name stands outside of the member's own modules, and what it means there."""
 

@@ -15,9 +15,6 @@ from warehouse.lake import Lake
 SPENT = "the budget of calls is spent"
 """How the error begins by which a run knows that no further scene is worth a try."""
 
-LIMITED = "calls"
-"""The name under which a run is given a global limit that every request of a call keeps."""
-
 
 class BudgetSpent(NoFurtherCall):
     """No further call may be made in this run: nobody's fault, and the next run goes on."""
@@ -92,7 +89,7 @@ class LakeLedger:
     def request(self) -> None:
         """Before every request of a call: waits for its turn where the run keeps a limit."""
         if self._rules.limit:
-            from flows.run.limits import limited
+            from flows.run.limits import LIMITED, limited
 
             with limited(LIMITED, {LIMITED: self._rules.limit}):
                 pass

@@ -14,12 +14,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
-from flows.run.ledger import LIMITED
 from flows.run.patience import is_away, retried
 from schemas.errors import InputError
 from tasks.pipeline import STAGES
 
 T = TypeVar("T")
+
+LIMITED = "calls"
+"""The name under which a run is given a global limit that every request of a call to a model keeps."""
 
 LEASE_SECONDS = 90.0
 """A slot comes back so long after its holder died; Prefect takes no less than 60, and renews at three quarters."""

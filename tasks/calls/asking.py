@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from schemas.calls import ModelCall
 from schemas.errors import InputError
-from tasks.calls.endpoint import Answer, EndpointSettings
+from tasks.calls.endpoint import CallAnswer, EndpointSettings
 from tasks.calls.exchange import EndpointAway
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Conversation:
 
     def again(self, reply: str, problem: str) -> Conversation:
         """The same, with a reply that cannot be used and why."""
-        more = {"role": "user", "content": f"That cannot be used: {problem}. Answer again, with JSON alone."}
+        more = {"role": "user", "content": f"That cannot be used: {problem}. CallAnswer again, with JSON alone."}
         return dataclasses.replace(self, messages=[*self.messages, {"role": "assistant", "content": reply}, more])
 
 
@@ -95,15 +95,15 @@ def ask(context: Context, settings: EndpointSettings, conversation: Conversation
     if known is not None:
         return Reply(call_id, known.decode())
 
-    def send(begun: Callable[[], None]) -> Answer:
+    def send(begun: Callable[[], None]) -> CallAnswer:
         return settings.endpoint(where).ask(conversation.messages, conversation.schema, begun)
 
     call = new_call(
         context, call_id, "chat", conversation.instance_id, (settings.model, settings.model_version),
         (conversation.prompt.name, conversation.prompt.version),
     )  # fmt: skip
-    told = recorded(context, call, json.dumps(asked, sort_keys=True).encode(), send, settings.cost_usd)
-    return Reply(call_id, told.decode())
+    reply = recorded(context, call, json.dumps(asked, sort_keys=True).encode(), send, settings.cost_usd)
+    return Reply(call_id, reply.decode())
 
 
 def new_call(
@@ -122,8 +122,8 @@ def recorded(
     context: Context,
     call: ModelCall,
     request: bytes,
-    send: Callable[[Callable[[], None]], Answer],
-    price: Callable[[Answer], float] = lambda answer: 0.0,
+    send: Callable[[Callable[[], None]], CallAnswer],
+    price: Callable[[CallAnswer], float] = lambda answer: 0.0,
 ) -> bytes:
     """The reply to a call that nobody has made: it is sent, and recorded whatever comes of it.
 
@@ -143,7 +143,7 @@ def recorded(
         if known is not None:
             return known
         clock = time.perf_counter()
-        answer: Answer | None = None
+        answer: CallAnswer | None = None
         failure: InputError | EndpointAway | None = None
         try:
             answer, outcome = send(begun), "answered"

@@ -47,9 +47,9 @@ def run_command(words: Sequence[str], folder: Path, seconds: float, more: Mappin
         _end(process)
         raise
     if process.returncode:
-        said = [line for line in (err or out).decode(errors="replace").splitlines() if line.strip()]
+        lines = [line for line in (err or out).decode(errors="replace").splitlines() if line.strip()]
         what = f"was ended by signal {-process.returncode}" if process.returncode < 0 else f"ended with exit code {process.returncode}"
-        raise CommandFailed(f"{what}: {cut(one_line(said[-1]), MOST_SHOWN)}" if said else what)
+        raise CommandFailed(f"{what}: {cut(one_line(lines[-1]), MOST_SHOWN)}" if lines else what)
     return out.decode(errors="replace")
 
 

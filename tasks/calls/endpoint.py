@@ -45,10 +45,10 @@ class EndpointSettings(Config):
         key = key_in(self.key_variable, where)
         return Endpoint(self.url, self.model, key, self.timeout_seconds, self.attempts, self.pause_seconds, where=where)
 
-    def cost_usd(self, answer: Answer) -> float:
+    def cost_usd(self, answer: CallAnswer) -> float:
         """What an answer costs [USD]; tokens that the endpoint did not count cost nothing."""
-        sent, told = answer.prompt_tokens or 0, answer.reply_tokens or 0
-        return (sent * self.prompt_usd_per_million + told * self.reply_usd_per_million) / 1e6
+        sent, came = answer.prompt_tokens or 0, answer.reply_tokens or 0
+        return (sent * self.prompt_usd_per_million + came * self.reply_usd_per_million) / 1e6
 
 
 def check_endpoint(settings: EndpointSettings, where: str) -> None:
@@ -63,7 +63,7 @@ def check_endpoint(settings: EndpointSettings, where: str) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class Answer:
+class CallAnswer:
     """What came back. prompt_tokens, reply_tokens: As the endpoint counts them; None where it does not."""
 
     data: bytes
@@ -91,7 +91,7 @@ class Endpoint:
     clock: Callable[[], float] = time.monotonic
     where: str = "selection.provider"
 
-    def ask(self, messages: Sequence[Mapping[str, Any]], schema: Mapping[str, Any], begun: Callable[[], None] = lambda: None) -> Answer:
+    def ask(self, messages: Sequence[Mapping[str, Any]], schema: Mapping[str, Any], begun: Callable[[], None] = lambda: None) -> CallAnswer:
         """The model's answer to messages, in the form of a JSON schema as far as the server knows how.
 
         begun: Called before every request, with those that are sent again.
@@ -119,7 +119,7 @@ class Endpoint:
         raise AssertionError("the last form has an answer or an error")
 
 
-def _read_answer(data: bytes) -> Answer:
+def _read_answer(data: bytes) -> CallAnswer:
     """The message in an answer, and how many tokens it counts."""
     try:
         table: Any = json.loads(data)
@@ -129,7 +129,7 @@ def _read_answer(data: bytes) -> Answer:
     if not isinstance(text, str):
         raise NoAnswer("no choices[0].message.content, which OpenAI-compatible endpoints have")
     usage = table.get("usage")
-    return Answer(text.encode(errors="replace"), _tokens(usage, "prompt_tokens"), _tokens(usage, "completion_tokens"))
+    return CallAnswer(text.encode(errors="replace"), _tokens(usage, "prompt_tokens"), _tokens(usage, "completion_tokens"))
 
 
 def _tokens(usage: Any, name: str) -> int | None:

@@ -14,7 +14,7 @@ from schemas.errors import InputError
 from schemas.files import read_file
 from tasks.calls.command import CommandFailed, run_command
 from tasks.candidates.assets import MadeAsset
-from tasks.candidates.generation.generated import Asked, GeneratorSettings, generated
+from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated
 from tasks.candidates.provider import CandidateProvider
 from tasks.containers import GLB_MAGIC
 from tasks.settings import Positive
@@ -35,7 +35,7 @@ class Commanded(GeneratorSettings):
 
     kind: ClassVar[str] = "commanded"
     command: str = ""  # a command line with {image}, {prompt}, {out} and {seed}; quoted as a shell has it, but none runs it
-    found: str = ""  # pattern of the GLB in {folder} where the program chooses the name itself: output/0/mesh.glb
+    output: str = ""  # pattern of the GLB in {folder} where the program chooses the name itself: output/0/mesh.glb
     timeout_seconds: Positive = 900.0  # on a large card a minute; loading the weights takes as long
     version: str = "1"  # goes up when the same answer would make another asset
 
@@ -45,7 +45,7 @@ def _offer(request: CandidateRequest, config: Commanded) -> MadeAsset:
     return generated(request, config, config.kind, config.version, lambda asked, begun: made(asked, config, begun), command=config.command)
 
 
-def made(asked: Asked, config: Commanded, begun: Callable[[], None]) -> bytes:
+def made(asked: GeneratorInput, config: Commanded, begun: Callable[[], None]) -> bytes:
     """The GLB that a program writes.
 
     Raises:
@@ -65,9 +65,9 @@ def made(asked: Asked, config: Commanded, begun: Callable[[], None]) -> bytes:
             run_command([filled(word, values) for word in words], folder, config.timeout_seconds)
         except CommandFailed as error:
             raise InputError(WHERE, words[0], str(error), "run it by hand to see more") from error
-        files = sorted(folder.glob(config.found)) if config.found else [out]
+        files = sorted(folder.glob(config.output)) if config.output else [out]
         if not files or not files[0].is_file():
-            raise InputError(WHERE, words[0], f"wrote no {config.found or 'GLB to {out}'}", "let it write there, or say `found`")
+            raise InputError(WHERE, words[0], f"wrote no {config.output or 'GLB to {out}'}", "let it write there, or say `output`")
         return read_file(files[0], files[0].name, BUDGET.asset_bytes, magic=GLB_MAGIC)
 
 

@@ -19,7 +19,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from tasks.calls.exchange import EndpointAway, Exchange, NoAnswer, key_in
 from tasks.candidates.assets import MadeAsset
-from tasks.candidates.generation.generated import Asked, GeneratorSettings, generated
+from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated
 from tasks.candidates.provider import CandidateProvider
 from tasks.containers import GLB_MAGIC
 from tasks.settings import Count, NonNegative, Positive
@@ -62,7 +62,7 @@ def _offer(request: CandidateRequest, config: Served) -> MadeAsset:
 
 
 def fetched(
-    asked: Asked, config: Served, begun: Callable[[], None], sleep: Callable[[float], None] = time.sleep,
+    asked: GeneratorInput, config: Served, begun: Callable[[], None], sleep: Callable[[float], None] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> bytes:  # fmt: skip
     """The GLB that a server makes.

@@ -17,7 +17,7 @@ from pydantic import Field
 from schemas.errors import InputError
 from schemas.files import open_file
 from tasks.candidates.assets import MadeAsset
-from tasks.candidates.generation.generated import Asked, GeneratorSettings, generated
+from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated
 from tasks.candidates.provider import CandidateProvider
 from tasks.geometry.meshes import dump_glb
 from tasks.settings import WHOLE, Count, NonNegative
@@ -62,7 +62,7 @@ def guidance_of(config: ShapE) -> float:
     return config.guidance if config.guidance is not None else TEXT_GUIDANCE if config.by == "text" else IMAGE_GUIDANCE
 
 
-def made(asked: Asked, config: ShapE, digest: str, begun: Callable[[], None]) -> bytes:
+def made(asked: GeneratorInput, config: ShapE, digest: str, begun: Callable[[], None]) -> bytes:
     """The GLB of a mesh that is drawn with a seed; on a CPU the same bytes every time.
 
     Raises:

@@ -43,8 +43,8 @@ def run(*, instances: list[Instance], frames: list[Frame], masks: list[Mask], co
             caption, problems = captioned(instance, frame, mask, context, config.provider)
             context.report(done + 1, len(objects), instance.instance_id)
         else:
-            caption, *told = described(instance, context, config.provider)
-            problems = [problem for part in told for problem in part]
+            caption, *parts = described(instance, context, config.provider)
+            problems = [problem for part in parts for problem in part]
         captions.append(caption)
         degradations += [f"{instance.instance_id} {instance.category}: {problem}" for problem in problems]
     return Outcome(captions=captions, degradations=degradations)

@@ -61,13 +61,13 @@ def captioned(
     size = tuple(max(side, MIN_SIDE_M) for side in grown_box(instance.box_pose, instance.box_size, instance.hidden_m)[1].tolist())
     lacking: list[str] = []
     looks, looks_id = _told(_about_looks(instance, frame, mask, size, context, provider), appearance_of, context, provider, lacking)
-    told = looks.sentence if looks is not None else None
+    sentence = looks.sentence if looks is not None else None
     most = PRINTED_FRICTION if provider.physics_prompt == "printed" else 1.0
 
     def read(reply: str) -> PhysicalAttributes:
         return attributes_of(reply, size, most_friction=most)
 
-    behavior, behavior_id = _told(_about_physics(instance, size, told, provider), read, context, provider, lacking)
+    behavior, behavior_id = _told(_about_physics(instance, size, sentence, provider), read, context, provider, lacking)
     changes: dict[str, Any] = {
         "provider": provider.kind, "provider_version": f"{provider.version}:{provider.model}", "is_fallback": bool(lacking),
         "appearance_call_id": looks_id, "physics_call_id": behavior_id,
@@ -132,9 +132,9 @@ def _about_looks(
     return Conversation(prompt, [{"role": "user", "content": [text_part(text), picture]}], APPEARANCE, instance.instance_id)
 
 
-def _about_physics(instance: Instance, size: tuple[float, ...], told: str | None, provider: VisionLanguageCaptions) -> Conversation:
+def _about_physics(instance: Instance, size: tuple[float, ...], sentence: str | None, provider: VisionLanguageCaptions) -> Conversation:
     prompt = prompt_of(f"physics_{provider.physics_prompt}")
-    about = f' It was described so: "{told}"' if told else ""
+    about = f' It was described so: "{sentence}"' if sentence else ""
     text = prompt.text.format(category=_name(instance), length=size[0], width=size[1], height=size[2], about=about)
     return Conversation(prompt, [{"role": "user", "content": text}], PHYSICS, instance.instance_id)
 
@@ -142,7 +142,8 @@ def _about_physics(instance: Instance, size: tuple[float, ...], told: str | None
 @cache
 def prompt_of(name: str) -> Prompt:
     """The prompt in the file of a name, beside this module."""
-    return Prompt(name, (Path(__file__).parent / f"{name}.txt").read_text(encoding="utf-8"))
+    with open(Path(__file__).parent / f"{name}.txt", encoding="utf-8") as file:
+        return Prompt(name, file.read())
 
 
 def _name(instance: Instance) -> str:

@@ -156,13 +156,13 @@ def _words(fields: Mapping[str, Any], name: str) -> list[str]:
     return made
 
 
-def _known(given: Sequence[str], words: Sequence[str], others: Mapping[str, str]) -> tuple[str, ...]:
+def _known(given: Sequence[str], words: Sequence[str], synonyms: Mapping[str, str]) -> tuple[str, ...]:
     """The project's words for what is given, at most `MOST_WORDS`: the same, one that is meant, else what its last words are."""
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
     for text in given:
-        parts = [others.get(part, part) for part in text.replace("-", " ").split()]
+        parts = [synonyms.get(part, part) for part in text.replace("-", " ").split()]
         tails = (" ".join(parts[start:]) for start in range(len(parts)))
-        name = next((others.get(tail, tail) for tail in tails if others.get(tail, tail) in words), None)
+        name = next((synonyms.get(tail, tail) for tail in tails if synonyms.get(tail, tail) in words), None)
         if name is not None:
-            found[name] = None
-    return tuple(found)[:MOST_WORDS]
+            names[name] = None
+    return tuple(names)[:MOST_WORDS]

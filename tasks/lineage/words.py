@@ -231,8 +231,8 @@ def _model_call(key: str, facts: Facts) -> list[str]:
     took = f"{facts['outcome']} after {_plural(facts['attempts'], 'request')} in {number(facts['seconds'])} s{lost}"
     head = f"{facts['model']}{' ' + facts['model_version'] if facts['model_version'] else ''}, call {key[:12]}"
     prompt = f"prompt {facts['prompt']} {facts['prompt_version']}, {moment(facts['asked_at'])}"
-    said = [f"{name}: {line}" for name in ("asked", "answered") for line in str(facts.get(name) or "").splitlines() if line.strip()]
-    return [f"{head}, {prompt}", f"{took}; {tokens}; {number(facts['cost_usd'])} USD", *said]
+    lines = [f"{name}: {line}" for name in ("asked", "answered") for line in str(facts.get(name) or "").splitlines() if line.strip()]
+    return [f"{head}, {prompt}", f"{took}; {tokens}; {number(facts['cost_usd'])} USD", *lines]
 
 
 def _mask(key: str, facts: Facts) -> list[str]:

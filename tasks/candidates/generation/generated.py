@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.calls.asking import call_key, new_call, recorded
-from tasks.calls.endpoint import Answer
+from tasks.calls.endpoint import CallAnswer
 from tasks.candidates.assets import MadeAsset, make_asset
 from tasks.candidates.provider import NothingToOffer
 from tasks.geometry.meshes import load_glb, surface_of
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from tasks.candidates.request import CandidateRequest
 
-Send = Callable[["Asked", Callable[[], None]], bytes]
+Send = Callable[["GeneratorInput", Callable[[], None]], bytes]
 """Asks a generator; told what is called before every request. GLB comes back."""
 
 PROMPT = ("generation", "1")
@@ -54,7 +54,7 @@ class GeneratorSettings(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Asked:
+class GeneratorInput:
     """What a generator is asked. picture: PNG of the crop in a white square; None where it is asked by text."""
 
     text: str
@@ -67,7 +67,7 @@ class Asked:
         return {"text": self.text, "picture": shown, "seed": self.seed}
 
 
-def asked_of(request: CandidateRequest, settings: GeneratorSettings) -> Asked:
+def asked_of(request: CandidateRequest, settings: GeneratorSettings) -> GeneratorInput:
     """What a generator is asked for an instance.
 
     Raises:
@@ -77,11 +77,11 @@ def asked_of(request: CandidateRequest, settings: GeneratorSettings) -> Asked:
     caption = request.caption
     text = caption.sentence if caption is not None and caption.sentence else f"A photo of a {request.category}."
     if settings.by == "text":
-        return Asked(text, None, settings.seed)
+        return GeneratorInput(text, None, settings.seed)
     crop = request.view
     if crop is None:
         raise NothingToOffer("no picture of it")
-    return Asked(text, png(squared(crop.on_white(), settings.pixels)), settings.seed)
+    return GeneratorInput(text, png(squared(crop.on_white(), settings.pixels)), settings.seed)
 
 
 def generated(request: CandidateRequest, settings: GeneratorSettings, kind: str, version: str, send: Send, **more: Any) -> MadeAsset:
@@ -102,7 +102,7 @@ def generated(request: CandidateRequest, settings: GeneratorSettings, kind: str,
     if data is None:
         call = new_call(context, call_id, "asset", request.instance.instance_id, (model, settings.model_version), PROMPT)
         sent = json.dumps(facts, sort_keys=True).encode()
-        data = recorded(context, call, sent, lambda begun: Answer(send(asked, begun)))
+        data = recorded(context, call, sent, lambda begun: CallAnswer(send(asked, begun)))
     parts = standing(load_glb(data, f"{model}.glb"), settings)
     made = make_asset(
         fitted(parts, request.extents), provider=kind, name=f"{model} {call_id[:12]}", category=request.category,

@@ -180,7 +180,7 @@ def test_an_answer_that_never_ends_is_given_up(server: Server) -> None:
 @pytest.mark.parametrize("usage", [None, [], {}, {"prompt_tokens": -3, "completion_tokens": True}, {"prompt_tokens": "7"}])
 def test_tokens_that_nobody_counts_are_none(server: Server, usage: Any) -> None:
     server.answers = [lambda body: (200, {"choices": [{"message": {"content": "x"}}], "usage": usage}, {})]
-    assert asking(server).ask([], SCHEMA) == endpoints.Answer(b"x", None, None)
+    assert asking(server).ask([], SCHEMA) == endpoints.CallAnswer(b"x", None, None)
 
 
 def test_tokens_cost_what_the_settings_say(server: Server) -> None:

@@ -215,7 +215,7 @@ def test_a_command_is_given_picture_prompt_place_and_seed(room: Room, tmp_path: 
 
 def test_a_command_may_choose_the_name_of_its_file(room: Room, tmp_path: Path) -> None:
     command = tool(tmp_path, f"os.makedirs('output/0'); shutil.copy({str(tmp_path / 'model.glb')!r}, 'output/0/mesh.glb')")
-    row, _ = offered(room, Commanded(command=command, license="MIT", found="output/*/mesh.glb"))
+    row, _ = offered(room, Commanded(command=command, license="MIT", output="output/*/mesh.glb"))
     assert row.outcome == "filled", row.reason
 
 
