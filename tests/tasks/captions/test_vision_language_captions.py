@@ -6,13 +6,13 @@ import base64
 import dataclasses
 import io
 import json
-import random
 from typing import Any
 
 import numpy as np
 import PIL.Image
 import pytest
 
+from bench.models.replies import BEHAVES, LOOKS, SIZE, looks_figures, physics_figures
 from schemas.captions import Caption
 from schemas.errors import InputError
 from schemas.record import check
@@ -28,13 +28,6 @@ from tests.tasks.calls.servers import Server, refuses, says, server
 from tests.tasks.selection.rooms import RED, SCENE, Room, chair, photographed, scan
 
 __all__ = ["server"]
-
-LOOKS = {
-    "category": "chair", "colors": ["dark red", "Grey"], "materials": ["wooden", "cotton"], "texture": "smooth", "shape": "with one arm",
-    "sentence": "a dark red wooden chair with one arm.",
-}  # fmt: skip
-BEHAVES = {"physics_attributes": {"category": "Rigid Body", "mass": 6.5, "friction": 0.45, "bounciness": 0}}
-SIZE = (0.5, 0.5, 0.95)
 
 
 @pytest.fixture(scope="module")
@@ -219,65 +212,12 @@ def test_the_printed_prompt_has_friction_above_one() -> None:
     assert attributes_of(reply, SIZE, most_friction=2.0).friction == 1.4
 
 
-def corrupted(plain: str, draw: random.Random) -> str:
-    """A bracket, quote, colon or comma deleted, doubled or moved in, the end cut off, fences and words around, other quotes, units."""
-    marks = [i for i, letter in enumerate(plain) if letter in '{}[]",:']
-    at, place = draw.choice(marks), draw.randrange(len(plain) + 1)
-    match draw.randrange(8):
-        case 0:
-            return plain[:at] + plain[at + 1 :]
-        case 1:
-            return plain[:at] + draw.choice([plain[at], " ", "\n"]) + plain[at:]
-        case 2:
-            return plain[:place] + draw.choice('{}[]",:') + plain[place:]
-        case 3:
-            return f"Sure, here it is:\n```json\n{plain}\n```\nHope it helps {{:)"
-        case 4:
-            return plain[: len(plain) - draw.randrange(12)]
-        case 5:
-            return plain.replace('"', draw.choice(["'", "`", "\u201d"]))
-        case 6:
-            return plain + draw.choice(["\n" + plain, "}", "]", ' "mass": 3}'])
-        case _:
-            other = draw.choice(marks)
-            low, high = sorted((at, other))
-            return plain[:low] + plain[high] + plain[low + 1 : high] + plain[low] + plain[high + 1 :] if low < high else plain
-
-
 @pytest.mark.parametrize("seed", range(5))
-def test_two_hundred_corruptions_of_physical_attributes_are_read_rightly_or_refused(seed: int) -> None:
-    draw = random.Random(seed)
-    forms = [
-        json.dumps(BEHAVES),
-        json.dumps({"physics_attributes": {"bounciness": 0, "friction": 0.45, "category": "Rigid Body", "mass": 6.5}}),
-        json.dumps({"physics_attributes": {"category": "Rigid Body", "friction": 0.45, "bounciness": 0, "mass": "6500 g"}}, indent=1),
-    ]
-    read = 0
-    for _ in range(200):
-        text = corrupted(draw.choice(forms), draw)
-        try:
-            told = attributes_of(text, SIZE)
-        except UnreadableReply:
-            continue
-        assert (told.body_type, told.mass_kg, told.friction, told.is_bouncy) == ("rigid", 6.5, 0.45, False), text
-        read += 1
-    assert read >= 30
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_two_hundred_corruptions_of_appearances_name_no_other_color_or_material(seed: int) -> None:
-    draw = random.Random(seed)
-    plain, right = json.dumps(LOOKS), appearance_of(json.dumps(LOOKS))
-    read = 0
-    for _ in range(200):
-        text = corrupted(plain, draw)
-        try:
-            told = appearance_of(text)
-        except UnreadableReply:
-            continue
-        assert (told.colors, told.materials) == (right.colors, right.materials), text
-        read += told == right
-    assert read >= 50
+def test_two_hundred_corruptions_are_read_rightly_or_refused(seed: int) -> None:
+    physics, looks = physics_figures(200, seed), looks_figures(200, seed)
+    assert physics.wrong == looks.wrong == 0
+    assert physics.read >= 30
+    assert looks.read >= 50
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""How well models of others, and what stands in for them, do their part: measured."""
