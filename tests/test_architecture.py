@@ -287,6 +287,7 @@ def test_shared_tables_name_who_shares_them() -> None:
 OPENERS = {"read_text", "read_bytes", "load_mesh", "ZipFile", "from_xml_path"}
 OWN = {
     "schemas/files.py": "the one place",
+    "tasks/captions/vision_language.py": "prompts of the package",
     "flows/run/bounds.py": "the null device",
     "flows/server/access.py": "tokens of servers of this machine, in files of our own",
     "flows/commands/sql.py": "the answer that is written, and /proc",
