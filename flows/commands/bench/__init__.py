@@ -14,6 +14,7 @@ from flows.commands.bench.acting import policy, robot
 from flows.commands.bench.drawing import synthesis
 from flows.commands.bench.matching import alignment, selection
 from flows.commands.bench.measurement import chosen_words, listed_numbers, processes_option, run_measurement
+from flows.commands.bench.modeling import models
 from flows.commands.options import json_option, set_option
 from schemas.errors import InputError
 
@@ -33,6 +34,7 @@ def command() -> None:
 
 
 command.add_command(alignment)
+command.add_command(models)
 command.add_command(policy)
 command.add_command(robot)
 command.add_command(selection)

@@ -299,7 +299,7 @@ def test_data_files_count(code: Path) -> None:
 
 def test_a_default_of_a_config_and_the_code_of_a_literal_count(code: Path) -> None:
     before = fingerprint()
-    edit(code / "tasks" / "captions" / "__init__.py", "min_points: Whole = 20", "min_points: Whole = 21")
+    edit(code / "tasks" / "captions" / "classical.py", "min_points: Whole = 20", "min_points: Whole = 21")
     assert fingerprint() != before
 
 
@@ -398,7 +398,7 @@ def test_an_unwritable_cache_is_a_mapping_all_the_same(tmp_path: Path) -> None:
     assert "a" not in cache
 
 
-@pytest.mark.parametrize("kind", ["csv", "json", "yaml"])
+@pytest.mark.parametrize("kind", ["csv", "json", "txt", "yaml"])
 def test_data_beside_a_module_is_a_part_of_its_code(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "tasks" / "toy"
     folder.mkdir(parents=True)
@@ -411,5 +411,5 @@ def test_data_beside_a_module_is_a_part_of_its_code(kind: str, tmp_path: Path, m
             (folder / f"words.{kind}").write_text(text)
         prints.add((fingerprints._fingerprint_of("tasks.toy"), fingerprints._contents_of_rooms.__wrapped__()))
     assert [len(set(column)) for column in zip(*prints, strict=True)] == [3, 3]
-    (folder / "words.txt").write_text("no data")
+    (folder / "words.md").write_text("no data")
     assert fingerprints._fingerprint_of("tasks.toy") in {first for first, _ in prints}

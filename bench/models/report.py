@@ -1,0 +1,127 @@
+"""The benchmark of models of others and of what stands in for them: replies, small objects, textures, retrieval; held against goals."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.goals import goal
+from bench.machine import machine
+from bench.models.lifting import LiftingFigures
+from bench.models.lifting import measured as lifted
+from bench.models.replies import reply_report
+from bench.models.retrieval import MODELS, RetrievalFigures, RetrievalShares, lacking
+from bench.models.retrieval import measured as retrieved
+from bench.models.texturing import TexturingBench, run_texturing_bench, steps_of
+from schemas.errors import InputError
+
+REPLIES, LIFTING, TEXTURES, RETRIEVAL = "replies", "lifting", "textures", "retrieval"
+
+PARTS = (REPLIES, LIFTING, TEXTURES, RETRIEVAL)
+"""What can be measured: what is read of corrupted replies, small objects on desks and shelves, layouts and baked textures, and scanned
+models looked up in a library."""
+
+CORRUPTIONS = 200
+"""Of a reply, for each of what is asked."""
+
+APART, TOUCHING, CORRUPTED = 0.95, 0.75, 0.9
+"""Precision and recall that are wanted of the classical member where things stand apart and where they touch, and of consensus lifting of
+masks of which a tenth were split or merged."""
+
+WANTED = RetrievalShares(0.8, 0.95, 0.7, 0.9, 0.7, 0.0)
+"""Shares of queries that are wanted."""
+
+QUERY_SECONDS = 0.05
+"""In which a query is answered, of 10,000 models."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelsBench:
+    """What is measured. scenes: Desks and shelves of each kind. realdata: Folder with the real models; None for none. blender: See
+    `TexturingBench`. parts: Of `PARTS`."""
+
+    scenes: int = 20
+    seed: int = 0
+    realdata: Path | None = None
+    blender: str = ""
+    parts: tuple[str, ...] = PARTS
+
+    @property
+    def texturing(self) -> TexturingBench:
+        """What is measured of textures."""
+        library = None if self.realdata is None else str(self.realdata / MODELS)
+        return TexturingBench(library=library, blender=self.blender, seed=self.seed)
+
+    @property
+    def advances(self) -> int:
+        """How often the benchmark advances."""
+        counts = {REPLIES: 1, LIFTING: 1, TEXTURES: steps_of(self.texturing) if TEXTURES in self.parts else 0, RETRIEVAL: 1}
+        return sum(counts[part] for part in self.parts)
+
+
+def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dict[str, Any]:
+    """The report. `advance` is told each part of it that is done.
+
+    Raises:
+        InputError: the real models are not where they should be.
+    """
+    parts: dict[str, Any] = {}
+    if REPLIES in config.parts:
+        parts[REPLIES] = reply_report(CORRUPTIONS, config.seed)
+        advance(REPLIES)
+    if LIFTING in config.parts:
+        figures = lifted(scenes=config.scenes, first_seed=config.seed)
+        parts[LIFTING] = {"rows": [lifting_row(each) for each in figures], "goals": lifting_goals(figures)}
+        advance(LIFTING)
+    if TEXTURES in config.parts:
+        parts[TEXTURES] = run_texturing_bench(config.texturing, lambda: advance(TEXTURES))
+    if RETRIEVAL in config.parts:
+        why = lacking(config.realdata)
+        if why is not None or config.realdata is None:
+            raise InputError("bench models", "--realdata", str(why), "or leave `retrieval` out of --parts")
+        looked_up = retrieved(config.realdata)
+        parts[RETRIEVAL] = {"rows": retrieval_rows(looked_up), "goals": retrieval_goals(looked_up)}
+        advance(RETRIEVAL)
+    return {"machine": machine(), "seed": config.seed, "parts": parts, "goals": [row for part in parts.values() for row in part["goals"]]}
+
+
+def lifting_row(figures: LiftingFigures) -> dict[str, Any]:
+    """Figures as plain values."""
+    return {**dataclasses.asdict(figures), "precision": figures.precision, "recall": figures.recall}
+
+
+def lifting_goals(figures: Sequence[LiftingFigures]) -> list[dict[str, Any]]:
+    """Precision and recall over desks and shelves together."""
+    goals = []
+    wanted = {("classical", False): APART, ("classical", True): TOUCHING, ("corrupted masks", None): CORRUPTED, ("true masks", None): 1.0}
+    for (method, touching), least in wanted.items():
+        rows = [row for row in figures if row.method == method and touching in (None, row.touching)]
+        matched, instances, objects = (sum(getattr(row, name) for row in rows) for name in ("matched", "instances", "objects"))
+        stand = {False: ", apart", True: ", touching", None: ""}[touching]
+        goals.append(goal(f"{method}{stand}: precision", round(matched / max(instances, 1), 4), ">=", least))
+        goals.append(goal(f"{method}{stand}: recall", round(matched / max(objects, 1), 4), ">=", least))
+    return goals
+
+
+def retrieval_rows(figures: RetrievalFigures) -> list[dict[str, Any]]:
+    """Shares of today's code and of the index, as plain values."""
+    slow = {"median_seconds": float(np.median(figures.seconds)), "p95_seconds": float(np.quantile(figures.seconds, 0.95))}
+    common = {"queries": figures.queries, "models": figures.entries}
+    former = {"by": "folder", **common, **dataclasses.asdict(figures.today), "median_seconds": None, "p95_seconds": None}
+    return [former, {"by": "index", **common, **dataclasses.asdict(figures.index), **slow}]
+
+
+def retrieval_goals(figures: RetrievalFigures) -> list[dict[str, Any]]:
+    """What the index is held against: stated shares, and the code of before in the same run."""
+    names = {
+        "first": "right model first", "in_ten": "among the ten first", "first_unnamed": "first, category unknown",
+        "in_ten_unnamed": "among ten, category unknown", "category_withheld": "model withheld: right category first",
+    }  # fmt: skip
+    goals = [goal(text, round(getattr(figures.index, name), 4), ">=", getattr(WANTED, name)) for name, text in names.items()]
+    goals.append(goal("right model first, against a folder", round(figures.index.first, 4), ">=", round(figures.today.first, 4)))
+    slowest = float(np.quantile(figures.seconds, 0.95))
+    return [*goals, goal("seconds of a query among 10,000 models, of 20 the slowest", round(slowest, 4), "<", QUERY_SECONDS)]

@@ -1,0 +1,57 @@
+"""The report of models of others as tables for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from bench.models.report import LIFTING, REPLIES, RETRIEVAL, TEXTURES
+from bench.models.texturing import print_texturing
+from bench.tables import add_row, goals_table, headline, table_of
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_SHARES = {
+    "first": "first", "in_ten": "in ten", "first_unnamed": "no category: first", "in_ten_unnamed": "in ten",
+    "category_withheld": "withheld: category",
+}  # fmt: skip
+
+
+def print_models(report: Mapping[str, Any], console: Console) -> None:
+    """Print the report."""
+    parts = report["parts"]
+    console.print(headline(report["machine"], report["seed"], 1))
+    if REPLIES in parts:
+        table = table_of("corrupted replies", ("about", False), ("replies", True), ("read", True), ("wrong", True))
+        for row in parts[REPLIES]["rows"]:
+            add_row(table, row["replies about"], *(str(row[name]) for name in ("replies", "read", "wrong")))
+        console.print(table)
+    if LIFTING in parts:
+        _print_lifting(parts[LIFTING]["rows"], console)
+    if TEXTURES in parts:
+        print_texturing(parts[TEXTURES], console)
+    if RETRIEVAL in parts:
+        _print_retrieval(parts[RETRIEVAL]["rows"], console)
+    console.print(goals_table(report["goals"]))
+
+
+def _print_lifting(rows: list[Mapping[str, Any]], console: Console) -> None:
+    columns = (("scenes", True), ("objects", True), ("instances", True), ("precision", True), ("recall", True), ("seconds", True))
+    table = table_of("small objects at point IoU 0.5", ("on", False), ("that stand", False), ("by", False), *columns)
+    for row in rows:
+        counts = [str(row[name]) for name in ("scenes", "objects", "instances")]
+        shares = [f"{100 * row[name]:.1f} %" for name in ("precision", "recall")]
+        stand = "touching" if row["touching"] else "apart"
+        add_row(table, row["word"], stand, row["method"], *counts, *shares, f"{row['seconds'] / max(row['scenes'], 1):.2f}")
+    console.print(table)
+
+
+def _print_retrieval(rows: list[Mapping[str, Any]], console: Console) -> None:
+    columns = (("queries", True), ("models", True), *((text, True) for text in _SHARES.values()), ("a query of 10,000", True))
+    table = table_of("scanned models looked up", ("by", False), *columns)
+    for row in rows:
+        shares = [f"{100 * row[name]:.1f} %" for name in _SHARES]
+        time = "" if row["median_seconds"] is None else f"{1000 * row['median_seconds']:.1f} ms"
+        add_row(table, row["by"], str(row["queries"]), str(row["models"]), *shares, time)
+    console.print(table)

@@ -1,0 +1,39 @@
+"""How well models of others, and what stands in for them, do their part, measured."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import click
+
+from flows.commands.bench.measurement import chosen_words, run_measurement
+from flows.commands.options import json_option
+
+
+@click.command("models")
+@click.option("--scenes", type=click.IntRange(1, 10_000), default=20, show_default=True, help="Desks and shelves of each kind.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same objects and replies.")
+@click.option(
+    "--realdata", type=click.Path(path_type=Path, file_okay=False), envvar="METASCENES_REALDATA",
+    help="Folder with real models, which are laid out, scanned and looked up.",
+)  # fmt: skip
+@click.option("--blender", default="", metavar="PROGRAM", help="Interpreter with bpy, or blender itself; without one xatlas stands alone.")
+@click.option("--parts", default="", help="Measure only these, with commas between: replies, lifting, textures, retrieval.")
+@json_option
+def models(scenes: int, seed: int, realdata: Path | None, blender: str, parts: str, as_json: bool) -> None:
+    """Measure what stands around models of others: replies, small objects, textures, retrieval.
+
+    `replies`: what is read of corrupted replies, and whether anything is that was not meant. `lifting`: objects on desks and shelves,
+    found without a network, and by views that agree on masks of which a tenth were split or merged. `textures`: layouts by xatlas and by
+    Blender's Smart UV, and colors baked from a scan's frames. `retrieval`: real models that were scanned, looked up among 400 others.
+
+    The exit code is 1 when a goal is missed, and else 0.
+
+    Example: metascenes bench models --parts replies,lifting --scenes 4
+    """
+    from bench.models.report import PARTS, ModelsBench, run_models_bench
+    from bench.models.tables import print_models
+
+    config = ModelsBench(scenes, seed, realdata, blender, chosen_words(parts, PARTS, "--parts"))
+    run_measurement("measured", config.advances, partial(run_models_bench, config), print_models, as_json)
