@@ -1,0 +1,1 @@
+"""What models and the tools around them are worth, measured."""
