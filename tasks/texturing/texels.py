@@ -1,4 +1,4 @@
-"""Which texels of an image triangles cover. Places in textures have their origin at the lower left; the first line of an image is on top."""
+"""Which texels of an image triangles cover. Textures have their origin at the lower left; the first line of an image is on top."""
 
 from __future__ import annotations
 
