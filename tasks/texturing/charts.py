@@ -79,7 +79,7 @@ def chart_figures(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, raster_p
     scale = float(np.sqrt(np.abs(image[usable]).sum() / area[usable].sum()))
     turned = np.abs(_angles(points, corners[usable]) - _angles(places, corners[usable])).mean(axis=1)
     chart, count, seams = _cut(points, corners, places, usable)
-    mirrored = np.bincount(chart, image) < 0
+    mirrored: Mask = np.asarray(np.bincount(chart, image)) < 0
     raster = coverage_of(places, corners, (raster_px, raster_px))
     covered = raster.owner >= 0
     beyond = (places < -_OUTSIDE) | (places > 1 + _OUTSIDE)

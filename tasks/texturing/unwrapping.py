@@ -164,7 +164,7 @@ def unwrapped(unwrapper: Unwrapper, vertices: ArrayLike, faces: ArrayLike) -> Un
     rows = np.column_stack([corners.ravel(), places.astype(np.float32).reshape(-1, 2).astype(np.float64)])
     kept, row = distinct_rows(rows)
     source = corners.ravel()[kept]
-    return Unwrapped(source, points[source], row.reshape(-1, 3), rows[kept, 1:], version, time.monotonic() - clock)
+    return Unwrapped(source, points[source], row.reshape(-1, 3), np.asarray(rows[kept, 1:], np.float64), version, time.monotonic() - clock)
 
 
 def _without_twins(points: Array, corners: Integers) -> tuple[Array, Integers]:
