@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.capture.rooms.textures import filled
-from tasks.fidelity.visibility import in_picture, reach
+from tasks.fidelity.visibility import reach
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.triangles import face_areas, face_normals
 from tasks.settings import Config, Count, Natural, NonNegative, Positive, Share
@@ -36,6 +36,9 @@ _NEIGHBORS = 8
 _LENDERS = 200_000
 """More texels that were seen are thinned before they lend: their colors hardly differ over a millimeter."""
 
+_NEAREST_M = 0.05
+"""No camera sees what is nearer sharply."""
+
 _BLANK = 180
 """Gray of what has no color: neither an image nor the asset knows one."""
 
@@ -52,7 +55,8 @@ class BakeConfig(Config):
     depth_per_m: NonNegative = 0.01  # ... and at that much more per metre of distance
     unread_trust: Share = 0.25  # of a pixel without a reading: what gives no depth may still be seen
     edge_jump: Share = 0.05  # readings around a pixel that differ by more of the depth than that are an edge ...
-    edge_trust: Share = 0.05  # ... where colors of both sides mix
+    rim_trust: Share = 0.05  # ... where colors of both sides mix: such looks are for what has no other
+    mend_m: NonNegative = 0.02  # a texel that only such looks show takes the color of those so near that have better ones
     least_cosine: Share = 0.17  # flatter looks than 10 degrees smear a pixel over six texels
     max_m: Positive = 8.0  # farther away a texel is a quarter of a pixel
     border_px: NonNegative = 16.0  # so near to the border lenses are at their worst, and looks count less and less
@@ -75,9 +79,9 @@ class Atlas:
 
 @dataclasses.dataclass(frozen=True)
 class Baked:
-    """A texture. image: shape (h, w, 3), full everywhere. covered, seen: texels of the charts, and those that some image shows, shape
-    (h, w). seen_share: of the covered ones. gains: exposure of each view over the usual one, shape (views,), 1 where nothing is known.
-    looks: mean number of a seen texel.
+    """A texture. image: shape (h, w, 3), full everywhere. covered, seen: texels of the charts, and those whose color is what an image
+    shows there, shape (h, w). seen_share: of the covered ones. gains: exposure of each view over the usual one, shape (views,), 1 where
+    nothing is known. looks: mean number of a seen texel.
     """
 
     image: Colors
@@ -90,11 +94,26 @@ class Baked:
 
 @dataclasses.dataclass(frozen=True)
 class _Looks:
-    """The best looks at each texel. color: shape (t, k, 3), 0..255. weight: shape (t, k), 0 for none. view: shape (t, k)."""
+    """The best looks at each texel. color: shape (t, k, 3), 0..255. weight: shape (t, k), 0 for none. view: shape (t, k). at_rim: whether
+    it was taken where an image mixes what lies before and behind, shape (t, k)."""
 
     color: NDArray[np.float32]
     weight: NDArray[np.float32]
     view: NDArray[np.int32]
+    at_rim: Mask
+
+
+@dataclasses.dataclass(frozen=True)
+class _Sight:
+    """Texels that a view shows: index, place in its image (column, row) [px], depth [m], and how well it sees them; (s,) or (s, 2)."""
+
+    index: Integers
+    pixel: Array
+    depth: Array
+    weight: NDArray[np.float32]
+
+    def some(self, which: NDArray[np.bool_]) -> _Sight:
+        return _Sight(self.index[which], self.pixel[which], self.depth[which], self.weight[which])
 
 
 def atlas_of(vertices: Array, faces: Integers, uv: Array, config: BakeConfig) -> Atlas:
@@ -120,8 +139,18 @@ def baked(atlas: Atlas, views: Sequence[ColorView], scene: RayScene, config: Bak
     """
     looks = _gathered(atlas, views, scene, config)
     gains = gains_of(looks.color, looks.weight, looks.view, len(views)) if config.solves_gains else np.ones(len(views))
-    color, seen = _mean(looks, gains, config.outlier_levels)
-    color[~seen] = _hidden(atlas.points, color, seen) if own is None else np.asarray(own, dtype=np.float32)[~seen]
+    color, quality = _mean(looks, gains, config.outlier_levels)
+    sure, rim = quality == 2, quality == 1
+    lent, is_near = _lent(atlas.points, color, sure, rim, config.mend_m)
+    mended = np.zeros(len(rim), dtype=bool)
+    mended[np.flatnonzero(rim)[is_near]] = True
+    color[mended] = lent[is_near]
+    seen = (quality > 0) & ~mended
+    hidden = quality == 0
+    if own is None:
+        color[hidden] = _lent(atlas.points, color, ~hidden, hidden, np.inf)[0]
+    else:
+        color[hidden] = np.asarray(own, dtype=np.float32)[hidden]
     rows, columns = atlas.texels.row, atlas.texels.column
     image, covered, shown = np.zeros((*atlas.shape, 3), np.float32), np.zeros(atlas.shape, bool), np.zeros(atlas.shape, bool)
     image[rows, columns], covered[rows, columns], shown[rows, columns] = color, True, seen
@@ -139,64 +168,77 @@ def baked(atlas: Atlas, views: Sequence[ColorView], scene: RayScene, config: Bak
 def _gathered(atlas: Atlas, views: Sequence[ColorView], scene: RayScene, config: BakeConfig) -> _Looks:
     """The best looks of all views, one view after another."""
     shape = (len(atlas.points), config.looks)
-    looks = _Looks(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.int32))
+    looks = _Looks(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.int32), np.zeros(shape, bool))
     for number, view in enumerate(views):
-        index, weight = _facing(atlas, view.camera, config)
-        better = weight > looks.weight[index].min(axis=1)
-        index, weight = index[better], weight[better]
-        if not len(index):
+        sight = _facing(atlas, view.camera, config)
+        sight = sight.some(sight.weight > looks.weight[sight.index].min(axis=1))
+        points = atlas.points[sight.index]
+        way = np.linalg.norm(points - view.camera.pose[:3, 3], axis=1)
+        sight = sight.some(reach(view.camera, points, scene) >= way - config.touch_m)
+        if not len(sight.index):
             continue
-        way = np.linalg.norm(atlas.points[index] - view.camera.pose[:3, 3], axis=1)
-        clear = reach(view.camera, atlas.points[index], scene) >= way - config.touch_m
-        index, weight = index[clear], weight[clear]
-        if view.depth is not None and view.depth_camera is not None and len(index):
-            weight = weight * _agreement(atlas.points[index], view.depth_camera, view.depth(), config)
-        worst = looks.weight[index].argmin(axis=1)
-        better = weight > looks.weight[index, worst]
-        index, worst = index[better], worst[better]
-        if not len(index):
+        at_rim, trust = _off_camera(sight, view, scene, atlas.points, config)
+        weight = sight.weight * trust * np.where(at_rim, np.float32(config.rim_trust), np.float32(1.0))
+        worst = looks.weight[sight.index].argmin(axis=1)
+        better = weight > looks.weight[sight.index, worst]
+        if not better.any():
             continue
-        pixel, _ = view.camera.project(atlas.points[index])
-        looks.color[index, worst] = bilinear(view.color(), pixel)
-        looks.weight[index, worst] = weight[better]
-        looks.view[index, worst] = number
+        into = sight.index[better], worst[better]
+        looks.color[into] = bilinear(view.color(), sight.pixel[better])
+        looks.weight[into], looks.view[into], looks.at_rim[into] = weight[better], number, at_rim[better]
     return looks
 
 
-def _facing(atlas: Atlas, camera: Camera, config: BakeConfig) -> tuple[Integers, NDArray[np.float32]]:
+def _facing(atlas: Atlas, camera: Camera, config: BakeConfig) -> _Sight:
     """Texels in a camera's picture that face it well enough, and how well it sees them: by angle, pixels per texel and the border."""
-    index = np.flatnonzero(in_picture(camera, atlas.points))
-    pixel, depth = camera.project(atlas.points[index])
+    pixel, depth = camera.project(atlas.points)
+    inward = np.minimum(pixel, np.array([camera.width, camera.height]) - 1.0 - pixel).min(axis=1) + 0.5
+    index = np.flatnonzero((depth > _NEAREST_M) & (inward >= 0.0))
+    pixel, depth, inward = pixel[index], depth[index], inward[index]
     away = camera.pose[:3, 3] - atlas.points[index]
     distance = np.linalg.norm(away, axis=1)
-    cosine = np.abs(np.einsum("tk,tk->t", away, atlas.normals[index])) / np.maximum(distance, 1e-9)
-    pixels = camera.fx * camera.fy * cosine * (atlas.side_m[index] / np.maximum(depth, 1e-9)) ** 2
-    inward = np.minimum(pixel, np.array([camera.width, camera.height]) - 1.0 - pixel).min(axis=1) + 0.5
+    cosine = np.abs(np.einsum("tk,tk->t", away, atlas.normals[index])) / distance
+    pixels = camera.fx * camera.fy * cosine * (atlas.side_m[index] / depth) ** 2
     ramp = np.clip(inward / max(config.border_px, 1e-9), 1e-3, 1.0)
-    weight = cosine * np.minimum(pixels, 1.0) * ramp
-    fit = (cosine >= config.least_cosine) & (distance <= config.max_m)
-    return index[fit], weight[fit].astype(np.float32)
+    weight = (cosine * np.minimum(pixels, 1.0) * ramp).astype(np.float32)
+    return _Sight(index, pixel, depth, weight).some((cosine >= config.least_cosine) & (distance <= config.max_m))
 
 
-def _agreement(points: Array, camera: Camera, depth: NDArray[np.float32], config: BakeConfig) -> NDArray[np.float32]:
-    """How far a depth image bears out that it shows points: 1 where a reading agrees, 0 where it does not, shape (t,)."""
-    pixel, expected = camera.project(points)
-    column, row = np.round(pixel).astype(np.int64).T
-    inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-    column, row = np.clip(column, 0, camera.width - 1), np.clip(row, 0, camera.height - 1)
-    reading = np.where(inside, depth[row, column], 0.0)
+def _off_camera(sight: _Sight, view: ColorView, scene: RayScene, points: Array, config: BakeConfig) -> tuple[Mask, NDArray[np.float32]]:
+    """Which looks lie at a rim, of the surface itself or of what stands before it, and how far the depth image bears the others out."""
+    camera = view.camera
+    column, row = _pixels(sight.pixel, camera)
+    left, top = max(int(column.min()) - 1, 0), max(int(row.min()) - 1, 0)
+    width, height = min(int(column.max()) + 2, camera.width) - left, min(int(row.max()) + 2, camera.height) - top
+    part = dataclasses.replace(camera, cx=camera.cx - left, cy=camera.cy - top, width=width, height=height)
+    cast = scene.cast(part.rays())["t_hit"]
+    at_rim = depth_edges(np.where(np.isfinite(cast), cast, np.float32(0.0)), config.edge_jump)[row - top, column - left]
+    if view.depth is None or view.depth_camera is None:
+        return at_rim, np.ones(len(row), dtype=np.float32)
+    read, expected = view.depth(), sight.depth
+    pixel = sight.pixel
+    if view.depth_camera != camera:
+        pixel, expected = view.depth_camera.project(points[sight.index])
+    column, row = _pixels(pixel, view.depth_camera)
+    reading = read[row, column]
     agrees = np.abs(reading - expected) <= config.depth_m + config.depth_per_m * expected
-    trust = np.where(reading > 0, np.where(agrees, 1.0, 0.0), config.unread_trust)
-    return np.where(depth_edges(depth, config.edge_jump)[row, column], trust * config.edge_trust, trust).astype(np.float32)
+    trust = np.where(reading > 0, np.where(agrees, 1.0, 0.0), config.unread_trust).astype(np.float32)
+    return at_rim | depth_edges(read, config.edge_jump)[row, column], trust
+
+
+def _pixels(pixel: Array, camera: Camera) -> tuple[Integers, Integers]:
+    """The column and line of the nearest pixel, shape (s,) each."""
+    column, row = np.clip(np.round(pixel).astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
+    return column, row
 
 
 def depth_edges(depth: NDArray[np.float32], jump: float) -> Mask:
-    """Pixels of a depth image [m] around which, in a square of 3, readings differ by more than a share of the largest, shape (h, w)."""
+    """Pixels of a depth image [m] around which, in a square of 3, readings differ by more than a share of the largest, or some are
+    missing (0) but not all, shape (h, w)."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    far = maximum_filter(depth, 3)
-    near = minimum_filter(np.where(depth > 0, depth, np.float32(np.inf)), 3)
-    return np.asarray((far - near > jump * far) & (far > 0))
+    far, near = maximum_filter(depth, 3, mode="nearest"), minimum_filter(depth, 3, mode="nearest")
+    return np.asarray(far - near > jump * far, dtype=np.bool_)
 
 
 def bilinear(image: Colors, pixel: Array) -> NDArray[np.float32]:
@@ -211,10 +253,13 @@ def bilinear(image: Colors, pixel: Array) -> NDArray[np.float32]:
     return np.asarray(upper * (1 - v) + lower * v, dtype=np.float32)
 
 
-def _mean(looks: _Looks, gains: Array, outlier_levels: float) -> tuple[NDArray[np.float32], Mask]:
-    """The weighted mean of the looks that lie near their weighted median, shape (t, 3), and which texels have any look, shape (t,)."""
+def _mean(looks: _Looks, gains: Array, outlier_levels: float) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+    """The weighted mean of the looks that lie near their weighted median, shape (t, 3), and what it is, shape (t,): 2 of looks within
+    the surface, which then count alone, 1 of looks at rims, 0 of none."""
     color = looks.color / gains.astype(np.float32)[looks.view][..., None] if len(gains) else looks.color
-    weight = looks.weight
+    inside = np.where(looks.at_rim, np.float32(0.0), looks.weight)
+    is_sure: Mask = np.asarray(inside.max(axis=1) > 0)
+    weight = np.where(is_sure[:, None], inside, looks.weight)
     middle = weighted_median(color, weight)
     apart = np.abs(color - middle[:, None]).max(axis=2)
     kept = np.where(apart <= outlier_levels, weight, np.float32(0.0))
@@ -222,7 +267,7 @@ def _mean(looks: _Looks, gains: Array, outlier_levels: float) -> tuple[NDArray[n
     kept[lonely] = weight[lonely]
     total = kept.sum(axis=1)
     mean = (color * kept[..., None]).sum(axis=1) / np.maximum(total, np.float32(1e-12))[:, None]
-    return np.clip(mean, 0, 255).astype(np.float32), total > 0
+    return np.clip(mean, 0, 255).astype(np.float32), np.where(is_sure, 2, total > 0).astype(np.int8)
 
 
 def weighted_median(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -234,19 +279,20 @@ def weighted_median(values: NDArray[np.float32], weight: NDArray[np.float32]) ->
     return np.take_along_axis(ascending, at[:, None], axis=1)[:, 0]
 
 
-def _hidden(points: Array, color: NDArray[np.float32], seen: Mask) -> NDArray[np.float32]:
-    """Colors of texels that were not seen: of those that were, the nearest on the surface, nearer ones more, shape (hidden, 3)."""
+def _lent(points: Array, color: NDArray[np.float32], lends: Mask, needs: Mask, reach_m: float) -> tuple[NDArray[np.float32], Mask]:
+    """Colors of the texels that need one, of the nearest on the surface that lend theirs, nearer ones more, shape (needy, 3); and which
+    of them have one within reach, shape (needy,)."""
     from scipy.spatial import cKDTree
 
-    lenders = np.flatnonzero(seen)
+    lenders = np.flatnonzero(lends)
     if not len(lenders):
-        return np.full((len(seen), 3), _BLANK, dtype=np.float32)
+        return np.full((int(needs.sum()), 3), _BLANK, dtype=np.float32), np.zeros(int(needs.sum()), dtype=bool)
     lenders = lenders[:: -(-len(lenders) // _LENDERS)]
     k = min(_NEIGHBORS, len(lenders))
-    distance, nearest = cKDTree(points[lenders]).query(points[~seen], k=k)
-    closeness = 1.0 / (distance.reshape(-1, k) + 1e-6) ** 2
-    lent = color[lenders[nearest.reshape(-1, k)]]
-    return np.asarray((lent * closeness[..., None]).sum(axis=1) / closeness.sum(axis=1)[:, None], dtype=np.float32)
+    distance, nearest = (of.reshape(-1, k) for of in cKDTree(points[lenders]).query(points[needs], k=k))
+    closeness = 1.0 / (distance + 1e-6) ** 2
+    lent = (color[lenders[nearest]] * closeness[..., None]).sum(axis=1) / closeness.sum(axis=1)[:, None]
+    return lent.astype(np.float32), distance[:, 0] <= reach_m
 
 
 def _with_gutters(image: NDArray[np.float32], covered: Mask, gutter_px: int) -> Colors:

@@ -79,10 +79,10 @@ def chart_figures(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, raster_p
     scale = float(np.sqrt(np.abs(image[usable]).sum() / area[usable].sum()))
     turned = np.abs(_angles(points, corners[usable]) - _angles(places, corners[usable])).mean(axis=1)
     chart, count, seams = _cut(points, corners, places, usable)
-    mirrored: Mask = np.asarray(np.bincount(chart, image)) < 0
+    mirrored = np.bincount(chart, image) < 0
     raster = coverage_of(places, corners, (raster_px, raster_px))
     covered = raster.owner >= 0
-    beyond = (places < -_OUTSIDE) | (places > 1 + _OUTSIDE)
+    beyond: Mask = np.asarray(np.abs(places - 0.5).max(axis=1) > 0.5 + _OUTSIDE)
     return ChartFigures(
         faces=len(corners),
         charts=count,
@@ -93,7 +93,7 @@ def chart_figures(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, raster_p
         overlap=float((raster.depth > 1).sum() / max(int(covered.sum()), 1)),
         flipped=int((usable & ((image < 0) != mirrored[chart])).sum()),
         mirrored=int(mirrored[np.unique(chart[usable])].sum()),
-        outside=int(beyond.any(axis=1)[corners].any(axis=1).sum()),
+        outside=int(beyond[corners].any(axis=1).sum()),
         degenerate=int(degenerate.sum()),
         collapsed=int(collapsed.sum()),
         seam_ratio=float(seams / np.linalg.norm(np.ptp(points[corners.ravel()], axis=0))),
