@@ -217,10 +217,10 @@ def _off_camera(sight: _Sight, view: ColorView, scene: RayScene, points: Array, 
         return at_rim, np.ones(len(row), dtype=np.float32)
     read, expected = view.depth(), sight.depth
     pixel = sight.pixel
-    if view.depth_camera != camera:
+    if view.depth_camera is not camera:
         pixel, expected = view.depth_camera.project(points[sight.index])
     column, row = _pixels(pixel, view.depth_camera)
-    reading = read[row, column]
+    reading = np.where(np.abs(pixel - np.column_stack([column, row])).max(axis=1) <= 0.5, read[row, column], np.float32(0.0))
     agrees = np.abs(reading - expected) <= config.depth_m + config.depth_per_m * expected
     trust = np.where(reading > 0, np.where(agrees, 1.0, 0.0), config.unread_trust).astype(np.float32)
     return at_rim | depth_edges(read, config.edge_jump)[row, column], trust

@@ -37,7 +37,7 @@ def gains_of(color: NDArray[np.float32], weight: NDArray[np.float32], view: NDAr
     Solves log(color) = log(gain of its view) + log(color of its point) in the sense of least squares, with points eliminated.
     """
     shade = color.mean(axis=2).astype(np.float64)
-    usable = (weight > 0) & (shade >= _DARKEST) & (shade <= _BRIGHTEST)
+    usable = (weight > 0) & (shade >= _DARKEST) & (color.max(axis=2) <= _BRIGHTEST)
     rows = np.flatnonzero(usable.sum(axis=1) >= 2)
     rows = rows[:: max(-(-len(rows) // _POINTS), 1)]
     if not len(rows) or views < 2:
