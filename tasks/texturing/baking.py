@@ -36,6 +36,9 @@ _NEIGHBORS = 8
 _LENDERS = 200_000
 """More texels that were seen are thinned before they lend: their colors hardly differ over a millimeter."""
 
+_TURN_M = 0.02
+"""How far away a texel counts that is turned by 60 degrees [m]: around an edge, light falls otherwise. Larger, and legs borrow from seats."""
+
 _NEAREST_M = 0.05
 """No camera sees what is nearer sharply."""
 
@@ -56,7 +59,7 @@ class BakeConfig(Config):
     unread_trust: Share = 0.25  # of a pixel without a reading: what gives no depth may still be seen
     edge_jump: Share = 0.05  # readings around a pixel that differ by more of the depth than that are an edge ...
     rim_trust: Share = 0.05  # ... where colors of both sides mix: such looks are for what has no other
-    mend_m: NonNegative = 0.02  # a texel that only such looks show takes the color of those so near that have better ones
+    mend_m: NonNegative = 0.05  # a texel that only such looks show takes the color of those so near that have better ones
     least_cosine: Share = 0.17  # flatter looks than 10 degrees smear a pixel over six texels
     max_m: Positive = 8.0  # farther away a texel is a quarter of a pixel
     border_px: NonNegative = 16.0  # so near to the border lenses are at their worst, and looks count less and less
@@ -141,14 +144,15 @@ def baked(atlas: Atlas, views: Sequence[ColorView], scene: RayScene, config: Bak
     gains = gains_of(looks.color, looks.weight, looks.view, len(views)) if config.solves_gains else np.ones(len(views))
     color, quality = _mean(looks, gains, config.outlier_levels)
     sure, rim = quality == 2, quality == 1
-    lent, is_near = _lent(atlas.points, color, sure, rim, config.mend_m)
+    places = np.column_stack([atlas.points, _TURN_M * atlas.normals])
+    lent, is_near = _lent(places, color, sure, rim, config.mend_m)
     mended = np.zeros(len(rim), dtype=bool)
     mended[np.flatnonzero(rim)[is_near]] = True
     color[mended] = lent[is_near]
     seen = (quality > 0) & ~mended
     hidden = quality == 0
     if own is None:
-        color[hidden] = _lent(atlas.points, color, ~hidden, hidden, np.inf)[0]
+        color[hidden] = _lent(places, color, ~hidden, hidden, np.inf)[0]
     else:
         color[hidden] = np.asarray(own, dtype=np.float32)[hidden]
     rows, columns = atlas.texels.row, atlas.texels.column
@@ -279,9 +283,9 @@ def weighted_median(values: NDArray[np.float32], weight: NDArray[np.float32]) ->
     return np.take_along_axis(ascending, at[:, None], axis=1)[:, 0]
 
 
-def _lent(points: Array, color: NDArray[np.float32], lends: Mask, needs: Mask, reach_m: float) -> tuple[NDArray[np.float32], Mask]:
-    """Colors of the texels that need one, of the nearest on the surface that lend theirs, nearer ones more, shape (needy, 3); and which
-    of them have one within reach, shape (needy,)."""
+def _lent(places: Array, color: NDArray[np.float32], lends: Mask, needs: Mask, reach_m: float) -> tuple[NDArray[np.float32], Mask]:
+    """Colors of the texels that need one, of the nearest that lend theirs, nearer ones more, shape (needy, 3); and which of them have one
+    within reach, shape (needy,). places: of texels, with normals that count as far as `_TURN_M`, shape (t, 6)."""
     from scipy.spatial import cKDTree
 
     lenders = np.flatnonzero(lends)
@@ -289,7 +293,7 @@ def _lent(points: Array, color: NDArray[np.float32], lends: Mask, needs: Mask, r
         return np.full((int(needs.sum()), 3), _BLANK, dtype=np.float32), np.zeros(int(needs.sum()), dtype=bool)
     lenders = lenders[:: -(-len(lenders) // _LENDERS)]
     k = min(_NEIGHBORS, len(lenders))
-    distance, nearest = (of.reshape(-1, k) for of in cKDTree(points[lenders]).query(points[needs], k=k))
+    distance, nearest = (of.reshape(-1, k) for of in cKDTree(places[lenders]).query(places[needs], k=k))
     closeness = 1.0 / (distance + 1e-6) ** 2
     lent = (color[lenders[nearest]] * closeness[..., None]).sum(axis=1) / closeness.sum(axis=1)[:, None]
     return lent.astype(np.float32), distance[:, 0] <= reach_m

@@ -63,7 +63,7 @@ class TextureCommand(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Painted:
+class PaintedTwin:
     """What a program made of an asset, or why it is not used. glb: as it was left, empty where `problem` says why. figures: of its
     layout."""
 
@@ -75,20 +75,20 @@ class Painted:
 
 def painted(
     command: TextureCommand, data: bytes, image: NDArray[np.uint8] | None = None, prompt: str = "", seed: int = 0, file: str = "asset.glb"
-) -> Painted:
+) -> PaintedTwin:
     """An asset as a program textures it. data: its GLB. image: what it should look like, RGB or RGBA, shape (h, w, 3 or 4).
 
-    Whatever the program does ends in a `Painted`; nothing that it wrote stays on the disk.
+    Whatever the program does ends in a `PaintedTwin`; nothing that it wrote stays on the disk.
 
     Raises:
         InputError: the asset itself cannot be read.
     """
     wanted = surface_of(load_glb(data, file))
     if not command.words:
-        return Painted(problem="no program is named")
+        return PaintedTwin(problem="no program is named")
     needs_image = any("{image}" in word for word in command.words)
     if needs_image and image is None:
-        return Painted(problem="the program wants an image, and there is none")
+        return PaintedTwin(problem="the program wants an image, and there is none")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         out = folder / "out.glb"
@@ -103,17 +103,17 @@ def painted(
         try:
             ending = run_apart(argv, folder, command.timeout_s)
         except (OSError, ValueError) as error:
-            return Painted(problem=f"{command.words[0]} cannot be run: {error}")
+            return PaintedTwin(problem=f"{command.words[0]} cannot be run: {error}")
         if ending.problem:
-            return Painted(problem=f"{command.words[0]} {ending.problem}", seconds=ending.seconds)
+            return PaintedTwin(problem=f"{command.words[0]} {ending.problem}", seconds=ending.seconds)
         try:
             if not stays_in(out, folder):
                 raise InputError("out.glb", "file", "is a link that leads out of its folder", "")
             left = read_file(out, "out.glb", BUDGET.asset_bytes, "the program has to leave it", magic=GLB_MAGIC)
             figures = checked(wanted, left, command)
         except (InputError, ValueError) as error:
-            return Painted(problem=str(error), seconds=ending.seconds)
-    return Painted(glb=left, figures=figures, seconds=ending.seconds)
+            return PaintedTwin(problem=str(error), seconds=ending.seconds)
+    return PaintedTwin(glb=left, figures=figures, seconds=ending.seconds)
 
 
 def checked(wanted: Surface, data: bytes, command: TextureCommand) -> ChartFigures:

@@ -14,7 +14,7 @@ from PIL import Image
 from schemas.errors import InputError
 from tasks.furniture import generate
 from tasks.geometry.meshes import dump_glb, load_glb, surface_of
-from tasks.texturing.commanded import Painted, TextureCommand, painted
+from tasks.texturing.commanded import PaintedTwin, TextureCommand, painted
 from tasks.texturing.twin import textured_mesh
 from tasks.texturing.unwrapping import XatlasUnwrapper, unwrapped
 from tests.tasks.texturing.tools import program
@@ -119,7 +119,7 @@ def test_a_tool_that_fails_or_leaves_no_texture(scratch: Path, data: bytes, body
 
 
 def test_a_tool_that_cannot_be_run(scratch: Path, data: bytes) -> None:
-    assert painted(TextureCommand(), data) == Painted(problem="no program is named")
+    assert painted(TextureCommand(), data) == PaintedTwin(problem="no program is named")
     assert "cannot be run" in painted(TextureCommand(words=("/nosuch/tool", "{mesh}", "{out}")), data).problem
     assert "cannot be run" in painted(TextureCommand(words=("/bin/true", "{mesh}", "{prompt}", "{out}")), data, prompt="a\0b").problem
     assert "wants an image" in painted(TextureCommand(words=("/bin/true", "{mesh}", "{image}", "{out}")), data).problem
