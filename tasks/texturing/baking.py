@@ -37,7 +37,7 @@ _LENDERS = 200_000
 """More texels that were seen are thinned before they lend: their colors hardly differ over a millimeter."""
 
 _TURN_M = 0.02
-"""How far away a texel counts that is turned by 60 degrees [m]: around an edge, light falls otherwise. Larger, and legs borrow from seats."""
+"""How far away a texel counts that is turned by 60 degrees [m]: light falls otherwise there. More, and legs borrow from seats."""
 
 _NEAREST_M = 0.05
 """No camera sees what is nearer sharply."""

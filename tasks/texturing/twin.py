@@ -38,6 +38,7 @@ class TwinConfig(Config):
 
     bake: BakeConfig = dataclasses.field(default_factory=BakeConfig)  # each field says why
     keeps_hidden: bool = True  # what no image shows keeps the asset's color; False takes it from around it on the surface
+    most_overlap: Share = 0.05  # of the texture: more, and parts of the surface show each other's colors
     least_seen: Share = 0.05  # of its texels: a texture of less would be the asset's own, with a stain
     quality: Count = 92  # of the JPEG: differences that nobody sees, a fifth of a PNG
 
@@ -80,6 +81,9 @@ def textured_twin(
         placed = surface_of(parts).transformed(pose, scale)
         layout = unwrapped(unwrapper, placed.vertices, placed.faces)
         figures = chart_figures(layout.vertices, layout.faces, layout.uv)
+        if figures.overlap > config.most_overlap:
+            problem = f"{figures.overlap:.1%} of its texture by {layout.by} would be shown in more than one place"
+            return Twin(problem=problem, by=layout.by, figures=figures, seconds=time.monotonic() - clock)
         scene = RayScene([placed.to_trimesh(), *around])
         atlas = atlas_of(layout.vertices, layout.faces, layout.uv, config.bake)
         own = own_colors(parts, atlas.texels) if config.keeps_hidden else None

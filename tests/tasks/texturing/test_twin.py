@@ -100,6 +100,15 @@ def test_what_no_image_shows_keeps_the_looks_of_all_parts(views: list[ColorView]
         assert (off < 24).mean() > 0.97
 
 
+class Stacked:
+    """Lays all triangles upon each other."""
+
+    kind, max_faces = "stacked", 10_000
+
+    def corner_places(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, str]:
+        return np.tile([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]], (len(faces), 1, 1)), "stacks"
+
+
 def broken() -> np.ndarray:
     raise InputError("color/000003.jpg", "content", "is cut off", "export it again")
 
@@ -112,6 +121,7 @@ def test_why_there_is_no_twin(data: bytes, views: list[ColorView]) -> None:
 
     assert "asset.glb: content" in problem(b"glTF?")
     assert "more than 10; decimate it" in problem(unwrapper=XatlasUnwrapper(max_faces=10))
+    assert problem(unwrapper=Stacked()) == "100.0% of its texture by stacks would be shown in more than one place"
     assert "is no program that can be run" in problem(unwrapper=SmartUvUnwrapper())
     assert "the images show 0.0% of its surface, less than 5.0%" in problem(seen=[])
     assert "color/000003.jpg" in problem(seen=[dataclasses.replace(views[0], color=broken)])
