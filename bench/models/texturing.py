@@ -10,6 +10,7 @@ import dataclasses
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,16 +110,18 @@ def scanned_and_baked(name: str, parts: Sequence[trimesh.Trimesh], config: Textu
     settings = BakeConfig()
     atlas = atlas_of(layout.vertices, layout.faces, layout.uv, settings)
     scene = RayScene([*parts, _floor()])
-    rows, images = [], {}
+    rows, images, truth = [], {}, np.zeros((len(atlas.points), 3))
+    walk = ObjectWalk.around(parts, config.seed)
     for kind in KINDS:
-        views = _scan(parts, kind, config.seed)
+        views = walk.scan(kind, config.seed)
+        if kind == "exact":
+            truth = _lit(atlas, own_colors(parts, atlas.texels), views, scene)
         clock = time.monotonic()
         result = baked(atlas, views, scene, settings)
         seconds = time.monotonic() - clock
-        truth = _lit(atlas, own_colors(parts, atlas.texels), views, scene)
-        rows.append({"name": name, "kind": kind, "views": len(views), "seconds": seconds} | _errors(atlas, result, truth))
         plain = baked(atlas, views, scene, dataclasses.replace(settings, solves_gains=False))
-        rows[-1]["mean_without_gains"] = _errors(atlas, plain, truth)["mean"]
+        figures = _errors(atlas, result, truth) | {"mean_without_gains": _errors(atlas, plain, truth)["mean"]}
+        rows.append({"name": name, "kind": kind, "views": len(views), "seconds": seconds} | figures)
         images[kind] = result.image
     if config.pictures is not None:
         meshes = [list(parts), *([textured_mesh(surface.vertices, layout, images[kind], 95)] for kind in KINDS)]
@@ -126,25 +129,34 @@ def scanned_and_baked(name: str, parts: Sequence[trimesh.Trimesh], config: Textu
     return rows
 
 
-def _scan(parts: Sequence[trimesh.Trimesh], kind: str, seed: int) -> list[ColorView]:
-    """Images of an object on a floor, as somebody takes them who walks around it."""
-    settings = ScannerConfig(color_width=640, color_height=480, view_limit=_MOST_VIEWS)
-    if kind == "exact":
-        settings = dataclasses.replace(settings, color_noise=0.0, exposure_spread=0.0, depth_noise_m=0.0, depth_noise_per_m=0.0)
-    rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
-    route = np.random.default_rng(seed)  # the same for all kinds
-    scenery = scenery_of([("floor", _floor()), *((f"object|object|{index}", part) for index, part in enumerate(parts))])
-    scene = RayScene(scenery.parts)
-    paint = Paint(scene)
-    poses = plan_views(scene, scenery, targets_of(scenery, settings.target_spacing_m, settings.target_least, route), settings, route)
-    offs = drift(len(poses), settings, rng) if kind == "drifting" else [np.eye(4)] * len(poses)
-    views = []
-    for pose, off in zip(poses, offs, strict=True):
-        shot = shoot(scene, paint, pose, pose @ off, settings, rng)
-        depth = shot.depth.astype(np.float32) / np.float32(1000.0)
-        color = color_camera(shot.pose, settings)
-        views.append(ColorView(color, lambda shot=shot: shot.color, depth_camera(shot.pose, settings), lambda depth=depth: depth))  # type: ignore[misc]
-    return views
+@dataclasses.dataclass(frozen=True)
+class ObjectWalk:
+    """Where somebody goes who scans an object on a floor. poses: camera to world, 4x4 each [m]."""
+
+    parts: list[trimesh.Trimesh]
+    poses: list[Array]
+
+    @staticmethod
+    def around(parts: Sequence[trimesh.Trimesh], seed: int) -> ObjectWalk:
+        """The walk that the scanner plans."""
+        settings, rng = ScannerConfig(view_limit=_MOST_VIEWS), np.random.default_rng(seed)
+        scenery = scenery_of([("floor", _floor()), *((f"object|object|{index}", part) for index, part in enumerate(parts))])
+        targets = targets_of(scenery, settings.target_spacing_m, settings.target_least, rng)
+        return ObjectWalk(scenery.parts, plan_views(RayScene(scenery.parts), scenery, targets, settings, rng))
+
+    def scan(self, kind: str, seed: int) -> list[ColorView]:
+        """Images that are taken on the way, with what is wrong with scans of a kind."""
+        settings = ScannerConfig(color_width=640, color_height=480)
+        if kind == "exact":
+            settings = dataclasses.replace(settings, color_noise=0.0, exposure_spread=0.0, depth_noise_m=0.0, depth_noise_per_m=0.0)
+        rng, scene = np.random.default_rng([seed, zlib.crc32(kind.encode())]), RayScene(self.parts)
+        offs = drift(len(self.poses), settings, rng) if kind == "drifting" else [np.eye(4)] * len(self.poses)
+        paint, views = Paint(scene), []
+        for pose, off in zip(self.poses, offs, strict=True):
+            shot = shoot(scene, paint, pose, pose @ off, settings, rng)
+            color, depth = partial(np.asarray, shot.color), partial(np.divide, shot.depth, np.float32(1000.0), dtype=np.float32)
+            views.append(ColorView(color_camera(shot.pose, settings), color, depth_camera(shot.pose, settings), depth))
+        return views
 
 
 def _lit(atlas: Atlas, own: NDArray[np.uint8], views: Sequence[ColorView], scene: RayScene) -> Array:
