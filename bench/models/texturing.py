@@ -219,7 +219,7 @@ def _assets(config: TexturingBench) -> Iterator[tuple[str, str, Surface]]:
     """Source, name and surface of every asset that is laid out."""
     for entry in _entries(config):
         made = library_asset(entry)
-        yield "library", made.asset.name, surface_of(load_glb(made.files[made.asset.mesh_blob], entry.file))
+        yield "others", made.asset.name, surface_of(load_glb(made.files[made.asset.mesh_blob], entry.file))
     for category in CATEGORIES:
         for number in range(config.models):
             model = generate(category, None, np.random.default_rng([config.seed, number, zlib.crc32(category.encode())]))
