@@ -1,0 +1,63 @@
+"""Programs of others in processes of their own: bounded in time, and none of what they started stays."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from schemas.text import cut, one_line
+
+_LAST_BYTES = 4096
+"""Of what a program wrote to its standard error, the end is looked at: that is where it says what went wrong."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Ending:
+    """How a program ended. code: its exit code, None where its time was up. last: the last line of its standard error, '' for none."""
+
+    code: int | None
+    last: str
+    seconds: float
+
+    @property
+    def problem(self) -> str:
+        """What went wrong, '' for nothing."""
+        if self.code is None:
+            return f"took longer than {self.seconds:.0f} s"
+        if self.code == 0:
+            return ""
+        how = f"was ended by signal {-self.code}" if self.code < 0 else f"ended with code {self.code}"
+        return f"{how}: {self.last or 'it did not say why'}"
+
+
+def run_apart(command: Sequence[str], folder: Path, timeout_s: float) -> Ending:
+    """Run a program in a folder until it ends, or for so many seconds. It reads nothing, and what it prints is dropped.
+
+    It and all that it started, as far as they stayed in its process group, are gone afterwards.
+
+    Raises:
+        OSError, ValueError: it cannot be started.
+    """
+    clock = time.monotonic()
+    with tempfile.TemporaryFile() as errors:
+        child = subprocess.Popen(
+            list(command), cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True
+        )
+        try:
+            code: int | None = child.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            code = None
+        finally:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(child.pid, signal.SIGKILL)
+            child.wait()
+        errors.seek(max(errors.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
+        lines = errors.read().decode(errors="replace").strip().splitlines()
+    return Ending(code, cut(one_line(lines[-1])) if lines else "", time.monotonic() - clock)
