@@ -1,0 +1,1 @@
+"""What models of a library are worth: how well scans find them again."""
