@@ -42,6 +42,9 @@ def license_of(text: str) -> License:
     lower = plain.lower()
     if lower in NAMED:
         return License(NAMED[lower], False)
+    words = [*lower.split(), ""]
+    if words[0] in NAMED and words[1] in ("text", "license", "licence", "(c)"):
+        return License(NAMED[words[0]], False)
     address = _URL.search(lower)
     if address is not None:
         kind, version = address.groups()
