@@ -21,14 +21,21 @@ NEAR = 2e-3
 EXACT = 1e-4
 """Of a model's size: so near to each other lie vertices of the same geometry."""
 
+FEW = 24
+"""Vertices by which most turns are ruled out."""
+
 MOST_TURNS = 64
 """Turns that are tried. What is round has as many as it has vertices in a ring, and each of them fits."""
 
 
 def normalized(vertices: ArrayLike) -> Array:
     """Distinct vertices, shape (n, 3), +Z up, around their mean, of root mean square distance 1, sorted."""
-    distinct = np.unique(np.round(np.asarray(vertices, dtype=np.float64), 7), axis=0)
-    centered = distinct - distinct.mean(axis=0)
+    points = _scaled(np.asarray(vertices, dtype=np.float64))
+    return _scaled(np.unique(np.round(points, 5), axis=0))
+
+
+def _scaled(points: Array) -> Array:
+    centered = points - points.mean(axis=0)
     return np.asarray(centered / max(float(np.sqrt((centered**2).sum(axis=1).mean())), 1e-12))
 
 
@@ -47,22 +54,30 @@ def is_same(first: ArrayLike, other: ArrayLike) -> bool:
     from scipy.spatial import cKDTree
 
     a, b = normalized(first), normalized(other)
-    if len(a) != len(b):
-        return False
-    radius_a, radius_b = np.linalg.norm(a[:, :2], axis=1), np.linalg.norm(b[:, :2], axis=1)
-    tree = cKDTree(b)
-    start = int(np.argmax(radius_a))
-    if radius_a[start] < EXACT:  # all on the axis: no turn changes it
-        return bool((tree.query(a)[0] < EXACT).all())
-    partners = np.flatnonzero((np.abs(radius_b - radius_a[start]) < EXACT) & (np.abs(b[:, 2] - a[start, 2]) < EXACT))
-    for partner in partners[:MOST_TURNS]:
+    tree, back = cKDTree(b), cKDTree(a)
+    radius_b = np.linalg.norm(b[:, :2], axis=1)
+    start = _rarest(a)
+    if start is None:  # all on the axis: no turn changes it
+        return bool((tree.query(a)[0] < EXACT).all() and (back.query(b)[0] < EXACT).all())
+    radius = float(np.linalg.norm(a[start, :2]))
+    few = a[:: max(len(a) // FEW, 1)]
+    for partner in np.flatnonzero((np.abs(radius_b - radius) < EXACT) & (np.abs(b[:, 2] - a[start, 2]) < EXACT))[:MOST_TURNS]:
         angle = np.arctan2(b[partner, 1], b[partner, 0]) - np.arctan2(a[start, 1], a[start, 0])
         cos, sin = np.cos(angle), np.sin(angle)
-        turned = a @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        distance, nearest = tree.query(turned)
-        if (distance < 2 * EXACT).all() and len(np.unique(nearest)) == len(b):
+        turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        if all((there.query(points)[0] < 2 * EXACT).all() for there, points in ((tree, few @ turn), (tree, a @ turn), (back, b @ turn.T))):
             return True
     return False
+
+
+def _rarest(points: Array) -> int | None:
+    """A vertex far from the axis that few others share height and distance with; None where all lie on the axis."""
+    radii = np.linalg.norm(points[:, :2], axis=1)
+    if radii.max() < EXACT:
+        return None
+    rings = np.round(np.column_stack([radii, points[:, 2]]), 3)
+    _, which, times = np.unique(rings, axis=0, return_inverse=True, return_counts=True)
+    return int(np.argmin(np.where(radii > 0.3 * radii.max(), times[which.reshape(-1)], len(points) + 1)))
 
 
 def marked(entries: Sequence[IndexEntry], vertices_of: Callable[[IndexEntry], Array | None]) -> list[IndexEntry]:

@@ -94,16 +94,23 @@ def abo_facts(listings: Iterable[bytes], table: bytes, license_text: str, file: 
     Raises:
         InputError: a file is broken, or the table has no column `3dmodel_id`.
     """
-    rows = list(csv.DictReader(io.StringIO(_unpacked(table, "3dmodels.csv").decode("utf-8-sig", "replace"))))
+    text = _unpacked(table, "3dmodels.csv").decode("utf-8-sig", "replace")
+    try:
+        rows = list(csv.DictReader(io.StringIO(text)))
+    except csv.Error as error:
+        raise InputError("3dmodels.csv", "content", f"is no table ({error})", "is it the right file?") from error
     if rows and "3dmodel_id" not in rows[0]:
         raise InputError("3dmodels.csv", "3dmodel_id", "is no column", "is it the right file?")
     sides = {row["3dmodel_id"]: tuple(_number(row.get(f"extent_{axis}")) for axis in "xyz") for row in rows}
     terms = license_of(license_text)
     facts: Facts = {name: _of_abo({}, extents, terms) for name, extents in sides.items() if name}
     for number, packed in enumerate(listings):
-        text = _unpacked(packed, f"{file}_{number}")
-        weigh_json(text, a_line=1000)
-        for line in text.splitlines():
+        lines = _unpacked(packed, f"{file}_{number}")
+        try:
+            weigh_json(lines, a_line=1000)
+        except ValueError as error:
+            raise InputError(f"{file}_{number}", "content", str(error), "split it") from error
+        for line in lines.splitlines():
             listing = _json(line, f"{file}_{number}") if line.strip() else None
             name = _text(listing, "3dmodel_id")
             if name:
