@@ -87,18 +87,18 @@ def marked(entries: Sequence[IndexEntry], vertices_of: Callable[[IndexEntry], Ar
     signatures of two entries leave room for doubt.
     """
     ordered = sorted(entries, key=lambda entry: entry.file)
-    first_of: dict[str, str] = {}
+    first_of: dict[str, str] = {}  # by content
     groups: dict[tuple[int, int], list[IndexEntry]] = {}
     made: list[IndexEntry] = []
     for entry in ordered:
-        owner = first_of.get(entry.content, "")
+        owner, way = first_of.get(entry.content, ""), "bytes"
         if not owner:
             group = groups.setdefault((entry.face_count, entry.vertex_count), [])
-            owner = _same(entry, group, vertices_of)
+            owner, way = _same(entry, group, vertices_of), "geometry"
             if not owner:
                 group.append(entry)
-            first_of[entry.content] = owner or entry.file
-        made.append(dataclasses.replace(entry, duplicate_of=owner))
+            first_of[entry.content] = entry.file
+        made.append(dataclasses.replace(entry, duplicate_of=owner, duplicate_by=way if owner else ""))
     return made
 
 

@@ -28,7 +28,8 @@ class IndexEntry:
     '' where it is. descriptor, field: What it is found by. signature: What equal geometry has in common, shape (34,).
     thumbnails: PNGs from around, the first from the front. image_vectors: Of pictures from around, shape (k, d), and text_vector: of its
     name and category, shape (d,), by the model `weights` (a hash), where one was named. pieces_key: What convex pieces are cached by.
-    notes: What is odd or missing, a line each. duplicate_of: The file that holds the same, '' for the first.
+    notes: What is odd or missing, a line each. duplicate_of: The file that holds the same, '' for the first; duplicate_by: `bytes`, or
+    `geometry`, whatever its colors.
     """
 
     file: str
@@ -62,6 +63,7 @@ class IndexEntry:
     pieces_key: str
     notes: tuple[str, ...]
     duplicate_of: str = ""
+    duplicate_by: str = ""
 
     @property
     def is_closed(self) -> bool:

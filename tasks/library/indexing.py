@@ -23,7 +23,7 @@ from tasks.candidates.descriptors import describe
 from tasks.candidates.library import category_of
 from tasks.captions.physics import known_name
 from tasks.geometry.meshes import Surface, sample_surface, surface_of
-from tasks.geometry.triangles import welded
+from tasks.geometry.triangles import is_closed, welded
 from tasks.library.duplicates import marked, signature_of
 from tasks.library.embeddings import encoder_in
 from tasks.library.entry import IndexEntry, dumped, loaded
@@ -88,8 +88,9 @@ def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, c
         raise InputError(file, "extents", f"are {size} m, which is no object of a room", "state its unit in the index")
     # The same whatever the file is called: the generator is the content's.
     rng = np.random.default_rng(int(content[:15], 16))
-    points, colors, _ = sample_surface(surface, LAID, rng)
-    descriptor = describe(points[:DESCRIBED], colors[:DESCRIBED], extents, rng)
+    points, colors, _ = sample_surface(surface, DESCRIBED, rng)
+    descriptor = describe(points, colors, extents, rng)
+    points, _, _ = sample_surface(surface, LAID, rng)
     name = facts.name or path.stem
     vectors, text, weights = _vectors(parts, name, category, config)
     x, y, z = (float(side) for side in extents)
@@ -110,12 +111,12 @@ def open_because(surface: Surface) -> str:
     _, place = welded(surface.vertices, 7)
     faces = place[surface.faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    if is_closed(surface.faces) or is_closed(faces):
+        return ""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, times = np.unique(edges, axis=0, return_counts=True)
     free, shared = int((times == 1).sum()), int((times > 2).sum())
-    if free:
-        return f"{free} of {len(times)} edges have one face"
-    return f"{shared} of {len(times)} edges have three faces or more" if shared else ""
+    return f"{free} of {len(times)} edges have one face" if free else f"{shared} of {len(times)} edges have three faces or more"
 
 
 def geometry_key(surface: Surface) -> str:

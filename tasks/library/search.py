@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.candidates.descriptors import Descriptor
+from tasks.candidates.descriptors import Descriptor, similarity
 from tasks.candidates.retrieval import category_similarity
 from tasks.captions.physics import known_name
 from tasks.library.entry import IndexEntry
@@ -26,6 +26,9 @@ Floats = NDArray[np.float32]
 
 SHOWN = 6000
 """Points of a scan that its field is made of: as many as of a model."""
+
+REPAINTED = 0.75
+"""Color histograms of one surface that is sampled twice share more than this; in other paint they share a third."""
 
 SHORTEST = 0.01
 """Sides are compared as if none were thinner [m]."""
@@ -81,7 +84,8 @@ _OF_FIELD = ("values", "low", "high", "samples", "extents")
 
 
 class LibrarySearch:
-    """Arrays of an index, by the names of files, that are searched. Duplicates are found by the first of their kind alone."""
+    """Arrays of an index, by the names of files, that are searched. Duplicates are found by the first of their kind alone, but for those
+    that are painted otherwise."""
 
     def __init__(self, arrays: dict[str, NDArray[Any]]) -> None:
         self.arrays = arrays
@@ -92,7 +96,7 @@ class LibrarySearch:
     @staticmethod
     def of(entries: Sequence[IndexEntry]) -> LibrarySearch:
         """The search over entries, in whatever order they come. Vectors are used where all entries have them, by one model."""
-        kept = sorted((entry for entry in entries if not entry.duplicate_of), key=lambda entry: entry.file)
+        kept = _distinct(entries)
         categories, which = np.unique([entry.category for entry in kept] or [""], return_inverse=True)
         arrays: dict[str, NDArray[Any]] = {
             "files": np.array([entry.file for entry in kept], dtype=np.str_),
@@ -102,7 +106,7 @@ class LibrarySearch:
         }
         for name in _HISTOGRAMS:
             rows = [getattr(entry.descriptor, name) for entry in kept]
-            arrays[name] = np.ascontiguousarray(np.array(rows, dtype=np.float32).reshape(len(kept), -1).T)
+            arrays[name] = np.ascontiguousarray(np.array(rows, dtype=np.float32).reshape(len(kept), -1 if kept else 0).T)
         for name in _OF_FIELD:
             arrays[f"field_{name}"] = np.array([getattr(entry.field, name) for entry in kept])
         models = {entry.weights for entry in kept}
@@ -190,6 +194,19 @@ class LibrarySearch:
         """Mean vectors of models' pictures, of length 1, shape (n, d)."""
         means = self.arrays["views"].mean(axis=1)
         return np.asarray(means / np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-9), dtype=np.float32)
+
+
+def _distinct(entries: Sequence[IndexEntry]) -> list[IndexEntry]:
+    """Entries by their files' names, without those that are and look like another."""
+    by_file = {entry.file: entry for entry in entries}
+
+    def is_kept(entry: IndexEntry) -> bool:
+        first = by_file.get(entry.duplicate_of)
+        if first is None:
+            return True
+        return entry.duplicate_by == "geometry" and similarity(first.descriptor.colors, entry.descriptor.colors) < REPAINTED
+
+    return sorted(filter(is_kept, entries), key=lambda entry: entry.file)
 
 
 _ALIGNED = 64
