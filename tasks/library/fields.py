@@ -86,7 +86,20 @@ def fits(query: DistanceField, values: NDArray[np.uint8], low: NDArray[np.float3
     out = np.zeros((len(rows), 2))
     sigma = NOISE_M + NOISE_SHARE * float(np.linalg.norm(query.extents))
     _compiled()["_best"](
-        query.values, query.low, query.high, query.samples, query.extents, query.reach, values, low, high, samples, extents, rows, sigma, out
+        query.values,
+        query.low,
+        query.high,
+        query.samples,
+        query.extents,
+        query.reach,
+        values,
+        low,
+        high,
+        samples,
+        extents,
+        rows,
+        sigma,
+        out,
     )
     return out
 
@@ -103,9 +116,13 @@ def _at(values: Any, low: Any, high: Any, reach: float, x: float, y: float, z: f
         place[k] = (inside - low[k]) / (high[k] - low[k]) * (cells - 1)
     i, j, k = min(int(place[0]), cells - 2), min(int(place[1]), cells - 2), min(int(place[2]), cells - 2)
     a, b, c = place[0] - i, place[1] - j, place[2] - k
-    near = (1 - b) * ((1 - a) * values[i, j, k] + a * values[i + 1, j, k]) + b * ((1 - a) * values[i, j + 1, k] + a * values[i + 1, j + 1, k])
+    near = (1 - b) * ((1 - a) * values[i, j, k] + a * values[i + 1, j, k]) + b * (
+        (1 - a) * values[i, j + 1, k] + a * values[i + 1, j + 1, k]
+    )
     k += 1
-    far = (1 - b) * ((1 - a) * values[i, j, k] + a * values[i + 1, j, k]) + b * ((1 - a) * values[i, j + 1, k] + a * values[i + 1, j + 1, k])
+    far = (1 - b) * ((1 - a) * values[i, j, k] + a * values[i + 1, j, k]) + b * (
+        (1 - a) * values[i, j + 1, k] + a * values[i + 1, j + 1, k]
+    )
     return ((1 - c) * near + c * far) * reach / 255.0 + np.sqrt(away)
 
 
@@ -144,7 +161,10 @@ def _best(q_values: Any, q_low: Any, q_high: Any, q_samples: Any, q_size: Any, q
                 slack = along - q_size[axis]
                 kept = t[axis]
                 for side in (-1.0, -0.5, 0.5, 1.0):
-                    t[axis] = 0.5 * slack * side if axis < 2 else (slack * side if side > 0 else 0.5 * sigma * side)
+                    if axis < 2:
+                        t[axis] = 0.5 * slack * side
+                    else:  # scans lack what is below, not what is above
+                        t[axis] = slack * side if side < 0.0 else sigma * (1.5 - 2.0 * side)
                     other = _nearness(values[r], low[r], high[r], reach, q_samples, 4, turn, True, t, sigma)
                     if other > now:
                         now, kept = other, t[axis]

@@ -132,9 +132,7 @@ def entry_key(content: str, facts: ModelFacts, file: str, config: IndexConfig, w
     return f"entry-{hashlib.sha256(text.encode('utf-8', 'surrogatepass')).hexdigest()}"
 
 
-def index_remembered(
-    path: Path, root: Path, facts: ModelFacts, config: IndexConfig, store: MutableMapping[str, bytes]
-) -> IndexEntry | str:
+def index_remembered(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, store: MutableMapping[str, bytes]) -> IndexEntry | str:
     """The entry of a file out of the store, or made and put there; or why it has none, which is remembered likewise."""
     file = path.relative_to(root).as_posix()
     try:

@@ -40,10 +40,10 @@ class SearchWeights(Config):
 
     category: NonNegative = 0.45  # a wrong category is the one error that everybody sees
     extents: NonNegative = 0.25  # selection may scale within narrow limits only
-    shape: NonNegative = 0.2  # histograms of partial scans are blurred
+    shape: NonNegative = 0.1  # histograms of partial scans are blurred, and laying the scan on says the same more clearly
     color: NonNegative = 0.1  # light changes color, and a material can be exchanged
     near_model: NonNegative = 0.3  # share of scanned points on the model: what tells models of one size apart
-    near_scan: NonNegative = 0.09  # share of the model that was seen: never all of it
+    near_scan: NonNegative = 0.2  # share of the model that was seen: never all of it
     short_list: Count = 24  # models that the scan is laid on; of 439, none that came first after was farther behind before
     text: NonNegative = 0.5  # cosines of texts and pictures differ by a tenth between right and wrong
     image: NonNegative = 0.5  # those of two pictures by three tenths, but a crop shows its room, too
@@ -105,7 +105,7 @@ class LibrarySearch:
             "sides": np.array([entry.extents for entry in kept], dtype=np.float32).reshape(-1, 3),
         }
         for name in _HISTOGRAMS:
-            rows = [getattr(entry.descriptor, name) for entry in kept]
+            rows = [_compared(name, entry.descriptor) for entry in kept]
             arrays[name] = np.ascontiguousarray(np.array(rows, dtype=np.float32).reshape(len(kept), -1 if kept else 0).T)
         for name in _OF_FIELD:
             arrays[f"field_{name}"] = np.array([getattr(entry.field, name) for entry in kept])
@@ -167,7 +167,7 @@ class LibrarySearch:
     def _scores(self, query: Query, w: SearchWeights) -> tuple[NDArray[np.float64], float]:
         """Weighted sums of what is compared without laying the scan on models, and the sum of the weights."""
         d = query.descriptor
-        of = {name: self._histograms[name].similarities(getattr(d, name)) for name in _HISTOGRAMS}
+        of = {name: self._histograms[name].similarities(_compared(name, d)) for name in _HISTOGRAMS}
         scores = w.extents * self._extents_similarities(d.extents)
         scores = scores + w.shape * 0.5 * (of["distances"] + of["heights"]) + w.color * of["colors"]
         total = w.extents + w.shape + w.color
@@ -194,6 +194,25 @@ class LibrarySearch:
         """Mean vectors of models' pictures, of length 1, shape (n, d)."""
         means = self.arrays["views"].mean(axis=1)
         return np.asarray(means / np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-9), dtype=np.float32)
+
+
+def softened(colors: ArrayLike) -> NDArray[np.float64]:
+    """A histogram over CIELAB, shape (245,), in which neighboring bins share what they hold: twice in lightness, once in hue.
+
+    Light and shade move colors by a bin, and one material seldom fills more than two.
+    """
+    values = np.asarray(colors, dtype=np.float64).reshape(5, 7, 7)
+    for axis in (0, 0, 1, 2):
+        padded = np.pad(values, [(1, 1) if k == axis else (0, 0) for k in range(3)], mode="edge")
+        below, here, above = (np.take(padded, np.arange(values.shape[axis]) + k, axis=axis) for k in range(3))
+        values = 0.25 * below + 0.5 * here + 0.25 * above
+    return np.asarray(values.ravel() / max(float(values.sum()), 1e-12))
+
+
+def _compared(name: str, descriptor: Descriptor) -> NDArray[np.float64]:
+    """A histogram as it is compared."""
+    values: NDArray[np.float64] = getattr(descriptor, name)
+    return softened(values) if name == "colors" else values
 
 
 def _distinct(entries: Sequence[IndexEntry]) -> list[IndexEntry]:

@@ -124,7 +124,9 @@ class Flattened:
         targets = instancer.GetPrototypesRel().GetForwardedTargets()
         if len(numbers) * max(len(placed), 1) > BUDGET.nodes:
             raise InputError(self._name, "instances", f"are {len(numbers)}, more than {BUDGET.nodes}", "thin them out")
-        poses = np.array(instancer.ComputeInstanceTransformsAtTime(time, time, applyMask=UsdGeom.PointInstancer.IgnoreMask)).reshape(-1, 4, 4)
+        poses = np.array(instancer.ComputeInstanceTransformsAtTime(time, time, applyMask=UsdGeom.PointInstancer.IgnoreMask)).reshape(
+            -1, 4, 4
+        )
         if len(poses) != len(numbers) or (len(numbers) and not 0 <= int(numbers.min()) <= int(numbers.max()) < len(targets)):
             raise InputError(self._name, "instances", "name prototypes that are not there", "export it again")
         here = np.array(self._places.GetLocalToWorldTransform(prim)) @ inverse

@@ -45,7 +45,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-CATALOG = {"other_chair.glb": ModelFacts("Windsor", "Chair", "index", author="A. Maker", source_url="here"), "huge": ModelFacts(category="gizmo")}
+CATALOG = {
+    "other_chair.glb": ModelFacts("Windsor", "Chair", "index", author="A. Maker", source_url="here"),
+    "huge": ModelFacts(category="gizmo"),
+}
 
 
 @pytest.fixture(scope="module")

@@ -58,7 +58,12 @@ def test_abo_listings_and_models(pack: Callable[[bytes], bytes]) -> None:
     facts = abo_facts([pack(lines)], pack(TABLE.encode()), "CC BY-NC 4.0")
     assert set(facts) == {"B07ABC", "B08XYZ"}
     table = facts_of("C/B07ABC.glb", facts)
-    assert (table.category, table.category_source, table.name, table.author) == ("coffee table", "product_type", "Round Coffee Table, Oak", "Rivet")
+    assert (table.category, table.category_source, table.name, table.author) == (
+        "coffee table",
+        "product_type",
+        "Round Coffee Table, Oak",
+        "Rivet",
+    )
     assert table.extents_m == pytest.approx((1.016, 0.508, 0.508))
     assert table.license == ("CC-BY-NC-4.0", True)
     assert table.source_url.endswith("B07ABC")
@@ -73,9 +78,7 @@ def test_the_index_of_a_folder() -> None:
         {"file": "b.obj", "unit_m": -1, "extents_m": [1, "x", 3], "up": "sideways", "license": "by"}, {"category": "chair"}, 7,
     ]  # fmt: skip
     facts = plain_facts(json.dumps(rows).encode())
-    assert facts["a/chair.glb"] == ModelFacts(
-        "", "Chair", "index", license_of("MIT-0"), "A Maker", "r s", (1.0, 2.0, 3.0), 0.01, "z", "+y"
-    )
+    assert facts["a/chair.glb"] == ModelFacts("", "Chair", "index", license_of("MIT-0"), "A Maker", "r s", (1.0, 2.0, 3.0), 0.01, "z", "+y")
     assert facts["b.obj"] == ModelFacts(license=license_of("CC-BY-4.0"))
     assert facts_of("c.glb", facts) == ModelFacts()
 
@@ -100,8 +103,10 @@ def test_licenses_by_their_identifiers(text: str, name: str, is_noncommercial: b
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers(-5, 5) | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3)
-    | st.dictionaries(st.sampled_from([*ANNOTATION, *LISTING, "file", "value", "name", "aa11", "unit", "height"]), inner, max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from([*ANNOTATION, *LISTING, "file", "value", "name", "aa11", "unit", "height"]), inner, max_size=5)
+    ),
     max_leaves=8,
 )
 READERS: list[Callable[[bytes], Any]] = [

@@ -83,7 +83,11 @@ def test_equal_models_come_in_the_order_of_their_names_and_duplicates_once() -> 
     assert [match.file for match in LibrarySearch.of(marked).find(scanned("chair", 0), 5)] == ["a.glb"]
     colors = np.roll(same[0].descriptor.colors, 7)
     repainted = dataclasses.replace(
-        same[0], file="d.glb", duplicate_of="a.glb", duplicate_by="geometry", descriptor=dataclasses.replace(same[0].descriptor, colors=colors)
+        same[0],
+        file="d.glb",
+        duplicate_of="a.glb",
+        duplicate_by="geometry",
+        descriptor=dataclasses.replace(same[0].descriptor, colors=colors),
     )
     assert [match.file for match in LibrarySearch.of([*marked, repainted]).find(scanned("chair", 0), 5)] == ["a.glb", "d.glb"]
 
@@ -160,7 +164,12 @@ def turned_field(entry: IndexEntry) -> object:
     x, y, z = field.samples.T
     swapped = [1, 0, 2]
     return dataclasses.replace(
-        field, values=values, low=field.low[swapped], high=field.high[swapped], samples=np.column_stack([-y, x, z]), extents=field.extents[swapped]
+        field,
+        values=values,
+        low=field.low[swapped],
+        high=field.high[swapped],
+        samples=np.column_stack([-y, x, z]),
+        extents=field.extents[swapped],
     )
 
 

@@ -48,7 +48,12 @@ def test_metadata_state_units_axes_and_front(unit_m: float, up: Axis, quarters: 
     front = ("+" if way[axis] > 0 else "-") + "xyz"[axis]
     model = ReadModel(read_as(unit_m, up, 0.5 * np.pi * quarters), "obj", None, None)
     convention = convention_of(model, ModelFacts(unit_m=unit_m, up=up, front=front), "gizmo")
-    assert (convention.unit_known, convention.up_known, convention.front, convention.front_known) == ("metadata", "metadata", front, "metadata")
+    assert (convention.unit_known, convention.up_known, convention.front, convention.front_known) == (
+        "metadata",
+        "metadata",
+        front,
+        "metadata",
+    )
     assert farthest(canonical_parts(model, convention), CHAIR) < 1e-6
 
 
