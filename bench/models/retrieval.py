@@ -1,7 +1,7 @@
 """How well retrieval finds the model that was scanned: today's score and the index's, in one run, and what a query costs.
 
-The library is that of the real models, and as many distractors of the same categories as asked for, drawn by the furniture generator: half in
-their usual size, half in about the size of a real model. Queries are scans of the real models in furnished rooms, as captured. Weights
+The library holds the real models, and as many distractors of the same categories as asked for, drawn by the furniture generator: half
+in their usual size, half in about the size of a real model. Queries are scans of the real models in furnished rooms, as captured. Weights
 were chosen on rooms of the seeds `TUNED`; `HELD_OUT` are others, with other distractors.
 """
 
@@ -29,7 +29,7 @@ from tasks.geometry.meshes import dump_glb
 from tasks.library.entry import IndexEntry
 from tasks.library.indexing import IndexConfig, ModelIndex, index_folder
 from tasks.library.metadata import plain_facts
-from tasks.library.search import LibrarySearch, Query
+from tasks.library.search import LibraryQuery, LibrarySearch
 
 TUNED, HELD_OUT = (1, 2), (3, 4)
 """Seeds of rooms and distractors by which weights were chosen, and of others."""
@@ -48,7 +48,7 @@ FIRST, FEW = 1, 10
 
 
 @dataclasses.dataclass(frozen=True)
-class Asked:
+class ScannedQuery:
     """A scanned instance. file: The model that it shows. category: As the capture has it; true_category: the model's."""
 
     file: str
@@ -139,43 +139,43 @@ def write_library(models: Path, folder: Path, distractors: int, seed: int) -> No
     (folder / "index.json").write_text(json.dumps(listed))
 
 
-def queries_of(library: LibraryIndex, seed: int) -> list[Asked]:
+def queries_of(library: LibraryIndex, seed: int) -> list[ScannedQuery]:
     """Scans of all real models of a library."""
     real = [entry for entry in library.entries if not entry.file.startswith("drawn_")]
     rooms = query_rooms(real, seed)
     return [
-        Asked(entry.file, request.category, entry.category, request)
+        ScannedQuery(entry.file, request.category, entry.category, request)
         for number, entries in enumerate(rooms)
         for entry, request in asked(entries, seed, number)
     ]
 
 
-Ranked = Callable[[str, Asked], list[str]]
+Ranked = Callable[[str, ScannedQuery], list[str]]
 """Files by a category and what was scanned, best first."""
 
 
 def _by_today(library: LibraryIndex) -> Ranked:
-    def ranked(category: str, query: Asked) -> list[str]:
+    def ranked(category: str, query: ScannedQuery) -> list[str]:
         return [entry.file for _, entry in retrieve(category, query.request.descriptor, library.entries, len(library.entries))]
 
     return ranked
 
 
 def _by_index(search: LibrarySearch) -> Ranked:
-    def ranked(category: str, query: Asked) -> list[str]:
+    def ranked(category: str, query: ScannedQuery) -> list[str]:
         return [match.file for match in search.find(query_of(category, query), len(search.files))]
 
     return ranked
 
 
-def query_of(category: str, query: Asked) -> Query:
+def query_of(category: str, query: ScannedQuery) -> LibraryQuery:
     """What the index is asked."""
     request = query.request
     rng = request.context.rng("search", request.instance.instance_id)
-    return Query.of(category, request.descriptor, request.points[0], rng)
+    return LibraryQuery.of(category, request.descriptor, request.points[0], rng)
 
 
-def _places(queries: Sequence[Asked], ranked: Ranked, categories: dict[str, str]) -> NDArray[np.int64]:
+def _places(queries: Sequence[ScannedQuery], ranked: Ranked, categories: dict[str, str]) -> NDArray[np.int64]:
     """For every query: the place of its model by category and without one, from 0, then whether the first of the others is of its
     category, 0 or 1, likewise; shape (queries, 4)."""
     rows = []
@@ -192,14 +192,16 @@ def _places(queries: Sequence[Asked], ranked: Ranked, categories: dict[str, str]
 
 def _shares(places: NDArray[np.int64]) -> RetrievalShares:
     named, unnamed, right, right_unnamed = places.T
+
+    def share(place: NDArray[np.int64], most: int) -> float:
+        return float((place < most).mean())
+
     return RetrievalShares(
-        *(float((place < most).mean()) for place in (named, unnamed) for most in (FIRST, FEW)),
-        float(right.mean()),
-        float(right_unnamed.mean()),
+        share(named, FIRST), share(named, FEW), share(unnamed, FIRST), share(unnamed, FEW), float(right.mean()), float(right_unnamed.mean())
     )
 
 
-def timed(index: ModelIndex, queries: Sequence[Asked], entries: int = LARGE) -> NDArray[np.float64]:
+def timed(index: ModelIndex, queries: Sequence[ScannedQuery], entries: int = LARGE) -> NDArray[np.float64]:
     """Seconds of computing for every query, its preparation among them, at so many entries: those of the index, again and again."""
     many: list[IndexEntry] = [
         dataclasses.replace(index.entries[number % len(index.entries)], file=f"{number:06d}", duplicate_of="") for number in range(entries)

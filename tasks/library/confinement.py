@@ -1,7 +1,7 @@
 """A reader of foreign files in a process of its own, with limits on computing time, memory and what it writes.
 
-USD takes what a file asks for. What comes back is a GLB and a JSON of plain values, read as foreign files are: a reader that a file has taken
-over can hand in nothing worse than another foreign file. The process gets no more of the environment than it needs to start.
+USD takes what a file asks for. What comes back is a GLB and a JSON of plain values, read as foreign files are: a reader that a file has
+taken over can hand in nothing worse than another foreign file. The process gets no more of the environment than it needs to start.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ def _scaled(points: Array) -> Array:
 
 
 def signature_of(vertices: ArrayLike) -> NDArray[np.float32]:
-    """What does not change with order, place, unit and a turn about +Z: quantiles of heights and of distances from the axis, and the mean of
-    both, shape (34,)."""
+    """What does not change with order, place, unit and a turn about +Z: quantiles of heights and of distances from the axis, and the mean
+    of both, shape (34,)."""
     points = normalized(vertices)
     heights, radii = points[:, 2], np.linalg.norm(points[:, :2], axis=1)
     shares = np.linspace(0.0, 1.0, QUANTILES)

@@ -42,8 +42,9 @@ class SiglipEncoder:
         from transformers import AutoTokenizer, SiglipModel
 
         options: dict[str, Any] = {"local_files_only": True}
+        kind: Any = SiglipModel
         try:
-            model, loaded = SiglipModel.from_pretrained(str(folder), use_safetensors=True, output_loading_info=True, **options)
+            model, loaded = kind.from_pretrained(str(folder), use_safetensors=True, output_loading_info=True, **options)
             self._tokenizer: Any = AutoTokenizer.from_pretrained(str(folder), **options)
         except Exception as error:  # the readers of weights and tokenizers raise classes of their own
             problem = f"holds no SiglipModel with its tokenizer: {' '.join(str(error).split())[:200]}"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.candidates.descriptors import Descriptor
-from tasks.library.fields import DistanceField
+from tasks.library.fields import SurfaceField
 from tasks.unpacking import json_value
 
 Vectors = NDArray[np.float32]
@@ -54,7 +54,7 @@ class IndexEntry:
     open_because: str
     has_texture: bool
     descriptor: Descriptor
-    field: DistanceField
+    field: SurfaceField
     signature: Vectors
     thumbnails: tuple[bytes, ...]
     image_vectors: Vectors | None
@@ -71,7 +71,7 @@ class IndexEntry:
         return not self.open_because
 
 
-_ARRAYS = {"descriptor": Descriptor, "field": DistanceField}
+_ARRAYS = {"descriptor": Descriptor, "field": SurfaceField}
 
 
 def dumped(entry: IndexEntry) -> bytes:

@@ -1,7 +1,7 @@
 """How far space around a surface is from it, on a coarse grid, and how well a partial scan lies on a model.
 
-A scan shows a part of an object, and nothing of what is behind it. So it is laid on a model, turned by quarters and moved within the model's
-box, and what counts is first how near the model's surface is to every scanned point, then how much of the model was seen.
+A scan shows a part of an object, and nothing of what is behind it. So it is laid on a model, turned by quarters and moved within the
+model's box, and what counts is first how near the model's surface is to every scanned point, then how much of the model was seen.
 """
 
 from __future__ import annotations
@@ -36,9 +36,12 @@ NOISE_M, NOISE_SHARE = 0.012, 0.02
 
 
 @dataclasses.dataclass(frozen=True)
-class DistanceField:
-    """Distances to a surface. values: in 1/255 of the reach, shape (16, 16, 16) uint8; low, high: first and last grid point [m], shape (3,);
-    samples: points of the surface, shape (256, 3) float32 [m]; all with the origin at the bottom center of the box, +Z up."""
+class SurfaceField:
+    """Distances to a surface, the origin at the bottom center of its box, +Z up.
+
+    values: In 1/255 of the reach, shape (16, 16, 16) uint8. low, high: First and last point of the grid [m], shape (3,). samples: Points
+    of the surface [m], shape (256, 3). extents: Of the box [m], shape (3,).
+    """
 
     values: NDArray[np.uint8]
     low: NDArray[np.float32]
@@ -52,8 +55,8 @@ class DistanceField:
         return REACH * float(np.linalg.norm(self.extents))
 
 
-def field_of(points: ArrayLike, extents: ArrayLike | None = None) -> DistanceField:
-    """The field of surface points, shape (n, 3) [m], +Z up, which are to be many; moved so that the bottom center of their box is the origin.
+def field_of(points: ArrayLike, extents: ArrayLike | None = None) -> SurfaceField:
+    """The field of surface points, shape (n, 3) [m], +Z up, which are to be many; moved so that their box stands on the origin.
 
     extents: Of the box [m], shape (3,), where it is known to be larger than that of the points; the points lie at its top, in the middle.
     """
@@ -71,7 +74,7 @@ def field_of(points: ArrayLike, extents: ArrayLike | None = None) -> DistanceFie
     distance = np.minimum(cKDTree(p).query(grid, distance_upper_bound=reach)[0], reach)
     values = np.round(255.0 * distance / max(reach, 1e-9)).astype(np.uint8).reshape(CELLS, CELLS, CELLS)
     chosen = p[np.linspace(0, len(p) - 1, SAMPLES).astype(np.int64)]
-    return DistanceField(values, first.astype(np.float32), last.astype(np.float32), chosen.astype(np.float32), size.astype(np.float32))
+    return SurfaceField(values, first.astype(np.float32), last.astype(np.float32), chosen.astype(np.float32), size.astype(np.float32))
 
 
 @cache
@@ -79,10 +82,12 @@ def _compiled() -> Kernels:
     return compile_kernels(_at, _nearness, _best)
 
 
-def fits(query: DistanceField, values: NDArray[np.uint8], low: NDArray[np.float32], high: NDArray[np.float32], samples: NDArray[np.float32],
-         extents: NDArray[np.float32], rows: NDArray[np.int64]) -> Array:  # fmt: skip
+def fits(
+    query: SurfaceField, values: NDArray[np.uint8], low: NDArray[np.float32], high: NDArray[np.float32], samples: NDArray[np.float32],
+    extents: NDArray[np.float32], rows: NDArray[np.int64],
+) -> Array:  # fmt: skip
     """How well a scan lies on models: for each of `rows`, the share of scanned points near the model, and the share of the model near
-    scanned points, at the best place. Shape (k, 2), in 0..1. The other arrays are those of `DistanceField`, one row per model."""
+    scanned points, at the best place. Shape (k, 2), in 0..1. The other arrays are those of `SurfaceField`, one row per model."""
     out = np.zeros((len(rows), 2))
     sigma = NOISE_M + NOISE_SHARE * float(np.linalg.norm(query.extents))
     _compiled()["_best"](
@@ -127,7 +132,7 @@ def _at(values: Any, low: Any, high: Any, reach: float, x: float, y: float, z: f
 
 
 def _nearness(values: Any, low: Any, high: Any, reach: float, points: Any, step: int, turn: int, back: bool, t: Any, sigma: float) -> float:
-    """Mean of 1 / (1 + (d / sigma)^2) over every `step`-th point, turned by quarters and then moved; or, `back`, moved by -t and turned back."""
+    """Mean of 1 / (1 + (d / sigma)^2) over every `step`-th point, turned by quarters and moved by t; or, `back`, the other way."""
     total, count = 0.0, 0
     cos, sin = (1.0, 0.0) if turn == 0 else ((0.0, 1.0) if turn == 1 else ((-1.0, 0.0) if turn == 2 else (0.0, -1.0)))
     for p in range(0, points.shape[0], step):
@@ -144,14 +149,16 @@ def _nearness(values: Any, low: Any, high: Any, reach: float, points: Any, step:
     return total / count
 
 
-def _best(q_values: Any, q_low: Any, q_high: Any, q_samples: Any, q_size: Any, q_reach: float, values: Any, low: Any, high: Any, samples: Any,
-          sizes: Any, rows: Any, sigma: float, out: Any) -> None:  # fmt: skip
+def _best(
+    q_values: Any, q_low: Any, q_high: Any, q_samples: Any, q_size: Any, q_reach: float, values: Any, low: Any, high: Any, samples: Any,
+    sizes: Any, rows: Any, sigma: float, out: Any,
+) -> None:  # fmt: skip
     """Fill in both shares for every row at the best of four turns and of places within the box, one axis after the other."""
     t, best_t = np.zeros(3), np.zeros(3)
     for n in range(len(rows)):
         r = rows[n]
         size = sizes[r]
-        reach = 0.3 * np.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
+        reach = REACH * np.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
         best = -1.0
         for turn in range(4):
             t[:] = 0.0

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import trimesh
 
 DESCRIBED, LAID = 1500, 6000
-"""Surface points for the descriptor, as many as of instances, and for the field, whose grid is no finer than what they leave between them."""
+"""Surface points for the descriptor, as many as in `tasks.candidates.library`, and for the field, whose grid is coarser than their gaps."""
 
 PITCHES_RADIANS = (0.35,)
 """How far cameras look down: as people look at furniture."""

@@ -1,7 +1,7 @@
 """What catalogs say of their models: Objaverse's annotations, ABO's listings, and the plain `index.json` of a folder.
 
-By the public descriptions of these formats (the `objaverse` package; the README of the Amazon Berkeley Objects). What comes of all of them is
-the same: facts by the name of a file, or of the model in it.
+By the public descriptions of these formats (the `objaverse` package; the README of the Amazon Berkeley Objects). What comes of all of
+them is the same: facts by the name of a file, or of the model in it.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ Facts = dict[str, ModelFacts]
 
 
 def objaverse_facts(annotations: bytes, lvis: bytes | None = None, file: str = "annotations.json") -> Facts:
-    """Facts of Objaverse's models by uid. annotations: JSON of `{uid: annotation}` or a list of annotations, packed by gzip or not. lvis: JSON
-    of `{category: [uid, ...]}`, which people made by hand: it comes before all else that tells a category.
+    """Facts of Objaverse's models by uid. annotations: JSON of `{uid: annotation}` or a list of annotations, packed by gzip or not. lvis:
+    JSON of `{category: [uid, ...]}`, which people made by hand: it comes before all else that tells a category.
 
     Raises:
         InputError: it is no such JSON.
@@ -78,8 +78,8 @@ def objaverse_facts(annotations: bytes, lvis: bytes | None = None, file: str = "
         uid = _text(row, "uid")
         if not uid:
             continue
-        category, source = _category([(seen.get(uid, ""), "lvis"), *((word, "tags") for word in _names(row, "tags")),
-                                      (_text(row, "name"), "name"), *((word, "categories") for word in _names(row, "categories"))])  # fmt: skip
+        tags, kinds = ([(word, field) for word in _names(row, field)] for field in ("tags", "categories"))
+        category, source = _category([(seen.get(uid, ""), "lvis"), *tags, (_text(row, "name"), "name"), *kinds])
         user = row.get("user") if isinstance(row.get("user"), dict) else {}
         author = _text(user, "displayName") or _text(user, "username")
         url = _text(row, "viewerUrl") or _text(row, "uri")
@@ -131,8 +131,8 @@ def _of_abo(listing: Any, extents: tuple[float, ...], terms: License) -> ModelFa
 
 
 def plain_facts(content: bytes, file: str = "index.json") -> Facts:
-    """Facts of a folder's own index by file: a list of objects with `file`, `category`, `license` or `licence`, `author`, `source`, `repo`, and
-    where somebody knows them `name`, `unit_m`, `up` (`y`, `z`), `front` (`+x`) and `extents_m`.
+    """Facts of a folder's own index by file: a list of objects with `file`, `category`, `license` or `licence`, `author`, `source`, `repo`,
+    and where somebody knows them `name`, `unit_m`, `up` (`y`, `z`), `front` (`+x`) and `extents_m`.
 
     Raises:
         InputError: it is no list.

@@ -19,7 +19,7 @@ from tasks.candidates.descriptors import Descriptor, similarity
 from tasks.candidates.retrieval import category_similarity
 from tasks.captions.physics import known_name
 from tasks.library.entry import IndexEntry
-from tasks.library.fields import DistanceField, field_of, fits
+from tasks.library.fields import SurfaceField, field_of, fits
 from tasks.settings import Config, Count, NonNegative
 
 Floats = NDArray[np.float32]
@@ -50,26 +50,26 @@ class SearchWeights(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Query:
+class LibraryQuery:
     """What is looked for. category: In anybody's words, '' for unknown. field: Of its points. text: vector of its caption, shape (d,);
     image: of its pictures, shape (m, d)."""
 
     category: str
     descriptor: Descriptor
-    field: DistanceField
+    field: SurfaceField
     text: Floats | None = None
     image: Floats | None = None
 
     @staticmethod
-    def of(category: str, descriptor: Descriptor, points: ArrayLike, rng: np.random.Generator) -> Query:
+    def of(category: str, descriptor: Descriptor, points: ArrayLike, rng: np.random.Generator) -> LibraryQuery:
         """The query for scanned points, shape (n, 3) [m], +Z up, sides along those of the descriptor's extents."""
         p = np.asarray(points, dtype=np.float64)
         chosen = p[rng.permutation(len(p))[:SHOWN]]
-        return Query(category, descriptor, field_of(chosen, descriptor.extents))
+        return LibraryQuery(category, descriptor, field_of(chosen, descriptor.extents))
 
 
 @dataclasses.dataclass(frozen=True)
-class Match:
+class LibraryMatch:
     """A model that was found. score: In 0..1, larger is better. near_model: Share of scanned points on it, near_scan: share of it that was
     seen, both None for what was not on the short list."""
 
@@ -149,22 +149,23 @@ class LibrarySearch:
             at += count * dtype.itemsize
         return LibrarySearch(arrays)
 
-    def find(self, query: Query, count: int, weights: SearchWeights | None = None) -> list[Match]:
-        """The `count` models that fit best, best first; equal ones by the names of their files. Deterministic, whatever order files came in."""
+    def find(self, query: LibraryQuery, count: int, weights: SearchWeights | None = None) -> list[LibraryMatch]:
+        """The `count` models that fit best, best first; equal ones by the names of their files."""
         if not self.files:
             return []
         w = weights or SearchWeights()
         scores, total = self._scores(query, w)
         order = np.argsort(-scores, kind="stable")
         chosen = np.sort(order[: w.short_list]).astype(np.int64)
-        near = fits(query.field, *(self.arrays[f"field_{name}"] for name in _OF_FIELD), chosen)
+        values, low, high, samples, extents = (self.arrays[f"field_{name}"] for name in _OF_FIELD)
+        near = fits(query.field, values, low, high, samples, extents, chosen)
         scores[chosen] += w.near_model * near[:, 0] + w.near_scan * near[:, 1]
         scores = np.round(scores / max(total + w.near_model + w.near_scan, 1e-9), 7)
         known = dict(zip(chosen.tolist(), near.tolist(), strict=True))
         ranked = np.argsort(-scores, kind="stable")[:count]
-        return [Match(self.files[row], float(scores[row]), *known.get(int(row), (None, None))) for row in ranked]
+        return [LibraryMatch(self.files[row], float(scores[row]), *known.get(int(row), (None, None))) for row in ranked]
 
-    def _scores(self, query: Query, w: SearchWeights) -> tuple[NDArray[np.float64], float]:
+    def _scores(self, query: LibraryQuery, w: SearchWeights) -> tuple[NDArray[np.float64], float]:
         """Weighted sums of what is compared without laying the scan on models, and the sum of the weights."""
         d = query.descriptor
         of = {name: self._histograms[name].similarities(_compared(name, d)) for name in _HISTOGRAMS}

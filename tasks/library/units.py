@@ -48,7 +48,7 @@ class Convention:
 
 
 def convention_of(model: ReadModel, facts: ModelFacts, category: str) -> Convention:
-    """Units and axes of a model. Metadata come before the file where they state them outright; sizes that they state are held against it."""
+    """Units and axes of a model. What metadata state outright comes before the file; sizes that they state are held against it."""
     extents = _extents(model.parts)
     up: Axis = facts.up or model.up or _plausible_up(extents, category) or "y"
     if facts.up:

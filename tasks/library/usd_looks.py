@@ -50,7 +50,8 @@ def _input(shader: Any, name: str) -> tuple[Color | None, Path | None]:
         behind = UsdShade.Shader(attribute.GetPrim())
         if behind and behind.GetIdAttr().Get() == "UsdUVTexture":
             return None, _picture(behind.GetInput("file"))
-        value = numbers(first(attribute), np.float64, 3) if attribute.GetTypeName().scalarType.type.typeName == "GfVec3f" else []
+        is_color = attribute.GetTypeName().scalarType.type.typeName == "GfVec3f"
+        value = numbers(first(attribute) if is_color else None, np.float64, 3)
         if len(value) == 1 and np.isfinite(value).all():
             r, g, b = (float(v) for v in value[0])
             return (r, g, b), None

@@ -86,7 +86,7 @@ class Flattened:
         return parts
 
     def _add(self, start: Any, placed: Array, inverse: Array) -> None:
-        """Everything below a prim, once for each of `placed`, 4x4 (rows act from the left), after `inverse` took it out of its own place."""
+        """Everything below a prim, once for each of `placed`, 4x4 (rows act from the left), after `inverse` took it to its own frame."""
         from pxr import Usd, UsdGeom
 
         prims = Usd.PrimRange(start, Usd.TraverseInstanceProxies())
@@ -157,7 +157,9 @@ class Flattened:
     def _groups(self, prim: Any) -> Iterator[tuple[Array, Integers, Any, Any]]:
         """A gprim as meshes of one look each: vertices, triangles, then colors (n, 3) uint8 and None, or uv (n, 2) and which texture."""
         shape = polygons_of(prim, self._name)
-        for bound, chosen in subsets(prim, shape) if shape is not None and len(shape.triangles) else ():
+        if shape is None or not len(shape.triangles):
+            return
+        for bound, chosen in subsets(prim, shape):
             color, file = look_of(bound)
             vertices, faces = shape.points[shape.point_of], shape.triangles[chosen]
             uv = uv_of(prim, shape) if file is not None else None

@@ -13,7 +13,7 @@ from tasks.geometry.meshes import sample_surface, surface_of
 from tasks.library.duplicates import signature_of
 from tasks.library.entry import IndexEntry
 from tasks.library.fields import field_of
-from tasks.library.search import Query
+from tasks.library.search import LibraryQuery
 
 CATEGORIES = ("chair", "table", "sofa", "bed", "vase", "mug", "bookshelf", "desk lamp")
 LISTED = ("couch", "chair", "garden chair", "gizmo", "", "dining table", "nightstand")
@@ -34,16 +34,17 @@ def drawn(category: str, seed: int, file: str = "", **changes: object) -> IndexE
         up_known="file", front="", front_known="assumed", category=category, category_known="index", name=category, license="CC0-1.0",
         is_noncommercial=False, author="", source_url="", extents=(x, y, z), vertex_count=8, face_count=12, open_because="",
         has_texture=False, descriptor=describe(points, colors, (x, y, z), np.random.default_rng(seed)), field=field_of(points),
-        signature=signature_of(points), thumbnails=(b"png",), image_vectors=None, text_vector=None, weights="", pieces_key="", notes=("odd",),
+        signature=signature_of(points), thumbnails=(b"png",), image_vectors=None, text_vector=None, weights="", pieces_key="",
+        notes=("odd",),
     )  # fmt: skip
     return dataclasses.replace(entry, **changes)  # type: ignore[arg-type]
 
 
-def scanned(category: str, seed: int, name: str | None = None) -> Query:
+def scanned(category: str, seed: int, name: str | None = None) -> LibraryQuery:
     """A query for a drawn model seen from three sides, with noise."""
     rng = np.random.default_rng([seed, 7])
     points, colors, normals = points_of(category, seed, 4000)
     seen = (normals[:, 0] > -0.3) & (normals[:, 2] > -0.5)
     kept = points[seen] + rng.normal(0.0, 0.003, (int(seen.sum()), 3))
     descriptor = describe(kept, colors[seen], np.ptp(kept, axis=0), rng)
-    return Query.of(category if name is None else name, descriptor, kept, rng)
+    return LibraryQuery.of(category if name is None else name, descriptor, kept, rng)

@@ -226,7 +226,8 @@ def test_usd_whose_numbers_do_not_fit_together_is_refused(tmp_path: Path, mesh: 
 def instances(count: int) -> str:
     zeros, places = ", ".join(["0"] * count), ", ".join(["(0, 0, 0)"] * count)
     return (
-        f'def PointInstancer "p"\n{{\n    rel prototypes = [</p/c>]\n    int[] protoIndices = [{zeros}]\n    point3f[] positions = [{places}]\n'
+        f'def PointInstancer "p"\n{{\n    rel prototypes = [</p/c>]\n    int[] protoIndices = [{zeros}]\n'
+        f"    point3f[] positions = [{places}]\n"
         '    def Sphere "c"\n    {\n    }\n}'
     )
 
@@ -332,7 +333,8 @@ def external() -> bytes:
 
 @pytest.mark.parametrize(
     "make",
-    [attacks.without_buffer, attacks.placed, attacks.nested, attacks.deep_json, external, lambda: attacks.textured(attacks.png(300)[:100]), lambda: b"glTF"],
+    [attacks.without_buffer, attacks.placed, attacks.nested, attacks.deep_json, external, lambda: attacks.textured(attacks.png(300)[:100]),
+     lambda: b"glTF"],
 )  # fmt: skip
 def test_a_hostile_glb_is_refused_in_one_line(tmp_path: Path, make: Callable[[], bytes]) -> None:
     (tmp_path / "a.glb").write_bytes(make())
@@ -349,7 +351,8 @@ def test_pictures_of_absurd_size_are_refused_before_they_are_decoded(tmp_path: P
         read_model(tmp_path / "a.glb", tmp_path)
     write_layer(
         tmp_path / "b.usda",
-        'def Mesh "m" (prepend apiSchemas = ["MaterialBindingAPI"])\n{\n    rel material:binding = </mat>\n    int[] faceVertexCounts = [3]\n'
+        'def Mesh "m" (prepend apiSchemas = ["MaterialBindingAPI"])\n{\n    rel material:binding = </mat>\n'
+        "    int[] faceVertexCounts = [3]\n"
         "    int[] faceVertexIndices = [0, 1, 2]\n    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]\n"
         '    texCoord2f[] primvars:st = [(0, 0), (1, 0), (0, 1)] (interpolation = "vertex")\n}\n'
         'def Material "mat"\n{\n    token outputs:surface.connect = </mat/s.outputs:surface>\n    def Shader "s"\n    {\n'

@@ -107,14 +107,15 @@ class Mortal(UserDict[str, bytes]):
 
 def test_a_killed_indexing_goes_on_with_what_is_missing(folder: Path, index: ModelIndex, monkeypatch: pytest.MonkeyPatch) -> None:
     kept: dict[str, bytes] = {}
-    for deaths in range(20):
+    deaths = 0
+    while True:
         store = Mortal(2, kept)
         try:
             done = index_folder(folder, CATALOG, SMALL, store)
             break
         except KeyboardInterrupt:
             assert len(store) > len(kept)
-            kept = dict(store.data)
+            kept, deaths = dict(store.data), deaths + 1
     assert deaths == 3
     assert bytes_of(done) == bytes_of(index)
     assert done.refused == index.refused
@@ -146,7 +147,7 @@ def test_only_what_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     assert index_now({"a.glb": ModelFacts(category="stool")}) == ["a.glb"]
     assert index_now({}, dataclasses.replace(SMALL, thumbnails=1)) == ["a.glb", "b.glb"]
     assert index_now({}, dataclasses.replace(SMALL, version="next")) == ["a.glb", "b.glb"]
-    store = {key: b"damaged" for key in store}
+    store = dict.fromkeys(store, b"damaged")
     assert index_now({}) == ["a.glb", "b.glb"]
 
 
