@@ -183,9 +183,9 @@ def _places(queries: Sequence[ScannedQuery], ranked: Ranked, categories: dict[st
         places, right = [], []
         for category in (query.category, ""):
             files = ranked(category, query)
-            others = [file for file in files if file != query.file]
+            remaining = [file for file in files if file != query.file]
             places.append(files.index(query.file) if query.file in files else len(categories))
-            right.append(int(bool(others) and categories[others[0]] == categories[query.file]))
+            right.append(int(bool(remaining) and categories[remaining[0]] == categories[query.file]))
         rows.append([*places, *right])
     return np.array(rows, dtype=np.int64).reshape(-1, 4)
 

@@ -30,8 +30,8 @@ def look_of(prim: Any) -> tuple[Color | None, Path | None]:
             continue
         color, file = None, None
         for name in COLORS:
-            found, picture = _input(shader, name)
-            color, file = color or found, file or picture
+            shown, picture = _input(shader, name)
+            color, file = color or shown, file or picture
         for name in TEXTURES:
             file = file or _picture(shader.GetInput(name))
         if color or file:
