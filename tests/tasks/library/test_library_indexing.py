@@ -167,6 +167,7 @@ def test_why_a_surface_is_open() -> None:
     assert open_because(dataclasses.replace(surface, faces=fin)).endswith("three faces or more")
 
 
+@pytest.mark.whole
 def test_convex_pieces_are_cached_by_the_key_of_an_entry(folder: Path, index: ModelIndex) -> None:
     first, twin = (entry for entry in index.entries if entry.file in ("a_chair.glb", "b_chair.glb"))
     assert first.pieces_key == twin.pieces_key
