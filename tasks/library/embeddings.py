@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
@@ -93,21 +93,24 @@ def encoder_in(folder: str) -> PictureEncoder:
         InputError: none is named, it is not there, of another kind, not as safetensors, or packages are not installed.
     """
     digest = weights_digest(folder)
-    kind = _kind(folder)
-    if kind == "clip":
-        return clip_in(folder)
-    if kind == "siglip":
-        return _siglip(folder, digest)
-    raise InputError(folder, "model_type", f"is {kind or 'not stated'}", "name a folder of CLIP or SigLIP")
+    name = _architecture(folder)
+    openers: dict[str, Callable[[], PictureEncoder]] = {
+        "CLIPModel": lambda: clip_in(folder),
+        "SiglipModel": lambda: _siglip(folder, digest),
+    }
+    if name not in openers:
+        raise InputError(folder, "architectures", f"is {name or 'not stated'}", f"name a folder of {' or '.join(openers)}")
+    return openers[name]()
 
 
-def _kind(folder: str) -> str:
+def _architecture(folder: str) -> str:
+    """The class of the model in a folder, as its config names it first."""
     try:
         config = json_value(read_file(Path(folder) / "config.json", "config.json", BUDGET.text_bytes))
     except ValueError as error:
         raise InputError(folder, "config.json", f"is no JSON ({error})", "name a folder that transformers wrote") from error
-    kind = config.get("model_type") if isinstance(config, dict) else None
-    return kind if isinstance(kind, str) else ""
+    names = config.get("architectures") if isinstance(config, dict) else None
+    return str(names[0]) if isinstance(names, list) and names else ""
 
 
 @lru_cache(maxsize=2)

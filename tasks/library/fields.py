@@ -40,19 +40,19 @@ class SurfaceField:
     """Distances to a surface, the origin at the bottom center of its box, +Z up.
 
     values: In 1/255 of the reach, shape (16, 16, 16) uint8. low, high: First and last point of the grid [m], shape (3,). samples: Points
-    of the surface [m], shape (256, 3). extents: Of the box [m], shape (3,).
+    of the surface [m], shape (256, 3). size: Of the box [m], shape (3,).
     """
 
     values: NDArray[np.uint8]
     low: NDArray[np.float32]
     high: NDArray[np.float32]
     samples: NDArray[np.float32]
-    extents: NDArray[np.float32]
+    size: NDArray[np.float32]
 
     @property
     def reach(self) -> float:
         """The largest distance that is kept [m]."""
-        return REACH * float(np.linalg.norm(self.extents))
+        return REACH * float(np.linalg.norm(self.size))
 
 
 def field_of(points: ArrayLike, extents: ArrayLike | None = None) -> SurfaceField:
@@ -84,24 +84,24 @@ def _compiled() -> Kernels:
 
 def fits(
     query: SurfaceField, values: NDArray[np.uint8], low: NDArray[np.float32], high: NDArray[np.float32], samples: NDArray[np.float32],
-    extents: NDArray[np.float32], rows: NDArray[np.int64],
+    sizes: NDArray[np.float32], rows: NDArray[np.int64],
 ) -> Array:  # fmt: skip
     """How well a scan lies on models: for each of `rows`, the share of scanned points near the model, and the share of the model near
     scanned points, at the best place. Shape (k, 2), in 0..1. The other arrays are those of `SurfaceField`, one row per model."""
     out = np.zeros((len(rows), 2))
-    sigma = NOISE_M + NOISE_SHARE * float(np.linalg.norm(query.extents))
+    sigma = NOISE_M + NOISE_SHARE * float(np.linalg.norm(query.size))
     _compiled()["_best"](
         query.values,
         query.low,
         query.high,
         query.samples,
-        query.extents,
+        query.size,
         query.reach,
         values,
         low,
         high,
         samples,
-        extents,
+        sizes,
         rows,
         sigma,
         out,

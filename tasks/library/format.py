@@ -39,7 +39,11 @@ class ModelFormat:
     """A kind of file. endings: Of names, in lower case. read: The model of a file below a folder. beside: Other files that it draws on,
     those that exist inside of the folder."""
 
-    name: str
     endings: tuple[str, ...]
     read: Callable[[Path, Path], ReadModel]
     beside: Callable[[Path, Path], list[Path]]
+
+    @property
+    def name(self) -> str:
+        """What it is called: its first ending."""
+        return self.endings[0].removeprefix(".")

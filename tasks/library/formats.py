@@ -36,7 +36,7 @@ def model_files(folder: Path) -> tuple[list[Path], list[str]]:
         InputError: there is no such folder.
     """
     if not folder.is_dir():
-        raise InputError(folder, "library", "is no folder", "name the folder that holds the library's models")
+        raise InputError(folder, "folder", "is no folder", "name the folder that holds the library's models")
     files, unused = [], []
     for place, folders, names in os.walk(folder):
         folders.sort()

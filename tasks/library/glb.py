@@ -23,4 +23,4 @@ def _beside(path: Path, root: Path) -> list[Path]:
     return []
 
 
-GLB = ModelFormat("glb", (".glb",), _read, _beside)
+GLB = ModelFormat((".glb",), _read, _beside)

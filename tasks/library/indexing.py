@@ -85,7 +85,7 @@ def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, c
     ordered = np.sort(extents)
     if ordered[1] < MIN_EXTENT_M or ordered[2] > MAX_EXTENT_M:
         size = " x ".join(f"{side:.3g}" for side in extents)
-        raise InputError(file, "extents", f"are {size} m, which is no object of a room", "state its unit in the index")
+        raise InputError(file, "size", f"is {size} m, which is no object of a room", "state its unit in the index")
     # The same whatever the file is called: the generator is the content's.
     rng = np.random.default_rng(int(content[:15], 16))
     points, colors, _ = sample_surface(surface, DESCRIBED, rng)

@@ -59,4 +59,4 @@ def _weigh(data: bytes, name: str) -> None:
         raise InputError(name, "vertices", f"are {vertices}, more than {BUDGET.vertices}", "decimate it")
 
 
-OBJ = ModelFormat("obj", (".obj",), _read, models.material_files)
+OBJ = ModelFormat((".obj",), _read, models.material_files)

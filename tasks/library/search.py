@@ -80,7 +80,7 @@ class LibraryMatch:
 
 
 _HISTOGRAMS = ("distances", "heights", "colors")
-_OF_FIELD = ("values", "low", "high", "samples", "extents")
+_OF_FIELD = ("values", "low", "high", "samples", "size")
 
 
 class LibrarySearch:
@@ -157,8 +157,8 @@ class LibrarySearch:
         scores, total = self._scores(query, w)
         order = np.argsort(-scores, kind="stable")
         chosen = np.sort(order[: w.short_list]).astype(np.int64)
-        values, low, high, samples, extents = (self.arrays[f"field_{name}"] for name in _OF_FIELD)
-        near = fits(query.field, values, low, high, samples, extents, chosen)
+        values, low, high, samples, sizes = (self.arrays[f"field_{name}"] for name in _OF_FIELD)
+        near = fits(query.field, values, low, high, samples, sizes, chosen)
         scores[chosen] += w.near_model * near[:, 0] + w.near_scan * near[:, 1]
         scores = np.round(scores / max(total + w.near_model + w.near_scan, 1e-9), 7)
         known = dict(zip(chosen.tolist(), near.tolist(), strict=True))

@@ -41,4 +41,4 @@ def _beside(path: Path, root: Path) -> list[Path]:
     return sorted(file for file in paths if file.is_file() and stays_in(file, root))
 
 
-USD = ModelFormat("usd", (".usd", ".usda", ".usdc", ".usdz"), _read, _beside)
+USD = ModelFormat((".usd", ".usda", ".usdc", ".usdz"), _read, _beside)

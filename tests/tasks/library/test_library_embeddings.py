@@ -91,7 +91,7 @@ def test_a_folder_of_another_model_is_refused(tmp_path: Path, siglip_folder: Pat
     import shutil
 
     for problem, change in (
-        ("is dinov2", lambda folder: (folder / "config.json").write_text(json.dumps({"model_type": "dinov2"}))),
+        ("is Dinov2Model", lambda folder: (folder / "config.json").write_text(json.dumps({"architectures": ["Dinov2Model"]}))),
         ("is not stated", lambda folder: (folder / "config.json").write_text("[]")),
         ("is no JSON", lambda folder: (folder / "config.json").write_text("{")),
         ("holds no SiglipModel", lambda folder: (folder / "model.safetensors").write_bytes(b"nothing")),

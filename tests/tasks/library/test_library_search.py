@@ -141,7 +141,7 @@ def test_entries_are_the_same_after_bytes() -> None:
 
 
 def of_fields(entries: list[IndexEntry]) -> list[np.ndarray]:
-    return [np.array([getattr(entry.field, name) for entry in entries]) for name in ("values", "low", "high", "samples", "extents")]
+    return [np.array([getattr(entry.field, name) for entry in entries]) for name in ("values", "low", "high", "samples", "size")]
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
@@ -170,7 +170,7 @@ def turned_field(entry: IndexEntry) -> object:
         low=field.low[swapped],
         high=field.high[swapped],
         samples=np.column_stack([-y, x, z]),
-        extents=field.extents[swapped],
+        size=field.size[swapped],
     )
 
 
