@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from schemas.budget import BUDGET
 from schemas.errors import InputError
@@ -130,7 +131,7 @@ def index_library(folder: Path) -> LibraryIndex:
             file.encode()  # names are kept in rows
             stat = path.stat()
             descriptor = _descriptor(path, stat.st_size, stat.st_mtime_ns)
-            scale, odd = _scale(category, descriptor)
+            scale, odd = usual_scale(category, descriptor.extents)
             descriptor = dataclasses.replace(descriptor, extents=descriptor.extents * scale)
             _check(descriptor)
         except Exception as error:  # of a file of others, whatever it leads to: it is left out, and the run goes on
@@ -194,12 +195,15 @@ def _check(descriptor: Descriptor) -> None:
         raise ValueError(f"has extents {extents} m, which is no object of a room")
 
 
-def _scale(category: str, descriptor: Descriptor) -> tuple[float, str]:
-    """Metres per unit of a file that holds a model of a category, and what is odd about its size; 1 and '' where nothing is."""
+def usual_scale(category: str, extents: ArrayLike) -> tuple[float, str]:
+    """Metres per unit of a file that holds a model of a category, of `extents` in its units, shape (3,), and what is odd about its size.
+
+    1 and '' where nothing is, or nobody knows how large such a thing usually is; 1 and a text where no unit explains the size.
+    """
     from tasks.furniture import is_known, typical_extents
 
     name = next((name for name in (category, known_name(category) or "") if is_known(name)), None)
-    size = float(np.linalg.norm(descriptor.extents))
+    size = float(np.linalg.norm(np.asarray(extents, dtype=np.float64)))
     if name is None or not np.isfinite(size) or size <= 0.0:
         return 1.0, ""
     ratio = size / float(np.linalg.norm(typical_extents(name)))

@@ -1,0 +1,217 @@
+"""How well retrieval finds the model that was scanned: today's score and the index's, in one run, and what a query costs.
+
+The library holds the real models, and as many distractors of the same categories as asked for, drawn by the furniture generator: half
+in their usual size, half in about the size of a real model. Queries are scans of the real models in furnished rooms, as captured. Weights
+were chosen on rooms of the seeds `TUNED`; `HELD_OUT` are others, with other distractors.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.models.rooms import asked, query_rooms
+from bench.realdata import MODELS
+from schemas.budget import BUDGET
+from schemas.files import read_file
+from tasks.candidates.library import LibraryIndex, index_library
+from tasks.candidates.request import CandidateRequest
+from tasks.candidates.retrieval import retrieve
+from tasks.furniture import generate
+from tasks.geometry.meshes import dump_glb
+from tasks.library.entry import IndexEntry
+from tasks.library.indexing import IndexConfig, ModelIndex, index_folder
+from tasks.library.metadata import plain_facts
+from tasks.library.search import LibraryQuery, LibrarySearch
+
+TUNED, HELD_OUT = (1, 2), (3, 4)
+"""Seeds of rooms and distractors by which weights were chosen, and of others."""
+
+DISTRACTORS = 400
+SPREAD = 0.2
+"""Standard deviation of the logarithm of a distractor's sides against those of a real model."""
+
+LARGE = 10_000
+"""Entries at which a query's time is measured."""
+
+BARE = IndexConfig(thumbnails=1, thumbnail_px=16)
+"""Nobody looks at the pictures."""
+
+FIRST, FEW = 1, 10
+
+
+@dataclasses.dataclass(frozen=True)
+class ScannedQuery:
+    """A scanned instance. file: The model that it shows. category: As the capture has it; true_category: the model's."""
+
+    file: str
+    category: str
+    true_category: str
+    request: CandidateRequest
+
+
+@dataclasses.dataclass(frozen=True)
+class RetrievalShares:
+    """Shares of queries, 0..1: the scanned model first, or among the ten first, by category or without one; and the right category first
+    where the scanned model is withheld, likewise."""
+
+    first: float
+    in_ten: float
+    first_unnamed: float
+    in_ten_unnamed: float
+    category_withheld: float
+    category_withheld_unnamed: float
+
+
+@dataclasses.dataclass(frozen=True)
+class RetrievalFigures:
+    """What was measured. seconds: Of computing for queries at `LARGE` entries, shape (queries,)."""
+
+    queries: int
+    entries: int
+    today: RetrievalShares
+    index: RetrievalShares
+    seconds: NDArray[np.float64]
+
+    def lines(self) -> list[str]:
+        """The figures, as a person reads them."""
+        made = [f"{self.queries} queries, {self.entries} models"]
+        for name, shares in (("today", self.today), ("index", self.index)):
+            values = ", ".join(f"{key} {value:.3f}" for key, value in dataclasses.asdict(shares).items())
+            made.append(f"{name}: {values}")
+        low, high = (1e3 * float(np.quantile(self.seconds, share)) for share in (0.5, 0.95))
+        return [*made, f"a query at {LARGE} models: median {low:.1f} ms of one core, of 20 the slowest {high:.1f} ms"]
+
+
+def lacking(realdata: Path | None) -> str | None:
+    """Why retrieval cannot be measured; None where it can."""
+    if realdata is None:
+        return "METASCENES_REALDATA or --realdata names the folder that holds the models"
+    return None if (realdata / MODELS / "index.json").is_file() else f"{realdata} does not hold {MODELS}"
+
+
+def measured(realdata: Path, seeds: Sequence[int] = HELD_OUT, distractors: int = DISTRACTORS) -> RetrievalFigures:
+    """Scan the real models once for every seed, and look each up among the distractors of that seed, by today's code and by the index."""
+    today: list[NDArray[np.int64]] = []
+    index: list[NDArray[np.int64]] = []
+    seconds: list[NDArray[np.float64]] = []
+    entries = 0
+    for seed in seeds:
+        with tempfile.TemporaryDirectory(prefix="library-", ignore_cleanup_errors=True) as place:
+            folder = Path(place)
+            write_library(realdata / MODELS, folder, distractors, seed)
+            former = index_library(folder)
+            catalog = plain_facts(read_file(folder / "index.json", "index.json", BUDGET.text_bytes))
+            made = index_folder(folder, catalog, BARE, {})
+            queries = queries_of(former, seed)
+            today.append(_places(queries, _by_today(former), {entry.file: entry.category for entry in former.entries}))
+            search = LibrarySearch.of(made.entries)
+            index.append(_places(queries, _by_index(search), {entry.file: entry.category for entry in made.entries}))
+            seconds.append(timed(made, queries))
+            entries = len(made.entries)
+    return RetrievalFigures(
+        sum(map(len, today)), entries, _shares(np.concatenate(today)), _shares(np.concatenate(index)), np.concatenate(seconds)
+    )
+
+
+def write_library(models: Path, folder: Path, distractors: int, seed: int) -> None:
+    """The real models in a folder, with distractors and an index of all of them; the same seed writes the same bytes."""
+    rows = json.loads(read_file(models / "index.json", "index.json", BUDGET.text_bytes))
+    known = {entry.file: entry for entry in index_library(models).entries}
+    for row in rows:
+        (folder / row["file"]).write_bytes(read_file(models / row["file"], row["file"], BUDGET.asset_bytes))
+    rng = np.random.default_rng([seed, 3])
+    files = sorted(known)
+    listed = [{"file": row["file"], "category": row["category"]} for row in rows]
+    for number in range(distractors):
+        like = known[files[number % len(files)]]
+        x, y, z = np.maximum(like.descriptor.extents * np.exp(rng.normal(0.0, SPREAD, 3)), 0.004).tolist()
+        name = f"drawn_{number:04d}.glb"
+        (folder / name).write_bytes(dump_glb(generate(like.category, (x, y, z) if number % 2 else None, rng).parts))
+        listed.append({"file": name, "category": like.category})
+    (folder / "index.json").write_text(json.dumps(listed))
+
+
+def queries_of(library: LibraryIndex, seed: int) -> list[ScannedQuery]:
+    """Scans of all real models of a library."""
+    real = [entry for entry in library.entries if not entry.file.startswith("drawn_")]
+    rooms = query_rooms(real, seed)
+    return [
+        ScannedQuery(entry.file, request.category, entry.category, request)
+        for number, entries in enumerate(rooms)
+        for entry, request in asked(entries, seed, number)
+    ]
+
+
+Ranked = Callable[[str, ScannedQuery], list[str]]
+"""Files by a category and what was scanned, best first."""
+
+
+def _by_today(library: LibraryIndex) -> Ranked:
+    def ranked(category: str, query: ScannedQuery) -> list[str]:
+        return [entry.file for _, entry in retrieve(category, query.request.descriptor, library.entries, len(library.entries))]
+
+    return ranked
+
+
+def _by_index(search: LibrarySearch) -> Ranked:
+    def ranked(category: str, query: ScannedQuery) -> list[str]:
+        return [match.file for match in search.find(query_of(category, query), len(search.files))]
+
+    return ranked
+
+
+def query_of(category: str, query: ScannedQuery) -> LibraryQuery:
+    """What the index is asked."""
+    request = query.request
+    rng = request.context.rng("search", request.instance.instance_id)
+    return LibraryQuery.of(category, request.descriptor, request.points[0], rng)
+
+
+def _places(queries: Sequence[ScannedQuery], ranked: Ranked, categories: dict[str, str]) -> NDArray[np.int64]:
+    """For every query: the place of its model by category and without one, from 0, then whether the first of the others is of its
+    category, 0 or 1, likewise; shape (queries, 4)."""
+    rows = []
+    for query in queries:
+        places, right = [], []
+        for category in (query.category, ""):
+            files = ranked(category, query)
+            remaining = [file for file in files if file != query.file]
+            places.append(files.index(query.file) if query.file in files else len(categories))
+            right.append(int(bool(remaining) and categories[remaining[0]] == categories[query.file]))
+        rows.append([*places, *right])
+    return np.array(rows, dtype=np.int64).reshape(-1, 4)
+
+
+def _shares(places: NDArray[np.int64]) -> RetrievalShares:
+    named, unnamed, right, right_unnamed = places.T
+
+    def share(place: NDArray[np.int64], most: int) -> float:
+        return float((place < most).mean())
+
+    return RetrievalShares(
+        share(named, FIRST), share(named, FEW), share(unnamed, FIRST), share(unnamed, FEW), float(right.mean()), float(right_unnamed.mean())
+    )
+
+
+def timed(index: ModelIndex, queries: Sequence[ScannedQuery], entries: int = LARGE) -> NDArray[np.float64]:
+    """Seconds of computing for every query, its preparation among them, at so many entries: those of the index, again and again."""
+    many: list[IndexEntry] = [
+        dataclasses.replace(index.entries[number % len(index.entries)], file=f"{number:06d}", duplicate_of="") for number in range(entries)
+    ]
+    search = LibrarySearch.of(many)
+    search.find(query_of("", queries[0]), FEW)  # compiled, and loaded
+    seconds = []
+    for query in queries:
+        _ = query.request.descriptor, query.request.points  # the capture's part
+        start = time.thread_time()
+        search.find(query_of(query.category, query), FEW)
+        seconds.append(time.thread_time() - start)
+    return np.array(seconds)

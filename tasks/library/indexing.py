@@ -1,0 +1,268 @@
+"""Indexing a library: one entry from one file and what is known of it, remembered by content, so that a killed indexing goes on.
+
+An entry depends on the file's bytes and facts alone. Files can be indexed in any order, by any number of processes, on any machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import InputError, LakeError
+from schemas.text import one_line
+from tasks.candidates.assets import MAX_EXTENT_M, MAX_FACES, MIN_EXTENT_M, decimated
+from tasks.candidates.descriptors import describe
+from tasks.candidates.library import category_of
+from tasks.captions.physics import known_name
+from tasks.geometry.meshes import Surface, sample_surface, surface_of
+from tasks.geometry.triangles import is_closed, welded
+from tasks.library.duplicates import marked, signature_of
+from tasks.library.embeddings import encoder_in
+from tasks.library.entry import IndexEntry, dumped, loaded
+from tasks.library.fields import field_of
+from tasks.library.formats import content_of, model_files, read_model
+from tasks.library.metadata import ModelFacts, facts_of
+from tasks.library.units import canonical_parts, convention_of
+from tasks.selection.methods.encoders import weights_digest
+from tasks.selection.methods.pictures import around
+from tasks.settings import Config, Count
+
+if TYPE_CHECKING:
+    import trimesh
+
+DESCRIBED, LAID = 1500, 6000
+"""Surface points for the descriptor, as many as in `tasks.candidates.library`, and for the field, whose grid is coarser than their gaps."""
+
+PITCHES_RADIANS = (0.35,)
+"""How far cameras look down: as people look at furniture."""
+
+
+@dataclasses.dataclass(frozen=True)
+class IndexConfig(Config):
+    """What an entry holds. The index depends on it: another config makes other entries."""
+
+    version: str = "1"  # goes up when the same file would make another entry
+    thumbnails: Count = 4  # front, back and sides
+    thumbnail_px: Count = 96  # a contact sheet of a page has ten columns of these
+    views: Count = 8  # pictures that are embedded: quarters and what lies between, so that one comes near to any photograph
+    weights: str = ""  # folder of CLIP or SigLIP; none ships, and without one entries have no vectors
+
+
+Refusals = dict[str, str]
+"""Why files have no entry, a line each, by file."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelIndex:
+    """A library. entries: In the order of their files' names. refused: Files without an entry, and why. notes: What is odd about files."""
+
+    entries: tuple[IndexEntry, ...]
+    refused: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, content: str) -> IndexEntry:
+    """The entry of a file below `root`; `content` is its hash, as of `content_of`.
+
+    Raises:
+        InputError: it cannot be used; says why.
+    """
+    file = path.relative_to(root).as_posix()
+    model = read_model(path, root)
+    category, category_known = _category(path, facts)
+    convention = convention_of(model, facts, category)
+    parts = canonical_parts(model, convention)
+    surface = surface_of(parts)
+    extents = np.ptp(surface.bounds, axis=0)
+    ordered = np.sort(extents)
+    if ordered[1] < MIN_EXTENT_M or ordered[2] > MAX_EXTENT_M:
+        size = " x ".join(f"{side:.3g}" for side in extents)
+        raise InputError(file, "size", f"is {size} m, which is no object of a room", "state its unit in the index")
+    # The same whatever the file is called: the generator is the content's.
+    rng = np.random.default_rng(int(content[:15], 16))
+    points, colors, _ = sample_surface(surface, DESCRIBED, rng)
+    descriptor = describe(points, colors, extents, rng)
+    points, _, _ = sample_surface(surface, LAID, rng)
+    name = facts.name or path.stem
+    vectors, text, weights = _vectors(parts, name, category, config)
+    x, y, z = (float(side) for side in extents)
+    return IndexEntry(
+        file=file, content=content, format=model.format, unit_m=convention.unit_m, unit_known=convention.unit_known, up=convention.up,
+        up_known=convention.up_known, front=convention.front, front_known=convention.front_known, category=category,
+        category_known=category_known, name=name, license=facts.license.name, is_noncommercial=facts.license.is_noncommercial,
+        author=facts.author, source_url=facts.source_url, extents=(x, y, z), vertex_count=len(surface.vertices),
+        face_count=len(surface.faces), open_because=open_because(surface),
+        has_texture=any(getattr(part.visual, "kind", None) == "texture" for part in parts), descriptor=descriptor, field=field_of(points),
+        signature=signature_of(surface.vertices), thumbnails=_thumbnails(parts, config), image_vectors=vectors, text_vector=text,
+        weights=weights, pieces_key=geometry_key(surface), notes=tuple(note for note in (*model.notes, convention.note) if note),
+    )  # fmt: skip
+
+
+def open_because(surface: Surface) -> str:
+    """Why a surface bounds no solid once equal corners are one; '' where it does."""
+    _, place = welded(surface.vertices, 7)
+    faces = place[surface.faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    if is_closed(surface.faces) or is_closed(faces):
+        return ""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, times = np.unique(edges, axis=0, return_counts=True)
+    free, shared = int((times == 1).sum()), int((times > 2).sum())
+    return f"{free} of {len(times)} edges have one face" if free else f"{shared} of {len(times)} edges have three faces or more"
+
+
+def geometry_key(surface: Surface) -> str:
+    """Hash of vertices in metres to a micrometre and of faces, 64 hex digits: convex pieces depend on nothing else."""
+    vertices = np.round(surface.vertices * 1e6).astype("<i8")
+    return hashlib.sha256(vertices.tobytes() + surface.faces.astype("<i8").tobytes()).hexdigest()
+
+
+def entry_key(content: str, facts: ModelFacts, file: str, config: IndexConfig, weights: str) -> str:
+    """What an entry is remembered by: the file's content, name and facts, the code's version and settings, and the model's hash."""
+    settings = dataclasses.asdict(config) | {"weights": weights}
+    text = json.dumps([content, file, dataclasses.asdict(facts), settings], sort_keys=True, default=str)
+    return f"entry-{hashlib.sha256(text.encode('utf-8', 'surrogatepass')).hexdigest()}"
+
+
+def index_remembered(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, store: MutableMapping[str, bytes]) -> IndexEntry | str:
+    """The entry of a file out of the store, or made and put there; or why it has none, which is remembered likewise."""
+    file = path.relative_to(root).as_posix()
+    try:
+        file.encode()  # names are kept in rows
+        content = content_of(path, root)
+    except (LakeError, OSError, ValueError) as error:
+        return _line(error)
+    key = entry_key(content, facts, file, config, weights_digest(config.weights) if config.weights else "")
+    kept = store.get(key)
+    if kept is not None:
+        if kept.startswith(REFUSED):
+            return kept[len(REFUSED) :].decode()
+        try:
+            return loaded(kept)
+        except ValueError:  # a store that was cut off, or of other code
+            pass
+    try:
+        entry = index_file(path, root, facts, config, content)
+    except (LakeError, ValueError) as error:
+        store[key] = REFUSED + _line(error).encode()
+        return _line(error)
+    store[key] = dumped(entry)
+    return entry
+
+
+REFUSED = b"refused "
+"""Before the reason in a store."""
+
+Spread = Callable[[Callable[[Path], "IndexEntry | str"], Iterable[Path]], Iterable["IndexEntry | str"]]
+"""Calls a function for each of some files, in their order: one after the other, or in many processes."""
+
+
+def index_folder(
+    folder: Path, catalog: Mapping[str, ModelFacts], config: IndexConfig, store: MutableMapping[str, bytes], spread: Spread = map
+) -> ModelIndex:
+    """The index of all models below a folder. What the store has is not computed again.
+
+    Raises:
+        InputError: there is no such folder, or the config names weights that cannot be used.
+    """
+    if config.weights:
+        encoder_in(config.weights)
+    files, unused = model_files(folder)
+    refused = dict(line.split(": ", 1) for line in unused)
+    work = _Work(folder, catalog, config, store)
+    entries = []
+    for path, made in zip(files, spread(work, files), strict=True):
+        if isinstance(made, str):
+            refused[path.relative_to(folder).as_posix().encode("utf-8", "replace").decode()] = made
+        else:
+            entries.append(made)
+    by_file = {entry.file: entry for entry in entries}
+    done = marked(entries, lambda entry: _vertices(folder, by_file[entry.file], catalog))
+    notes = tuple(f"{entry.file}: {note}" for entry in done for note in entry.notes)
+    return ModelIndex(tuple(done), dict(sorted(refused.items())), notes)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Work:
+    """What is done with a file; can be sent to other processes, as far as the store can."""
+
+    folder: Path
+    catalog: Mapping[str, ModelFacts]
+    config: IndexConfig
+    store: MutableMapping[str, bytes]
+
+    def __call__(self, path: Path) -> IndexEntry | str:
+        facts = facts_of(path.relative_to(self.folder).as_posix(), self.catalog)
+        return index_remembered(path, self.folder, facts, self.config, self.store)
+
+
+def entry_parts(entry: IndexEntry, folder: Path, facts: ModelFacts) -> list[trimesh.Trimesh]:
+    """The canonical parts of an entry's file [m], +Z up.
+
+    Raises:
+        InputError: the file cannot be read any more, or is another since it was indexed.
+    """
+    path = folder / entry.file
+    if content_of(path, folder) != entry.content:
+        raise InputError(entry.file, "content", "is another than when it was indexed", "index the library again")
+    model = read_model(path, folder)
+    return canonical_parts(model, convention_of(model, facts, entry.category))
+
+
+def _vertices(folder: Path, entry: IndexEntry, catalog: Mapping[str, ModelFacts]) -> NDArray[np.float64] | None:
+    try:
+        return surface_of(entry_parts(entry, folder, facts_of(entry.file, catalog))).vertices
+    except (LakeError, OSError, ValueError):
+        return None
+
+
+def _category(path: Path, facts: ModelFacts) -> tuple[str, str]:
+    """Category in the project's words where they have one, and how it is known."""
+    if facts.category:
+        return known_name(facts.category) or facts.category, facts.category_source or "metadata"
+    return category_of(path.stem), "file name"
+
+
+def _vectors(parts: list[trimesh.Trimesh], name: str, category: str, config: IndexConfig) -> tuple[Any, Any, str]:
+    """Vectors of pictures from around and of a text, and the hash of the model; None where the config names none."""
+    if not config.weights:
+        return None, None, ""
+    encoder = encoder_in(config.weights)
+    pictures = encoder.images(around(parts, config.views, PITCHES_RADIANS, encoder.side))
+    return pictures, encoder.texts([f"A photo of a {category}: {name}."])[0], weights_digest(config.weights)
+
+
+def _thumbnails(parts: list[trimesh.Trimesh], config: IndexConfig) -> tuple[bytes, ...]:
+    """Pictures from around as PNG."""
+    from PIL import Image
+
+    files = []
+    for picture in around(_lighter(parts), config.thumbnails, PITCHES_RADIANS, config.thumbnail_px):
+        buffer = io.BytesIO()
+        Image.fromarray(picture).save(buffer, format="PNG")
+        files.append(buffer.getvalue())
+    return tuple(files)
+
+
+def _lighter(parts: list[trimesh.Trimesh]) -> list[trimesh.Trimesh]:
+    """Parts with no more faces than an asset may have."""
+    surface = surface_of(parts)
+    return parts if len(surface.faces) <= MAX_FACES else [decimated(surface, MAX_FACES).to_trimesh()]
+
+
+def _line(error: Exception) -> str:
+    return one_line(error).encode("utf-8", "replace").decode()[:300]
+
+
+def refused_first(index: ModelIndex) -> Iterator[str]:
+    """Lines for people: what was refused, then what is odd."""
+    yield from (f"{file}: {why}" for file, why in index.refused.items())
+    yield from index.notes

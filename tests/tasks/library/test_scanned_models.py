@@ -1,0 +1,60 @@
+"""Scanned models are found again in an index, at least as often as by comparing histograms alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.models.retrieval import BARE, ScannedQuery, lacking, query_of, timed, write_library
+from bench.models.rooms import MODELS_PER_ROOM, asked, query_rooms
+from bench.realdata import MODELS
+from tasks.candidates.library import index_library
+from tasks.candidates.retrieval import retrieve
+from tasks.library.indexing import index_folder
+from tasks.library.metadata import plain_facts
+from tasks.library.search import LibrarySearch
+
+
+@pytest.mark.whole
+def test_models_of_a_scanned_room_are_found(realdata: Callable[[str], Path], tmp_path: Path) -> None:
+    place = realdata(str(MODELS))
+    assert lacking(place.parent) is None
+    write_library(place, tmp_path, 40, seed=0)
+    former = index_library(tmp_path)
+    index = index_folder(tmp_path, plain_facts((tmp_path / "index.json").read_bytes()), BARE, {})
+    assert [entry.file for entry in index.entries] == [entry.file for entry in former.entries]
+    real = [entry for entry in former.entries if not entry.file.startswith("drawn_")]
+    rooms = query_rooms(real, 0)
+    assert sorted(entry.file for room in rooms for entry in room) == [entry.file for entry in real]
+    assert max(map(len, rooms)) == MODELS_PER_ROOM
+    queries = [ScannedQuery(entry.file, request.category, entry.category, request) for entry, request in asked(rooms[0], 0, 0)]
+    assert len(queries) >= 7
+    search = LibrarySearch.of(index.entries)
+    found, before = [], []
+    for query in queries:
+        found.append(search.find(query_of("", query), 1)[0].file == query.file)
+        listed = retrieve("", query.request.descriptor, former.entries, 1)
+        before.append(bool(listed) and listed[0][1].file == query.file)
+    assert sum(found) >= max(sum(before), round(0.7 * len(queries)))
+    assert len(timed(index, queries[:2], entries=200)) == 2
+
+
+def test_distractors_are_the_same_for_the_same_seed(realdata: Callable[[str], Path], tmp_path: Path) -> None:
+    place = realdata(str(MODELS))
+    small = tmp_path / "models"
+    small.mkdir()
+    (small / "aws_Ball_01.glb").write_bytes((place / "aws_Ball_01.glb").read_bytes())
+    (small / "index.json").write_text('[{"file": "aws_Ball_01.glb", "category": "exercise ball"}]')
+    made = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        write_library(small, folder, 4, seed=3)
+        made.append({path.name: path.read_bytes() for path in folder.iterdir()})
+    assert made[0] == made[1]
+    assert len(made[0]) == 6
+    sizes = [entry.descriptor.extents for entry in index_library(tmp_path / "a").entries if entry.file.startswith("drawn_")]
+    assert np.allclose(sizes[1] / 0.63, 1, atol=0.8)
