@@ -1,0 +1,1 @@
+"""What models and their classical counterparts are worth, measured where the truth is known."""
