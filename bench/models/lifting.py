@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.models.tabletops import SupportWord, Tabletop, tabletop
-from tasks.capture.small_objects.classical import ClassicalConfig, found_masks
-from tasks.capture.small_objects.consensus import Consensus, ConsensusConfig, associate
+from tasks.capture.small_objects.classical import ClassicalConfig, Found, found_objects
+from tasks.capture.small_objects.consensus import ConsensusConfig, associate
 from tasks.capture.small_objects.lifting import FrameMasks, LiftingConfig, lifted, sound_pixels, voxel_first
 from tasks.capture.small_objects.supports import support_slabs
 
@@ -88,17 +88,17 @@ def measured(
     return figures
 
 
-def instances_of(scene: Tabletop, method: Method, rng: np.random.Generator, classical: ClassicalConfig | None = None) -> Consensus:
+def instances_of(scene: Tabletop, method: Method, rng: np.random.Generator, classical: ClassicalConfig | None = None) -> Found:
     """What a method finds in the frames of a scene."""
     if method == "classical":
         config = classical or ClassicalConfig()
         slabs = support_slabs(scene.word, scene.box_pose, scene.box_size, scene.support_points)
-        seen = [found_masks(view, slabs, config) for view in scene.views]
-        return associate(lifted(scene.views, seen, config.lifting), config.consensus)
+        return found_objects(scene.views, slabs, config)
     share = CORRUPTED_SHARE if method == "corrupted masks" else 0.0
     masks = [corrupted(scene.masks(frame)[0], scene.views[frame].points(), share, rng) for frame in range(len(scene.views))]
     seen = [FrameMasks(own, ("",) * len(own), np.ones(len(own))) for own in masks]
-    return associate(lifted(scene.views, seen, LiftingConfig()), ConsensusConfig())
+    frames = lifted(scene.views, seen, LiftingConfig())
+    return Found(tuple(frames), associate(frames, ConsensusConfig()).instances)
 
 
 def corrupted(masks: Bools, points: Array, share: float, rng: np.random.Generator) -> Bools:

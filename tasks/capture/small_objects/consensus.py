@@ -35,6 +35,7 @@ class ConsensusConfig(Config):
     contained: Share = 0.8  # of these in one mask: the frame agrees; in several: it divides the mask
     split_share: Share = 0.3  # a mask that more of its views divide holds several objects
     agreement: Share = 0.9  # of the views that know both masks: they are one
+    side_by_side: Share = 0.0  # of the frames of two clusters that may show both: masks of one frame are two objects
     two_sides: Share = 0.2  # of the smaller one's points in another one: two that merely touch share less, since poses drift by a centimeter
     other_name: Share = 0.5  # overlap from which on masks of different names are one object
     least_masks: Count = 2  # one view alone may be a reflection, or a part of something
@@ -59,7 +60,7 @@ class ConsensusInstance:
     label: str
     label_share: float
     score: float
-    masks: Mapping[int, int]
+    masks: Mapping[int, tuple[int, ...]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -241,8 +242,8 @@ def _united(
     """Clusters of masks after pairs a, b have become one, the surest first, but for pairs that one frame shows side by side, and for pairs
     of different names that do not cover the same points; None where no pair is left."""
     frames = np.asarray((member @ _ones(np.arange(len(cluster)), seen.frame, (len(cluster), seen.visible.shape[1]))).todense()) > 0
-    apart = ~(frames[a] & frames[b]).any(axis=1)
-    a, b, surest = a[apart], b[apart], surest[apart]
+    fit = _may_join(frames[a], frames[b], config)
+    a, b, surest = a[fit], b[fit], surest[fit]
     used = np.flatnonzero(cluster >= 0)
     named: list[set[str]] = [set() for _ in frames]
     for mask in used:
@@ -256,13 +257,19 @@ def _united(
     root = np.arange(len(frames))
     for i in np.lexsort((b, a, -surest)):
         low, high = sorted((_root(root, int(a[i])), _root(root, int(b[i]))))
-        if low != high and not (frames[low] & frames[high]).any():
+        if low != high and _may_join(frames[low], frames[high], config):
             root[high] = low
             frames[low] |= frames[high]
     whole = np.array([_root(root, i) for i in range(len(root))])
     merged = cluster.copy()
     merged[used] = np.unique(whole, return_inverse=True)[1][cluster[used]]
     return merged
+
+
+def _may_join(first: Bools, second: Bools, config: ConsensusConfig) -> Bools:
+    """Whether clusters in these frames, shape (..., f), may be one: too few frames show them side by side."""
+    both, fewer = (first & second).sum(axis=-1), np.minimum(first.sum(axis=-1), second.sum(axis=-1))
+    return np.asarray(both <= config.side_by_side * fewer)
 
 
 def _root(root: Indices, index: int) -> int:
@@ -337,13 +344,24 @@ def _exclusive(
 
 
 def _instance(frames: Sequence[LiftedFrame], seen: _Sightings, points: Indices, masks: Indices) -> ConsensusInstance:
-    held = {int(seen.frame[mask]): int(mask - seen.first[seen.frame[mask]]) for mask in masks}
+    held: dict[int, tuple[int, ...]] = {}
+    for mask in sorted(int(mask) for mask in masks):
+        frame = int(seen.frame[mask])
+        held[frame] = (*held.get(frame, ()), mask - int(seen.first[frame]))
+    return instance_of(frames, seen.points[points], seen.colors[points], held)
+
+
+def instance_of(
+    frames: Sequence[LiftedFrame], points: Array, colors: NDArray[np.uint8], masks: Mapping[int, tuple[int, ...]]
+) -> ConsensusInstance:
+    """An instance of points, named by its masks: see `ConsensusInstance`."""
     weights: dict[str, float] = {}
-    for frame, mask in held.items():
-        label = frames[frame].labels[mask]
+    scores = []
+    for frame, mask in ((frame, mask) for frame, numbers in masks.items() for mask in numbers):
+        score, label = float(frames[frame].scores[mask]), frames[frame].labels[mask]
+        scores.append(score)
         if label:
-            weights[label] = weights.get(label, 0.0) + float(frames[frame].scores[mask])
+            weights[label] = weights.get(label, 0.0) + score
     label = min(weights, key=lambda name: (-weights[name], name), default="")
-    share = weights[label] / sum(weights.values()) if label and sum(weights.values()) > 0 else 0.0
-    score = float(np.mean([frames[frame].scores[mask] for frame, mask in held.items()]))
-    return ConsensusInstance(seen.points[points], seen.colors[points], label, share, score, held)
+    share = weights[label] / max(sum(weights.values()), 1e-12) if label else 0.0
+    return ConsensusInstance(points, colors, label, share, float(np.mean(scores)), dict(masks))

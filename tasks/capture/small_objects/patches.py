@@ -18,6 +18,10 @@ Bools = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 
+_SAME_PAINT = 0.6
+"""Of the difference that makes two paints: what is as like as this is one."""
+
+
 @dataclasses.dataclass(frozen=True)
 class PatchConfig(Config):
     """What parts pixels, and what joins patches."""
@@ -32,7 +36,7 @@ class PatchConfig(Config):
     least_contact: Count = 3  # pixels of a border, fewer are chance
     hollow_share: Share = 0.5  # of a border in a hollow: the two do not belong together
     inside_share: Share = 0.7  # of a patch's plan within that of another one: the inside of a mug
-    plan_gap_m: Positive = 0.015  # in plan, between parts of one object that touch nowhere in the image
+    plan_gap_m: Positive = 0.025  # in plan, between parts of one object that touch nowhere in the image
     object_pixels: Count = 30  # 5 cm at 3 m, at 320 px of width
 
 
@@ -146,11 +150,16 @@ def _tints(pixels: BoardPixels) -> Array:
     weight = np.maximum(uniform_filter(pixels.stands.astype(np.float64), 3), 1e-9)
     color = np.where(pixels.stands[..., None], pixels.color.astype(np.float64), 0)
     mean = np.stack([uniform_filter(color[..., i], 3) / weight for i in range(3)], axis=-1)
-    logs = np.log(np.maximum(mean, 0) + 12.0)  # of dark paint, noise is all there is to see
+    return tints_of(mean)
+
+
+def tints_of(color: NDArray[np.floating | np.uint8]) -> Array:
+    """Brightness and two ratios of channels, logarithmic, of colors RGB 0 to 255; shapes (..., 3)."""
+    logs = np.log(np.maximum(color, 0) + 12.0)  # of dark paint, noise is all there is to see
     return np.stack([logs.mean(axis=-1), logs[..., 0] - logs[..., 1], logs[..., 2] - logs[..., 1]], axis=-1)
 
 
-def _other_color(first: Array, second: Array, config: PatchConfig, slack: float = 1.0) -> Bools:
+def other_color(first: Array, second: Array, config: PatchConfig, slack: float = 1.0) -> Bools:
     """Where two tints, shapes (..., 3), are two paints."""
     step = np.abs(first - second)
     return np.asarray((step[..., 0] > slack * config.luma) | (step[..., 1:].max(axis=-1) > slack * config.chroma))
@@ -166,7 +175,7 @@ def _patches(stands: Bools, hollow: Bools, tint: Array, steps: list[Bools], conf
     firsts, seconds = [], []
     for axis, step in enumerate(steps):
         here, there = _pair(axis)
-        joined = step & smooth[here] & smooth[there] & ~_other_color(tint[here], tint[there], config, 0.5)
+        joined = step & smooth[here] & smooth[there] & ~other_color(tint[here], tint[there], config, 0.5)
         firsts.append(index[here][joined])
         seconds.append(index[there][joined])
     first, second = np.concatenate(firsts), np.concatenate(seconds)
@@ -239,7 +248,10 @@ def _grouped(
     sizes = np.bincount(patch[member], minlength=count)
     tints /= np.maximum(sizes, 1)[:, None]
     group = np.arange(count)
-    alike = ~_other_color(tints[border.first], tints[border.second], config) & (border.hollow < config.hollow_share)
+    first, second = tints[border.first], tints[border.second]
+    # a hollow between parts of one paint is a limb more often than another object
+    alike = ~other_color(first, second, config, _SAME_PAINT)
+    alike |= ~other_color(first, second, config) & (border.hollow < config.hollow_share)
     for a, b in zip(border.first[alike], border.second[alike], strict=True):
         _unite(group, grounded, int(a), int(b))
     _carry(group, grounded, border)
@@ -332,3 +344,12 @@ def _bridge(group: Indices, grounded: Bools, plans: list[Array], config: PatchCo
                     near.append((distance, other))
         if near:
             _unite(group, grounded, root, min(near)[1])
+
+
+def hull_overlap(first: Array, second: Array) -> float:
+    """Share of the smaller one of two hulls of points in plan, shapes (n, 2) and (m, 2), that lies in the other; 0 for lines."""
+    from shapely.geometry import MultiPoint
+
+    a, b = (MultiPoint(points).convex_hull for points in (first, second))
+    least = min(a.area, b.area)
+    return float(a.intersection(b).area / least) if least > 0 else 0.0

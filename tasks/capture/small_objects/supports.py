@@ -59,8 +59,8 @@ _PANEL_M = 0.08
 _PANEL_SHARE = 0.3
 """Of a side's cells, in a compartment, that a panel there has at least."""
 
-_PANEL_SLACK_M = 0.012
-"""What is so near to a panel is the panel: depth noise and drift of poses."""
+_PANEL_SLACK_M = 0.005
+"""What is so near to the layer in which a panel was seen is the panel: depth noise and drift of poses."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +94,11 @@ class SupportSlab:
     def local(self, points: Array) -> Array:
         """World points [m], shape (..., 3), in the slab's frame."""
         return np.asarray((points - self.pose[:3, 3]) @ self.pose[:3, :3])
+
+    def inset(self, local: Array) -> Array:
+        """How far points in its frame [m], shape (..., 3), lie inside of the board's edges or panels [m], shape (...)."""
+        low, high = np.maximum(self.low[:2], -self.footprint), np.minimum(self.high[:2], self.footprint)
+        return np.asarray(np.minimum(local[..., :2] - low, high - local[..., :2]).min(axis=-1))
 
     def holds(self, points: Array) -> Bools:
         """Which world points [m], shape (..., 3), lie in it."""
@@ -219,11 +224,8 @@ def _keep_off_panels(low: Array, high: Array, local: Array, half: Array, level: 
         for sign, limit in ((-1.0, low), (1.0, high)):
             inset = half[axis] - sign * middle[:, axis]
             is_near = np.abs(inset) <= _PANEL_M
+            layer = np.floor((inset[is_near] + _PANEL_M) / _FLATNESS_M).astype(np.int64)
             cells = np.floor(middle[is_near][:, [other, 2]] / _CELL_M).astype(np.int64)
-            inset = inset[is_near]
-            if not len(inset) or len(np.unique(cells, axis=0)) < wanted:
-                continue
-            layer = np.floor((inset + _PANEL_M) / _FLATNESS_M).astype(np.int64)
-            fullest = (float(np.bincount(layer).argmax()) + 0.5) * _FLATNESS_M - _PANEL_M
-            face = float(np.percentile(inset[np.abs(inset - fullest) <= 1.5 * _FLATNESS_M], 90))
-            limit[axis] = sign * (half[axis] - face - _PANEL_SLACK_M)
+            full = [i for i in np.unique(layer) if len(np.unique(cells[(layer == i) | (layer == i + 1)], axis=0)) >= wanted]
+            if full:  # a panel has two faces, and objects stand at the inner one
+                limit[axis] = sign * (half[axis] - (max(full) + 2) * _FLATNESS_M + _PANEL_M - _PANEL_SLACK_M)
