@@ -81,7 +81,11 @@ def measured(
                     pairs, counted = matched_pairs(overlap), set(scene.counted)
                     right = sum(obj in counted for obj, _ in pairs)
                     # what frames hardly show need not be found, and is no error either
-                    spare = {i for i in range(len(found.instances)) if len(overlap) and int(overlap[:, i].argmax()) not in counted and overlap[:, i].any()}
+                    spare = {
+                        i
+                        for i in range(len(found.instances))
+                        if len(overlap) and int(overlap[:, i].argmax()) not in counted and overlap[:, i].any()
+                    }
                     objects, instances = objects + len(counted), instances + len(found.instances) - len(spare)
                     matched += right
                 figures.append(LiftingFigures(word, touching, method, scenes, objects, instances, matched, seconds))

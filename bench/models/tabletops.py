@@ -220,4 +220,4 @@ def _eye(word: SupportWord, size: tuple[float, float, float], share: float, rng:
         azimuth = math.radians(-45 + 90 * share + float(rng.uniform(-5, 5)))
         away, up = float(rng.uniform(1.1, 1.5)), float(rng.uniform(0.1, 0.6))
         target = np.array([0.0, 0.0, float(rng.uniform(0.45, 1.35))])
-    return target + [away * math.cos(azimuth), away * math.sin(azimuth), up], target
+    return target + np.array([away * math.cos(azimuth), away * math.sin(azimuth), up]), target

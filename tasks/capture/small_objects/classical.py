@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.capture.instances.views import border_contact
 from tasks.capture.small_objects.consensus import ConsensusConfig, ConsensusInstance, associate, instance_of
 from tasks.capture.small_objects.lifting import DepthView, FrameMasks, LiftedFrame, LiftingConfig, depth_noise, lifted
 from tasks.capture.small_objects.patches import BoardPixels, PatchConfig, hull_overlap, objects_of, other_color, tints_of
 from tasks.capture.small_objects.supports import BELOW_M, SupportSlab
-from tasks.capture.instances.views import border_contact
 from tasks.settings import Config, Count, Positive, Share
 
 Array = NDArray[np.float64]
@@ -64,9 +64,10 @@ class ClassicalConfig(Config):
     part_share: Share = 0.4  # of a part's plan within that of the whole: two that merely touch overlap by a centimeter's drift
     part_paint: Share = 0.8  # of the difference of two paints: what touches and is as like as this is one object
     least_score: Share = 0.1  # of a mask that the image's border cuts
-    patches: PatchConfig = PatchConfig()  # see there
-    lifting: LiftingConfig = LiftingConfig(erosion_px=0.0)  # its masks end where depth does
-    consensus: ConsensusConfig = ConsensusConfig(side_by_side=0.35)  # a hollow or a gap in the depth divides one object in some frames
+    patches: PatchConfig = dataclasses.field(default_factory=PatchConfig)  # see there
+    lifting: LiftingConfig = dataclasses.field(default_factory=lambda: LiftingConfig(erosion_px=0.0))  # its masks end where depth does
+    # a hollow or a gap in the depth divides one object in some frames
+    consensus: ConsensusConfig = dataclasses.field(default_factory=lambda: ConsensusConfig(side_by_side=0.35))
 
 
 def found_objects(views: Sequence[DepthView], slabs: Sequence[SupportSlab], config: ClassicalConfig) -> Found:
@@ -145,7 +146,9 @@ def _is_object(local: Array, slab: SupportSlab, config: ClassicalConfig) -> bool
     return not goes_on and float((slab.inset(local) >= config.edge_m).mean()) >= config.inside_share
 
 
-def _settled(frames: list[LiftedFrame], instances: list[ConsensusInstance], slab: SupportSlab, config: ClassicalConfig) -> list[ConsensusInstance]:  # fmt: skip
+def _settled(
+    frames: list[LiftedFrame], instances: list[ConsensusInstance], slab: SupportSlab, config: ClassicalConfig
+) -> list[ConsensusInstance]:
     """Instances after those on a board that float over it, or lie within another one's plan, have become a part of the nearest one."""
     from scipy.spatial import cKDTree
 
@@ -157,7 +160,7 @@ def _settled(frames: list[LiftedFrame], instances: list[ConsensusInstance], slab
         floats = float(np.percentile(local[i][:, 2], 2)) > config.float_m
         best: tuple[float, int] | None = None
         for j in mine:
-            if owner[j] == owner[i] or (len(local[j]), j) < (len(local[i]), i) and not floats:
+            if owner[j] == owner[i] or (not floats and (len(local[j]), j) < (len(local[i]), i)):
                 continue
             gap = float(cKDTree(local[j][:, :2]).query(local[i][:, :2])[0].min())
             if gap > config.part_gap_m:

@@ -36,7 +36,9 @@ class ConsensusConfig(Config):
     split_share: Share = 0.3  # a mask that more of its views divide holds several objects
     agreement: Share = 0.9  # of the views that know both masks: they are one
     side_by_side: Share = 0.0  # of the frames of two clusters that may show both: masks of one frame are two objects
-    two_sides: Share = 0.2  # of the smaller one's points in another one: two that merely touch share less, since poses drift by a centimeter
+    two_sides: Share = (
+        0.2  # of the smaller one's points in another one: two that merely touch share less, since poses drift by a centimeter
+    )
     other_name: Share = 0.5  # overlap from which on masks of different names are one object
     least_masks: Count = 2  # one view alone may be a reflection, or a part of something
     kept_share: Share = 0.5  # of the views of a point that have it in the instance
@@ -310,7 +312,9 @@ def _instances(
         lasting = share > config.kept_share
         parts += _pieces(seen, points[lasting], share[lasting], masks, config)
     order = sorted(range(len(parts)), key=lambda i: (-len(parts[i][0]), int(parts[i][2][0])))
-    return tuple(_instance(frames, seen, points, masks) for points, masks in _exclusive([parts[i] for i in order], len(seen.points), config))
+    return tuple(
+        _instance(frames, seen, points, masks) for points, masks in _exclusive([parts[i] for i in order], len(seen.points), config)
+    )
 
 
 def _pieces(
@@ -327,9 +331,7 @@ def _pieces(
     return [piece for piece in pieces if len(piece[2]) >= config.least_masks and len(piece[0]) >= config.least_points]
 
 
-def _exclusive(
-    parts: Sequence[tuple[Indices, Array, Indices]], count: int, config: ConsensusConfig
-) -> list[tuple[Indices, Indices]]:
+def _exclusive(parts: Sequence[tuple[Indices, Array, Indices]], count: int, config: ConsensusConfig) -> list[tuple[Indices, Indices]]:
     """Parts, the largest first, without those that lie in a larger one; a point that two have is the one's whose views have it more."""
     kept: list[tuple[Indices, Array, Indices]] = []
     for points, share, masks in parts:

@@ -190,7 +190,7 @@ def eroded(mask: Bools, pixels: int) -> Bools:
 
 def distinct(seen: FrameMasks, same_mask: float) -> FrameMasks:
     """Masks of a frame without those that another, surer one covers as well: one object that was asked for under two names."""
-    flat = seen.masks.reshape(len(seen.masks), -1).astype(np.float32)
+    flat = seen.masks.reshape(len(seen.masks), seen.masks[0].size if len(seen.masks) else 0).astype(np.float32)
     shared, sizes = flat @ flat.T, flat.sum(axis=1)
     overlap = shared / np.maximum(sizes[:, None] + sizes[None, :] - shared, 1)
     kept: list[int] = []
@@ -221,9 +221,7 @@ def density_clusters(points: Array, reach: float, least: int) -> Indices:
 
     if not len(points):
         return np.zeros(0, dtype=np.int64)
-    _, first, cell, weight = np.unique(
-        voxel_keys(points, _THINNING * reach), return_index=True, return_inverse=True, return_counts=True
-    )
+    _, first, cell, weight = np.unique(voxel_keys(points, _THINNING * reach), return_index=True, return_inverse=True, return_counts=True)
     tree = cKDTree(points[first])
     pairs = tree.query_pairs(reach, output_type="ndarray")
     count = len(first)
@@ -272,7 +270,7 @@ def lift(view: DepthView, seen: FrameMasks, config: LiftingConfig, allowed: Bool
         kept.append(index)
         points.append(own[thin][whole])
         colors.append(view.color[certain][thin][whole])
-    masks = seen.masks[kept]
+    masks = seen.masks[kept].reshape(len(kept), *view.depth.shape)
     return LiftedFrame(
         view, _owner(masks, sound), masks, tuple(points), tuple(colors), tuple(seen.labels[i] for i in kept), seen.scores[kept]
     )
@@ -300,9 +298,9 @@ def depths(view: DepthView, points: Array) -> Array:
     return np.asarray((points - view.pose[:3, 3]) @ view.pose[:3, 2])
 
 
-def lifted(views: Sequence[DepthView], seen: Sequence[FrameMasks], config: LiftingConfig, allowed: Sequence[Bools] | None = None) -> list[LiftedFrame]:  # fmt: skip
+def lifted(
+    views: Sequence[DepthView], seen: Sequence[FrameMasks], config: LiftingConfig, allowed: Sequence[Bools] | None = None
+) -> list[LiftedFrame]:
     """Masks of several frames as points in the world frame, see `lift`."""
     slabs = allowed if allowed is not None else [None] * len(views)
     return [lift(view, masks, config, slab) for view, masks, slab in zip(views, seen, slabs, strict=True)]
-
-

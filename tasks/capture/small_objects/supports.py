@@ -47,6 +47,9 @@ _BOARD_SHARE = 0.3
 _BOARD_GAP_M = 0.12
 """Boards of a shelf are farther from each other than this."""
 
+_OTHER_SIDE_SHARE = 0.6
+"""Of a layer's cells that a layer right above it has at least, if both are sides of one board."""
+
 _LEAST_TOP_M = 0.2
 """Lower surfaces are plinths and the bottoms of drawers."""
 
@@ -194,11 +197,17 @@ def _levels(local: Array, half: Array, is_shelf: bool, least: float) -> list[flo
     for low in range(count):
         filled[low] = len(np.unique(plan[(layer == low) | (layer == low + 1)]))
     boards: list[float] = []
-    for low in np.argsort(-filled, kind="stable"):
+    for fullest in np.argsort(-filled, kind="stable"):
+        low = fullest
         if filled[low] < _BOARD_SHARE * filled.max():
             break
-        own = inside[(layer == low) | (layer == low + 1), 2]
-        height = float(np.median(own))
+        while True:  # up from its lower side, where a scan has that too
+            above = np.arange(low + 1, min(low + 5, count))
+            above = above[filled[above] >= _OTHER_SIDE_SHARE * filled[low]]
+            if not len(above):
+                break
+            low = above.max()
+        height = float(np.median(inside[(layer == low) | (layer == low + 1), 2]))
         if all(abs(height - other) > _BOARD_GAP_M for other in boards):
             boards.append(_surface_of(inside, height))
     return sorted(boards) if is_shelf else [max(boards)]
