@@ -60,9 +60,9 @@ class ClassicalConfig(Config):
     least_eye_m: Positive = 0.03  # lower cameras see a board's edge, not what it carries
     unsure_height_m: Positive = 0.015  # over a board that a frame hardly shows: poses drift by a centimeter
     float_m: Positive = 0.04  # over the board: nothing floats, so it is a part of what is below
-    part_gap_m: Positive = 0.02  # in plan, between the parts of one object
-    part_share: Share = 0.4  # of a part's plan within that of the whole: two that merely touch overlap by a centimeter's drift
-    part_paint: Share = 0.8  # of the difference of two paints: what touches and is as like as this is one object
+    part_gap_m: Positive = 0.012  # in plan, between the parts of one object: what poses drift
+    part_share: Share = 0.5  # of a part's plan within that of the whole: two that merely touch overlap by a centimeter's drift
+    part_paint: Share = 0.25  # of the difference of two paints: what touches and is as like as this is one object
     least_score: Share = 0.1  # of a mask that the image's border cuts
     patches: PatchConfig = dataclasses.field(default_factory=PatchConfig)  # see there
     lifting: LiftingConfig = dataclasses.field(default_factory=lambda: LiftingConfig(erosion_px=0.0))  # its masks end where depth does

@@ -248,7 +248,7 @@ def _united(
     a, b, surest = a[fit], b[fit], surest[fit]
     used = np.flatnonzero(cluster >= 0)
     named: list[set[str]] = [set() for _ in frames]
-    for mask in used:
+    for mask in used.tolist():
         named[cluster[mask]] |= {names[mask]} - {""}
     same = np.array([not named[i] or not named[j] or bool(named[i] & named[j]) for i, j in zip(a, b, strict=True)], dtype=bool)
     if not same.all():

@@ -244,9 +244,9 @@ def _grouped(
     border = _borders(patch, hollow, steps, config)
     grounded = _grounded(pixels, patch, count, steps, config)
     member = patch >= 0
-    tints = np.stack([np.bincount(patch[member], tint[..., i][member], count) for i in range(3)], axis=1)
-    sizes = np.bincount(patch[member], minlength=count)
-    tints /= np.maximum(sizes, 1)[:, None]
+    sizes = np.bincount(patch[member], minlength=count).astype(np.float64)
+    totals = [np.bincount(patch[member], tint[..., i][member], count) for i in range(3)]
+    tints: Array = np.stack(totals, axis=1) / np.maximum(sizes, 1.0)[:, None]
     group = np.arange(count)
     first, second = tints[border.first], tints[border.second]
     # a hollow between parts of one paint is a limb more often than another object
