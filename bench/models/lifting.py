@@ -75,18 +75,18 @@ def measured(
                 seconds = 0.0
                 for seed, scene in enumerate(made):
                     started = time.perf_counter()
-                    found = instances_of(scene, method, np.random.default_rng([first_seed + seed, 7]), classical)
+                    clouds = instances_of(scene, method, np.random.default_rng([first_seed + seed, 7]), classical)
                     seconds += time.perf_counter() - started
-                    overlap = overlaps(scene, [instance.points for instance in found.instances])
+                    overlap = overlaps(scene, [instance.points for instance in clouds.instances])
                     pairs, counted = matched_pairs(overlap), set(scene.counted)
                     right = sum(obj in counted for obj, _ in pairs)
                     # what frames hardly show need not be found, and is no error either
                     spare = {
                         i
-                        for i in range(len(found.instances))
+                        for i in range(len(clouds.instances))
                         if len(overlap) and int(overlap[:, i].argmax()) not in counted and overlap[:, i].any()
                     }
-                    objects, instances = objects + len(counted), instances + len(found.instances) - len(spare)
+                    objects, instances = objects + len(counted), instances + len(clouds.instances) - len(spare)
                     matched += right
                 figures.append(LiftingFigures(word, touching, method, scenes, objects, instances, matched, seconds))
     return figures
@@ -115,20 +115,20 @@ def corrupted(masks: Bools, points: Array, share: float, rng: np.random.Generato
         if index not in kept or rng.random() >= share:
             continue
         mask = kept[index]
-        others = [other for other in kept if other != index and other in middles]
-        if rng.random() < 0.5 or not others:
+        neighbors = [other for other in kept if other != index and other in middles]
+        if rng.random() < 0.5 or not neighbors:
             rows, columns = np.nonzero(mask)
             along = columns if rng.random() < 0.5 else rows
             half = np.zeros_like(mask)
             half[rows, columns] = along <= np.median(along)
             kept[index], kept[len(masks) + index] = mask & half, mask & ~half
         else:
-            other = min(others, key=lambda i: float(np.linalg.norm(middles[i] - middles[index])))
+            other = min(neighbors, key=lambda i: float(np.linalg.norm(middles[i] - middles[index])))
             kept[index] = mask | kept.pop(other)
     return np.array([mask for mask in kept.values() if mask.any()]).reshape(-1, *masks.shape[1:])
 
 
-def overlaps(scene: Tabletop, found: Sequence[Array]) -> Array:
+def overlaps(scene: Tabletop, clouds: Sequence[Array]) -> Array:
     """Intersection over union of the points of objects and instances, shape (objects, instances).
 
     Every true point, of objects and support alike, is of the instance whose point is nearest to it, or of none where a point of the frames
@@ -136,18 +136,18 @@ def overlaps(scene: Tabletop, found: Sequence[Array]) -> Array:
     """
     from scipy.spatial import cKDTree
 
-    shape = (len(scene.words), len(found))
-    if not found:
+    shape = (len(scene.words), len(clouds))
+    if not clouds:
         return np.zeros(shape)
-    own, whose = np.concatenate(found), np.repeat(np.arange(len(found)), [len(points) for points in found])
+    own, whose = np.concatenate(clouds), np.repeat(np.arange(len(clouds)), [len(points) for points in clouds])
     pixels = np.concatenate([view.points()[sound_pixels(view.depth, LiftingConfig())] for view in scene.views])
     pixels = pixels[voxel_first(pixels, 0.005)]
     rest = pixels[~np.isfinite(cKDTree(own).query(pixels, distance_upper_bound=NEAR_M)[0])]
-    tree, label = cKDTree(np.concatenate([own, rest])), np.concatenate([whose, np.full(len(rest), len(found))])
+    tree, label = cKDTree(np.concatenate([own, rest])), np.concatenate([whose, np.full(len(rest), len(clouds))])
     true, obj = np.concatenate(scene.points), np.repeat(np.arange(len(scene.points)), [len(points) for points in scene.points])
     distance, index = tree.query(true, distance_upper_bound=REACH_M)
-    answer = np.where(np.isfinite(distance), label[np.minimum(index, len(label) - 1)], len(found))
-    table = np.zeros((len(scene.points), len(found) + 1))
+    answer = np.where(np.isfinite(distance), label[np.minimum(index, len(label) - 1)], len(clouds))
+    table = np.zeros((len(scene.points), len(clouds) + 1))
     np.add.at(table, (obj, answer), 1)
     union = table.sum(axis=1)[:-1, None] + table.sum(axis=0)[None, :-1] - table[:-1, :-1]
     return np.asarray(table[:-1, :-1] / np.maximum(union, 1))

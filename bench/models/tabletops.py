@@ -168,10 +168,10 @@ def _placed(word: SupportWord, size: tuple[float, float, float], touching: bool,
             continue
         for _ in range(_TRIES):
             place = _somewhere(name, extents, float(rng.choice(fits)), top.x, top.y, places, touching, rng)
-            others = [p for p in places if p.bottom == place.bottom]
+            neighbors = [p for p in places if p.bottom == place.bottom]
             shape = place.polygon()
             clear = 1e-4 if touching else APART_M
-            if area.contains(shape) and all(shape.distance(p.polygon()) >= clear for p in others):  # type: ignore[attr-defined]
+            if area.contains(shape) and all(shape.distance(p.polygon()) >= clear for p in neighbors):  # type: ignore[attr-defined]
                 places.append(place)
                 break
     return places

@@ -98,8 +98,8 @@ def _filled(depth: NDArray[np.float32], gap: float) -> NDArray[np.float32]:
     for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
         before = padded[1 - dy : 1 - dy + height, 1 - dx : 1 - dx + width]
         after = padded[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
-        one = (filled == 0) & (before > 0) & (after > 0) & (np.abs(before - after) <= gap)
-        filled[one] = 0.5 * (before[one] + after[one])
+        single = (filled == 0) & (before > 0) & (after > 0) & (np.abs(before - after) <= gap)
+        filled[single] = 0.5 * (before[single] + after[single])
     return filled
 
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from tasks.capture.instances.views import depth_tolerance
 from tasks.capture.small_objects.lifting import LiftedFrame, density_clusters, depths, visible_points, voxel_keys
@@ -113,6 +112,8 @@ def associate(frames: Sequence[LiftedFrame], config: ConsensusConfig) -> Consens
 
 def _sightings(frames: Sequence[LiftedFrame], config: ConsensusConfig) -> _Sightings:
     """Scene points, and which masks and frames see them."""
+    from scipy.sparse import csr_array
+
     counts = np.array([len(frame.masks) for frame in frames], dtype=np.int64)
     first = np.cumsum(counts) - counts
     own = [points for frame in frames for points in frame.points]
@@ -142,6 +143,8 @@ def _sightings(frames: Sequence[LiftedFrame], config: ConsensusConfig) -> _Sight
 
 def _ones(rows: Indices, columns: Indices, shape: tuple[int, int]) -> Any:
     """A sparse matrix of ones."""
+    from scipy.sparse import csr_array
+
     return csr_array((np.ones(len(rows), dtype=np.float32), (rows, columns)), shape=shape)
 
 

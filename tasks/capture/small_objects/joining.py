@@ -90,7 +90,7 @@ def found_object(
     return FoundObject(instance.points, instance.colors, category, probability, found_by, support_id, masks)
 
 
-def joined(existing: Sequence[ExistingInstance], found: Sequence[FoundObject], config: JoiningConfig) -> Joined:
+def joined(existing: Sequence[ExistingInstance], objects: Sequence[FoundObject], config: JoiningConfig) -> Joined:
     """Found objects that no instance has, those that one is, and instances that hold several.
 
     An instance stays as it is, whatever is found: one that holds several objects is told, and they are not added, since their points
@@ -99,7 +99,7 @@ def joined(existing: Sequence[ExistingInstance], found: Sequence[FoundObject], c
     rivals = [other for other in existing if not (other.is_support or other.is_structure) and len(other.points)]
     known: dict[int, str] = {}
     held: dict[str, list[int]] = {}
-    for place, obj in enumerate(found):
+    for place, obj in enumerate(objects):
         inside = [_share(obj.points, other.points, config.reach_m) for other in rivals]
         if not inside or max(inside) < config.same_share:
             continue
@@ -112,31 +112,31 @@ def joined(existing: Sequence[ExistingInstance], found: Sequence[FoundObject], c
     several = {
         name: places
         for name, places in several.items()
-        if sum(_share(by_id[name].points, found[i].points, config.reach_m) < 1 - config.whole_share for i in places) == len(places)
+        if sum(_share(by_id[name].points, objects[i].points, config.reach_m) < 1 - config.whole_share for i in places) == len(places)
     }
-    fresh = [place for place in range(len(found)) if place not in known]
+    fresh = [place for place in range(len(objects)) if place not in known]
     kept: list[int] = []
-    for place in sorted(fresh, key=lambda i: (-len(found[i].points), i)):
-        if all(_share(found[place].points, found[i].points, config.reach_m) < config.same_share for i in kept):
+    for place in sorted(fresh, key=lambda i: (-len(objects[i].points), i)):
+        if all(_share(objects[place].points, objects[i].points, config.reach_m) < config.same_share for i in kept):
             kept.append(place)
     start = 1 + max((int(other.instance_id) for other in existing), default=-1)
     added = [
         NewInstance(f"{start + number:04d}", obj.category, obj.probability, obj.found_by, obj.support_id, obj.points, obj.colors, obj.masks)
-        for number, obj in enumerate(found[place] for place in sorted(kept))
+        for number, obj in enumerate(objects[place] for place in sorted(kept))
     ]
     notes = tuple(
-        f"instance {name} holds {len(places)} objects, as {found[places[0]].found_by} sees it; it stays as it is"
+        f"instance {name} holds {len(places)} objects, as {objects[places[0]].found_by} sees it; it stays as it is"
         for name, places in several.items()
     )
     return Joined(tuple(added), known, several, notes)
 
 
-def _share(points: Array, others: Array, reach: float) -> float:
+def _share(points: Array, nearby: Array, reach: float) -> float:
     """Share of points, shape (n, 3), with one of the others, shape (m, 3), within reach [m]; 0 to 1."""
     from scipy.spatial import cKDTree
 
-    near = np.flatnonzero(((others >= points.min(axis=0) - reach) & (others <= points.max(axis=0) + reach)).all(axis=1))
+    near = np.flatnonzero(((nearby >= points.min(axis=0) - reach) & (nearby <= points.max(axis=0) + reach)).all(axis=1))
     if not len(near):
         return 0.0
-    distance = cKDTree(others[near]).query(points, distance_upper_bound=reach)[0]
+    distance = cKDTree(nearby[near]).query(points, distance_upper_bound=reach)[0]
     return float(np.isfinite(distance).mean())
