@@ -1,18 +1,22 @@
-"""Programs of others: called with a list of words, in a folder of their own, for a limited time, and ended with all that they began."""
+"""Programs of others in processes of their own: bounded in time, and none of what they started stays."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import signal
 import subprocess
-from collections.abc import Mapping, Sequence
+import tempfile
+import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from schemas.text import cut, one_line
 
-MOST_SHOWN = 200
-"""Characters of what a program said before it failed."""
+_LAST_BYTES = 4096
+"""Of what a program wrote to its standard error, the end is looked at: that is where it says what went wrong."""
+
 
 SECRETS = ("KEY", "TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
 """Variables of the environment whose names hold one of these are not given to programs of others."""
@@ -22,39 +26,68 @@ class CommandFailed(Exception):
     """A program did not do its work. The text says why, in one line."""
 
 
-def run_command(words: Sequence[str], folder: Path, seconds: float, more: Mapping[str, str] | None = None) -> str:
-    """What a program says on its standard output, once it has ended well.
+def open_environment() -> dict[str, str]:
+    """The variables of the environment that programs of others are given."""
+    return {name: value for name, value in os.environ.items() if not any(word in name.upper() for word in SECRETS)}
 
-    words: The program and its arguments; no shell reads them. folder: Where it runs. more: Variables of its environment.
+
+@dataclasses.dataclass(frozen=True)
+class Ending:
+    """How a program ended. code: its exit code, None where its time was up. last: the last line of its standard error, '' for none. limit_s: How long it might
+    have taken [s]."""
+
+    code: int | None
+    last: str
+    seconds: float
+    limit_s: float
+
+    @property
+    def problem(self) -> str:
+        """What went wrong, '' for nothing."""
+        if self.code is None:
+            return f"took longer than {self.limit_s:g} s"
+        if self.code == 0:
+            return ""
+        how = f"was ended by signal {-self.code}" if self.code < 0 else f"ended with code {self.code}"
+        return f"{how}: {self.last or 'it did not say why'}"
+
+
+def run_apart(command: Sequence[str], folder: Path, timeout_s: float) -> Ending:
+    """Run a program in a folder until it ends, or for so many seconds. It reads nothing, and what it prints is dropped.
+
+    It and all that it started, as far as they stayed in its process group, are gone afterwards.
+
+    Raises:
+        OSError, ValueError: it cannot be started.
+    """
+    clock = time.monotonic()
+    with tempfile.TemporaryFile() as errors:
+        child = subprocess.Popen(
+            list(command), cwd=folder, env=open_environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+            start_new_session=True,
+        )  # fmt: skip
+        try:
+            code: int | None = child.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            code = None
+        finally:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(child.pid, signal.SIGKILL)
+            child.wait()
+        errors.seek(max(errors.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
+        lines = errors.read().decode(errors="replace").strip().splitlines()
+    return Ending(code, cut(one_line(lines[-1])) if lines else "", time.monotonic() - clock, timeout_s)
+
+
+def run_command(command: Sequence[str], folder: Path, timeout_s: float) -> None:
+    """Run a program that has to end well; as `run_apart`.
 
     Raises:
         CommandFailed: there is no such program, it ends with another exit code than 0, or not in time.
     """
-    environment = {name: value for name, value in os.environ.items() if not any(word in name.upper() for word in SECRETS)}
     try:
-        process = subprocess.Popen(
-            list(words), cwd=folder, env={**environment, **(more or {})}, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE, start_new_session=True,
-        )  # fmt: skip
-    except OSError as error:
-        raise CommandFailed(f"cannot be started: {error.strerror or error}") from error
-    try:
-        out, err = process.communicate(timeout=seconds)
-    except subprocess.TimeoutExpired as late:
-        _end(process)
-        raise CommandFailed(f"took longer than {seconds:g} s") from late
-    except BaseException:
-        _end(process)
-        raise
-    if process.returncode:
-        lines = [line for line in (err or out).decode(errors="replace").splitlines() if line.strip()]
-        what = f"was ended by signal {-process.returncode}" if process.returncode < 0 else f"ended with exit code {process.returncode}"
-        raise CommandFailed(f"{what}: {cut(one_line(lines[-1]), MOST_SHOWN)}" if lines else what)
-    return out.decode(errors="replace")
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """Kill a program and what it began; of one that is gone there is nothing to kill."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+        ending = run_apart(command, folder, timeout_s)
+    except (OSError, ValueError) as error:
+        raise CommandFailed(f"cannot be started: {getattr(error, 'strerror', None) or error}") from error
+    if ending.problem:
+        raise CommandFailed(ending.problem)

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file, stays_in, write_whole
+from tasks.calls.command import run_apart
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import Surface, load_glb, material_of, sample_surface, surface_of
 from tasks.geometry.proximity import closest_points
 from tasks.settings import Config, Count, Positive, Share, Texts
 from tasks.texturing.charts import ChartFigures, chart_figures
-from tasks.texturing.processes import run_apart
 
 if TYPE_CHECKING:
     import trimesh

@@ -20,10 +20,10 @@ from pydantic import Field
 
 from schemas.errors import InputError
 from schemas.files import read_file
+from tasks.calls.command import run_apart
 from tasks.geometry.triangles import distinct_rows, face_areas, welded
 from tasks.settings import Config, Count, Natural, Positive, Share
 from tasks.texturing.charts import flat_faces
-from tasks.texturing.processes import run_apart
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

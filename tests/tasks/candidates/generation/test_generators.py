@@ -220,7 +220,7 @@ def test_a_command_may_choose_the_name_of_its_file(room: Room, tmp_path: Path) -
 
 
 FAILING = {
-    "raise ValueError('no card')": "ended with exit code 1: ValueError: no card",
+    "raise ValueError('no card')": "ended with code 1: ValueError: no card",
     "os.kill(os.getpid(), 9)": "was ended by signal 9",
     "pass": "wrote no GLB",
     "open(out, 'wb').write(b'PK')": "",
