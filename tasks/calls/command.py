@@ -33,8 +33,8 @@ def open_environment() -> dict[str, str]:
 
 @dataclasses.dataclass(frozen=True)
 class Ending:
-    """How a program ended. code: its exit code, None where its time was up. last: the last line of its standard error, '' for none. limit_s: How long it might
-    have taken [s]."""
+    """How a program ended. code: its exit code, None where its time was up. last: the last line of its standard error, '' for none.
+    limit_s: How long it might have taken [s]."""
 
     code: int | None
     last: str

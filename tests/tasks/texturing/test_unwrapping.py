@@ -25,7 +25,7 @@ from tests.tasks.texturing.tools import program
 XATLAS = XatlasUnwrapper()
 
 
-@pytest.fixture(params=["xatlas", pytest.param("smart_uv", marks=pytest.mark.whole)])
+@pytest.fixture(params=["xatlas", pytest.param("smart_uv", marks=pytest.mark.slow)])
 def unwrapper(request: pytest.FixtureRequest) -> Unwrapper:
     """Either tool; Smart UV where METASCENES_BPY names an interpreter that has bpy, or a blender binary."""
     if request.param == "xatlas":
