@@ -50,7 +50,7 @@ OWN = {
     "tasks/views/crops.py decoded": "reads blobs of the lake",
     "tasks/selection/methods/encoders.py": "reads weights that the user names; tests/tasks/selection/test_foreign_methods.py damages them",
     "tasks/calls/": "reads answers of a server; tests/tasks/calls and tests/tasks/captions damage them",
-    "tasks/capture/small_objects/supports.py support_kinds": "reads a table that the user edits; damaged in test_supports.py",
+    "tasks/capture/small_objects/supports.py": "reads a table that the user edits; damaged in test_supports.py",
     "tasks/library/": "reads models of libraries and their catalogs; tests/tasks/library damages them, and USD is read by a child",
     "tasks/texturing/": "reads assets of the lake, and what programs wrote; damaged in tests/tasks/texturing",
     "tasks/captions/vision_language.py prompt_of": "reads the package's own prompts",
