@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from schemas.calls import ModelCall
 from schemas.captions import Caption
 from schemas.errors import InputError
 from tests.conftest import REPOSITORY
-from tests.samples import fingerprint, stage_run
+from tests.samples import fingerprint, sample, stage_run
 from tests.services import environment_of, s3_server
 from tests.warehouse.lake_load import scene_id, stage_scene
 from warehouse.lake import Lake
@@ -146,3 +147,23 @@ def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
             patch.setitem(sys.modules, module, None)
             with pytest.raises(InputError, match=rf"need the package {package}; pip install {package}$"):
                 Lake.open("s3://bucket/lake")
+
+
+def test_calls_are_recorded_once_and_committed(bucket: str) -> None:
+    lake = Lake.open(f"s3://{bucket}/calls/lake")
+    replies = [lake.blobs.put(text, "txt") for text in (b"first", b"second")]
+    rows = [
+        sample(
+            ModelCall, call_id=fingerprint("one"), scene_id=scene_id(0), request_blob=replies[0], reply_blob=reply, outcome="answered",
+            problem=None,
+        )
+        for reply in replies
+    ]  # fmt: skip
+    mark = lake.calls.mark(rows[0].call_id)
+    assert [Lake.open(lake.address).calls.create(row) for row in rows] == [True, False]
+    assert Lake.open(lake.address).call(rows[0].call_id) == rows[0]
+    lake.calls.unmark(mark)
+    assert lake.commit("calls") is not None
+    assert lake.snapshot().rows(ModelCall) == [rows[0]]
+    assert lake.storage.names("calls") == []
+    assert lake.call(rows[0].call_id) == rows[0]
