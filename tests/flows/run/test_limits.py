@@ -15,11 +15,17 @@ from typing import Any
 import pytest
 
 from flows.run import limits as module
+from flows.run.ledger import CallRules, LakeLedger
 from flows.run.limits import Limit, check_limits, limited
 from flows.server.services import SERVER
 from schemas.errors import InputError
+from tasks.calls.asking import Conversation, Prompt, ask
+from tasks.calls.endpoint import EndpointSettings
+from tasks.stage import Context
 from tests.conftest import REPOSITORY
 from tests.services import PrefectServer, free_port, prefect_server_process
+from tests.tasks.calls.servers import Server, refuses, says
+from warehouse.lake import Lake
 
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(900)]
 
@@ -108,6 +114,26 @@ def test_a_rate_lets_begin_so_many_a_second_however_long_each_takes(server: Pref
     with limited("captions", {"captions": "rate"}), limited("captions", {"captions": "rate"}), limited("captions", {"captions": "rate"}):
         seconds = time.monotonic() - started
     assert seconds >= 2 / 4.0 * 0.9  # three begin at the same time as each other's work goes on, but not faster than that
+
+
+def test_every_request_of_a_call_keeps_a_rate(server: PrefectServer, tmp_path: Path) -> None:
+    """Requests are counted, not calls: what is sent again counts again."""
+    make("seer", 1, per_second=4.0)
+    assert check_limits({"calls": "seer"})["calls"].is_rate
+    model, ledger = Server(), LakeLedger(Lake.open(tmp_path / "lake"), CallRules(limit="seer"))
+    model.answers = [refuses(503), refuses(503), says("yes")]
+    context = Context("demo/a_00", "captions", 0, {}, ledger=ledger)
+    settings = EndpointSettings(model.url, "seer-1", pause_seconds=0.0)
+    started = time.monotonic()
+    try:
+        assert ask(context, settings, Conversation(Prompt("test", ""), [], {}), "x").text == "yes"
+        seconds = time.monotonic() - started
+        assert len(model.requests) == 3
+        assert seconds >= 2 / 4.0 * 0.9
+        assert ask(context, settings, Conversation(Prompt("test", ""), [], {}), "x").text == "yes"
+        assert len(model.requests) == 3, "what the ledger has needs no slot"
+    finally:
+        model.close()
 
 
 def test_a_limit_that_is_switched_off_stops_nothing_and_is_not_taken(server: PrefectServer) -> None:
