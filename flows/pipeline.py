@@ -251,6 +251,8 @@ def replicate(
         from flows.run.limits import check_limits
 
         check_limits(limits)
+    if replay:
+        Lake.existing(replay, "replay")
     calls = CallRules(budget_usd=budget_usd, most_calls=most_calls, replay=replay or "", limit=limits.get(LIMITED, ""))
     fan_out = FanOut(workers or os.cpu_count() or 1, runner, dask_address, batch, limits, keep_free_gb, quota_gb, stage_seconds, calls)
 

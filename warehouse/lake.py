@@ -57,7 +57,7 @@ class Lake:
         self.staging = Staging(storage)
         self.calls = PendingCalls(storage, self._prepare)
         self._is_marked = False
-        self._newest: tuple[str, Reader] | None = None
+        self._called: tuple[str, Reader, frozenset[str]] | None = None  # by a commit: its snapshot, and the calls that it has
         self.blobs = BlobStore(storage, self._prepare)
 
     @classmethod
@@ -198,9 +198,11 @@ class Lake:
         """A recorded call, committed or not; of one that was answered the first reply."""
         pending = self.calls.get(call_id)  # first: what is committed meanwhile is in the snapshot then
         stamp = self.last_commit()
-        if self._newest is None or self._newest[0] != stamp:
-            self._newest = (stamp, self.snapshot())
-        committed = self._newest[1].rows_by_key(ModelCall, [call_id])
+        if self._called is None or self._called[0] != stamp:
+            reader = self.snapshot()
+            ids = self.tables.read(TABLES["model_calls"], reader.files("model_calls"), ["call_id"]).column("call_id").to_pylist()
+            self._called = (stamp, reader, frozenset(ids))
+        committed = self._called[1].rows_by_key(ModelCall, [call_id]) if call_id in self._called[2] else []
         if committed and (pending is None or committed[0].outcome == "answered"):
             return committed[0]
         return pending

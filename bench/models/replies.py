@@ -32,6 +32,10 @@ FORMS = (
 """The same, in forms that models take."""
 
 
+READ = 0.2
+"""Share of corrupted replies that have to be read: who refuses all of them accepts nothing wrong, either."""
+
+
 @dataclasses.dataclass(frozen=True)
 class ReplyFigures:
     """What became of so many corrupted replies: how many were read, and how many of these said something that was not meant."""
@@ -95,5 +99,9 @@ def looks_figures(count: int, seed: int) -> ReplyFigures:
 def reply_report(count: int, seed: int) -> dict[str, Any]:
     """Both, against the goal that nothing wrong is accepted."""
     parts = {"physical attributes": physics_figures(count, seed), "looks": looks_figures(count, seed)}
+    wrong, read = sum(each.wrong for each in parts.values()), sum(each.read for each in parts.values()) / (2 * count)
     rows = [{"replies about": name, **dataclasses.asdict(figures)} for name, figures in parts.items()]
-    return {"rows": rows, "goals": [goal("wrong values that were accepted", sum(row["wrong"] for row in rows), "==", 0)]}
+    return {
+        "rows": rows,
+        "goals": [goal("wrong values that were accepted", wrong, "==", 0), goal("share of replies that were read", read, ">=", READ)],
+    }

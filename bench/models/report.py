@@ -69,6 +69,9 @@ def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dic
     Raises:
         InputError: the real models are not where they should be.
     """
+    why = lacking(config.realdata) if RETRIEVAL in config.parts else None
+    if why is not None:
+        raise InputError("bench models", "--realdata", why, "or leave `retrieval` out of --parts")
     parts: dict[str, Any] = {}
     if REPLIES in config.parts:
         parts[REPLIES] = reply_report(CORRUPTIONS, config.seed)
@@ -79,10 +82,7 @@ def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dic
         advance(LIFTING)
     if TEXTURES in config.parts:
         parts[TEXTURES] = run_texturing_bench(config.texturing, lambda: advance(TEXTURES))
-    if RETRIEVAL in config.parts:
-        why = lacking(config.realdata)
-        if why is not None or config.realdata is None:
-            raise InputError("bench models", "--realdata", str(why), "or leave `retrieval` out of --parts")
+    if RETRIEVAL in config.parts and config.realdata is not None:
         looked_up = retrieved(config.realdata)
         parts[RETRIEVAL] = {"rows": retrieval_rows(looked_up), "goals": retrieval_goals(looked_up)}
         advance(RETRIEVAL)

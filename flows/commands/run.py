@@ -73,6 +73,8 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
 
     configuration = configure(config_file, settings, library, seed)
     lake = Lake.open(address)
+    if replay:
+        Lake.existing(replay, "--replay")
     scan_list, unusable = found_scans(
         scans, scan_format, dataset, scenes=scenes, first=first, last=last, since=since, until=until, links_into=links_into
     )

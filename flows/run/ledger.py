@@ -9,6 +9,8 @@ from collections.abc import Iterator
 import pyarrow.compute as pc
 
 from schemas.calls import ModelCall
+from schemas.errors import InputError
+from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import NoFurtherCall
 from warehouse.lake import Lake
 
@@ -49,23 +51,28 @@ class LakeLedger:
     def __init__(self, lake: Lake, rules: CallRules) -> None:
         self._lake, self._rules = lake, rules
         self._spent: tuple[str, float, int] = ("", 0.0, 0)  # by committed rows of this run, and of which commit
-        self._replayed = Lake.existing(rules.replay, "replay") if rules.replay else None
+        self._opened: Lake | None = None
 
     def __reduce__(self) -> tuple[object, ...]:
         return (LakeLedger, (self._lake, self._rules))
+
+    @property
+    def _replayed(self) -> Lake | None:
+        """The lake whose replies stand in, where there is one."""
+        if self._opened is None and self._rules.replay:
+            self._opened = Lake.existing(self._rules.replay, "replay")
+        return self._opened
 
     def reply(self, call_id: str) -> bytes | None:
         """What a call was answered with; None where it was not."""
         call = self._lake.call(call_id)
         if call is not None and call.reply_blob is not None:
             return self._lake.blobs[call.reply_blob]
-        if self._replayed is None:
-            return None
-        before = self._replayed.call(call_id)
-        if before is None or before.reply_blob is None:
+        before = self._replayed.call(call_id) if self._replayed is not None else None
+        if self._replayed is None or before is None or (before.reply_blob is None and call is not None):
             return None
         blobs = self._replayed.blobs
-        return self._kept(before, blobs[before.request_blob], blobs[before.reply_blob])
+        return self._kept(before, blobs[before.request_blob], None if before.reply_blob is None else blobs[before.reply_blob])
 
     @contextlib.contextmanager
     def asking(self, call_id: str, scene_id: str) -> Iterator[None]:
@@ -73,9 +80,15 @@ class LakeLedger:
 
         Raises:
             BudgetSpent: the run may make no further one.
-            NotRecorded: replies are replayed, and there is none.
+            NotRecorded: replies are replayed, and nobody asked for this one.
+            EndpointAway, InputError: replies are replayed, and that is what came of this one.
         """
         if self._rules.replay:
+            before = self._lake.call(call_id)
+            if before is not None and before.outcome == "away":
+                raise EndpointAway(str(before.problem))
+            if before is not None and before.outcome == "refused":
+                raise InputError("replay", before.model, str(before.problem))
             raise NotRecorded(
                 f"{scene_id}: call {call_id[:12]} has no reply in {self._replayed and self._replayed.address}: run without replay"
             )
@@ -110,7 +123,7 @@ class LakeLedger:
         if self._lake.calls.create(row):
             committed = self._lake.call(call.call_id)  # a commit may have taken the first reply since it was looked for
             if committed is not None and committed.reply_blob not in (None, reply_blob):
-                self._lake.calls.remove([row])
+                self._lake.calls.discard(row.call_id)
         first = self._lake.call(call.call_id)
         return reply if first is None or first.reply_blob is None else self._lake.blobs[first.reply_blob]
 

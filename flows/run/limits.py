@@ -67,6 +67,9 @@ def check_limits(limits: Mapping[str, str]) -> dict[str, Limit]:
             raise InputError("limits", f"{stage}={name}", "the server has no such limit", _remedy(name))
         if limit.is_active and limit.slots < 1:
             raise InputError("limits", f"{stage}={name}", "has no slots: the run would wait for ever", _remedy(name))
+        if stage == LIMITED and not limit.is_rate:
+            problem = "holds slots, and a request gives none back: only a rate holds requests to it"
+            raise InputError("limits", f"{stage}={name}", problem, f"prefect gcl update {name} --slot-decay-per-second 2")
         checked[stage] = limit
     return checked
 

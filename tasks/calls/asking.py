@@ -51,7 +51,7 @@ class Conversation:
 
     def again(self, reply: str, problem: str) -> Conversation:
         """The same, with a reply that cannot be used and why."""
-        more = {"role": "user", "content": f"That cannot be used: {problem}. CallAnswer again, with JSON alone."}
+        more = {"role": "user", "content": f"That cannot be used: {problem}. Answer again, with JSON alone."}
         return dataclasses.replace(self, messages=[*self.messages, {"role": "assistant", "content": reply}, more])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -52,13 +53,14 @@ class EndpointSettings(Config):
 
 
 def check_endpoint(settings: EndpointSettings, where: str) -> None:
-    """Raises InputError where no endpoint or model is named, the address is none, or the key is not there or would go in the clear."""
+    """Raises InputError where no endpoint or model is named, the address is none, or a key would go in the clear. Whether the key is there
+    is asked when something is sent: what the ledger has needs none."""
     if not settings.model:
         raise InputError(where, "model", "names no model", "give it as the endpoint calls it")
     if not settings.url.startswith(("http://", "https://")):
         raise InputError(where, "url", "is no address", "give that of an OpenAI-compatible endpoint: https://.../v1")
     check_address(settings.url, f"{where}.url")
-    if key_in(settings.key_variable, where):
+    if settings.key_variable and os.environ.get(settings.key_variable):
         check_hidden(settings.url, where)
 
 

@@ -6,6 +6,7 @@ import dataclasses
 import http.client
 import ipaddress
 import os
+import re
 import time
 import urllib.error
 import urllib.parse
@@ -124,15 +125,16 @@ class Exchange:
         return cut(message)
 
     def _wait_as_told(self, seconds: str | None, attempt: int) -> None:
-        if seconds is not None and seconds.strip().isdigit() and attempt + 1 < self.attempts:
+        if seconds is not None and re.fullmatch(r"[0-9]{1,9}", seconds.strip()) and attempt + 1 < self.attempts:
             self.sleep(min(float(seconds), LONGEST_PAUSE_SECONDS))
 
 
 def _said(error: urllib.error.HTTPError) -> str:
     """How the text of a refusal begins, as far as it arrives: its state says all that is needed."""
     try:
-        return error.read(400).decode(errors="replace")
-    except (OSError, ValueError, http.client.HTTPException):
+        part: bytes = error.fp.read1(400)  # type: ignore[attr-defined]  # what is there: the rest may drip for ever
+        return part.decode(errors="replace")
+    except (OSError, ValueError, AttributeError, http.client.HTTPException):
         return ""
 
 

@@ -31,7 +31,7 @@ def table_of(reply: str, example: str, *, is_alone: bool = False) -> dict[str, A
     Raises:
         UnreadableReply: there is none.
     """
-    text = reply[:MOST_CHARACTERS]
+    text = re.sub(r"\s{2,}", " ", reply[:MOST_CHARACTERS]) if is_alone else reply[:MOST_CHARACTERS]
     starts = [match.start() for match in re.finditer(r"\{", text)][: 1 if is_alone else 20]
     attempts: Sequence[Callable[[str], Any]] = (json.loads, _mended, _as_python)
     for attempt in attempts:
@@ -79,9 +79,13 @@ def number_in(value: Any, field: str, units: Mapping[str, float]) -> float:
             known = ", ".join(units) or "none"
             raise UnreadableReply(f"{field} must be a number, not {value[:40]!r} (units: {known})")
         value, scale = float(written[1]), units.get(unit, 1.0)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    try:
+        number = float(value) * scale if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    except OverflowError:  # a model that repeats a digit without end
+        number = math.nan
+    if not math.isfinite(number):
         raise UnreadableReply(f"{field} must be a number")
-    return float(value) * scale
+    return number
 
 
 def word_in(value: Any, field: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TypeGuard
 
 from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
@@ -16,6 +17,7 @@ from schemas.capture import Frame, Instance, Mask
 from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import NoFurtherCall
 from tasks.candidates.assets import MadeAsset
+from tasks.candidates.generation.generated import GeneratorSettings
 from tasks.candidates.library import LibraryIndex, index_library, library_files
 from tasks.candidates.looks import exemplars
 from tasks.candidates.parametric import Parametric
@@ -143,7 +145,8 @@ def _fill(number: int, slot: SlotConfig, request: CandidateRequest, lender: Cand
     """What a slot holds after its provider was asked, and its fallback where that has nothing. lender: the request of who stands for
     the instance's look."""
     candidate, made = _attempt(number, slot.provider, request, lender)
-    if candidate.outcome != "empty" or slot.fallback is None:
+    is_left = candidate.outcome == "empty" or (candidate.outcome == "failed" and is_generator(slot.provider))
+    if not is_left or slot.fallback is None:
         return candidate, made
     return _attempt(number, slot.fallback, request, lender, instead=candidate.reason)
 
@@ -158,17 +161,22 @@ def _attempt(
         made = family.offer(lender if family.draws_looks else request, provider)
     except NothingToOffer as nothing:
         return _row(number, provider, request, outcome="empty", reason=str(nothing), is_fallback=is_fallback), None
-    except NoFurtherCall:
-        raise
     except EndpointAway as away:
-        if getattr(provider, "away", "") == "retry":
+        if is_generator(provider) and provider.away == "retry":
             raise
         return _row(number, provider, request, outcome="empty", reason=str(away)[:300], is_fallback=is_fallback), None
+    except (NoFurtherCall, ConnectionError, TimeoutError):  # of the ledger or the lake: nobody's fault, and the next run goes on
+        raise
     except Exception as error:  # one slot of one instance never stops the others; the row tells what happened
         text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         return _row(number, provider, request, outcome="failed", reason=text, is_fallback=is_fallback), None
     row = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
     return dataclasses.replace(row, call_id=made.call_id), made
+
+
+def is_generator(provider: ProviderConfig) -> TypeGuard[GeneratorSettings]:
+    """Whether a provider asks a generator, which may fail today and not tomorrow."""
+    return isinstance(provider, GeneratorSettings)
 
 
 def _row(

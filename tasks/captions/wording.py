@@ -138,7 +138,10 @@ def attributes_of(reply: str, size: Sequence[float], *, most_friction: float = 1
 
 
 def _lowered(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {str(key).strip().lower().replace(" ", "_"): value for key, value in table.items()}
+    lowered = {str(key).strip().lower().replace(" ", "_"): value for key, value in table.items()}
+    if len(lowered) < len(table):
+        raise UnreadableReply("a field is there twice")
+    return lowered
 
 
 def _needed(fields: Mapping[str, Any], name: str) -> Any:

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -62,29 +63,49 @@ def test_a_call_is_there_before_and_after_a_commit(lake: Lake) -> None:
 
 
 def test_the_first_reply_stays_and_takes_the_place_of_a_failure(lake: Lake) -> None:
-    failed, first, second = call(lake, "one", None), call(lake, "one", "first"), call(lake, "one", "second")
+    failed = call(lake, "one", None, attempts=4, lost=1)
+    first, second = call(lake, "one", "first", attempts=1, lost=0), call(lake, "one", "second", attempts=1, lost=0)
     assert lake.calls.create(failed)
     assert lake.calls.create(first), "a failure is no reply"
     assert not lake.calls.create(second)
     assert not lake.calls.create(failed)
     assert lake.call(first.call_id) == first
     lake.commit()
+    (row,) = rows(lake)
+    assert row == dataclasses.replace(first, attempts=9, lost=2), "requests of all tries are counted"
     assert lake.calls.create(second), "whoever looks into the table sees that there is one"
-    assert lake.call(first.call_id) == first
+    assert lake.call(first.call_id) == row
     lake.commit()
-    assert rows(lake) == [first]
+    assert rows(lake) == [row]
     assert lake.storage.names(FOLDER) == []
 
 
+def test_a_reply_that_comes_while_a_commit_looks_at_a_failure_is_kept(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file is removed by its name, and no file ever changes: what came later has another name."""
+    failed, reply = call(lake, "one", None), call(lake, "one", "reply")
+    lake.calls.create(failed)
+    remove = type(lake.calls).remove
+    other = Lake.open(lake.address)
+    with monkeypatch.context() as patched:
+        patched.setattr(type(lake.calls), "remove", lambda self, paths: (other.calls.create(reply), remove(self, paths)))
+        lake.commit()
+    fresh = Lake.open(lake.address)
+    assert fresh.call(reply.call_id) == reply
+    fresh.commit()
+    assert [row.reply_blob for row in rows(fresh)] == [reply.reply_blob]
+
+
 def test_a_failure_that_was_committed_is_replaced_by_a_reply(lake: Lake) -> None:
-    failed, first = call(lake, "one", None), call(lake, "one", "first")
+    early, late = datetime(2026, 1, 1, tzinfo=UTC), datetime(2026, 1, 2, tzinfo=UTC)
+    failed = call(lake, "one", None, attempts=4, lost=0, asked_at=early)
+    first = call(lake, "one", "first", attempts=1, lost=1, asked_at=late)
     lake.calls.create(failed)
     lake.commit()
     assert rows(lake) == [failed]
     lake.calls.create(first)
     assert lake.call(first.call_id) == first
     lake.commit()
-    assert rows(lake) == [first]
+    assert rows(lake) == [dataclasses.replace(first, attempts=5, lost=1)]
 
 
 def test_of_many_at_once_one_is_first(lake: Lake) -> None:
@@ -119,7 +140,7 @@ def test_a_commit_that_died_after_its_snapshot_leaves_nothing_twice(lake: Lake, 
     made = call(lake, "one")
     lake.calls.create(made)
     with monkeypatch.context() as patched:
-        patched.setattr(type(lake.calls), "remove", lambda self, calls: (_ for _ in ()).throw(KeyboardInterrupt))
+        patched.setattr(type(lake.calls), "remove", lambda self, paths: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             lake.commit()
     fresh = Lake.open(lake.address)
@@ -144,7 +165,7 @@ def test_marks_that_nobody_asks_for_go_in_time(lake: Lake, monkeypatch: pytest.M
     from warehouse.tables import calls as module
 
     mark = lake.calls.mark(fingerprint("one"))
-    monkeypatch.setattr(module, "_is_dead", lambda name: True)
+    monkeypatch.setattr(module, "_is_left", lambda entry: True)
     lake.calls.sweep()
     assert lake.storage.exists(mark)
     now = module.time.time()

@@ -1,17 +1,19 @@
 """Calls that were recorded and not committed yet, and calls that are under way.
 
 A reply is kept the moment that it comes: its blob first, then one small file `calls/<call_id>.parquet` with its row, created only if
-absent, so that of several that ask the same at once all go on with the first reply. The next commit takes the rows into the table
-`model_calls`; files go after the snapshot is there. A call under way is an empty file `calls/<call_id>@<token>`: one whose process is
-dead was lost, and who asks the same again counts it.
+absent, so that of several that ask the same at once all go on with the first reply. A call that had none leaves a file of its own,
+`calls/<call_id>!<token>.parquet`; no file ever changes. The next commit takes the rows into the table `model_calls`; files go after the
+snapshot is there. A call under way is an empty file `calls/<call_id>@<token>`: one whose process is dead was lost, and who asks the same
+again counts it.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import re
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import pyarrow as pa
@@ -20,13 +22,14 @@ from schemas.calls import CALL_PATTERN, ModelCall
 from schemas.errors import InputError
 from schemas.record import arrow_to_rows, check, rows_to_arrow
 from warehouse.sharing.writer import new_token, writer_of
+from warehouse.tables.staging import is_left_over
 
 if TYPE_CHECKING:
-    from warehouse.storage.files import Storage
+    from warehouse.storage.files import Entry, Storage
 
 FOLDER = "calls"
 
-_FILE = re.compile(rf"({CALL_PATTERN})\.parquet")
+_FILE = re.compile(rf"({CALL_PATTERN})(![0-9a-f-]+)?\.parquet")
 _MARK = re.compile(rf"({CALL_PATTERN})@([0-9a-f-]+)")
 
 FORGOTTEN_SECONDS = 30 * 86_400.0
@@ -38,56 +41,67 @@ class PendingCalls:
 
     def __init__(self, storage: Storage, prepare: Callable[[], None]) -> None:
         self._storage, self._prepare = storage, prepare
-        self._known: dict[str, ModelCall] = {}  # by id: files never change once they are there
+        self._known: dict[str, ModelCall] = {}  # by path: files never change
 
-    def all(self) -> dict[str, ModelCall]:
-        """The recorded ones, by id.
+    def rows(self) -> dict[str, ModelCall]:
+        """Every recorded call, by its file.
 
         Raises:
             InputError: a file is damaged.
         """
-        ids = self._ids()
-        self._known = {call_id: call for call_id, call in self._known.items() if call_id in ids}
-        for call_id in sorted(ids - self._known.keys()):
-            self.get(call_id)
+        paths = {f"{FOLDER}/{name}" for name in self._storage.names(FOLDER) if _FILE.fullmatch(name)}
+        self._known = {path: call for path, call in self._known.items() if path in paths}
+        for path in sorted(paths - self._known.keys()):
+            call = self._read(path)
+            if call is not None:
+                self._known[path] = call
         return dict(sorted(self._known.items()))
 
-    def get(self, call_id: str) -> ModelCall | None:
-        """A recorded one; None where it is not here.
+    def all(self) -> dict[str, ModelCall]:
+        """One row for each call, by its id. Raises as `rows`."""
+        by_id: dict[str, list[ModelCall]] = {}
+        for call in self.rows().values():
+            by_id.setdefault(call.call_id, []).append(call)
+        return {call_id: merged(calls) for call_id, calls in by_id.items()}
 
-        Raises:
-            InputError: its file is damaged.
-        """
-        try:
-            data = self._storage.read(_path(call_id))
-        except FileNotFoundError:
-            self._known.pop(call_id, None)
-            return None
-        self._known[call_id] = _call_in(data, f"{self._storage.address}/{_path(call_id)}")
-        return self._known[call_id]
+    def get(self, call_id: str) -> ModelCall | None:
+        """A recorded one: with its reply, else a failure; None where it is not here. Raises as `rows`."""
+        answered = self._read(_path(call_id))
+        if answered is not None:
+            return answered
+        names = [name for name in self._storage.names(FOLDER, f"{call_id}!") if _FILE.fullmatch(name)]
+        failed = [call for name in names if (call := self._read(f"{FOLDER}/{name}")) is not None]
+        return merged(failed) if failed else None
 
     def create(self, call: ModelCall) -> bool:
-        """Record a call; False where another one with its id was recorded first, unless that one has no reply."""
+        """Record a call; False where a reply to it was recorded first."""
         import pyarrow.parquet as pq
 
         check([call], ModelCall)
         self._prepare()
         data = io.BytesIO()
         pq.write_table(rows_to_arrow([call], ModelCall), data)
-        if self._storage.create(_path(call.call_id), data.getvalue()):
-            return True
-        before = self.get(call.call_id)
-        if before is not None and (before.outcome == "answered" or call.outcome != "answered"):
-            return False
-        self._storage.write(_path(call.call_id), data.getvalue())  # a reply takes the place of a failure
-        return True
+        if call.outcome == "answered":
+            return self._storage.create(_path(call.call_id), data.getvalue())
+        self._storage.write(f"{FOLDER}/{call.call_id}!{new_token()}.parquet", data.getvalue())
+        return not self._storage.exists(_path(call.call_id))
 
-    def remove(self, calls: Iterable[ModelCall]) -> None:
-        """Remove recorded calls that a snapshot has, unless the file says something else by now."""
-        for call in calls:
-            if self.get(call.call_id) == call:
-                self._storage.remove(_path(call.call_id))
-                self._known.pop(call.call_id, None)
+    def remove(self, paths: Iterable[str]) -> None:
+        """Remove files of calls that a snapshot has."""
+        for path in paths:
+            self._storage.remove(path)
+            self._known.pop(path, None)
+
+    def discard(self, call_id: str) -> None:
+        """Remove a reply that a snapshot had before it was recorded again."""
+        self.remove([_path(call_id)])
+
+    def _read(self, path: str) -> ModelCall | None:
+        try:
+            data = self._storage.read(path)
+        except FileNotFoundError:
+            return None
+        return _call_in(data, f"{self._storage.address}/{path}")
 
     def mark(self, call_id: str) -> str:
         """Say that a call is under way; the mark."""
@@ -102,12 +116,14 @@ class PendingCalls:
 
     def lost(self, call_id: str) -> list[str]:
         """Marks of calls with an id whose processes are dead."""
-        marks = [name for name in self._storage.names(FOLDER, f"{call_id}@") if _MARK.fullmatch(name)]
-        return [f"{FOLDER}/{name}" for name in marks if _is_dead(name)]
+        return [entry.path for entry in self._marks() if _name(entry).startswith(f"{call_id}@") and _is_left(entry)]
+
+    def _marks(self) -> list[Entry]:
+        return [entry for entry in self._storage.entries(FOLDER) if _MARK.fullmatch(_name(entry))]
 
     def blob_names(self, wanted: Callable[[ModelCall], bool] = lambda call: True) -> set[str]:
         """Names of the blobs that recorded calls name; of those that are wanted."""
-        calls = [call for call in self.all().values() if wanted(call)]
+        calls = [call for call in self.rows().values() if wanted(call)]
         return {name for call in calls for name in (call.request_blob, call.reply_blob) if name is not None}
 
     def strangers(self) -> list[str]:
@@ -117,22 +133,28 @@ class PendingCalls:
 
     def erase(self, scene_id: str) -> None:
         """Remove the recorded calls that a scene asked."""
-        self.remove([call for call in self.all().values() if call.scene_id == scene_id])
+        self.remove([path for path, call in self.rows().items() if call.scene_id == scene_id])
 
     def sweep(self) -> None:
         """Remove marks of dead processes that nobody asked for any more for a month."""
-        for entry in self._storage.entries(FOLDER):
-            name = entry.path.rpartition("/")[2]
-            if _MARK.fullmatch(name) and _is_dead(name) and time.time() - entry.modified > FORGOTTEN_SECONDS:
+        for entry in self._marks():
+            if _is_left(entry) and time.time() - entry.modified > FORGOTTEN_SECONDS:
                 self._storage.remove(entry.path)
 
-    def _ids(self) -> set[str]:
-        return {match[1] for name in self._storage.names(FOLDER) if (match := _FILE.fullmatch(name))}
+
+def merged(calls: Sequence[ModelCall]) -> ModelCall:
+    """One row of several about one call: the one with the reply, else the newest; requests and lost calls are those of all."""
+    best = max(calls, key=lambda call: (call.outcome == "answered", call.asked_at))
+    return dataclasses.replace(best, attempts=sum(call.attempts for call in calls), lost=sum(call.lost for call in calls))
 
 
-def _is_dead(name: str) -> bool:
-    writer = writer_of(name.partition("@")[2])
-    return writer is not None and not writer.is_alive
+def _name(entry: Entry) -> str:
+    return entry.path.rpartition("/")[2]
+
+
+def _is_left(entry: Entry) -> bool:
+    """Whether who left a mark is dead, or cannot be asked and left it a day ago."""
+    return is_left_over(writer_of(_name(entry).partition("@")[2]), entry.modified)
 
 
 def _path(call_id: str) -> str:

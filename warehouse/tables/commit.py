@@ -20,7 +20,7 @@ from schemas.tables import TABLES
 from warehouse.sharing.lease import Lease
 from warehouse.sharing.writer import this_writer, writer_of
 from warehouse.tables.adoption import CommitPlan, committed_rows, now_utc, plan, without_faults
-from warehouse.tables.calls import PendingCalls
+from warehouse.tables.calls import PendingCalls, merged
 from warehouse.tables.delta import DeltaTables, TableWriter, nullable
 from warehouse.tables.history import Key, StageState, base_of, states
 from warehouse.tables.staging import StagedRun, Staging
@@ -59,7 +59,7 @@ class Commit:
         staged = [staged_run for staged_run in staged if scenes is None or staged_run.run.scene_id in scenes]
         staged = [staged_run for staged_run in staged if runs is None or staged_run.token in runs]
         is_whole = scenes is None and runs is None  # else who commits has scenes in mind: calls alone are no reason for a snapshot
-        if not staged and not removed and not (is_whole and self._calls is not None and self._calls.all()):
+        if not staged and not removed and not (is_whole and self._calls is not None and self._calls.rows()):
             return None
         faults = {
             staged_run.token: fault
@@ -69,13 +69,14 @@ class Commit:
         self._read_states({staged_run.run.scene_id for staged_run in staged} | set(removed))
         made = plan(self._states, without_faults(staged, faults), removed)
         unwanted = [staged_run for staged_run in made.left if staged_run.run.scene_id in removed]
-        calls = self._new_calls() if is_whole or not made.is_empty else []
-        if made.is_empty and not calls:
+        new, renewed, taken = self._new_calls() if is_whole or not made.is_empty else ([], [], [])
+        if made.is_empty and not (new or renewed):
             self._staging.remove(unwanted)
+            self._remove_calls(taken)
             return None
         versions = dict(self._base.versions)
-        if calls:
-            versions["model_calls"] = self._write_calls(calls)
+        if new or renewed:
+            versions["model_calls"] = self._write_calls(new, renewed)
         for table in TABLES.values():
             version = self._write_table(table, made)
             if version is not None:
@@ -90,8 +91,7 @@ class Commit:
         )
         self._write_snapshot(snapshot, [*made.adopted, *made.recorded])
         self._staging.remove([*made.adopted, *made.recorded, *unwanted])
-        if self._calls is not None:
-            self._calls.remove(calls)
+        self._remove_calls(taken)
         return snapshot
 
     def sweep(self, keep: Collection[tuple[str, str, str]]) -> None:
@@ -264,26 +264,37 @@ class Commit:
         kept |= {staged_run.run.scene_id for staged_run in made.adopted if staged_run.run.stage == table.stage} & set(scenes)
         return kept - {run.scene_id for run in made.withdrawn if run.stage == table.stage}
 
-    def _new_calls(self) -> list[ModelCall]:
-        """Recorded calls that the snapshot does not have; files of those that it has are removed. A reply stays as it was first."""
-        if self._calls is None:
-            return []
-        pending = {call_id: call for call_id, call in self._calls.all().items() if call.scene_id != self._erased}
-        table = TABLES["model_calls"]
-        rows = self._tables.read(table, self._base_files(table), only={"call_id": set(pending)}) if pending else None
-        had = {row.call_id: row for row in arrow_to_rows(rows, ModelCall)} if rows is not None else {}
-        new = [
-            call for call_id, call in pending.items() if call_id not in had or (had[call_id].outcome != "answered" and had[call_id] != call)
-        ]
-        self._lease.check()
-        self._calls.remove([call for call in pending.values() if call not in new])
-        return new
+    def _remove_calls(self, paths: Sequence[str]) -> None:
+        if self._calls is not None and paths:
+            self._lease.check()
+            self._calls.remove(paths)
 
-    def _write_calls(self, calls: Sequence[ModelCall]) -> int:
-        """Rows of calls are added; one that takes the place of a failure replaces it."""
+    def _new_calls(self) -> tuple[list[ModelCall], list[ModelCall], list[str]]:
+        """Rows of recorded calls that the snapshot does not have: those that are new, those that take the place of one without a reply; and
+        the files that a snapshot with these needs no more. A reply stays as it was first."""
+        pending = {path: call for path, call in self._calls.rows().items() if call.scene_id != self._erased} if self._calls else {}
         table = TABLES["model_calls"]
-        writer = self._writer(table)
-        writer.replace(rows_to_arrow(calls, ModelCall), "call_id", {call.call_id for call in calls})
+        ids = {call.call_id for call in pending.values()}
+        rows = self._tables.read(table, self._base_files(table), only={"call_id": ids}) if ids else None
+        had = {row.call_id: row for row in arrow_to_rows(rows, ModelCall)} if rows is not None else {}
+        new, renewed = [], []
+        for call_id in sorted(ids):
+            before = had.get(call_id)
+            calls = [call for call in pending.values() if call.call_id == call_id]
+            if before is None:
+                new.append(merged(calls))
+            elif before.outcome != "answered":  # a commit that died may have taken failures in already
+                later = [call for call in calls if call.outcome == "answered" or call.asked_at > before.asked_at]
+                renewed += [merged([before, *later])] if later else []
+        return new, renewed, list(pending)
+
+    def _write_calls(self, new: Sequence[ModelCall], renewed: Sequence[ModelCall]) -> int:
+        """Rows of calls are added; one that takes the place of a failure replaces it."""
+        writer = self._writer(TABLES["model_calls"])
+        if renewed:
+            writer.replace(rows_to_arrow(renewed, ModelCall), "call_id", {call.call_id for call in renewed})
+        if new:
+            writer.append(rows_to_arrow(new, ModelCall))
         writer.compact()
         assert writer.version is not None
         return writer.version

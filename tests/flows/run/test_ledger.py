@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import pickle
 import subprocess
@@ -15,8 +16,9 @@ import pytest
 from flows.run.ledger import SPENT, BudgetSpent, CallRules, LakeLedger, NotRecorded
 from flows.run.patience import is_away
 from schemas.calls import ModelCall
+from schemas.errors import InputError
 from tasks.calls.asking import Conversation, Prompt, ask
-from tasks.calls.endpoint import EndpointSettings
+from tasks.calls.endpoint import EndpointSettings, check_endpoint
 from tasks.calls.exchange import EndpointAway
 from tasks.stage import Context
 from tests.tasks.calls.servers import Server, refuses, says, server
@@ -73,7 +75,7 @@ def test_a_call_that_failed_is_recorded_and_asked_again(lake: Lake, server: Serv
     assert (failed.outcome, failed.attempts, failed.reply_blob) == ("away", 2, None)
     assert asker(lake, server)("a") == "yes"
     (answered,) = lake.calls.all().values()
-    assert (answered.outcome, answered.call_id) == ("answered", failed.call_id)
+    assert (answered.outcome, answered.call_id, answered.attempts) == ("answered", failed.call_id, 3)
     assert lake.storage.names("calls", f"{failed.call_id}@") == [], "nothing is under way any more"
 
 
@@ -123,6 +125,53 @@ def test_a_run_is_replayed_without_a_network(lake: Lake, server: Server, tmp_pat
     assert kept == first, "rows and all that they name go along"
     assert all(row.reply_blob in again.blobs and row.request_blob in again.blobs for row in kept)
     assert asker(lake, server, replay=lake.address)("a") == "yes"
+
+
+def test_what_failed_fails_again_when_it_is_replayed(lake: Lake, server: Server, tmp_path: Path) -> None:
+    """So that what stood in for it stands in again."""
+    server.answers = [refuses(503), refuses(503), refuses(422)]
+    with pytest.raises(EndpointAway):
+        asker(lake, server)("a")
+    with pytest.raises(InputError, match="HTTP 422"):
+        asker(lake, server)("b")
+    lake.commit()
+    server.requests.clear()
+    again = Lake.open(tmp_path / "again")
+    replaying = asker(again, server, replay=lake.address)
+    for _ in range(2):
+        with pytest.raises(EndpointAway, match="HTTP 503"):
+            replaying("a")
+        with pytest.raises(InputError, match="HTTP 422"):
+            replaying("b")
+    assert not server.requests
+    again.commit()
+    assert again.snapshot().rows(ModelCall) == lake.snapshot().rows(ModelCall)
+
+
+def test_replaying_needs_no_key(lake: Lake, server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    server.answers = [says("yes")]
+    monkeypatch.setenv("SEER_KEY", "secret-0123456789")
+    told = dataclasses.replace(settings(server), key_variable="SEER_KEY")
+    assert ask(context(lake), told, about("a"), "captions.provider").text == "yes"
+    monkeypatch.delenv("SEER_KEY")
+    check_endpoint(told, "captions.provider")
+    assert ask(context(lake), told, about("a"), "captions.provider").text == "yes"
+    with pytest.raises(InputError, match="SEER_KEY holds no key"):
+        ask(context(lake), told, about("b"), "captions.provider")
+    assert len(server.requests) == 1
+
+
+def test_a_lake_to_replay_that_is_not_there_is_one_line_before_the_run_begins(tmp_path: Path) -> None:
+    from click.testing import CliRunner
+
+    from flows.commands.run import command
+
+    (tmp_path / "scans").mkdir()
+    result = CliRunner().invoke(
+        command, ["--scans", str(tmp_path / "scans"), "--lake", str(tmp_path / "lake"), "--replay", str(tmp_path / "typo")]
+    )
+    assert isinstance(result.exception, InputError)
+    assert "typo: --replay: there is no lake" in str(result.exception)
 
 
 def test_a_call_whose_process_died_is_counted_by_the_next(lake: Lake, server: Server) -> None:

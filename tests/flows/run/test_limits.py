@@ -119,6 +119,9 @@ def test_a_rate_lets_begin_so_many_a_second_however_long_each_takes(server: Pref
 def test_every_request_of_a_call_keeps_a_rate(server: PrefectServer, tmp_path: Path) -> None:
     """Requests are counted, not calls: what is sent again counts again."""
     make("seer", 1, per_second=4.0)
+    make("slots", 2)
+    with pytest.raises(InputError, match="only a rate holds requests"):
+        check_limits({"calls": "slots"})
     assert check_limits({"calls": "seer"})["calls"].is_rate
     model, ledger = Server(), LakeLedger(Lake.open(tmp_path / "lake"), CallRules(limit="seer"))
     model.answers = [refuses(503), refuses(503), says("yes")]

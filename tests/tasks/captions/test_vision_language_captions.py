@@ -6,6 +6,7 @@ import base64
 import dataclasses
 import io
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -164,7 +165,29 @@ def test_what_was_answered_is_not_asked_again_and_what_was_not_is(room: Room, se
     assert not server.requests
 
 
-@pytest.mark.parametrize("told", [{"url": "ftp://x"}, {"model": ""}, {"key_variable": "NO_SUCH_KEY"}])
+def test_prompts_are_addressed_to_a_model() -> None:
+    """Not to whoever reads the code: no name of it stands in them."""
+    for name in ("appearance", "physics_corrected", "physics_printed"):
+        text = prompt_of(name).text
+        assert re.search(r"\bAnswer (with|in)\b", text)
+        assert not re.search(r"\b[a-z]+[A-Z]|\b[A-Z][a-z]+[A-Z]|_[a-z]+_", re.sub(r"\{\w+[^}]*\}", "", text)), text
+
+
+def test_a_number_without_end_is_none() -> None:
+    """It is in the ledger: what cannot be read must be refused, not fail the scene for ever."""
+    reply = '{"physics_attributes": {"category": "Rigid Body", "mass": 5' + 400 * "0" + ', "friction": 0.4, "bounciness": 0}}'
+    with pytest.raises(UnreadableReply):
+        attributes_of(reply, SIZE)
+
+
+@pytest.mark.parametrize("twice", ['"Mass": 12.5', '"mass ": 12.5', '"mass": 12.5'])
+def test_a_field_that_is_there_twice_is_refused_however_it_is_spelled(twice: str) -> None:
+    reply = '{"category": "Rigid Body", "mass": 6.5, ' + twice + ', "friction": 0.4, "bounciness": 0}'
+    with pytest.raises(UnreadableReply, match="twice"):
+        attributes_of(reply, SIZE)
+
+
+@pytest.mark.parametrize("told", [{"url": "ftp://x"}, {"model": ""}])
 def test_settings_that_name_no_endpoint_are_refused(room: Room, server: Server, told: dict[str, str]) -> None:
     with pytest.raises(InputError, match=r"^captions\.provider"):
         captioned(room, server, **told)

@@ -152,12 +152,11 @@ BAD = {
 def test_what_is_no_model_leaves_the_slot_to_its_fallback_or_says_why(room: Room, server: Server, data: bytes) -> None:
     server.answers = [sends(data)]
     row, outcome = offered(room, served(server), fallback=Procedural(1))
-    if data.startswith(b"glTF"):
-        assert row.outcome == "failed"
-        assert outcome.degradations
-    else:
-        assert (row.outcome, row.is_fallback, row.provider) == ("filled", True, "procedural")
-        assert "no answer after 2 tries" in str(row.reason)
+    assert (row.outcome, row.is_fallback, row.provider) == ("filled", True, "procedural")
+    assert data.startswith(b"glTF") != ("no answer after 2 tries" in str(row.reason))
+    assert row.reason
+    alone, outcome = offered(room, served(server))
+    assert (alone.outcome, bool(outcome.degradations)) == (("failed", True) if data.startswith(b"glTF") else ("empty", False))
 
 
 def test_a_server_that_is_away_costs_a_slot_or_waits_for_the_next_run(room: Room, server: Server) -> None:
@@ -180,6 +179,17 @@ def test_a_budget_that_is_spent_stops_the_scene(room: Room, server: Server) -> N
     with pytest.raises(NoFurtherCall):
         offered(room, served(server), Spent())
     assert not server.requests
+
+
+@pytest.mark.parametrize("error", [ConnectionError("store"), TimeoutError("store")])
+def test_a_store_that_is_away_fails_no_slot(room: Room, server: Server, error: OSError) -> None:
+    class Away(Recollection):
+        def record(self, call: Any, request: bytes, reply: bytes | None) -> bytes | None:
+            raise error
+
+    server.answers = [sends(model_glb())]
+    with pytest.raises(type(error), match="store"):
+        offered(room, served(server), Away(), Procedural(1))
 
 
 def test_a_license_must_be_stated(room: Room, server: Server) -> None:
