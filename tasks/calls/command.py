@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import os
+import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -20,6 +23,19 @@ _LAST_BYTES = 4096
 
 SECRETS = ("KEY", "TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
 """Variables of the environment whose names hold one of these are not given to programs of others."""
+
+
+GUARD = """
+import ctypes, os, signal, sys
+try:
+    ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))  # PR_SET_PDEATHSIG, which stays through exec
+except (AttributeError, OSError):
+    pass
+if os.getppid() != int(sys.argv[1]):
+    os._exit(1)
+os.execvp(sys.argv[2], sys.argv[2:])
+"""
+"""What becomes the program, once the system knows to end it with the process that wanted it: a worker may be killed at any moment."""
 
 
 class CommandFailed(Exception):
@@ -61,9 +77,12 @@ def run_apart(command: Sequence[str], folder: Path, timeout_s: float) -> Ending:
         OSError, ValueError: it cannot be started.
     """
     clock = time.monotonic()
+    if shutil.which(command[0]) is None:
+        raise FileNotFoundError(errno.ENOENT, "there is no such program", command[0])
+    guarded = [sys.executable, "-c", GUARD, str(os.getpid()), *command]
     with tempfile.TemporaryFile() as errors:
         child = subprocess.Popen(
-            list(command), cwd=folder, env=open_environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+            guarded, cwd=folder, env=open_environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
             start_new_session=True,
         )  # fmt: skip
         try:
