@@ -66,7 +66,7 @@ def picture_part(image: NDArray[np.uint8]) -> dict[str, Any]:
 
     file = io.BytesIO()
     PIL.Image.fromarray(np.ascontiguousarray(image)).save(file, "PNG")
-    return {"type": "image_url", "image_url": {"url": f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"}}
+    return {"type": "image_url", "image_url": {"url": f"{PNG_URL}{base64.b64encode(file.getvalue()).decode()}"}}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +90,7 @@ def ask(context: Context, settings: EndpointSettings, conversation: Conversation
         EndpointAway: it does not answer, or no further call may be made.
     """
     asked = {"messages": list(conversation.messages), "schema": conversation.schema}
-    call_id = call_key("chat", settings.model, settings.model_version, asked)
+    call_id = call_key("chat", settings.model, settings.model_version, _by_pixels(asked))
     known = context.ledger.reply(call_id)
     if known is not None:
         return Reply(call_id, known.decode())
@@ -104,6 +104,30 @@ def ask(context: Context, settings: EndpointSettings, conversation: Conversation
     )  # fmt: skip
     reply = recorded(context, call, json.dumps(asked, sort_keys=True).encode(), send, settings.cost_usd)
     return Reply(call_id, reply.decode())
+
+
+PNG_URL = "data:image/png;base64,"
+"""How a picture inside of a message begins."""
+
+
+def pixels_digest(png: bytes) -> str:
+    """Hash of what a picture shows: its bytes are another's with every version of what packs them."""
+    import PIL.Image
+
+    with PIL.Image.open(io.BytesIO(png)) as picture:
+        shown = np.asarray(picture.convert("RGB"))
+    return hashlib.sha256(repr(shown.shape).encode() + shown.tobytes()).hexdigest()
+
+
+def _by_pixels(value: Any) -> Any:
+    """The same JSON value with the hash of what it shows in the place of each picture."""
+    if isinstance(value, Mapping):
+        return {name: _by_pixels(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_by_pixels(each) for each in value]
+    if isinstance(value, str) and value.startswith(PNG_URL):
+        return pixels_digest(base64.b64decode(value.removeprefix(PNG_URL)))
+    return value
 
 
 def new_call(

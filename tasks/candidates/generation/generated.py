@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.calls.asking import call_key, new_call, recorded
+from tasks.calls.asking import call_key, new_call, pixels_digest, recorded
 from tasks.calls.endpoint import CallAnswer
 from tasks.candidates.assets import MadeAsset, make_asset
 from tasks.candidates.provider import NothingToOffer
@@ -97,7 +97,8 @@ def generated(request: CandidateRequest, settings: GeneratorSettings, kind: str,
     asked, context = asked_of(request, settings), request.context
     facts = {**asked.facts(), **more}
     model = settings.model or kind
-    call_id = call_key("asset", kind, version, model, settings.model_version, facts)
+    shown = None if asked.picture is None else pixels_digest(asked.picture)
+    call_id = call_key("asset", kind, version, model, settings.model_version, {**facts, "picture": shown})
     data = context.ledger.reply(call_id)
     if data is None:
         call = new_call(context, call_id, "asset", request.instance.instance_id, (model, settings.model_version), PROMPT)

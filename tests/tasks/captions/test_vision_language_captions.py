@@ -165,6 +165,22 @@ def test_what_was_answered_is_not_asked_again_and_what_was_not_is(room: Room, se
     assert not server.requests
 
 
+def test_a_call_is_known_by_what_its_picture_shows_not_by_how_it_is_packed(
+    room: Room, server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.answers = [says(json.dumps(LOOKS)), says(json.dumps(BEHAVES))]
+    ledger = Recollection()
+    first, _ = captioned(room, server, ledger)
+    save = PIL.Image.Image.save
+    monkeypatch.setattr(PIL.Image.Image, "save", lambda self, file, kind: save(self, file, kind, compress_level=0))
+    server.requests.clear()
+    again, _ = captioned(room, server, ledger)
+    assert again == first
+    assert not server.requests
+    captioned(room, server, ledger, pixels=49)
+    assert server.requests
+
+
 def test_prompts_are_addressed_to_a_model() -> None:
     """Not to whoever reads the code: no name of it stands in them."""
     for name in ("appearance", "physics_corrected", "physics_printed"):
