@@ -69,9 +69,8 @@ def test_what_a_tool_is_given(scratch: Path, data: bytes) -> None:
     """Its words one by one, with no shell between, and files that hold what they should."""
     prompt = "a {red} stool; rm -rf $HOME '{out}'"
     body = (
-        "import json, base64\n"
+        "import json, base64, shutil\n"
         f"record = {{'words': sys.argv[1:], 'mesh': base64.b64encode(open(sys.argv[1], 'rb').read()).decode()}}\n"
-        "shutil = __import__('shutil'); shutil.copy(sys.argv[2], '/dev/null')\n"
         f"shutil.copy(sys.argv[2], {str(scratch / 'image.png')!r})\n"
         f"json.dump(record, open({str(scratch / 'record.json')!r}, 'w'))\n"
         "sys.exit('done looking')"
