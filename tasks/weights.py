@@ -6,15 +6,19 @@ sorted, and no time or version is written.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
+from schemas.files import open_file
 
 MOST_BYTES = 8 << 30
 """Of a file of weights; the largest foreign encoders have a quarter of it."""
@@ -105,3 +109,21 @@ def _entry(value: Any) -> tuple[str, tuple[int, ...], int, int] | None:
     if len(offsets) != 2 or len(shape) > 32 or not all(type(number) is int and 0 <= number <= MOST_BYTES for number in (*shape, *offsets)):
         return None
     return kind, tuple(shape), offsets[0], offsets[1]
+
+
+def files_digest(folder: Path, files: Sequence[Path]) -> str:
+    """Hash of files below a folder, by name and content, 64 hex digits; of files that have not changed it is remembered.
+
+    Raises:
+        InputError: one is no regular file, or has more bytes than weights have.
+    """
+    return _digest(folder, tuple((path.relative_to(folder).as_posix(), path.stat().st_size, path.stat().st_mtime_ns) for path in files))
+
+
+@lru_cache(maxsize=16)
+def _digest(folder: Path, stamps: tuple[tuple[str, int, int], ...]) -> str:
+    hashes = hashlib.sha256()
+    for name, _, _ in stamps:
+        with open_file(folder / name, name, MOST_BYTES) as file:
+            hashes.update(name.encode() + b"\0" + hashlib.file_digest(file, "sha256").digest())
+    return hashes.hexdigest()

@@ -47,6 +47,10 @@ if TYPE_CHECKING:
 @click.option("--budget", "budget_usd", type=click.FloatRange(0), metavar="USD", help="Stop before calls to models cost more.")
 @click.option("--most-calls", type=click.IntRange(0), metavar="N", help="Stop before more calls to models are made.")
 @click.option("--replay", metavar="LAKE", help="Take replies of models from the ledger of this lake; none is asked.")
+@click.option(
+    "--stage-seconds", type=click.FloatRange(0, min_open=True), metavar="S",
+    help="Time limit of one stage of one scene, in which calls to slow models count; 3600 by default.",
+)  # fmt: skip
 @click.option("--retry-failed", is_flag=True, help="Compute again what failed on unchanged input.")
 @click.option("--again", is_flag=True, help="Compute scans that the lake has under another name again, under their names here.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done and why; do nothing.")
@@ -55,14 +59,15 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
             config_file: Path | None, settings: tuple[str, ...],
             library: Path | None, seed: int | None, workers: int, scenes: tuple[str, ...], first: str | None, last: str | None,
             since: str | None, until: str | None, runner: str, dask_address: str | None, batch: int | None, keep_free_gb: float | None,
-            quota_gb: float | None, budget_usd: float | None, most_calls: int | None, replay: str | None, retry_failed: bool,
+            quota_gb: float | None, budget_usd: float | None, most_calls: int | None, replay: str | None,
+            stage_seconds: float | None, retry_failed: bool,
             again: bool, dry_run: bool, as_json: bool) -> None:  # fmt: skip
     """Turn a folder of scans into replica scenes in a lake.
 
     Only what is missing, changed or stale is computed. A scan that the lake has under another name (another dataset, a
     renamed folder, a copy) is that scene, by content, and is said to be. Several runs on one lake share the work. Exit code 1
-    says that some scenes failed, that an export did not pass a check, or that there was no room for all on the disk or below
-    --quota; each is named.
+    says that some scenes failed, that an export did not pass a check, that there was no room for all on the disk or below --quota,
+    or that --budget or --most-calls was reached; each is named.
 
     Example: metascenes run --scans ./scans --format auto --lake ./lake
     """
@@ -88,6 +93,7 @@ def command(scans: str, links_into: tuple[str, ...], scan_format: str, dataset: 
         settings=list(settings), retry_failed=retry_failed, again=again, scenes=list(scenes), first=first, last=last, since=since,
         until=until, links_into=list(links_into), runner=runner, dask_address=dask_address, batch=batch, keep_free_gb=keep_free_gb,
         quota_gb=quota_gb, budget_usd=budget_usd, most_calls=most_calls, replay=replay,
+        **({"stage_seconds": stage_seconds} if stage_seconds is not None else {}),
     )  # fmt: skip
     print(json.dumps(dataclasses.asdict(report)) if as_json else report_line(report))
     tell(report)

@@ -89,9 +89,7 @@ class LakeLedger:
                 raise EndpointAway(str(before.problem))
             if before is not None and before.outcome == "refused":
                 raise InputError("replay", before.model, str(before.problem))
-            raise NotRecorded(
-                f"{scene_id}: call {call_id[:12]} has no reply in {self._replayed and self._replayed.address}: run without replay"
-            )
+            raise NotRecorded(f"{scene_id}: call {call_id[:12]} has no reply in {self._rules.replay}; run without --replay to ask for it")
         self._check_budget()
         mark = self._lake.calls.mark(call_id)
         try:

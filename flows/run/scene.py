@@ -162,7 +162,7 @@ def _run_job(lake: Lake, job: Job, pool: WorkerPool, timeout: float) -> StageRun
             return state.done  # it was killed after its last word to the lake, before its last word to us
         run = lost_run(job, "lost", str(error), time.perf_counter() - clock)
     except WorkerTimeout as error:
-        run = lost_run(job, "timeout", f"{error}; simplify the scan", time.perf_counter() - clock)
+        run = lost_run(job, "timeout", f"{error}; simplify the scan, or give more time: --stage-seconds", time.perf_counter() - clock)
     lake.stage_rows(run, {})
     return run
 

@@ -19,6 +19,7 @@ from schemas.calls import ModelCall
 from schemas.errors import InputError
 from tasks.calls.endpoint import CallAnswer, EndpointSettings
 from tasks.calls.exchange import EndpointAway
+from tasks.views.pictures import png_of
 
 if TYPE_CHECKING:
     from tasks.stage import Context
@@ -61,12 +62,8 @@ def text_part(text: str) -> dict[str, Any]:
 
 
 def picture_part(image: NDArray[np.uint8]) -> dict[str, Any]:
-    """A picture inside of a message, shape (h, w, 3), as PNG: the same pixels are the same request."""
-    import PIL.Image
-
-    file = io.BytesIO()
-    PIL.Image.fromarray(np.ascontiguousarray(image)).save(file, "PNG")
-    return {"type": "image_url", "image_url": {"url": f"{PNG_URL}{base64.b64encode(file.getvalue()).decode()}"}}
+    """A picture inside of a message, shape (h, w, 3), as PNG."""
+    return {"type": "image_url", "image_url": {"url": f"{PNG_URL}{base64.b64encode(png_of(image)).decode()}"}}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,13 +6,14 @@ import contextlib
 import dataclasses
 import errno
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from schemas.text import cut, one_line
@@ -36,6 +37,20 @@ if os.getppid() != int(sys.argv[1]):
 os.execvp(sys.argv[2], sys.argv[2:])
 """
 """What becomes the program, once the system knows to end it with the process that wanted it: a worker may be killed at any moment."""
+
+
+PLACE = re.compile(r"\{(\w*)\}")
+"""Where a value goes into a word."""
+
+
+def places_in(words: Sequence[str]) -> set[str]:
+    """Names in braces that words hold."""
+    return {name for word in words for name in PLACE.findall(word)}
+
+
+def filled(words: Sequence[str], values: Mapping[str, str]) -> list[str]:
+    """Words with values in the place of names in braces; a value is never read again, so that braces in it mean nothing."""
+    return [PLACE.sub(lambda match: values[match[1]], word) for word in words]
 
 
 class CommandFailed(Exception):

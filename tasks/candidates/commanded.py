@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import shlex
 import tempfile
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from tasks.calls.command import CommandFailed, run_command
+from tasks.calls.command import PLACE, CommandFailed, filled, places_in, run_command
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated
 from tasks.candidates.provider import CandidateProvider
@@ -62,7 +63,7 @@ def made(asked: GeneratorInput, config: Commanded, begun: Callable[[], None]) ->
         }  # fmt: skip
         begun()
         try:
-            run_command([filled(word, values) for word in words], folder, config.timeout_seconds)
+            run_command(filled(words, values), folder, config.timeout_seconds)
         except CommandFailed as error:
             raise InputError(WHERE, words[0], str(error), "run it by hand to see more") from error
         files = sorted(folder.glob(config.output)) if config.output else [out]
@@ -83,21 +84,11 @@ def words_of(command: str) -> list[str]:
         raise InputError(WHERE, "command", f"cannot be read: {error}", "quote it as for a shell") from error
     if not words:
         raise InputError(WHERE, "command", "is empty", "give one with {image} and {out}")
-    for word in words:
-        filled(word, dict.fromkeys(PLACES, ""))
+    unknown = sorted(places_in(words) - set(PLACES))
+    if unknown or any(re.search(r"[{}]", PLACE.sub("", word)) for word in words):
+        problem = f"has {{{unknown[0]}}}, which is nothing" if unknown else "has a brace that is left open"
+        raise InputError(WHERE, "command", problem, f"write one of {', '.join(f'{{{name}}}' for name in PLACES)}")
     return words
-
-
-def filled(word: str, values: dict[str, str]) -> str:
-    """A word with values in the place of names in braces; a text is never read again, so what stands in it means nothing."""
-    parts, rest = [], word
-    while "{" in rest:
-        before, _, rest = rest.partition("{")
-        name, closed, rest = rest.partition("}")
-        if not closed or name not in values:
-            raise InputError(WHERE, "command", f"has {{{name}}}, which is nothing", f"write one of {', '.join(f'{{{p}}}' for p in PLACES)}")
-        parts += [before, values[name]]
-    return "".join([*parts, rest])
 
 
 def _label(config: Commanded) -> str:

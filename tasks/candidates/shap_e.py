@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import io
 from collections.abc import Callable
 from functools import lru_cache
@@ -15,13 +14,12 @@ import numpy as np
 from pydantic import Field
 
 from schemas.errors import InputError
-from schemas.files import open_file
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated
 from tasks.candidates.provider import CandidateProvider
 from tasks.geometry.meshes import dump_glb
 from tasks.settings import WHOLE, Count, NonNegative
-from tasks.weights import MOST_BYTES
+from tasks.weights import files_digest
 
 if TYPE_CHECKING:
     from tasks.candidates.request import CandidateRequest
@@ -134,16 +132,7 @@ def folder_digest(folder: str) -> str:
     files = sorted(path for path in Path(folder).rglob("*") if path.suffix in (".safetensors", ".json", ".txt") and path.is_file())
     if not any(path.suffix == ".safetensors" for path in files):
         raise InputError(folder, "", "holds no *.safetensors", "name a folder that diffusers wrote: save_pretrained(folder)")
-    return _digest(folder, tuple((str(path.relative_to(folder)), path.stat().st_size, path.stat().st_mtime_ns) for path in files))
-
-
-@lru_cache(maxsize=8)
-def _digest(folder: str, stamps: tuple[tuple[str, int, int], ...]) -> str:
-    hashes = hashlib.sha256()
-    for name, _, _ in stamps:
-        with open_file(Path(folder) / name, name, MOST_BYTES) as file:
-            hashes.update(name.encode() + b"\0" + hashlib.file_digest(file, "sha256").digest())
-    return hashes.hexdigest()
+    return files_digest(Path(folder), files)
 
 
 @lru_cache(maxsize=2)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from pathlib import Path
@@ -34,6 +33,7 @@ from tasks.library.units import canonical_parts, convention_of
 from tasks.selection.methods.encoders import weights_digest
 from tasks.selection.methods.pictures import around
 from tasks.settings import Config, Count
+from tasks.views.pictures import png_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -242,14 +242,8 @@ def _vectors(parts: list[trimesh.Trimesh], name: str, category: str, config: Ind
 
 def _thumbnails(parts: list[trimesh.Trimesh], config: IndexConfig) -> tuple[bytes, ...]:
     """Pictures from around as PNG."""
-    from PIL import Image
-
-    files = []
-    for picture in around(_lighter(parts), config.thumbnails, PITCHES_RADIANS, config.thumbnail_px):
-        buffer = io.BytesIO()
-        Image.fromarray(picture).save(buffer, format="PNG")
-        files.append(buffer.getvalue())
-    return tuple(files)
+    pictures = around(_lighter(parts), config.thumbnails, PITCHES_RADIANS, config.thumbnail_px)
+    return tuple(png_of(picture) for picture in pictures)
 
 
 def _lighter(parts: list[trimesh.Trimesh]) -> list[trimesh.Trimesh]:

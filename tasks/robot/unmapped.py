@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,8 +21,15 @@ DOUBTFUL_M = 0.04
 rays has one by chance."""
 
 TIMES = 5
-"""So many scans have to see something at a doubtful place: chance does not strike one square of `PACE_M` so often, and a pose that is off
-does not stay so."""
+"""So many more scans have to see something at a doubtful place than look there and see nothing, as `MISSED` counts these: chance does not
+strike one square of `PACE_M` so often, and a pose that is off does not stay so."""
+
+MISSED = 0.2
+"""What a scan that looks at a doubtful place and sees nothing there takes off: of a thing that is there, noise moves every other return
+into a square beside it."""
+
+MOST = 2.0 * TIMES
+"""Up to this is counted: a thing that was there for an hour is forgotten as soon as one that was there for a second."""
 
 BEHIND_M = 0.06
 """A place is empty when rays beside it end so much farther away [m]."""
@@ -43,8 +49,14 @@ class UnmappedPlaces:
 
     def __init__(self, floor: Floor) -> None:
         self._mapped = floor.plane_distances
-        self.points: Array = np.zeros((0, 2))
-        self._doubted: Counter[tuple[int, int]] = Counter()
+        self._sure: Array = np.zeros((0, 2))
+        self._squares: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
+        self._counts: Array = np.zeros(0)
+
+    @property
+    def points(self) -> Array:
+        """The places, world frame [m], shape (n, 2)."""
+        return np.vstack([self._sure, PACE_M * self._squares[self._counts >= TIMES]])
 
     def see(self, returns: ArrayLike, pose: ArrayLike) -> None:
         """Take in a scan: where its rays ended, shape (n, 2), and from where, shape (3,); world frame [m]."""
@@ -52,17 +64,33 @@ class UnmappedPlaces:
         if not len(seen):
             return
         ranges = np.hypot(*(seen - here).T)
-        kept = self.points[~self._seen_through(seen - here, ranges, self.points - here)]
+        kept = self._sure[~self._seen_through(seen - here, ranges, self._sure - here)]
         near = seen[ranges < LOOK_M]
         off = self._mapped.distances(near)
-        seen_again = self._doubtful(near[(off > DOUBTFUL_M) & (off <= OFF_MAP_M)])
-        self.points = _spaced(np.vstack([kept, near[off > OFF_MAP_M], seen_again]))
+        self._sure = _spaced(np.vstack([kept, near[off > OFF_MAP_M]]))
+        self._doubt(seen - here, ranges, near[(off > DOUBTFUL_M) & (off <= OFF_MAP_M)], here)
 
-    def _doubtful(self, near: Array) -> Array:
-        """Those of doubtful places, shape (n, 2), where so many scans saw something, shape (m, 2)."""
-        squares = [(int(x), int(y)) for x, y in _squares(near)]
-        self._doubted.update(set(squares))
-        return near[np.array([self._doubted[square] >= TIMES for square in squares], dtype=bool)]
+    def _doubt(self, returns: Array, ranges: Array, doubtful: Array, here: Array) -> None:
+        """Count doubtful returns, shape (n, 2), by their squares, and take off where a scan, as `_seen_through` has it, saw nothing."""
+        squares, places = np.unique(np.vstack([self._squares, _squares(doubtful)]), axis=0, return_inverse=True)
+        known, hit = places[: len(self._squares)], places[len(self._squares) :]
+        counts = np.zeros(len(squares))
+        counts[known] = self._counts
+        is_hit = np.zeros(len(squares), dtype=bool)
+        is_hit[hit] = True
+        counts[is_hit] = np.minimum(counts[is_hit] + 1.0, MOST)
+        counts[~is_hit & self._looked_at(returns, ranges, PACE_M * squares - here)] -= MISSED
+        stays = counts > 0.0
+        self._squares, self._counts = squares[stays], counts[stays]
+
+    @staticmethod
+    def _looked_at(returns: Array, ranges: Array, places: Array) -> NDArray[np.bool_]:
+        """Whether a ray reaches as far as places, or past them; both are given from where the scan was taken."""
+        farthest = np.zeros(RAYS)
+        np.maximum.at(farthest, _sector(returns), ranges)
+        away = np.hypot(*places.T)
+        looked: NDArray[np.bool_] = (away < LOOK_M) & (farthest[_sector(places)] > away - PACE_M)
+        return looked
 
     @staticmethod
     def _seen_through(returns: Array, ranges: Array, places: Array) -> NDArray[np.bool_]:

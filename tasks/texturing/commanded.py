@@ -7,8 +7,6 @@ places in a texture and the texture itself. A program that fails, hangs or leave
 from __future__ import annotations
 
 import dataclasses
-import io
-import re
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -19,17 +17,17 @@ from numpy.typing import NDArray
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file, stays_in, write_whole
-from tasks.calls.command import run_apart
+from tasks.calls.command import filled, places_in, run_apart
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import Surface, load_glb, material_of, sample_surface, surface_of
 from tasks.geometry.proximity import closest_points
 from tasks.settings import Config, Count, Positive, Share, Texts
 from tasks.texturing.charts import ChartFigures, chart_figures
+from tasks.views.pictures import png_of
 
 if TYPE_CHECKING:
     import trimesh
 
-_PLACE = re.compile(r"\{(\w*)\}")
 _PLACES = ("mesh", "image", "prompt", "out", "seed")
 
 _PROBES = 4000
@@ -54,7 +52,7 @@ class TextureCommand(Config):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        named = {name for word in self.words for name in _PLACE.findall(word)}
+        named = places_in(self.words)
         unknown = sorted(named - set(_PLACES))
         if unknown:
             raise ValueError(f"words: {{{unknown[0]}}} stands for nothing, {', '.join(f'{{{name}}}' for name in _PLACES)} do")
@@ -94,14 +92,13 @@ def painted(
         out = folder / "out.glb"
         write_whole(folder / "mesh.glb", data, cache=True)
         if image is not None:
-            write_whole(folder / "image.png", _png(image), cache=True)
+            write_whole(folder / "image.png", png_of(image), cache=True)
         values = {
             "mesh": str(folder / "mesh.glb"), "image": str(folder / "image.png"), "out": str(out),
             "prompt": prompt[:_LONGEST_PROMPT], "seed": str(seed),
         }  # fmt: skip
-        argv = [_PLACE.sub(lambda match: values[match[1]], word) for word in command.words]  # once: a prompt's braces are its own
         try:
-            ending = run_apart(argv, folder, command.timeout_s)
+            ending = run_apart(filled(command.words, values), folder, command.timeout_s)
         except (OSError, ValueError) as error:
             return PaintedTwin(problem=f"{command.words[0]} cannot be run: {error}")
         if ending.problem:
@@ -158,11 +155,3 @@ def _probes(surface: Surface) -> NDArray[np.float64]:
     """Corners of a surface and points spread over it [m], shape (k, 3); the same for the same surface."""
     points, _, _ = sample_surface(surface, _PROBES, np.random.default_rng(len(surface.faces)))
     return np.concatenate([surface.vertices[np.unique(surface.faces)], points])
-
-
-def _png(image: NDArray[np.uint8]) -> bytes:
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(image).save(file, format="PNG")
-    return file.getvalue()

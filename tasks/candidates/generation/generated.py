@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import base64
 import dataclasses
-import io
 import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.errors import InputError
 from tasks.calls.asking import call_key, new_call, pixels_digest, recorded
@@ -20,6 +18,7 @@ from tasks.candidates.provider import NothingToOffer
 from tasks.geometry.meshes import load_glb, surface_of
 from tasks.settings import Config, Count, Natural
 from tasks.views.crops import squared
+from tasks.views.pictures import png_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -81,7 +80,7 @@ def asked_of(request: CandidateRequest, settings: GeneratorSettings) -> Generato
     crop = request.view
     if crop is None:
         raise NothingToOffer("no picture of it")
-    return GeneratorInput(text, png(squared(crop.on_white(), settings.pixels)), settings.seed)
+    return GeneratorInput(text, png_of(squared(crop.on_white(), settings.pixels)), settings.seed)
 
 
 def generated(request: CandidateRequest, settings: GeneratorSettings, kind: str, version: str, send: Send, **more: Any) -> MadeAsset:
@@ -141,12 +140,3 @@ def fitted(parts: list[trimesh.Trimesh], extents: tuple[float, float, float]) ->
     for part in moved:
         part.apply_scale(scale)
     return moved
-
-
-def png(image: NDArray[np.uint8]) -> bytes:
-    """A picture, shape (h, w, 3), as PNG: the same pixels are the same bytes."""
-    import PIL.Image
-
-    file = io.BytesIO()
-    PIL.Image.fromarray(np.ascontiguousarray(image)).save(file, "PNG")
-    return file.getvalue()

@@ -6,7 +6,6 @@ Weights are safetensors alone, so that nothing in them can run, and nothing is f
 from __future__ import annotations
 
 import contextlib
-import hashlib
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from functools import lru_cache
 from importlib.util import find_spec
@@ -17,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from schemas.files import open_file
-from tasks.weights import MOST_BYTES
+from tasks.weights import files_digest
 
 Vectors = NDArray[np.float32]
 Images = NDArray[np.uint8]
@@ -128,8 +126,7 @@ def weights_digest(folder: str) -> str:
     files = sorted(path for path in Path(folder).glob("*") if path.suffix in (".safetensors", ".json", ".txt"))
     if not any(path.suffix == ".safetensors" for path in files):
         raise InputError(folder, "", "holds no *.safetensors", "name a folder that transformers wrote: save_pretrained(folder)")
-    stamps = tuple((path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files)
-    return _digest(folder, stamps)
+    return files_digest(Path(folder), files)
 
 
 def remembered(cache: MutableMapping[str, bytes], key: str, make: Callable[[], NDArray[Any]], half: bool = False) -> Vectors:
@@ -155,15 +152,6 @@ def _clip(folder: str, digest: str) -> ClipEncoder:
 @lru_cache(maxsize=2)
 def _dino(folder: str, digest: str) -> DinoEncoder:
     return DinoEncoder(Path(folder))
-
-
-@lru_cache(maxsize=16)
-def _digest(folder: str, stamps: tuple[tuple[str, int, int], ...]) -> str:
-    hashes = hashlib.sha256()
-    for name, _, _ in stamps:
-        with open_file(Path(folder) / name, name, MOST_BYTES) as file:
-            hashes.update(name.encode() + b"\0" + hashlib.file_digest(file, "sha256").digest())
-    return hashes.hexdigest()
 
 
 def _model_in(kind: Any, folder: Path) -> Any:

@@ -23,21 +23,16 @@ from tasks.calls.replies import UnreadableReply
 from tasks.captions import CaptionsConfig, VisionLanguageCaptions, run
 from tasks.captions.vision_language import prompt_of
 from tasks.captions.wording import APPEARANCE, PHYSICS, Appearance, appearance_of, attributes_of
-from tasks.geometry.transforms import yaw_pose
 from tasks.stage import Context, Outcome
 from tests.tasks.calls.servers import Server, refuses, says, server
-from tests.tasks.selection.rooms import RED, SCENE, Room, chair, photographed, scan
+from tests.tasks.selection.rooms import SCENE, Room, photographed_chair
 
 __all__ = ["server"]
 
 
 @pytest.fixture(scope="module")
 def room() -> Room:
-    made, pose = Room(), yaw_pose(0.4)
-    points, colors = scan(chair(RED), pose, (1, 1, 1), np.random.default_rng(0))
-    instance = made.instance(points, colors, 0.4, category="chair")
-    photographed(made, instance, chair(RED), pose, (2.4, 1.3, 1.6))
-    return made
+    return photographed_chair()
 
 
 def captioned(room: Room, server: Server, ledger: Recollection | None = None, **more: Any) -> tuple[Caption, Outcome]:

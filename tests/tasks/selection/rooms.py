@@ -167,3 +167,11 @@ def photographed(
     room.frames.append(frame)
     room.masks.append(mask)
     return seen, frame, mask
+
+
+def photographed_chair() -> Room:
+    """A room with one red chair, seen by one frame."""
+    made, pose = Room(), yaw_pose(0.4)
+    points, colors = scan(chair(RED), pose, (1, 1, 1), np.random.default_rng(0))
+    photographed(made, made.instance(points, colors, 0.4, category="chair"), chair(RED), pose, (2.4, 1.3, 1.6))
+    return made

@@ -19,31 +19,27 @@ import trimesh
 from schemas.candidates import Asset, Candidate
 from schemas.errors import InputError
 from schemas.record import check
+from tasks.calls.command import filled
 from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import NoFurtherCall, Recollection
 from tasks.candidates import CandidatesConfig, SlotConfig, run
-from tasks.candidates.commanded import Commanded, filled, words_of
+from tasks.candidates.commanded import Commanded, words_of
 from tasks.candidates.generation.generated import GeneratorSettings, fitted, standing
 from tasks.candidates.procedural import Procedural
 from tasks.candidates.served import Served
 from tasks.candidates.shap_e import ShapE
 from tasks.geometry.meshes import dump_glb, load_glb, surface_of
-from tasks.geometry.transforms import yaw_pose
 from tasks.stage import Context, Outcome
 from tests.tasks.calls.servers import Server, refuses, server
 from tests.tasks.candidates.generation.cubes import triangles
-from tests.tasks.selection.rooms import RED, SCENE, Room, chair, photographed, scan
+from tests.tasks.selection.rooms import RED, SCENE, Room, chair, photographed_chair
 
 __all__ = ["server"]
 
 
 @pytest.fixture(scope="module")
 def room() -> Room:
-    made, pose = Room(), yaw_pose(0.4)
-    points, colors = scan(chair(RED), pose, (1, 1, 1), np.random.default_rng(0))
-    instance = made.instance(points, colors, 0.4, category="chair")
-    photographed(made, instance, chair(RED), pose, (2.4, 1.3, 1.6))
-    return made
+    return photographed_chair()
 
 
 def offered(room: Room, provider: Any, ledger: Recollection | None = None, fallback: Procedural | None = None) -> tuple[Candidate, Outcome]:
@@ -272,7 +268,7 @@ def test_keys_are_not_told_to_programs_of_others(room: Room, tmp_path: Path, mon
 @pytest.mark.parametrize("text", ["{out}; rm -rf /", "$(touch x)", "a {seed} b", "it's", '"'])
 def test_a_text_is_one_word_whatever_it_holds(text: str) -> None:
     values = {"image": "i.png", "prompt": text, "out": "o.glb", "seed": "1", "folder": "f"}
-    assert [filled(word, values) for word in words_of("make {prompt} --to={out}")] == ["make", text, "--to=o.glb"]
+    assert filled(words_of("make {prompt} --to={out}"), values) == ["make", text, "--to=o.glb"]
 
 
 @pytest.mark.parametrize("command", ["", "  ", "make {what}", "make {out", 'make "{out}'])
