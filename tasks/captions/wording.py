@@ -55,7 +55,7 @@ LIGHTEST_KG, HEAVIEST_KG = 0.001, 2000.0
 
 UNITS: Mapping[str, float] = MappingProxyType({"kg": 1.0, "kilogram": 1.0, "kilograms": 1.0, "g": 0.001, "gram": 0.001, "grams": 0.001})
 
-_BODIES = {"rigid": "rigid", "cloth": "cloth", "soft": "soft"}
+_BODIES = ("rigid", "cloth", "soft")
 _COLORS = {
     "grey": "gray", "crimson": "dark red", "maroon": "dark red", "tan": "beige", "ivory": "cream", "gold": "yellow", "violet": "purple",
     "silver": "light gray", "cyan": "turquoise", "lavender": "purple", "rose": "pink", "khaki": "olive", "charcoal": "dark gray",
@@ -79,7 +79,7 @@ class Appearance:
 
 @dataclasses.dataclass(frozen=True)
 class PhysicalAttributes:
-    """How an object behaves. body_type: rigid, cloth or soft."""
+    """How an object behaves. body_type: rigid, cloth or soft. friction: Coefficient of dry friction, at rest and moving."""
 
     body_type: str
     mass_kg: float
@@ -131,10 +131,10 @@ def attributes_of(reply: str, size: Sequence[float], *, most_friction: float = 1
         raise UnreadableReply(f"friction must be between 0 and {most_friction:g}, is {friction:g}")
     if bounce not in (0.0, 1.0):
         raise UnreadableReply("bounciness must be 0 or 1")
-    doubt = implausible(_BODIES[word], mass, bounce, size)
+    doubt = implausible(word, mass, bounce, size)
     if doubt:
         raise UnreadableReply(f"that cannot be: {doubt}")
-    return PhysicalAttributes(_BODIES[word], mass, friction, bounce == 1.0)
+    return PhysicalAttributes(word, mass, friction, bounce == 1.0)
 
 
 def _lowered(table: Mapping[str, Any]) -> dict[str, Any]:
