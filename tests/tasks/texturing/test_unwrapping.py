@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from tasks.furniture import generate
 from tasks.geometry.meshes import load_glb, surface_of
 from tasks.texturing.charts import chart_figures
 from tasks.texturing.unwrapping import SmartUvUnwrapper, Unwrapped, Unwrapper, XatlasUnwrapper, unwrapped
+from tests.tasks.calls.hanging import assert_all_end
 from tests.tasks.texturing.tools import program
 
 XATLAS = XatlasUnwrapper()
@@ -196,17 +196,13 @@ def test_a_program_that_hangs_is_ended_with_all_it_started(tmp_path: Path, monke
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(scratch))
-    pid = tmp_path / "pid"
-    body = (
-        "import subprocess, time\n"
-        f"child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(1000)'])\n"
-        f"open({str(pid)!r}, 'w').write(str(child.pid))\ntime.sleep(1000)"
-    )
-    with pytest.raises(InputError, match=r"took longer than \d+ s; raise timeout_s"):
-        unwrapped(SmartUvUnwrapper(program=program(tmp_path, body), timeout_s=3.0), *quad())
-    assert list(scratch.iterdir()) == []
-    while Path(f"/proc/{pid.read_text()}").exists() and "Z" not in Path(f"/proc/{pid.read_text()}/stat").read_text().split()[2]:
-        time.sleep(0.01)  # the kernel takes it away in its own time; a child that stays ends the test by its limit
+
+    def end(body: str, seconds: float) -> None:
+        with pytest.raises(InputError, match=rf"took longer than {seconds:.0f} s; raise timeout_s"):
+            unwrapped(SmartUvUnwrapper(program=program(tmp_path, body), timeout_s=seconds), *quad())
+        assert list(scratch.iterdir()) == []
+
+    assert_all_end(tmp_path, end)
 
 
 @pytest.mark.realdata
