@@ -36,7 +36,7 @@ from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
-from tasks.capture.small_objects.additions import Found, Instances, SmallObjectsConfig, with_small_objects
+from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
 from tasks.mounting import mounting
@@ -109,22 +109,23 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         groups, meanings, joined = rejoined(groups, meanings, solids)
         solids = _solids(reading, world, groups, context, config) if joined else solids
         notes += [*apart, *joined]
+    sought = SmallObjectsConfig(provider=Unsought()) if format.is_modelled else config.small_objects  # who models names everything
     instances = with_small_objects(
-        groups, meanings, solids, world, reading.frames, alignment.pose, labels, config.small_objects,
+        groups, meanings, solids, world, reading.frames, alignment.pose, labels, sought,
         most_frames=config.max_view_frames, most_views=config.views_per_instance,
     )  # fmt: skip
     groups, meanings, solids = instances.groups, instances.meanings, instances.solids
     notes += [*_unknown_labels(groups, meanings, scan.path.name), *instances.notes]
-    whose = [instances.found.get(index) or _named_by(group, reading) for index, group in enumerate(groups)]
+    finders = [instances.finders.get(index) or _finder(group, reading) for index, group in enumerate(groups)]
     rows = [
         instance_row(
             context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points,
-            found.by, found.probability,
+            finder.name, finder.probability,
         )
-        for index, (group, label, solid, found) in enumerate(zip(groups, meanings, solids, whose, strict=True))
+        for index, (group, label, solid, finder) in enumerate(zip(groups, meanings, solids, finders, strict=True))
     ]  # fmt: skip
     sights = _sights(reading, world, instances, alignment, context, config)
-    rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config, instances.found)
+    rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config, instances.finders)
     cloud = _cloud(reading, world, groups, context)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
     shell, is_seen, leaves = _shell(context, reading, cloud, classes, meanings, solids, notes, format.is_modelled)
@@ -190,10 +191,10 @@ def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label], scan: st
     return list(lines.values())
 
 
-def _named_by(group: Group, reading: Reading) -> Found:
+def _finder(group: Group, reading: Reading) -> Finder:
     """Who found an instance that the scan has: its files, or its geometry."""
     is_guess = reading.groups is None or group.raw_label.startswith(f"{PROVIDER}:")
-    return Found("geometry" if is_guess else "file", None)
+    return Finder("geometry" if is_guess else "file", None)
 
 
 def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_authored: bool) -> Alignment:
@@ -236,7 +237,7 @@ def _sights(
     probes = []
     for index, (group, label, solid) in enumerate(zip(instances.groups, instances.meanings, instances.solids, strict=True)):
         face_instance[group.faces] = index
-        count = 0 if label.is_structure or index in instances.found else min(_PROBES, len(solid.points))
+        count = 0 if label.is_structure or index in instances.finders else min(_PROBES, len(solid.points))
         probes.append(solid.points[context.rng("probes", index).choice(len(solid.points), count, replace=False)])
     sights = best_sights(
         world, face_instance, probes, reading.frames, alignment.pose,
@@ -247,7 +248,7 @@ def _sights(
 
 def _with_views(
     rows: Sequence[Instance], sights: Sequence[Sight], frames: Sequence[FrameSource], scene_id: str, blobs: Blobs, config: CaptureConfig,
-    found: Mapping[int, Found],
+    finders: Mapping[int, Finder],
 ) -> tuple[list[Instance], list[Mask]]:  # fmt: skip
     """Instances with the crop of their best view, and the masks of all views that were kept."""
     masks = [
@@ -255,7 +256,7 @@ def _with_views(
             scene_id=scene_id,
             frame_id=frames[sight.frame].frame_id,
             instance_id=rows[sight.instance].instance_id,
-            found_by=found[sight.instance].by if sight.instance in found else "surface",
+            found_by=finders[sight.instance].name if sight.instance in finders else "surface",
             pixel_box=sight.pixel_box,
             pixel_count=int(sight.mask.sum()),
             visible_fraction=sight.visible_fraction,

@@ -64,22 +64,22 @@ class SmallObjectsConfig(Config):
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
-    """Who found an instance. by: Their name. probability: Of its category, 0 to 1; None where a file says it."""
+class Finder:
+    """Who found an instance. name: As rows have it. probability: Of its category, 0 to 1; None where a file says it."""
 
-    by: str
+    name: str
     probability: float | None
 
 
 @dataclasses.dataclass(frozen=True)
 class Instances:
     """Instances of a scan with what was found besides. groups, meanings, solids: Of all, those of the scan first, in their order.
-    found: Those that were found, by number. sights: Of these. notes: What was found, and what was odd about it, a line each."""
+    finders: Of those that were found, by number. sights: Of these. notes: What was found, and what was odd about it, a line each."""
 
     groups: tuple[Group, ...]
     meanings: list[Label]
     solids: list[InstancePoints]
-    found: Mapping[int, Found]
+    finders: Mapping[int, Finder]
     sights: tuple[Sight, ...]
     notes: tuple[str, ...]
 
@@ -116,9 +116,10 @@ def with_small_objects(
     ]
     posed = {frames[place].frame_id: place for place in (chosen_frames(frames, most_frames) if supports else ())}
     views = {name: view for name, place in posed.items() if (view := depth_view(frames[place], alignment)) is not None}
+    if not supports:
+        return plain
     if not views:
-        why = "no frame has a pose and depth" if supports else "nothing that carries things is known"
-        return dataclasses.replace(plain, notes=(f"small objects were not looked for: {why}",))
+        return dataclasses.replace(plain, notes=("small objects were not looked for: no frame has a pose and depth",))
     objects = [obj for support in supports for obj in _objects_on(support, list(views.values()), provider, config)]
     existing = [
         ExistingInstance(f"{number:04d}", solid.points, label.is_structure)
@@ -127,15 +128,15 @@ def with_small_objects(
     result = joined(existing, objects, config.joining)
     boards = {f"{support.number:04d}": support.slabs for support in supports}
     made = _Making(list(groups), list(meanings), list(solids), world, [obj.points for obj in result.added], config.reach_m)
-    found: dict[int, Found] = {}
+    finders: dict[int, Finder] = {}
     sights: list[Sight] = []
     for place, obj in enumerate(result.added):
         number = made.add(place, obj, boards[obj.support_id], labels)
-        found[number] = Found(obj.found_by, obj.probability)
+        finders[number] = Finder(obj.found_by, obj.probability)
         own = [_sight(number, obj, views[name], posed[name], frames[posed[name]], mask) for name, mask in sorted(obj.masks.items())]
         sights += sorted((sight for sight in own if sight is not None), key=lambda sight: (-sight.score, sight.frame))[:most_views]
-    notes = [f"{len(found)} small objects that the scan does not name were found by {provider.kind}"] if found else []
-    return Instances(tuple(made.groups), made.meanings, made.solids, found, tuple(sights), (*notes, *result.notes))
+    notes = [f"{len(finders)} small objects that the scan does not name were found by {provider.kind}"] if finders else []
+    return Instances(tuple(made.groups), made.meanings, made.solids, finders, tuple(sights), (*notes, *result.notes))
 
 
 def _objects_on(support: _Support, views: Sequence[DepthView], provider: ClassicalConfig, config: SmallObjectsConfig) -> list[FoundObject]:

@@ -89,7 +89,7 @@ def found_objects(views: Sequence[DepthView], slabs: Sequence[SupportSlab], conf
     frames = lifted(views, [found_masks(view, slabs, config) for view in views], config.lifting)
     instances = list(associate(frames, config.consensus).instances)
     for slab in slabs:
-        instances = [one for one in _settled(frames, instances, slab, config) if not _is_board_or_wall(one, slab, config)]
+        instances = [each for each in _settled(frames, instances, slab, config) if not _is_board_or_wall(each, slab, config)]
     return Found(tuple(frames), tuple(instances))
 
 
