@@ -1,4 +1,5 @@
-"""The benchmark of models of others and of what stands in for them: replies, small objects, textures, retrieval; held against goals."""
+"""The benchmark of models of others and of what stands in for them: replies, small objects, textures, retrieval, devices; held against
+goals."""
 
 from __future__ import annotations
 
@@ -11,6 +12,8 @@ import numpy as np
 
 from bench.goals import goal
 from bench.machine import machine
+from bench.models.devices import device_report
+from bench.models.devices import lacking as networks_lacking
 from bench.models.lifting import LiftingFigures
 from bench.models.lifting import measured as lifted
 from bench.models.replies import reply_report
@@ -19,11 +22,11 @@ from bench.models.retrieval import measured as retrieved
 from bench.models.texturing import TexturingBench, run_texturing_bench, steps_of
 from schemas.errors import InputError
 
-REPLIES, LIFTING, TEXTURES, RETRIEVAL = "replies", "lifting", "textures", "retrieval"
+REPLIES, LIFTING, TEXTURES, RETRIEVAL, DEVICES = "replies", "lifting", "textures", "retrieval", "devices"
 
-PARTS = (REPLIES, LIFTING, TEXTURES, RETRIEVAL)
-"""What can be measured: what is read of corrupted replies, small objects on desks and shelves, layouts and baked textures, and scanned
-models looked up in a library."""
+PARTS = (REPLIES, LIFTING, TEXTURES, RETRIEVAL, DEVICES)
+"""What can be measured: what is read of corrupted replies, small objects on desks and shelves, layouts and baked textures, scanned
+models looked up in a library, and networks that see on the devices that there are."""
 
 CORRUPTIONS = 200
 """Of a reply, for each of what is asked."""
@@ -59,19 +62,20 @@ class ModelsBench:
     @property
     def advances(self) -> int:
         """How often the benchmark advances."""
-        counts = {REPLIES: 1, LIFTING: 1, TEXTURES: steps_of(self.texturing) if TEXTURES in self.parts else 0, RETRIEVAL: 1}
-        return sum(counts[part] for part in self.parts)
+        return sum(steps_of(self.texturing) if part == TEXTURES else 1 for part in self.parts)
 
 
 def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dict[str, Any]:
     """The report. `advance` is told each part of it that is done.
 
     Raises:
-        InputError: the real models are not where they should be.
+        InputError: the real models are not where they should be, or packages of networks are not installed.
     """
     why = lacking(config.realdata) if RETRIEVAL in config.parts else None
     if why is not None:
         raise InputError("bench models", "--realdata", why, "or leave `retrieval` out of --parts")
+    if DEVICES in config.parts and (why := networks_lacking()) is not None:
+        raise InputError("bench models", DEVICES, why, "pip install 'metascenes[encoders]', or leave `devices` out of --parts")
     parts: dict[str, Any] = {}
     if REPLIES in config.parts:
         parts[REPLIES] = reply_report(CORRUPTIONS, config.seed)
@@ -86,6 +90,9 @@ def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dic
         looked_up = retrieved(config.realdata)
         parts[RETRIEVAL] = {"rows": retrieval_rows(looked_up), "goals": retrieval_goals(looked_up)}
         advance(RETRIEVAL)
+    if DEVICES in config.parts:
+        parts[DEVICES] = device_report()
+        advance(DEVICES)
     return {"machine": machine(), "seed": config.seed, "parts": parts, "goals": [row for part in parts.values() for row in part["goals"]]}
 
 

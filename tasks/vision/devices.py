@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
@@ -75,6 +76,16 @@ def check_installed(where: str) -> None:
     gone = [name for name in ("torch", "transformers") if find_spec(name) is None]
     if gone:
         raise InputError(where, gone[0], "is not installed", "pip install 'metascenes[encoders]'")
+
+
+@contextlib.contextmanager
+def looking() -> Iterator[None]:
+    """Around what a network computes: sums in one order, and on a graphics card in whole single precision, so that every worker and device
+    sees the same, give or take what `docs/models.md` states."""
+    import torch
+
+    with torch.inference_mode(), encoders._one_thread(), torch.backends.cudnn.flags(deterministic=True, benchmark=False, allow_tf32=False):
+        yield
 
 
 def opened(

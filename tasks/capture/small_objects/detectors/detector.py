@@ -18,7 +18,7 @@ from tasks.vision.pixels import Image
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-WHERE = "capture.small_objects.detector"
+WHERE = "capture.small_objects.provider.detector"
 """The settings, as errors name them."""
 
 LEAST_SIDE_PX = 2.0

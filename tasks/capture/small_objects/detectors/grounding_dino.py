@@ -12,7 +12,7 @@ import numpy as np
 from tasks.capture.small_objects.detectors.detector import WHERE, Detections, OpenVocabulary, corners, joined_answers, too_long
 from tasks.selection.methods import encoders
 from tasks.settings import Count, Share
-from tasks.vision.devices import NetworkPlacement, opened
+from tasks.vision.devices import NetworkPlacement, looking, opened
 from tasks.vision.pixels import Image, fitted_size, normalized, shrunk_to
 
 
@@ -57,7 +57,7 @@ class GroundingDinoDetector:
         if count > self.network.config.max_text_len:
             raise too_long("names_per_call", text, self.network.config.max_text_len)
         device = self.network.device
-        with torch.inference_mode(), encoders._one_thread():
+        with looking():
             out = self.network(
                 pixel_values=torch.from_numpy(pixels).to(device=device, dtype=self.network.dtype),
                 **{name: values.expand(len(pictures), -1).to(device) for name, values in tokens.items()},

@@ -12,7 +12,7 @@ import numpy as np
 from tasks.capture.small_objects.detectors.detector import WHERE, Detections, OpenVocabulary, corners, joined_answers
 from tasks.selection.methods import encoders
 from tasks.settings import Share
-from tasks.vision.devices import NetworkPlacement, opened
+from tasks.vision.devices import NetworkPlacement, looking, opened
 from tasks.vision.pixels import Image, Pixels, normalized, smoothed_to
 
 
@@ -50,7 +50,7 @@ class Owlv2Detector:
         side = int(self.network.config.vision_config.image_size)
         pixels = torch.from_numpy(np.stack([in_square(picture, side) for picture in pictures]))
         device = self.network.device
-        with torch.inference_mode(), encoders._one_thread():
+        with looking():
             out = self.network(
                 input_ids=tokens["input_ids"].repeat(len(pictures), 1).to(device),
                 attention_mask=tokens["attention_mask"].repeat(len(pictures), 1).to(device),

@@ -11,7 +11,7 @@ import numpy as np
 from tasks.capture.small_objects.detectors.detector import WHERE, Detections, DetectorNetwork, corners, surest
 from tasks.selection.methods import encoders
 from tasks.settings import Count, Share, Texts
-from tasks.vision.devices import NetworkPlacement, opened
+from tasks.vision.devices import NetworkPlacement, looking, opened
 from tasks.vision.pixels import Image, normalized, sampled
 
 FURNITURE = (
@@ -48,7 +48,7 @@ class RfDetrDetector:
 
         made: list[Detections] = []
         side = self.settings.side_px
-        with torch.inference_mode(), encoders._one_thread():
+        with looking():
             for start in range(0, len(pictures), self.settings.batch):
                 part = pictures[start : start + self.settings.batch]
                 pixels = torch.from_numpy(np.stack([in_side(picture, side) for picture in part]))

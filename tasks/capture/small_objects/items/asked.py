@@ -19,7 +19,7 @@ from tasks.settings import Count, Share
 from tasks.stage import Context
 from tasks.vision.pixels import Image
 
-WHERE = "capture.small_objects.items"
+WHERE = "capture.small_objects.provider.items"
 """The settings, as errors name them."""
 
 _OUTSIDE = {

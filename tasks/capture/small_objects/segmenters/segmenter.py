@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.selection.methods import encoders
-from tasks.vision.devices import NetworkPlacement
+from tasks.vision.devices import NetworkPlacement, looking
 from tasks.vision.pixels import Image, Pixels
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-WHERE = "capture.small_objects.segmenter"
+WHERE = "capture.small_objects.provider.segmenter"
 """The settings, as errors name them."""
 
 BOXES_AT_ONCE = 16
@@ -62,7 +62,7 @@ class BoxSegmenter(abc.ABC):
 
         asked = [i for i, own in enumerate(boxes) if len(own)]
         drawn: dict[int, Segments] = {}
-        with torch.inference_mode(), encoders._one_thread():
+        with looking():
             for start in range(0, len(asked), self.batch):
                 part = asked[start : start + self.batch]
                 pixels = torch.from_numpy(np.stack([self.pixels(pictures[i]) for i in part]))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.models.drawn_networks import write_networks
 from tests.conftest import made_once
-from tests.tasks.capture.small_objects.tiny_networks import write_networks
 
 
 @pytest.fixture(scope="session")

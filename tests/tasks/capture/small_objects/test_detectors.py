@@ -286,7 +286,7 @@ def test_a_program_that_hangs_is_ended_with_all_that_it_began(tmp_path: Path) ->
 
 @pytest.mark.parametrize("command", ["", "yolo {picture}", "yolo {image", 'yolo "{image}'])
 def test_command_lines_that_mean_nothing_are_refused(command: str) -> None:
-    with pytest.raises(InputError, match=r"capture\.small_objects\.detector: command"):
+    with pytest.raises(InputError, match=r"capture\.small_objects\.provider\.detector: command"):
         detector_in(CommandedDetector(command=command))
 
 

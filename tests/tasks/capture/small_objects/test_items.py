@@ -101,7 +101,7 @@ def test_an_endpoint_that_is_away_is_told_or_left_to_the_next_run(server: Server
     server.answers = [refuses(401)]
     with pytest.raises(InputError, match="HTTP 401"):
         asked(server)
-    with pytest.raises(InputError, match=r"capture\.small_objects\.items"):
+    with pytest.raises(InputError, match=r"capture\.small_objects\.provider\.items"):
         check(AskedItems(url=server.url))
 
 

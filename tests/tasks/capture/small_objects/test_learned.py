@@ -214,11 +214,11 @@ def test_a_closed_set_with_masks_of_its_own_needs_no_segmenter(desk: Tabletop, n
 @pytest.mark.whole
 def test_settings_that_name_nothing_are_refused_before_anything_is_begun(networks: Path) -> None:
     pytest.importorskip("torch")
-    with pytest.raises(InputError, match=r"capture\.small_objects\.detector: weights: names no folder"):
+    with pytest.raises(InputError, match=r"capture\.small_objects\.provider\.detector: weights: names no folder"):
         check(LearnedConfig())
-    with pytest.raises(InputError, match=r"capture\.small_objects\.segmenter: weights: names no folder"):
+    with pytest.raises(InputError, match=r"capture\.small_objects\.provider\.segmenter: weights: names no folder"):
         check(tiny(networks, segmenter=Sam2()))
-    with pytest.raises(InputError, match=r"capture\.small_objects\.items: model: names no model"):
+    with pytest.raises(InputError, match=r"capture\.small_objects\.provider\.items: model: names no model"):
         check(tiny(networks, items=AskedItems()))
     check(tiny(networks))
 
