@@ -111,7 +111,7 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         notes += [*apart, *joined]
     sought = SmallObjectsConfig(provider=Unsought()) if format.is_modelled else config.small_objects  # who models names everything
     instances = with_small_objects(
-        groups, meanings, solids, world, reading.frames, alignment.pose, labels, sought,
+        groups, meanings, solids, world, reading.frames, alignment.pose, labels, context, sought,
         most_frames=config.max_view_frames, most_views=config.views_per_instance,
     )  # fmt: skip
     groups, meanings, solids = instances.groups, instances.meanings, instances.solids

@@ -14,13 +14,15 @@ from tasks.capture.instances.views import Sight, border_contact, chosen_frames, 
 from tasks.capture.labels import Label, LabelMap
 from tasks.capture.reading import FrameSource, Group
 from tasks.capture.small_objects.classical import ClassicalConfig, found_objects
-from tasks.capture.small_objects.consensus import ConsensusInstance
 from tasks.capture.small_objects.joining import ExistingInstance, FoundObject, JoiningConfig, NewInstance, found_object, joined
+from tasks.capture.small_objects.learned import LearnedConfig, check, networks_of, objects_on
 from tasks.capture.small_objects.lifting import DepthView, at_color, depth_view, visible_points
-from tasks.capture.small_objects.naming import UNKNOWN, NamingConfig, SizeName, name_by_size
+from tasks.capture.small_objects.naming import UNKNOWN, NamingConfig, name_by_size
+from tasks.capture.small_objects.support_views import CarryingInstance
 from tasks.capture.small_objects.supports import SupportSlab, support_slabs
 from tasks.geometry.meshes import Surface
 from tasks.settings import Config, Count, Positive, union_of
+from tasks.stage import Context
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -48,7 +50,7 @@ class Unsought(Config):
     kind: ClassVar[str] = "none"
 
 
-SmallObjectsProvider = union_of((Unsought, ClassicalConfig))
+SmallObjectsProvider = union_of((Unsought, ClassicalConfig, LearnedConfig))
 """Whoever can find small objects."""
 
 
@@ -84,18 +86,10 @@ class Instances:
     notes: tuple[str, ...]
 
 
-@dataclasses.dataclass(frozen=True)
-class _Support:
-    """What carries: number among the instances, and its boards."""
-
-    number: int
-    category: str
-    slabs: tuple[SupportSlab, ...]
-
-
 def with_small_objects(
     groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[InstancePoints], world: Surface,
-    frames: Sequence[FrameSource], alignment: Array, labels: LabelMap, config: SmallObjectsConfig, *, most_frames: int, most_views: int,
+    frames: Sequence[FrameSource], alignment: Array, labels: LabelMap, context: Context, config: SmallObjectsConfig, *,
+    most_frames: int, most_views: int,
 ) -> Instances:  # fmt: skip
     """The instances of a scan, and the small objects that frames show on what carries things and that none of them is.
 
@@ -103,14 +97,16 @@ def with_small_objects(
     to world frame, 4x4 [m]. most_frames: Frames that are read, evenly over all. most_views: Sights of an object that are kept, the best.
 
     Raises:
-        InputError: an image of a frame cannot be read.
+        InputError: an image of a frame cannot be read, or the settings name networks or endpoints that cannot be used.
+        EndpointAway: an endpoint does not answer, and that is left to the next run.
     """
     plain = Instances(tuple(groups), list(meanings), list(solids), {}, (), ())
-    if not isinstance(config.provider, ClassicalConfig):
+    if isinstance(config.provider, Unsought):
         return plain
-    provider: ClassicalConfig = config.provider
+    if isinstance(config.provider, LearnedConfig):
+        check(config.provider)
     supports = [
-        _Support(number, label.category, slabs)
+        CarryingInstance(f"{number:04d}", label.category, slabs, solid.points)
         for number, (label, solid) in enumerate(zip(meanings, solids, strict=True))
         if not label.is_structure and (slabs := support_slabs(label.category, *box_of(solid, world, label.category), solid.points))
     ]
@@ -120,13 +116,24 @@ def with_small_objects(
         return plain
     if not views:
         return dataclasses.replace(plain, notes=("small objects were not looked for: no frame has a pose and depth",))
-    objects = [obj for support in supports for obj in _objects_on(support, list(views.values()), provider, config)]
+    objects: list[FoundObject] = []
+    problems: list[str] = []
+    for done, support in enumerate(supports):
+        best = _best_views(support, views, config.views)
+        if isinstance(config.provider, LearnedConfig):
+            shown = [frames[posed[name]] for name in best]
+            seen = objects_on(support, shown, alignment, networks_of(config.provider), context, config.provider)
+            objects += seen.objects
+            problems += [f"{support.instance_id} {support.category}: {problem}" for problem in seen.problems]
+        else:
+            objects += _classical_objects(support, [views[name] for name in best], config.provider, config.naming)
+        context.report(done + 1, len(supports), support.instance_id)
     existing = [
         ExistingInstance(f"{number:04d}", solid.points, label.is_structure)
         for number, (label, solid) in enumerate(zip(meanings, solids, strict=True))
     ]
     result = joined(existing, objects, config.joining)
-    boards = {f"{support.number:04d}": support.slabs for support in supports}
+    boards = {support.instance_id: support.slabs for support in supports}
     made = _Making(list(groups), list(meanings), list(solids), world, [obj.points for obj in result.added], config.reach_m)
     finders: dict[int, Finder] = {}
     sights: list[Sight] = []
@@ -135,21 +142,28 @@ def with_small_objects(
         finders[number] = Finder(obj.found_by, obj.probability)
         own = [_sight(number, obj, views[name], posed[name], frames[posed[name]], mask) for name, mask in sorted(obj.masks.items())]
         sights += sorted((sight for sight in own if sight is not None), key=lambda sight: (-sight.score, sight.frame))[:most_views]
-    notes = [f"{len(finders)} small objects that the scan does not name were found by {provider.kind}"] if finders else []
-    return Instances(tuple(made.groups), made.meanings, made.solids, finders, tuple(sights), (*notes, *result.notes))
+    for name in sorted({finder.name for finder in finders.values()}):
+        count = sum(finder.name == name for finder in finders.values())
+        problems.append(f"{count} small objects that the scan does not name were found by {name}")
+    return Instances(tuple(made.groups), made.meanings, made.solids, finders, tuple(sights), (*problems, *result.notes))
 
 
-def _objects_on(support: _Support, views: Sequence[DepthView], provider: ClassicalConfig, config: SmallObjectsConfig) -> list[FoundObject]:
-    """What the frames that show most of a support's boards have on them."""
-    shown = np.array([_shown(view, support.slabs) for view in views])
-    best = [i for i in np.argsort(-shown, kind="stable")[: config.views].tolist() if shown[i] >= _LEAST_SHOWN]
-    if not best:
-        return []
-    result = found_objects([views[i] for i in sorted(best)], support.slabs, provider)
-    names = [_named(instance, support.slabs, config.naming) for instance in result.instances]
+def _best_views(support: CarryingInstance, views: Mapping[str, DepthView], most: int) -> list[str]:
+    """Ids of the frames that show most of a support's boards and what is above them, in their order."""
+    shown = {name: _shown(view, support.slabs) for name, view in views.items()}
+    best = sorted((name for name in shown if shown[name] >= _LEAST_SHOWN), key=lambda name: (-shown[name], name))
+    return sorted(best[:most])
+
+
+def _classical_objects(
+    support: CarryingInstance, views: Sequence[DepthView], config: ClassicalConfig, naming: NamingConfig
+) -> list[FoundObject]:
+    """What frames have on a support as the classical member sees it, named by size."""
+    seen = found_objects(views, support.slabs, config)
+    names = [name_by_size(each.points, board_of(each.points, support.slabs).height, naming) for each in seen.instances]
     return [
-        found_object(instance, result.frames, name.category, name.probability, provider.kind, f"{support.number:04d}")
-        for instance, name in zip(result.instances, names, strict=True)
+        found_object(instance, seen.frames, name.category, name.probability, config.kind, support.instance_id)
+        for instance, name in zip(seen.instances, names, strict=True)
     ]
 
 
@@ -159,13 +173,6 @@ def _shown(view: DepthView, slabs: Sequence[SupportSlab]) -> int:
     fx, fy, cx, cy = (value / _STEP_PX for value in view.intrinsics)
     points = dataclasses.replace(view, depth=depth, intrinsics=(fx, fy, cx, cy)).points()[depth > 0]
     return int(np.any([slab.holds(points) for slab in slabs], axis=0).sum())
-
-
-def _named(instance: ConsensusInstance, slabs: Sequence[SupportSlab], config: NamingConfig) -> SizeName:
-    """What an instance is called: what its masks say, else by its size."""
-    if instance.label:
-        return SizeName(instance.label, instance.label_share * instance.score)
-    return name_by_size(instance.points, board_of(instance.points, slabs).height, config)
 
 
 def board_of(points: Array, slabs: Sequence[SupportSlab]) -> SupportSlab:
