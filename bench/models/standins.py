@@ -104,7 +104,7 @@ class TrueMasks:
         best, most = drawn, 0.3
         for place in np.unique(owner[owner > -2]):
             mask = owner == place
-            overlap = box_overlap(np.array(box_of(mask), dtype=np.float64), box)
+            overlap = float(box_overlap(np.array(box_of(mask), dtype=np.float64), box))
             if overlap > most:
                 best, most = mask, overlap
         steps = int(self.rng.integers(-OUTLINE_PX, OUTLINE_PX + 1))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -19,6 +19,7 @@ from tasks.candidates.generation.generated import GeneratorInput, GeneratorSetti
 from tasks.candidates.provider import CandidateProvider
 from tasks.geometry.meshes import dump_glb
 from tasks.settings import WHOLE, Count, NonNegative
+from tasks.vision.devices import Device, device_of
 from tasks.weights import files_digest
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class ShapE(GeneratorSettings):
     steps: Count = 64  # as published
     guidance: NonNegative | None = None  # as published, where left out: 15 for text, 3 for pictures
     grid: Annotated[int, Field(ge=8, le=512), WHOLE] = 128  # that the surface is taken from; as published
-    device: Literal["auto", "cpu", "cuda"] = "auto"  # the graphics card where there is one
+    device: Device = "auto"  # the first graphics card where there is one; cuda:1 is the second
     version: str = "1"  # goes up when the same weights would make another asset
 
 
@@ -66,11 +67,12 @@ def made(asked: GeneratorInput, config: ShapE, digest: str, begun: Callable[[], 
     Raises:
         InputError: packages or weights are not there, or the mesh has no faces.
     """
+    check_installed()
     import PIL.Image
     import torch
     import trimesh
 
-    pipeline = _pipeline(config.weights, digest, config.by, device_of(config.device))
+    pipeline = _pipeline(config.weights, digest, config.by, device_of(config.device, WHERE))
     begun()
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # sums in one order: the same mesh on every worker
@@ -94,20 +96,6 @@ def made(asked: GeneratorInput, config: ShapE, digest: str, begun: Callable[[], 
     colors = np.stack([mesh.vertex_channels[channel].cpu().numpy() for channel in "RGB"], axis=1)
     paint = np.column_stack([np.clip(colors * 255, 0, 255).round(), np.full(len(colors), 255)]).astype(np.uint8)
     return dump_glb([trimesh.Trimesh(vertices, faces, vertex_colors=paint, process=False)])
-
-
-def device_of(device: str) -> str:
-    """The device that is meant.
-
-    Raises:
-        InputError: packages are not installed, or there is no such device.
-    """
-    check_installed()
-    import torch
-
-    if device == "cuda" and not torch.cuda.is_available():
-        raise InputError(WHERE, "device", "torch sees no CUDA device", "set device=cpu, or auto")
-    return device if device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
 
 
 def check_installed() -> None:

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from schemas.errors import InputError
-from tasks.selection.methods import encoders
 from tasks.settings import Config, Count
+from tasks.vision.opening import folder_digest, model_in, one_thread, opening
 
 Device = Annotated[str, Field(pattern=r"^(auto|cpu|cuda(:\d{1,3})?)$")]
 """Of settings: cpu, cuda, cuda:1, or auto for the first graphics card where there is one."""
@@ -84,7 +84,7 @@ def looking() -> Iterator[None]:
     sees the same, give or take what `docs/models.md` states."""
     import torch
 
-    with torch.inference_mode(), encoders._one_thread(), torch.backends.cudnn.flags(deterministic=True, benchmark=False, allow_tf32=False):
+    with torch.inference_mode(), one_thread(), torch.backends.cudnn.flags(deterministic=True, benchmark=False, allow_tf32=False):
         yield
 
 
@@ -99,12 +99,12 @@ def opened(
         InputError: packages are not installed, no folder is named, there is no such device, or the folder holds no such network, whole.
     """
     device = device_of(settings.device, where)
-    digest = encoders.weights_digest(settings.weights, where)
+    digest = folder_digest(settings.weights, where)
     import transformers
 
     folder = Path(settings.weights)
-    with encoders._opening(folder, name):
-        network = encoders._model_in(getattr(transformers, name), folder).to(device)
+    with opening(folder, name):
+        network = model_in(getattr(transformers, name), folder).to(device)
         beside = more(folder)
     size = sum(tensor.numel() * tensor.element_size() for tensor in (*network.parameters(), *network.buffers()))
     return network, beside, NetworkPlacement(device, digest, size)

@@ -8,6 +8,12 @@ from numpy.typing import NDArray
 Image = NDArray[np.uint8]
 Pixels = NDArray[np.float32]
 
+CLIP_MEAN, CLIP_STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
+"""Of the pictures that CLIP was trained on, as published; the authors' release took ImageNet's (specs C.3, defect 3)."""
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of the pictures that DINOv2, SAM and detectors after DETR were trained on, as published."""
+
 
 def shrunk_to(image: Image, height: int, width: int) -> Image:
     """A picture of another size, shape (height, width, 3): bilinear, smoothed where it gets smaller, in whole grays."""

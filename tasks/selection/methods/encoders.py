@@ -5,7 +5,6 @@ Weights are safetensors alone, so that nothing in them can run, and nothing is f
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from functools import lru_cache
 from importlib.util import find_spec
@@ -16,16 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.weights import files_digest
+from tasks.vision.opening import folder_digest
+from tasks.vision.opening import model_in as _model_in
+from tasks.vision.opening import one_thread as _one_thread
+from tasks.vision.opening import opening as _opening
+from tasks.vision.pixels import CLIP_MEAN, CLIP_STD, IMAGENET_MEAN, IMAGENET_STD
 
 Vectors = NDArray[np.float32]
 Images = NDArray[np.uint8]
-
-CLIP_MEAN, CLIP_STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
-"""Of the pictures that CLIP was trained on, as published; the authors' release took ImageNet's (specs C.3, defect 3)."""
-
-IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of the pictures that DINOv2 was trained on, as published."""
 
 BATCH = 16
 """Pictures at a time: their activations in the largest CLIP stay below a gigabyte."""
@@ -115,18 +112,13 @@ def dino_in(folder: str) -> DinoEncoder:
     return _dino(folder, weights_digest(folder))
 
 
-def weights_digest(folder: str, where: str = "selection.provider") -> str:
-    """Hash of the weights and configs of a folder, 64 hex digits: who scored. where: The settings, as errors name them.
+def weights_digest(folder: str) -> str:
+    """Hash of the weights and configs of a folder, 64 hex digits: who scored.
 
     Raises:
         InputError: none is named, or it holds no safetensors file.
     """
-    if not folder:
-        raise InputError(where, "weights", "names no folder", "give one that transformers wrote, as safetensors")
-    files = sorted(path for path in Path(folder).glob("*") if path.suffix in (".safetensors", ".json", ".txt"))
-    if not any(path.suffix == ".safetensors" for path in files):
-        raise InputError(folder, "", "holds no *.safetensors", "name a folder that transformers wrote: save_pretrained(folder)")
-    return files_digest(Path(folder), files)
+    return folder_digest(folder, "selection.provider")
 
 
 def remembered(cache: MutableMapping[str, bytes], key: str, make: Callable[[], NDArray[Any]], half: bool = False) -> Vectors:
@@ -152,42 +144,6 @@ def _clip(folder: str, digest: str) -> ClipEncoder:
 @lru_cache(maxsize=2)
 def _dino(folder: str, digest: str) -> DinoEncoder:
     return DinoEncoder(Path(folder))
-
-
-def _model_in(kind: Any, folder: Path) -> Any:
-    """A model of a class, whole: weights that are missing would be drawn at random."""
-    model, loaded = kind.from_pretrained(str(folder), local_files_only=True, use_safetensors=True, output_loading_info=True)
-    if loaded["missing_keys"]:
-        gone = sorted(loaded["missing_keys"])
-        raise ValueError(f"lacks {len(gone)} of its weights, {gone[0]} first")
-    return model.float().eval()
-
-
-@contextlib.contextmanager
-def _opening(folder: Path, kind: str) -> Iterator[None]:
-    """Name the folder of whatever goes wrong while a model is opened.
-
-    Raises:
-        InputError: in its place.
-    """
-    try:
-        yield
-    except Exception as error:  # the readers of weights and tokenizers raise classes of their own
-        problem = f"holds no {kind}: {next(iter(str(error).strip().splitlines()), repr(error))}"
-        raise InputError(str(folder), "", problem, "name a folder that it was saved to") from error
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Sums in one order: the same vectors on every worker."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _batches(pictures: Images, mean: tuple[float, ...], std: tuple[float, ...]) -> Iterator[Any]:

@@ -8,8 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tasks.capture.small_objects.detectors.owlv2 import in_square
-from tasks.selection.methods.encoders import IMAGENET_MEAN, IMAGENET_STD
-from tasks.vision.pixels import fitted_size, normalized, sampled, shrunk_to, smoothed_to
+from tasks.vision.pixels import IMAGENET_MEAN, IMAGENET_STD, fitted_size, normalized, sampled, shrunk_to, smoothed_to
 
 SIDES = st.integers(2, 90)
 

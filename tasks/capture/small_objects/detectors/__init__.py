@@ -10,8 +10,8 @@ from tasks.capture.small_objects.detectors.detector import WHERE, Detections, De
 from tasks.capture.small_objects.detectors.grounding_dino import GroundingDino, grounding_dino_in
 from tasks.capture.small_objects.detectors.owlv2 import Owlv2, owlv2_in
 from tasks.capture.small_objects.detectors.rf_detr import RfDetr, rf_detr_in
-from tasks.selection.methods.encoders import weights_digest
 from tasks.settings import union_of
+from tasks.vision.opening import folder_digest
 
 DetectorSettings = union_of((GroundingDino, Owlv2, RfDetr, CommandedDetector))
 """Whoever can detect."""
@@ -25,7 +25,7 @@ def detector_in(settings: GroundingDino | Owlv2 | RfDetr | CommandedDetector) ->
     """
     if isinstance(settings, CommandedDetector):
         return CommandDetector(settings)
-    return _detector(settings, weights_digest(settings.weights, WHERE))
+    return _detector(settings, folder_digest(settings.weights, WHERE))
 
 
 @lru_cache(maxsize=1)

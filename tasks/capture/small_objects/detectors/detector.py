@@ -97,16 +97,17 @@ def surest(boxes: Array, scores: Array, settings: DetectionSelection) -> list[in
     for i in order[(sides[order] >= LEAST_SIDE_PX).all(axis=1)].tolist():
         if len(kept) == settings.most:
             break
-        if all(box_overlap(boxes[i], boxes[j]) <= settings.same_box for j in kept):
+        if (box_overlap(boxes[i], boxes[kept]) <= settings.same_box).all():
             kept.append(i)
     return kept
 
 
-def box_overlap(first: Array, second: Array) -> float:
-    """Intersection over union of two boxes x0, y0, x1, y1."""
-    shared = np.prod(np.clip(np.minimum(first[2:], second[2:]) - np.maximum(first[:2], second[:2]), 0, None))
-    both = np.prod(first[2:] - first[:2]) + np.prod(second[2:] - second[:2])
-    return float(shared / max(both - shared, 1e-12))
+def box_overlap(first: Array, second: Array) -> Array:
+    """Intersection over union of boxes x0, y0, x1, y1, shapes (..., 4), each with its counterpart; shape (...)."""
+    low, high = np.maximum(first[..., :2], second[..., :2]), np.minimum(first[..., 2:], second[..., 2:])
+    shared = np.clip(high - low, 0, None).prod(axis=-1)
+    both = (first[..., 2:] - first[..., :2]).prod(axis=-1) + (second[..., 2:] - second[..., :2]).prod(axis=-1)
+    return np.asarray(shared / np.maximum(both - shared, 1e-12))
 
 
 def corners(boxes: Any) -> Array:

@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tasks.capture.small_objects.detectors.detector import WHERE, Detections, OpenVocabulary, corners, joined_answers, too_long
-from tasks.selection.methods import encoders
 from tasks.settings import Count, Share
 from tasks.vision.devices import NetworkPlacement, looking, opened
-from tasks.vision.pixels import Image, fitted_size, normalized, shrunk_to
+from tasks.vision.pixels import IMAGENET_MEAN, IMAGENET_STD, Image, fitted_size, normalized, shrunk_to
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +47,7 @@ class GroundingDinoDetector:
 
         height, width = pictures[0].shape[:2]
         size = fitted_size(height, width, self.settings.shortest_px, self.settings.longest_px)
-        pixels = np.stack([normalized(shrunk_to(picture, *size), encoders.IMAGENET_MEAN, encoders.IMAGENET_STD) for picture in pictures])
+        pixels = np.stack([normalized(shrunk_to(picture, *size), IMAGENET_MEAN, IMAGENET_STD) for picture in pictures])
         text, spans = written(asked)
         tokens = self.tokenizer(text, return_offsets_mapping=True, return_token_type_ids=True, return_tensors="pt")
         where = tokens.pop("offset_mapping")[0].numpy()
@@ -100,7 +99,7 @@ def grounding_dino_in(settings: GroundingDino) -> GroundingDinoDetector:
     def tokenizer_in(folder: Path) -> Any:
         from transformers import AutoTokenizer
 
-        tokenizer: Any = AutoTokenizer.from_pretrained(str(folder), local_files_only=True)
+        tokenizer: Any = AutoTokenizer.from_pretrained(str(folder), local_files_only=True, trust_remote_code=False)
         if not tokenizer.is_fast:
             raise ValueError("tokenizer.json is not there")
         return tokenizer

@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tasks.capture.small_objects.detectors.detector import WHERE, Detections, OpenVocabulary, corners, joined_answers
-from tasks.selection.methods import encoders
 from tasks.settings import Share
 from tasks.vision.devices import NetworkPlacement, looking, opened
-from tasks.vision.pixels import Image, Pixels, normalized, smoothed_to
+from tasks.vision.pixels import CLIP_MEAN, CLIP_STD, Image, Pixels, normalized, smoothed_to
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +71,7 @@ def in_square(picture: Image, side: int) -> Pixels:
     height, width = picture.shape[:2]
     square = np.zeros((max(height, width), max(height, width), 3), dtype=np.float32)
     square[:height, :width] = picture.astype(np.float32) * np.float32(1 / 255)
-    return normalized(smoothed_to(square, side), encoders.CLIP_MEAN, encoders.CLIP_STD)
+    return normalized(smoothed_to(square, side), CLIP_MEAN, CLIP_STD)
 
 
 def owlv2_in(settings: Owlv2) -> Owlv2Detector:

@@ -9,10 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tasks.capture.small_objects.detectors.detector import WHERE, Detections, DetectorNetwork, corners, surest
-from tasks.selection.methods import encoders
 from tasks.settings import Count, Share, Texts
 from tasks.vision.devices import NetworkPlacement, looking, opened
-from tasks.vision.pixels import Image, normalized, sampled
+from tasks.vision.pixels import IMAGENET_MEAN, IMAGENET_STD, Image, normalized, sampled
 
 FURNITURE = (
     "person", "cat", "dog", "bicycle", "motorcycle", "car", "bus", "train", "truck", "boat", "airplane", "chair", "couch", "bed",
@@ -68,7 +67,8 @@ class RfDetrDetector:
         sure[:, [label == "" or label in self.settings.skipped for label in labels]] = 0.0
         scores, best = sure.max(axis=1), sure.argmax(axis=1)
         drawn = np.clip(corners(boxes) * [width, height, width, height], 0, [width, height, width, height])
-        places = [i for i in surest(drawn, scores, self.settings) if scores[i] > self.settings.threshold]
+        sure_enough = np.flatnonzero(scores > self.settings.threshold)
+        places = sure_enough[surest(drawn[sure_enough], scores[sure_enough], self.settings)].tolist()
         whole = np.zeros((0, height, width), dtype=bool)
         if places:
             whole = (interpolate(masks[places][:, None], (height, width), mode="bilinear", align_corners=False)[:, 0] > 0).cpu().numpy()
@@ -77,7 +77,7 @@ class RfDetrDetector:
 
 def in_side(picture: Image, side: int) -> Any:
     """A picture as the network takes it, shape (3, side, side): squeezed, and not smoothed before it."""
-    return normalized(sampled(picture.astype(np.float32) * np.float32(1 / 255), side, side), encoders.IMAGENET_MEAN, encoders.IMAGENET_STD)
+    return normalized(sampled(picture.astype(np.float32) * np.float32(1 / 255), side, side), IMAGENET_MEAN, IMAGENET_STD)
 
 
 def rf_detr_in(settings: RfDetr) -> RfDetrDetector:

@@ -8,8 +8,8 @@ from typing import Any
 from tasks.capture.small_objects.segmenters.sam import Sam, sam_in
 from tasks.capture.small_objects.segmenters.sam2 import Sam2, sam2_in
 from tasks.capture.small_objects.segmenters.segmenter import WHERE, Segmenter, Segments
-from tasks.selection.methods.encoders import weights_digest
 from tasks.settings import union_of
+from tasks.vision.opening import folder_digest
 
 SegmenterSettings = union_of((Sam2, Sam))
 """Whoever can segment."""
@@ -21,7 +21,7 @@ def segmenter_in(settings: Sam2 | Sam) -> Segmenter:
     Raises:
         InputError: packages, weights or device are not there.
     """
-    return _segmenter(settings, weights_digest(settings.weights, WHERE))
+    return _segmenter(settings, folder_digest(settings.weights, WHERE))
 
 
 @lru_cache(maxsize=1)

@@ -10,9 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.methods import encoders
 from tasks.vision.devices import NetworkPlacement, looking
-from tasks.vision.pixels import Image, Pixels
+from tasks.vision.pixels import IMAGENET_MEAN, IMAGENET_STD, Image, Pixels
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -23,7 +22,7 @@ WHERE = "capture.small_objects.provider.segmenter"
 BOXES_AT_ONCE = 16
 """Boxes of a picture whose masks are drawn at its own size at a time: 80 MB at 1296 x 968 px."""
 
-MEAN, DEVIATION = encoders.IMAGENET_MEAN, encoders.IMAGENET_STD
+MEAN, DEVIATION = IMAGENET_MEAN, IMAGENET_STD
 """Of the pictures that SAM and SAM 2 were trained on, as published."""
 
 
