@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flows.commands.options import existing_lake, json_option, lake_option, settings_options
+from schemas.text import shown
 
 if TYPE_CHECKING:
     from flows.library.adding import LibraryContents
@@ -75,13 +76,11 @@ def add(folder: Path, name: str, metadata: tuple[Path, ...], weights: Path | Non
     if as_json:
         print(json.dumps({"state": planned.why or "unchanged", **_plain(contents)}))
         return
-    for row in contents.refused:
-        print(f"{row.file}: refused: {row.field}: {row.reason}", file=sys.stderr)
-    for note in contents.library.notes:
-        print(f"note: {note}", file=sys.stderr)
+    for line in (*_refusals(contents), *(f"note: {note}" for note in contents.library.notes)):
+        print(shown(line), file=sys.stderr)
     for model in contents.models:
         if model.duplicate_of is not None:
-            print(f"{model.file}: the same {model.duplicate_by} as {model.duplicate_of}")
+            print(shown(f"{model.file}: the same {model.duplicate_by} as {model.duplicate_of}"))
     print(f"library {planned.name}: {_counts(contents)}{'' if planned.why else '; unchanged'}")
 
 
@@ -142,6 +141,11 @@ def _plain(contents: LibraryContents) -> dict[str, object]:
     }
 
 
+def _refusals(contents: LibraryContents) -> list[str]:
+    """Refused files, a line each."""
+    return [f"{row.file}: refused: {row.field}: {row.reason}" for row in contents.refused]
+
+
 def _counts(contents: LibraryContents) -> str:
     row = contents.library
     return f"{row.model_count} models, {row.duplicate_count} of them duplicates, {row.refused_count} files refused"
@@ -156,8 +160,8 @@ def _library_line(contents: LibraryContents) -> tuple[str, ...]:
 def _licenses(models: Sequence[LibraryModel]) -> str:
     """Licenses with how many models have them, the most frequent first."""
     counts = Counter(model.license for model in models)
-    shown = [f"{license_} {count}" for license_, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))]
-    return ", ".join([*shown[:MOST_SHOWN], *([f"{len(shown) - MOST_SHOWN} more"] if len(shown) > MOST_SHOWN else [])])
+    listed = [f"{license_} {count}" for license_, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))]
+    return ", ".join([*listed[:MOST_SHOWN], *([f"{len(listed) - MOST_SHOWN} more"] if len(listed) > MOST_SHOWN else [])])
 
 
 MOST_SHOWN = 4
@@ -171,14 +175,11 @@ def _print_models(contents: LibraryContents) -> None:
         odd = [f"the same {model.duplicate_by} as {model.duplicate_of}"] if model.duplicate_of is not None else []
         rows.append((model.file, model.category, size, model.license, "; ".join([*odd, *model.notes])))
     _print_columns(rows)
-    for row in contents.refused:
-        print(f"{row.file}: refused: {row.field}: {row.reason}")
-    print(_counts(contents))
+    for line in (*_refusals(contents), _counts(contents)):
+        print(shown(line))
 
 
 def _print_columns(rows: Sequence[tuple[str, ...]]) -> None:
-    from schemas.text import shown
-
     cells = [[shown(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     for line in cells:
