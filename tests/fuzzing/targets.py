@@ -105,6 +105,18 @@ def _read_library(folder: Path) -> None:
             library.asset_of(file)
 
 
+def _read_models_folder(folder: Path) -> None:
+    from tasks.indexing import ModelsFolder, run
+    from tasks.library.catalog import catalog_of
+    from tasks.library.indexing import IndexConfig
+    from tasks.stage import Context
+    from tests.tasks.indexing.test_indexing import Files
+
+    catalog = catalog_of(folder / "models", sorted(path for path in folder.glob("*") if path.is_file()))
+    config = IndexConfig(thumbnails=1, thumbnail_px=16)
+    run(models_folder=ModelsFolder(folder / "models", catalog, Files()), context=Context("models", "indexing", 0, {}), config=config)
+
+
 def _read_model(folder: Path) -> None:
     from tasks.models import ModelFolder
 
