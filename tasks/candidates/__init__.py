@@ -189,7 +189,9 @@ def _attempt(
         text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         return _row(number, provider, request, outcome="failed", reason=text, is_fallback=is_fallback), None
     row = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
-    return dataclasses.replace(row, call_id=made.call_id, library=made.library, library_file=made.library_file, score=made.score), made
+    return dataclasses.replace(
+        row, call_id=made.call_id, library=made.library, library_file=made.library_file, library_score=made.library_score
+    ), made
 
 
 def is_generator(provider: ProviderConfig) -> TypeGuard[GeneratorSettings]:
@@ -221,7 +223,7 @@ def _row(
         call_id=None,
         library=None,
         library_file=None,
-        score=None,
+        library_score=None,
     )
 
 

@@ -30,7 +30,7 @@ def _offer(request: CandidateRequest, provider: LibraryRetrieval) -> MadeAsset:
     if len(best) < provider.k:
         raise NothingToOffer(f"only {len(best)} of the library's assets come near enough")
     library, match = request.retrieval.library, best[provider.k - 1]
-    return dataclasses.replace(library.asset_of(match.file), library=library.name, library_file=match.file, score=match.score)
+    return dataclasses.replace(library.asset_of(match.file), library=library.name, library_file=match.file, library_score=match.score)
 
 
 LIBRARY = CandidateProvider(name="library", config=LibraryRetrieval, offer=_offer, needs_library=True)

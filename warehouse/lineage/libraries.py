@@ -17,7 +17,7 @@ def follow_library(walk: Walk, source: str, row: Candidate, depth: int) -> None:
     """
     if row.library_file is None:
         return
-    facts: dict[str, Any] = {"library": row.library, "file": row.library_file, "score": row.score, "is_indexed": None}
+    facts: dict[str, Any] = {"library": row.library, "file": row.library_file, "score": row.library_score, "is_indexed": None}
     if row.library is not None:
         listed = walk.reader.matching("library_models", {"library": [row.library], "file": [row.library_file]})
         models = [model for model in arrow_to_rows(listed, LibraryModel) if model.asset_id == row.asset_id]

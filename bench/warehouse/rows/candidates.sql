@@ -12,7 +12,7 @@ SELECT
     NULL AS call_id,
     CASE WHEN rank <= filled AND filling.provider = 'library' THEN 'models' END AS library,
     CASE WHEN rank <= filled AND filling.provider = 'library' THEN library.asset_id || '.glb' END AS library_file,
-    CASE WHEN rank <= filled AND filling.provider = 'library' THEN 0.9 - 0.05 * (slot - 7) END AS score
+    CASE WHEN rank <= filled AND filling.provider = 'library' THEN 0.9 - 0.05 * (slot - 7) END AS library_score
 FROM (
     SELECT
         *,

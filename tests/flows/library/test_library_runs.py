@@ -90,7 +90,7 @@ def test_a_library_of_the_lake_gives_what_its_folder_gives(tmp_path: Path, scan:
     assert [row.outcome for row in chosen] == ["filled"] * 2
     assert {row.library for row in chosen} == {"chairs"}
     assert {row.library_file for row in chosen} == {"a_chair.glb", "c_chair.obj"}
-    assert sorted((row.score or 0 for row in chosen), reverse=True) == [row.score for row in chosen]
+    assert sorted((row.library_score or 0 for row in chosen), reverse=True) == [row.library_score for row in chosen]
     for row in chosen:
         assert models[str(row.library_file)].asset_id == row.asset_id
         assert by_name.blobs[f"{row.asset_id}.glb"] == by_folder.blobs[f"{row.asset_id}.glb"]
@@ -190,7 +190,7 @@ def test_views_say_what_was_taken_and_what_was_refused(tmp_path: Path, scan: Sca
     assert asked(lake, "library_usage") == [
         {
             "library": "chairs", "category": "chair", "models": 2, "noncommercial_models": 0, "offered": 2, "candidates": len(taken),
-            "chosen": 0, "scenes": 1, "mean_score": pytest.approx(sum(row.score or 0 for row in taken) / len(taken)),
+            "chosen": 0, "scenes": 1, "mean_score": pytest.approx(sum(row.library_score or 0 for row in taken) / len(taken)),
         }
     ]  # fmt: skip
     (refusal,) = asked(lake, "library_refusals")

@@ -88,7 +88,7 @@ def test_scores_are_of_vectors_of_caption_and_view(tmp_path: Path, cache: Path, 
         mean = own.mean(axis=0) / np.linalg.norm(own.mean(axis=0))
         total = 0.45 + 0.25 + 0.1 + 0.1 + 0.3 + 0.2
         score = (total * fit[str(row.library_file)] + 0.5 * float(mean @ text) + 0.5 * float((own @ images.T).max())) / (total + 1.0)
-        assert row.score == pytest.approx(score, abs=1e-5)
+        assert row.library_score == pytest.approx(score, abs=1e-5)
 
 
 def test_another_model_is_refused_and_none_is_told(tmp_path: Path, cache: Path, scan: Scan, clip_folder: Path, siglip_folder: Path) -> None:

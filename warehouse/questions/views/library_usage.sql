@@ -18,7 +18,7 @@ used AS (
         count(*) AS candidates,
         count(DISTINCT struct_pack(placements.scene_id, placements.instance_id)) FILTER (placements.instance_id IS NOT NULL) AS chosen,
         count(DISTINCT offers.scene_id) AS scenes,
-        avg(offers.score) AS mean_score
+        avg(offers.library_score) AS mean_score
     FROM candidates AS offers
     JOIN library_models
         ON

@@ -47,7 +47,7 @@ def libraries(draw: st.DrawFn) -> list[Any]:
             place = {"scene_id": scene, "instance_id": instance}
             for slot in draw(st.lists(st.integers(1, 3), unique=True)):
                 library = draw(st.sampled_from((*LIBRARIES, None)))
-                found = {"library": library, "library_file": draw(st.sampled_from(FILES)), "score": draw(EXACT) / 16}
+                found = {"library": library, "library_file": draw(st.sampled_from(FILES)), "library_score": draw(EXACT) / 16}
                 rows.append(sample(Candidate, **place, slot=slot, outcome="filled", asset_id=draw(st.sampled_from(ASSETS)), **found))
             if draw(st.booleans()):
                 rows.append(sample(Placement, **place, asset_id=draw(st.sampled_from(ASSETS))))
@@ -73,7 +73,7 @@ def test_what_scenes_take_is_counted_by_category(database: Database, rows: list[
             continue
         one = expected[model.library, model.category]
         one["files"].add(row.library_file)
-        one["slots"].append(row.score)
+        one["slots"].append(row.library_score)
         one["scenes"].add(row.scene_id)
         if placed.get((row.scene_id, row.instance_id)) == row.asset_id:
             one["chosen"].add((row.scene_id, row.instance_id))
