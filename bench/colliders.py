@@ -6,18 +6,16 @@ import dataclasses
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bench.goals import goal
 from bench.machine import machine
+from bench.shelves import models_in
 from bench.tables import add_row, goals_table, headline, table_of
-from tasks.candidates.library import index_library, library_asset
 from tasks.furniture import CATEGORIES, generate
 from tasks.geometry.hulls import LIMITS, is_within
-from tasks.geometry.meshes import load_glb
 from tasks.geometry.pieces import PieceConfig, Pieces, pieces
 
 if TYPE_CHECKING:
@@ -60,7 +58,7 @@ class Measured:
 
 def steps_of(config: CollidersBench) -> int:
     """Assets that will be measured, for a progress bar."""
-    return len(CATEGORIES) * config.models + (len(index_library(Path(config.library)).entries) if config.library else 0)
+    return len(CATEGORIES) * config.models + len(models_in(config.library or None))
 
 
 def run_colliders_bench(config: CollidersBench, advance: Callable[[], None]) -> dict[str, Any]:
@@ -97,13 +95,12 @@ def measured(source: str, name: str, parts: Sequence[trimesh.Trimesh], known: Se
 
 def _assets(config: CollidersBench) -> Iterator[tuple[str, str, list[trimesh.Trimesh], list[trimesh.Trimesh] | None]]:
     """Source, name, what is seen, and pieces from construction."""
-    for entry in index_library(Path(config.library)).entries if config.library else ():
-        made = library_asset(entry)
-        yield "library", made.asset.name, load_glb(made.files[made.asset.mesh_blob], entry.file), None
+    for model in models_in(config.library or None):
+        yield "library", model.made.asset.name, model.parts(), None
     for category in CATEGORIES:
         for number in range(config.models):
-            model = generate(category, None, np.random.default_rng([config.seed, number, zlib.crc32(category.encode())]))
-            yield "generator", f"{model.name} {number}", model.parts, model.pieces
+            drawn = generate(category, None, np.random.default_rng([config.seed, number, zlib.crc32(category.encode())]))
+            yield "generator", f"{drawn.name} {number}", drawn.parts, drawn.pieces
 
 
 def print_colliders(report: Mapping[str, Any], console: Console) -> None:

@@ -22,6 +22,7 @@ COMMANDS = {
     "stats": "Draw the statistics and write the report.",
     "export": "Write scenes as USD, Habitat dataset, MJCF, URDF, SDF, GLB and maps into a folder.",
     "release": "Make, list, compare and attach releases: versions that can be cited.",
+    "library": "Index, list and remove libraries of models that candidates are taken from.",
     "annotate": "Ask people, take in what they chose, and have it reviewed.",
     "import": "Import finished datasets: Habitat scene datasets, the MetaScenes release.",
     "evaluate": "Measure how well agents navigate the episodes.",

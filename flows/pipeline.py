@@ -220,7 +220,7 @@ def replicate(
         format: Scan format, or 'auto'.
         dataset: Name of the dataset; by default what the format says.
         workers: Worker processes; by default one for every core of the machine that runs this.
-        library: Folder of GLB assets for retrieval.
+        library: Library of the lake to take candidates from, else a folder.
         seed: Run seed.
         config_file: TOML file with a table per stage.
         settings: Single values, `stage.field=value`.

@@ -22,12 +22,14 @@ import pyarrow as pa
 
 from flows.run.fingerprints import ModuleCaches, annotations_digest
 from flows.run.ledger import FREE, CallRules, LakeLedger
+from flows.run.libraries import NamedLibrary, library_for_worker
 from flows.run.pool import spread_over
 from schemas.errors import InputError, LakeError, RecordError
 from schemas.record import arrow_to_rows, check
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from schemas.text import one_line
+from tasks.library.library import OpenLibrary
 from tasks.models import Model
 from tasks.stage import Context, Outcome, Stage, silently
 from warehouse.lake import Lake
@@ -156,6 +158,8 @@ def _computed(stage: Stage, job: Job, lake: Lake, spread: Spread, report: Report
         inputs[table] = history_rows(lake, table, job)
     if "assets" in inputs:
         inputs["assets"] = with_licenses_of_scans(inputs["assets"], lake.snapshot, job.scene_id)
+    if isinstance(inputs.get("library"), NamedLibrary):
+        inputs["library"] = _library(job, inputs["library"])
     if inputs.get("model") is not None and stage.model_wanted is not None:
         inputs["model"] = _model(stage, job, str(inputs["model"]))
     context = Context(
@@ -163,6 +167,18 @@ def _computed(stage: Stage, job: Job, lake: Lake, spread: Spread, report: Report
         ledger=LakeLedger(lake, job.calls),
     )  # fmt: skip
     return stage.run(**inputs, context=context, config=job.config)
+
+
+def _library(job: Job, named: NamedLibrary) -> OpenLibrary:
+    """The library that a job names, as it was when that was planned.
+
+    Raises:
+        RowsGone: it is another by now, or was removed.
+    """
+    library = library_for_worker(job.lake, named.name, named.content, job.snapshot_id)
+    if library is None:
+        raise RowsGone(f"{job.scene_id}: library {named.name}: it was indexed again or removed while this stage was under way; run again")
+    return library
 
 
 def _model(stage: Stage, job: Job, model_id: str) -> Model:
@@ -193,16 +209,9 @@ def _kept(stage: Stage, job: Job, lake: Lake, outcome: Outcome) -> Outcome:
     return outcome
 
 
-_OWNERS = {
-    "scene": "scene_id", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "drive_batch": "batch_id",
-    "dataset": "training_id", "comparison": "comparison_id",
-}  # fmt: skip
-"""The column that says whose a row is, by the grain of its table."""
-
-
 def _check_owner(table: str, rows: list[Any], job: Job) -> None:
     """A stage may write rows of its own scene only; a batch writes rows that name it."""
-    column = _OWNERS.get(TABLES[table].grain)
+    column = TABLES[table].owner
     for index, row in enumerate(rows):
         if column and getattr(row, column) != job.scene_id:
             raise RecordError(table, str(index), column, f"must be {job.scene_id}, got {getattr(row, column)!r}")

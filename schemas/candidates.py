@@ -21,6 +21,9 @@ class Candidate:
     asset_id: str | None = column("Asset in the slot", pattern=r"[0-9a-f]{64}")
     seed: int | None = column("Seed that a generator was given", minimum=0)
     call_id: str | None = column("Call of the generator that made it", pattern=CALL_PATTERN)
+    library: str | None = column("Library of the lake that it was found in; null for others, and for a folder")
+    library_file: str | None = column("File of a library that it was found as, relative to it")
+    library_score: float | None = column("How well it fits, by which a library's are ranked; larger is better", minimum=-1, maximum=1)
 
 
 @record("assets", key=("asset_id",), stage="candidates", grain="asset", rule="share", shared_by="candidates")

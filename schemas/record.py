@@ -19,7 +19,9 @@ import pyarrow as pa
 
 from schemas.errors import RecordError
 
-Grain = Literal["scene", "room", "asset", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison", "lake"]
+Grain = Literal[
+    "scene", "room", "asset", "library", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison", "lake"
+]  # fmt: skip
 WriteRule = Literal["replace", "append", "share"]
 
 BLOB_PATTERN = r"[0-9a-f]{64}\.[a-z0-9]{1,8}"
@@ -75,7 +77,7 @@ class Column:
 class Table:
     """What a table is: its record type, key, grain and how a stage's rows get into it.
 
-    `rule` is ``replace`` (a scene's new rows take the place of its old ones), ``append`` (history is
+    `rule` is ``replace`` (an owner's new rows take the place of its old ones: a scene's, a library's), ``append`` (history is
     kept) or ``share`` (rows are facts about a key that several scenes use; inserted when absent, and
     removed when no row of `shared_by` names the key any more).
     """
@@ -89,6 +91,11 @@ class Table:
     description: str
     shared_by: str
     columns: tuple[Column, ...]
+
+    @property
+    def owner(self) -> str:
+        """The column that says whose a row is; '' where rows belong to nobody."""
+        return _OWNERS.get(self.grain, "")
 
     @property
     def volatile_columns(self) -> tuple[str, ...]:
@@ -120,6 +127,12 @@ class Table:
             ],
             metadata={"table": self.name, "description": self.description},
         )
+
+
+_OWNERS: dict[Grain, str] = {
+    "scene": "scene_id", "library": "library", "annotation_batch": "batch_id", "trajectory_batch": "batch_id", "drive_batch": "batch_id",
+    "dataset": "training_id", "comparison": "comparison_id",
+}  # fmt: skip
 
 
 def column(

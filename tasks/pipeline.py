@@ -11,6 +11,7 @@ from tasks import (
     evaluation,
     exports,
     fidelity,
+    indexing,
     micro_scenes,
     navigation,
     optimization,
@@ -23,6 +24,7 @@ from tasks.stage import Stage
 STAGES: tuple[Stage, ...] = (
     capture.STAGE,
     captions.STAGE,
+    indexing.STAGE,
     candidates.STAGE,
     selection.STAGE,
     annotation.STAGE,

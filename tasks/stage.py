@@ -66,10 +66,11 @@ def _forgetful() -> Caches:
 class Context:
     """What a run may know besides its inputs: whose it is, the seed, and the blobs that its input rows name.
 
-    `scene_id` is the batch for stages that work on batches. `caches` remember, between runs and stages, what costs
-    much and follows from content alone, one for every module that computes such values (`caches["tasks.geometry.pieces"]`): a
-    key must name everything that its value depends on but the module's own code. `spread(function, items)` is the list
-    of the function's values, in the order of the items, computed in other processes where cores are free.
+    `scene_id` is the batch for stages that work on batches, the library for the one that makes libraries. `caches` remember, between
+    runs and stages, what costs much and follows from content alone, one for every module that computes such values
+    (`caches["tasks.geometry.pieces"]`): a key must name everything that its value depends on but the module's own code.
+    `spread(function, items)` is the list of the function's values, in the order of the items, computed in other processes where cores
+    are free.
     `report(done, of, text)` tells whoever watches how far a long run is. `ledger` has every call to a model.
     """
 
@@ -111,6 +112,7 @@ class WantedModel:
 OutsideInput = Literal[
     "scan",
     "library",
+    "models_folder",
     "annotation_batch",
     "review_batch",
     "batch_acts",
@@ -139,7 +141,7 @@ class Stage:
     writes: tuple[str, ...]
     config: type
     run: Callable[..., Outcome]
-    grain: Literal["scene", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison"] = "scene"
+    grain: Literal["scene", "library", "annotation_batch", "trajectory_batch", "drive_batch", "dataset", "comparison"] = "scene"
     outside: tuple[OutsideInput, ...] = ()
     history: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()

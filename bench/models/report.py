@@ -118,20 +118,18 @@ def lifting_goals(figures: Sequence[LiftingFigures]) -> list[dict[str, Any]]:
 
 
 def retrieval_rows(figures: RetrievalFigures) -> list[dict[str, Any]]:
-    """Shares of today's code and of the index, as plain values."""
+    """Shares and times, as plain values."""
     slow = {"median_seconds": float(np.median(figures.seconds)), "p95_seconds": float(np.quantile(figures.seconds, 0.95))}
     common = {"queries": figures.queries, "models": figures.entries}
-    former = {"by": "folder", **common, **dataclasses.asdict(figures.today), "median_seconds": None, "p95_seconds": None}
-    return [former, {"by": "index", **common, **dataclasses.asdict(figures.index), **slow}]
+    return [{**common, **dataclasses.asdict(figures.shares), **slow}]
 
 
 def retrieval_goals(figures: RetrievalFigures) -> list[dict[str, Any]]:
-    """What the index is held against: stated shares, and the code of before in the same run."""
+    """What retrieval is held against."""
     names = {
         "first": "right model first", "in_ten": "among the ten first", "first_unnamed": "first, category unknown",
         "in_ten_unnamed": "among ten, category unknown", "category_withheld": "model withheld: right category first",
     }  # fmt: skip
-    goals = [goal(text, round(getattr(figures.index, name), 4), ">=", getattr(WANTED, name)) for name, text in names.items()]
-    goals.append(goal("right model first, against a folder", round(figures.index.first, 4), ">=", round(figures.today.first, 4)))
+    goals = [goal(text, round(getattr(figures.shares, name), 4), ">=", getattr(WANTED, name)) for name, text in names.items()]
     slowest = float(np.quantile(figures.seconds, 0.95))
     return [*goals, goal("seconds of a query among 10,000 models, of 20 the slowest", round(slowest, 4), "<", QUERY_SECONDS)]

@@ -1,4 +1,4 @@
-"""How well retrieval finds the model that was scanned: today's score and the index's, in one run, and what a query costs.
+"""How well retrieval finds the model that was scanned, and what a query costs.
 
 The library holds the real models, and as many distractors of the same categories as asked for, drawn by the furniture generator: half
 in their usual size, half in about the size of a real model. Queries are scans of the real models in furnished rooms, as captured. Weights
@@ -11,7 +11,7 @@ import dataclasses
 import json
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +19,15 @@ from numpy.typing import NDArray
 
 from bench.models.rooms import asked, query_rooms
 from bench.realdata import MODELS
+from bench.shelves import BARE, ShelvedModel, models_in
 from schemas.budget import BUDGET
 from schemas.files import read_file
-from tasks.candidates.library import LibraryIndex, index_library
 from tasks.candidates.request import CandidateRequest
-from tasks.candidates.retrieval import retrieve
 from tasks.furniture import generate
 from tasks.geometry.meshes import dump_glb
+from tasks.library.catalog import catalog_of
 from tasks.library.entry import IndexEntry
-from tasks.library.indexing import IndexConfig, ModelIndex, index_folder
-from tasks.library.metadata import plain_facts
+from tasks.library.indexing import ModelIndex, index_folder
 from tasks.library.search import LibraryQuery, LibrarySearch
 
 TUNED, HELD_OUT = (1, 2), (3, 4)
@@ -40,9 +39,6 @@ SPREAD = 0.2
 
 LARGE = 10_000
 """Entries at which a query's time is measured."""
-
-BARE = IndexConfig(thumbnails=1, thumbnail_px=16)
-"""Nobody looks at the pictures."""
 
 FIRST, FEW = 1, 10
 
@@ -76,16 +72,13 @@ class RetrievalFigures:
 
     queries: int
     entries: int
-    today: RetrievalShares
-    index: RetrievalShares
+    shares: RetrievalShares
     seconds: NDArray[np.float64]
 
     def lines(self) -> list[str]:
         """The figures, as a person reads them."""
-        made = [f"{self.queries} queries, {self.entries} models"]
-        for name, shares in (("today", self.today), ("index", self.index)):
-            values = ", ".join(f"{key} {value:.3f}" for key, value in dataclasses.asdict(shares).items())
-            made.append(f"{name}: {values}")
+        values = ", ".join(f"{key} {value:.3f}" for key, value in dataclasses.asdict(self.shares).items())
+        made = [f"{self.queries} queries, {self.entries} models", values]
         low, high = (1e3 * float(np.quantile(self.seconds, share)) for share in (0.5, 0.95))
         return [*made, f"a query at {LARGE} models: median {low:.1f} ms of one core, of 20 the slowest {high:.1f} ms"]
 
@@ -98,33 +91,27 @@ def lacking(realdata: Path | None) -> str | None:
 
 
 def measured(realdata: Path, seeds: Sequence[int] = HELD_OUT, distractors: int = DISTRACTORS) -> RetrievalFigures:
-    """Scan the real models once for every seed, and look each up among the distractors of that seed, by today's code and by the index."""
-    today: list[NDArray[np.int64]] = []
-    index: list[NDArray[np.int64]] = []
+    """Scan the real models once for every seed, and look each up among the distractors of that seed."""
+    places: list[NDArray[np.int64]] = []
     seconds: list[NDArray[np.float64]] = []
     entries = 0
     for seed in seeds:
         with tempfile.TemporaryDirectory(prefix="library-", ignore_cleanup_errors=True) as place:
             folder = Path(place)
             write_library(realdata / MODELS, folder, distractors, seed)
-            former = index_library(folder)
-            catalog = plain_facts(read_file(folder / "index.json", "index.json", BUDGET.text_bytes))
-            made = index_folder(folder, catalog, BARE, {})
-            queries = queries_of(former, seed)
-            today.append(_places(queries, _by_today(former), {entry.file: entry.category for entry in former.entries}))
+            made = index_folder(folder, catalog_of(folder), BARE, {})
+            queries = queries_of(models_in(realdata / MODELS), seed)
             search = LibrarySearch.of(made.entries)
-            index.append(_places(queries, _by_index(search), {entry.file: entry.category for entry in made.entries}))
+            places.append(_places(queries, search, {entry.file: entry.category for entry in made.entries}))
             seconds.append(timed(made, queries))
             entries = len(made.entries)
-    return RetrievalFigures(
-        sum(map(len, today)), entries, _shares(np.concatenate(today)), _shares(np.concatenate(index)), np.concatenate(seconds)
-    )
+    return RetrievalFigures(sum(map(len, places)), entries, _shares(np.concatenate(places)), np.concatenate(seconds))
 
 
 def write_library(models: Path, folder: Path, distractors: int, seed: int) -> None:
     """The real models in a folder, with distractors and an index of all of them; the same seed writes the same bytes."""
     rows = json.loads(read_file(models / "index.json", "index.json", BUDGET.text_bytes))
-    known = {entry.file: entry for entry in index_library(models).entries}
+    known = {model.file: model for model in models_in(models)}
     for row in rows:
         (folder / row["file"]).write_bytes(read_file(models / row["file"], row["file"], BUDGET.asset_bytes))
     rng = np.random.default_rng([seed, 3])
@@ -132,40 +119,21 @@ def write_library(models: Path, folder: Path, distractors: int, seed: int) -> No
     listed = [{"file": row["file"], "category": row["category"]} for row in rows]
     for number in range(distractors):
         like = known[files[number % len(files)]]
-        x, y, z = np.maximum(like.descriptor.extents * np.exp(rng.normal(0.0, SPREAD, 3)), 0.004).tolist()
+        x, y, z = np.maximum(like.extents * np.exp(rng.normal(0.0, SPREAD, 3)), 0.004).tolist()
         name = f"drawn_{number:04d}.glb"
         (folder / name).write_bytes(dump_glb(generate(like.category, (x, y, z) if number % 2 else None, rng).parts))
         listed.append({"file": name, "category": like.category})
     (folder / "index.json").write_text(json.dumps(listed))
 
 
-def queries_of(library: LibraryIndex, seed: int) -> list[ScannedQuery]:
-    """Scans of all real models of a library."""
-    real = [entry for entry in library.entries if not entry.file.startswith("drawn_")]
+def queries_of(real: Sequence[ShelvedModel], seed: int) -> list[ScannedQuery]:
+    """Scans of real models."""
     rooms = query_rooms(real, seed)
     return [
         ScannedQuery(entry.file, request.category, entry.category, request)
         for number, entries in enumerate(rooms)
         for entry, request in asked(entries, seed, number)
     ]
-
-
-Ranked = Callable[[str, ScannedQuery], list[str]]
-"""Files by a category and what was scanned, best first."""
-
-
-def _by_today(library: LibraryIndex) -> Ranked:
-    def ranked(category: str, query: ScannedQuery) -> list[str]:
-        return [entry.file for _, entry in retrieve(category, query.request.descriptor, library.entries, len(library.entries))]
-
-    return ranked
-
-
-def _by_index(search: LibrarySearch) -> Ranked:
-    def ranked(category: str, query: ScannedQuery) -> list[str]:
-        return [match.file for match in search.find(query_of(category, query), len(search.files))]
-
-    return ranked
 
 
 def query_of(category: str, query: ScannedQuery) -> LibraryQuery:
@@ -175,14 +143,14 @@ def query_of(category: str, query: ScannedQuery) -> LibraryQuery:
     return LibraryQuery.of(category, request.descriptor, request.points[0], rng)
 
 
-def _places(queries: Sequence[ScannedQuery], ranked: Ranked, categories: dict[str, str]) -> NDArray[np.int64]:
+def _places(queries: Sequence[ScannedQuery], search: LibrarySearch, categories: dict[str, str]) -> NDArray[np.int64]:
     """For every query: the place of its model by category and without one, from 0, then whether the first of the others is of its
     category, 0 or 1, likewise; shape (queries, 4)."""
     rows = []
     for query in queries:
         places, right = [], []
         for category in (query.category, ""):
-            files = ranked(category, query)
+            files = [match.file for match in search.find(query_of(category, query), len(search.files))]
             remaining = [file for file in files if file != query.file]
             places.append(files.index(query.file) if query.file in files else len(categories))
             right.append(int(bool(remaining) and categories[remaining[0]] == categories[query.file]))

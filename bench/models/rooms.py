@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from bench.selection.data import CAPTURE
 from bench.selection.rooms import LIGHT
-from tasks.candidates.library import LibraryEntry, library_asset
+from bench.shelves import ShelvedModel
 from tasks.candidates.request import CandidateRequest
 from tasks.capture import scenes as capture
 from tasks.capture.formats import find_scans
 from tasks.furniture.furnishing import Extents, Furnisher, Furnishing
 from tasks.furniture.rooms import FurnishedRoom, furnish
-from tasks.geometry.meshes import load_glb
 from tasks.mounting import mounting
 from tasks.scanner import scan_scene
 from tasks.stage import Blobs, Context
@@ -59,49 +58,47 @@ class ModelFurnisher(Furnisher):
         return Furnishing(f"{category}_{len(self.objects):03d}", category, self._models[category], [], pose, size, parent)
 
 
-def query_rooms(entries: Sequence[LibraryEntry], seed: int) -> list[list[LibraryEntry]]:
+def query_rooms(entries: Sequence[ShelvedModel], seed: int) -> list[list[ShelvedModel]]:
     """All entries, `MODELS_PER_ROOM` to a room, by chance."""
     order = np.random.default_rng([seed, 1]).permutation(len(entries))
     return [[entries[int(k)] for k in order[at : at + MODELS_PER_ROOM]] for at in range(0, len(order), MODELS_PER_ROOM)]
 
 
-def furnished(entries: Sequence[LibraryEntry], rng: np.random.Generator) -> FurnishedRoom:
+def furnished(entries: Sequence[ShelvedModel], rng: np.random.Generator) -> FurnishedRoom:
     """A room with models of a library in it, each turned by a whole number of quarters in its box first."""
     empty = furnish("living room", rng, ROOM_OBJECTS)
-    turned = {entry.path.stem: _turned(entry, rng) for entry in entries}
+    turned = {entry.stem: _turned(entry, rng) for entry in entries}
     furnisher = ModelFurnisher(empty.polygon, max(empty.height, 2.7), rng, {name: parts for name, (parts, _) in turned.items()})
     furnisher.objects += [obj for obj in empty.objects if obj.category == "door"]
-    by_size = sorted(entries, key=lambda entry: -float(np.prod(turned[entry.path.stem][1])))
+    by_size = sorted(entries, key=lambda entry: -float(np.prod(turned[entry.stem][1])))
     tables = [entry for entry in entries if _is_small(entry)]
     if tables:
         furnisher.on_floor("dining table", (0.9, 1.6, 0.74))
     for entry in by_size:
-        _place(furnisher, entry, turned[entry.path.stem][1])
-    known = {entry.path.stem: entry.category for entry in entries}
+        _place(furnisher, entry, turned[entry.stem][1])
+    known = {entry.stem: entry.category for entry in entries}
     objects = [dataclasses.replace(obj, category=known.get(obj.category, obj.category)) for obj in furnisher.objects]
     return FurnishedRoom("living room", empty.polygon, empty.height, empty.structure, objects)
 
 
-def _turned(entry: LibraryEntry, rng: np.random.Generator) -> tuple[list[trimesh.Trimesh], Extents]:
+def _turned(entry: ShelvedModel, rng: np.random.Generator) -> tuple[list[trimesh.Trimesh], Extents]:
     """Parts of an entry at the canonical origin, its long side along y, one of both others in front; and its extents [m]."""
     from tasks.geometry.transforms import yaw_pose
 
-    made = library_asset(entry)
-    parts = load_glb(made.files[made.asset.mesh_blob])
-    quarters = int(made.asset.extents[0] > made.asset.extents[1]) + 2 * int(rng.integers(2))
+    parts, (x, y, z) = entry.parts(), entry.extents
+    quarters = int(x > y) + 2 * int(rng.integers(2))
     for part in parts:
         part.apply_transform(yaw_pose(0.5 * np.pi * quarters))
-    x, y, z = made.asset.extents
     return parts, ((y, x, z) if quarters % 2 else (x, y, z))
 
 
-def _is_small(entry: LibraryEntry) -> bool:
-    return float(entry.descriptor.extents.max()) < SMALL_M and mounting(entry.category).kind not in ("wall", "frame", "ceiling")
+def _is_small(entry: ShelvedModel) -> bool:
+    return max(entry.extents) < SMALL_M and mounting(entry.category).kind not in ("wall", "frame", "ceiling")
 
 
-def _place(furnisher: ModelFurnisher, entry: LibraryEntry, size: Extents) -> None:
+def _place(furnisher: ModelFurnisher, entry: ShelvedModel, size: Extents) -> None:
     """Put a model where its category belongs; where nothing is free, it is not in the room."""
-    name, kind = entry.path.stem, mounting(entry.category).kind
+    name, kind = entry.stem, mounting(entry.category).kind
     if kind == "ceiling":
         at = furnisher.polygon[:3].mean(axis=0)
         pose = np.eye(4)
@@ -118,10 +115,10 @@ def _place(furnisher: ModelFurnisher, entry: LibraryEntry, size: Extents) -> Non
         furnisher.on_floor(name, size, 200)
 
 
-def asked(entries: Sequence[LibraryEntry], seed: int, number: int) -> list[tuple[LibraryEntry, CandidateRequest]]:
+def asked(entries: Sequence[ShelvedModel], seed: int, number: int) -> list[tuple[ShelvedModel, CandidateRequest]]:
     """What retrieval is asked for after a scan of one room, and the entries that were scanned. Those that the scan lost are left out."""
     rng = np.random.default_rng([seed, 2, number])
-    room, by_stem = furnished(entries, rng), {entry.path.stem: entry for entry in entries}
+    room, by_stem = furnished(entries, rng), {entry.stem: entry for entry in entries}
     with tempfile.TemporaryDirectory(prefix="retrieval-", ignore_cleanup_errors=True) as folder:
         scan_name = f"scene{number:04d}_00"
         scanned = scan_scene(room, Path(folder), scan_name, LIGHT, rng)

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from bench.goals import goal
 from bench.machine import machine
+from bench.shelves import models_in
 from bench.tables import add_row, goals_table, headline, table_of
 from schemas.errors import InputError
-from tasks.candidates.library import LibraryEntry, index_library, library_asset
 from tasks.fidelity.visibility import in_picture, reach
 from tasks.furniture import CATEGORIES, generate
-from tasks.geometry.meshes import Surface, load_glb, surface_of
+from tasks.geometry.meshes import Surface, surface_of
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import look_at
 from tasks.scanner import ScannerConfig
@@ -74,7 +74,7 @@ class TexturingBench:
 
 def steps_of(config: TexturingBench) -> int:
     """Assets that will be laid out and baked, for a progress bar."""
-    return len(CATEGORIES) * config.models + len(_entries(config)) + (len(_scanned(config)) if config.bakes else 0)
+    return len(CATEGORIES) * config.models + len(models_in(config.library or None)) + (len(_scanned(config)) if config.bakes else 0)
 
 
 def run_texturing_bench(config: TexturingBench, advance: Callable[[], None]) -> dict[str, Any]:
@@ -211,26 +211,21 @@ def _floor() -> trimesh.Trimesh:
     return floor
 
 
-def _entries(config: TexturingBench) -> tuple[LibraryEntry, ...]:
-    return index_library(Path(config.library)).entries if config.library else ()
-
-
 def _assets(config: TexturingBench) -> Iterator[tuple[str, str, Surface]]:
     """Source, name and surface of every asset that is laid out."""
-    for entry in _entries(config):
-        made = library_asset(entry)
-        yield "others", made.asset.name, surface_of(load_glb(made.files[made.asset.mesh_blob], entry.file))
+    for model in models_in(config.library or None):
+        yield "others", model.made.asset.name, surface_of(model.parts())
     for category in CATEGORIES:
         for number in range(config.models):
-            model = generate(category, None, np.random.default_rng([config.seed, number, zlib.crc32(category.encode())]))
-            yield "generator", f"{category} {number}", surface_of(model.parts)
+            drawn = generate(category, None, np.random.default_rng([config.seed, number, zlib.crc32(category.encode())]))
+            yield "generator", f"{category} {number}", surface_of(drawn.parts)
 
 
 def _scanned(config: TexturingBench) -> list[tuple[str, list[trimesh.Trimesh]]]:
     """What is scanned and baked: name, and parts with their colors."""
-    made = [(entry.path.stem, library_asset(entry)) for entry in _entries(config) if entry.path.stem in BAKED]
+    made = [(model.stem, model.parts()) for model in models_in(config.library or None) if model.stem in BAKED]
     drawn = [(category, generate(category, None, np.random.default_rng(config.seed)).parts) for category in DRAWN]
-    return [(name, load_glb(asset.files[asset.asset.mesh_blob], name)) for name, asset in made] + drawn
+    return made + drawn
 
 
 def _layout_goals(layouts: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -48,8 +48,8 @@ from schemas.navigation import Split
 from schemas.tables import TABLES
 from tasks import captions
 from tasks.annotation.simulation import AnnotatorRule, ModelDifference, ShownModel, dissimilarity
-from tasks.candidates.library import LibraryIndex
 from tasks.candidates.request import CandidateRequest
+from tasks.candidates.retrieval import Retrieval
 from tasks.capture import scenes as capture
 from tasks.capture.formats import find_scans
 from tasks.capture.rooms.textures import TextureConfig
@@ -192,7 +192,7 @@ Offers = Callable[[TrueModel, CandidateRequest, np.random.Generator], list[Offer
 
 def work(
     lake: Lake, captured: Mapping[str, list[Any]], files: Mapping[str, bytes], true: Mapping[str, TrueModel], offer: Offers, split: str,
-    settings: DataSettings, seconds: dict[str, float], library: LibraryIndex | None = None,
+    settings: DataSettings, seconds: dict[str, float], retrieval: Retrieval | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """The stages after the capture, and the rows of all of them staged. Gives the truth of the instances that got candidates: those whose
     model is known, and lies on the scan."""
@@ -217,7 +217,7 @@ def work(
         off = distance_of(model, row, blobs, context) if model is not None else np.inf
         if model is None or off > MOST_OFF_M:
             continue
-        request = CandidateRequest(row, captioned.get(row.instance_id), context, library, objects)
+        request = CandidateRequest(row, captioned.get(row.instance_id), context, retrieval, objects)
         with _timed(seconds, "candidates"):
             offered = offer(model, request, context.rng("lineup", row.instance_id))
         candidates += candidate_rows(request, offered)

@@ -22,17 +22,19 @@ from bench.selection.data import CAPTURE, DataSettings, work
 from bench.selection.lineups import SLOTS, Offered
 from bench.selection.measures import MeasuredMethod, TrueSurface, measured_room, source_digest
 from bench.selection.rooms import LIGHT, TrueModel
+from bench.shelves import ShelvedModel, models_in
 from flows.run.fingerprints import code_fingerprint, digest
 from schemas.budget import BUDGET
 from schemas.files import read_file, write_whole
 from schemas.selection import SelectionOutcome
-from tasks.candidates.library import LibraryEntry, index_library, library_asset
 from tasks.candidates.request import CandidateRequest
+from tasks.candidates.retrieval import Retrieval
 from tasks.capture import scenes as capture
 from tasks.capture.formats import find_scans
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import load_glb, surface_of
 from tasks.geometry.transforms import inverse, matrix
+from tasks.library.search import SearchWeights
 from tasks.scanner import scan_scene
 from tasks.scanner.scenery import scenery_of
 from tasks.stage import Blobs, Context
@@ -88,8 +90,8 @@ def _scanned(realdata: Path, lake: Lake, place: Path, seed: int) -> dict[str, An
     scene = dataclasses.replace(captured.rows["scenes"][0], scan_path=HOUSE.stem)
     captured.rows["scenes"] = [scene]
     moved = matrix(scene.alignment) @ inverse(matrix(scanned.alignment))
-    index = index_library(realdata / MODELS)
-    models = {model_of(entry.path.stem.removeprefix("aws_") + "_000"): entry for entry in index.entries}
+    shelf = models_in(realdata / MODELS)
+    models = {model_of(model.stem.removeprefix("aws_") + "_000"): model for model in shelf}
     names = {str(obj.object_id): obj for obj in scanned.objects if obj.object_id is not None and model_of(obj.name) in models}
     true = {
         row.instance_id: TrueModel(obj.name, obj.category, nodes[obj.name], moved, obj.extents)
@@ -98,10 +100,12 @@ def _scanned(realdata: Path, lake: Lake, place: Path, seed: int) -> dict[str, An
     }
 
     def offer(model: TrueModel, request: CandidateRequest, rng: np.random.Generator) -> list[Offered]:
-        return house_lineup(models[model_of(model.name)], request, index.entries, rng)
+        return house_lineup(models[model_of(model.name)], request, shelf, rng)
 
     seconds: dict[str, float] = {}
-    known = work(lake, captured.rows, captured.blobs, true, offer, "test", DataSettings(seed), seconds, index)
+    known = work(
+        lake, captured.rows, captured.blobs, true, offer, "test", DataSettings(seed), seconds, Retrieval(shelf[0].library, SearchWeights())
+    )
     for value in known.values():
         value["is_held_out"] = False
         for slot in value["slots"]:
@@ -111,13 +115,14 @@ def _scanned(realdata: Path, lake: Lake, place: Path, seed: int) -> dict[str, An
             "instances": known, "cpu_seconds": seconds}  # fmt: skip
 
 
-def house_lineup(own: LibraryEntry, request: CandidateRequest, entries: Sequence[LibraryEntry], rng: np.random.Generator) -> list[Offered]:
+def house_lineup(own: ShelvedModel, request: CandidateRequest, models: Sequence[ShelvedModel], rng: np.random.Generator) -> list[Offered]:
     """Ten models of the library: the scanned one, the first that retrieval ranks, and others by chance; shuffled."""
-    ranked = [entry for _, entry in request.ranking if entry.file != own.file][:RETRIEVED]
-    chosen = {own.file, *(entry.file for entry in ranked)}
-    rest = [entry for entry in entries if entry.file not in chosen]
+    by_file = {model.file: model for model in models}
+    ranked = [by_file[match.file] for match in request.ranking if match.file != own.file][:RETRIEVED]
+    chosen = {own.file, *(model.file for model in ranked)}
+    rest = [model for model in models if model.file not in chosen]
     more = [rest[int(k)] for k in rng.permutation(len(rest))[: SLOTS - len(chosen)]]
-    offered = [Offered("scanned" if entry is own else "other", library_asset(entry)) for entry in (own, *ranked, *more)]
+    offered = [Offered("scanned" if model is own else "other", model.made) for model in (own, *ranked, *more)]
     return [offered[int(k)] for k in rng.permutation(len(offered))]
 
 

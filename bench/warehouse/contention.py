@@ -263,7 +263,7 @@ def _caption(scene: str, instance: str, tag: str) -> Caption:
 def _candidate(scene: str, instance: str, slot: int, asset: str, tag: str) -> Candidate:
     return Candidate(
         scene_id=scene, instance_id=instance, slot=slot, provider="bench", provider_version="1", is_fallback=False, outcome="filled",
-        reason=tag, asset_id=asset, seed=None, call_id=None,
+        reason=tag, asset_id=asset, seed=None, call_id=None, library=None, library_file=None, library_score=None,
     )  # fmt: skip
 
 

@@ -85,7 +85,7 @@ seed_option = click.option("--seed", type=int, help="Run seed, 0 by default; the
 
 configuration_options = grouped(
     seed_option,
-    click.option("--library", type=click.Path(path_type=Path), help="Folder of GLB assets to retrieve candidates from."),
+    click.option("--library", type=click.Path(path_type=Path), help="Library of the lake to take candidates from, else a folder."),
     settings_options,
 )
 """`--config`, `--set`, `--library`, `--seed`: what the stages are told."""

@@ -19,7 +19,7 @@ metascenes run ... --config settings.toml
 
 ```toml
 seed = 7                      # of all random choices; 0 by default
-library = "models"            # folder of GLB files that candidates are taken from; none by default
+library = "models"            # library of the lake that candidates are taken from, else a folder; none by default
 
 [navigation]
 max_steps = 250

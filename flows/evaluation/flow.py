@@ -61,7 +61,7 @@ def evaluate(
         lake: Address of the lake: a folder or s3://bucket/prefix.
         policies: Built-in policies, ids of models, or `navigation`, the newest model.
         workers: Worker processes; by default one for every core of the machine that runs this.
-        library: Folder of GLB assets; it changes nothing here.
+        library: Library of the lake, or a folder; it changes nothing here.
         seed: Run seed.
         config_file: TOML file with a table per stage.
         settings: Single values, `evaluation.field=value`.

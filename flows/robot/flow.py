@@ -63,7 +63,7 @@ def drive(
         policies: Built-in policies, ids of models, or `navigation`, the newest model.
         batches: Trajectory batches of the lake, driven besides.
         workers: Worker processes; by default one for every core of the machine that runs this.
-        library: Folder of GLB assets; it changes nothing here.
+        library: Library of the lake, or a folder; it changes nothing here.
         seed: Run seed.
         config_file: TOML file with a table per stage.
         settings: Single values, `robot.field=value`.

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from flows.run.libraries import may_be_name
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
@@ -21,7 +22,7 @@ from tasks.settings import LARGEST, Config, adapter, fields_of, first_of, neares
 
 @dataclasses.dataclass(frozen=True)
 class Configuration:
-    """Settings of a run besides its scans."""
+    """Settings of a run besides its scans. library: A folder, or the name of a library of the lake, which comes first."""
 
     stages: Mapping[str, Any]
     library: Path | None = None
@@ -58,8 +59,8 @@ def configure(
     if abs(seed) > LARGEST:
         raise InputError(origin, "seed", "is too large", "give a number of up to 18 digits")
     library = library or (Path(named_library) if named_library else None)
-    if library is not None and not library.is_dir():
-        raise InputError(str(library), "library", "is not a folder", "name a folder of GLB files")
+    if library is not None and not library.is_dir() and not may_be_name(library):
+        raise InputError(str(library), "library", "is not a folder", "name a folder of models, or a library of the lake")
     configs = configs_with(configs_with({stage.name: stage.config() for stage in STAGES}, from_file, origin), tables or {})
     for setting in settings:
         path, sign, text = setting.partition("=")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Literal
 
 from flows.run.configuration import Configuration
-from flows.run.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint, digest
+from flows.run.fingerprints import FileHashes, Fingerprint, annotations_digest, canonical_json, code_fingerprint
 from flows.run.identity import Content, content_of, recorded_content, same_scenes, scan_as
+from flows.run.libraries import library_input
 from schemas.errors import InputError
 from schemas.runs import StageRun
 from tasks.capture.formats import survey
@@ -65,6 +65,12 @@ class ScenePlan:
         return {stage: value for stage, (name, _, value) in named if name == MODEL}
 
     @property
+    def library(self) -> str:
+        """What its inputs say of the library; '' where no stage takes one."""
+        named = [part.partition("=") for step in self.steps for part in step.fingerprint.inputs]
+        return next((value for name, _, value in named if name == LIBRARY), "")
+
+    @property
     def failure(self) -> Step | None:
         """The step that failed before and is not computed again."""
         return next((step for step in self.steps if step.action == "report"), None)
@@ -116,7 +122,7 @@ def make_plan(
     stage_facts = {
         stage.name: (canonical_json(configuration.stages[stage.name]), code_fingerprint(MODULES[stage.name])) for stage in SCENE_STAGES
     }
-    library = _library_hash(configuration.library, hashes)
+    library = library_input(lake, configuration.library, hashes)
     history = lake.history({scan.scene_id for scan in scans})
     looked, errors, notes = [], list(unusable), []
     for scan in scans:
@@ -141,7 +147,7 @@ def make_plan(
     annotations = annotation_digests(lake, {scan.scene_id for scan, _ in looked}, snapshot_id)
     scenes = []
     for scan, content in looked:
-        outside = {"scan": content.named, "library": library}
+        outside = {"scan": content.named, LIBRARY: library}
         past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
         facts = {"scan": content.parts[1:]}
         given_to = {stage.name: outside | {MODEL: models[stage.name]} if stage.name in models else outside for stage in SCENE_STAGES}
@@ -160,6 +166,9 @@ def planned_again(lake: Lake, scene: ScenePlan, configuration: Configuration, re
     same = {given.scene_id: scene.scan.scene_id} if scene.given else {}
     return next(iter(make_plan(lake, [given], (), configuration, retry_failed, same=same, models=scene.models).scenes), None)
 
+
+LIBRARY = "library"
+"""The outside input that candidates are retrieved from."""
 
 MODEL = "model"
 """The outside input that is a model of the lake or of the package, by its id."""
@@ -242,23 +251,6 @@ def _action(
         return "run", "never done", attempt, None
     changed = [name for name in fingerprint.changes(before.reasons) if name]
     return "run", f"{', '.join(changed) or 'result'} changed", attempt, before
-
-
-def _library_hash(library: Path | None, hashes: FileHashes) -> str:
-    """Hash of the library's files, or 'none'. Files that cannot be read count as such: the stage leaves them out and says so."""
-    if library is None:
-        return "none"
-    from tasks.candidates.library import library_files
-
-    parts = []
-    for path in library_files(library):
-        try:
-            value = hashes.hash(path)
-        except (OSError, InputError):
-            value = "unreadable"
-        name = path.relative_to(library).as_posix().encode(errors="backslashreplace").decode()
-        parts.append(f"{name}={value}")
-    return digest(*parts)
 
 
 def wanted_models(lake: Lake, configuration: Configuration) -> dict[str, str]:

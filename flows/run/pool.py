@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from types import TracebackType
 from typing import Any, TypeVar
@@ -134,26 +134,37 @@ def _end(pool: Any) -> None:
     pool.join()
 
 
-def spread_over(processes: int) -> Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]:
+def spread_over(
+    processes: int, advance: Callable[[int, int], None] | None = None
+) -> Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]:
     """A map for work inside a worker: over so many processes of its own, kept warm; in turn when there is only one.
 
-    The results are in the order of the items either way.
+    The results are in the order of the items either way. `advance` is told how many of them are there, and of how many.
     """
-    if processes < 2:
+    if processes < 2 and advance is None:
         return in_turn
 
     def spread(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
         from concurrent.futures.process import BrokenProcessPool
 
-        if len(items) < 2:
-            return in_turn(function, items)
+        if len(items) < 2 or processes < 2:
+            return _gathered(map(function, items), len(items), advance)
         try:
-            return list(_own_processes(processes).map(function, items))
+            return _gathered(_own_processes(processes).map(function, items), len(items), advance)
         except BrokenProcessPool:  # one of them was killed; the next scene gets new ones, this one does without
             _own_processes.cache_clear()
-            return in_turn(function, items)
+            return _gathered(map(function, items), len(items), advance)
 
     return spread
+
+
+def _gathered(values: Iterable[Any], of: int, advance: Callable[[int, int], None] | None) -> list[Any]:
+    gathered = []
+    for value in values:
+        gathered.append(value)
+        if advance is not None:
+            advance(len(gathered), of)
+    return gathered
 
 
 @cache

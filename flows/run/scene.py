@@ -14,7 +14,8 @@ from flows.progress import current
 from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json
 from flows.run.ledger import FREE, SPENT, CallRules
-from flows.run.plan import MODEL, Plan, ScenePlan, Step
+from flows.run.libraries import library_of_input
+from flows.run.plan import LIBRARY, MODEL, Plan, ScenePlan, Step
 from flows.run.pool import PoolStopped, WorkerLost, WorkerPool, WorkerTimeout
 from flows.worker import Job, execute, lost_run
 from schemas.runs import StageRun
@@ -133,7 +134,8 @@ def settle(lake: Lake, plan: Plan) -> None:
 def job_of(lake: Lake, plan: ScenePlan, step: Step, configuration: Configuration) -> Job:
     """The job for one step of a scene's plan."""
     stage = next(s for s in STAGES if s.name == step.stage)
-    outside: dict[str, Any] = {"scan": plan.scan, "library": configuration.library, MODEL: plan.models.get(step.stage)}
+    library = library_of_input(configuration.library, plan.library)
+    outside: dict[str, Any] = {"scan": plan.scan, LIBRARY: library, MODEL: plan.models.get(step.stage)}
     config = configuration.stages[stage.name]
     return Job(
         lake=lake.address,

@@ -11,8 +11,8 @@ from flows.progress import Progress
 class StepBar:
     """``with StepBar("selection") as bar: train(..., bar.report)``. A fit that begins anew, or is another's, has a bar of its own."""
 
-    def __init__(self, title: str) -> None:
-        self._title = title
+    def __init__(self, title: str, what: str = "steps") -> None:
+        self._title, self._what = title, what
         self._bar: Progress | None = None
         self._done, self._of = 0, 0
 
@@ -20,7 +20,7 @@ class StepBar:
         """So many of so many steps are done."""
         if self._bar is None or of != self._of or done <= self._done:
             self._end()
-            self._bar = Progress(f"{self._title}: steps", of, lines=True).__enter__()
+            self._bar = Progress(f"{self._title}: {self._what}", of, lines=True).__enter__()
             self._done, self._of = 0, of
         for _ in range(done - self._done):
             self._bar.advance(text)

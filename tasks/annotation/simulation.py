@@ -6,7 +6,7 @@ The rule. Candidates are ranked by how much they differ from the model that was 
   the quarter turn that is best, as a share of the true model's diagonal, per `shape_unit`;
 - color: mean CIE 1976 difference between points of one and the likest of the `NEAREST` points of the other as they then stand, both
   ways, per `color_unit`;
-- category: 1 minus the similarity of the words (`tasks.candidates.retrieval`), times `category_weight`;
+- category: 1 minus the similarity of the words (`tasks.library.categories`), times `category_weight`;
 - `scan_penalty` where the candidate is a piece of the scan itself: its surface is lumpy and its back a guess.
 
 The choice and the ranks after it are the order of minus that sum plus Gumbel noise of scale `noise`: of two candidates the nearer is taken
@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.candidates.retrieval import category_similarity
 from tasks.geometry.meshes import Surface, sample_surface
 from tasks.geometry.triangles import surface_area
+from tasks.library.categories import category_similarity
 from tasks.selection.alignment import Fit, Sample
 from tasks.selection.distances import disc_distances
 from tasks.settings import Config, Count, NonNegative, Positive, Share

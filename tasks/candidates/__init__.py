@@ -1,6 +1,6 @@
 """Candidates: ten slots of assets that could stand in for an instance.
 
-Slots are filled by the furniture generator, by the scan's own geometry and by a library folder. A learned provider is
+Slots are filled by the furniture generator, by the scan's own geometry and by a library. A learned provider is
 a further member of the family `tasks.candidates.providers`.
 """
 
@@ -18,13 +18,15 @@ from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import NoFurtherCall
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.generation.generated import GeneratorSettings
-from tasks.candidates.library import LibraryIndex, index_library, library_files
 from tasks.candidates.looks import exemplars
 from tasks.candidates.parametric import Parametric
 from tasks.candidates.provider import NothingToOffer, ProviderConfig
 from tasks.candidates.providers import provider_of
 from tasks.candidates.request import CandidateRequest
+from tasks.candidates.retrieval import Retrieval
 from tasks.candidates.slots import DEFAULT_SLOTS, SlotConfig, Slots
+from tasks.library.library import OpenLibrary
+from tasks.library.search import SearchWeights
 from tasks.settings import Config
 from tasks.stage import Blobs, Context, Outcome, Stage
 
@@ -34,16 +36,20 @@ class CandidatesConfig(Config):
     """Who offers candidates."""
 
     slots: Slots = DEFAULT_SLOTS  # ten, as the paper gives annotators ten candidates
+    search: SearchWeights = dataclasses.field(
+        default_factory=SearchWeights
+    )  # by rooms that real models were scanned in, held-out ones measured
+    encoder: str = ""  # folder of the CLIP or SigLIP that a library was indexed with; without one no vectors are compared
 
 
 def run(
-    *, instances: list[Instance], frames: list[Frame], masks: list[Mask], captions: list[Caption], library: Path | None, context: Context,
-    config: CandidatesConfig,
+    *, instances: list[Instance], frames: list[Frame], masks: list[Mask], captions: list[Caption], library: OpenLibrary | Path | None,
+    context: Context, config: CandidatesConfig,
 ) -> Outcome:  # fmt: skip
     """Candidates of every instance that is no structure, and their assets."""
-    index = index_library(library) if library is not None else None
-    problems = list(index.problems) if index is not None else []
-    if index is None and any(provider_of(slot.provider).needs_library for slot in config.slots):
+    retrieval = _retrieval(library, context, config)
+    problems = list(retrieval.notes) if retrieval is not None else []
+    if retrieval is None and any(provider_of(slot.provider).needs_library for slot in config.slots):
         problems.append("no library given: its slots are filled by the furniture generator and flagged as fallback")
     by_instance = {caption.instance_id: caption for caption in captions}
     objects = sorted((row for row in instances if not row.is_structure), key=lambda row: row.instance_id)
@@ -55,7 +61,7 @@ def run(
     best = {row.instance_id: row.best_frames[0] for row in objects if row.best_frames}
     seen = {frame.frame_id: frame for frame in frames}
     views = {mask.instance_id: (seen.get(mask.frame_id), mask) for mask in masks if best.get(mask.instance_id) == mask.frame_id}
-    parts = [_Part(own, by_instance, objects, looks, views, index, _context_of(own, context), config) for own in dealt]
+    parts = [_Part(own, by_instance, objects, looks, views, retrieval, _context_of(own, context), config) for own in dealt]
     filled = {name: slots for part in context.spread(_filled, [part for part in parts if part.own]) for name, slots in part.items()}
     candidates: list[Candidate] = []
     assets: dict[str, Asset] = {}
@@ -69,6 +75,18 @@ def run(
             if candidate.outcome == "failed":
                 problems.append(f"{instance.instance_id} {instance.category}: slot {candidate.slot} failed: {candidate.reason}")
     return Outcome(candidates=candidates, assets=[assets[key] for key in sorted(assets)], blobs=blobs, degradations=problems)
+
+
+def _retrieval(library: OpenLibrary | Path | None, context: Context, config: CandidatesConfig) -> Retrieval | None:
+    """How a library is searched; a folder is indexed, as far as this machine does not remember its files."""
+    if isinstance(library, Path):
+        # Here, since indexing makes assets, which are of this package.
+        from tasks.library.folder import library_in
+        from tasks.library.indexing import IndexConfig
+
+        indexed = IndexConfig(weights=config.encoder)
+        library = library_in(library, indexed, context.caches["tasks.library.indexing"], context.spread)
+    return Retrieval(library, config.search, config.encoder) if library is not None else None
 
 
 PARTS = 8
@@ -87,7 +105,7 @@ class _Part:
     objects: Sequence[Instance]
     looks: Mapping[str, str]
     views: Mapping[str, tuple[Frame | None, Mask]]
-    library: LibraryIndex | None
+    retrieval: Retrieval | None
     context: Context
     config: CandidatesConfig
 
@@ -106,7 +124,7 @@ def _filled(part: _Part) -> dict[str, Slotted]:
             row,
             part.captions.get(row.instance_id),
             part.context,
-            part.library,
+            part.retrieval,
             part.objects,
             *part.views.get(row.instance_id, (None, None)),
         )
@@ -171,7 +189,9 @@ def _attempt(
         text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         return _row(number, provider, request, outcome="failed", reason=text, is_fallback=is_fallback), None
     row = _row(number, provider, request, outcome="filled", reason=instead, is_fallback=is_fallback, asset_id=made.asset.asset_id)
-    return dataclasses.replace(row, call_id=made.call_id), made
+    return dataclasses.replace(
+        row, call_id=made.call_id, library=made.library, library_file=made.library_file, library_score=made.library_score
+    ), made
 
 
 def is_generator(provider: ProviderConfig) -> TypeGuard[GeneratorSettings]:
@@ -201,6 +221,9 @@ def _row(
         asset_id=asset_id,
         seed=getattr(provider, "seed", None),
         call_id=None,
+        library=None,
+        library_file=None,
+        library_score=None,
     )
 
 
@@ -218,7 +241,5 @@ __all__ = [
     "STAGE",
     "CandidatesConfig",
     "SlotConfig",
-    "index_library",
-    "library_files",
     "run",
 ]

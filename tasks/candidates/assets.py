@@ -26,11 +26,15 @@ MIN_EXTENT_M, MAX_EXTENT_M = 1e-4, 50.0
 
 @dataclasses.dataclass(frozen=True)
 class MadeAsset:
-    """An asset with its files by blob name. call_id: The call of a model that made it."""
+    """An asset with its files by blob name. call_id: The call of a model that made it. library, library_file, library_score: Where it was
+    found, as a candidate's row says it."""
 
     asset: Asset
     files: Mapping[str, bytes]
     call_id: str | None = None
+    library: str | None = None
+    library_file: str | None = None
+    library_score: float | None = None
 
 
 def make_asset(

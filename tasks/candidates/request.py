@@ -14,15 +14,15 @@ from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from tasks.candidates.closing import SolidField, solid_field
 from tasks.candidates.completion import Unseen
-from tasks.candidates.descriptors import Descriptor, describe
-from tasks.candidates.library import LibraryEntry, LibraryIndex
 from tasks.candidates.provider import NothingToOffer
-from tasks.candidates.retrieval import retrieve
+from tasks.candidates.retrieval import Retrieval
 from tasks.candidates.scan_crop import crop_of, pieces_of_crop
 from tasks.captions.colors import name_colors, word_rgb
 from tasks.geometry.boxes import box_footprint, grown_box
 from tasks.geometry.meshes import Surface, read_points
 from tasks.geometry.transforms import inverse, transform_points
+from tasks.library.descriptors import Descriptor, describe
+from tasks.library.search import LibraryMatch
 from tasks.mounting import mounting
 from tasks.stage import Context
 from tasks.views.crops import Crop
@@ -40,13 +40,13 @@ MIN_SIDE_M = 0.005
 
 @dataclasses.dataclass(frozen=True)
 class CandidateRequest:
-    """An instance to be stood in for, the library where one is given, and the scene's objects. frame, mask: Of its best view, as far as
-    they are known. What is computed once for several slots is a property."""
+    """An instance to be stood in for, how the library is searched where one is given, and the scene's objects. frame, mask: Of its best
+    view, as far as they are known. What is computed once for several slots is a property."""
 
     instance: Instance
     caption: Caption | None
     context: Context
-    library: LibraryIndex | None
+    retrieval: Retrieval | None
     neighbors: Sequence[Instance] = ()
     frame: Frame | None = None
     mask: Mask | None = None
@@ -118,18 +118,22 @@ class CandidateRequest:
     def descriptor(self) -> Descriptor:
         """Descriptor of the instance's points."""
         points, colors = self.points
-        return describe(points, colors, self.extents, self.context.rng("descriptor", self.instance.instance_id))
+        return describe(points, colors, self.extents, self.rng("descriptor"))
+
+    def rng(self, use: str) -> np.random.Generator:
+        """A generator for one use, the instance's own."""
+        return self.context.rng(use, self.instance.instance_id)
 
     @cached_property
-    def ranking(self) -> list[tuple[float, LibraryEntry]]:
-        """The assets of the library that come near enough, best first.
+    def ranking(self) -> list[LibraryMatch]:
+        """The models of the library that come near enough, best first.
 
         Raises:
             NothingToOffer: there is no library.
         """
-        if self.library is None:
+        if self.retrieval is None:
             raise NothingToOffer("no library given")
-        return retrieve(self.category, self.descriptor, self.library.entries, len(self.library.entries))
+        return self.retrieval.ranking(self)
 
     @cached_property
     def crop(self) -> Surface:

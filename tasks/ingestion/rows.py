@@ -164,7 +164,7 @@ class _Assets:
             Candidate(
                 scene_id=self._scene_id, instance_id=instance.instance_id, slot=1, provider=PROVIDER, provider_version=VERSION,
                 is_fallback=False, outcome="filled" if made is not None else "failed", reason=problem or None, asset_id=asset_id,
-                seed=None, call_id=None,
+                seed=None, call_id=None, library=None, library_file=None, library_score=None,
             )
         )  # fmt: skip
         if made is None:

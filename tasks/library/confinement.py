@@ -31,7 +31,7 @@ PATIENCE = 6
 KEPT = ("PATH", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "TMPDIR")
 """Of the environment, what a child needs."""
 
-CODE = "from tasks.library.usd_child import main; main()"
+CODE = "from tasks.library.usd.child import main; main()"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.candidates.descriptors import Descriptor
+from schemas.candidates import Asset
+from tasks.library.descriptors import Descriptor
 from tasks.library.fields import SurfaceField
 from tasks.unpacking import json_value
 
@@ -26,6 +27,7 @@ class IndexEntry:
     `file`, `metadata`, `plausibility` or `assumed`. category_known: `lvis`, `tags`, `name`, `product_type`, `index` ... or `file name`.
     license: SPDX where there is one. extents: Of the canonical model along x, y, z [m]. open_because: Why its surface is not closed,
     '' where it is. descriptor, field: What it is found by. signature: What equal geometry has in common, shape (34,).
+    asset: The asset that candidates are given: its canonical GLB is made of the file again, or lies where the index was made.
     thumbnails: PNGs from around, the first from the front. image_vectors: Of pictures from around, shape (k, d), and text_vector: of its
     name and category, shape (d,), by the model `weights` (a hash), where one was named. pieces_key: What convex pieces are cached by.
     notes: What is odd or missing, a line each. duplicate_of: The file that holds the same, '' for the first; duplicate_by: `bytes`, or
@@ -61,6 +63,7 @@ class IndexEntry:
     text_vector: Vectors | None
     weights: str
     pieces_key: str
+    asset: Asset
     notes: tuple[str, ...]
     duplicate_of: str = ""
     duplicate_by: str = ""
@@ -112,6 +115,9 @@ def _plain(value: Any) -> Any:
 
 def _filled(name: str, value: Any) -> Any:
     """A value of an entry out of JSON."""
+    if name == "asset":
+        stated: dict[str, Any] = value | {"extents": tuple(value["extents"])}
+        return Asset(**stated)
     if name in _ARRAYS:
         return _ARRAYS[name](**{key: _array(item) for key, item in value.items()})
     if name == "thumbnails":

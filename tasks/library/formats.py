@@ -53,9 +53,9 @@ def model_files(folder: Path) -> tuple[list[Path], list[str]]:
 
 
 def _why(path: Path, folder: Path) -> str:
-    if path.is_symlink() and not stays_in(path, folder):
-        return "is a link that leads out of the library"
-    return "is no regular file" if path.exists() else "is a link that leads nowhere"
+    if not path.exists():
+        return "is a link that leads nowhere"
+    return "is a link that leads out of the library" if not stays_in(path, folder) else "is no regular file"
 
 
 def read_model(path: Path, root: Path) -> ReadModel:

@@ -8,27 +8,28 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError, LakeError
 from schemas.text import one_line
-from tasks.candidates.assets import MAX_EXTENT_M, MAX_FACES, MIN_EXTENT_M, decimated
-from tasks.candidates.descriptors import describe
-from tasks.candidates.library import category_of
+from tasks.candidates.assets import MAX_EXTENT_M, MAX_FACES, MIN_EXTENT_M, MadeAsset, decimated, make_asset
 from tasks.captions.physics import known_name
 from tasks.geometry.meshes import Surface, sample_surface, surface_of
 from tasks.geometry.triangles import is_closed, welded
+from tasks.library.catalog import Catalog
+from tasks.library.categories import category_of
+from tasks.library.descriptors import describe
 from tasks.library.duplicates import marked, signature_of
 from tasks.library.embeddings import encoder_in
 from tasks.library.entry import IndexEntry, dumped, loaded
 from tasks.library.fields import field_of
 from tasks.library.formats import content_of, model_files, read_model
-from tasks.library.metadata import ModelFacts, facts_of
+from tasks.library.metadata import ModelFacts
 from tasks.library.units import canonical_parts, convention_of
 from tasks.selection.methods.encoders import weights_digest
 from tasks.selection.methods.pictures import around
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     import trimesh
 
 DESCRIBED, LAID = 1500, 6000
-"""Surface points for the descriptor, as many as in `tasks.candidates.library`, and for the field, whose grid is coarser than their gaps."""
+"""Surface points for the descriptor, as many as a scan of a small thing has, and for the field, whose grid is coarser than their gaps."""
 
 PITCHES_RADIANS = (0.35,)
 """How far cameras look down: as people look at furniture."""
@@ -49,7 +50,7 @@ PITCHES_RADIANS = (0.35,)
 class IndexConfig(Config):
     """What an entry holds. The index depends on it: another config makes other entries."""
 
-    version: str = "1"  # goes up when the same file would make another entry
+    version: str = "2"  # goes up when the same file would make another entry
     thumbnails: Count = 4  # front, back and sides
     thumbnail_px: Count = 96  # a contact sheet of a page has ten columns of these
     views: Count = 8  # pictures that are embedded: quarters and what lies between, so that one comes near to any photograph
@@ -69,8 +70,18 @@ class ModelIndex:
     notes: tuple[str, ...]
 
 
-def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, content: str) -> IndexEntry:
-    """The entry of a file below `root`; `content` is its hash, as of `content_of`.
+class Shelf(Protocol):
+    """Where files go that rows name, by the hashes of their contents: `<sha256>.<extension>`."""
+
+    def refresh(self, name: str) -> bool:
+        """Whether a file is there; if so, it stays as if it was put now."""
+
+    def put(self, data: bytes, extension: str) -> str:
+        """Keep a file; its name."""
+
+
+def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, content: str) -> tuple[IndexEntry, MadeAsset]:
+    """The entry of a file below `root`, and its asset with the GLB; `content` is its hash, as of `content_of`.
 
     Raises:
         InputError: it cannot be used; says why.
@@ -94,7 +105,8 @@ def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, c
     name = facts.name or path.stem
     vectors, text, weights = _vectors(parts, name, category, config)
     x, y, z = (float(side) for side in extents)
-    return IndexEntry(
+    made = _asset(parts, file, name, category, facts)
+    entry = IndexEntry(
         file=file, content=content, format=model.format, unit_m=convention.unit_m, unit_known=convention.unit_known, up=convention.up,
         up_known=convention.up_known, front=convention.front, front_known=convention.front_known, category=category,
         category_known=category_known, name=name, license=facts.license.name, is_noncommercial=facts.license.is_noncommercial,
@@ -102,8 +114,27 @@ def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, c
         face_count=len(surface.faces), open_because=open_because(surface),
         has_texture=any(getattr(part.visual, "kind", None) == "texture" for part in parts), descriptor=descriptor, field=field_of(points),
         signature=signature_of(surface.vertices), thumbnails=_thumbnails(parts, config), image_vectors=vectors, text_vector=text,
-        weights=weights, pieces_key=geometry_key(surface), notes=tuple(note for note in (*model.notes, convention.note) if note),
+        weights=weights, pieces_key=geometry_key(surface), asset=made.asset,
+        notes=tuple(note for note in (*model.notes, convention.note) if note),
     )  # fmt: skip
+    return entry, made
+
+
+def _asset(parts: list[trimesh.Trimesh], file: str, name: str, category: str, facts: ModelFacts) -> MadeAsset:
+    """The asset of canonical parts.
+
+    Raises:
+        InputError: they are none, most often for want of faces.
+    """
+    source, license_, author = facts.source_url or file, facts.license.name, facts.author or None
+    try:
+        return make_asset(parts, provider=PROVIDER, name=name, category=category, source=source, license=license_, author=author)
+    except ValueError as error:
+        raise InputError(file, "meshes", str(error), "export it with its geometry") from error
+
+
+PROVIDER = "library"
+"""The candidate provider that offers what is indexed."""
 
 
 def open_because(surface: Surface) -> str:
@@ -132,43 +163,66 @@ def entry_key(content: str, facts: ModelFacts, file: str, config: IndexConfig, w
     return f"entry-{hashlib.sha256(text.encode('utf-8', 'surrogatepass')).hexdigest()}"
 
 
-def index_remembered(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, store: MutableMapping[str, bytes]) -> IndexEntry | str:
-    """The entry of a file out of the store, or made and put there; or why it has none, which is remembered likewise."""
+def index_remembered(
+    path: Path, root: Path, facts: ModelFacts, config: IndexConfig, store: MutableMapping[str, bytes], shelf: Shelf | None = None
+) -> IndexEntry | str:
+    """The entry of a file out of the store, or made and put there; or why it has none, which is remembered likewise.
+
+    shelf: Where the asset's GLB goes, the entry (as JSON) and its first thumbnail; None keeps none of them.
+    """
     file = path.relative_to(root).as_posix()
     try:
         file.encode()  # names are kept in rows
         content = content_of(path, root)
     except (LakeError, OSError, ValueError) as error:
-        return _line(error)
+        return _reason(error, file, root)
     key = entry_key(content, facts, file, config, weights_digest(config.weights) if config.weights else "")
     kept = store.get(key)
     if kept is not None:
         if kept.startswith(REFUSED):
             return kept[len(REFUSED) :].decode()
         try:
-            return loaded(kept)
-        except ValueError:  # a store that was cut off, or of other code
+            entry = loaded(kept)
+            _shelve(entry, lambda: entry_asset(entry, root, facts), shelf)
+            return entry
+        except (LakeError, OSError, ValueError):  # a store that was cut off, or of other code
             pass
     try:
-        entry = index_file(path, root, facts, config, content)
+        entry, made = index_file(path, root, facts, config, content)
     except (LakeError, ValueError) as error:
-        store[key] = REFUSED + _line(error).encode()
-        return _line(error)
+        reason = _reason(error, file, root)
+        store[key] = REFUSED + reason.encode()
+        return reason
+    _shelve(entry, lambda: made, shelf)
     store[key] = dumped(entry)
     return entry
+
+
+def _shelve(entry: IndexEntry, made: Callable[[], MadeAsset], shelf: Shelf | None) -> None:
+    """Put what belongs to an entry where it is to lie, as far as it is not there."""
+    if shelf is None:
+        return
+    if not shelf.refresh(entry.asset.mesh_blob):
+        shelf.put(made().files[entry.asset.mesh_blob], "glb")
+    shelf.put(dumped(entry), "json")
+    shelf.put(entry.thumbnails[0], "png")
 
 
 REFUSED = b"refused "
 """Before the reason in a store."""
 
-Spread = Callable[[Callable[[Path], "IndexEntry | str"], Iterable[Path]], Iterable["IndexEntry | str"]]
+ListedFile = tuple[Path, ModelFacts]
+"""A file, and what is known of it."""
+
+Spread = Callable[[Callable[[ListedFile], "IndexEntry | str"], Sequence[ListedFile]], Iterable["IndexEntry | str"]]
 """Calls a function for each of some files, in their order: one after the other, or in many processes."""
 
 
 def index_folder(
-    folder: Path, catalog: Mapping[str, ModelFacts], config: IndexConfig, store: MutableMapping[str, bytes], spread: Spread = map
-) -> ModelIndex:
-    """The index of all models below a folder. What the store has is not computed again.
+    folder: Path, catalog: Catalog, config: IndexConfig, store: MutableMapping[str, bytes], spread: Spread = map,
+    shelf: Shelf | None = None,
+) -> ModelIndex:  # fmt: skip
+    """The index of all models below a folder. What the store has is not computed again. shelf: See `index_remembered`.
 
     Raises:
         InputError: there is no such folder, or the config names weights that cannot be used.
@@ -176,12 +230,12 @@ def index_folder(
     if config.weights:
         encoder_in(config.weights)
     files, unused = model_files(folder)
-    refused = dict(line.split(": ", 1) for line in unused)
-    work = _Work(folder, catalog, config, store)
+    refused = dict(_named(line).split(": ", 1) for line in unused)
+    listed = [(path, catalog.of(path.relative_to(folder).as_posix())) for path in files]
     entries = []
-    for path, made in zip(files, spread(work, files), strict=True):
+    for path, made in zip(files, spread(_Work(folder, config, store, shelf), listed), strict=True):
         if isinstance(made, str):
-            refused[path.relative_to(folder).as_posix().encode("utf-8", "replace").decode()] = made
+            refused[_named(path.relative_to(folder).as_posix())] = made
         else:
             entries.append(made)
     by_file = {entry.file: entry for entry in entries}
@@ -195,13 +249,13 @@ class _Work:
     """What is done with a file; can be sent to other processes, as far as the store can."""
 
     folder: Path
-    catalog: Mapping[str, ModelFacts]
     config: IndexConfig
     store: MutableMapping[str, bytes]
+    shelf: Shelf | None
 
-    def __call__(self, path: Path) -> IndexEntry | str:
-        facts = facts_of(path.relative_to(self.folder).as_posix(), self.catalog)
-        return index_remembered(path, self.folder, facts, self.config, self.store)
+    def __call__(self, listed: ListedFile) -> IndexEntry | str:
+        path, facts = listed
+        return index_remembered(path, self.folder, facts, self.config, self.store, self.shelf)
 
 
 def entry_parts(entry: IndexEntry, folder: Path, facts: ModelFacts) -> list[trimesh.Trimesh]:
@@ -217,9 +271,21 @@ def entry_parts(entry: IndexEntry, folder: Path, facts: ModelFacts) -> list[trim
     return canonical_parts(model, convention_of(model, facts, entry.category))
 
 
-def _vertices(folder: Path, entry: IndexEntry, catalog: Mapping[str, ModelFacts]) -> NDArray[np.float64] | None:
+def entry_asset(entry: IndexEntry, folder: Path, facts: ModelFacts) -> MadeAsset:
+    """The asset of an entry with its GLB, made of the file again.
+
+    Raises:
+        InputError: as `entry_parts`; or other code makes another asset of it.
+    """
+    made = _asset(entry_parts(entry, folder, facts), entry.file, entry.name, entry.category, facts)
+    if made.asset != entry.asset:
+        raise InputError(entry.file, "asset", "is another than when it was indexed", "index the library again")
+    return made
+
+
+def _vertices(folder: Path, entry: IndexEntry, catalog: Catalog) -> NDArray[np.float64] | None:
     try:
-        return surface_of(entry_parts(entry, folder, facts_of(entry.file, catalog))).vertices
+        return surface_of(entry_parts(entry, folder, catalog.of(entry.file))).vertices
     except (LakeError, OSError, ValueError):
         return None
 
@@ -252,8 +318,18 @@ def _lighter(parts: list[trimesh.Trimesh]) -> list[trimesh.Trimesh]:
     return parts if len(surface.faces) <= MAX_FACES else [decimated(surface, MAX_FACES).to_trimesh()]
 
 
-def _line(error: Exception) -> str:
-    return one_line(error).encode("utf-8", "replace").decode()[:300]
+def _reason(error: Exception, file: str, root: Path) -> str:
+    """Why a file is refused, in a line that is the same wherever its library lies: without the library's path, and without the file's name
+    at its beginning, unless it is another's."""
+    text = one_line(error)
+    if isinstance(error, InputError) and error.file.endswith(one_line(file).rpartition("/")[2]):
+        text = text.removeprefix(f"{error.file}: ")
+    return _named(text.replace(f"{root.absolute()}/", ""))[:300]
+
+
+def _named(text: str) -> str:
+    """A text that can be kept: bytes of a file's name that are none become question marks."""
+    return text.encode("utf-8", "replace").decode()
 
 
 def refused_first(index: ModelIndex) -> Iterator[str]:

@@ -10,7 +10,7 @@ import csv
 import dataclasses
 import io
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 from schemas.budget import BUDGET
@@ -162,12 +162,6 @@ def plain_facts(content: bytes, file: str = "index.json") -> Facts:
             front=_text(row, "front").lower(),
         )
     return facts
-
-
-def facts_of(file: str, catalog: Mapping[str, ModelFacts]) -> ModelFacts:
-    """What a catalog says of a file, by its path relative to the library or by its name without ending."""
-    stem = file.rpartition("/")[2].rpartition(".")[0]
-    return catalog.get(file) or catalog.get(stem) or ModelFacts()
 
 
 def _category(words: list[tuple[str, str]]) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """Retrieval over an index: ten thousand models in a fraction of a second, and then a short list that the scan is laid on.
 
-Category, size, shape and color come first, as histograms (`tasks.candidates.retrieval`), with cosines of vectors where the index has some
-(specs/models.md B.3). Of the best, how well the scan lies on the model decides with them.
+Category, size, shape and color come first, as histograms, with cosines of vectors where the index has some. Of the best, how well the
+scan lies on the model decides with them.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.candidates.descriptors import Descriptor, similarity
-from tasks.candidates.retrieval import category_similarity
 from tasks.captions.physics import known_name
+from tasks.library.categories import category_similarity
+from tasks.library.descriptors import Descriptor, similarity
 from tasks.library.entry import IndexEntry
 from tasks.library.fields import SurfaceField, field_of, fits
 from tasks.settings import Config, Count, NonNegative
@@ -70,11 +70,13 @@ class LibraryQuery:
 
 @dataclasses.dataclass(frozen=True)
 class LibraryMatch:
-    """A model that was found. score: In 0..1, larger is better. near_model: Share of scanned points on it, near_scan: share of it that was
-    seen, both None for what was not on the short list."""
+    """A model that was found. score: In 0..1, larger is better. fit: The same without vectors, whose cosines are small even for what goes
+    together. near_model: Share of scanned points on it, near_scan: share of it that was seen, both None for what was not on the short
+    list."""
 
     file: str
     score: float
+    fit: float
     near_model: float | None
     near_scan: float | None
 
@@ -154,27 +156,40 @@ class LibrarySearch:
         if not self.files:
             return []
         w = weights or SearchWeights()
-        scores, total = self._scores(query, w)
+        fit, of_fit = self._fits(query, w)
+        alike, of_vectors = self._cosines(query, w)
+        scores = fit + alike
         order = np.argsort(-scores, kind="stable")
         chosen = np.sort(order[: w.short_list]).astype(np.int64)
         values, low, high, samples, sizes = (self.arrays[f"field_{name}"] for name in _OF_FIELD)
         near = fits(query.field, values, low, high, samples, sizes, chosen)
-        scores[chosen] += w.near_model * near[:, 0] + w.near_scan * near[:, 1]
-        scores = np.round(scores / max(total + w.near_model + w.near_scan, 1e-9), 7)
+        fit[chosen] += w.near_model * near[:, 0] + w.near_scan * near[:, 1]
+        total = of_fit + w.near_model + w.near_scan
+        scores = np.round((fit + alike) / max(total + of_vectors, 1e-9), 7)
+        fit = np.round(fit / max(total, 1e-9), 7)
         known = dict(zip(chosen.tolist(), near.tolist(), strict=True))
         ranked = np.argsort(-scores, kind="stable")[:count]
-        return [LibraryMatch(self.files[row], float(scores[row]), *known.get(int(row), (None, None))) for row in ranked]
+        return [LibraryMatch(self.files[row], float(scores[row]), float(fit[row]), *known.get(int(row), (None, None))) for row in ranked]
 
-    def _scores(self, query: LibraryQuery, w: SearchWeights) -> tuple[NDArray[np.float64], float]:
+    def names(self, category: str) -> bool:
+        """Whether a category says something: the project knows it, or it has a word in common with one of the models'."""
+        return known_name(category) is not None or any(category_similarity(category, other) > 0.0 for other in self.categories)
+
+    def _fits(self, query: LibraryQuery, w: SearchWeights) -> tuple[NDArray[np.float64], float]:
         """Weighted sums of what is compared without laying the scan on models, and the sum of the weights."""
         d = query.descriptor
         of = {name: self._histograms[name].similarities(_compared(name, d)) for name in _HISTOGRAMS}
         scores = w.extents * self._extents_similarities(d.extents)
         scores = scores + w.shape * 0.5 * (of["distances"] + of["heights"]) + w.color * of["colors"]
         total = w.extents + w.shape + w.color
-        alike = np.array([category_similarity(query.category, category) for category in self.categories])
-        if known_name(query.category) is not None or alike.any():  # else nobody knows what it is, and nothing is said against any
+        if self.names(query.category):  # else nobody knows what it is, and nothing is said against any
+            alike = np.array([category_similarity(query.category, category) for category in self.categories])
             scores, total = scores + w.category * alike[self.arrays["category"]], total + w.category
+        return scores.astype(np.float64), total
+
+    def _cosines(self, query: LibraryQuery, w: SearchWeights) -> tuple[NDArray[np.float64], float]:
+        """The same of vectors: 0 where the index or the query has none."""
+        scores, total = np.zeros(len(self.files)), 0.0
         views = self.arrays.get("views")
         if views is not None and query.text is not None:
             scores, total = scores + w.text * (self._means @ query.text), total + w.text

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tasks.candidates.library import usual_scale
 from tasks.captions.physics import known_name
 from tasks.furniture import is_known, typical_extents
 from tasks.geometry.meshes import canonical
@@ -29,6 +28,18 @@ ALIKE = 0.15
 
 CLEARER = 0.5
 """So much nearer to the usual sides, as a sum of logarithms, another axis has to bring a model that says nothing of its up."""
+
+UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "hundreds of metres": 100.0, "kilometres": 1000.0}
+"""What files are written in, although GLB is in metres, and how many metres [m] that is."""
+
+ABSURD = 4.0
+"""So many times as large or small as is usual for its category, a model is odd: a toy chair is a third of a chair."""
+
+OTHER_UNITS = 15.0
+"""So many times as large or small it is in other units: boxes differ by ten."""
+
+PLAUSIBLE = 2.0
+"""So near to the usual size a unit has to bring it."""
 
 AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 
@@ -93,6 +104,25 @@ def _unit(model: ReadModel, facts: ModelFacts, category: str, extents: Array) ->
     if scale != 1.0:
         return stated * scale, "plausibility", odd
     return stated, "file" if model.unit_m is not None else "assumed", odd
+
+
+def usual_scale(category: str, extents: ArrayLike) -> tuple[float, str]:
+    """Metres per unit of a file that holds a model of a category, of `extents` in its units, shape (3,), and what is odd about its size.
+
+    1 and '' where nothing is, or nobody knows how large such a thing usually is; 1 and a text where no unit explains the size.
+    """
+    name = next((name for name in (category, known_name(category) or "") if is_known(name)), None)
+    size = float(np.linalg.norm(np.asarray(extents, dtype=np.float64)))
+    if name is None or not np.isfinite(size) or size <= 0.0:
+        return 1.0, ""
+    ratio = size / float(np.linalg.norm(typical_extents(name)))
+    if 1.0 / ABSURD <= ratio <= ABSURD:
+        return 1.0, ""
+    times = f"{ratio:.3g} times as large as a {name} usually is"
+    unit = min(UNITS, key=lambda u: abs(np.log(ratio * UNITS[u])))
+    if abs(np.log(ratio)) < np.log(OTHER_UNITS) or abs(np.log(ratio * UNITS[unit])) > np.log(PLAUSIBLE):
+        return 1.0, f"is {times}: used as it is"
+    return UNITS[unit], f"would be {times}: read as {unit}"
 
 
 def unit_of_sizes(extents: ArrayLike, extents_m: ArrayLike) -> float | None:

@@ -223,6 +223,20 @@ def _asset(key: str, facts: Facts) -> list[str]:
     return [f"asset {key}", f"{facts['name']} ({facts['category']}), {shape}, {_plural(facts['face_count'], 'face')}", source]
 
 
+def _library_model(key: str, facts: Facts) -> list[str]:
+    """Where it was found. Of a library that was removed or indexed again since, only that is known."""
+    where = f"library {facts['library']}" if facts["library"] is not None else "a folder"
+    lines = [f"{where}, file {facts['file']}, score {number(facts['score'], 3)}"]
+    if facts["is_indexed"] is None:
+        return lines
+    if not facts["is_indexed"]:
+        return [*lines, "not there any more: the library was removed or indexed again"]
+    terms = f"license {_text(facts['license'])}{', no commercial use' if facts['is_noncommercial'] else ''}"
+    known = f"{facts['format']} in units of {number(facts['unit_m'])} m ({facts['unit_known']}), {facts['up']} up ({facts['up_known']})"
+    source = f"author {_text(facts['author'])}, published at {_text(facts['source_url'])}"
+    return [*lines, f"{terms}, {source}", f"{known}, category {facts['category']} ({facts['category_known']})", *facts["notes"]]
+
+
 def _caption(key: str, facts: Facts) -> list[str]:
     body = f"{facts['body_type']}, {_text(facts['materials'])}, {number(facts['mass_kg'])} kg, friction {number(facts['friction'])}"
     return [
@@ -347,7 +361,7 @@ def moment(text: str | None) -> str:
 _WORDS: Mapping[str, Callable[[str, Facts], list[str]]] = {
     "instance": _instance, "export": _export, "export_file": _export_file, "placement": _placement, "support": _support, "moves": _moves,
     "certificate": _certificate, "episodes": _episodes, "fidelity": _fidelity, "selection": _selection, "annotation": _annotation,
-    "candidate": _candidate, "model_call": _model_call,
+    "candidate": _candidate, "model_call": _model_call, "library_model": _library_model,
     "provider": _provider, "asset": _asset, "caption": _caption, "mask": _mask, "frame": _frame, "scene": _scene, "scan": _scan,
     "stage": _stage, "export_format": _export_format, "batch": _batch, "blob": _blob, "uses": _uses, "row": _row,
     "model": _model, "dataset": _dataset, "synthesis": _synthesis, "drawing": _drawing,

@@ -97,6 +97,9 @@ def test_rows_agree_with_each_other(lake: Lake) -> None:
         "ANTI JOIN selections USING (scene_id, instance_id, slot, asset_id)",
         "named assets": "FROM (FROM candidates WHERE asset_id IS NOT NULL) ANTI JOIN assets USING (asset_id)",
         "nameless assets": "FROM assets ANTI JOIN candidates USING (asset_id)",
+        "retrieved": "FROM (SELECT library, library_file AS file, asset_id FROM candidates WHERE library IS NOT NULL) "
+        "ANTI JOIN library_models USING (library, file, asset_id)",
+        "refusals counted": "FROM libraries WHERE refused_count <> (SELECT count(*) FROM refused_models)",
         "placed": "FROM placements ANTI JOIN selections USING (scene_id, instance_id, asset_id)",
         "seen": "FROM masks ANTI JOIN frames USING (scene_id, frame_id)",
         "best frames": "FROM (SELECT scene_id, instance_id, unnest(best_frames) AS frame_id FROM instances) "

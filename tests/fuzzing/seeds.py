@@ -356,6 +356,18 @@ def library() -> list[Case]:
     return [{**files, "index.json": json.dumps(index).encode()}, files]
 
 
+def models_folder() -> list[Case]:
+    """Folders of models with what Objaverse, ABO and a list say of them."""
+    from tests.tasks.library.models import as_obj, chair
+    from tests.tasks.library.test_library_metadata import ANNOTATION, LISTING, TABLE
+
+    models = {"models/aa11.glb": glb()[0]["scene.glb"], "models/B07ABC.obj": as_obj(chair()), "models/LICENSE": b"CC BY-NC 4.0\n"}
+    objaverse = {"annotations.json": json.dumps({"aa11": ANNOTATION}).encode(), "lvis.json": json.dumps({"chair": ["aa11"]}).encode()}
+    abo = {"3dmodels.csv": TABLE.encode(), "listings.json": json.dumps(LISTING).encode()}
+    stated = [{"file": "aa11.glb", "unit_m": 0.01, "up": "z", "front": "+x", "extents_m": [0.5, 0.5, 0.9], "license": "MIT"}]
+    return [{**models, **objaverse}, {**models, **abo}, {**models, "list.json": json.dumps(stated).encode()}]
+
+
 def model() -> list[Case]:
     """The folder of a model, as it is exported."""
     weights = to_safetensors({"bias": np.zeros(3, np.float32), "weight": np.ones((3, 2), np.float16)})

@@ -96,11 +96,25 @@ def _readers() -> list[Target]:
 
 
 def _read_library(folder: Path) -> None:
-    from tasks.candidates.library import index_library, library_asset
+    from tasks.library.folder import library_in
+    from tasks.library.indexing import IndexConfig
 
-    for entry in index_library(folder).entries:
-        with contextlib.suppress(LakeError, ValueError):  # what the stage takes for "left out"
-            library_asset(entry)
+    library = library_in(folder, IndexConfig(thumbnails=1, thumbnail_px=16), {})
+    for file in library.search.files:
+        with contextlib.suppress(LakeError):  # of a file that changed meanwhile
+            library.asset_of(file)
+
+
+def _read_models_folder(folder: Path) -> None:
+    from tasks.indexing import ModelsFolder, run
+    from tasks.library.catalog import catalog_of
+    from tasks.library.indexing import IndexConfig
+    from tasks.stage import Context
+    from tests.tasks.indexing.test_indexing import Files
+
+    catalog = catalog_of(folder / "models", sorted(path for path in folder.glob("*") if path.is_file()))
+    config = IndexConfig(thumbnails=1, thumbnail_px=16)
+    run(models_folder=ModelsFolder(folder / "models", catalog, Files()), context=Context("models", "indexing", 0, {}), config=config)
 
 
 def _read_model(folder: Path) -> None:

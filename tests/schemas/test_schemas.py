@@ -124,7 +124,7 @@ def test_table_is_well_declared(table: Table) -> None:
     assert all(c.description and not c.description.endswith(" ") for c in table.columns)
     assert not any(c.key and c.nullable for c in table.columns)
     if table.rule == "replace":
-        assert "scene_id" in names
+        assert table.owner in names
     if table.rule == "share":
         assert len(table.key) == 1
         assert table.key[0] in [c.name for c in TABLES[table.shared_by].columns]

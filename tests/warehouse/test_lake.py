@@ -454,7 +454,7 @@ def test_removed_scene_leaves_nothing_and_can_come_back(lake: Lake) -> None:
     assert files(Path(lake.address), "staged") == set(), "what was staged of it is gone too"
     for table in TABLES.values():
         if table.rule == "replace":
-            assert A not in names_of(lake, table.name, "scene_id")
+            assert A not in names_of(lake, table.name, table.owner)
     assert all(state.done is None for (scene, _), state in lake.history().items() if scene == A)
     assert lake.remove_scene(A) is None
     walked(lake, A, at=20)

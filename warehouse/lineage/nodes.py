@@ -15,6 +15,7 @@ from schemas.lineage.licenses import OF_THE_SCAN, of_asset, scan_of
 from schemas.optimization import Contact, Placement
 from schemas.synthesis import Synthesis, SynthesisObject
 from schemas.training import LearnedModel
+from warehouse.lineage.libraries import follow_library
 from warehouse.lineage.models import model_node
 from warehouse.lineage.walk import Walk, picked, position
 
@@ -133,6 +134,7 @@ def candidate_node(walk: Walk, row: Candidate, depth: int, role: str) -> str:
     follow_provider(walk, node, row, f"in slot {row.slot}", "candidates", settings, depth + 1)
     if row.asset_id is not None:
         walk.line(depth + 1, "filled with", asset_node(walk, node, row.asset_id, "filled with"))
+    follow_library(walk, node, row, depth + 1)
     return node
 
 

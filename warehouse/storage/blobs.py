@@ -34,6 +34,10 @@ class BlobStore(Mapping[str, bytes]):
         self._known.add(name)
         return name
 
+    def refresh(self, name: str) -> bool:
+        """Whether a blob is there; if so, it counts as put now, so that a vacuum does not take it before a row names it."""
+        return self._storage.refresh(_path(name), _FRESH_SECONDS)
+
     def remove(self, path: str) -> None:
         """Remove the blob at a path. Only what no row names, and only while the lake's lease is held."""
         self._storage.remove(path)

@@ -18,15 +18,20 @@ from warehouse.tables.staging import StagedRun
 STAGES: tuple[str, ...] = tuple(dict.fromkeys(table.stage for table in TABLES.values() if table.stage))
 """All stages in the order of the data path, which is the order of the tables."""
 
-SCENE_STAGES: tuple[str, ...] = tuple(dict.fromkeys(table.stage for table in TABLES.values() if table.stage and table.rule == "replace"))
+_REPLACED = {table.stage: table.grain for table in TABLES.values() if table.stage and table.rule == "replace"}
+
+SCENE_STAGES: tuple[str, ...] = tuple(stage for stage, grain in _REPLACED.items() if grain == "scene")
 """Stages whose rows belong to a scene: these are adopted and withdrawn by what they read."""
+
+WHOLE_STAGES = frozenset(_REPLACED) - {*SCENE_STAGES}
+"""Stages whose rows belong to something else, and take the place of all that it had: of several staged runs the last counts."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CommitPlan:
     """What a commit does.
 
-    `adopted` are the staged runs whose rows go in, one per (scene, stage) for stages of scene grain; `recorded`
+    `adopted` are the staged runs whose rows go in, one per (scene, stage) for stages whose rows are replaced; `recorded`
     the staged runs of which only the row is kept (failed, or overtaken by a newer one in the same commit);
     `withdrawn` the runs whose rows go out without any taking their place. `left` cannot be adopted as things stand.
     """
@@ -47,6 +52,7 @@ def plan(current: Mapping[Key, StageState], staged: Sequence[StagedRun], removed
     prints = fingerprints(current)
     adopted: dict[Key, StagedRun] = {}
     adopted_batches: list[StagedRun] = []
+    whole: dict[Key, StagedRun] = {}
     recorded, left, withdrawn = [], [], []
     waiting: dict[Key, list[StagedRun]] = {}
     for staged_run in sorted(staged, key=_staged_order):
@@ -54,6 +60,10 @@ def plan(current: Mapping[Key, StageState], staged: Sequence[StagedRun], removed
             left.append(staged_run)
         elif staged_run.run.outcome != "done":
             recorded.append(staged_run)
+        elif staged_run.run.stage in WHOLE_STAGES:
+            key = (staged_run.run.scene_id, staged_run.run.stage)
+            recorded.extend([whole.pop(key)] if key in whole else [])
+            whole[key] = staged_run
         elif staged_run.run.stage not in SCENE_STAGES:
             adopted_batches.append(staged_run)
         else:
@@ -71,7 +81,7 @@ def plan(current: Mapping[Key, StageState], staged: Sequence[StagedRun], removed
             elif key in prints and (scene in removed or not _is_current(_done(current, key), prints)):
                 withdrawn.append(_done(current, key))
                 del prints[key]
-    return CommitPlan((*adopted.values(), *adopted_batches), tuple(recorded), tuple(withdrawn), tuple(left))
+    return CommitPlan((*adopted.values(), *whole.values(), *adopted_batches), tuple(recorded), tuple(withdrawn), tuple(left))
 
 
 def committed_rows(made: CommitPlan, attempts: Mapping[tuple[str, str, str], int], snapshot_id: int, now: datetime) -> list[StageRun]:

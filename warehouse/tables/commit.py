@@ -168,7 +168,7 @@ class Commit:
         return self._share(table, new, made)
 
     def _replace(self, table: Table, new: Sequence[StagedRun], made: CommitPlan) -> int | None:
-        """The scenes' new rows take the place of their old ones; withdrawn scenes' rows go."""
+        """The scenes' (or libraries') new rows take the place of their old ones; withdrawn scenes' rows go."""
         old = {scene for scene, stage in self._done if stage == table.stage}
         changed = {staged_run.run.scene_id for staged_run in new} | {run.scene_id for run in made.withdrawn if run.stage == table.stage}
         rows = self._staged_rows(table, new)
@@ -177,7 +177,7 @@ class Commit:
             return None
         writer = self._writer(table)
         if replaced:
-            writer.replace(rows, "scene_id", changed)
+            writer.replace(rows, table.owner, changed)
         else:
             writer.append(rows)
         writer.compact()

@@ -18,7 +18,7 @@ from typing import Any
 import pyarrow as pa
 
 from schemas.errors import InputError, LakeError, RecordError
-from schemas.record import arrow_to_rows, rows_to_arrow
+from schemas.record import Table, arrow_to_rows, rows_to_arrow
 from schemas.runs import StageRun
 from schemas.tables import TABLES
 from warehouse.sharing.writer import Writer, new_token, writer_of
@@ -69,7 +69,7 @@ class Staging:
         tables = {table.name: rows_to_arrow(rows.get(table.name, ()), table.record) for table in own}
         for table in own:
             if table.rule == "replace":
-                _check_scene(rows.get(table.name, ()), table.name, run.scene_id)
+                _check_owner(rows.get(table.name, ()), table, run.scene_id)
         if run.outcome == "done":
             run = dataclasses.replace(run, row_counts=tuple(f"{name}={data.num_rows}" for name, data in tables.items()))
         last = _parquet(rows_to_arrow([run], StageRun))
@@ -249,10 +249,11 @@ def quoted_scene(scene_id: str) -> str:
     return quoted if len(quoted) <= 100 else f"{quoted[:80]}~~{hashlib.sha256(scene_id.encode()).hexdigest()[:16]}"
 
 
-def _check_scene(rows: Sequence[Any], table: str, scene_id: str) -> None:
+def _check_owner(rows: Sequence[Any], table: Table, owner: str) -> None:
     for index, row in enumerate(rows):
-        if row.scene_id != scene_id:
-            raise RecordError(table, str(index), "scene_id", f"must be the run's scene {scene_id}, got {row.scene_id}")
+        value = getattr(row, table.owner)
+        if value != owner:
+            raise RecordError(table.name, str(index), table.owner, f"must be the run's {table.grain} {owner}, got {value}")
 
 
 def _parquet(data: pa.Table) -> bytes:

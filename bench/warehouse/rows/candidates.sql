@@ -9,7 +9,10 @@ SELECT
     CASE WHEN rank > filled THEN 'nothing fits' WHEN is_fallback THEN 'the provider had nothing' END AS reason,
     CASE WHEN rank <= filled THEN asset_of(object, slot, library.asset_id) END AS asset_id,
     NULL AS seed,
-    NULL AS call_id
+    NULL AS call_id,
+    CASE WHEN rank <= filled AND filling.provider = 'library' THEN 'models' END AS library,
+    CASE WHEN rank <= filled AND filling.provider = 'library' THEN library.asset_id || '.glb' END AS library_file,
+    CASE WHEN rank <= filled AND filling.provider = 'library' THEN 0.9 - 0.05 * (slot - 7) END AS library_score
 FROM (
     SELECT
         *,

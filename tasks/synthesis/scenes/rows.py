@@ -144,6 +144,7 @@ def _candidate(drawn: Drawn, item: _Placed) -> Candidate:
     return Candidate(
         scene_id=drawn.scene_id, instance_id=item.instance_id, slot=1, provider=item.stand.asset.provider, provider_version=VERSION,
         is_fallback=False, outcome="filled", reason=None, asset_id=item.stand.asset.asset_id, seed=None, call_id=None,
+        library=None, library_file=None, library_score=None,
     )  # fmt: skip
 
 

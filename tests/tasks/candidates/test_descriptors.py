@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tasks.candidates.descriptors import Descriptor, describe, extents_similarity, shape_similarity, similarity
-from tasks.candidates.retrieval import category_similarity
 from tasks.furniture import generate
 from tasks.geometry.meshes import sample_surface, surface_of
 from tasks.geometry.transforms import transform_points, yaw_pose
+from tasks.library.categories import category_similarity
+from tasks.library.descriptors import Descriptor, describe, extents_similarity, shape_similarity, similarity
 from tests.tasks.candidates.crops import (
     Array,
 )

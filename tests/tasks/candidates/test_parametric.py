@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from bench.shelves import models_in
 from schemas.capture import Instance
 from tasks import selection
-from tasks.candidates.library import index_library, library_asset
 from tasks.candidates.parametric import Parametric, fit_of, parametric_asset, turned_back
 from tasks.candidates.parametric.cases import counters, cut_out, tables
 from tasks.candidates.parametric.distances import fit_target, misfits
@@ -500,12 +500,11 @@ def test_furniture_that_others_modelled_is_met(realdata: Callable[[str], Path], 
     """Points of a real model lie on what is offered, by the mesh and not by what the search says of itself."""
     from tasks.geometry.proximity import closest_points
 
-    entry = next(entry for entry in index_library(realdata("assets")).entries if entry.path.stem == stem)
-    canonical = library_asset(entry)
-    parts = load_glb(canonical.files[canonical.asset.mesh_blob])
+    model = next(model for model in models_in(realdata("assets")) if model.stem == stem)
+    parts = model.parts()
     crop = crop_of_parts(parts, seed=1, hidden=("bottom",))
     points, _, _ = sample_surface(crop, 4000, np.random.default_rng(0))
-    request = request_of(entry.category, points, canonical.asset.extents, 0.5)
+    request = request_of(model.category, points, model.extents, 0.5)
     _, fit, _, _ = fit_of(request, Parametric())
     made = parametric_asset(request, Parametric())
     surface = surface_of(load_glb(made.files[made.asset.mesh_blob]))

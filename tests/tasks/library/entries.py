@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.candidates.descriptors import describe
+from schemas.candidates import Asset
 from tasks.furniture import generate
 from tasks.geometry.meshes import sample_surface, surface_of
+from tasks.library.descriptors import describe
 from tasks.library.duplicates import signature_of
 from tasks.library.entry import IndexEntry
 from tasks.library.fields import field_of
 from tasks.library.search import LibraryQuery
+from tests.samples import sample
 
 CATEGORIES = ("chair", "table", "sofa", "bed", "vase", "mug", "bookshelf", "desk lamp")
 LISTED = ("couch", "chair", "garden chair", "gizmo", "", "dining table", "nightstand")
@@ -34,7 +37,8 @@ def drawn(category: str, seed: int, file: str = "", **changes: object) -> IndexE
         up_known="file", front="", front_known="assumed", category=category, category_known="index", name=category, license="CC0-1.0",
         is_noncommercial=False, author="", source_url="", extents=(x, y, z), vertex_count=8, face_count=12, open_because="",
         has_texture=False, descriptor=describe(points, colors, (x, y, z), np.random.default_rng(seed)), field=field_of(points),
-        signature=signature_of(points), thumbnails=(b"png",), image_vectors=None, text_vector=None, weights="", pieces_key="",
+        signature=signature_of(points), thumbnails=(b"png",), image_vectors=None, text_vector=None, weights="", pieces_key="0" * 64,
+        asset=sample(Asset, asset_id=hashlib.sha256(f"{category} {seed}".encode()).hexdigest(), pieces_blob=None, extents=(x, y, z)),
         notes=("odd",),
     )  # fmt: skip
     return dataclasses.replace(entry, **changes)  # type: ignore[arg-type]

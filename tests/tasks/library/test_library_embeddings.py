@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import InputError
+from tasks.library.catalog import Catalog
 from tasks.library.embeddings import encoder_in
 from tasks.library.entry import dumped
 from tasks.library.indexing import IndexConfig, index_folder
@@ -81,9 +82,11 @@ def test_entries_have_vectors_where_a_model_is_named(tmp_path: Path, weights: st
     (tmp_path / "a_chair.glb").write_bytes(as_glb(chair()))
     (tmp_path / "b_chair.glb").write_bytes(as_glb(chair(5)))
     config = IndexConfig(thumbnails=1, thumbnail_px=16, views=3, weights=weights)
-    index = index_folder(tmp_path, {}, config, store := {})
+    index = index_folder(tmp_path, Catalog({}), config, store := {})
     assert all(entry.image_vectors.shape[0] == 3 and len(entry.weights) == 64 for entry in index.entries)
-    assert [dumped(entry) for entry in index_folder(tmp_path, {}, config, store).entries] == [dumped(entry) for entry in index.entries]
+    assert [dumped(entry) for entry in index_folder(tmp_path, Catalog({}), config, store).entries] == [
+        dumped(entry) for entry in index.entries
+    ]
     assert LibrarySearch.of(index.entries).arrays["views"].shape[:2] == (2, 3)
 
 

@@ -18,8 +18,8 @@ from tasks.library.formats import content_of, model_files, read_model
 from tasks.library.metadata import ModelFacts
 from tasks.library.obj import _weigh
 from tasks.library.units import canonical_parts, convention_of
-from tasks.library.usd_child import drawn_on, unpacked
-from tasks.library.usd_stage import Flattened, srgb
+from tasks.library.usd.child import drawn_on, unpacked
+from tasks.library.usd.stage import Flattened, srgb
 from tests import attacks
 from tests.tasks.library.models import as_glb, as_obj, as_usdz, chair, farthest, write_usd
 

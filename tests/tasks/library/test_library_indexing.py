@@ -19,9 +19,10 @@ from tasks.geometry.meshes import dump_glb, surface_of
 from tasks.geometry.pieces import PieceConfig, asset_pieces
 from tasks.geometry.transforms import yaw_pose
 from tasks.library import indexing
+from tasks.library.catalog import Catalog, catalog_of
 from tasks.library.entry import dumped
 from tasks.library.indexing import IndexConfig, ModelIndex, entry_parts, index_folder, open_because, refused_first
-from tasks.library.metadata import ModelFacts, plain_facts
+from tasks.library.metadata import ModelFacts
 from tests import attacks
 from tests.tasks.library.models import as_glb, as_obj, chair, farthest
 
@@ -53,7 +54,7 @@ CATALOG = {
 
 @pytest.fixture(scope="module")
 def index(folder: Path) -> ModelIndex:
-    return index_folder(folder, CATALOG, SMALL, {})
+    return index_folder(folder, Catalog(CATALOG), SMALL, {})
 
 
 def bytes_of(index: ModelIndex) -> list[bytes]:
@@ -88,7 +89,7 @@ def test_an_entry_is_the_same_wherever_and_whenever_it_is_made(folder: Path, ind
         with ThreadPoolExecutor(2) as pool:
             return list(pool.map(work, reversed(list(files))))[::-1]
 
-    assert bytes_of(index_folder(folder, CATALOG, SMALL, {}, in_threads)) == bytes_of(index)  # type: ignore[arg-type]
+    assert bytes_of(index_folder(folder, Catalog(CATALOG), SMALL, {}, in_threads)) == bytes_of(index)  # type: ignore[arg-type]
 
 
 class Mortal(UserDict[str, bytes]):
@@ -111,7 +112,7 @@ def test_a_killed_indexing_goes_on_with_what_is_missing(folder: Path, index: Mod
     while True:
         store = Mortal(2, kept)
         try:
-            done = index_folder(folder, CATALOG, SMALL, store)
+            done = index_folder(folder, Catalog(CATALOG), SMALL, store)
             break
         except KeyboardInterrupt:
             assert len(store) > len(kept)
@@ -124,7 +125,7 @@ def test_a_killed_indexing_goes_on_with_what_is_missing(folder: Path, index: Mod
         raise AssertionError("made again")
 
     monkeypatch.setattr(indexing, "index_file", never)
-    assert bytes_of(index_folder(folder, CATALOG, SMALL, dict(store.data))) == bytes_of(index)
+    assert bytes_of(index_folder(folder, Catalog(CATALOG), SMALL, dict(store.data))) == bytes_of(index)
 
 
 def test_only_what_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,7 +136,7 @@ def test_only_what_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.Mon
 
     def index_now(facts: dict[str, ModelFacts], config: IndexConfig = SMALL) -> list[str]:
         made.clear()
-        index_folder(tmp_path, facts, config, store)
+        index_folder(tmp_path, Catalog(facts), config, store)
         return list(made)
 
     (tmp_path / "a.glb").write_bytes(as_glb(chair()))
@@ -153,7 +154,7 @@ def test_only_what_changed_is_made_again(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_file_that_changed_since_is_not_taken_for_its_entry(tmp_path: Path) -> None:
     (tmp_path / "a.glb").write_bytes(as_glb(chair()))
-    (entry,) = index_folder(tmp_path, {}, SMALL, {}).entries
+    (entry,) = index_folder(tmp_path, Catalog({}), SMALL, {}).entries
     (tmp_path / "a.glb").write_bytes(as_glb(chair(1)))
     with pytest.raises(InputError, match="is another than when it was indexed"):
         entry_parts(entry, tmp_path, ModelFacts())
@@ -180,14 +181,14 @@ def test_convex_pieces_are_cached_by_the_key_of_an_entry(folder: Path, index: Mo
 
 def test_weights_that_are_not_there_are_refused_at_once(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no"):
-        index_folder(folder, {}, IndexConfig(weights=str(tmp_path)), {})
+        index_folder(folder, Catalog({}), IndexConfig(weights=str(tmp_path)), {})
 
 
 @pytest.mark.whole
 def test_real_models_are_indexed(realdata: Callable[[str], Path]) -> None:
     place = realdata("assets")
     rows = json.loads((place / "index.json").read_bytes())
-    index = index_folder(place, plain_facts((place / "index.json").read_bytes()), IndexConfig(thumbnails=1, thumbnail_px=16), {})
+    index = index_folder(place, catalog_of(place), IndexConfig(thumbnails=1, thumbnail_px=16), {})
     assert [entry.file for entry in index.entries] == sorted(row["file"] for row in rows)
     assert not index.refused
     by_file = {row["file"]: row for row in rows}

@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
+from tasks.library.catalog import Catalog
 from tasks.library.licenses import license_of
-from tasks.library.metadata import ModelFacts, abo_facts, facts_of, objaverse_facts, plain_facts
+from tasks.library.metadata import ModelFacts, abo_facts, objaverse_facts, plain_facts
 
 ANNOTATION = {
     "uri": "https://api.sketchfab.com/v3/models/aa11", "uid": "aa11", "name": "Old wooden Stuhl", "viewerUrl": "https://sketchfab.com/3d-models/aa11",
@@ -58,7 +59,7 @@ def test_abo_listings_and_models(pack: Callable[[bytes], bytes]) -> None:
     lines = "\n".join(json.dumps(row) for row in (LISTING, other)).encode()
     facts = abo_facts([pack(lines)], pack(TABLE.encode()), "CC BY-NC 4.0")
     assert set(facts) == {"B07ABC", "B08XYZ"}
-    table = facts_of("C/B07ABC.glb", facts)
+    table = Catalog(facts).of("C/B07ABC.glb")
     assert (table.category, table.category_source, table.name, table.author) == (
         "coffee table",
         "product_type",
@@ -82,7 +83,7 @@ def test_the_index_of_a_folder() -> None:
     facts = plain_facts(json.dumps(rows).encode())
     assert facts["a/chair.glb"] == ModelFacts("", "Chair", "index", license_of("MIT-0"), "A Maker", "r s", (1.0, 2.0, 3.0), 0.01, "z", "+y")
     assert facts["b.obj"] == ModelFacts(license=license_of("CC-BY-4.0"))
-    assert facts_of("c.glb", facts) == ModelFacts()
+    assert Catalog(facts).of("c.glb") == ModelFacts()
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tasks.candidates.descriptors import extents_similarity, shape_similarity, similarity
-from tasks.candidates.retrieval import category_similarity
 from tasks.captions.physics import known_name
+from tasks.library.categories import category_similarity
+from tasks.library.descriptors import extents_similarity, shape_similarity, similarity
 from tasks.library.entry import IndexEntry, dumped, loaded
 from tasks.library.fields import fits
 from tasks.library.search import LibraryQuery, LibrarySearch, SearchWeights, softened

@@ -106,6 +106,7 @@ class Room:
             Candidate(
                 scene_id=SCENE, instance_id=instance.instance_id, slot=slot, provider=provider, provider_version="1", is_fallback=False,
                 outcome=outcome, reason=None if asset_id else "nothing", asset_id=asset_id, seed=None, call_id=None,
+                library=None, library_file=None, library_score=None,
             )
         )  # fmt: skip
 

@@ -77,7 +77,7 @@ class RowChecks:
     def references(self, name: str) -> Iterator[Fault]:
         """Rows that name a row of another table that is not there. History (annotations, trajectories) may name what is gone."""
         table = TABLES[name]
-        if table.rule != "replace":
+        if table.rule != "replace" or table.grain != "scene":  # models of a library are assets once they are candidates
             return
         for columns, other, theirs in _REFERENCES:
             if other == name or not set(columns) <= set(self._known(name)):

@@ -34,7 +34,7 @@ def main() -> None:
             answer(folder, {"files": [str(file) for file in files]})
             return
         from tasks.geometry.meshes import dump_glb
-        from tasks.library.usd_stage import Flattened
+        from tasks.library.usd.stage import Flattened
 
         flat = Flattened(path, root)
         (folder / MODEL).write_bytes(dump_glb(flat.parts()))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import InputError
-from tasks.library.usd_shapes import Polygons, first, numbers
+from tasks.library.usd.shapes import Polygons, first, numbers
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]

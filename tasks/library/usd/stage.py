@@ -14,8 +14,8 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import is_there, read_file, stays_in
 from tasks.library.format import MOST_FACES
-from tasks.library.usd_looks import display_colors, look_of, uv_of
-from tasks.library.usd_shapes import polygons_of, subsets
+from tasks.library.usd.looks import display_colors, look_of, uv_of
+from tasks.library.usd.shapes import polygons_of, subsets
 from tasks.unpacking import image_pixels
 
 if TYPE_CHECKING:
