@@ -20,13 +20,14 @@ from bench.models.replies import reply_report
 from bench.models.retrieval import MODELS, RetrievalFigures, RetrievalShares, lacking
 from bench.models.retrieval import measured as retrieved
 from bench.models.texturing import TexturingBench, run_texturing_bench, steps_of
+from bench.models.withheld import WithheldFigures, withheld_figures
 from schemas.errors import InputError
 
-REPLIES, LIFTING, TEXTURES, RETRIEVAL, DEVICES = "replies", "lifting", "textures", "retrieval", "devices"
+REPLIES, LIFTING, WITHHELD, TEXTURES, RETRIEVAL, DEVICES = "replies", "lifting", "withheld", "textures", "retrieval", "devices"
 
-PARTS = (REPLIES, LIFTING, TEXTURES, RETRIEVAL, DEVICES)
-"""What can be measured: what is read of corrupted replies, small objects on desks and shelves, layouts and baked textures, scanned
-models looked up in a library, and networks that see on the devices that there are."""
+PARTS = (REPLIES, LIFTING, WITHHELD, TEXTURES, RETRIEVAL, DEVICES)
+"""What can be measured: what is read of corrupted replies, small objects on desks and shelves, and those of whole rooms that are not
+named, layouts and baked textures, scanned models looked up in a library, and networks that see on the devices that there are."""
 
 CORRUPTIONS = 200
 """Of a reply, for each of what is asked."""
@@ -34,6 +35,9 @@ CORRUPTIONS = 200
 APART, TOUCHING, CORRUPTED, STANDINS = 0.95, 0.75, 0.9, 0.9
 """Precision and recall that are wanted of the classical member where things stand apart and where they touch, of consensus lifting of
 masks of which a tenth were split or merged, and of the learned member's chain where networks stand in that blur the truth."""
+
+BACK, ROOM_SHARE = 0.7, 0.3
+"""Share of what is not named in rooms that is wanted back, and rooms for each desk."""
 
 WANTED = RetrievalShares(0.8, 0.95, 0.7, 0.9, 0.7, 0.0)
 """Shares of queries that are wanted."""
@@ -84,6 +88,10 @@ def run_models_bench(config: ModelsBench, advance: Callable[[str], None]) -> dic
         figures = lifted(scenes=config.scenes, first_seed=config.seed)
         parts[LIFTING] = {"rows": [lifting_row(each) for each in figures], "goals": lifting_goals(figures)}
         advance(LIFTING)
+    if WITHHELD in config.parts:
+        rooms = withheld_figures(max(1, round(ROOM_SHARE * config.scenes)), config.seed)
+        parts[WITHHELD] = {"rows": [dataclasses.asdict(rooms)], "goals": withheld_goals(rooms)}
+        advance(WITHHELD)
     if TEXTURES in config.parts:
         parts[TEXTURES] = run_texturing_bench(config.texturing, lambda: advance(TEXTURES))
     if RETRIEVAL in config.parts and config.realdata is not None:
@@ -115,6 +123,14 @@ def lifting_goals(figures: Sequence[LiftingFigures]) -> list[dict[str, Any]]:
         goals.append(goal(f"{method}{stand}: precision", round(matched / max(instances, 1), 4), ">=", least))
         goals.append(goal(f"{method}{stand}: recall", round(matched / max(objects, 1), 4), ">=", least))
     return goals
+
+
+def withheld_goals(figures: WithheldFigures) -> list[dict[str, Any]]:
+    """What comes back, and that nothing is there twice."""
+    return [
+        goal("rooms without names of small objects: share that is found", round(figures.back / max(figures.withheld, 1), 4), ">=", BACK),
+        goal("rooms with all names: found again", figures.doubled, "<=", 0),
+    ]
 
 
 def retrieval_rows(figures: RetrievalFigures) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.models.report import DEVICES, LIFTING, REPLIES, RETRIEVAL, TEXTURES
+from bench.models.report import DEVICES, LIFTING, REPLIES, RETRIEVAL, TEXTURES, WITHHELD
 from bench.models.texturing import print_texturing
 from bench.tables import add_row, goals_table, headline, table_of
 
@@ -29,6 +29,8 @@ def print_models(report: Mapping[str, Any], console: Console) -> None:
         console.print(table)
     if LIFTING in parts:
         _print_lifting(parts[LIFTING]["rows"], console)
+    if WITHHELD in parts:
+        _print_withheld(parts[WITHHELD]["rows"], console)
     if TEXTURES in parts:
         print_texturing(parts[TEXTURES], console)
     if RETRIEVAL in parts:
@@ -46,6 +48,15 @@ def _print_lifting(rows: list[Mapping[str, Any]], console: Console) -> None:
         shares = [f"{100 * row[name]:.1f} %" for name in ("precision", "recall")]
         stand = "touching" if row["touching"] else "apart"
         add_row(table, row["word"], stand, row["method"], *counts, *shares, f"{row['seconds'] / max(row['scenes'], 1):.2f}")
+    console.print(table)
+
+
+def _print_withheld(rows: list[Mapping[str, Any]], console: Console) -> None:
+    columns = ("rooms", "withheld", "of these back", "found then", "found beside all names", "of these true", "there twice")
+    table = table_of("small objects that rooms do not name", *((text, True) for text in (*columns, "seconds", "without")))
+    for row in rows:
+        counts = [str(row[name]) for name in ("rooms", "withheld", "back", "added", "beside", "unnamed", "doubled")]
+        add_row(table, *counts, *(f"{row[name] / max(row['rooms'], 1):.1f}" for name in ("seconds", "without")))
     console.print(table)
 
 

@@ -15,13 +15,17 @@ from rich.console import Console
 
 from bench.models import replies
 from bench.models.lifting import LiftingFigures
-from bench.models.report import ModelsBench, lifting_goals, retrieval_goals, retrieval_rows, run_models_bench
+from bench.models.report import ModelsBench, lifting_goals, retrieval_goals, retrieval_rows, run_models_bench, withheld_goals
 from bench.models.retrieval import RetrievalFigures, RetrievalShares
 from bench.models.tables import print_models
+from bench.models.withheld import WithheldFigures, withheld_figures
 from flows.commands.bench import command
 from schemas.errors import InputError
 
 WELL = RetrievalShares(0.9, 1.0, 0.8, 0.95, 0.9, 0.7)
+ROOMS = WithheldFigures(
+    rooms=2, withheld=10, back=7, added=12, beside=1, unnamed=1, doubled=0, seconds=16.0, without=10.0
+)  # fmt: skip
 LOOKED_UP = RetrievalFigures(40, 439, WELL, np.full(40, 0.02))
 
 
@@ -55,6 +59,21 @@ def test_retrieval_is_held_against_shares_and_a_time() -> None:
     assert (row["first"], row["models"], row["median_seconds"]) == (0.9, 439, 0.02)
 
 
+def test_rooms_are_held_against_what_comes_back_and_what_is_there_twice() -> None:
+    assert all(met(withheld_goals(ROOMS)).values())
+    assert not met(withheld_goals(dataclasses.replace(ROOMS, back=6)))["rooms without names of small objects: share that is found"]
+    assert not met(withheld_goals(dataclasses.replace(ROOMS, doubled=1)))["rooms with all names: found again"]
+
+
+@pytest.mark.slow
+def test_what_a_room_does_not_name_comes_back_and_what_it_names_is_there_once() -> None:
+    figures = withheld_figures(1, 0)
+    assert (figures.rooms, figures.doubled) == (1, 0)
+    assert figures.back >= 0.5 * figures.withheld > 0
+    assert figures.added >= figures.back
+    assert figures.beside <= 1
+
+
 def test_a_reader_that_accepts_what_was_not_meant_misses_its_goal(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(met(replies.reply_report(200, 0)["goals"]).values())
     right = replies.attributes_of
@@ -83,6 +102,7 @@ def test_the_command_prints_one_object_or_tables() -> None:
     report = json.loads(done.stdout)
     assert [row["wrong"] for row in report["parts"]["replies"]["rows"]] == [0, 0, 0]
     report["parts"]["retrieval"] = {"rows": retrieval_rows(LOOKED_UP)}
+    report["parts"]["withheld"] = {"rows": [dataclasses.asdict(ROOMS)]}
     report["parts"]["lifting"] = {"rows": [{**dataclasses.asdict(lifted("classical", True, 75)), "precision": 0.75, "recall": 0.75}]}
     out = io.StringIO()
     print_models(report, Console(file=out, width=200))
