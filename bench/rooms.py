@@ -210,7 +210,8 @@ def _instance(
     placed = points @ pose[:3, :3].T + pose[:3, 3]
     return Instance(
         scene_id=scene_id, instance_id=name, source_id=name, raw_label=category, category=category, nyu40_id=0, nyu40_label="unlabeled",
-        is_structure=False, room_index=None, box_pose=flat(pose @ translation([0.0, 0.0, 0.5 * extents[2]])), box_size=extents,
+        is_structure=False, found_by=None, category_probability=None,
+        room_index=None, box_pose=flat(pose @ translation([0.0, 0.0, 0.5 * extents[2]])), box_size=extents,
         box_volume_m3=float(np.prod(extents)), point_count=POINTS, points_blob=blobs.add(dump_points(placed, colors), "ply"),
         hidden_m=None,
         mesh_blob=None, view_blob=None, best_frames=(),

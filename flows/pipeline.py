@@ -23,6 +23,7 @@ from prefect.tasks import exponential_backoff
 
 from flows.progress import current
 from flows.run.configuration import configure
+from flows.run.devices import with_devices
 from flows.run.fanout.batch import SceneBatch
 from flows.run.fanout.coordinator import Coordinator, FanOut, RunOutcome
 from flows.run.fanout.pools import shared_pool
@@ -234,7 +235,8 @@ def replicate(
         runner: What computes: 'pool', 'processes', 'dask' or 'ray'.
         dask_address: Scheduler of a Dask cluster; by default one is started on this machine.
         batch: Scenes per task; by default it follows from how long they take.
-        limits: Global concurrency limits by stage; of `calls`, the one that requests of calls to models keep.
+        limits: Global concurrency limits by stage; of `calls`, the one that requests of calls to models keep. A stage without one whose
+            settings put networks on a graphics card keeps that of the card, where the server has it.
         keep_free_gb: Stop before less is free on the disk.
         quota_gb: Stop before the lake holds more.
         stage_seconds: Time limit of one stage of one scene.
@@ -251,6 +253,7 @@ def replicate(
         from flows.run.limits import check_limits
 
         check_limits(limits)
+    limits = with_devices(limits, configuration.stages)
     if replay:
         Lake.existing(replay, "replay")
     calls = CallRules(budget_usd=budget_usd, most_calls=most_calls, replay=replay or "", limit=limits.get(LIMITED, ""))

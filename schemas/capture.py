@@ -169,6 +169,14 @@ class Instance:
     category: str = column("Label, lower case, single spaces, no plural where the label map says so")
     nyu40_id: int = column("NYU40 class, 0 when the label map has none", minimum=0, maximum=40)
     nyu40_label: str = column("NYU40 class name, 'unlabeled' for 0")
+    found_by: str | None = column(
+        "Who found the instance: file (the scan's files name it), geometry (of a scan that names none, or that names several as one), "
+        "objects (of a finished dataset), synthesis (a model drew it), or the member of capture that found a small object which the scan "
+        "does not name; missing in rows that are older than the column"
+    )
+    category_probability: float | None = column(
+        "Of the category, as who found the instance says; missing where nobody guessed it", minimum=0, maximum=1
+    )
     is_structure: bool = column("Wall, floor or ceiling: part of the room, never replaced by an asset")
     room_index: int | None = column(
         "Room in which the center of its box lies, else the nearest within half a metre (doors, windows); missing for structure, for what "
@@ -201,6 +209,10 @@ class Mask:
     scene_id: str = column("Scene", pattern=SCENE_PATTERN)
     frame_id: str = column("Frame, zero-padded", pattern=r"[0-9]{6}")
     instance_id: str = column("Instance", pattern=INSTANCE_PATTERN)
+    found_by: str | None = column(
+        "Who saw it there: surface (the scan's own surface, as the frame shows it), or who found the instance in the frames; missing in "
+        "rows that are older than the column"
+    )
     pixel_box: tuple[int, ...] = column("x0, y0, x1, y1 in the color image, x1 and y1 exclusive", unit="px", length=4, minimum=0)
     pixel_count: int = column("Pixels of the mask in the color image", unit="px", minimum=1)
     visible_fraction: float = column("Share of the instance's points inside the image that the depth test sees", minimum=0, maximum=1)

@@ -101,7 +101,8 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
         rows["instances"].append(
             Instance(
                 scene_id=scene_id, instance_id=instance_id, source_id=instance_id, raw_label=item.category, category=item.category,
-                nyu40_id=5, nyu40_label="chair", is_structure=False, room_index=None, box_size=extents,
+                nyu40_id=5, nyu40_label="chair", is_structure=False, found_by=None, category_probability=None,
+                room_index=None, box_size=extents,
                 box_pose=flat(item.pose @ translation([0, 0, extents[2] / 2])), box_volume_m3=float(np.prod(extents)), hidden_m=None,
                 point_count=10,
                 points_blob=none, mesh_blob=None, view_blob=None, best_frames=(),

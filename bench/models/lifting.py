@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.models.standins import found_by_standins
 from bench.models.tabletops import SupportWord, Tabletop, tabletop
 from tasks.capture.small_objects.classical import ClassicalConfig, Found, found_objects
 from tasks.capture.small_objects.consensus import ConsensusConfig, associate
@@ -19,7 +20,8 @@ from tasks.capture.small_objects.supports import support_slabs
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-Method = Literal["classical", "true masks", "corrupted masks"]
+Method = Literal["classical", "true masks", "corrupted masks", "stand-ins"]
+"""`stand-ins`: the chain of networks, with some in their place that know the truth and blur it, see `bench.models.standins`."""
 
 LEAST_IOU = 0.5
 """Overlap in points from which on an instance is an object."""
@@ -60,7 +62,7 @@ class LiftingFigures:
 
 def measured(
     words: Sequence[SupportWord] = ("desk", "bookshelf"),
-    methods: Sequence[Method] = ("classical", "true masks", "corrupted masks"),
+    methods: Sequence[Method] = ("classical", "true masks", "corrupted masks", "stand-ins"),
     scenes: int = 20,
     first_seed: int = 0,
     classical: ClassicalConfig | None = None,
@@ -98,6 +100,8 @@ def instances_of(scene: Tabletop, method: Method, rng: np.random.Generator, clas
         config = classical or ClassicalConfig()
         slabs = support_slabs(scene.word, scene.box_pose, scene.box_size, scene.support_points)
         return found_objects(scene.views, slabs, config)
+    if method == "stand-ins":
+        return found_by_standins(scene, rng).lifted
     share = CORRUPTED_SHARE if method == "corrupted masks" else 0.0
     masks = [corrupted(scene.masks(frame)[0], scene.views[frame].points(), share, rng) for frame in range(len(scene.views))]
     seen = [FrameMasks(own, ("",) * len(own), np.ones(len(own))) for own in masks]

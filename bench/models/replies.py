@@ -11,6 +11,7 @@ from typing import Any
 from bench.goals import goal
 from tasks.calls.replies import UnreadableReply
 from tasks.captions.wording import appearance_of, attributes_of
+from tasks.capture.small_objects.items.item import items_of
 
 SIZE = (0.5, 0.5, 0.95)
 """Box of the chair that is asked about [m]."""
@@ -31,6 +32,16 @@ FORMS = (
 )
 """The same, in forms that models take."""
 
+
+LISTS = (
+    json.dumps({"items": [{"item": "coffee mug", "color": "white", "count": 2}, {"item": "Book", "color": None, "count": 1},
+                          {"item": "book", "color": "red", "count": 3}]}),
+    json.dumps([{"item": "coffee mugs", "color": "White", "count": 2}, {"item": "books", "color": ""},
+                {"item": "book", "color": "red", "count": "3"}]),
+    json.dumps({"items": [{"item": "Coffee mug", "color": "white", "count": 2}, {"item": "book", "color": "none"},
+                          {"item": "book", "color": "red", "count": 1}, {"item": "book", "color": "red", "count": 2}]}, indent=1),
+)  # fmt: skip
+"""A list of what is on a support, in forms that models take."""
 
 READ = 0.2
 """Share of corrupted replies that have to be read: who refuses all of them accepts nothing wrong, either."""
@@ -96,10 +107,25 @@ def looks_figures(count: int, seed: int) -> ReplyFigures:
     return ReplyFigures(count, read, wrong)
 
 
+def list_figures(count: int, seed: int) -> ReplyFigures:
+    """Of lists of what is on a support."""
+    draw, read, wrong, right = random.Random(seed), 0, 0, items_of(LISTS[0])
+    for _ in range(count):
+        try:
+            answer = items_of(corrupted(draw.choice(LISTS), draw))
+        except UnreadableReply:
+            continue
+        read += 1
+        wrong += answer != right
+    return ReplyFigures(count, read, wrong)
+
+
 def reply_report(count: int, seed: int) -> dict[str, Any]:
-    """Both, against the goal that nothing wrong is accepted."""
-    parts = {"physical attributes": physics_figures(count, seed), "looks": looks_figures(count, seed)}
-    wrong, read = sum(each.wrong for each in parts.values()), sum(each.read for each in parts.values()) / (2 * count)
+    """All of them, against the goal that nothing wrong is accepted."""
+    parts = {
+        "physical attributes": physics_figures(count, seed), "looks": looks_figures(count, seed), "items": list_figures(count, seed)
+    }  # fmt: skip
+    wrong, read = sum(each.wrong for each in parts.values()), sum(each.read for each in parts.values()) / (len(parts) * count)
     rows = [{"replies about": name, **dataclasses.asdict(figures)} for name, figures in parts.items()]
     return {
         "rows": rows,

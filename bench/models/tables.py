@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.models.report import LIFTING, REPLIES, RETRIEVAL, TEXTURES
+from bench.models.report import DEVICES, LIFTING, REPLIES, RETRIEVAL, TEXTURES
 from bench.models.texturing import print_texturing
 from bench.tables import add_row, goals_table, headline, table_of
 
@@ -33,6 +33,8 @@ def print_models(report: Mapping[str, Any], console: Console) -> None:
         print_texturing(parts[TEXTURES], console)
     if RETRIEVAL in parts:
         _print_retrieval(parts[RETRIEVAL]["rows"], console)
+    if DEVICES in parts:
+        _print_devices(parts[DEVICES], console)
     console.print(goals_table(report["goals"]))
 
 
@@ -54,4 +56,16 @@ def _print_retrieval(rows: list[Mapping[str, Any]], console: Console) -> None:
         shares = [f"{100 * row[name]:.1f} %" for name in _SHARES]
         time = f"{1000 * row['median_seconds']:.1f} ms"
         add_row(table, str(row["queries"]), str(row["models"]), *shares, time)
+    console.print(table)
+
+
+def _print_devices(part: Mapping[str, Any], console: Console) -> None:
+    columns = (("weights", True), ("against", False), ("boxes", True), ("scores", True), ("masks", True), ("pictures a second", True),
+               ("memory", True))  # fmt: skip
+    table = table_of(f"networks that see, on {part['card'] or 'no graphics card'}", ("by", False), *columns)
+    for row in part["rows"]:
+        speed = "not run" if row["pictures_per_second"] is None else f"{row['pictures_per_second']:.1f}"
+        memory = "not run" if row["peak_mb"] is None else f"{row['peak_mb']:,.0f} MB"
+        off = (f"{row['boxes_px']:.1e} px", f"{row['scores']:.1e}", f"{row['masks']:.1e}")
+        add_row(table, row["provider"], f"{row['weights_mb']:,.0f} MB", row["against"], *off, speed, memory)
     console.print(table)

@@ -88,7 +88,8 @@ def _instance(name: str, obj: SceneryObject) -> Instance:
     box = obj.pose @ translation([0.0, 0.0, 0.5 * size[2]])
     return Instance(
         scene_id=SCENE, instance_id=name, source_id=obj.name, raw_label=obj.category, category=obj.category, nyu40_id=0,
-        nyu40_label="unlabeled", is_structure=obj.category in STRUCTURE, room_index=None, box_pose=flat(box), box_size=size,
+        nyu40_label="unlabeled", is_structure=obj.category in STRUCTURE, found_by=None, category_probability=None,
+        room_index=None, box_pose=flat(box), box_size=size,
         box_volume_m3=math.prod(size), hidden_m=None, point_count=1, points_blob=f"{_asset_id(name)}.ply", mesh_blob=None, view_blob=None,
         best_frames=(),
     )  # fmt: skip

@@ -122,7 +122,8 @@ def _rows(room: ToppedRoom) -> dict[str, list[Any]]:
         instances.append(
             Instance(
                 scene_id=room.scene_id, instance_id=name, source_id=name, raw_label=word, category=word, nyu40_id=0,
-                nyu40_label="unlabeled", is_structure=False, room_index=0, box_pose=flat(box), box_size=size,
+                nyu40_label="unlabeled", is_structure=False, found_by=None, category_probability=None,
+                room_index=0, box_pose=flat(box), box_size=size,
                 box_volume_m3=math.prod(size), hidden_m=None, point_count=1, points_blob=_blob(room.scene_id, name, "ply"),
                 mesh_blob=None, view_blob=None, best_frames=(),
             )

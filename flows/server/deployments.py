@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flows.run.devices import GPU
 from schemas.errors import InputError, LakeError, check_address
 
 if TYPE_CHECKING:
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 TAG = "metascenes"
 """All deployments and their runs bear it."""
 
-GPU, VLM = "metascenes-gpu", "metascenes-vlm"
-"""Limits of candidates (so many at once) and captions (so many a second). `prefect.yaml` names them, too."""
+VLM = "metascenes-vlm"
+"""Limit of captions (so many a second). `prefect.yaml` names it, and that of the graphics card for candidates, too."""
 
 
 FORMER_ENV = {"DO_NOT_TRACK": "1", "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}

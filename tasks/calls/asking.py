@@ -10,7 +10,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,13 @@ from schemas.calls import ModelCall
 from schemas.errors import InputError
 from tasks.calls.endpoint import CallAnswer, EndpointSettings
 from tasks.calls.exchange import EndpointAway
+from tasks.calls.replies import UnreadableReply
 from tasks.views.pictures import png_of
 
 if TYPE_CHECKING:
     from tasks.stage import Context
+
+T = TypeVar("T")
 
 VERSION_LETTERS = 12
 """Of the hash of a prompt's text: enough to tell its versions apart."""
@@ -101,6 +104,28 @@ def ask(context: Context, settings: EndpointSettings, conversation: Conversation
     )  # fmt: skip
     reply = recorded(context, call, json.dumps(asked, sort_keys=True).encode(), send, settings.cost_usd)
     return Reply(call_id, reply.decode())
+
+
+def told_by(
+    context: Context, settings: EndpointSettings, talk: Conversation, read: Callable[[str], T], where: str, replies: int
+) -> tuple[T, str]:
+    """What a model says, read, and the id of the call. A reply that cannot be read is asked for again, with the reason.
+
+    read: Raises UnreadableReply where it is none. replies: How many are asked for at most.
+
+    Raises:
+        UnreadableReply: the last one could not be read, either.
+        InputError, EndpointAway: as `ask`.
+    """
+    for left in range(replies - 1, -1, -1):
+        reply = ask(context, settings, talk, where)
+        try:
+            return read(reply.text), reply.call_id
+        except UnreadableReply as error:
+            if not left:
+                raise UnreadableReply(f"{settings.model} gave no reply that can be used: {error}") from error
+            talk = talk.again(reply.text, str(error))
+    raise AssertionError("at least one reply is asked for")
 
 
 PNG_URL = "data:image/png;base64,"

@@ -7,6 +7,7 @@ import dataclasses
 import errno
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -16,6 +17,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from schemas.errors import InputError
 from schemas.text import cut, one_line
 
 _LAST_BYTES = 4096
@@ -51,6 +53,25 @@ def places_in(words: Sequence[str]) -> set[str]:
 def filled(words: Sequence[str], values: Mapping[str, str]) -> list[str]:
     """Words with values in the place of names in braces; a value is never read again, so that braces in it mean nothing."""
     return [PLACE.sub(lambda match: values[match[1]], word) for word in words]
+
+
+def words_of(command: str, places: Sequence[str], where: str) -> list[str]:
+    """The words of a command line, in which names of places stand in braces. where: The settings, as errors name them.
+
+    Raises:
+        InputError: there are none, quotes are left open, or braces name something unknown.
+    """
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise InputError(where, "command", f"cannot be read: {error}", "quote it as for a shell") from error
+    if not words:
+        raise InputError(where, "command", "is empty", f"give one with {{{places[0]}}} and {{out}}")
+    unknown = sorted(places_in(words) - set(places))
+    if unknown or any(re.search(r"[{}]", PLACE.sub("", word)) for word in words):
+        problem = f"has {{{unknown[0]}}}, which is nothing" if unknown else "has a brace that is left open"
+        raise InputError(where, "command", problem, f"write one of {', '.join(f'{{{name}}}' for name in places)}")
+    return words
 
 
 class CommandFailed(Exception):

@@ -21,18 +21,19 @@ class UnreadableReply(ValueError):
     """A reply that does not say what was asked for. The text is what the model is told, too."""
 
 
-def table_of(reply: str, example: str, *, is_alone: bool = False) -> dict[str, Any]:
+def table_of(reply: str, example: str, *, is_alone: bool = False, listed: str = "") -> dict[str, Any]:
     """The table in a reply: JSON, or nearly.
 
     What stands around it, code fences, curly quotes, trailing commas, Python's words and brackets that were never closed are put right.
     example: What is asked for, as the model is told. is_alone: Whether nothing else in the reply may look like a part of a table, and no
-    key be there twice: what lost or gained a bracket somewhere else is not read at all, rather than in part.
+    key be there twice: what lost or gained a bracket somewhere else is not read at all, rather than in part. listed: Field of the
+    table that holds a list of tables; a list alone is taken for it.
 
     Raises:
         UnreadableReply: there is none.
     """
     text = re.sub(r"\s{2,}", " ", reply[:MOST_CHARACTERS]) if is_alone else reply[:MOST_CHARACTERS]
-    starts = [match.start() for match in re.finditer(r"\{", text)][: 1 if is_alone else 20]
+    starts = [match.start() for match in re.finditer(r"[{\[]" if listed else r"\{", text)][: 1 if is_alone else 20]
     attempts: Sequence[Callable[[str], Any]] = (json.loads, _mended, _as_python)
     for attempt in attempts:
         for start in starts:
@@ -41,26 +42,30 @@ def table_of(reply: str, example: str, *, is_alone: bool = False) -> dict[str, A
                 table = attempt(part)
             except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError):
                 continue
+            if isinstance(table, list) and listed:
+                table = {listed: table}
             if isinstance(table, list) and len(table) == 1:
                 table = table[0]
             if isinstance(table, dict):
                 if is_alone:
-                    _check_alone(text, start, part)
+                    _check_alone(text, start, part, re.findall(r"\{[^{}]*\}", part) if listed else [part])
                 return table
     raise UnreadableReply(f"it holds no JSON object such as {example}")
 
 
-def _check_alone(text: str, start: int, part: str) -> None:
-    """Raises UnreadableReply where what stands around a table looks like more of it, it has no end, or a key is there twice."""
+def _check_alone(text: str, start: int, part: str, tables: Sequence[str]) -> None:
+    """Raises UnreadableReply where what stands around a table looks like more of it, it has no end, or one of some tables in it has a key
+    twice."""
     if not text.startswith(part, start):
         raise UnreadableReply("it has no end")  # nobody knows whether its last value has
     rest = text[start + len(part) :]
     around = f"{text[:start]} {rest}".replace("```", " ").translate(_QUOTES)
     if re.search(r'[{}\[\]"]|(?:^|\s)[:,]?\s*\d+(?:\.\d+)?\s*[,}]', around):
         raise UnreadableReply("there is more than one JSON object, or a bracket too many")
-    keys = re.findall(r"""["'](\w+)["']\s*:""", part.translate(_QUOTES))
-    if len(set(keys)) < len(keys):
-        raise UnreadableReply("a field is there twice")
+    for table in tables:
+        keys = re.findall(r"""["'](\w+)["']\s*:""", table.translate(_QUOTES))
+        if len(set(keys)) < len(keys):
+            raise UnreadableReply("a field is there twice")
 
 
 def number_in(value: Any, field: str, units: Mapping[str, float]) -> float:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
-import shlex
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file
-from tasks.calls.command import PLACE, CommandFailed, filled, places_in, run_command
+from tasks.calls.command import CommandFailed, filled, run_command, words_of
 from tasks.candidates.assets import MadeAsset
 from tasks.candidates.generation.generated import GeneratorInput, GeneratorSettings, generated
 from tasks.candidates.provider import CandidateProvider
@@ -52,7 +50,7 @@ def made(asked: GeneratorInput, config: Commanded, begun: Callable[[], None]) ->
     Raises:
         InputError: the command is none, it fails, takes too long, or writes no GLB.
     """
-    words = words_of(config.command)
+    words = words_of(config.command, PLACES, WHERE)
     with tempfile.TemporaryDirectory(prefix="metascenes-") as name:
         folder = Path(name)
         out = folder / "model.glb"
@@ -70,25 +68,6 @@ def made(asked: GeneratorInput, config: Commanded, begun: Callable[[], None]) ->
         if not files or not files[0].is_file():
             raise InputError(WHERE, words[0], f"wrote no {config.output or 'GLB to {out}'}", "let it write there, or say `output`")
         return read_file(files[0], files[0].name, BUDGET.asset_bytes, magic=GLB_MAGIC)
-
-
-def words_of(command: str) -> list[str]:
-    """The words of a command line.
-
-    Raises:
-        InputError: there are none, quotes are left open, or braces name something unknown.
-    """
-    try:
-        words = shlex.split(command)
-    except ValueError as error:
-        raise InputError(WHERE, "command", f"cannot be read: {error}", "quote it as for a shell") from error
-    if not words:
-        raise InputError(WHERE, "command", "is empty", "give one with {image} and {out}")
-    unknown = sorted(places_in(words) - set(PLACES))
-    if unknown or any(re.search(r"[{}]", PLACE.sub("", word)) for word in words):
-        problem = f"has {{{unknown[0]}}}, which is nothing" if unknown else "has a brace that is left open"
-        raise InputError(WHERE, "command", problem, f"write one of {', '.join(f'{{{name}}}' for name in PLACES)}")
-    return words
 
 
 def _label(config: Commanded) -> str:

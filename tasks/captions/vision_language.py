@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, TypeVar
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.errors import InputError
-from tasks.calls.asking import Conversation, Prompt, ask, picture_part, text_part
+from tasks.calls.asking import Conversation, Prompt, picture_part, text_part, told_by
 from tasks.calls.endpoint import EndpointSettings, check_endpoint
 from tasks.calls.exchange import EndpointAway
 from tasks.calls.replies import UnreadableReply
@@ -94,22 +94,17 @@ def _told(
 
     talk: What it is asked, or why it cannot be.
     """
-    problem = talk if isinstance(talk, str) else ""
     name = "appearance" if isinstance(talk, str) else talk.prompt.name
-    for _ in range(0 if isinstance(talk, str) else provider.replies):
-        assert not isinstance(talk, str)
-        try:
-            reply = ask(context, provider, talk, WHERE)
-        except EndpointAway as away:
-            if provider.away == "retry":
-                raise
-            problem = str(away)
-            break
-        try:
-            return read(reply.text), reply.call_id
-        except UnreadableReply as error:
-            problem = f"{provider.model} gave no reply that can be used: {error}"
-            talk = talk.again(reply.text, str(error))
+    try:
+        if isinstance(talk, str):
+            raise UnreadableReply(talk)
+        return told_by(context, provider, talk, read, WHERE, provider.replies)
+    except EndpointAway as away:
+        if provider.away == "retry":
+            raise
+        problem = str(away)
+    except UnreadableReply as error:
+        problem = str(error)
     lacking.append(f"{name}: {problem}; the classical one stands in")
     return None, None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Self
 
@@ -21,7 +21,7 @@ from tasks.capture.fusion import FusionConfig, fused_surface
 from tasks.capture.instances.hidden import with_hidden_parts
 from tasks.capture.instances.merged import own_size, set_apart
 from tasks.capture.instances.rows import InstancePoints, instance_row, modelled_solid, scanned_solid
-from tasks.capture.instances.segmentation import geometry_groups
+from tasks.capture.instances.segmentation import PROVIDER, geometry_groups
 from tasks.capture.instances.split import rejoined
 from tasks.capture.instances.views import Sight, best_sights, camera_up, run_lengths, view_of
 from tasks.capture.labels import CEILING, DOOR, FLOOR, WALL, WINDOW, Label, LabelMap, label_map
@@ -36,6 +36,7 @@ from tasks.capture.rooms.rows import parted
 from tasks.capture.rooms.separation import Seen
 from tasks.capture.rooms.textures import LOOSE, OBJECT, STRUCTURE, TextureConfig, baked_surfaces
 from tasks.capture.scan import Scan
+from tasks.capture.small_objects.additions import Finder, Instances, SmallObjectsConfig, Unsought, with_small_objects
 from tasks.geometry.meshes import Surface, dump_glb
 from tasks.geometry.transforms import flat
 from tasks.mounting import mounting
@@ -60,6 +61,7 @@ class CaptureConfig(Config):
     max_faces: Count = 400_000  # The finest ScanNet meshes in use have about that; a viewer still turns it smoothly.
     fusion: FusionConfig = dataclasses.field(default_factory=FusionConfig)  # Used when a scan has frames but no mesh.
     textures: TextureConfig = dataclasses.field(default_factory=TextureConfig)
+    small_objects: SmallObjectsConfig = dataclasses.field(default_factory=SmallObjectsConfig)  # a scan names few of them
 
     @model_validator(mode="after")
     def _with_label_map(self) -> Self:
@@ -107,13 +109,23 @@ def run(*, scan: Scan, context: Context, config: CaptureConfig) -> Outcome:
         groups, meanings, joined = rejoined(groups, meanings, solids)
         solids = _solids(reading, world, groups, context, config) if joined else solids
         notes += [*apart, *joined]
-    notes += _unknown_labels(groups, meanings, scan.path.name)
+    sought = SmallObjectsConfig(provider=Unsought()) if format.is_modelled else config.small_objects  # who models names everything
+    instances = with_small_objects(
+        groups, meanings, solids, world, reading.frames, alignment.pose, labels, context, sought,
+        most_frames=config.max_view_frames, most_views=config.views_per_instance,
+    )  # fmt: skip
+    groups, meanings, solids = instances.groups, instances.meanings, instances.solids
+    notes += [*_unknown_labels(groups, meanings, scan.path.name), *instances.notes]
+    finders = [instances.finders.get(index) or _finder(group, reading) for index, group in enumerate(groups)]
     rows = [
-        instance_row(context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points)
-        for index, (group, label, solid) in enumerate(zip(groups, meanings, solids, strict=True))
-    ]
-    sights = _sights(reading, world, groups, meanings, solids, alignment, context, config)
-    rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config)
+        instance_row(
+            context.scene_id, f"{index:04d}", group, label, solid, world, blobs, context.rng("points", index), config.max_points,
+            finder.name, finder.probability,
+        )
+        for index, (group, label, solid, finder) in enumerate(zip(groups, meanings, solids, finders, strict=True))
+    ]  # fmt: skip
+    sights = _sights(reading, world, instances, alignment, context, config)
+    rows, masks = _with_views(rows, sights, reading.frames, context.scene_id, blobs, config, instances.finders)
     cloud = _cloud(reading, world, groups, context)
     classes = np.array([0, *(label.nyu40_id for label in meanings)], dtype=np.int64)[cloud.instance + 1]
     shell, is_seen, leaves = _shell(context, reading, cloud, classes, meanings, solids, notes, format.is_modelled)
@@ -179,6 +191,12 @@ def _unknown_labels(groups: Sequence[Group], meanings: Sequence[Label], scan: st
     return list(lines.values())
 
 
+def _finder(group: Group, reading: Reading) -> Finder:
+    """Who found an instance that the scan has: its files, or its geometry."""
+    is_guess = reading.groups is None or group.raw_label.startswith(f"{PROVIDER}:")
+    return Finder("geometry" if is_guess else "file", None)
+
+
 def _aligned(reading: Reading, surface: Surface, meanings: Sequence[Label], is_authored: bool) -> Alignment:
     masks = {}
     for nyu40 in (FLOOR, WALL):
@@ -212,31 +230,33 @@ _PROBES = 400
 
 
 def _sights(
-    reading: Reading, world: Surface, groups: Sequence[Group], meanings: Sequence[Label], solids: Sequence[InstancePoints],
-    alignment: Alignment, context: Context, config: CaptureConfig,
-) -> list[Sight]:  # fmt: skip
+    reading: Reading, world: Surface, instances: Instances, alignment: Alignment, context: Context, config: CaptureConfig
+) -> list[Sight]:
     """Best views of everything that is not part of the room itself."""
     face_instance = np.full(len(world.faces), -1, dtype=np.int64)
     probes = []
-    for index, (group, label, solid) in enumerate(zip(groups, meanings, solids, strict=True)):
+    for index, (group, label, solid) in enumerate(zip(instances.groups, instances.meanings, instances.solids, strict=True)):
         face_instance[group.faces] = index
-        count = 0 if label.is_structure else min(_PROBES, len(solid.points))
+        count = 0 if label.is_structure or index in instances.finders else min(_PROBES, len(solid.points))
         probes.append(solid.points[context.rng("probes", index).choice(len(solid.points), count, replace=False)])
-    return best_sights(
+    sights = best_sights(
         world, face_instance, probes, reading.frames, alignment.pose,
         most_frames=config.max_view_frames, per_instance=config.views_per_instance,
     )  # fmt: skip
+    return [*sights, *instances.sights]
 
 
 def _with_views(
-    rows: Sequence[Instance], sights: Sequence[Sight], frames: Sequence[FrameSource], scene_id: str, blobs: Blobs, config: CaptureConfig
-) -> tuple[list[Instance], list[Mask]]:
+    rows: Sequence[Instance], sights: Sequence[Sight], frames: Sequence[FrameSource], scene_id: str, blobs: Blobs, config: CaptureConfig,
+    finders: Mapping[int, Finder],
+) -> tuple[list[Instance], list[Mask]]:  # fmt: skip
     """Instances with the crop of their best view, and the masks of all views that were kept."""
     masks = [
         Mask(
             scene_id=scene_id,
             frame_id=frames[sight.frame].frame_id,
             instance_id=rows[sight.instance].instance_id,
+            found_by=finders[sight.instance].name if sight.instance in finders else "surface",
             pixel_box=sight.pixel_box,
             pixel_count=int(sight.mask.sum()),
             visible_fraction=sight.visible_fraction,

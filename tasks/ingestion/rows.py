@@ -111,6 +111,8 @@ def _instance(context: Context, instance: FinishedObject, surface: Surface, blob
         nyu40_id=instance.label.nyu40_id,
         nyu40_label=instance.label.nyu40_label,
         is_structure=instance.label.is_structure,
+        found_by="objects",
+        category_probability=None,
         room_index=None,
         box_pose=flat(pose),
         box_size=tuple(float(v) for v in size),

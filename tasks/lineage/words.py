@@ -80,7 +80,14 @@ def _plural(count: Any, singular: str, many: str = "") -> str:
 
 
 def _instance(key: str, facts: Facts) -> list[str]:
-    labeled = "drawn by a model" if facts.get("is_drawn") else f"labeled {facts['raw_label']!r} in the scan"
+    by = facts.get("found_by")
+    if facts.get("is_drawn"):
+        labeled = "drawn by a model"
+    elif by in (None, "file", "objects"):
+        labeled = f"labeled {facts['raw_label']!r} in the scan"
+    else:
+        sure = facts.get("category_probability")
+        labeled = f"not named in the scan, found by {by}" + ("" if sure is None else f" (category with probability {sure:.2f})")
     names = f"{labeled}, NYU40 {facts['nyu40_label']}"
     size = f"box {_size(facts['box_size'])}, {number(facts['box_volume_m3'])} m3, {_plural(facts['point_count'], 'point')}"
     return [f"{facts['category']} {key}{' (part of the room)' if facts['is_structure'] else ''}", names, size]

@@ -44,6 +44,7 @@ def an_instance(
     values = {
         "scene_id": "test/room", "instance_id": f"{number:04d}", "source_id": str(number), "raw_label": category,
         "category": category, "nyu40_id": 0, "nyu40_label": "unlabeled", "is_structure": False, "room_index": None,
+        "found_by": "file", "category_probability": None,
         "box_pose": flat(yaw_pose(0.3, (1, 2, 0.5))), "box_size": tuple(map(float, size)),
         "box_volume_m3": float(np.prod(size)), "hidden_m": None, "point_count": len(rgb), "points_blob": name, "mesh_blob": None,
         "view_blob": None, "best_frames": (),

@@ -23,8 +23,8 @@ from warehouse.lineage.walk import Walk, picked, position
 def instance_node(walk: Walk, instance: Instance) -> str:
     """The node of an instance."""
     facts = picked(
-        instance, "category", "raw_label", "nyu40_label", "is_structure", "source_id", "box_size", "box_volume_m3", "point_count",
-        "points_blob", "mesh_blob", "view_blob",
+        instance, "category", "raw_label", "found_by", "category_probability", "nyu40_label", "is_structure", "source_id", "box_size",
+        "box_volume_m3", "point_count", "points_blob", "mesh_blob", "view_blob",
     )  # fmt: skip
     drawn = walk.row(Synthesis, instance.scene_id)
     drawn_object = walk.row(SynthesisObject, instance.scene_id, instance_id=instance.instance_id)

@@ -8,6 +8,8 @@ SELECT
     CASE label WHEN 'wall' THEN 1 WHEN 'floor' THEN 2 WHEN 'ceiling' THEN 22 ELSE nyu40_id END AS nyu40_id,
     CASE WHEN is_structure THEN label ELSE nyu40_label END AS nyu40_label,
     is_structure,
+    'file' AS found_by,
+    CAST(NULL AS DOUBLE) AS category_probability,
     CASE WHEN NOT is_structure THEN 0 END AS room_index,
     CASE WHEN is_structure THEN pose(0.0, room_width / 2, room_depth / 2, 0.0) ELSE pose(yaw, x, y, size_z / 2) END AS box_pose,
     CASE WHEN is_structure THEN [room_width, room_depth, 0.1] ELSE [size_x, size_y, size_z] END AS box_size,

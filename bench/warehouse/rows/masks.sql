@@ -3,6 +3,7 @@ SELECT
     scene_id,
     lpad(CAST(sight * 100 // (3 * objects) AS VARCHAR), 6, '0') AS frame_id,
     name_of(structures + sight % objects) AS instance_id,
+    'surface' AS found_by,
     [100, 80, 140, 120] AS pixel_box,
     400 + below(scene * 1000 + sight, 'pixels', 4000) AS pixel_count,
     round(0.5 + 0.5 * u(scene * 1000 + sight, 'visible'), 3) AS visible_fraction,

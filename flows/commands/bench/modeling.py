@@ -19,14 +19,17 @@ from flows.commands.options import json_option
     help="Folder with real models, which are laid out, scanned and looked up.",
 )  # fmt: skip
 @click.option("--blender", default="", metavar="PROGRAM", help="Interpreter with bpy, or blender itself; without one xatlas stands alone.")
-@click.option("--parts", default="", help="Measure only these, with commas between: replies, lifting, textures, retrieval.")
+@click.option("--parts", default="", help="Measure only these, with commas between: replies, lifting, textures, retrieval, devices.")
 @json_option
 def models(scenes: int, seed: int, realdata: Path | None, blender: str, parts: str, as_json: bool) -> None:
-    """Measure what stands around models of others: replies, small objects, textures, retrieval.
+    """Measure what stands around models of others: replies, small objects, textures, retrieval, devices.
 
     `replies`: what is read of corrupted replies, and whether anything is that was not meant. `lifting`: objects on desks and shelves,
-    found without a network, and by views that agree on masks of which a tenth were split or merged. `textures`: layouts by xatlas and by
+    found without a network, by views that agree on masks of which a tenth were split or merged, and by networks in whose place some stand
+    that blur the truth. `textures`: layouts by xatlas and by
     Blender's Smart UV, and colors baked from a scan's frames. `retrieval`: real models that were scanned, looked up among 400 others.
+    `devices`: networks that see, with weights drawn at random: what they take of a graphics card at published shape, where there is one,
+    and how far the processor is from it, or from its own double precision.
 
     The exit code is 1 when a goal is missed, and else 0.
 

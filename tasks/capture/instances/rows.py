@@ -70,12 +70,10 @@ def modelled_solid(
 
 def instance_row(
     scene_id: str, instance_id: str, group: Group, label: Label, solid: InstancePoints, surface: Surface, blobs: Blobs,
-    rng: np.random.Generator, most: int,
+    rng: np.random.Generator, most: int, found_by: str, probability: float | None,
 ) -> Instance:  # fmt: skip
-    """The row of an instance, without its views; keeps at most `most` points in its blob."""
-    exact = surface.vertices[np.unique(surface.faces[solid.faces])] if solid.is_exact else solid.points
-    own = exact if solid.is_exact else exact[own_part(exact, label.category)]
-    pose, size = oriented_box(own, is_noisy=not solid.is_exact)
+    """The row of an instance, without its views; keeps at most `most` points in its blob. found_by, probability: See `Instance`."""
+    pose, size = box_of(solid, surface, label.category)
     count = len(solid.points)
     kept = np.sort(rng.choice(count, most, replace=False)) if count > most else np.arange(count)
     return Instance(
@@ -87,6 +85,8 @@ def instance_row(
         nyu40_id=label.nyu40_id,
         nyu40_label=label.nyu40_label,
         is_structure=label.is_structure,
+        found_by=found_by,
+        category_probability=probability,
         room_index=None,
         box_pose=flat(pose),
         box_size=tuple(float(v) for v in size),
@@ -98,6 +98,13 @@ def instance_row(
         view_blob=None,
         best_frames=(),
     )
+
+
+def box_of(solid: InstancePoints, surface: Surface, category: str) -> tuple[Array, Array]:
+    """The oriented box of an instance: to the world frame, 4x4 [m], origin at its center, and its extents [m], shape (3,)."""
+    exact = surface.vertices[np.unique(surface.faces[solid.faces])] if solid.is_exact else solid.points
+    own = exact if solid.is_exact else exact[own_part(exact, category)]
+    return oriented_box(own, is_noisy=not solid.is_exact)
 
 
 def cropped_mesh(surface: Surface, faces: NDArray[np.int64]) -> bytes:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.instances.views import border_contact
 from tasks.capture.small_objects.consensus import ConsensusConfig, ConsensusInstance, associate, instance_of
 from tasks.capture.small_objects.lifting import DepthView, FrameMasks, LiftedFrame, LiftingConfig, depth_noise, lifted
@@ -33,6 +35,16 @@ _CEILING_SHARE = 0.1
 _CEILING_M = 0.03
 """How thick the very top of the slab is [m]."""
 
+_CUT_M = 0.05
+"""What comes so near to the top of a slab is cut off by it, as far as several frames agree on [m]; a sheet is cut where they agree less:
+it is a wall behind, of which each shows another part."""
+
+_SHEET_M = 0.06
+"""Thickness of a sheet with the noise of its depth [m]."""
+
+_WINDOW_PX = 8
+"""Pixels around a board that are looked at with it: neighborhoods reach over fewer."""
+
 _TALL_M = 0.45
 """Slabs that are lower end at the next board, up to which things may reach [m]."""
 
@@ -49,6 +61,7 @@ class Found:
 class ClassicalConfig(Config):
     """What stands out, what parts it, and what views have to agree on."""
 
+    kind: ClassVar[str] = PROVIDER
     least_height_m: Positive = 0.005  # a telephone is 8 mm thick; less than this is a board's own unevenness
     height_sigmas: Positive = 2.5  # nor is it a height that noise alone makes one pixel of a hundred
     thin_limits: Positive = 3.0  # so many times the least height is no noise, and a stem of one pixel
@@ -56,6 +69,7 @@ class ClassicalConfig(Config):
     island_share: Share = 0.1  # of the largest part of a board that is seen: smaller ones are bottoms of vessels
     tilt: Positive = 0.03  # of a board in a frame, in radians: three times a tracker's drift
     inside_share: Share = 0.4  # of an object over the board itself: what hangs over the edge by more stands elsewhere
+    fills: Share = 0.8  # of both sides of a board: what is as large is the board's own back, or a cloth on it
     edge_m: Positive = 0.015  # of a board along its edges and panels: what lies there alone is board and panel
     least_eye_m: Positive = 0.03  # lower cameras see a board's edge, not what it carries
     unsure_height_m: Positive = 0.015  # over a board that a frame hardly shows: poses drift by a centimeter
@@ -75,7 +89,7 @@ def found_objects(views: Sequence[DepthView], slabs: Sequence[SupportSlab], conf
     frames = lifted(views, [found_masks(view, slabs, config) for view in views], config.lifting)
     instances = list(associate(frames, config.consensus).instances)
     for slab in slabs:
-        instances = _settled(frames, instances, slab, config)
+        instances = [each for each in _settled(frames, instances, slab, config) if not _is_board_or_wall(each, slab, config)]
     return Found(tuple(frames), tuple(instances))
 
 
@@ -105,11 +119,38 @@ def _filled(depth: NDArray[np.float32], gap: float) -> NDArray[np.float32]:
 
 def _on_board(view: DepthView, world: Array, valid: Bools, slab: SupportSlab, config: ClassicalConfig) -> list[Bools]:
     """Masks of what stands on one board."""
-    local = slab.local(world)
     eye = slab.local(view.pose[:3, 3])
-    inside = valid & ((local >= slab.low) & (local <= slab.high)).all(axis=-1)
+    inside = valid & slab.holds(world)
     if inside.sum() < config.patches.object_pixels or eye[2] < config.least_eye_m:
         return []
+    rows, columns = _window(inside)
+    masks = []
+    for part in _in_window(_shifted(view, rows, columns), world[rows, columns], inside[rows, columns], eye, slab, config):
+        mask = np.zeros(inside.shape, dtype=bool)
+        mask[rows, columns] = part
+        masks.append(mask)
+    return masks
+
+
+def _window(inside: Bools) -> tuple[slice, slice]:
+    """Rows and columns that have all of some pixels, with what their neighborhoods reach to."""
+    rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
+    return (
+        slice(max(0, int(rows[0]) - _WINDOW_PX), int(rows[-1]) + 1 + _WINDOW_PX),
+        slice(max(0, int(columns[0]) - _WINDOW_PX), int(columns[-1]) + 1 + _WINDOW_PX),
+    )
+
+
+def _shifted(view: DepthView, rows: slice, columns: slice) -> DepthView:
+    """A part of a frame, as a frame."""
+    fx, fy, cx, cy = view.intrinsics
+    intrinsics = (fx, fy, cx - columns.start, cy - rows.start)
+    return dataclasses.replace(view, depth=view.depth[rows, columns], color=view.color[rows, columns], intrinsics=intrinsics)
+
+
+def _in_window(view: DepthView, world: Array, inside: Bools, eye: Array, slab: SupportSlab, config: ClassicalConfig) -> list[Bools]:
+    """Masks of what stands on a board in the part of a frame that shows it. inside: Pixels in the slab. eye: The camera, in its frame."""
+    local = slab.local(world)
     ray = (world - view.pose[:3, 3]) / np.maximum(view.depth, 1e-9)[..., None]
     noise = depth_noise(view.depth) * np.abs(ray @ slab.pose[:3, 2])
     over = inside & (slab.inset(local) >= 0)
@@ -144,6 +185,17 @@ def _is_object(local: Array, slab: SupportSlab, config: ClassicalConfig) -> bool
     """Whether points in a slab's frame, shape (n, 3), are no wall that goes on above it, and neither panel nor edge of the board."""
     goes_on = float((local[:, 2] > slab.high[2] - _CEILING_M).mean()) > _CEILING_SHARE and slab.high[2] > _TALL_M
     return not goes_on and float((slab.inset(local) >= config.edge_m).mean()) >= config.inside_share
+
+
+def _is_board_or_wall(instance: ConsensusInstance, slab: SupportSlab, config: ClassicalConfig) -> bool:
+    """Whether an instance on a board is as large as the board itself, or goes on above what is looked at."""
+    local = slab.local(instance.points)
+    if slab.holds(instance.points).mean() <= 0.5:
+        return False
+    low, high = np.quantile(local, (0.02, 0.98), axis=0)
+    is_sheet = oriented_box(instance.points)[1][:2].min() <= _SHEET_M
+    goes_on = high[2] > slab.high[2] - (2 if is_sheet else 1) * _CUT_M and slab.high[2] > _TALL_M
+    return bool(goes_on or ((high - low)[:2] >= config.fills * 2 * slab.footprint).all())
 
 
 def _settled(

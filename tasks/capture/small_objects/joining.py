@@ -21,19 +21,19 @@ class JoiningConfig(Config):
     """When a new object is one that is there already."""
 
     reach_m: Positive = 0.02  # a scan mesh's vertices lie as far from each other, and poses drift by a centimeter
-    same_share: Share = 0.5  # of a new object's points at those of an instance: it is that one
+    same_share: Share = 0.5  # of a new object's points at those of an instance, or the other way round: it is that one
+    structure_share: Share = 0.8  # of its points at those of a wall: it is wall; what hangs there or leans on it stands off by a part
     whole_share: Share = 0.4  # of an instance's points at those of one new object: they are of a size, and it is that one
     least_held: Count = 2  # new objects in one instance: it holds several
 
 
 @dataclasses.dataclass(frozen=True)
 class ExistingInstance:
-    """An instance that a scan has. instance_id: Zero-padded. points: World frame [m], shape (n, 3). is_support: It carries others, and
-    what stands on it may be a part of it. is_structure: Floor, wall or ceiling."""
+    """An instance that a scan has. instance_id: Zero-padded. points: World frame [m], shape (n, 3). is_structure: Floor, wall or
+    ceiling."""
 
     instance_id: str
     points: Array
-    is_support: bool = False
     is_structure: bool = False
 
 
@@ -93,19 +93,23 @@ def found_object(
 def joined(existing: Sequence[ExistingInstance], objects: Sequence[FoundObject], config: JoiningConfig) -> Joined:
     """Found objects that no instance has, those that one is, and instances that hold several.
 
+    What carries an object is none that it can be: what stands on a table may be annotated as a part of it.
     An instance stays as it is, whatever is found: one that holds several objects is told, and they are not added, since their points
     would be there twice. Of two found objects with the same points the one with more is kept.
     """
-    rivals = [other for other in existing if not (other.is_support or other.is_structure) and len(other.points)]
+    rivals = [other for other in existing if len(other.points)]
     known: dict[int, str] = {}
     held: dict[str, list[int]] = {}
     for place, obj in enumerate(objects):
-        inside = [_share(obj.points, other.points, config.reach_m) for other in rivals]
-        if not inside or max(inside) < config.same_share:
+        inside = [_sameness(obj, other, config.reach_m) for other in rivals]
+        wanted = [config.structure_share if other.is_structure else config.same_share for other in rivals]
+        best = max(range(len(rivals)), key=lambda i: (inside[i] - wanted[i], -i), default=None)
+        if best is None or inside[best] < wanted[best]:
             continue
-        other = rivals[int(np.argmax(inside))]
+        other = rivals[best]
         known[place] = other.instance_id
-        held.setdefault(other.instance_id, []).append(place)
+        if not other.is_structure:
+            held.setdefault(other.instance_id, []).append(place)
     several = {name: tuple(places) for name, places in sorted(held.items()) if len(places) >= config.least_held}
     by_id = {other.instance_id: other for other in rivals}
     # two parts of one object are no proof that it is several, when one of them is nearly all of it
@@ -129,6 +133,15 @@ def joined(existing: Sequence[ExistingInstance], objects: Sequence[FoundObject],
         for name, places in several.items()
     )
     return Joined(tuple(added), known, several, notes)
+
+
+def _sameness(obj: FoundObject, other: ExistingInstance, reach: float) -> float:
+    """Share of an object's points within reach [m] of an instance's, or of these of the object's where it is more: a scan mesh has a
+    vertex every two centimeters, and of a bowl a hundred. What carries the object is another."""
+    if other.instance_id == obj.support_id:
+        return 0.0
+    own = _share(obj.points, other.points, reach)
+    return own if other.is_structure else max(own, _share(other.points, obj.points, reach))
 
 
 def _share(points: Array, nearby: Array, reach: float) -> float:

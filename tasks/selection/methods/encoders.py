@@ -115,14 +115,14 @@ def dino_in(folder: str) -> DinoEncoder:
     return _dino(folder, weights_digest(folder))
 
 
-def weights_digest(folder: str) -> str:
-    """Hash of the weights and configs of a folder, 64 hex digits: who scored.
+def weights_digest(folder: str, where: str = "selection.provider") -> str:
+    """Hash of the weights and configs of a folder, 64 hex digits: who scored. where: The settings, as errors name them.
 
     Raises:
         InputError: none is named, or it holds no safetensors file.
     """
     if not folder:
-        raise InputError("selection.provider", "weights", "names no folder", "give one that transformers wrote, as safetensors")
+        raise InputError(where, "weights", "names no folder", "give one that transformers wrote, as safetensors")
     files = sorted(path for path in Path(folder).glob("*") if path.suffix in (".safetensors", ".json", ".txt"))
     if not any(path.suffix == ".safetensors" for path in files):
         raise InputError(folder, "", "holds no *.safetensors", "name a folder that transformers wrote: save_pretrained(folder)")
@@ -172,7 +172,7 @@ def _opening(folder: Path, kind: str) -> Iterator[None]:
     """
     try:
         yield
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+    except Exception as error:  # the readers of weights and tokenizers raise classes of their own
         problem = f"holds no {kind}: {next(iter(str(error).strip().splitlines()), repr(error))}"
         raise InputError(str(folder), "", problem, "name a folder that it was saved to") from error
 

@@ -133,8 +133,9 @@ def _instance(drawn: Drawn, item: _Placed, room_index: int | None, blobs: Blobs)
     return Instance(
         scene_id=drawn.scene_id, instance_id=item.instance_id, source_id=item.instance_id, raw_label=item.stand.word,
         category=item.stand.word,
-        nyu40_id=label.nyu40_id, nyu40_label=label.nyu40_label, is_structure=False, room_index=room_index, box_pose=flat(item.box_pose),
-        box_size=item.size, box_volume_m3=float(np.prod(item.size)), hidden_m=None, point_count=count,
+        nyu40_id=label.nyu40_id, nyu40_label=label.nyu40_label, is_structure=False, found_by=SYNTHESIS,
+        category_probability=None, room_index=room_index, box_pose=flat(item.box_pose), box_size=item.size,
+        box_volume_m3=float(np.prod(item.size)), hidden_m=None, point_count=count,
         points_blob=blobs.add(dump_points(points, colors), "ply"), mesh_blob=None, view_blob=None, best_frames=(),
     )  # fmt: skip
 

@@ -35,7 +35,7 @@ def met(goals: list[dict[str, Any]]) -> dict[str, bool]:
 
 def test_shares_are_of_desks_and_shelves_together() -> None:
     rows = [lifted("classical", False, 90), lifted("classical", False, 100, "bookshelf"), lifted("classical", True, 75)]
-    rows += [lifted(method, touching, 100) for method in ("true masks", "corrupted masks") for touching in (False, True)]
+    rows += [lifted(method, touching, 100) for method in ("true masks", "corrupted masks", "stand-ins") for touching in (False, True)]
     goals = lifting_goals(rows)
     assert {row["found"] for row in goals if row["goal"].startswith("classical, apart")} == {0.95}
     assert all(met(goals).values())
@@ -81,7 +81,7 @@ def test_the_command_prints_one_object_or_tables() -> None:
     done = CliRunner().invoke(command, ["models", "--parts", "replies", "--json"])
     assert done.exit_code == 0
     report = json.loads(done.stdout)
-    assert [row["wrong"] for row in report["parts"]["replies"]["rows"]] == [0, 0]
+    assert [row["wrong"] for row in report["parts"]["replies"]["rows"]] == [0, 0, 0]
     report["parts"]["retrieval"] = {"rows": retrieval_rows(LOOKED_UP)}
     report["parts"]["lifting"] = {"rows": [{**dataclasses.asdict(lifted("classical", True, 75)), "precision": 0.75, "recall": 0.75}]}
     out = io.StringIO()

@@ -15,12 +15,19 @@ from typing import Any
 import pytest
 
 from flows.run import limits as module
+from flows.run.devices import GPU, card_limit, device_limits, with_devices
 from flows.run.ledger import CallRules, LakeLedger
 from flows.run.limits import Limit, check_limits, limited
 from flows.server.services import SERVER
 from schemas.errors import InputError
 from tasks.calls.asking import Conversation, Prompt, ask
 from tasks.calls.endpoint import EndpointSettings
+from tasks.candidates import CandidatesConfig, SlotConfig
+from tasks.candidates.shap_e import ShapE
+from tasks.capture.small_objects.detectors import GroundingDino
+from tasks.capture.small_objects.learned import LearnedConfig
+from tasks.capture.small_objects.segmenters import Sam2
+from tasks.pipeline import STAGES
 from tasks.stage import Context
 from tests.conftest import REPOSITORY
 from tests.services import PrefectServer, free_port, prefect_server_process
@@ -171,6 +178,30 @@ def test_a_limit_that_was_removed_meanwhile_is_named(server: PrefectServer, monk
         client.delete_global_concurrency_limit_by_name("short-lived")
     with pytest.raises(InputError, match="short-lived"), limited("candidates", {"candidates": "short-lived"}):
         pass
+
+
+def on_card(device: str) -> LearnedConfig:
+    return LearnedConfig(detector=GroundingDino(weights="dino", device=device), segmenter=Sam2(weights="sam2", device=device))
+
+
+@pytest.mark.parametrize(("device", "name"), [("auto", GPU), ("cuda", GPU), ("cuda:0", GPU), ("cuda:1", f"{GPU}-1"), ("cpu", None)])
+def test_networks_on_a_card_go_by_its_limit(device: str, name: str | None) -> None:
+    assert device_limits({"capture": on_card(device)}) == ({"capture": name} if name else {})
+    assert device_limits({stage.name: stage.config() for stage in STAGES}) == {}, "nothing has weights by default"
+    slots = CandidatesConfig(slots=(SlotConfig(ShapE(weights="shap-e", device="cuda")),))
+    assert device_limits({"candidates": slots, "capture": on_card("cpu")}) == {"candidates": GPU}
+
+
+def test_a_card_holds_one_set_of_networks_where_the_server_has_its_limit(server: PrefectServer) -> None:
+    stages = {"capture": on_card("cuda:3"), "candidates": on_card("cuda:4")}
+    make(card_limit(3), 1)
+    assert with_devices({}, stages) == {"capture": card_limit(3)}
+    assert with_devices({"capture": "two"}, stages) == {"capture": "two"}, "what somebody says goes before"
+    limits = with_devices({}, stages)
+    check_limits(limits)
+    with limited("capture", limits):
+        assert taken(card_limit(3)) == 1
+    assert taken(card_limit(3)) == 0
 
 
 def test_prefect_is_not_asked_for_stages_without_a_limit() -> None:

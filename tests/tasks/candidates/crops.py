@@ -76,6 +76,7 @@ def scanned(number: int, category: str, parts: list[trimesh.Trimesh], yaw: float
         "box_volume_m3": float(np.prod(extents)), "hidden_m": None,
         "point_count": len(points), "points_blob": files.add(dump_points(points, colors), "ply"),
         "mesh_blob": files.add(dump_glb([world.to_trimesh()]), "glb"), "view_blob": None, "best_frames": (), "room_index": None,
+        "found_by": "file", "category_probability": None,
     }  # fmt: skip
     return Instance(**{**values, **changes}), dict(files)  # type: ignore[arg-type]
 

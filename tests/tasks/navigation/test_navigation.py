@@ -57,7 +57,8 @@ def furnished(
         )  # fmt: skip
         instances.append(Instance(
             scene_id=SCENE, instance_id=instance_id, source_id=instance_id, raw_label=category, category=category, nyu40_id=0,
-            nyu40_label="unlabeled", is_structure=False, room_index=None, box_pose=pose, box_size=extents, box_volume_m3=1.0,
+            nyu40_label="unlabeled", is_structure=False, found_by=None, category_probability=None,
+            room_index=None, box_pose=pose, box_size=extents, box_volume_m3=1.0,
             hidden_m=None, point_count=9, points_blob="0" * 64 + ".ply", mesh_blob=None, view_blob=None, best_frames=(),
         ))  # fmt: skip
         placements.append(Placement(

@@ -64,7 +64,7 @@ def generated_room(kind: str = "living room", count: int = 6, seed: int = 5) -> 
             Instance(
                 scene_id=SCENE, instance_id=f"{number:04d}", source_id=item.name, raw_label=item.category,
                 category=item.category, nyu40_id=0,
-                nyu40_label="unlabeled", is_structure=False, room_index=None,
+                nyu40_label="unlabeled", is_structure=False, found_by=None, category_probability=None, room_index=None,
                 box_pose=flat(item.pose @ translation([0.0, 0.0, 0.5 * item.extents[2]])), box_size=tuple(map(float, item.extents)),
                 box_volume_m3=float(np.prod(item.extents)), hidden_m=None, point_count=int(seen.sum()),
                 points_blob=blobs.add(dump_points(points[seen], colors[seen]), "ply"), mesh_blob=None, view_blob=None, best_frames=(),

@@ -91,7 +91,8 @@ class Room:
         center = transform_points([(low + high) / 2], yaw_pose(yaw))[0]
         row = Instance(
             scene_id=SCENE, instance_id=f"{len(self.instances):04d}", source_id="1", raw_label=category, category=category, nyu40_id=0,
-            nyu40_label="unlabeled", is_structure=structure, room_index=None, box_pose=flat(yaw_pose(yaw, center)),
+            nyu40_label="unlabeled", is_structure=structure, found_by=None, category_probability=None,
+            room_index=None, box_pose=flat(yaw_pose(yaw, center)),
             box_size=tuple(map(float, high - low)),
             box_volume_m3=float(np.prod(high - low)), hidden_m=None, point_count=len(points),
             points_blob=self.blobs.add(dump_points(points, colors), "ply"), mesh_blob=None, view_blob=None, best_frames=(),
@@ -159,7 +160,8 @@ def photographed(
     )  # fmt: skip
     silhouette = drawn.part[box[1] : box[3], box[0] : box[2]] >= 0
     mask = Mask(
-        scene_id=SCENE, frame_id=frame.frame_id, instance_id=instance.instance_id, pixel_box=box, pixel_count=int(silhouette.sum()),
+        scene_id=SCENE, frame_id=frame.frame_id, instance_id=instance.instance_id, found_by="surface",
+        pixel_box=box, pixel_count=int(silhouette.sum()),
         visible_fraction=1.0, score=1.0, run_lengths=run_lengths(silhouette),
     )  # fmt: skip
     view = room.blobs.add(encode_jpeg(view_of(drawn.color, box), 256), "jpg")

@@ -19,11 +19,11 @@ import trimesh
 from schemas.candidates import Asset, Candidate
 from schemas.errors import InputError
 from schemas.record import check
-from tasks.calls.command import filled
+from tasks.calls.command import filled, words_of
 from tasks.calls.exchange import EndpointAway
 from tasks.calls.ledger import NoFurtherCall, Recollection
 from tasks.candidates import CandidatesConfig, SlotConfig, run
-from tasks.candidates.commanded import Commanded, words_of
+from tasks.candidates.commanded import PLACES, WHERE, Commanded
 from tasks.candidates.generation.generated import GeneratorSettings, fitted, standing
 from tasks.candidates.procedural import Procedural
 from tasks.candidates.served import Served
@@ -263,13 +263,13 @@ def test_keys_are_not_told_to_programs_of_others(room: Room, tmp_path: Path, mon
 @pytest.mark.parametrize("text", ["{out}; rm -rf /", "$(touch x)", "a {seed} b", "it's", '"'])
 def test_a_text_is_one_word_whatever_it_holds(text: str) -> None:
     values = {"image": "i.png", "prompt": text, "out": "o.glb", "seed": "1", "folder": "f"}
-    assert filled(words_of("make {prompt} --to={out}"), values) == ["make", text, "--to=o.glb"]
+    assert filled(words_of("make {prompt} --to={out}", PLACES, WHERE), values) == ["make", text, "--to=o.glb"]
 
 
 @pytest.mark.parametrize("command", ["", "  ", "make {what}", "make {out", 'make "{out}'])
 def test_command_lines_that_mean_nothing_are_refused(command: str) -> None:
     with pytest.raises(InputError, match="command"):
-        words_of(command)
+        words_of(command, PLACES, WHERE)
 
 
 @pytest.mark.parametrize("front", ["+x", "-x", "+y", "-y"])

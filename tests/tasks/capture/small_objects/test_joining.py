@@ -19,7 +19,7 @@ def new(points: np.ndarray) -> FoundObject:
     return FoundObject(points, np.zeros((len(points), 3), np.uint8), "box", 0.7, "classical", "0001", {"000003": np.ones((2, 2), bool)})
 
 
-DESK = ExistingInstance("0001", np.concatenate([block(0.0, 2.0), block(0.0, 2.0, 1)]), is_support=True)
+DESK = ExistingInstance("0001", np.concatenate([block(0.0, 2.0), block(0.0, 2.0, 1)]))
 
 
 def test_what_is_there_is_not_added_again() -> None:
@@ -30,9 +30,23 @@ def test_what_is_there_is_not_added_again() -> None:
     assert result.added[0].masks.keys() == {"000003"}
 
 
-def test_a_support_and_the_room_are_no_doubles() -> None:
+def test_what_carries_an_object_is_another() -> None:
+    """A desk may have points at those of what stands on it; a microwave that carries things may be what was found on a counter."""
+    assert len(joined([ExistingInstance("0001", block(0.5))], [new(block(0.5, seed=2))], JoiningConfig()).added) == 1
+    assert joined([DESK, ExistingInstance("0002", block(0.5))], [new(block(0.5, seed=2))], JoiningConfig()).known == {0: "0002"}
+
+
+def test_a_part_of_the_wall_is_wall_and_what_leans_on_it_is_not() -> None:
     wall = ExistingInstance("0000", block(0.5), is_structure=True)
-    assert len(joined([wall, DESK], [new(block(0.5))], JoiningConfig()).added) == 1
+    result = joined([wall, DESK], [new(block(0.5, seed=2)), new(block(0.55, seed=3))], JoiningConfig())
+    assert result.known == {0: "0000"}
+    assert result.under_segmented == {}
+
+
+def test_an_instance_of_few_points_is_known_by_them() -> None:
+    """A mesh has few vertices of a bowl, which depth shows with thousands of points: most of these have no vertex near."""
+    few = ExistingInstance("0003", block(0.5)[::60])
+    assert joined([DESK, few], [new(block(0.5, seed=2))], JoiningConfig()).known == {0: "0003"}
 
 
 def test_an_instance_that_holds_several_is_told_and_stays() -> None:

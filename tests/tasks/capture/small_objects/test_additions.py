@@ -1,0 +1,200 @@
+"""Small objects in the stage: a box on a table that the scan's files do not name, or name as a part of the table."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from schemas.capture import Instance
+from schemas.record import check
+from schemas.tables import TABLES
+from tasks.calls.ledger import Recollection
+from tasks.capture import CaptureConfig, find_scans, run
+from tasks.capture.instances.views import run_lengths
+from tasks.capture.small_objects.additions import SmallObjectsConfig, Unsought
+from tasks.capture.small_objects.detectors import CommandedDetector, GroundingDino
+from tasks.capture.small_objects.items import AskedItems
+from tasks.capture.small_objects.learned import LearnedConfig
+from tasks.capture.small_objects.segmenters import Sam2
+from tasks.geometry.meshes import load_glb, read_points, surface_of
+from tasks.geometry.transforms import inverse, matrix, transform_points, yaw_pose
+from tasks.stage import Context, Outcome
+from tests.capture_scans import OBJECTS, BoxRoom, box_room, write_scannet
+from tests.tasks.calls.servers import Server, refuses, says, server
+
+__all__ = ["server"]
+
+TABLE, BOX = OBJECTS[0], OBJECTS[3]
+
+
+@pytest.fixture(scope="module")
+def room() -> BoxRoom:
+    return box_room()
+
+
+def captured(folder: Path, config: CaptureConfig | None = None, ledger: Recollection | None = None) -> Outcome:
+    (scan,), errors = find_scans(folder, "auto")
+    assert not errors
+    context = Context(scan.scene_id, "capture", 3, {}, ledger=ledger or Recollection())
+    outcome = run(scan=scan, context=context, config=config or CaptureConfig())
+    for table, rows in outcome.rows.items():
+        check(rows, TABLES[table].record)
+    return outcome
+
+
+def one_found(outcome: Outcome, by: str = "classical") -> Instance:
+    (found,) = [row for row in outcome.rows["instances"] if row.found_by == by]
+    return found
+
+
+def assert_is_the_box(outcome: Outcome, found: Instance, by: str = "classical") -> None:
+    """Its points are on the true box, all that frames show of it, and masks show it in its color."""
+    _, center, size, yaw = BOX
+    points = transform_points(read_points(outcome.blobs[found.points_blob])[0], inverse(yaw_pose(yaw, center)))
+    assert np.abs(points).max(axis=0) == pytest.approx(np.array(size) / 2, abs=0.02)
+    assert np.abs(points[:, 2] - size[2] / 2).min() < 0.005, "its top"
+    assert found.category_probability is not None
+    assert 0 <= found.category_probability <= 1
+    assert found.raw_label == f"{by}:{found.category}"
+    masks = [mask for mask in outcome.rows["masks"] if mask.instance_id == found.instance_id]
+    assert [mask.frame_id for mask in sorted(masks, key=lambda mask: -mask.score)] == list(found.best_frames)
+    assert 1 <= len(masks) <= CaptureConfig().views_per_instance
+    for mask in masks:
+        x0, y0, x1, y1 = mask.pixel_box
+        pixels = np.repeat(np.arange(len(mask.run_lengths)) % 2 == 1, mask.run_lengths).reshape(y1 - y0, x1 - x0)
+        assert mask.found_by == by
+        assert pixels.sum() == mask.pixel_count
+        assert run_lengths(pixels) == mask.run_lengths
+        assert mask.visible_fraction > 0.5
+    assert found.view_blob in outcome.blobs
+
+
+def test_what_the_files_do_not_name_is_found(tmp_path: Path, room: BoxRoom) -> None:
+    outcome = captured(write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1]))
+    found = one_found(outcome)
+    assert_is_the_box(outcome, found)
+    assert outcome.rows["scenes"][0].instance_count == len(outcome.rows["instances"]) == len(room.labels)
+    assert {row.found_by for row in outcome.rows["instances"] if row is not found} == {"file"}
+    assert {mask.found_by for mask in outcome.rows["masks"] if mask.instance_id != found.instance_id} == {"surface"}
+    assert "1 small objects that the scan does not name were found by classical" in outcome.degradations
+    assert found.mesh_blob is not None
+    own = surface_of(load_glb(outcome.blobs[found.mesh_blob])).vertices
+    true = room.surface.vertices[room.instance == len(room.labels) - 1]
+    assert np.abs(own[:, None] - true[None]).sum(axis=2).min(axis=1).max() < 1e-4, "faces of the scan mesh, the box's own"
+    assert len(own) > 0.8 * (true[:, 2] > TABLE[2][2] + 0.01).sum(), "those that stand on the table"
+
+
+def test_what_is_annotated_as_a_part_of_the_table_becomes_its_own(tmp_path: Path, room: BoxRoom) -> None:
+    table, box = room.labels.index("table"), len(room.labels) - 1
+    together = dataclasses.replace(room, instance=np.where(room.instance == box, table, room.instance), labels=room.labels[:-1])
+    outcome = captured(write_scannet(tmp_path / "scene0001_00", together))
+    plain = captured(tmp_path / "scene0001_00", CaptureConfig(small_objects=SmallObjectsConfig(provider=Unsought())))
+    assert_is_the_box(outcome, one_found(outcome))
+    before, after = (next(row for row in each.rows["instances"] if row.category == "table") for each in (plain, outcome))
+    of_table, of_both = (read_points(each.blobs[row.points_blob])[0][:, 2] for each, row in ((outcome, after), (plain, before)))
+    assert (of_both > TABLE[2][2] + 0.05).mean() > 0.05
+    assert (of_table > TABLE[2][2] + 0.05).mean() < 0.005, "nothing of the box is the table's any more"
+
+
+def test_what_is_named_is_not_found_again(tmp_path: Path, room: BoxRoom) -> None:
+    """With all names, rows are those of a scan on which nobody looks for small objects, to the byte."""
+    folder = write_scannet(tmp_path / "scene0001_00", room)
+    outcome = captured(folder)
+    plain = captured(folder, CaptureConfig(small_objects=SmallObjectsConfig(provider=Unsought())))
+    assert outcome.rows == plain.rows
+    assert outcome.blobs == plain.blobs
+
+
+def test_who_cannot_look_says_so(tmp_path: Path, room: BoxRoom) -> None:
+    outcome = captured(write_scannet(tmp_path / "scene0001_00", room, frames="none", labels=room.labels[:-1]))
+    assert all(row.found_by == "file" for row in outcome.rows["instances"])
+    assert "small objects were not looked for: no frame has a pose and depth" in outcome.degradations
+    unsought = CaptureConfig(small_objects=SmallObjectsConfig(provider=Unsought()))
+    assert not any("small objects" in line for line in captured(tmp_path / "scene0001_00", unsought).degradations)
+
+
+def test_the_same_scan_gives_the_same_bytes(tmp_path: Path, room: BoxRoom) -> None:
+    folder = write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1])
+    first, second = captured(folder), captured(folder)
+    assert first.rows == second.rows
+    assert first.blobs == second.blobs
+
+
+def test_boxes_are_to_the_instances_frame(tmp_path: Path, room: BoxRoom) -> None:
+    """What stands on the table stands on it: its box begins at the table's top, give or take noise."""
+    outcome = captured(write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1]))
+    found = one_found(outcome)
+    low = matrix(found.box_pose)[2, 3] - 0.5 * found.box_size[2] - (found.hidden_m[4] if found.hidden_m else 0.0)
+    assert low == pytest.approx(TABLE[1][2] + 0.5 * TABLE[2][2], abs=0.01)
+
+
+def by_color(folder: Path, color: np.ndarray) -> str:
+    """A program that detects what is painted in a color, and draws its mask; a command line that calls it."""
+    program = folder / "detects.py"
+    program.write_text(f"""import json, sys
+import numpy as np
+from PIL import Image
+image = np.asarray(Image.open(sys.argv[1]).convert("RGB")) + 1.0
+paint = np.array({color.tolist()}) + 1.0
+mask = np.abs(np.log(image / image.sum(axis=2, keepdims=True)) - np.log(paint / paint.sum())).max(axis=2) < 0.2  # in any light
+assert "book" in sys.argv[2].split(", ")
+found = {{"boxes": [], "labels": [], "scores": [], "masks": []}}
+if mask.sum() > 20:
+    rows, columns = np.nonzero(mask)
+    flat = np.concatenate([[False], mask.T.ravel(), [not mask.T.ravel()[-1]]])
+    runs = np.diff(np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1])]))
+    found["boxes"].append([int(v) for v in (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)])
+    found["labels"].append("book")
+    found["scores"].append(0.75)
+    found["masks"].append({{"size": list(mask.shape), "counts": [int(v) for v in runs]}})
+json.dump(found, open(sys.argv[3], "w"))
+""")
+    return f'"{sys.executable}" {program} {{image}} {{names}} {{out}}'
+
+
+def learned(**settings: Any) -> CaptureConfig:
+    return CaptureConfig(small_objects=SmallObjectsConfig(provider=LearnedConfig(**settings)))
+
+
+def test_a_program_of_others_finds_it_by_name(tmp_path: Path, room: BoxRoom) -> None:
+    color = room.surface.colors[room.instance == len(room.labels) - 1][0]
+    detector = CommandedDetector(command=by_color(tmp_path, color), model="painter", draws_masks=True)
+    outcome = captured(write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1]), learned(detector=detector))
+    found = one_found(outcome, "command:painter")
+    assert_is_the_box(outcome, found, "command:painter")
+    assert found.category == "book"
+    assert found.category_probability == pytest.approx(0.75, abs=0.01)
+    assert "1 small objects that the scan does not name were found by command:painter" in outcome.degradations
+
+
+@pytest.mark.whole
+def test_networks_and_an_endpoint_make_the_same_rows_of_a_scan_every_time(
+    tmp_path: Path, room: BoxRoom, networks: Path, server: Server
+) -> None:
+    server.answers = [
+        says(json.dumps({"items": [{"item": "Book", "color": "red", "count": 1}, {"item": "mug", "color": None, "count": 2}]}))
+    ]
+    config = learned(
+        detector=GroundingDino(weights=str(networks / "grounding_dino"), threshold=0.2, text_threshold=0.0, shortest_px=64, longest_px=96),
+        segmenter=Sam2(weights=str(networks / "sam2")),
+        items=AskedItems(url=server.url, model="seer-1", pause_seconds=0.0, attempts=1), least_fit=0.0, inside_share=0.0,
+    )  # fmt: skip
+    folder = write_scannet(tmp_path / "scene0001_00", room, labels=room.labels[:-1])
+    ledger = Recollection()
+    first = captured(folder, config, ledger)
+    asked = len(server.requests)
+    assert asked == len(ledger.calls) > 0
+    assert {row.found_by for row in first.rows["instances"]} <= {"file", "grounding_dino+sam2"}
+    server.answers = [refuses(500)]
+    again = captured(folder, config, ledger)
+    assert len(server.requests) == asked, "what the ledger has is not asked again"
+    assert again.rows == first.rows
+    assert again.blobs == first.blobs
+    nobody = captured(folder, config)
+    assert any("table: items: " in line for line in nobody.degradations), "the scene goes on without them, and says so"
