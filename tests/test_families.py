@@ -21,6 +21,7 @@ from schemas.families.path_finders import PATH_FINDERS
 from schemas.families.policies import POLICIES
 from schemas.families.scan_formats import SCAN_FORMATS
 from schemas.families.selection_methods import SELECTION_METHODS
+from tasks.alignment import methods as alignment_methods
 from tasks.candidates import providers
 from tasks.capture import formats as scan_formats
 from tasks.evaluation import policies
@@ -28,7 +29,6 @@ from tasks.exports import formats as export_formats
 from tasks.families import member, members, part
 from tasks.lineage.places import places_of
 from tasks.navigation import path_finders
-from tasks.selection.alignment import methods as alignment_methods
 from tasks.selection.methods import members as selection_methods
 from tests.conftest import REPOSITORY
 from tests.scans import OBJECTS, write_scan
@@ -40,7 +40,7 @@ FAMILIES: dict[str, tuple[tuple[str, ...], tuple[Any, ...]]] = {
     "tasks.candidates": (CANDIDATE_PROVIDERS, providers.PROVIDERS),
     "tasks.navigation": (PATH_FINDERS, path_finders.PATH_FINDERS),
     "tasks.evaluation.policies": (POLICIES, policies.POLICIES),
-    "tasks.selection.alignment": (ALIGNMENT_METHODS, alignment_methods.METHODS),
+    "tasks.alignment": (ALIGNMENT_METHODS, alignment_methods.METHODS),
     "tasks.selection.methods": (SELECTION_METHODS, selection_methods.METHODS),
 }
 """Names and objects of every family, by the package that its members lie in."""

@@ -10,9 +10,9 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.selection import Selection
+from tasks.alignment import AlignmentConfig
 from tasks.geometry.transforms import flat, yaw_pose
 from tasks.models import Model
-from tasks.selection.alignment import AlignmentConfig
 from tasks.selection.evidence import Evidence, InstanceQuery, gather
 from tasks.selection.looks import shared
 from tasks.selection.methods.geometric import GEOMETRIC, Geometric

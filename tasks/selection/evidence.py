@@ -15,11 +15,7 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.errors import InputError
-from tasks.geometry.boxes import grown_box, oriented_iou
-from tasks.geometry.meshes import read_points
-from tasks.geometry.transforms import inverse, transform_points, translation, yaw_of, yaw_pose
-from tasks.mounting import mounting
-from tasks.selection.alignment import (
+from tasks.alignment import (
     Distances,
     Fit,
     Sample,
@@ -31,6 +27,10 @@ from tasks.selection.alignment import (
     sample_asset,
     sight_of,
 )  # fmt: skip
+from tasks.geometry.boxes import grown_box, oriented_iou
+from tasks.geometry.meshes import read_points
+from tasks.geometry.transforms import inverse, transform_points, translation, yaw_of, yaw_pose
+from tasks.mounting import mounting
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.neighbors import Neighborhood, foreign_share
 from tasks.selection.scoring import completeness, is_own_geometry, score_of

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.capture.rooms.textures import filled
-from tasks.fidelity.visibility import reach
-from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.rendering import Camera, RayScene, reach
 from tasks.geometry.triangles import face_areas, face_normals
 from tasks.settings import Config, Count, Natural, NonNegative, Positive, Share
 from tasks.texturing.charts import signed_areas
