@@ -36,6 +36,7 @@ RECORDS: tuple[type, ...] = (
     captions.Caption,
     candidates.Candidate,
     candidates.Asset,
+    candidates.TextureCharts,
     selection.Selection,
     annotation.WorkBatch,
     annotation.Assignment,

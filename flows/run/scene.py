@@ -14,7 +14,7 @@ from flows.progress import current
 from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json
 from flows.run.ledger import FREE, SPENT, CallRules
-from flows.run.plan import MODEL, Plan, ScenePlan, Step
+from flows.run.plan import MODEL, SCAN, Plan, ScenePlan, Step
 from flows.run.pool import PoolStopped, WorkerLost, WorkerPool, WorkerTimeout
 from flows.worker import Job, execute, lost_run
 from schemas.runs import StageRun
@@ -133,8 +133,9 @@ def settle(lake: Lake, plan: Plan) -> None:
 def job_of(lake: Lake, plan: ScenePlan, step: Step, configuration: Configuration) -> Job:
     """The job for one step of a scene's plan."""
     stage = next(s for s in STAGES if s.name == step.stage)
-    outside: dict[str, Any] = {"scan": plan.scan, "library": configuration.library, MODEL: plan.models.get(step.stage)}
     config = configuration.stages[stage.name]
+    scan = plan.scan if stage.takes_scan(config) else None
+    outside: dict[str, Any] = {SCAN: scan, "library": configuration.library, MODEL: plan.models.get(step.stage)}
     return Job(
         lake=lake.address,
         scene_id=plan.scan.scene_id,

@@ -7,6 +7,7 @@ at the height on which the asset is to stand. How a pose is found is a method's 
 from __future__ import annotations
 
 from tasks.alignment.configuration import AlignmentConfig
+from tasks.alignment.instances import covered_within, instance_frame
 from tasks.alignment.measures import Distances, measure
 from tasks.alignment.methods import method_of
 from tasks.alignment.refined import clamp_scale, refine
@@ -25,6 +26,8 @@ __all__ = [
     "align",
     "by_sight",
     "clamp_scale",
+    "covered_within",
+    "instance_frame",
     "lacking",
     "make_target",
     "measure",

@@ -21,7 +21,7 @@ from schemas.budget import BUDGET
 from schemas.errors import InputError
 from schemas.files import read_file, stays_in
 from schemas.text import one_line
-from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, make_asset
+from tasks.candidates.assets import MAX_EXTENT_M, MIN_EXTENT_M, MadeAsset, charted, make_asset
 from tasks.candidates.descriptors import Descriptor, describe
 from tasks.candidates.provider import CandidateProvider, NothingToOffer
 from tasks.captions.physics import known_name
@@ -74,6 +74,7 @@ class LibraryEntry:
     source: str
     descriptor: Descriptor
     scale: float = 1.0
+    source_url: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,6 +150,7 @@ def index_library(folder: Path) -> LibraryIndex:
                 source=" ".join(part for part in (_text(facts, "repo"), _text(facts, "source")) if part) or file,
                 descriptor=descriptor,
                 scale=scale,
+                source_url=_text(facts, "source_url") or None,
             )
         )
     return LibraryIndex(tuple(entries), tuple(problems))
@@ -161,20 +163,22 @@ def library_asset(entry: LibraryEntry) -> MadeAsset:
         InputError, ValueError: the file changed since it was indexed and cannot be used any more.
     """
     stat = entry.path.stat()
-    facts = (entry.file, entry.category, entry.license, entry.author, entry.source)
+    facts = (entry.file, entry.category, entry.license, entry.author, entry.source, entry.source_url)
     return _asset(entry.path, stat.st_size, stat.st_mtime_ns, facts, entry.scale)
 
 
 @lru_cache(maxsize=CACHED_ASSETS)
-def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str], scale: float) -> MadeAsset:
-    file, category, license_text, author, source = facts
+def _asset(path: Path, size: int, modified_ns: int, facts: tuple[str, str, str, str | None, str, str | None], scale: float) -> MadeAsset:
+    file, category, license_text, author, source, source_url = facts
     parts = load_glb(read_file(path, file, BUDGET.asset_bytes, magic=GLB_MAGIC), file)
     if scale != 1.0:
         for part in parts:
             part.apply_scale(scale)
-    return make_asset(
-        parts, provider=LibraryRetrieval.kind, name=path.stem, category=category, source=source, license=license_text, author=author
-    )
+    made = make_asset(
+        parts, provider=LibraryRetrieval.kind, name=path.stem, category=category, source=source, license=license_text, author=author,
+        source_url=source_url,
+    )  # fmt: skip
+    return charted(made, parts)
 
 
 @lru_cache(maxsize=CACHED_FILES)

@@ -31,9 +31,8 @@ from tasks.library.formats import content_of, model_files, read_model
 from tasks.library.metadata import ModelFacts, facts_of
 from tasks.library.units import canonical_parts, convention_of
 from tasks.selection.methods.encoders import weights_digest
-from tasks.selection.methods.pictures import around
 from tasks.settings import Config, Count
-from tasks.views.pictures import png_of
+from tasks.views.pictures import around, png_of
 
 if TYPE_CHECKING:
     import trimesh

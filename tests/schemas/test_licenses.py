@@ -91,6 +91,20 @@ def test_what_was_cut_from_a_scan_has_its_license() -> None:
     assert of_asset("", "a library", scans) == UNKNOWN
 
 
+def test_what_was_painted_with_a_scan_has_both_licenses() -> None:
+    scans = {"demo/a": "CC0-1.0", "demo/b": None, "demo/c": "MIT OR CC-BY-4.0"}
+    both = all_of(["MIT-0 OR 0BSD", OF_THE_SCAN, OF_THE_SCAN, ""])
+    assert both == f"(MIT-0 OR 0BSD) AND {OF_THE_SCAN} AND unknown"
+    assert of_asset(both, "scan demo/a; chair.glb", scans) == "(MIT-0 OR 0BSD) AND CC0-1.0 AND unknown"
+    assert of_asset(both, "scan demo/c; chair.glb", scans) == "(MIT-0 OR 0BSD) AND (MIT OR CC-BY-4.0) AND unknown"
+    assert all_of([OF_THE_SCAN, OF_THE_SCAN]) == OF_THE_SCAN
+    assert [is_of_scan(text) for text in (OF_THE_SCAN, both, f"({OF_THE_SCAN})", "LicenseRef-scanner", "MIT")] == [True] * 3 + [False] * 2
+    painted = of_asset(f"MIT AND {OF_THE_SCAN}", "scan demo/a; chair.glb", scans)
+    assert Allowed(("MIT", "CC0-1.0")).permits(painted)
+    assert not Allowed(("MIT",)).permits(painted)
+    assert not Allowed(("MIT", "CC0-1.0")).permits(of_asset(f"MIT AND {OF_THE_SCAN}", "scan demo/b; chair.glb", scans))
+
+
 def test_duties_name_what_a_license_asks() -> None:
     assert duties("CC0-1.0") == duties("mit-0") == "nothing"
     assert "ask" in duties(None)

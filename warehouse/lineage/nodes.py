@@ -11,7 +11,7 @@ from schemas.captions import Caption
 from schemas.capture import Instance, Scene
 from schemas.exports import ExportCheck, ExportFile
 from schemas.lineage import Place
-from schemas.lineage.licenses import OF_THE_SCAN, of_asset, scan_of
+from schemas.lineage.licenses import is_of_scan, of_asset, scan_of
 from schemas.optimization import Contact, Placement
 from schemas.synthesis import Synthesis, SynthesisObject
 from schemas.training import LearnedModel
@@ -113,7 +113,7 @@ def add_asset(walk: Walk, asset: Asset) -> str:
         asset, "provider", "name", "category", "source", "license", "author", "extents", "volume_m3", "is_watertight", "face_count",
         "mesh_blob", "pieces_blob",
     )  # fmt: skip
-    if asset.license == OF_THE_SCAN:
+    if is_of_scan(asset.license):
         scans = {scene.scene_id: scene.license for scene in walk.rows(Scene, scan_of(asset.source))}
         facts["license"] = of_asset(asset.license, asset.source, scans)
     node = walk.node("asset", asset.asset_id, facts)

@@ -9,7 +9,10 @@ SELECT
     CASE WHEN rank > filled THEN 'nothing fits' WHEN is_fallback THEN 'the provider had nothing' END AS reason,
     CASE WHEN rank <= filled THEN asset_of(object, slot, library.asset_id) END AS asset_id,
     NULL AS seed,
-    NULL AS call_id
+    NULL AS call_id,
+    NULL AS twin_of,
+    NULL AS seen_share,
+    0.02 + 0.2 * u(object * 16 + slot, 'seconds') AS seconds
 FROM (
     SELECT
         *,

@@ -38,12 +38,15 @@ STATED, MUTE = "demo/stated", "demo/mute"
 SCANS = {STATED: "Terms of a scanner", MUTE: None}
 """License of every scan; of one there is no license file."""
 
-HELD = {"table": "Terms of a scanner", "box": "unknown", "stool": "unknown", "bench": "unknown", "mug": "CC-BY-4.0"}
+HELD = {
+    "table": "Terms of a scanner", "box": "unknown", "stool": "unknown", "bench": "unknown", "mug": "CC-BY-4.0",
+    "crate": "(MIT OR CC0-1.0) AND Terms of a scanner", "basket": "CC-BY-4.0 AND unknown",
+}  # fmt: skip
 """What holds for the asset of every category."""
 
 
 def room(seed: int) -> list[Object]:
-    """Five objects, of which no two in any room are one asset."""
+    """Seven objects, of which no two in any room are one asset."""
     size = 0.01 * seed
     return [
         obj("table", translation([-1.5, 0.5, 0.0]), seed=3 + seed),
@@ -51,14 +54,19 @@ def room(seed: int) -> list[Object]:
         obj("stool", translation([1.2, -1.0, 0.0]), seed=7 + seed),
         dataclasses.replace(cube((0.6 + size, 0.3, 0.4), translation([-1.5, -1.2, 0.0])), category="bench"),
         dataclasses.replace(cube((0.1 + size, 0.1, 0.12), translation([2.2, -1.2, 0.0])), category="mug"),
+        dataclasses.replace(cube((0.31 + size, 0.3, 0.2), translation([2.2, 1.2, 0.0])), category="crate"),
+        dataclasses.replace(cube((0.21 + size, 0.3, 0.2), translation([2.2, 0.2, 0.0])), category="basket"),
     ]
 
 
 def told(category: str) -> tuple[str, str]:
-    """License and source of an asset, as the lake has them: cut from either scan, from one that is gone, nobody's, somebody's."""
+    """License and source of an asset, as the lake has them: cut from either scan, from one that is gone, nobody's, somebody's, and
+    somebody's that was painted with either scan."""
     return {
         "table": (OF_THE_SCAN, f"scan {STATED}"), "box": (OF_THE_SCAN, f"scan {MUTE}"), "stool": (OF_THE_SCAN, "scan demo/gone"),
         "bench": ("NOASSERTION", "library/bench.glb"), "mug": ("CC-BY-4.0", "library/mug.glb"),
+        "crate": (f"(MIT OR CC0-1.0) AND {OF_THE_SCAN}", f"scan {STATED}; library/crate.glb"),
+        "basket": (f"CC-BY-4.0 AND {OF_THE_SCAN}", f"scan {MUTE}; library/basket.glb"),
     }[category]  # fmt: skip
 
 
