@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
-from schemas.lineage.licenses import OF_THE_SCAN, UNKNOWN, is_unknown, of_asset
+from schemas.lineage.licenses import OF_THE_SCAN, UNKNOWN, all_of, is_of_scan, is_unknown, of_asset
 from warehouse.release.licenses import Allowed, duties
 
 NAMES = ("CC0-1.0", "CC-BY-4.0", "CC-BY-NC-4.0", "MIT", "MIT-0", "ScanNet Terms of Use, see the site")
