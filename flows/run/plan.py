@@ -207,7 +207,7 @@ def _steps(
     retry_failed: bool,
 ) -> tuple[Step, ...]:
     """The steps of one scene. `outside` holds hashes of outside inputs by stage, `stage_facts` config and code of every stage, the same
-    texts for all scenes; `facts` what is to be recorded beside an outside input."""
+    texts for all scenes; `facts` what capture is to record beside an outside input."""
     steps: list[Step] = []
     by_stage: dict[str, Step] = {}
     for stage in SCENE_STAGES:
@@ -217,7 +217,7 @@ def _steps(
         inputs = tuple(f"{name}={outside[stage.name][name]}" for name in stage.outside if name in outside[stage.name])
         if stage.history:
             inputs += (f"annotations={annotations}",)
-        beside = tuple(fact for name in stage.outside if name in outside[stage.name] for fact in facts.get(name, ()))
+        beside = tuple(fact for name in stage.outside for fact in facts.get(name, ())) if stage.name == CAPTURE else ()
         fingerprint = Fingerprint((*inputs, *read), *stage_facts[stage.name], seed, beside)
         action, why, attempt, before = _action(stage, fingerprint, past[stage.name], [by_stage[o.name] for o in above], retry_failed)
         step = Step(stage.name, action, why, fingerprint, read, attempt, before)

@@ -292,8 +292,8 @@ def _lent(places: Array, color: NDArray[np.float32], lends: Mask, needs: Mask, r
         return np.full((int(needs.sum()), 3), _BLANK, dtype=np.float32), np.zeros(int(needs.sum()), dtype=bool)
     lenders = lenders[:: -(-len(lenders) // _LENDERS)]
     k = min(_NEIGHBORS, len(lenders))
-    found = cKDTree(places[lenders]).query(places[needs], k=k, distance_upper_bound=reach_m)
-    distance, nearest = (of.reshape(-1, k) for of in found)  # infinite, and one past the last, where fewer are within reach
+    lent_by = cKDTree(places[lenders]).query(places[needs], k=k, distance_upper_bound=reach_m)
+    distance, nearest = (of.reshape(-1, k) for of in lent_by)  # infinite, and one past the last, where fewer are within reach
     closeness = 1.0 / (distance + 1e-6) ** 2
     weighted = color[lenders[np.minimum(nearest, len(lenders) - 1)]] * closeness[..., None]
     lent = weighted.sum(axis=1) / np.maximum(closeness.sum(axis=1), 1e-300)[:, None]

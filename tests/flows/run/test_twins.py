@@ -136,4 +136,4 @@ def test_nothing_is_made_again_and_other_slots_make_only_what_hangs_on_them(home
     plain = [word.replace(SLOTS, 'candidates.slots=[{provider="procedural"}]') for word in SET]
     changed = stale(lake, scans, home, *plain)
     assert (SCENE, "capture") not in changed
-    assert changed[SCENE, "candidates"] == "scan, config changed"
+    assert changed[SCENE, "candidates"] == "config, scan changed"
