@@ -198,7 +198,7 @@ def _asset(category: str, parts: list[trimesh.Trimesh], known: list[trimesh.Trim
         license="Apache-2.0", author=None, mesh_blob=blobs.add(glb, "glb"), pieces_blob=pieces_blob,
         extents=tuple(map(float, np.ptp(surface.vertices, axis=0))), volume_m3=sum(abs(float(part.volume)) for part in parts),
         is_watertight=all(part.is_watertight for part in parts), vertex_count=len(surface.vertices), face_count=len(surface.faces),
-        open_reason=None, has_texture=False,
+        open_reason=None, has_texture=False, source_url=None, thumbnail_blob=None,
     )  # fmt: skip
 
 

@@ -40,6 +40,7 @@ RECORDS: tuple[type, ...] = (
     indexing.RefusedModel,
     candidates.Candidate,
     candidates.Asset,
+    candidates.TextureCharts,
     selection.Selection,
     annotation.WorkBatch,
     annotation.Assignment,

@@ -133,7 +133,8 @@ class Stage:
     `history` names tables that are read as they stand in the lake, whoever wrote them (annotations: those that were
     accepted), instead of from an upstream stage of the same scene. `streams` are tables of which a stage of grain `dataset`
     reads the rows of all scenes, through its input `dataset`. A stage with the outside input `model` says by `model_wanted(config)`
-    which one it wants, if any.
+    which one it wants, if any. `scan_wanted(config)` says of a stage with the outside input `scan` whether it wants it; one that does not
+    is given None, and its fingerprint does not name the scan.
     """
 
     name: str
@@ -146,10 +147,17 @@ class Stage:
     history: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()
     model_wanted: Callable[[Any], WantedModel | None] | None = None
+    scan_wanted: Callable[[Any], bool] | None = None
+
+    def takes_scan(self, config: Any) -> bool:
+        """Whether a run with a config is given the scan."""
+        return "scan" in self.outside and (self.scan_wanted is None or self.scan_wanted(config))
 
     def __post_init__(self) -> None:
         if ("model" in self.outside) != (self.model_wanted is not None):
             raise ValueError(f"stage {self.name}: the outside input `model` and `model_wanted` go together")
+        if self.scan_wanted is not None and "scan" not in self.outside:
+            raise ValueError(f"stage {self.name}: `scan_wanted` is there for the outside input `scan` alone")
         for table in (*self.reads, *self.streams, *self.writes):
             if table not in TABLES:
                 raise ValueError(f"stage {self.name}: {table} is no table of schemas.tables")

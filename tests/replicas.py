@@ -95,7 +95,7 @@ def rows_of(objects: Sequence[Object], scene_id: str = "demo/room_01") -> tuple[
             asset_id=asset_id, provider="procedural", name=item.category, category=item.category, source="generator", license="Apache-2.0",
             author=None, mesh_blob=blobs.add(glb, "glb"), pieces_blob=pieces,
             extents=extents, volume_m3=1.0, is_watertight=True, vertex_count=len(surface.vertices), face_count=len(surface.faces),
-            open_reason=None, has_texture=False,
+            open_reason=None, has_texture=False, source_url=None, thumbnail_blob=None,
         )  # fmt: skip
         pose = flat(item.pose)
         rows["instances"].append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from datetime import UTC, datetime
 from typing import Any
 
@@ -11,7 +12,12 @@ from hypothesis import strategies as st
 from bench.samples import START, fingerprint, sample, stage_run
 from schemas.record import Column, table_of
 
-__all__ = ["START", "fingerprint", "rows", "sample", "stage_run"]
+__all__ = ["START", "fingerprint", "lasting", "rows", "sample", "stage_run"]
+
+
+def lasting(row: Any) -> Any:
+    """A row without what differs from run to run: its volatile columns, which may be missing."""
+    return dataclasses.replace(row, **dict.fromkeys(table_of(type(row)).volatile_columns))
 
 
 def rows(record: type, most: int = 4) -> st.SearchStrategy[list[Any]]:

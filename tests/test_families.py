@@ -21,6 +21,7 @@ from schemas.families.path_finders import PATH_FINDERS
 from schemas.families.policies import POLICIES
 from schemas.families.scan_formats import SCAN_FORMATS
 from schemas.families.selection_methods import SELECTION_METHODS
+from tasks.alignment import methods as alignment_methods
 from tasks.candidates import providers
 from tasks.capture import formats as scan_formats
 from tasks.evaluation import policies
@@ -28,7 +29,6 @@ from tasks.exports import formats as export_formats
 from tasks.families import member, members, part
 from tasks.lineage.places import places_of
 from tasks.navigation import path_finders
-from tasks.selection.alignment import methods as alignment_methods
 from tasks.selection.methods import members as selection_methods
 from tests.conftest import REPOSITORY
 from tests.scans import OBJECTS, write_scan
@@ -40,7 +40,7 @@ FAMILIES: dict[str, tuple[tuple[str, ...], tuple[Any, ...]]] = {
     "tasks.candidates": (CANDIDATE_PROVIDERS, providers.PROVIDERS),
     "tasks.navigation": (PATH_FINDERS, path_finders.PATH_FINDERS),
     "tasks.evaluation.policies": (POLICIES, policies.POLICIES),
-    "tasks.selection.alignment": (ALIGNMENT_METHODS, alignment_methods.METHODS),
+    "tasks.alignment": (ALIGNMENT_METHODS, alignment_methods.METHODS),
     "tasks.selection.methods": (SELECTION_METHODS, selection_methods.METHODS),
 }
 """Names and objects of every family, by the package that its members lie in."""
@@ -91,6 +91,7 @@ ELSEWHERE = {
     "bench/warehouse/rows/scenes.sql posed_rgbd": "as above",
     "bench/warehouse/rows/scenes.sql scannet": "as above",
     "bench/warehouse/rows/selections.sql geometric": "rows of a generated lake, in shares that are like those of real ones",
+    "bench/warehouse/rows/texture_charts.sql procedural": "rows of a generated lake: what has no layout of its own",
     "bench/warehouse/rows/trajectories.sql expert": "as above",
     "bench/warehouse/rows/trajectories.sql planar": "as above",
     "bench/policy/frames.py mjcf": "what MuJoCo draws is an export of that format",
@@ -114,6 +115,7 @@ ELSEWHERE = {
     "tasks/annotation/work.py glb": "the file of a candidate, in the folder that annotators get",
     "tasks/candidates/__init__.py library": "the outside input of the stage",
     "tasks/capture/glb.py model": "a file of a scan",
+    "tasks/capture/glb.py textured": "a word in names of nodes that says nothing of what they are",
     "tasks/exports/mjcf/rules.py model": "an attribute of the file that the rules read",
     "tasks/exports/mesh_files.py glb": "the ending of a file that a robot's or a world's description names",
     "tasks/exports/usd/body_rules.py extents": "the size of a body",

@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.realdata import MODELS
+from tasks.alignment import AlignmentConfig, Fit, Sample, ScannedInstance, make_target, sample_of, sight_of
+from tasks.alignment.distances import disc_distances
+from tasks.alignment.samples import turned
 from tasks.capture.instances.boxes import oriented_box
 from tasks.furniture import CATEGORIES, generate
 from tasks.geometry.meshes import Surface, canonical, load_glb, sample_surface, surface_of
@@ -19,9 +22,6 @@ from tasks.geometry.transforms import inverse, look_at, transform_points, yaw_of
 from tasks.scanner import ScannerConfig
 from tasks.scanner.scenery import Paint
 from tasks.scanner.sensor import depth_camera, shoot
-from tasks.selection.alignment import AlignmentConfig, Fit, Sample, ScannedInstance, make_target, sample_of, sight_of
-from tasks.selection.alignment.samples import turned
-from tasks.selection.distances import disc_distances
 
 if TYPE_CHECKING:
     from tasks.scanner.sensor import Shot

@@ -17,12 +17,12 @@ from bench.alignment.objects import PosedObject, Seen, by_others, camera_made, g
 from bench.goals import goal
 from bench.machine import machine
 from flows.run.pool import WorkerPool
+from tasks.alignment import AlignmentConfig, Fit, align
+from tasks.alignment.acdc import ACDC, Acdc
+from tasks.alignment.distances import disc_distances
+from tasks.alignment.free_pose import FREE_POSE
+from tasks.alignment.methods import METHODS
 from tasks.geometry.transforms import yaw_of
-from tasks.selection.alignment import AlignmentConfig, Fit, align
-from tasks.selection.alignment.acdc import ACDC, Acdc
-from tasks.selection.alignment.free_pose import FREE_POSE
-from tasks.selection.alignment.methods import METHODS
-from tasks.selection.distances import disc_distances
 
 Array = NDArray[np.float64]
 

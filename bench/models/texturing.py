@@ -22,10 +22,9 @@ from bench.machine import machine
 from bench.shelves import models_in
 from bench.tables import add_row, goals_table, headline, table_of
 from schemas.errors import InputError
-from tasks.fidelity.visibility import in_picture, reach
 from tasks.furniture import CATEGORIES, generate
 from tasks.geometry.meshes import Surface, surface_of
-from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.rendering import Camera, RayScene, in_picture, reach
 from tasks.geometry.transforms import look_at
 from tasks.scanner import ScannerConfig
 from tasks.scanner.route import plan_views, targets_of

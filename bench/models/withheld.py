@@ -108,21 +108,21 @@ def _clouds(outcome: Outcome) -> Mapping[str, Array]:
     return {row.instance_id: read_points(outcome.blobs[row.points_blob])[0] for row in outcome.rows["instances"]}
 
 
-def _matched(true: Sequence[Array], found: Sequence[Array]) -> int:
-    """How many true objects are found, each by one that is found at most."""
+def _matched(true: Sequence[Array], seen: Sequence[Array]) -> int:
+    """How many true objects are found, each by one cloud at most."""
     from scipy.optimize import linear_sum_assignment
 
-    if not true or not found:
+    if not true or not seen:
         return 0
-    shares = np.array([[_share(a, b) * _share(b, a) for b in found] for a in true])
+    shares = np.array([[_share(a, b) * _share(b, a) for b in seen] for a in true])
     rows, columns = linear_sum_assignment(np.where(shares >= LEAST_SHARE, shares, 0.0), maximize=True)
     return int((shares[rows, columns] >= LEAST_SHARE).sum())
 
 
-def _share(points: Array, others: Array) -> float:
+def _share(points: Array, cloud: Array) -> float:
     from scipy.spatial import cKDTree
 
-    return float(np.isfinite(cKDTree(others).query(points, distance_upper_bound=1.5 * NEAR_M)[0]).mean())
+    return float(np.isfinite(cKDTree(cloud).query(points, distance_upper_bound=1.5 * NEAR_M)[0]).mean())
 
 
 def _owner(row: Instance, points: Array, truth: ScanTruth) -> TrueObject | None:

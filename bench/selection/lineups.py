@@ -120,6 +120,7 @@ def candidate_rows(request: CandidateRequest, offered: Sequence[Offered]) -> lis
             scene_id=request.context.scene_id, instance_id=request.instance.instance_id, slot=slot, provider=each.made.asset.provider,
             provider_version=version.get(each.kind, Procedural().version), is_fallback=False, outcome="filled", reason=None,
             asset_id=each.made.asset.asset_id, seed=None, call_id=None, library=None, library_file=None, library_score=None,
+            twin_of=None, seen_share=None, seconds=None,
         )
         for slot, each in enumerate(offered, start=1)
     ]  # fmt: skip

@@ -11,14 +11,13 @@ import numpy as np
 
 from schemas.capture import Instance
 from schemas.errors import InputError
+from tasks.alignment import AlignmentConfig, instance_frame
 from tasks.capture.cloud import vertex_areas
 from tasks.capture.instances.segmentation import RULED, guessed
 from tasks.furniture import canonical_category
 from tasks.geometry.meshes import surface_of_glb
 from tasks.geometry.triangles import vertex_normals
 from tasks.models import Model
-from tasks.selection import SelectionConfig
-from tasks.selection.evidence import instance_frame
 from tasks.selection.metrics.bootstrap import interval
 from tasks.selection.model.batches import NAME_TOKENS
 from tasks.selection.model.inference import Scorer, load
@@ -62,7 +61,7 @@ def namings_of(lake: Lake, truths: Sequence[Mapping[str, Any]], model: Model, se
                 continue
             surface = surface_of_glb(lake.blobs[row.mesh_blob], row.mesh_blob)
             by_rules = guessed(surface.vertices, vertex_normals(surface.vertices, surface.faces), vertex_areas(surface))
-            _, target, points, colors = instance_frame(row, context, SelectionConfig())
+            _, target, points, colors = instance_frame(row, context, AlignmentConfig())
             seen = scanned(points, colors, target.size, "", None, None, scorer.config)
             by_model = learned[int(np.argmax(scorer.named(seen.cloud, seen.extents, learned, NAME_TOKENS)))]
             named.append(Naming(truth["room_id"], known["category"], known["category"] in learned, by_rules, by_model))

@@ -109,7 +109,7 @@ def _asset(name: str, obj: SceneryObject) -> Asset:
     return Asset(
         asset_id=_asset_id(name), provider="library", name=obj.name, category=obj.category, source="AWS small house", license="unknown",
         author=None, mesh_blob=f"{_asset_id(name)}.glb", pieces_blob=None, extents=size, volume_m3=math.prod(size), is_watertight=False,
-        vertex_count=8, face_count=12, open_reason=None, has_texture=False,
+        vertex_count=8, face_count=12, open_reason=None, has_texture=False, source_url=None, thumbnail_blob=None,
     )  # fmt: skip
 
 

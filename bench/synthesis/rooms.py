@@ -182,7 +182,7 @@ def _asset(word: str, size: tuple[float, float, float]) -> Asset:
     return Asset(
         asset_id=asset_id, provider="procedural", name=word, category=word, source="generator", license="Apache-2.0", author=None,
         mesh_blob=f"{asset_id}.glb", pieces_blob=None, extents=size, volume_m3=math.prod(size), is_watertight=True, vertex_count=8,
-        face_count=12, open_reason=None, has_texture=False,
+        face_count=12, open_reason=None, has_texture=False, source_url=None, thumbnail_blob=None,
     )  # fmt: skip
 
 

@@ -264,6 +264,7 @@ def _candidate(scene: str, instance: str, slot: int, asset: str, tag: str) -> Ca
     return Candidate(
         scene_id=scene, instance_id=instance, slot=slot, provider="bench", provider_version="1", is_fallback=False, outcome="filled",
         reason=tag, asset_id=asset, seed=None, call_id=None, library=None, library_file=None, library_score=None,
+        twin_of=None, seen_share=None, seconds=None,
     )  # fmt: skip
 
 
@@ -271,7 +272,7 @@ def _asset(asset: str, mesh: str) -> Asset:
     return Asset(
         asset_id=asset, provider="bench", name="bench", category="box", source="bench", license="CC0-1.0", author=None, mesh_blob=mesh,
         pieces_blob=None, extents=(1.0, 1.0, 1.0), volume_m3=1.0, is_watertight=True, vertex_count=8, face_count=12,
-        open_reason=None, has_texture=False,
+        open_reason=None, has_texture=False, source_url=None, thumbnail_blob=None,
     )  # fmt: skip
 
 

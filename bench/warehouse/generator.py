@@ -144,7 +144,7 @@ def _generate(folder: Path, scenes: int, seed: int, progress: Callable[[str], No
                 versions[table.name] = []
                 for number in range(1, len(parts) + 1):
                     connection.execute(f"SET VARIABLE part = {number}")
-                    if table.name == "assets":
+                    if table.name in ("assets", "texture_charts"):
                         connection.execute((_HERE / "named.sql").read_text())
                     rows = connection.sql(_typed(connection, table, queries[table.name])).to_arrow_reader(50_000)
                     writer.append(rows.cast(nullable(table.arrow_schema)))

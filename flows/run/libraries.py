@@ -119,7 +119,7 @@ def _opened(lake: Lake, reader: Reader, row: IndexedLibrary, way: tuple[Callable
     from tasks.library.search import LibrarySearch
 
     search = LibrarySearch.unpacked(lake.blobs[row.search_blob])
-    return OpenLibrary(row.library, search, row.weights or "", row.notes, _Assets(lake, _entry_blobs(reader, row.library)), way)
+    return OpenLibrary(row.library, search, row.weights or "", row.notes, _Assets(lake, _entry_blobs(reader, row.library)), lake.blobs, way)
 
 
 def _entry_blobs(reader: Reader, name: str) -> dict[str, str]:
@@ -138,4 +138,5 @@ class _Assets:
         from tasks.candidates.assets import MadeAsset
         from tasks.library.entry import loaded
 
-        return MadeAsset(loaded(self._lake.blobs[self._entries[file]]).asset, {})
+        entry = loaded(self._lake.blobs[self._entries[file]])
+        return MadeAsset(entry.asset, {}, charts=entry.charts)

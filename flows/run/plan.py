@@ -147,10 +147,10 @@ def make_plan(
     annotations = annotation_digests(lake, {scan.scene_id for scan, _ in looked}, snapshot_id)
     scenes = []
     for scan, content in looked:
-        outside = {"scan": content.named, LIBRARY: library}
+        outside = {SCAN: content.named, LIBRARY: library}
         past = {stage.name: history.get((scan.scene_id, stage.name)) for stage in SCENE_STAGES}
-        facts = {"scan": content.parts[1:]}
-        given_to = {stage.name: outside | {MODEL: models[stage.name]} if stage.name in models else outside for stage in SCENE_STAGES}
+        facts = {SCAN: content.parts[1:]}
+        given_to = {stage.name: _given(stage, outside, models, configuration) for stage in SCENE_STAGES}
         steps = _steps(given_to, facts, annotations.get(scan.scene_id, ""), past, stage_facts, configuration.seed, retry_failed)
         scenes.append(ScenePlan(scan, steps, snapshot_id, given.get(scan.scene_id)))
     return Plan(tuple(scenes), tuple(errors), snapshot_id, tuple(notes), same)
@@ -173,8 +173,17 @@ LIBRARY = "library"
 MODEL = "model"
 """The outside input that is a model of the lake or of the package, by its id."""
 
+SCAN = "scan"
+"""The outside input that is the scan."""
+
 CAPTURE = "capture"
-"""The stage that reads scans."""
+"""The stage that reads scans, and whose rows say which content they are of."""
+
+
+def _given(stage: Stage, outside: Mapping[str, str], models: Mapping[str, str], configuration: Configuration) -> dict[str, str]:
+    """Hashes of the outside inputs that a stage is given, by name."""
+    given = {name: value for name, value in outside.items() if name != SCAN or stage.takes_scan(configuration.stages[stage.name])}
+    return given | ({MODEL: models[stage.name]} if stage.name in models else {})
 
 
 def _as_scenes(
@@ -207,7 +216,7 @@ def _steps(
     retry_failed: bool,
 ) -> tuple[Step, ...]:
     """The steps of one scene. `outside` holds hashes of outside inputs by stage, `stage_facts` config and code of every stage, the same
-    texts for all scenes; `facts` what is to be recorded beside an outside input."""
+    texts for all scenes; `facts` what capture is to record beside an outside input."""
     steps: list[Step] = []
     by_stage: dict[str, Step] = {}
     for stage in SCENE_STAGES:
@@ -217,7 +226,7 @@ def _steps(
         inputs = tuple(f"{name}={outside[stage.name][name]}" for name in stage.outside if name in outside[stage.name])
         if stage.history:
             inputs += (f"annotations={annotations}",)
-        beside = tuple(fact for name in stage.outside for fact in facts.get(name, ()))
+        beside = tuple(fact for name in stage.outside for fact in facts.get(name, ())) if stage.name == CAPTURE else ()
         fingerprint = Fingerprint((*inputs, *read), *stage_facts[stage.name], seed, beside)
         action, why, attempt, before = _action(stage, fingerprint, past[stage.name], [by_stage[o.name] for o in above], retry_failed)
         step = Step(stage.name, action, why, fingerprint, read, attempt, before)

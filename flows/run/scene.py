@@ -15,7 +15,7 @@ from flows.run.configuration import Configuration
 from flows.run.fingerprints import canonical_json
 from flows.run.ledger import FREE, SPENT, CallRules
 from flows.run.libraries import library_of_input
-from flows.run.plan import LIBRARY, MODEL, Plan, ScenePlan, Step
+from flows.run.plan import LIBRARY, MODEL, SCAN, Plan, ScenePlan, Step
 from flows.run.pool import PoolStopped, WorkerLost, WorkerPool, WorkerTimeout
 from flows.worker import Job, execute, lost_run
 from schemas.runs import StageRun
@@ -135,8 +135,9 @@ def job_of(lake: Lake, plan: ScenePlan, step: Step, configuration: Configuration
     """The job for one step of a scene's plan."""
     stage = next(s for s in STAGES if s.name == step.stage)
     library = library_of_input(configuration.library, plan.library)
-    outside: dict[str, Any] = {"scan": plan.scan, LIBRARY: library, MODEL: plan.models.get(step.stage)}
     config = configuration.stages[stage.name]
+    scan = plan.scan if stage.takes_scan(config) else None
+    outside: dict[str, Any] = {SCAN: scan, LIBRARY: library, MODEL: plan.models.get(step.stage)}
     return Job(
         lake=lake.address,
         scene_id=plan.scan.scene_id,

@@ -1,4 +1,4 @@
-"""Alignment methods: how the pose of an asset on a scanned instance is found. The objects are in `tasks.selection.alignment`."""
+"""Alignment methods: how the pose of an asset on a scanned instance is found. The objects are in `tasks.alignment`."""
 
 from __future__ import annotations
 

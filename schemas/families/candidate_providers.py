@@ -2,4 +2,4 @@
 
 from __future__ import annotations
 
-CANDIDATE_PROVIDERS = ("procedural", "parametric", "scan_crop", "library", "shap_e", "served", "commanded")
+CANDIDATE_PROVIDERS = ("procedural", "parametric", "scan_crop", "library", "shap_e", "served", "commanded", "textured")

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.alignment import Fit, Sample
+from tasks.alignment.distances import disc_distances
 from tasks.geometry.meshes import Surface, sample_surface
 from tasks.geometry.triangles import surface_area
 from tasks.library.categories import category_similarity
-from tasks.selection.alignment import Fit, Sample
-from tasks.selection.distances import disc_distances
 from tasks.settings import Config, Count, NonNegative, Positive, Share
 
 Array = NDArray[np.float64]

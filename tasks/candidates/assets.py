@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from schemas.candidates import Asset
+from schemas.candidates import Asset, TextureCharts
 from tasks.geometry.meshes import Surface, canonical, dump_bodies, dump_glb, surface_of
 from tasks.geometry.plain_glb import PlainBody
 from tasks.geometry.triangles import enclosed_volume, is_closed, openness, welded
+from tasks.texturing.rows import own_charts
+from tasks.views.pictures import thumbnail
 
 if TYPE_CHECKING:
     import trimesh
@@ -27,7 +29,8 @@ MIN_EXTENT_M, MAX_EXTENT_M = 1e-4, 50.0
 @dataclasses.dataclass(frozen=True)
 class MadeAsset:
     """An asset with its files by blob name. call_id: The call of a model that made it. library, library_file, library_score: Where it was
-    found, as a candidate's row says it."""
+    found, as a candidate's row says it. charts: How its texture is laid out, as far as that is known. seen_share: Of a texture that was
+    painted, the share that frames show."""
 
     asset: Asset
     files: Mapping[str, bytes]
@@ -35,6 +38,8 @@ class MadeAsset:
     library: str | None = None
     library_file: str | None = None
     library_score: float | None = None
+    charts: TextureCharts | None = None
+    seen_share: float | None = None
 
 
 def make_asset(
@@ -46,6 +51,7 @@ def make_asset(
     source: str,
     license: str,
     author: str | None = None,
+    source_url: str | None = None,
     pieces: Sequence[trimesh.Trimesh] = (),
 ) -> MadeAsset:
     """An asset of `parts` (+Z up) and, when its construction knows them, convex `pieces` in the same frame [m].
@@ -82,6 +88,9 @@ def make_asset(
         volume = sum(abs(enclosed_volume(piece.vertices, piece.faces)) for piece in placed)
     else:
         volume = _volume(surface, closed)
+    picture = thumbnail(parts if textured else [surface.to_trimesh()])
+    thumbnail_blob = f"{hashlib.sha256(picture).hexdigest()}.png"
+    files[thumbnail_blob] = picture
     asset = Asset(
         asset_id=asset_id,
         provider=provider,
@@ -90,8 +99,10 @@ def make_asset(
         source=source,
         license=license,
         author=author,
+        source_url=source_url,
         mesh_blob=f"{asset_id}.glb",
         pieces_blob=pieces_blob,
+        thumbnail_blob=thumbnail_blob,
         extents=tuple(float(v) for v in np.ptp(surface.bounds, axis=0)),
         volume_m3=volume,
         is_watertight=closed is not None,
@@ -101,6 +112,11 @@ def make_asset(
         face_count=len(surface.faces),
     )
     return MadeAsset(asset, files)
+
+
+def charted(made: MadeAsset, parts: Sequence[trimesh.Trimesh]) -> MadeAsset:
+    """An asset of others with figures of the layout that it came with, where there are some (`tasks.texturing.rows`)."""
+    return dataclasses.replace(made, charts=own_charts(made.asset.asset_id, parts)) if made.asset.has_texture else made
 
 
 def _check(surface: Surface) -> None:

@@ -37,7 +37,8 @@ class CandidateProvider:
 
     config: What it can be told, a `ProviderConfig`. offer: The asset for an instance, as a config says; NothingToOffer where it has
     none. label: Its name in rows, where that hangs on its config. needs_library: It has nothing without a library. draws_looks: What it
-    makes for the best seen of those that look alike is the candidate of all.
+    makes for the best seen of those that look alike is the candidate of all. paints: Slot whose asset it paints, by its config; such
+    slots are filled after all others. frames: Whether it does so with the scan's frames.
     """
 
     name: str
@@ -46,7 +47,17 @@ class CandidateProvider:
     label: Callable[[Any], str] | None = None
     needs_library: bool = False
     draws_looks: bool = False
+    paints: Callable[[Any], int] | None = None
+    frames: Callable[[Any], bool] | None = None
 
     def row_name(self, config: ProviderConfig) -> str:
         """The provider as rows name it."""
         return self.label(config) if self.label is not None else self.name
+
+    def needs_frames(self, config: ProviderConfig) -> bool:
+        """Whether it has nothing without the scan's frames."""
+        return self.frames is not None and self.frames(config)
+
+    def twin_of(self, config: ProviderConfig) -> int | None:
+        """The slot whose asset it paints; None where it paints none."""
+        return None if self.paints is None else self.paints(config)

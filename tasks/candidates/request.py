@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
+from tasks.alignment import AlignmentConfig, ScannedInstance, instance_frame
+from tasks.candidates.assets import MadeAsset
 from tasks.candidates.closing import SolidField, solid_field
 from tasks.candidates.completion import Unseen
 from tasks.candidates.provider import NothingToOffer
@@ -25,6 +27,7 @@ from tasks.library.descriptors import Descriptor, describe
 from tasks.library.search import LibraryMatch
 from tasks.mounting import mounting
 from tasks.stage import Context
+from tasks.texturing.views import ColorView
 from tasks.views.crops import Crop
 from tasks.views.crops import crop_of as crop_of_view
 
@@ -38,10 +41,14 @@ MIN_SIDE_M = 0.005
 """A model gets no side thinner than 5 mm, however flat the scanned box is: posters and rugs come out without thickness."""
 
 
+NO_POINTS = "the points of the instance are not among the blobs"
+
+
 @dataclasses.dataclass(frozen=True)
 class CandidateRequest:
     """An instance to be stood in for, how the library is searched where one is given, and the scene's objects. frame, mask: Of its best
-    view, as far as they are known. What is computed once for several slots is a property."""
+    view, as far as they are known. views: Frames that show it, and unseen, why there are none. filled: Assets of slots that are filled
+    already, by slot, for those that paint them. What is computed once for several slots is a property."""
 
     instance: Instance
     caption: Caption | None
@@ -50,6 +57,21 @@ class CandidateRequest:
     neighbors: Sequence[Instance] = ()
     frame: Frame | None = None
     mask: Mask | None = None
+    views: Sequence[ColorView] = ()
+    unseen: str = ""
+    filled: dict[int, MadeAsset] = dataclasses.field(default_factory=dict, repr=False, compare=False)
+
+    @cached_property
+    def target(self) -> tuple[NDArray[np.float64], ScannedInstance]:
+        """The frame in the world that assets are laid in, 4x4 [m], and the instance in it, as alignment takes it.
+
+        Raises:
+            NothingToOffer: the points are not among the blobs.
+            InputError: they are no point cloud of this lake.
+        """
+        if self.instance.points_blob not in self.context.blobs:
+            raise NothingToOffer(NO_POINTS)
+        return instance_frame(self.instance, self.context, AlignmentConfig())[:2]
 
     @cached_property
     def view(self) -> Crop | None:
@@ -97,7 +119,7 @@ class CandidateRequest:
         """
         name = self.instance.points_blob
         if name not in self.context.blobs:
-            raise NothingToOffer("the points of the instance are not among the blobs")
+            raise NothingToOffer(NO_POINTS)
         points, colors = read_points(self.context.blobs[name], name)
         pose, _ = grown_box(self.instance.box_pose, self.instance.box_size, self.instance.hidden_m)
         return transform_points(points, inverse(pose)), colors

@@ -13,9 +13,8 @@ from schemas.candidates import Asset
 from schemas.capture import RoomSurface, Shell
 from schemas.errors import InputError
 from schemas.optimization import Placement
-from tasks.fidelity.visibility import reach
 from tasks.geometry.meshes import Surface, surface_of, union_of
-from tasks.geometry.rendering import Camera, RayScene, Rendering
+from tasks.geometry.rendering import Camera, RayScene, Rendering, reach
 from tasks.geometry.triangles import face_crosses, face_normals
 from tasks.replica import placed_parts
 from tasks.shell import ShellConfig, floor_ring, room_shell, wall_of

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.rendering import TOUCH_M, Camera, RayScene, in_picture, reach
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,10 +22,6 @@ class Rays(Protocol):
 
     def reach(self, camera: Camera, points: Array, /) -> Array:
         """How far rays through points get before they meet something [m], infinite where they do not. Shape (n, 3) to (n,)."""
-
-
-_TOUCH_M = 0.003
-"""What lies so little behind what a ray meets is met by it: rays are single precision, and sheets have that thickness."""
 
 
 def visible(points: Array, replica: Rays, scan: RayScene, cameras: Sequence[Camera], behind_m: float) -> Mask:
@@ -39,7 +35,7 @@ def visible(points: Array, replica: Rays, scan: RayScene, cameras: Sequence[Came
         index = np.flatnonzero(~seen)
         index = index[in_picture(camera, points[index])]
         length = np.linalg.norm(points[index] - camera.pose[:3, 3], axis=1)
-        clear = np.abs(replica.reach(camera, points[index]) - length) <= _TOUCH_M
+        clear = np.abs(replica.reach(camera, points[index]) - length) <= TOUCH_M
         index, length = index[clear], length[clear]
         read = reach(camera, points[index], scan)
         seen[index[np.isfinite(read) & (read >= length - behind_m)]] = True
@@ -56,21 +52,3 @@ def seen_past(points: Array, scan: RayScene, cameras: Sequence[Camera], margin_m
         length = np.linalg.norm(points[index] - camera.pose[:3, 3], axis=1)
         past[index[np.isfinite(read) & (read >= length + margin_m)]] = True
     return past
-
-
-def in_picture(camera: Camera, points: Array) -> Mask:
-    """Which points lie in a camera's picture, nothing between, shape (n,)."""
-    pixel, depth = camera.project(points)
-    u, v = pixel[:, 0], pixel[:, 1]
-    return (depth > _TOUCH_M) & (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
-
-
-def reach(camera: Camera, points: Array, scene: RayScene) -> Array:
-    """How far the rays from a camera through points get before they meet something [m], infinite where they do not, shape (n,)."""
-    eye = camera.pose[:3, 3]
-    way = points - eye
-    length = np.linalg.norm(way, axis=1)
-    rays = np.empty((len(points), 6), dtype=np.float32)
-    rays[:, :3] = eye
-    rays[:, 3:] = way / np.maximum(length, 1e-9)[:, None]
-    return scene.cast(rays)["t_hit"].astype(np.float64)

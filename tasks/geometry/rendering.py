@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 NOTHING = 0xFFFFFFFF
 """Part and face of a ray that hits nothing."""
 
+TOUCH_M = 0.003
+"""What lies so little behind what a ray meets is met by it: rays are single precision, and sheets have that thickness."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
@@ -195,3 +198,21 @@ class RayScene:
         weights = np.column_stack([1 - bary.sum(axis=1), bary])
         blended = np.einsum("nk,nkd->nd", weights, corners.astype(np.float64))
         return sample_texture(image, blended, factor) if image is not None else np.clip(np.round(blended), 0, 255).astype(np.uint8)
+
+
+def in_picture(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points lie in a camera's picture, nothing between, shape (n,)."""
+    pixel, depth = camera.project(points)
+    u, v = pixel[:, 0], pixel[:, 1]
+    return (depth > TOUCH_M) & (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
+
+
+def reach(camera: Camera, points: NDArray[np.float64], scene: RayScene) -> NDArray[np.float64]:
+    """How far the rays from a camera through points get before they meet something [m], infinite where they do not, shape (n,)."""
+    eye = camera.pose[:3, 3]
+    way = points - eye
+    length = np.linalg.norm(way, axis=1)
+    rays = np.empty((len(points), 6), dtype=np.float32)
+    rays[:, :3] = eye
+    rays[:, 3:] = way / np.maximum(length, 1e-9)[:, None]
+    return scene.cast(rays)["t_hit"].astype(np.float64)

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from schemas.candidates import Asset, Candidate
+from schemas.candidates import Asset, Candidate, TextureCharts
 from schemas.captions import Caption
 from schemas.capture import Instance, Scene
 from schemas.optimization import Placement
-from tasks.candidates.assets import MAX_FACES, MadeAsset, decimated, make_asset
+from tasks.candidates.assets import MAX_FACES, MadeAsset, charted, decimated, make_asset
 from tasks.captions.sentences import shape_word
 from tasks.capture.instances.boxes import oriented_box
 from tasks.capture.instances.rows import modelled_solid
@@ -42,8 +42,9 @@ def scene_rows(scene: FinishedScene, source: Source, context: Context, config: I
         rows["captions"] = Outcome(captions=captions)
     placements = [row for instance in scene.objects if (row := assets.add(instance)) is not None]
     rows["candidates"] = Outcome(
-        candidates=assets.candidates, assets=list(assets.rows.values()), blobs=assets.files, degradations=assets.notes
-    )
+        candidates=assets.candidates, assets=list(assets.rows.values()), texture_charts=list(assets.charts.values()), blobs=assets.files,
+        degradations=assets.notes,
+    )  # fmt: skip
     rows["optimization"] = Outcome(
         placements=placements, supports=[], contacts=[], optimization_steps=[], optimizations=[], certificates=[],
     )  # fmt: skip
@@ -147,6 +148,7 @@ class _Assets:
         self._scene_id = scene_id
         self._made: dict[tuple[int, str], tuple[MadeAsset | None, str, np.ndarray[Any, Any]]] = {}
         self.rows: dict[str, Asset] = {}
+        self.charts: dict[str, TextureCharts] = {}
         self.files: dict[str, bytes] = {}
         self.candidates: list[Candidate] = []
         self.notes: list[str] = []
@@ -165,12 +167,15 @@ class _Assets:
                 scene_id=self._scene_id, instance_id=instance.instance_id, slot=1, provider=PROVIDER, provider_version=VERSION,
                 is_fallback=False, outcome="filled" if made is not None else "failed", reason=problem or None, asset_id=asset_id,
                 seed=None, call_id=None, library=None, library_file=None, library_score=None,
+                twin_of=None, seen_share=None, seconds=None,
             )
         )  # fmt: skip
         if made is None:
             self.notes.append(f"{instance.instance_id}: {instance.model.name}: {problem}: no asset")
             return None
         self.rows[made.asset.asset_id] = made.asset
+        if made.charts is not None:
+            self.charts[made.asset.asset_id] = made.charts
         self.files.update(made.files)
         return _placement(self._scene_id, instance, made.asset.asset_id, shift)
 
@@ -190,7 +195,7 @@ def _made(model: ImportedModel, category: str) -> tuple[MadeAsset | None, str, n
         )  # fmt: skip
     except ValueError as error:
         return None, " ".join(str(error).split()), shift
-    return made, "", shift
+    return charted(made, parts), "", shift
 
 
 def _placement(scene_id: str, instance: FinishedObject, asset_id: str, shift: np.ndarray[Any, Any]) -> Placement:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.candidates import Asset
+from schemas.candidates import Asset, TextureCharts
 from tasks.library.descriptors import Descriptor
 from tasks.library.fields import SurfaceField
 from tasks.unpacking import json_value
@@ -27,7 +27,8 @@ class IndexEntry:
     `file`, `metadata`, `plausibility` or `assumed`. category_known: `lvis`, `tags`, `name`, `product_type`, `index` ... or `file name`.
     license: SPDX where there is one. extents: Of the canonical model along x, y, z [m]. open_because: Why its surface is not closed,
     '' where it is. descriptor, field: What it is found by. signature: What equal geometry has in common, shape (34,).
-    asset: The asset that candidates are given: its canonical GLB is made of the file again, or lies where the index was made.
+    asset: The asset that candidates are given: its canonical GLB is made of the file again, or lies where the index was made. charts: How
+    its texture is laid out, as far as that is known.
     thumbnails: PNGs from around, the first from the front. image_vectors: Of pictures from around, shape (k, d), and text_vector: of its
     name and category, shape (d,), by the model `weights` (a hash), where one was named. pieces_key: What convex pieces are cached by.
     notes: What is odd or missing, a line each. duplicate_of: The file that holds the same, '' for the first; duplicate_by: `bytes`, or
@@ -64,6 +65,7 @@ class IndexEntry:
     weights: str
     pieces_key: str
     asset: Asset
+    charts: TextureCharts | None
     notes: tuple[str, ...]
     duplicate_of: str = ""
     duplicate_by: str = ""
@@ -115,6 +117,8 @@ def _plain(value: Any) -> Any:
 
 def _filled(name: str, value: Any) -> Any:
     """A value of an entry out of JSON."""
+    if name == "charts":
+        return None if value is None else TextureCharts(**value)
     if name == "asset":
         stated: dict[str, Any] = value | {"extents": tuple(value["extents"])}
         return Asset(**stated)

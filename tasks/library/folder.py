@@ -46,7 +46,7 @@ def _indexed(folder: Path, config: IndexConfig, store: MutableMapping[str, bytes
         return entry_asset(by_file[file], folder, catalog.of(file))
 
     search, weights = LibrarySearch.of(index.entries), weights_of(index)
-    return OpenLibrary(None, search, weights, (*catalog.notes, *refused_first(index)), asset_of, (library_in, (folder, config, store)))
+    return OpenLibrary(None, search, weights, (*catalog.notes, *refused_first(index)), asset_of, {}, (library_in, (folder, config, store)))
 
 
 def weights_of(index: ModelIndex) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from schemas.errors import InputError, LakeError
 from schemas.text import one_line
-from tasks.candidates.assets import MAX_EXTENT_M, MAX_FACES, MIN_EXTENT_M, MadeAsset, decimated, make_asset
+from tasks.candidates.assets import MAX_EXTENT_M, MAX_FACES, MIN_EXTENT_M, MadeAsset, charted, decimated, make_asset
 from tasks.captions.physics import known_name
 from tasks.geometry.meshes import Surface, sample_surface, surface_of
 from tasks.geometry.triangles import is_closed, welded
@@ -32,9 +32,8 @@ from tasks.library.formats import content_of, model_files, read_model
 from tasks.library.metadata import ModelFacts
 from tasks.library.units import canonical_parts, convention_of
 from tasks.selection.methods.encoders import weights_digest
-from tasks.selection.methods.pictures import around
 from tasks.settings import Config, Count
-from tasks.views.pictures import png_of
+from tasks.views.pictures import around, png_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -114,7 +113,7 @@ def index_file(path: Path, root: Path, facts: ModelFacts, config: IndexConfig, c
         face_count=len(surface.faces), open_because=open_because(surface),
         has_texture=any(getattr(part.visual, "kind", None) == "texture" for part in parts), descriptor=descriptor, field=field_of(points),
         signature=signature_of(surface.vertices), thumbnails=_thumbnails(parts, config), image_vectors=vectors, text_vector=text,
-        weights=weights, pieces_key=geometry_key(surface), asset=made.asset,
+        weights=weights, pieces_key=geometry_key(surface), asset=made.asset, charts=made.charts,
         notes=tuple(note for note in (*model.notes, convention.note) if note),
     )  # fmt: skip
     return entry, made
@@ -128,9 +127,13 @@ def _asset(parts: list[trimesh.Trimesh], file: str, name: str, category: str, fa
     """
     source, license_, author = facts.source_url or file, facts.license.name, facts.author or None
     try:
-        return make_asset(parts, provider=PROVIDER, name=name, category=category, source=source, license=license_, author=author)
+        made = make_asset(
+            parts, provider=PROVIDER, name=name, category=category, source=source, license=license_, author=author,
+            source_url=facts.source_url or None,
+        )  # fmt: skip
     except ValueError as error:
         raise InputError(file, "meshes", str(error), "export it with its geometry") from error
+    return charted(made, parts)
 
 
 PROVIDER = "library"

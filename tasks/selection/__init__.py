@@ -10,9 +10,10 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.selection import Selection
+from tasks.alignment import AlignmentConfig
+from tasks.alignment.instances import BESIDE_M, FLOOR_SNAP_M
 from tasks.geometry.transforms import flat, yaw_pose
 from tasks.models import Model
-from tasks.selection.alignment import AlignmentConfig
 from tasks.selection.evidence import Evidence, InstanceQuery, gather
 from tasks.selection.looks import shared
 from tasks.selection.methods.geometric import GEOMETRIC, Geometric
@@ -41,8 +42,8 @@ class SelectionConfig(Config):
     alignment: AlignmentConfig = dataclasses.field(default_factory=AlignmentConfig)
     provider: Provider = dataclasses.field(default_factory=lambda: SHIPPED)  # it wins on rooms that were held out, and needs no torch
     score: ScoreConfig = dataclasses.field(default_factory=ScoreConfig)
-    beside_m: float = 0.05  # points farther out of the instance's box than its own noise are another object's
-    floor_snap_m: float = 0.05  # scans bleed: what ends this near the floor stands on it
+    beside_m: float = BESIDE_M  # points farther out of the instance's box than its own noise are another object's
+    floor_snap_m: float = FLOOR_SNAP_M  # scans bleed: what ends this near the floor stands on it
 
 
 def run(

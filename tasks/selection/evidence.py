@@ -15,22 +15,21 @@ from schemas.candidates import Asset, Candidate
 from schemas.captions import Caption
 from schemas.capture import Frame, Instance, Mask
 from schemas.errors import InputError
-from tasks.geometry.boxes import grown_box, oriented_iou
-from tasks.geometry.meshes import read_points
-from tasks.geometry.transforms import inverse, transform_points, translation, yaw_of, yaw_pose
-from tasks.mounting import mounting
-from tasks.selection.alignment import (
+from tasks.alignment import (
     Distances,
     Fit,
     Sample,
     ScannedInstance,
     align,
     by_sight,
+    covered_within,
+    instance_frame,
     lacking,
-    make_target,
     sample_asset,
     sight_of,
 )  # fmt: skip
+from tasks.geometry.boxes import grown_box, oriented_iou
+from tasks.geometry.transforms import inverse, transform_points, translation, yaw_pose
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.neighbors import Neighborhood, foreign_share
 from tasks.selection.scoring import completeness, is_own_geometry, score_of
@@ -41,9 +40,6 @@ if TYPE_CHECKING:
     from tasks.selection import SelectionConfig
 
 Array = NDArray[np.float64]
-
-LEAST_WITHIN = 0.3
-"""A box that holds less than this share of its points is none to go by."""
 
 PICTURE_PIXELS = 224
 """Of the side of a cut-out crop: about what crops have, and what DINOv2 looks at."""
@@ -161,7 +157,7 @@ def gather(
             degradations.append(f"{instance.instance_id}: no candidate to select from")
             continue
         best = instance.best_frames[0] if instance.best_frames else ""
-        frame, target, points, colors = instance_frame(instance, context, config)
+        frame, target, points, colors = instance_frame(instance, context, config.alignment, config.floor_snap_m, config.beside_m)
         query = InstanceQuery(
             instance, described.get(instance.instance_id), context, frame, target, points, colors, views.get(best),
             shown.get((best, instance.instance_id)),
@@ -196,7 +192,7 @@ def evidence_of(
     """Candidates of an instance, aligned and measured, in their order; those without samples are left out."""
     instance, frame, target, score = query.instance, query.frame, query.target, config.score
     histogram = color_histogram(target.colors)
-    threshold = max(min(score.threshold_m, score.threshold_share * target.diagonal), score.threshold_least_m)
+    threshold = covered_within(target.diagonal, score.threshold_m, score.threshold_share, score.threshold_least_m)
     reach = np.array([0.5 * target.diagonal, 0.5 * target.diagonal, 0.0])
     beside = neighborhood.within(instance.instance_id, frame[:3, 3] - reach, frame[:3, 3] + reach + [0.0, 0.0, target.size[2]])
     beside, own_cubes = transform_points(beside, inverse(frame)), len(neighborhood.seen.get(instance.instance_id, ()))
@@ -220,27 +216,6 @@ def evidence_of(
         geometric = score_of(distances, iou, color, complete, own, target.diagonal, score, foreign, target.resolution)
         measured.append(Evidence(candidate, asset, sample, fit, distances, iou, color, foreign, complete, own, geometric))
     return measured
-
-
-def instance_frame(
-    instance: Instance, context: Context, config: SelectionConfig
-) -> tuple[Array, ScannedInstance, Array, NDArray[np.uint8]]:
-    """The instance's frame in the world, 4x4 [m], standing where the asset is to stand; its points in that frame, as alignment takes
-    them and all of them, shape (n, 3) [m], with their colors (n, 3)."""
-    box, size = grown_box(instance.box_pose, instance.box_size, instance.hidden_m)
-    bottom, top = box[2, 3] - 0.5 * size[2], box[2, 3] + 0.5 * size[2]
-    if abs(bottom) <= config.floor_snap_m < top:
-        bottom = 0.0
-    frame = yaw_pose(yaw_of(box), [box[0, 3], box[1, 3], bottom])
-    points, colors = read_points(context.blobs[instance.points_blob], instance.points_blob)
-    local = transform_points(points, inverse(frame))
-    extent = np.array([size[0], size[1], top - bottom])
-    within = (np.abs(local - [0.0, 0.0, 0.5 * extent[2]]) <= 0.5 * extent + config.beside_m).all(axis=1)
-    if within.mean() >= LEAST_WITHIN:  # what lies farther off was annotated with it and is another object
-        local, colors = local[within], colors[within]
-    rng = context.rng("instance", instance.instance_id)
-    is_let_in = mounting(instance.category).kind == "let_in"
-    return frame, make_target(local, colors, extent, config.alignment, rng, instance.hidden_m, is_let_in), local, colors
 
 
 def _sample(asset: Asset | None, asset_id: str, context: Context, config: SelectionConfig, degradations: list[str]) -> Sample | None:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.capture import Instance
+from tasks.alignment.distances import nearest_indices
 from tasks.geometry.meshes import read_points
 from tasks.mounting import mounting
-from tasks.selection.distances import nearest_indices
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from schemas.candidates import Asset
-from tasks.selection.alignment import Distances
+from tasks.alignment import Distances
 from tasks.settings import Config, Texts
 
 

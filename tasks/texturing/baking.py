@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tasks.capture.rooms.textures import filled
-from tasks.fidelity.visibility import reach
-from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.rendering import Camera, RayScene, reach
 from tasks.geometry.triangles import face_areas, face_normals
 from tasks.settings import Config, Count, Natural, NonNegative, Positive, Share
 from tasks.texturing.charts import signed_areas
@@ -284,8 +283,8 @@ def weighted_median(values: NDArray[np.float32], weight: NDArray[np.float32]) ->
 
 
 def _lent(places: Array, color: NDArray[np.float32], lends: Mask, needs: Mask, reach_m: float) -> tuple[NDArray[np.float32], Mask]:
-    """Colors of the texels that need one, of the nearest that lend theirs, nearer ones more, shape (needy, 3); and which of them have one
-    within reach, shape (needy,). places: of texels, with normals that count as far as `_TURN_M`, shape (t, 6)."""
+    """Colors of the texels that need one, of the nearest within reach that lend theirs, nearer ones more, shape (needy, 3); and which of
+    them have any, shape (needy,). places: of texels, with normals that count as far as `_TURN_M`, shape (t, 6)."""
     from scipy.spatial import cKDTree
 
     lenders = np.flatnonzero(lends)
@@ -293,9 +292,11 @@ def _lent(places: Array, color: NDArray[np.float32], lends: Mask, needs: Mask, r
         return np.full((int(needs.sum()), 3), _BLANK, dtype=np.float32), np.zeros(int(needs.sum()), dtype=bool)
     lenders = lenders[:: -(-len(lenders) // _LENDERS)]
     k = min(_NEIGHBORS, len(lenders))
-    distance, nearest = (of.reshape(-1, k) for of in cKDTree(places[lenders]).query(places[needs], k=k))
+    lent_by = cKDTree(places[lenders]).query(places[needs], k=k, distance_upper_bound=reach_m)
+    distance, nearest = (of.reshape(-1, k) for of in lent_by)  # infinite, and one past the last, where fewer are within reach
     closeness = 1.0 / (distance + 1e-6) ** 2
-    lent = (color[lenders[nearest]] * closeness[..., None]).sum(axis=1) / closeness.sum(axis=1)[:, None]
+    weighted = color[lenders[np.minimum(nearest, len(lenders) - 1)]] * closeness[..., None]
+    lent = weighted.sum(axis=1) / np.maximum(closeness.sum(axis=1), 1e-300)[:, None]
     return lent.astype(np.float32), distance[:, 0] <= reach_m
 
 

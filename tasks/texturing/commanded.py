@@ -21,7 +21,7 @@ from tasks.calls.command import filled, places_in, run_apart
 from tasks.containers import GLB_MAGIC
 from tasks.geometry.meshes import Surface, load_glb, material_of, sample_surface, surface_of
 from tasks.geometry.proximity import closest_points
-from tasks.settings import Config, Count, Positive, Share, Texts
+from tasks.settings import Config, Count, Natural, Positive, Share, Texts
 from tasks.texturing.charts import ChartFigures, chart_figures
 from tasks.views.pictures import png_of
 
@@ -44,6 +44,12 @@ class TextureCommand(Config):
 
     kind: ClassVar[str] = "texture_command"
     words: Texts = ()  # without any, no program is asked
+    model: str = ""  # its name, as rows have it
+    model_version: str = ""  # where the same name paints otherwise today than it did
+    license: str = ""  # of what it paints, SPDX where there is one; whoever runs it has to know
+    source_url: str = ""  # where the program is from
+    seed: Natural = 0  # the same seed, mesh and picture give the same texture, where the program keeps its word
+    pixels: Count = 512  # of the picture's side: what diffusion models look at
     timeout_s: Positive = 600.0  # a diffusion model on a small card
     tolerance: Positive = 0.005  # of the box's diagonal: such tools write in single precision and weld, but must not remesh
     max_faces: Count = 500_000  # as assets may have

@@ -9,6 +9,7 @@ import dataclasses
 import io
 import time
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,7 +37,7 @@ Integers = NDArray[np.int64]
 class TwinConfig(Config):
     """How a twin is made."""
 
-    bake: BakeConfig = dataclasses.field(default_factory=BakeConfig)  # each field says why
+    bake: BakeConfig = dataclasses.field(default_factory=BakeConfig)
     keeps_hidden: bool = True  # what no image shows keeps the asset's color; False takes it from around it on the surface
     most_overlap: Share = 0.05  # of the texture: more, and parts of the surface show each other's colors
     least_seen: Share = 0.05  # of its texels: a texture of less would be the asset's own, with a stain
@@ -46,13 +47,15 @@ class TwinConfig(Config):
 @dataclasses.dataclass(frozen=True)
 class Twin:
     """A textured twin, or why there is none. glb: the file, in the asset's own frame and size; empty where `problem` says why. by: who
-    made the layout. figures: of its layout. seen_share: of its texels. side_px: of its texture. gains: exposure of each view.
+    made the layout. figures: of its layout. layout_seconds: that it took. seen_share: of its texels. side_px: of its texture. gains:
+    exposure of each view. seconds: that all took but a layout that was there already.
     """
 
     glb: bytes = b""
     problem: str = ""
     by: str = ""
     figures: ChartFigures | None = None
+    layout_seconds: float = 0.0
     seen_share: float = 0.0
     side_px: int = 0
     gains: tuple[float, ...] = ()
@@ -78,27 +81,41 @@ def textured_twin(
     clock = time.monotonic()
     try:
         parts = load_glb(data, file)
-        placed = surface_of(parts).transformed(pose, scale)
-        layout = unwrapped(unwrapper, placed.vertices, placed.faces)
-        figures = chart_figures(layout.vertices, layout.faces, layout.uv)
+        surface = surface_of(parts)
+        placed = surface.transformed(pose, scale)
+        layout, figures = _laid_out(data, file, unwrapper)
         if figures.overlap > config.most_overlap:
             problem = f"{figures.overlap:.1%} of its texture by {layout.by} would be shown in more than one place"
-            return Twin(problem=problem, by=layout.by, figures=figures, seconds=time.monotonic() - clock)
+            return Twin(problem=problem, by=layout.by, figures=figures, layout_seconds=layout.seconds, seconds=time.monotonic() - clock)
         scene = RayScene([placed.to_trimesh(), *around])
-        atlas = atlas_of(layout.vertices, layout.faces, layout.uv, config.bake)
+        atlas = atlas_of(placed.vertices[layout.source], layout.faces, layout.uv, config.bake)
         own = own_colors(parts, atlas.texels) if config.keeps_hidden else None
         texture = baked(atlas, views, scene, config.bake, own)
     except (InputError, ValueError) as error:
         return Twin(problem=str(error), seconds=time.monotonic() - clock)
     made = Twin(
-        by=layout.by, figures=figures, seen_share=texture.seen_share, side_px=atlas.shape[0], gains=tuple(float(g) for g in texture.gains)
-    )
+        by=layout.by, figures=figures, layout_seconds=layout.seconds, seen_share=texture.seen_share, side_px=atlas.shape[0],
+        gains=tuple(float(g) for g in texture.gains),
+    )  # fmt: skip
     if texture.seen_share < config.least_seen:
         problem = f"the images show {texture.seen_share:.1%} of its surface, less than {config.least_seen:.1%}"
         return dataclasses.replace(made, problem=problem, seconds=time.monotonic() - clock)
-    mesh = textured_mesh(surface_of(parts).vertices, layout, texture.image, config.quality)
+    mesh = textured_mesh(surface.vertices, layout, texture.image, config.quality)
     name = str(parts[0].metadata.get("name") or "asset")
     return dataclasses.replace(made, glb=dump_glb([mesh], [name]), seconds=time.monotonic() - clock)
+
+
+@lru_cache(maxsize=8)
+def _laid_out(data: bytes, file: str, unwrapper: Unwrapper) -> tuple[Unwrapped, ChartFigures]:
+    """A layout of an asset in its own frame and size, and its figures: the same for all instances that it is painted for.
+
+    Raises:
+        InputError: the asset cannot be read, or no layout was found.
+        ValueError: the layout has no figures.
+    """
+    surface = surface_of(load_glb(data, file))
+    layout = unwrapped(unwrapper, surface.vertices, surface.faces)
+    return layout, chart_figures(layout.vertices, layout.faces, layout.uv)
 
 
 def own_colors(parts: Sequence[trimesh.Trimesh], texels: Texels) -> NDArray[np.uint8]:

@@ -11,6 +11,7 @@ import math
 import shutil
 import tempfile
 import time
+from collections.abc import Hashable
 from pathlib import Path
 from typing import Annotated, ClassVar, Protocol
 
@@ -49,7 +50,7 @@ class Unwrapped:
     seconds: float
 
 
-class Unwrapper(Protocol):
+class Unwrapper(Hashable, Protocol):
     """A config that unwraps."""
 
     kind: ClassVar[str]

@@ -17,8 +17,8 @@ from bench.alignment.report import SETS, Variant, errors, variants
 from bench.alignment.tables import print_alignment
 from flows.commands.bench import command
 from schemas.families.alignment_methods import ALIGNMENT_METHODS
+from tasks.alignment import AlignmentConfig
 from tasks.geometry.meshes import Surface, canonical, surface_of
-from tasks.selection.alignment import AlignmentConfig
 from tests.tasks.selection.rooms import cabinet, chair, part
 
 

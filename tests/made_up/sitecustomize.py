@@ -18,7 +18,7 @@ MEMBERS = {
     "toy_export": ("export_formats", "EXPORT_FORMATS", "tasks.exports"),
     "toy_provider": ("candidate_providers", "CANDIDATE_PROVIDERS", "tasks.candidates"),
     "toy_finder": ("path_finders", "PATH_FINDERS", "tasks.navigation"),
-    "toy_alignment": ("alignment_methods", "ALIGNMENT_METHODS", "tasks.selection.alignment"),
+    "toy_alignment": ("alignment_methods", "ALIGNMENT_METHODS", "tasks.alignment"),
     "toy_policy": ("policies", "POLICIES", "tasks.evaluation.policies"),
     "toy_method": ("selection_methods", "SELECTION_METHODS", "tasks.selection.methods"),
     "toy_system": ("learned_systems", "LEARNED_SYSTEMS", "tasks.training.systems"),

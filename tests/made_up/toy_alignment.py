@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from tasks.selection.alignment.method import AlignmentMethod
-from tasks.selection.alignment.samples import Fit, Sample
-from tasks.selection.alignment.targets import ScannedInstance
+from tasks.alignment.method import AlignmentMethod
+from tasks.alignment.samples import Fit, Sample
+from tasks.alignment.targets import ScannedInstance
 from tasks.settings import Config
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.configuration import AlignmentConfig
+    from tasks.alignment.configuration import AlignmentConfig
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.errors import InputError
-from schemas.lineage.licenses import OF_THE_SCAN, UNKNOWN, is_unknown, of_asset
+from schemas.lineage.licenses import OF_THE_SCAN, UNKNOWN, all_of, is_of_scan, is_unknown, of_asset
 from warehouse.release.licenses import Allowed, duties
 
 NAMES = ("CC0-1.0", "CC-BY-4.0", "CC-BY-NC-4.0", "MIT", "MIT-0", "ScanNet Terms of Use, see the site")
@@ -89,6 +89,20 @@ def test_what_was_cut_from_a_scan_has_its_license() -> None:
     assert of_asset(OF_THE_SCAN, "scan demo/b", scans) == of_asset(OF_THE_SCAN, "scan demo/gone", scans) == UNKNOWN
     assert of_asset("MIT", "scan demo/b", scans) == "MIT"
     assert of_asset("", "a library", scans) == UNKNOWN
+
+
+def test_what_was_painted_with_a_scan_has_both_licenses() -> None:
+    scans = {"demo/a": "CC0-1.0", "demo/b": None, "demo/c": "MIT OR CC-BY-4.0"}
+    both = all_of(["MIT-0 OR 0BSD", OF_THE_SCAN, OF_THE_SCAN, ""])
+    assert both == f"(MIT-0 OR 0BSD) AND {OF_THE_SCAN} AND unknown"
+    assert of_asset(both, "scan demo/a; chair.glb", scans) == "(MIT-0 OR 0BSD) AND CC0-1.0 AND unknown"
+    assert of_asset(both, "scan demo/c; chair.glb", scans) == "(MIT-0 OR 0BSD) AND (MIT OR CC-BY-4.0) AND unknown"
+    assert all_of([OF_THE_SCAN, OF_THE_SCAN]) == OF_THE_SCAN
+    assert [is_of_scan(text) for text in (OF_THE_SCAN, both, f"({OF_THE_SCAN})", "LicenseRef-scanner", "MIT")] == [True] * 3 + [False] * 2
+    painted = of_asset(f"MIT AND {OF_THE_SCAN}", "scan demo/a; chair.glb", scans)
+    assert Allowed(("MIT", "CC0-1.0")).permits(painted)
+    assert not Allowed(("MIT",)).permits(painted)
+    assert not Allowed(("MIT", "CC0-1.0")).permits(of_asset(f"MIT AND {OF_THE_SCAN}", "scan demo/b; chair.glb", scans))
 
 
 def test_duties_name_what_a_license_asks() -> None:

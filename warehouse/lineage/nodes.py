@@ -11,7 +11,7 @@ from schemas.captions import Caption
 from schemas.capture import Instance, Scene
 from schemas.exports import ExportCheck, ExportFile
 from schemas.lineage import Place
-from schemas.lineage.licenses import OF_THE_SCAN, of_asset, scan_of
+from schemas.lineage.licenses import is_of_scan, of_asset, scan_of
 from schemas.optimization import Contact, Placement
 from schemas.synthesis import Synthesis, SynthesisObject
 from schemas.training import LearnedModel
@@ -111,21 +111,21 @@ def asset_node(walk: Walk, source: str, asset_id: str, role: str) -> str:
 def add_asset(walk: Walk, asset: Asset) -> str:
     """The node of an asset."""
     facts = picked(
-        asset, "provider", "name", "category", "source", "license", "author", "extents", "volume_m3", "is_watertight", "face_count",
-        "mesh_blob", "pieces_blob",
+        asset, "provider", "name", "category", "source", "source_url", "license", "author", "extents", "volume_m3", "is_watertight",
+        "face_count", "mesh_blob", "pieces_blob", "thumbnail_blob",
     )  # fmt: skip
-    if asset.license == OF_THE_SCAN:
+    if is_of_scan(asset.license):
         scans = {scene.scene_id: scene.license for scene in walk.rows(Scene, scan_of(asset.source))}
         facts["license"] = of_asset(asset.license, asset.source, scans)
     node = walk.node("asset", asset.asset_id, facts)
-    walk.check_blobs(node, (asset.mesh_blob, asset.pieces_blob))
+    walk.check_blobs(node, (asset.mesh_blob, asset.pieces_blob, asset.thumbnail_blob))
     return node
 
 
 def candidate_node(walk: Walk, row: Candidate, depth: int, role: str) -> str:
     """A candidate with its provider and asset; the id of its node."""
     key = f"{row.scene_id}/{row.instance_id}/{row.slot}"
-    facts = picked(row, "slot", "provider", "provider_version", "is_fallback", "outcome", "reason")
+    facts = picked(row, "slot", "provider", "provider_version", "is_fallback", "outcome", "reason", "twin_of")
     node = walk.node("candidate", key, facts, walk.run(row.scene_id, "candidates"))
     walk.line(depth, role, node)
     follow_instance(walk, node, row.scene_id, row.instance_id, "stands in for")

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from schemas.lineage.licenses import UNKNOWN, is_unknown, of_asset, stated
+from schemas.lineage.licenses import BESIDE, UNKNOWN, is_unknown, of_asset, scan_of, stated
 from warehouse.release.licenses import duties
 
 if TYPE_CHECKING:
@@ -71,11 +71,11 @@ def attribution_of(connection: duckdb.DuckDBPyConnection) -> Attribution:
         " SELECT assets.license, coalesce(assets.author, ''), assets.source, list_sort(coalesce(imported.datasets, [])) AS datasets,"
         " scenes.license, count(DISTINCT assets.asset_id), count(DISTINCT placements.scene_id)"
         " FROM placements JOIN assets USING (asset_id) LEFT JOIN imported USING (asset_id)"
-        " LEFT JOIN scenes ON assets.source = 'scan ' || scenes.scene_id GROUP BY ALL"
+        " LEFT JOIN scenes ON split_part(assets.source, '; ', 1) = 'scan ' || scenes.scene_id GROUP BY ALL"
     ).fetchall()
     return _attribution(
         [(license_, dataset, count) for license_, dataset, count in scans],
-        [(of_asset(license_, source, {source.removeprefix("scan "): scan}), author, _source(source, datasets), items, scenes)
+        [(of_asset(license_, source, {scan_of(source): scan}), author, _source(source, datasets), items, scenes)
          for license_, author, source, datasets, scan, items, scenes in assets],
     )  # fmt: skip
 
@@ -91,7 +91,10 @@ def _attribution(scans: Sequence[tuple[str, str, int]], assets: Sequence[tuple[s
     # Assets that were cut from scans are many sources; their credit is the dataset's.
     summed: dict[tuple[str, str, str], Counter[str]] = {}
     for license_, author, source, items, scenes in assets:
-        what = f"cut from scans of {source.removeprefix('scan ').partition('/')[0]}" if source.startswith("scan ") else source or UNKNOWN
+        what = source or UNKNOWN
+        if source.startswith("scan "):
+            dataset, _, model = scan_of(source).partition("/")[0], *source.partition(BESIDE)[1:]
+            what = f"{model}, painted with scans of {dataset}" if model else f"cut from scans of {dataset}"
         counts = summed.setdefault((license_, UNKNOWN if is_unknown(author) else author, what), Counter())
         counts.update(items=items, scenes=scenes)
     used = [Credit(*key, counts["items"], counts["scenes"]) for key, counts in summed.items()]

@@ -14,7 +14,7 @@ from pathlib import Path
 from schemas.candidates import Asset
 from schemas.errors import InputError
 from schemas.files import read_file
-from schemas.lineage.licenses import OF_THE_SCAN, is_unknown, of_asset, scan_of
+from schemas.lineage.licenses import is_of_scan, is_unknown, of_asset, scan_of
 from warehouse.tables.snapshot import Reader
 
 MAX_LIST_BYTES = 2**20
@@ -124,7 +124,7 @@ def with_licenses_of_scans(assets: Sequence[Asset], snapshot: Callable[[], Reade
 
     The scene's own scan is left to whoever has its row: it may not be in a snapshot yet.
     """
-    sources = {scan_of(asset.source) for asset in assets if asset.license == OF_THE_SCAN} - {scene_id}
+    sources = {scan_of(asset.source) for asset in assets if is_of_scan(asset.license)} - {scene_id}
     if not sources:
         return list(assets)
     rows = snapshot().matching("scenes", {"scene_id": sources}, ["license"]).to_pylist()

@@ -12,7 +12,10 @@ SELECT
     NULL AS call_id,
     CASE WHEN rank <= filled AND filling.provider = 'library' THEN 'models' END AS library,
     CASE WHEN rank <= filled AND filling.provider = 'library' THEN library.asset_id || '.glb' END AS library_file,
-    CASE WHEN rank <= filled AND filling.provider = 'library' THEN 0.9 - 0.05 * (slot - 7) END AS library_score
+    CASE WHEN rank <= filled AND filling.provider = 'library' THEN 0.9 - 0.05 * (slot - 7) END AS library_score,
+    NULL AS twin_of,
+    NULL AS seen_share,
+    0.02 + 0.2 * u(object * 16 + slot, 'seconds') AS seconds
 FROM (
     SELECT
         *,

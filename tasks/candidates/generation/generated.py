@@ -13,7 +13,7 @@ import numpy as np
 from schemas.errors import InputError
 from tasks.calls.asking import call_key, new_call, pixels_digest, recorded
 from tasks.calls.endpoint import CallAnswer
-from tasks.candidates.assets import MadeAsset, make_asset
+from tasks.candidates.assets import MadeAsset, charted, make_asset
 from tasks.candidates.provider import NothingToOffer
 from tasks.geometry.meshes import load_glb, surface_of
 from tasks.settings import Config, Count, Natural
@@ -73,14 +73,19 @@ def asked_of(request: CandidateRequest, settings: GeneratorSettings) -> Generato
         NothingToOffer: there is no picture of it to be shown.
         InputError: the picture cannot be read.
     """
-    caption = request.caption
-    text = caption.sentence if caption is not None and caption.sentence else f"A photo of a {request.category}."
+    text = sentence_of(request)
     if settings.by == "text":
         return GeneratorInput(text, None, settings.seed)
     crop = request.view
     if crop is None:
         raise NothingToOffer("no picture of it")
     return GeneratorInput(text, png_of(squared(crop.on_white(), settings.pixels)), settings.seed)
+
+
+def sentence_of(request: CandidateRequest) -> str:
+    """What an instance is, in a sentence: its caption's, or its category."""
+    caption = request.caption
+    return caption.sentence if caption is not None and caption.sentence else f"A photo of a {request.category}."
 
 
 def generated(request: CandidateRequest, settings: GeneratorSettings, kind: str, version: str, send: Send, **more: Any) -> MadeAsset:
@@ -107,8 +112,9 @@ def generated(request: CandidateRequest, settings: GeneratorSettings, kind: str,
     made = make_asset(
         fitted(parts, request.extents), provider=kind, name=f"{model} {call_id[:12]}", category=request.category,
         source=settings.source_url or model, license=settings.license, author=settings.author or None,
+        source_url=settings.source_url or None,
     )  # fmt: skip
-    return dataclasses.replace(made, call_id=call_id)
+    return dataclasses.replace(charted(made, parts), call_id=call_id)
 
 
 def standing(parts: list[trimesh.Trimesh], settings: GeneratorSettings) -> list[trimesh.Trimesh]:

@@ -14,9 +14,10 @@ from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.encoders import check_installed, clip_in, dino_in, remembered, weights_digest
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod
-from tasks.selection.methods.pictures import around, parts_of
+from tasks.selection.methods.pictures import parts_of
 from tasks.settings import Config, Count, Positive
 from tasks.views.crops import filling, squared
+from tasks.views.pictures import around
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,8 +13,9 @@ from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.encoders import ClipEncoder, Vectors, check_installed, clip_in, remembered, weights_digest
 from tasks.selection.methods.method import Array, SelectionMethod, chances
-from tasks.selection.methods.pictures import around, parts_of
+from tasks.selection.methods.pictures import parts_of
 from tasks.settings import Config, Count
+from tasks.views.pictures import around
 
 PITCH_RADIANS = 0.35
 

@@ -13,9 +13,10 @@ from tasks.fidelity.colors import gray, structural_similarity
 from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod
-from tasks.selection.methods.pictures import around, parts_of, seen_from
+from tasks.selection.methods.pictures import parts_of, seen_from
 from tasks.settings import Config, Count
 from tasks.views.crops import Crop, filling, squared
+from tasks.views.pictures import around
 
 PITCHES_RADIANS = (0.2, 0.5)
 """People hold a camera above furniture: from afar they look down a little, from nearby more."""

@@ -14,10 +14,11 @@ from tasks.calls.replies import UnreadableReply
 from tasks.models import Model
 from tasks.selection.evidence import Evidence, InstanceQuery
 from tasks.selection.methods.method import Array, Lacking, SelectionMethod
-from tasks.selection.methods.pictures import around, parts_of
+from tasks.selection.methods.pictures import parts_of
 from tasks.selection.methods.ranking import EXAMPLE, ranking_of
 from tasks.settings import Count
 from tasks.views.crops import squared
+from tasks.views.pictures import around
 
 WHERE = "selection.provider"
 """The settings, as errors name them."""

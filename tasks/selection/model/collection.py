@@ -18,10 +18,10 @@ from schemas.errors import InputError
 from schemas.lineage.licenses import of_asset, stated
 from schemas.navigation import Split
 from schemas.selection import Selection
+from tasks.alignment import instance_frame
 from tasks.geometry.transforms import inverse, matrix
 from tasks.navigation import split_of
 from tasks.selection import SelectionConfig
-from tasks.selection.evidence import instance_frame
 from tasks.selection.model.config import SelectionModel
 from tasks.selection.model.examples import AlignedCandidate, Example
 from tasks.selection.model.sight import evidence, scanned, surface_cloud
@@ -166,7 +166,9 @@ def _example(
     if not kept:
         return "the chosen asset is no candidate any more"
     try:
-        frame, target, points, colors = instance_frame(instance, context, STAGE_CONFIG)
+        frame, target, points, colors = instance_frame(
+            instance, context, STAGE_CONFIG.alignment, STAGE_CONFIG.floor_snap_m, STAGE_CONFIG.beside_m
+        )
         image = None if instance.view_blob is None else decoded(context.blobs[instance.view_blob], instance.view_blob)
     except (InputError, KeyError):
         return "its points or its view cannot be read"

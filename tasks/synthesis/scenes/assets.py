@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from schemas.candidates import Asset
-from schemas.lineage.licenses import OF_THE_SCAN, is_unknown
+from schemas.lineage.licenses import is_of_scan, is_unknown
 from tasks.candidates.assets import MadeAsset, make_asset
 from tasks.furniture import generate
 from tasks.furniture.palette import (
@@ -113,7 +113,7 @@ class Pool:
 
 def may_stand(asset: Asset) -> bool:
     """Whether an asset may stand for what is drawn in another scene."""
-    return asset.license != OF_THE_SCAN and not is_unknown(asset.license) and asset.provider != PROVIDER
+    return not is_of_scan(asset.license) and not is_unknown(asset.license) and asset.provider != PROVIDER
 
 
 def chosen_assets(drawn: Drawn, pool: Pool, with_large: bool) -> list[Asset | None]:

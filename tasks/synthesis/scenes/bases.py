@@ -74,6 +74,7 @@ def kept_of(base: BaseScene, scene_id: str) -> Kept:
             scene_id=scene_id, instance_id=row.instance_id, slot=1, provider=assets[row.asset_id].provider, provider_version=VERSION,
             is_fallback=False, outcome="filled", reason=None, asset_id=row.asset_id, seed=None, call_id=None,
             library=None, library_file=None, library_score=None,
+            twin_of=None, seen_share=None, seconds=None,
         )  # fmt: skip
         candidates.append(made if candidate is None else dataclasses.replace(candidate, scene_id=scene_id))
         selections.append(_selection(row, candidates[-1].slot, scored.get(key), assets[row.asset_id], base.instances, scene_id))

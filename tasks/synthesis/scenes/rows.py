@@ -91,7 +91,9 @@ def drawn_rows(
             syntheses=syntheses, synthesis_objects=objects, blobs=blobs,
         ),
         "captions": Outcome(captions=captions, degradations=captioned.degradations),
-        "candidates": Outcome(candidates=candidates, assets=sorted(assets.values(), key=lambda row: row.asset_id), blobs=blobs),
+        "candidates": Outcome(
+            candidates=candidates, assets=sorted(assets.values(), key=lambda row: row.asset_id), texture_charts=[], blobs=blobs
+        ),
         "selection": Outcome(selections=selections),
     }  # fmt: skip
 
@@ -145,6 +147,7 @@ def _candidate(drawn: Drawn, item: _Placed) -> Candidate:
         scene_id=drawn.scene_id, instance_id=item.instance_id, slot=1, provider=item.stand.asset.provider, provider_version=VERSION,
         is_fallback=False, outcome="filled", reason=None, asset_id=item.stand.asset.asset_id, seed=None, call_id=None,
         library=None, library_file=None, library_score=None,
+        twin_of=None, seen_share=None, seconds=None,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from schemas.candidates import Asset, Candidate
+from schemas.candidates import Asset, Candidate, TextureCharts
 from schemas.capture import Instance
 from schemas.record import check
 from tasks import captions
@@ -109,11 +109,13 @@ def candidates_of(
         masks=[],
         captions=words.rows["captions"],
         library=library,
+        scan=None,
         context=context,
         config=config or CandidatesConfig(),
     )
     check(outcome.rows["candidates"], Candidate)
     check(outcome.rows["assets"], Asset)
+    check(outcome.rows["texture_charts"], TextureCharts)
     return outcome
 
 

@@ -129,7 +129,7 @@ def shelved(entries: list[IndexEntry]) -> OpenLibrary:
     """A library of entries without files."""
     weights = {entry.weights for entry in entries}
     return OpenLibrary(
-        "named", LibrarySearch.of(entries), weights.pop(), ("one note",), lambda file: pytest.fail(file), (shelved, (entries,))
+        "named", LibrarySearch.of(entries), weights.pop(), ("one note",), lambda file: pytest.fail(file), {}, (shelved, (entries,))
     )
 
 

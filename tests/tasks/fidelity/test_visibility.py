@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from schemas.capture import Frame, Shell
 from tasks.fidelity.cameras import frame_cameras, virtual_cameras
 from tasks.fidelity.replicas import ReplicaRays, ReplicaSurface
-from tasks.fidelity.visibility import in_picture, seen_past, visible
+from tasks.fidelity.visibility import seen_past, visible
 from tasks.geometry.meshes import union_of
-from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.rendering import Camera, RayScene, in_picture
 from tasks.geometry.transforms import flat, look_at
 from tests.samples import sample
 

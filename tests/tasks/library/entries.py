@@ -39,6 +39,7 @@ def drawn(category: str, seed: int, file: str = "", **changes: object) -> IndexE
         has_texture=False, descriptor=describe(points, colors, (x, y, z), np.random.default_rng(seed)), field=field_of(points),
         signature=signature_of(points), thumbnails=(b"png",), image_vectors=None, text_vector=None, weights="", pieces_key="0" * 64,
         asset=sample(Asset, asset_id=hashlib.sha256(f"{category} {seed}".encode()).hexdigest(), pieces_blob=None, extents=(x, y, z)),
+        charts=None,
         notes=("odd",),
     )  # fmt: skip
     return dataclasses.replace(entry, **changes)  # type: ignore[arg-type]

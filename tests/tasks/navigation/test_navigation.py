@@ -53,7 +53,7 @@ def furnished(
         assets[asset_id] = Asset(
             asset_id=asset_id, provider="test", name=category, category=category, source="test", license="CC0-1.0", author=None,
             mesh_blob=blobs.add(data, "glb"), pieces_blob=None, extents=extents, volume_m3=1.0, is_watertight=True,
-            vertex_count=8, face_count=12, open_reason=None, has_texture=False,
+            vertex_count=8, face_count=12, open_reason=None, has_texture=False, source_url=None, thumbnail_blob=None,
         )  # fmt: skip
         instances.append(Instance(
             scene_id=SCENE, instance_id=instance_id, source_id=instance_id, raw_label=category, category=category, nyu40_id=0,

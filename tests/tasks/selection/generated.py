@@ -74,7 +74,7 @@ def generated_room(kind: str = "living room", count: int = 6, seed: int = 5) -> 
         instances=instances, frames=[], masks=[], context=Context(SCENE, "captions", 0, blobs), config=captions.CaptionsConfig()
     )
     offered = candidates.run(
-        instances=instances, frames=[], masks=[], captions=words.rows["captions"], library=None,
+        instances=instances, frames=[], masks=[], captions=words.rows["captions"], library=None, scan=None,
         context=Context(SCENE, "candidates", 0, blobs),
         config=candidates.CandidatesConfig(),
     )  # fmt: skip

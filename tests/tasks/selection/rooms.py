@@ -80,7 +80,7 @@ class Room:
             asset_id=asset_id, provider=provider, name=name, category=name, source="test", license="CC0-1.0", author=None,
             mesh_blob=self.blobs.add(data, "glb"), pieces_blob=None, extents=tuple(map(float, surface.bounds[1] - surface.bounds[0])),
             volume_m3=1.0, is_watertight=watertight, vertex_count=len(surface.vertices), face_count=len(surface.faces),
-            open_reason=None, has_texture=False,
+            open_reason=None, has_texture=False, source_url=None, thumbnail_blob=None,
         )  # fmt: skip
         return asset_id
 
@@ -107,6 +107,7 @@ class Room:
                 scene_id=SCENE, instance_id=instance.instance_id, slot=slot, provider=provider, provider_version="1", is_fallback=False,
                 outcome=outcome, reason=None if asset_id else "nothing", asset_id=asset_id, seed=None, call_id=None,
                 library=None, library_file=None, library_score=None,
+                twin_of=None, seen_share=None, seconds=None,
             )
         )  # fmt: skip
 

@@ -18,11 +18,12 @@ from tasks.selection.methods import acdc, clip, encoders
 from tasks.selection.methods.acdc import AcdcScores
 from tasks.selection.methods.clip import Clip
 from tasks.selection.methods.encoders import clip_in, dino_in, remembered, weights_digest
-from tasks.selection.methods.pictures import around, parts_of
+from tasks.selection.methods.pictures import parts_of
 from tasks.selection.model import frozen
 from tasks.selection.model.config import ClipQuery
 from tasks.stage import Context
 from tasks.views.crops import filling
+from tasks.views.pictures import around
 from tests.samples import sample
 from tests.tasks.selection.rooms import RED, SCENE, Room, cabinet, chair, photographed, scan, table
 

@@ -10,10 +10,10 @@ import pytest
 
 from schemas.record import check
 from schemas.selection import Selection
+from tasks.alignment import align, make_target, sample_asset
 from tasks.geometry.boxes import oriented_iou
 from tasks.geometry.meshes import read_points
 from tasks.geometry.transforms import flat, inverse, matrix, transform_points, yaw_of, yaw_pose
-from tasks.selection.alignment import align, make_target, sample_asset
 from tasks.selection.coloring import color_histogram, color_similarity
 from tasks.selection.looks import shared
 from tasks.selection.neighbors import Neighborhood, foreign_share

@@ -12,11 +12,11 @@ import pytest
 from schemas.capture import Frame
 from schemas.errors import InputError
 from schemas.families.selection_methods import SELECTION_METHODS
+from tasks.alignment import AlignmentConfig
+from tasks.alignment.free_pose import FreePose
 from tasks.geometry.rendering import Camera, RayScene
 from tasks.geometry.transforms import matrix, transform_points, yaw_pose
 from tasks.selection import SelectionConfig
-from tasks.selection.alignment import AlignmentConfig
-from tasks.selection.alignment.free_pose import FreePose
 from tasks.selection.methods.color_histogram import ColorHistogram
 from tasks.selection.methods.extents import Extents, size_agreement
 from tasks.selection.methods.geometric import Geometric

@@ -179,8 +179,7 @@ def test_an_asset_of_the_lake_fills_the_box_that_was_drawn() -> None:
         model.parts, provider="library", name="mug", category="coffee mug", source="mug.glb", license="CC-BY-4.0", pieces=model.pieces
     )
     blobs = Blobs()
-    for data in made.files.values():
-        blobs.add(data, "glb")
+    blobs.update(made.files)
     large = Large("desk", (0.7, 1.4, 0.74), "office")
     layout = Layout(large, ("mug", "book"), [[0, 0, 0.8], [0, 0.4, 0.76]], [[0.12, 0.07, 0.12], [0.2, 0.14, 0.04]], [0.5, 0.0])
     drawn = drawn_of(layout)

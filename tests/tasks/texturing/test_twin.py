@@ -10,15 +10,14 @@ import trimesh
 
 from schemas.errors import InputError
 from tasks.candidates.assets import make_asset
-from tasks.capture.reading import FrameSource
 from tasks.furniture import generate
 from tasks.geometry.meshes import dump_glb, load_glb, material_of, surface_of
-from tasks.geometry.rendering import Camera, RayScene
+from tasks.geometry.rendering import RayScene
 from tasks.geometry.transforms import yaw_pose
 from tasks.texturing.baking import BakeConfig
 from tasks.texturing.twin import Twin, TwinConfig, textured_twin
 from tasks.texturing.unwrapping import SmartUvUnwrapper, XatlasUnwrapper
-from tasks.texturing.views import ColorView, views_of
+from tasks.texturing.views import ColorView
 from tests.tasks.texturing.painting import paint, ring, taken
 
 POSE, SCALE = yaw_pose(0.7, (0.1, -0.2, -0.45)), (1.1, 0.9, 1.0)
@@ -125,26 +124,3 @@ def test_why_there_is_no_twin(data: bytes, views: list[ColorView]) -> None:
     assert "is no program that can be run" in problem(unwrapper=SmartUvUnwrapper())
     assert "the images show 0.0% of its surface, less than 5.0%" in problem(seen=[])
     assert "color/000003.jpg" in problem(seen=[dataclasses.replace(views[0], color=broken)])
-
-
-def test_frames_become_views() -> None:
-    scan_to_world = yaw_pose(1.2, (3.0, -1.0, 0.5))
-    pose = yaw_pose(-0.4, (1.0, 2.0, 1.5))
-
-    def frame(number: int, own_pose: np.ndarray | None, has_depth: bool) -> FrameSource:
-        return FrameSource(
-            frame_id=f"{number:06d}", color_file="c", depth_file="d" if has_depth else None, width=64, height=48,
-            intrinsics=(50.0, 51.0, 31.0, 23.0), depth_size=(32, 24) if has_depth else None, depth_intrinsics=(25.0, 25.5, 15.0, 11.0),
-            depth_scale=1000.0, pose=own_pose, color=lambda: np.full((48, 64, 3), number, np.uint8),
-            depth=(lambda: np.full((24, 32), number, np.float32)) if has_depth else None,
-        )  # fmt: skip
-
-    views = views_of([frame(1, pose, True), frame(2, None, True), frame(3, pose, False)], scan_to_world)
-    assert [int(view.color()[0, 0, 0]) for view in views] == [1, 3]
-    camera, depth_camera = views[0].camera, views[0].depth_camera
-    assert isinstance(depth_camera, Camera)
-    assert (camera.width, camera.height, camera.fx, camera.cy) == (64, 48, 50.0, 23.0)
-    assert (depth_camera.width, depth_camera.height, depth_camera.fy, depth_camera.cx) == (32, 24, 25.5, 15.0)
-    assert camera.pose == pytest.approx(scan_to_world @ pose)
-    assert views[1].depth is None
-    assert views[1].depth_camera is None

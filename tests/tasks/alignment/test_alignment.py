@@ -12,11 +12,11 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tasks.alignment import AlignmentConfig, Fit, align, clamp_scale, make_target, measure, sample_asset
 from tasks.geometry.boxes import oriented_iou
 from tasks.geometry.meshes import load_glb
 from tasks.geometry.transforms import matrix, transform_points, yaw_of, yaw_pose
 from tasks.selection import STAGE
-from tasks.selection.alignment import AlignmentConfig, Fit, align, clamp_scale, make_target, measure, sample_asset
 from tests.tasks.selection.rooms import Room, cabinet, chair, part, scan, shelf, table, yaw_error
 
 

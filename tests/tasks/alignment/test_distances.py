@@ -8,11 +8,11 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tasks.alignment import Distances
+from tasks.alignment.distances import coarse_distances, disc_distances, nearest_indices, nearest_turn
 from tasks.geometry.meshes import sample_surface, surface_of
 from tasks.selection import ScoreConfig, score_of
-from tasks.selection.alignment import Distances
 from tasks.selection.coloring import color_histogram, color_similarity
-from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices, nearest_turn
 
 
 @given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 60), m=st.integers(1, 300), decimals=st.integers(0, 9), flat=st.booleans())

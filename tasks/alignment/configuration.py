@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-from tasks.selection.alignment.methods import METHODS
+from tasks.alignment.methods import METHODS
 from tasks.settings import Config, Whole, union_of
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.method import AlignmentMethodConfig as Method
+    from tasks.alignment.method import AlignmentMethodConfig as Method
 else:
     Method = union_of(method.config for method in METHODS)
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas.candidates import Asset
+from tasks.alignment.methods import method_of
+from tasks.alignment.samples import Sample
 from tasks.geometry.meshes import Surface, sample_surface, surface_of_glb
 from tasks.geometry.triangles import surface_area
-from tasks.selection.alignment.methods import method_of
-from tasks.selection.alignment.samples import Sample
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.configuration import AlignmentConfig
+    from tasks.alignment.configuration import AlignmentConfig
 
 
 def sample_asset(asset: Asset, glb: bytes, config: AlignmentConfig, rng: np.random.Generator) -> Sample:

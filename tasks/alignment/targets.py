@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.distances import spacing
+from tasks.alignment.distances import spacing
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.configuration import AlignmentConfig
+    from tasks.alignment.configuration import AlignmentConfig
 
 Array = NDArray[np.float64]
 

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.alignment.method import AlignmentMethod
-from tasks.selection.alignment.refined import refine
-from tasks.selection.alignment.samples import Fit, Sample
-from tasks.selection.alignment.snapshots import box_in_view, differences, hull_corners, points_snapshot, surface_snapshot, view_axes
-from tasks.selection.alignment.targets import ScannedInstance
+from tasks.alignment.method import AlignmentMethod
+from tasks.alignment.refined import refine
+from tasks.alignment.samples import Fit, Sample
+from tasks.alignment.snapshots import box_in_view, differences, hull_corners, points_snapshot, surface_snapshot, view_axes
+from tasks.alignment.targets import ScannedInstance
 from tasks.settings import Config, Count, NonNegative, Positive
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.configuration import AlignmentConfig
+    from tasks.alignment.configuration import AlignmentConfig
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def pose(target: ScannedInstance, sample: Sample, threshold: float, config: Alig
     azimuths = [start + 2 * np.pi * turn / count for turn in turns]
     scan = [points_snapshot(target.points, target.spacing, azimuth, elevation, own.pixels) for azimuth in azimuths]
     if own.dinov2 and sight is not None and sight.picture is not None:
-        from tasks.selection.alignment.pictures import picture_distances
+        from tasks.alignment.pictures import picture_distances
 
         costs = picture_distances(sight.picture, sample.surface, elevation, own)
     else:

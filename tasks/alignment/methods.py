@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from schemas.families.alignment_methods import ALIGNMENT_METHODS as NAMES
+from tasks.alignment.method import AlignmentMethod, AlignmentMethodConfig
 from tasks.families import member, members
-from tasks.selection.alignment.method import AlignmentMethod, AlignmentMethodConfig
 
-METHODS = members("tasks.selection.alignment", NAMES, AlignmentMethod)
+METHODS = members("tasks.alignment", NAMES, AlignmentMethod)
 """The first is the default."""
 
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tasks.alignment.snapshots import surface_snapshot
 from tasks.geometry.meshes import Surface
-from tasks.selection.alignment.snapshots import surface_snapshot
 from tasks.selection.methods.encoders import dino_in
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.acdc import Acdc
+    from tasks.alignment.acdc import Acdc
 
 
 def picture_distances(picture: NDArray[np.uint8], surface: Surface, elevation: float, config: Acdc) -> NDArray[np.float64]:

@@ -6,13 +6,14 @@ at the height on which the asset is to stand. How a pose is found is a method's 
 
 from __future__ import annotations
 
-from tasks.selection.alignment.configuration import AlignmentConfig
-from tasks.selection.alignment.measures import Distances, measure
-from tasks.selection.alignment.methods import method_of
-from tasks.selection.alignment.refined import clamp_scale, refine
-from tasks.selection.alignment.samples import Fit, Sample
-from tasks.selection.alignment.sampling import sample_asset, sample_of
-from tasks.selection.alignment.targets import HIDDEN_M, ScannedInstance, Viewpoint, make_target, sight_of
+from tasks.alignment.configuration import AlignmentConfig
+from tasks.alignment.instances import covered_within, instance_frame
+from tasks.alignment.measures import Distances, measure
+from tasks.alignment.methods import method_of
+from tasks.alignment.refined import clamp_scale, refine
+from tasks.alignment.samples import Fit, Sample
+from tasks.alignment.sampling import sample_asset, sample_of
+from tasks.alignment.targets import HIDDEN_M, ScannedInstance, Viewpoint, make_target, sight_of
 
 __all__ = [
     "HIDDEN_M",
@@ -25,6 +26,8 @@ __all__ = [
     "align",
     "by_sight",
     "clamp_scale",
+    "covered_within",
+    "instance_frame",
     "lacking",
     "make_target",
     "measure",

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.alignment.samples import Fit, Sample
-from tasks.selection.alignment.targets import ScannedInstance
-from tasks.selection.distances import coarse_distances, disc_distances, nearest_indices
+from tasks.alignment.distances import coarse_distances, disc_distances, nearest_indices
+from tasks.alignment.samples import Fit, Sample
+from tasks.alignment.targets import ScannedInstance
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.configuration import AlignmentConfig
+    from tasks.alignment.configuration import AlignmentConfig
 
 Array = NDArray[np.float64]
 

@@ -13,18 +13,18 @@ import trimesh
 from shapely import MultiPoint
 
 from schemas.errors import InputError
+from tasks.alignment import AlignmentConfig, Fit, ScannedInstance, Viewpoint, align, lacking, make_target, sample_of, sight_of
+from tasks.alignment.acdc import Acdc
+from tasks.alignment.fixed_pose import FixedPose
+from tasks.alignment.free_pose import FreePose
+from tasks.alignment.heuristic import Heuristic
+from tasks.alignment.method import AlignmentMethodConfig
+from tasks.alignment.methods import METHODS
+from tasks.alignment.refined import Refined
+from tasks.alignment.snapshots import points_snapshot, surface_snapshot, view_axes
 from tasks.geometry.meshes import Surface, canonical, sample_surface, surface_of
 from tasks.geometry.rendering import RayScene
 from tasks.geometry.transforms import look_at, yaw_pose
-from tasks.selection.alignment import AlignmentConfig, Fit, ScannedInstance, Viewpoint, align, lacking, make_target, sample_of, sight_of
-from tasks.selection.alignment.acdc import Acdc
-from tasks.selection.alignment.fixed_pose import FixedPose
-from tasks.selection.alignment.free_pose import FreePose
-from tasks.selection.alignment.heuristic import Heuristic
-from tasks.selection.alignment.method import AlignmentMethodConfig
-from tasks.selection.alignment.methods import METHODS
-from tasks.selection.alignment.refined import Refined
-from tasks.selection.alignment.snapshots import points_snapshot, surface_snapshot, view_axes
 from tasks.selection.methods import encoders
 from tests.tasks.selection.rooms import chair, part
 

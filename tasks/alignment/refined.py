@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.selection.alignment.measures import coarse_costs, measure
-from tasks.selection.alignment.method import AlignmentMethod
-from tasks.selection.alignment.samples import Fit, Sample, turned
-from tasks.selection.alignment.targets import ScannedInstance
-from tasks.selection.distances import clamped, nearest_turn
+from tasks.alignment.distances import clamped, nearest_turn
+from tasks.alignment.measures import coarse_costs, measure
+from tasks.alignment.method import AlignmentMethod
+from tasks.alignment.samples import Fit, Sample, turned
+from tasks.alignment.targets import ScannedInstance
 from tasks.settings import Config
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.configuration import AlignmentConfig
+    from tasks.alignment.configuration import AlignmentConfig
 
 Array = NDArray[np.float64]
 

@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from tasks.selection.alignment.fixed_pose import leaning_bounds
-from tasks.selection.alignment.method import AlignmentMethod
-from tasks.selection.alignment.refined import REFINED, Refined
-from tasks.selection.alignment.samples import Fit, Sample, turned
-from tasks.selection.alignment.targets import ScannedInstance
+from tasks.alignment.fixed_pose import leaning_bounds
+from tasks.alignment.method import AlignmentMethod
+from tasks.alignment.refined import REFINED, Refined
+from tasks.alignment.samples import Fit, Sample, turned
+from tasks.alignment.targets import ScannedInstance
 from tasks.settings import Config
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.configuration import AlignmentConfig
+    from tasks.alignment.configuration import AlignmentConfig
 
 
 @dataclasses.dataclass(frozen=True)

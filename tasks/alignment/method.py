@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from tasks.settings import Config
 
 if TYPE_CHECKING:
-    from tasks.selection.alignment.configuration import AlignmentConfig
-    from tasks.selection.alignment.samples import Fit, Sample
-    from tasks.selection.alignment.targets import ScannedInstance
+    from tasks.alignment.configuration import AlignmentConfig
+    from tasks.alignment.samples import Fit, Sample
+    from tasks.alignment.targets import ScannedInstance
 
 
 class AlignmentMethodConfig(Protocol):
