@@ -59,7 +59,7 @@ class FramePainting(Config):
     """A texture baked from the frames of the scan, onto the asset where alignment puts it."""
 
     kind: ClassVar[str] = "frames"
-    unwrapper: Layout = dataclasses.field(default_factory=XatlasUnwrapper)  # at once; smart_uv has fewer charts, and needs Blender
+    unwrapper: Layout = dataclasses.field(default_factory=XatlasUnwrapper)  # in this process, and at once; smart_uv needs Blender
     twin: TwinConfig = dataclasses.field(default_factory=lambda: TwinConfig(bake=BakeConfig(max_px=SIDE_PX)))
 
 

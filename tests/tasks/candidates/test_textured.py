@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -203,6 +204,27 @@ def test_only_who_paints_with_frames_wants_the_scan() -> None:
     assert not STAGE.takes_scan(CandidatesConfig())
     assert not STAGE.takes_scan(CandidatesConfig(slots=(plain, SlotConfig(Textured(of=1, painter=painted)))))
     assert STAGE.takes_scan(CandidatesConfig(slots=(plain, SlotConfig(Textured(of=1)))))
+
+
+@pytest.mark.slow
+def test_both_unwrappers_lay_out_the_same_asset(photos: Photos) -> None:
+    """Smart UV where METASCENES_BPY names an interpreter that has bpy, or a blender binary."""
+    program = os.environ.get("METASCENES_BPY", "")
+    if not program:
+        pytest.skip("METASCENES_BPY names no interpreter with bpy, and no blender")
+    smart = dataclasses.replace(SMALL, unwrapper=SmartUvUnwrapper(program=program))
+    slots = (SlotConfig(Procedural(1)), SlotConfig(Textured(of=1, painter=SMALL)), SlotConfig(Textured(of=1, painter=smart)))
+    both = photos.offered(*slots, scan=photos.scan)
+    rows, assets = by_slot(both)
+    assert [rows[slot].provider for slot in (2, 3)] == ["textured:xatlas", "textured:smart_uv"]
+    charts = {row.asset_id: row for row in both.rows["texture_charts"]}
+    laid = [charts[assets[slot].asset_id] for slot in (2, 3)]
+    assert [row.method for row in laid] == ["xatlas", "smart_uv"]
+    assert {row.of_asset_id for row in laid} == {assets[1].asset_id}
+    assert {row.faces for row in laid} == {assets[1].face_count}
+    assert str(laid[1].made_by).startswith("Blender ")
+    assert all(row.overlap < 0.01 and row.charts >= 1 for row in laid)
+    assert assets[2].asset_id != assets[3].asset_id
 
 
 def tool(folder: Path, sibling: bytes) -> TextureCommand:
