@@ -14,7 +14,9 @@ from tasks.library.embeddings import encoder_in
 from tasks.library.entry import dumped
 from tasks.library.indexing import IndexConfig, index_folder
 from tasks.library.search import LibrarySearch
+from tests.conftest import made_once
 from tests.tasks.library.models import as_glb, chair
+from tests.tasks.library.siglip import write_siglip
 from tests.tasks.selection.test_foreign_methods import clip_folder
 
 torch = pytest.importorskip("torch")
@@ -25,27 +27,10 @@ pytestmark = pytest.mark.whole
 __all__ = ["clip_folder"]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def siglip_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A SigLIP of 2 layers with a tokenizer of a few words."""
-    from tokenizers import Tokenizer
-    from tokenizers.models import WordLevel
-    from tokenizers.pre_tokenizers import Whitespace
-    from transformers import PreTrainedTokenizerFast, SiglipConfig, SiglipModel
-
-    folder = tmp_path_factory.mktemp("siglip")
-    words = {word: number for number, word in enumerate(["[PAD]", "[UNK]", "A", "photo", "of", "a", "chair", "table", ".", ":"])}
-    tokenizer = Tokenizer(WordLevel(words, unk_token="[UNK]"))
-    tokenizer.pre_tokenizer = Whitespace()
-    PreTrainedTokenizerFast(tokenizer_object=tokenizer, pad_token="[PAD]", unk_token="[UNK]").save_pretrained(folder)
-    torch.manual_seed(0)
-    small = {"hidden_size": 32, "intermediate_size": 64, "num_hidden_layers": 2, "num_attention_heads": 2}
-    config = SiglipConfig(
-        text_config={**small, "vocab_size": len(words), "max_position_embeddings": 16, "projection_size": 32},
-        vision_config={**small, "image_size": 32, "patch_size": 8},
-    )
-    SiglipModel(config).save_pretrained(folder)
-    return folder
+    """A folder with a tiny SigLIP."""
+    return made_once(tmp_path_factory, "tiny_siglip", write_siglip)
 
 
 @pytest.fixture(params=["clip_folder", "siglip_folder"])
