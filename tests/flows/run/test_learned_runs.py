@@ -82,11 +82,15 @@ def seer() -> Iterator[Seer]:
 
 
 def write_scans(folder: Path, count: int) -> None:
-    """Rooms with a table, and every other one with a box on it or a chair beside it."""
+    """Rooms with a table, and every other one with a box on it or a chair beside it; no two have an object of one size, about which workers
+    would ask the same at once."""
     for number in range(count):
-        x = 0.02 * number
-        table, chair, box = ((label, (at[0] - x, *at[1:]), size, yaw) for label, at, size, yaw in (OBJECTS[0], OBJECTS[1], OBJECTS[3]))
-        room = box_room((table, box if number % 2 else chair), cameras=4)
+        grown = 1 + 0.02 * number
+        made = []
+        for label, (x, y, _), (length, width, height), yaw in (OBJECTS[0], OBJECTS[3] if number % 2 else OBJECTS[1]):
+            bottom = OBJECTS[0][2][2] * grown if label == "box" else 0.0
+            made.append((label, (x, y, bottom + 0.5 * height * grown), (length, width, height * grown), yaw))
+        room = box_room(made, cameras=4)
         write_scannet(folder / f"scene{number:04d}_00", room, labels=room.labels[: 7 if number % 2 else 8])
 
 
