@@ -76,6 +76,8 @@ class ClassicalConfig(Config):
     float_m: Positive = 0.04  # over the board: nothing floats, so it is a part of what is below
     part_gap_m: Positive = 0.012  # in plan, between the parts of one object: what poses drift
     part_share: Share = 0.5  # of a part's plan within that of the whole: two that merely touch overlap by a centimeter's drift
+    alike_share: Share = 0.15  # likewise, of a part that has the paint of the whole: two that are painted alike may stand side by side
+    hold_m: Positive = 0.02  # from what floats to what holds it, where that is not right below: a shade beside a ball is not the ball's
     part_paint: Share = 0.25  # of the difference of two paints: what touches and is as like as this is one object
     least_score: Share = 0.1  # of a mask that the image's border cuts
     patches: PatchConfig = dataclasses.field(default_factory=PatchConfig)  # see there
@@ -201,7 +203,8 @@ def _is_board_or_wall(instance: ConsensusInstance, slab: SupportSlab, config: Cl
 def _settled(
     frames: list[LiftedFrame], instances: list[ConsensusInstance], slab: SupportSlab, config: ClassicalConfig
 ) -> list[ConsensusInstance]:
-    """Instances after those on a board that float over it, or lie within another one's plan, have become a part of the nearest one."""
+    """Instances after those on a board that float over it, or lie within another one's plan, have become a part of the nearest one that may
+    hold them."""
     from scipy.spatial import cKDTree
 
     local = [slab.local(instance.points) for instance in instances]
@@ -217,8 +220,10 @@ def _settled(
             gap = float(cKDTree(local[j][:, :2]).query(local[i][:, :2])[0].min())
             if gap > config.part_gap_m:
                 continue
-            alike = not other_color(tint[i], tint[j], config.patches, config.part_paint)
-            if floats or alike or hull_overlap(local[i][:, :2], local[j][:, :2]) >= config.part_share:
+            overlap = hull_overlap(local[i][:, :2], local[j][:, :2])
+            alike = overlap >= config.alike_share and not other_color(tint[i], tint[j], config.patches, config.part_paint)
+            held = floats and float(cKDTree(local[j]).query(local[i])[0].min()) <= config.hold_m
+            if held or alike or overlap >= config.part_share:
                 best = min(best or (gap, j), (gap, j))
         if best is not None:
             source, target = owner[i], owner[best[1]]

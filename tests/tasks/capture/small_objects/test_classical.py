@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from bench.models.lifting import measured
-from tasks.capture.small_objects.classical import ClassicalConfig, found_masks, found_objects
-from tasks.capture.small_objects.lifting import DepthView, depth_noise
+from tasks.capture.small_objects.classical import ClassicalConfig, _settled, found_masks, found_objects
+from tasks.capture.small_objects.consensus import instance_of
+from tasks.capture.small_objects.lifting import DepthView, LiftedFrame, depth_noise
 from tasks.capture.small_objects.naming import UNKNOWN, NamingConfig, name_by_size
 from tasks.capture.small_objects.patches import hull_overlap
 from tasks.capture.small_objects.supports import SupportSlab
@@ -60,6 +61,41 @@ def test_boxes_of_two_colors_that_touch_are_two() -> None:
     found = found_objects([frame for frame, _ in made], [SLAB], ClassicalConfig())
     assert len(found.instances) == 2
     assert {bool(instance.points[:, 1].mean() > 0) for instance in found.instances} == {True, False}
+
+
+def block(low: tuple[float, float, float], high: tuple[float, float, float]) -> np.ndarray:
+    """Points that fill a box in the frame of the slab, 5 mm apart, in the world."""
+    grid = np.stack(np.meshgrid(*[np.arange(a, b, 0.005) for a, b in zip(low, high, strict=True)], indexing="ij"), -1)
+    return grid.reshape(-1, 3) + SLAB.pose[:3, 3]
+
+
+ON_BOARD = block((0, 0, 0), (0.1, 0.1, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "color", "count"),
+    [
+        ((0.105, 0, 0), (0.15, 0.06, 0.05), RED, 2),  # painted alike, side by side
+        ((0.08, 0, 0), (0.15, 0.06, 0.05), RED, 1),  # painted alike, a part of it within
+        ((0.08, 0, 0), (0.15, 0.06, 0.05), BLUE, 2),
+        ((0.02, 0.02, 0), (0.06, 0.06, 0.05), BLUE, 1),  # all of it within
+        ((0.105, 0, 0.2), (0.16, 0.06, 0.3), BLUE, 2),  # floats, and what is beside it does not hold it
+        ((0.105, 0, 0.08), (0.16, 0.06, 0.3), BLUE, 1),  # floats, and touches
+        ((0.02, 0.02, 0.2), (0.06, 0.06, 0.3), BLUE, 1),  # floats over it: its stem is too thin to be seen
+    ],
+)
+def test_parts_belong_to_what_may_hold_them(
+    low: tuple[float, float, float], high: tuple[float, float, float], color: tuple[int, int, int], count: int
+) -> None:
+    parts = [ON_BOARD, block(low, high)]
+    paints = [np.full((len(points), 3), paint, np.uint8) for points, paint in zip(parts, (RED, color), strict=True)]
+    view = DepthView("0", np.ones((2, 2), np.float32), np.zeros((2, 2, 3), np.uint8), (1.0, 1.0, 0.5, 0.5), np.eye(4))
+    masks = np.array([[[True, False], [False, False]], [[False, True], [False, False]]])
+    frame = LiftedFrame(view, np.full((2, 2), -1, np.int32), masks, tuple(parts), tuple(paints), ("", ""), np.ones(2))
+    found = [instance_of([frame], points, paint, {0: (i,)}) for i, (points, paint) in enumerate(zip(parts, paints, strict=True))]
+    settled = _settled([frame], found, SLAB, ClassicalConfig())
+    assert len(settled) == count
+    assert sum(len(instance.points) for instance in settled) == sum(map(len, parts))
 
 
 def test_an_empty_table_and_a_camera_below_it_show_nothing() -> None:
